@@ -1,0 +1,173 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <iotcloud/brokers/message.h>
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/metrics.h>
+
+namespace iotcloud::brokers {
+
+/// Where messages of a channel go. `name` is the wire name `gateway.driver[.instance].queue` (REFERENCE.md 3).
+struct Topic {
+  std::string exchange;  ///< RabbitMQ: the direct exchange the publisher declares. Others ignore it.
+  std::string name;      ///< binding key, queue name prefix, Kafka topic
+  bool durable = false;  ///< survives a restart of the server: durable exchange and queue, persistent messages
+  friend bool operator==(const Topic&, const Topic&) = default;
+  friend auto operator<=>(const Topic&, const Topic&) = default;
+};
+
+/// Answer of publish(): it never blocks and never throws.
+enum class PublishStatus {
+  accepted,     ///< the publisher has it; exactly one outcome follows
+  would_block,  ///< the publisher is full (see PublisherOptions::when_full); on_writable follows
+  closed,       ///< the publisher was closed
+};
+
+/// What became of a message that was accepted.
+enum class Outcome {
+  confirmed,  ///< the broker has it
+  refused,    ///< the broker said no (too large, no permission)
+  dropped,    ///< by the channel's own policy: superseded (keep_newest), too old (deadline), see `reason`
+  unknown,    ///< the publisher was closed before the broker answered
+};
+
+/// What to do when more is accepted than the broker takes (it is away, slow, or nobody reads the topic yet).
+enum class WhenFull {
+  keep_newest,  ///< drop the oldest that waits: for frames, where stale is worse than none
+  block,        ///< answer would_block: for readings, where lost is worse than late
+};
+
+struct PublisherOptions {
+  WhenFull when_full = WhenFull::block;
+  std::size_t capacity = 1024;            ///< messages that may wait (not yet confirmed ones included)
+  std::chrono::milliseconds deadline{0};  ///< older messages are worthless: dropped here, TTL at the broker. 0 = none
+  /// Called once for each accepted message with its publish number (1, 2, 3, ... for each publisher) and, for drops, the
+  /// reason ("superseded", "deadline", "no_reader", ...). From any thread, never from inside publish(). May be empty.
+  std::function<void(std::uint64_t number, Outcome outcome, const std::string& reason)> on_outcome;
+  /// Called after a would_block when there is room again. From any thread. May be empty.
+  std::function<void()> on_writable;
+};
+
+/// Sends to one topic, in order. Thread safe. What it has accepted it sends again after a reconnect until the broker has
+/// confirmed it (duplicates are possible, loss is not, order is kept).
+class Publisher {
+ public:
+  virtual ~Publisher() = default;  ///< closes without draining
+  /// Sends on the caller's thread when that cannot block, otherwise the connection's writer does, in order.
+  virtual PublishStatus publish(Message message) = 0;
+  /// Waits until everything accepted has an outcome. \return false when `limit` passed first.
+  virtual bool drain(std::chrono::milliseconds limit) = 0;
+  /// Accepted messages without an outcome.
+  virtual std::size_t pending() const = 0;
+};
+
+enum class Settlement {
+  accept,  ///< done with it
+  retry,   ///< deliver it again, before what follows in the topic where the broker can
+  reject,  ///< never deliver it again (dead letter where the broker has one)
+};
+
+/// Where a delivery is settled; implemented by each broker. Thread safe, never throws; a late call (after reconnect or
+/// close) is ignored: the broker delivers the message again.
+class Settler {
+ public:
+  virtual ~Settler() = default;
+  virtual void settle(std::uint64_t tag, Settlement settlement) noexcept = 0;
+};
+
+/// One received message and the duty to settle it (with manual acknowledgement). Move only; dropping it unsettled means
+/// `retry`. Settle from any thread.
+class Delivery {
+ public:
+  Delivery(Message received, bool possibly_redelivered, std::shared_ptr<Settler> settler, std::uint64_t tag)
+      : message(std::move(received)), redelivered(possibly_redelivered), settler_(std::move(settler)), tag_(tag) {}
+  Delivery(Delivery&&) noexcept = default;
+  Delivery& operator=(Delivery&& other) noexcept {
+    if (this != &other) {
+      settle(Settlement::retry);
+      message = std::move(other.message);
+      redelivered = other.redelivered;
+      settler_ = std::move(other.settler_);
+      tag_ = other.tag_;
+    }
+    return *this;
+  }
+  ~Delivery() { settle(Settlement::retry); }
+
+  void settle(Settlement settlement) noexcept {
+    if (auto settler = std::exchange(settler_, nullptr)) settler->settle(tag_, settlement);
+  }
+
+  Message message;
+  bool redelivered = false;
+
+ private:
+  std::shared_ptr<Settler> settler_;  ///< null: nothing to settle (automatic acknowledgement, or done)
+  std::uint64_t tag_ = 0;
+};
+
+/// Called on the broker's reader thread, one delivery of a subscription at a time, in the topic's order. May run long:
+/// another thread then keeps the connection alive. Must not throw (a throw is logged and counts as `retry`).
+using Handler = std::function<void(Delivery)>;
+
+struct SubscriptionOptions {
+  std::string group;        ///< who reads: the topology's name. Each group has its own queue `<topic>.<group>`.
+                            ///< Empty: the topic's own queue `<topic>` (a driver's inbound channel, the original's way).
+  bool exclusive = true;    ///< a second reader of the same queue gets nothing until this one is gone
+  bool automatic_ack = false;
+  std::uint16_t prefetch = 100;  ///< unsettled deliveries under way at most
+  std::size_t keep_last = 0;     ///< conflate: of what waits only the newest N are handed on. 0 = keep all
+};
+
+/// Reads one topic until destroyed. The destructor returns when no handler runs any more (unless called from the
+/// handler itself); unsettled deliveries go back to the broker.
+class Subscription {
+ public:
+  virtual ~Subscription() = default;
+  /// Stop taking (back pressure) and go on. Thread safe; takes effect after the handler that runs.
+  virtual void pause() = 0;
+  virtual void resume() = 0;
+  /// True while this one is reading; false while disconnected or while another reader holds the queue exclusively.
+  virtual bool active() const = 0;
+};
+
+enum class ConnectionState { connecting, connected, blocked, closed };
+
+/// One broker (a server or a cluster of them behind `urls`). Connects by itself, with back-off and jitter, says once that
+/// it cannot, and reconnects for ever. Thread safe. Publishers and subscriptions must die before it.
+class Broker {
+ public:
+  virtual ~Broker() = default;
+  virtual std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) = 0;
+  virtual std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
+                                                  Handler handler) = 0;
+  virtual ConnectionState state() const = 0;
+  virtual const std::string& url() const = 0;
+};
+
+struct BrokerOptions {
+  /// "embedded://NAME" (the in-process broker of that name), "amqp://user:password@host:port/vhost" (RabbitMQ).
+  std::string url;
+  std::chrono::milliseconds heartbeat{4000};
+  std::chrono::milliseconds rpc_timeout{5000};
+  const config::Clock* clock = nullptr;      ///< nullptr: the system's
+  config::Metrics* metrics = nullptr;        ///< nullptr: the process's
+};
+
+/// Makes the broker that the URL's scheme names. Returns at once, connecting in the background.
+/// \throws config::Error for a scheme that is none (the message lists those there are) or a URL that cannot be read.
+std::unique_ptr<Broker> make_broker(const BrokerOptions& options);
+
+/// The kinds of broker that configuration may name ("embedded", "rabbitmq").
+const std::vector<std::string>& broker_kinds();
+
+/// The URL without its password, for logs and messages.
+std::string printable_url(const std::string& url);
+
+}  // namespace iotcloud::brokers

@@ -1,0 +1,36 @@
+# Compiler settings that hold for every target, and the one include path.
+set(CMAKE_CXX_STANDARD 20)
+set(CMAKE_CXX_STANDARD_REQUIRED ON)
+set(CMAKE_CXX_EXTENSIONS OFF)
+set(CMAKE_POSITION_INDEPENDENT_CODE ON)
+set(CMAKE_CXX_VISIBILITY_PRESET hidden)
+set(CMAKE_VISIBILITY_INLINES_HIDDEN ON)
+set(CMAKE_RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/bin)
+set(CMAKE_LIBRARY_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/plugins)
+
+set(IOTCLOUD_SANITIZE "" CACHE STRING "Sanitizers to build with, as for -fsanitize=")
+if(IOTCLOUD_SANITIZE)
+  add_compile_options(-fsanitize=${IOTCLOUD_SANITIZE} -fno-omit-frame-pointer -g1 -O1)
+  add_link_options(-fsanitize=${IOTCLOUD_SANITIZE})
+  if(IOTCLOUD_SANITIZE MATCHES undefined)
+    add_compile_options(-fno-sanitize-recover=undefined)
+  endif()
+endif()
+
+find_program(CCACHE_PROGRAM ccache)
+if(CCACHE_PROGRAM)
+  # No base_dir is set: __FILE__ and debug paths stay those of the checkout that was built.
+  set(CMAKE_CXX_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
+endif()
+
+add_library(iotcloud_warnings INTERFACE)
+target_compile_options(iotcloud_warnings INTERFACE
+  -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Woverloaded-virtual -Wold-style-cast -Wcast-qual
+  -Wconversion -Wno-sign-conversion -Wimplicit-fallthrough -Werror)
+
+# The include path equals the path on disk, in the tree and installed: <iotcloud/brokers/message.h>.
+file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/include)
+file(CREATE_LINK ${PROJECT_SOURCE_DIR} ${PROJECT_BINARY_DIR}/include/iotcloud SYMBOLIC)
+# What the Thrift compiler writes: "iotcloud/discovery/records_types.h" below this folder.
+set(IOTCLOUD_GENERATED_DIR ${PROJECT_BINARY_DIR}/generated)
+file(MAKE_DIRECTORY ${IOTCLOUD_GENERATED_DIR})

@@ -1,0 +1,98 @@
+# One function for each kind of target. `USES` names rooms (tests/house checks the includes against it),
+# `LIBRARIES` and `PRIVATE_LIBRARIES` name third-party targets.
+
+function(_iotcloud_setup target)
+  cmake_parse_arguments(arg "" "" "USES;LIBRARIES;PRIVATE_LIBRARIES" ${ARGN})
+  list(TRANSFORM arg_USES PREPEND iotcloud_)
+  target_link_libraries(${target} PUBLIC ${arg_USES} ${arg_LIBRARIES} PRIVATE ${arg_PRIVATE_LIBRARIES})
+  target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:iotcloud_warnings>)
+  target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${PROJECT_BINARY_DIR}/include>)
+  target_include_directories(${target} SYSTEM PRIVATE ${IOTCLOUD_GENERATED_DIR})
+endfunction()
+
+# A room, or a part of one: a static library `iotcloud_<name>`, exported as `iotcloud::<name>`.
+#   iotcloud_room(NAME brokers SOURCES a.cc HEADERS a.h USES config LIBRARIES ... PRIVATE_LIBRARIES ... [INSTALL])
+# HEADERS are the public ones. INSTALL: authors of drivers, spouts and bolts link it.
+function(iotcloud_room)
+  cmake_parse_arguments(arg "INSTALL" "NAME" "SOURCES;HEADERS;USES;LIBRARIES;PRIVATE_LIBRARIES" ${ARGN})
+  set(target iotcloud_${arg_NAME})
+  if(arg_SOURCES)
+    add_library(${target} STATIC ${arg_SOURCES})
+    _iotcloud_setup(${target} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} PRIVATE_LIBRARIES ${arg_PRIVATE_LIBRARIES})
+    set(scope PUBLIC)
+  else()
+    add_library(${target} INTERFACE)
+    list(TRANSFORM arg_USES PREPEND iotcloud_)
+    target_link_libraries(${target} INTERFACE ${arg_USES} ${arg_LIBRARIES})
+    target_include_directories(${target} INTERFACE $<BUILD_INTERFACE:${PROJECT_BINARY_DIR}/include>)
+    set(scope INTERFACE)
+  endif()
+  add_library(iotcloud::${arg_NAME} ALIAS ${target})
+  set_target_properties(${target} PROPERTIES EXPORT_NAME ${arg_NAME})
+  if(arg_HEADERS)
+    # Base folder and files both by way of the linked path: `#include <iotcloud/...>` in the tree and installed.
+    file(RELATIVE_PATH here ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
+    list(TRANSFORM arg_HEADERS PREPEND ${PROJECT_BINARY_DIR}/include/iotcloud/${here}/)
+    target_sources(${target} ${scope} FILE_SET HEADERS BASE_DIRS ${PROJECT_BINARY_DIR}/include FILES ${arg_HEADERS})
+  endif()
+  if(arg_INSTALL)
+    set_property(GLOBAL APPEND PROPERTY IOTCLOUD_SDK_TARGETS ${target})
+  endif()
+endfunction()
+
+# A program, installed to bin/.
+function(iotcloud_program)
+  cmake_parse_arguments(arg "" "NAME" "SOURCES;USES;LIBRARIES" ${ARGN})
+  add_executable(${arg_NAME} ${arg_SOURCES})
+  _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
+  set_target_properties(${arg_NAME} PROPERTIES ENABLE_EXPORTS OFF)
+  install(TARGETS ${arg_NAME} RUNTIME DESTINATION bin)
+endfunction()
+
+# A plugin (a driver, or components of a topology): a module without "lib" in its name, in build/<preset>/plugins.
+function(iotcloud_plugin)
+  cmake_parse_arguments(arg "" "NAME" "SOURCES;USES;LIBRARIES" ${ARGN})
+  add_library(${arg_NAME} MODULE ${arg_SOURCES})
+  set_target_properties(${arg_NAME} PROPERTIES PREFIX "")
+  _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
+  install(TARGETS ${arg_NAME} LIBRARY DESTINATION lib/iotcloud/plugins)
+endfunction()
+
+# A GoogleTest program; each of its tests is a test of ctest.
+#   LABELS: `unit` (fast, no server), `server` (starts real servers), `system` (several processes), `long`.
+#   Sanitizer runs take `unit` and `short-contract`.
+function(iotcloud_test)
+  cmake_parse_arguments(arg "" "NAME;TIMEOUT" "SOURCES;USES;LIBRARIES;LABELS" ${ARGN})
+  if(NOT arg_TIMEOUT)
+    set(arg_TIMEOUT 120)
+  endif()
+  add_executable(${arg_NAME} ${arg_SOURCES})
+  _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} GTest::gmock_main)
+  # Test sources may share helpers of their own folder tree: <iotcloud/tests/...>.
+  gtest_discover_tests(${arg_NAME} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${arg_LABELS}" DISCOVERY_TIMEOUT 60)
+endfunction()
+
+# Compiles one Thrift file of a room into the static library `iotcloud_<name>`; private to those who link it.
+#   iotcloud_thrift(NAME records_idl FILE records.thrift SERVICES TMasterService USES other_idl)
+# Include what it makes as "iotcloud/<room>/<file>_types.h".
+function(iotcloud_thrift)
+  cmake_parse_arguments(arg "" "NAME;FILE" "SERVICES;USES" ${ARGN})
+  file(RELATIVE_PATH here ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
+  get_filename_component(stem ${arg_FILE} NAME_WE)
+  set(out ${IOTCLOUD_GENERATED_DIR}/iotcloud/${here})
+  file(MAKE_DIRECTORY ${out})
+  set(outputs ${out}/${stem}_types.h ${out}/${stem}_types.cpp)
+  foreach(service ${arg_SERVICES})
+    list(APPEND outputs ${out}/${service}.h ${out}/${service}.cpp)
+  endforeach()
+  add_custom_command(
+    OUTPUT ${outputs}
+    COMMAND ${THRIFT_COMPILER} -gen cpp:no_skeleton,include_prefix,moveable_types -I ${PROJECT_BINARY_DIR}/include
+            -out ${out} ${PROJECT_BINARY_DIR}/include/iotcloud/${here}/${arg_FILE}
+    DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/${arg_FILE}
+    COMMENT "Thrift ${here}/${arg_FILE}" VERBATIM)
+  add_library(iotcloud_${arg_NAME} STATIC ${outputs})
+  list(TRANSFORM arg_USES PREPEND iotcloud_)
+  target_link_libraries(iotcloud_${arg_NAME} PUBLIC PkgConfig::thrift ${arg_USES})
+  target_include_directories(iotcloud_${arg_NAME} SYSTEM PUBLIC ${IOTCLOUD_GENERATED_DIR})
+endfunction()

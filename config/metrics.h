@@ -1,0 +1,88 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace iotcloud::config {
+
+using Labels = std::map<std::string, std::string>;
+
+/// Counts up. Thread safe, wait free.
+class Counter {
+ public:
+  void add(std::uint64_t n = 1) { value_.fetch_add(n, std::memory_order_relaxed); }
+  std::uint64_t value() const { return value_.load(std::memory_order_relaxed); }
+
+ private:
+  std::atomic<std::uint64_t> value_{0};
+};
+
+/// A level that goes up and down. Thread safe, wait free.
+class Gauge {
+ public:
+  void set(std::int64_t v) { value_.store(v, std::memory_order_relaxed); }
+  void add(std::int64_t n) { value_.fetch_add(n, std::memory_order_relaxed); }
+  std::int64_t value() const { return value_.load(std::memory_order_relaxed); }
+
+ private:
+  std::atomic<std::int64_t> value_{0};
+};
+
+/// Durations in nanoseconds, in logarithmic buckets of 1/16 octave (a quantile is within 4.5 %). Thread safe, wait free;
+/// the buckets are allocated at the first sample.
+class Histogram {
+ public:
+  struct Summary {
+    std::uint64_t count = 0;
+    double mean_ns = 0, p50_ns = 0, p99_ns = 0, max_ns = 0;
+  };
+  Histogram();
+  ~Histogram();
+  Histogram(const Histogram&) = delete;
+  Histogram& operator=(const Histogram&) = delete;
+
+  void record_ns(std::int64_t ns);
+  Summary summary() const;
+
+ private:
+  struct Buckets;
+  Buckets& buckets();
+  std::atomic<Buckets*> buckets_{nullptr};
+};
+
+/// One reading of one metric, as an exporter needs it.
+struct Sample {
+  enum class Kind { counter, gauge, histogram };
+  std::string name;
+  std::string help;
+  Labels labels;
+  Kind kind = Kind::counter;
+  double value = 0;              ///< counter and gauge
+  Histogram::Summary histogram;  ///< histogram only
+};
+
+/// The small interface through which rooms report: ask once for a metric by name and labels, keep the reference, use
+/// it for as long as `Metrics` lives. Asking twice gives the same object. Thread safe.
+/// Names follow Prometheus ("iotcloud_broker_messages_published_total").
+class Metrics {
+ public:
+  Metrics();
+  ~Metrics();
+  Counter& counter(const std::string& name, const std::string& help, const Labels& labels = {});
+  Gauge& gauge(const std::string& name, const std::string& help, const Labels& labels = {});
+  Histogram& histogram(const std::string& name, const std::string& help, const Labels& labels = {});
+  std::vector<Sample> collect() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// The process's own metrics: what a room uses unless it is given others.
+Metrics& process_metrics();
+
+}  // namespace iotcloud::config

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/registry.h>
+
+namespace iotcloud::discovery {
+
+/// A live view of all instances of one driver with their channels, kept up to date by watches. Thread safe.
+class DriverDirectory {
+ public:
+  struct Callbacks {
+    /// The channel came, or changed. Its driver is active.
+    std::function<void(const ChannelRecord&)> on_channel;
+    /// The channel went: undeployed, or its driver is no longer active.
+    std::function<void(const ChannelRecord&)> on_channel_gone;
+  };
+  /// Watches `driver` below `paths.sensors`; callbacks (on the registry's dispatcher) concern channels named `channel`
+  /// only, all channels when it is empty. What is there already is reported first. The driver need not exist yet.
+  DriverDirectory(Registry& registry, Paths paths, std::string driver, std::string channel, Callbacks callbacks);
+  ~DriverDirectory();
+
+ private:
+  struct Impl;
+  std::shared_ptr<Impl> impl_;
+};
+
+/// A gateway and whether its process lives.
+struct GatewayStatus {
+  GatewayRecord record;
+  bool alive = false;
+};
+
+/// One-time queries, for the master and tests. \throws RegistryError.
+std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths);  ///< with their channels
+std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths);
+struct TopologyStatus {
+  TopologyRecord record;
+  std::vector<std::string> workers;
+};
+std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths);
+
+}  // namespace iotcloud::discovery

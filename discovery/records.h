@@ -1,0 +1,108 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace iotcloud::discovery {
+
+/// Life of a driver instance. On the wire the original's TSensorState carries the nearest word, field 100 the exact one.
+enum class DriverState { deployed, starting, active, stopping, inactive, failed, undeployed };
+std::string to_string(DriverState state);
+DriverState parse_driver_state(const std::string& name);  ///< \throws config::Error
+
+enum class Direction { in = 0, out = 1 };  ///< seen from the driver: out = to the cloud
+
+/// One channel of a driver instance, as all processes see it (TChannel at /iot/sensors/<driver>/<instance>/<channel>).
+struct ChannelRecord {
+  std::string name;
+  std::string transport;   ///< the gateway's logical broker name ("rabbitmq")
+  Direction direction = Direction::out;
+  std::map<std::string, std::string> properties;  ///< exchange, routingKey, queueName (wire names), topic, durable
+  std::string broker_url;  ///< the broker that this channel's group was placed on
+  std::string gateway;     ///< TChannel.site
+  std::string driver;      ///< TChannel.sensor
+  std::string instance;    ///< TChannel.sensorId
+  bool shared = false;     ///< TChannel.grouped
+  friend bool operator==(const ChannelRecord&, const ChannelRecord&) = default;
+};
+
+/// One driver instance (TSensor at /iot/sensors/<driver>/<instance>).
+struct DriverRecord {
+  std::string name;      ///< the driver's name ("turtle")
+  std::string instance;  ///< UUID without dashes
+  std::string gateway;
+  DriverState state = DriverState::deployed;
+  std::string reason;          ///< why it is in this state, for people; field 101
+  std::int64_t since_ms = 0;   ///< wall time of the last change; field 102
+  std::map<std::string, std::string> metadata;  ///< TSensor.metadata, as JSON
+  std::vector<ChannelRecord> channels;
+  friend bool operator==(const DriverRecord&, const DriverRecord&) = default;
+};
+
+/// One gateway (TSite at /iot/gateways/<id>; it lives while the ephemeral /iot/gateways/<id>/alive exists).
+struct GatewayRecord {
+  std::string id;
+  std::string host;
+  int port = 0;                      ///< of its Thrift service
+  std::vector<std::string> brokers;  ///< logical names
+  std::int64_t since_ms = 0;
+  friend bool operator==(const GatewayRecord&, const GatewayRecord&) = default;
+};
+
+/// What the master wants of one instance on one gateway: /iot/gateways/<id>/orders/<instance>, JSON.
+/// The gateway makes it so and reports in the DriverRecord. Removing the node is the order to undeploy.
+struct OrderRecord {
+  std::string instance;
+  std::string driver;     ///< name; empty: the plugin's own
+  std::string plugin;     ///< file name in the gateway's plugin folder ("turtle.so")
+  bool active = true;     ///< wanted: active or inactive
+  std::map<std::string, std::string> properties;
+  std::map<std::string, std::string> metadata;
+  std::int64_t epoch = 0; ///< fencing: the issuing master's; a gateway ignores orders of an older epoch than it has seen
+  friend bool operator==(const OrderRecord&, const OrderRecord&) = default;
+};
+
+/// One running topology: /iot/topologies/<name>, JSON; its workers are ephemeral below .../workers.
+struct TopologyRecord {
+  std::string name;
+  std::int64_t since_ms = 0;
+  std::vector<std::string> spouts;
+  std::vector<std::string> bolts;
+  friend bool operator==(const TopologyRecord&, const TopologyRecord&) = default;
+};
+
+/// Bytes as they stand in the registry: TSensor, TChannel and TSite in Thrift's binary protocol without framing.
+/// decode_* \throws config::Error naming `path` when the bytes are none (hostile sizes included).
+std::string encode(const DriverRecord& record);
+std::string encode(const ChannelRecord& record);
+std::string encode(const GatewayRecord& record);
+std::string encode(const OrderRecord& record);
+std::string encode(const TopologyRecord& record);
+DriverRecord decode_driver(const std::string& bytes, const std::string& path);
+ChannelRecord decode_channel(const std::string& bytes, const std::string& path);
+GatewayRecord decode_gateway(const std::string& bytes, const std::string& path);
+OrderRecord decode_order(const std::string& bytes, const std::string& path);
+TopologyRecord decode_topology(const std::string& bytes, const std::string& path);
+
+/// Where records stand. `sensors_root` is the paper's zk.root; the other branches are its siblings.
+struct Paths {
+  explicit Paths(std::string sensors_root = "/iot/sensors");
+  std::string driver(const std::string& driver) const;
+  std::string instance(const std::string& driver, const std::string& instance) const;
+  std::string channel(const std::string& driver, const std::string& instance, const std::string& channel) const;
+  std::string gateway(const std::string& id) const;          ///< /iot/gateways/<id>
+  std::string gateway_alive(const std::string& id) const;
+  std::string orders(const std::string& id) const;
+  std::string order(const std::string& id, const std::string& instance) const;
+  std::string masters() const;                               ///< /iot/masters: the election's path
+  std::string topology(const std::string& name) const;       ///< /iot/topologies/<name>
+  std::string workers(const std::string& topology) const;
+  std::string sensors, gateways, topologies;
+};
+
+/// A new instance id: a random UUID without dashes.
+std::string new_instance_id();
+
+}  // namespace iotcloud::discovery
