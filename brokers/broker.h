@@ -47,15 +47,16 @@ struct PublisherOptions {
   WhenFull when_full = WhenFull::block;
   std::size_t capacity = 1024;            ///< messages that may wait (not yet confirmed ones included)
   std::chrono::milliseconds deadline{0};  ///< older messages are worthless: dropped here, TTL at the broker. 0 = none
-  /// Called once for each accepted message with its publish number (1, 2, 3, ... for each publisher) and, for drops, the
-  /// reason ("superseded", "deadline", "no_reader", ...). From any thread, never from inside publish(). May be empty.
+  /// Called once for each accepted message with its publish number (1, 2, 3, ... for each publisher) and, for drops,
+  /// the reason ("superseded", "deadline", "no_reader", ...). From any thread, never from inside publish(). May be
+  /// empty.
   std::function<void(std::uint64_t number, Outcome outcome, const std::string& reason)> on_outcome;
   /// Called after a would_block when there is room again. From any thread. May be empty.
   std::function<void()> on_writable;
 };
 
-/// Sends to one topic, in order. Thread safe. What it has accepted it sends again after a reconnect until the broker has
-/// confirmed it (duplicates are possible, loss is not, order is kept).
+/// Sends to one topic, in order. Thread safe. What it has accepted it sends again after a reconnect until the broker
+/// has confirmed it (duplicates are possible, loss is not, order is kept).
 class Publisher {
  public:
   virtual ~Publisher() = default;  ///< closes without draining
@@ -117,9 +118,9 @@ class Delivery {
 using Handler = std::function<void(Delivery)>;
 
 struct SubscriptionOptions {
-  std::string group;        ///< who reads: the topology's name. Each group has its own queue `<topic>.<group>`.
-                            ///< Empty: the topic's own queue `<topic>` (a driver's inbound channel, the original's way).
-  bool exclusive = true;    ///< a second reader of the same queue gets nothing until this one is gone
+  std::string group;      ///< who reads: the topology's name. Each group has its own queue `<topic>.<group>`.
+                          ///< Empty: the topic's own queue `<topic>` (a driver's inbound channel, the original's way).
+  bool exclusive = true;  ///< a second reader of the same queue gets nothing until this one is gone
   bool automatic_ack = false;
   std::uint16_t prefetch = 100;  ///< unsettled deliveries under way at most
   std::size_t keep_last = 0;     ///< conflate: of what waits only the newest N are handed on. 0 = keep all
@@ -139,8 +140,8 @@ class Subscription {
 
 enum class ConnectionState { connecting, connected, blocked, closed };
 
-/// One broker (a server or a cluster of them behind `urls`). Connects by itself, with back-off and jitter, says once that
-/// it cannot, and reconnects for ever. Thread safe. Publishers and subscriptions must die before it.
+/// One broker (a server or a cluster of them behind `urls`). Connects by itself, with back-off and jitter, says once
+/// that it cannot, and reconnects for ever. Thread safe. Publishers and subscriptions must die before it.
 class Broker {
  public:
   virtual ~Broker() = default;
@@ -156,8 +157,8 @@ struct BrokerOptions {
   std::string url;
   std::chrono::milliseconds heartbeat{4000};
   std::chrono::milliseconds rpc_timeout{5000};
-  const config::Clock* clock = nullptr;      ///< nullptr: the system's
-  config::Metrics* metrics = nullptr;        ///< nullptr: the process's
+  const config::Clock* clock = nullptr;  ///< nullptr: the system's
+  config::Metrics* metrics = nullptr;    ///< nullptr: the process's
 };
 
 /// Makes the broker that the URL's scheme names. Returns at once, connecting in the background.

@@ -32,8 +32,8 @@ class Gauge {
   std::atomic<std::int64_t> value_{0};
 };
 
-/// Durations in nanoseconds, in logarithmic buckets of 1/16 octave (a quantile is within 4.5 %). Thread safe, wait free;
-/// the buckets are allocated at the first sample.
+/// Durations in nanoseconds, in logarithmic buckets of 1/16 octave (a quantile is within 4.5 %). Thread safe, wait
+/// free; the buckets are allocated at the first sample.
 class Histogram {
  public:
   struct Summary {

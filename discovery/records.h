@@ -7,7 +7,8 @@
 
 namespace iotcloud::discovery {
 
-/// Life of a driver instance. On the wire the original's TSensorState carries the nearest word, field 100 the exact one.
+/// Life of a driver instance. On the wire the original's TSensorState carries the nearest word, field 100 the exact
+/// one.
 enum class DriverState { deployed, starting, active, stopping, inactive, failed, undeployed };
 std::string to_string(DriverState state);
 DriverState parse_driver_state(const std::string& name);  ///< \throws config::Error
@@ -17,14 +18,14 @@ enum class Direction { in = 0, out = 1 };  ///< seen from the driver: out = to t
 /// One channel of a driver instance, as all processes see it (TChannel at /iot/sensors/<driver>/<instance>/<channel>).
 struct ChannelRecord {
   std::string name;
-  std::string transport;   ///< the gateway's logical broker name ("rabbitmq")
+  std::string transport;  ///< the gateway's logical broker name ("rabbitmq")
   Direction direction = Direction::out;
   std::map<std::string, std::string> properties;  ///< exchange, routingKey, queueName (wire names), topic, durable
-  std::string broker_url;  ///< the broker that this channel's group was placed on
-  std::string gateway;     ///< TChannel.site
-  std::string driver;      ///< TChannel.sensor
-  std::string instance;    ///< TChannel.sensorId
-  bool shared = false;     ///< TChannel.grouped
+  std::string broker_url;                         ///< the broker that this channel's group was placed on
+  std::string gateway;                            ///< TChannel.site
+  std::string driver;                             ///< TChannel.sensor
+  std::string instance;                           ///< TChannel.sensorId
+  bool shared = false;                            ///< TChannel.grouped
   friend bool operator==(const ChannelRecord&, const ChannelRecord&) = default;
 };
 
@@ -34,8 +35,8 @@ struct DriverRecord {
   std::string instance;  ///< UUID without dashes
   std::string gateway;
   DriverState state = DriverState::deployed;
-  std::string reason;          ///< why it is in this state, for people; field 101
-  std::int64_t since_ms = 0;   ///< wall time of the last change; field 102
+  std::string reason;                           ///< why it is in this state, for people; field 101
+  std::int64_t since_ms = 0;                    ///< wall time of the last change; field 102
   std::map<std::string, std::string> metadata;  ///< TSensor.metadata, as JSON
   std::vector<ChannelRecord> channels;
   friend bool operator==(const DriverRecord&, const DriverRecord&) = default;
@@ -55,12 +56,13 @@ struct GatewayRecord {
 /// The gateway makes it so and reports in the DriverRecord. Removing the node is the order to undeploy.
 struct OrderRecord {
   std::string instance;
-  std::string driver;     ///< name; empty: the plugin's own
-  std::string plugin;     ///< file name in the gateway's plugin folder ("turtle.so")
-  bool active = true;     ///< wanted: active or inactive
+  std::string driver;  ///< name; empty: the plugin's own
+  std::string plugin;  ///< file name in the gateway's plugin folder ("turtle.so")
+  bool active = true;  ///< wanted: active or inactive
   std::map<std::string, std::string> properties;
   std::map<std::string, std::string> metadata;
-  std::int64_t epoch = 0; ///< fencing: the issuing master's; a gateway ignores orders of an older epoch than it has seen
+  std::int64_t epoch =
+      0;  ///< fencing: the issuing master's; a gateway ignores orders of an older epoch than it has seen
   friend bool operator==(const OrderRecord&, const OrderRecord&) = default;
 };
 
@@ -92,12 +94,12 @@ struct Paths {
   std::string driver(const std::string& driver) const;
   std::string instance(const std::string& driver, const std::string& instance) const;
   std::string channel(const std::string& driver, const std::string& instance, const std::string& channel) const;
-  std::string gateway(const std::string& id) const;          ///< /iot/gateways/<id>
+  std::string gateway(const std::string& id) const;  ///< /iot/gateways/<id>
   std::string gateway_alive(const std::string& id) const;
   std::string orders(const std::string& id) const;
   std::string order(const std::string& id, const std::string& instance) const;
-  std::string masters() const;                               ///< /iot/masters: the election's path
-  std::string topology(const std::string& name) const;       ///< /iot/topologies/<name>
+  std::string masters() const;                          ///< /iot/masters: the election's path
+  std::string topology(const std::string& name) const;  ///< /iot/topologies/<name>
   std::string workers(const std::string& topology) const;
   std::string sensors, gateways, topologies;
 };

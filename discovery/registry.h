@@ -34,21 +34,21 @@ class RegistryError : public config::Error {
 
 struct Node {
   std::string data;
-  std::int64_t version = 0;       ///< counts changes of the data
-  std::int64_t created = 0;       ///< order of creation in the whole registry (ZooKeeper's czxid)
+  std::int64_t version = 0;  ///< counts changes of the data
+  std::int64_t created = 0;  ///< order of creation in the whole registry (ZooKeeper's czxid)
   bool ephemeral = false;
-  std::int64_t owner_session = 0; ///< of an ephemeral node
+  std::int64_t owner_session = 0;  ///< of an ephemeral node
 };
 
 enum class SessionState {
   connecting,  ///< away for now: watches and held nodes are kept by the server until the session expires
   connected,
-  expired,     ///< the server dropped the session; held nodes are gone and come back with the next `connected`
+  expired,  ///< the server dropped the session; held nodes are gone and come back with the next `connected`
   closed,
 };
 
-/// Keeps something alive until destroyed: a watch, a held node, a listener. Destroying it from inside its own callback is
-/// allowed; otherwise its destructor returns when the callback does not run any more.
+/// Keeps something alive until destroyed: a watch, a held node, a listener. Destroying it from inside its own callback
+/// is allowed; otherwise its destructor returns when the callback does not run any more.
 class Guard {
  public:
   virtual ~Guard() = default;
@@ -56,8 +56,8 @@ class Guard {
 using GuardPtr = std::unique_ptr<Guard>;
 
 /// A tree of small nodes that all processes share (ZooKeeper's model). Paths are absolute, UTF-8, without "." and "..".
-/// Thread safe. Calls wait for the answer, at most the operation time-out, and throw RegistryError; they may be made from
-/// callbacks. Callbacks run one at a time on the registry's own dispatcher thread, never inside a call.
+/// Thread safe. Calls wait for the answer, at most the operation time-out, and throw RegistryError; they may be made
+/// from callbacks. Callbacks run one at a time on the registry's own dispatcher thread, never inside a call.
 class Registry {
  public:
   virtual ~Registry() = default;
@@ -71,14 +71,14 @@ class Registry {
   virtual bool remove(const std::string& path, std::int64_t expected_version = -1) = 0;
   virtual std::optional<std::vector<std::string>> children(const std::string& path) = 0;  ///< sorted names
 
-  /// Creates an ephemeral node (parents persistent, made when missing) and keeps it: it is created again after the session
-  /// expired, and removed when the guard dies. With `sequential` the server appends ten digits that grow.
-  /// Only the first creation throws. \param on_created gets the real path after each creation; may be empty.
+  /// Creates an ephemeral node (parents persistent, made when missing) and keeps it: it is created again after the
+  /// session expired, and removed when the guard dies. With `sequential` the server appends ten digits that grow. Only
+  /// the first creation throws. \param on_created gets the real path after each creation; may be empty.
   virtual GuardPtr hold(const std::string& path, const std::string& data, bool sequential = false,
                         std::function<void(const std::string& real_path)> on_created = {}) = 0;
 
-  /// Calls back with the node (nullopt: it is not there) soon, and after every change until the guard dies. Changes that
-  /// come fast are seen as one: the last state is always reported. While the registry is away nothing is reported.
+  /// Calls back with the node (nullopt: it is not there) soon, and after every change until the guard dies. Changes
+  /// that come fast are seen as one: the last state is always reported. While the registry is away nothing is reported.
   virtual GuardPtr watch_node(const std::string& path, std::function<void(const std::optional<Node>&)> callback) = 0;
   /// The same for the sorted names of the children (nullopt: no such node).
   virtual GuardPtr watch_children(const std::string& path,
