@@ -1,0 +1,101 @@
+// The records of the registry and the structs that the services of gateway and master share (REFERENCE.md section 1).
+// Names, ids and requiredness up to id 99 are those of the original system and are never changed: its programs read
+// and write these bytes. What is new is optional and has an id from 100 up.
+namespace cpp iotcloud.discovery.wire
+
+// Seen from the driver: OUT = to the cloud.
+enum TDirection {
+  IN = 0,
+  OUT = 1
+}
+
+enum TSensorState {
+  DEPLOY = 0,
+  ACTIVE = 1,
+  DE_ACTIVATE = 2,
+  UN_DEPLOY = 3,
+  UPDATE = 4,
+  UNKNOWN = 5
+}
+
+enum TResponseState {
+  SUCCESS = 0,
+  FAILURE = 1
+}
+
+// One channel of a driver instance: /iot/sensors/<driver>/<instance>/<channel>.
+struct TChannel {
+  1: string transport
+  2: TDirection direction
+  3: optional map<string, string> properties
+  4: optional string brokerUrl
+  5: optional string name
+  6: optional string site
+  7: optional string sensor
+  8: optional bool grouped
+  9: optional string sensorId
+}
+
+// One driver instance: /iot/sensors/<driver>/<instance>.
+struct TSensor {
+  1: string name
+  2: string siteId
+  3: TSensorState state
+  4: binary metadata
+  5: list<TChannel> channels
+  6: optional string sensorId
+  // The exact state as DriverState spells it; `state` has the nearest word of the original.
+  100: optional string exactState
+  101: optional string reason
+  // Wall time of the last change, milliseconds since 1970 UTC.
+  102: optional i64 sinceMs
+}
+
+struct TBroker {
+  1: string name
+  2: map<string, string> properties
+}
+
+// One gateway: /iot/gateways/<id>.
+struct TSite {
+  1: required string siteId
+  2: required i32 port
+  3: required string host
+  4: optional binary metadata
+  5: optional list<TBroker> brokers
+  // Wall time at which the gateway started, milliseconds since 1970 UTC.
+  100: optional i64 sinceMs
+  // In answers of the master: whether the gateway's process lives. Not set in the registry.
+  101: optional bool alive
+}
+
+struct TResponse {
+  1: TResponseState state
+  2: string statusMessage
+}
+
+struct TSiteDetailsResponse {
+  1: optional TSite details
+  2: required TResponse state
+}
+
+struct TSensorDeployDescriptor {
+  1: required string filename
+  2: required string className
+  3: optional map<string, string> properties
+}
+
+struct TSensorDeployResponse {
+  1: optional list<string> deployedSites
+  2: required TResponse response
+}
+
+struct THeartBeatRequest {
+  1: i32 sensors
+}
+
+struct THeartBeatResponse {
+  1: i32 totalSensors
+  // Spelt so in the original.
+  2: i32 responsiveSonsor
+}
