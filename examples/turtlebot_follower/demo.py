@@ -1,0 +1,95 @@
+#!/usr/bin/env python3
+"""Runs the TurtleBot follower and reports how well it followed: called by `./dev demo`.
+
+Local mode runs everything in one process on the embedded broker and registry. `--cluster` runs RabbitMQ, ZooKeeper, a
+master, two gateways and a topology worker as processes, private to this run, and deploys the driver with the CLI.
+The figures come from the trace that the turtle driver writes (drivers/turtle/README.md), one row for each frame.
+"""
+
+import argparse
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+import modes  # noqa: E402
+import report  # noqa: E402
+
+
+def arguments():
+    parser = argparse.ArgumentParser(prog="./dev demo", description="The TurtleBot follows a person.")
+    parser.add_argument("--cluster", action="store_true", help="real parts, each its own process")
+    parser.add_argument("--seconds", type=float, default=20, metavar="N", help="how long to follow (default 20)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the simulated room and person (default 1)")
+    parser.add_argument("--broker", choices=["embedded", "rabbitmq"], metavar="NAME",
+                        help="embedded or rabbitmq (default: embedded; rabbitmq with --cluster)")
+    parser.add_argument("--json", metavar="FILE", help="write the report there too")
+    parser.add_argument("--build", type=Path, default=Path("build/release"), help=argparse.SUPPRESS)
+    parser.add_argument("--out", type=Path, default=Path("build/demo"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if not 2 <= options.seconds <= 3600:
+        parser.error("--seconds: between 2 and 3600")
+    if options.cluster and options.broker == "embedded":
+        parser.error("--broker embedded is for one process; a cluster needs rabbitmq")
+    return options
+
+
+def follow_progress(trace, seconds, alive):
+    """One live line while the robot follows; returns when the time is over or a process died."""
+    begin = time.monotonic()
+    tty = sys.stdout.isatty()
+    next_line = 0.0
+    while time.monotonic() - begin < seconds:
+        if not alive():
+            break
+        time.sleep(0.2)
+        elapsed = time.monotonic() - begin
+        if not tty and elapsed < next_line:
+            continue
+        next_line = elapsed + 5
+        rows = report.read_trace(trace, last=30)
+        if rows:
+            answered = [row for row in rows if row.answered]
+            latency = report.percentile([row.latency_ms for row in answered], 50) if answered else float("nan")
+            line = (f"{elapsed:5.1f} / {seconds:.0f} s   frame {rows[-1].seq}   distance {rows[-1].distance:.2f} m"
+                    f"   latency {latency:.2f} ms   answered {len(answered)} of the last {len(rows)}")
+            print(f"\r{line}\033[K" if tty else line, end="" if tty else "\n", flush=True)
+    if tty:
+        print()
+
+
+def main():
+    options = arguments()
+    options.out.mkdir(parents=True, exist_ok=True)
+    out = options.out.resolve()
+    trace = out / "trace.csv"
+    trace.unlink(missing_ok=True)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    mode = modes.Cluster if options.cluster else modes.OneProcess
+    broker = options.broker or ("rabbitmq" if options.cluster else "embedded")
+    try:
+        with mode(options.build, out, broker) as running:
+            running.begin({"seed": options.seed, "trace": trace})
+            follow_progress(trace, options.seconds, lambda: running.dead() is None)
+            measured = running.finish()
+    except modes.StartError as error:
+        sys.exit(f"the demo could not run: {error}")
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+    result = report.make_report(trace, options, measured)
+    text = json.dumps(result, indent=2) + "\n"
+    (out / "report.json").write_text(text)
+    if options.json:
+        Path(options.json).write_text(text)
+    report.draw(trace, out)
+    report.print_summary(result, out)
+    return 0 if result["followed"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,102 @@
+"""The two ways the demo runs: everything in one process, or a private cluster."""
+
+import re
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent.parent / "tests/servers"))
+
+from private_cluster import Children, PrivateCluster, StartError, cpu_seconds, free_port  # noqa: E402,F401
+
+ROLES = (("rabbitmq", "rabbit"), ("zookeeper", "zookeeper"), ("master", "iotcloud-master"),
+         ("driver host", "iotcloud-driver-host"), ("gateways", "iotcloud-gateway"), ("topology", "iotcloud-topology"),
+         ("all in one process", "turtlebot-demo"))
+
+
+def bolt_times(metrics_address):
+    """p50 and p99 of each bolt's execute in ms, from the worker's metrics; of several tasks the slowest."""
+    text = urllib.request.urlopen(f"http://{metrics_address}/metrics", timeout=5).read().decode()
+    times = {}
+    for labels, value in re.findall(r"^iotcloud_task_execute_seconds\{([^}]*)\} (\S+)$", text, re.M):
+        fields = dict(re.findall(r'(\w+)="([^"]*)"', labels))
+        key = {"0.5": "p50", "0.99": "p99"}.get(fields.get("quantile"))
+        if key and float(value) == float(value):  # NaN: nothing was measured
+            slowest = times.setdefault(fields["component"], {"p50": 0, "p99": 0})
+            slowest[key] = max(slowest[key], round(float(value) * 1000, 4))
+    return times
+
+
+class Measurement:
+    """CPU of everything that runs for this demo, and the bolts' times, between begin and end."""
+
+    def __init__(self, out, metrics_address):
+        self.marker, self.metrics_address = str(out), metrics_address
+        self.begin, self.time = cpu_seconds(self.marker), time.monotonic()
+
+    def finish(self, broker):
+        elapsed = time.monotonic() - self.time
+        cores = {}
+        for pid, (command, seconds) in cpu_seconds(self.marker).items():
+            name = next((role for role, pattern in ROLES if pattern in command), None)
+            if name:
+                before = self.begin.get(pid, (command, 0.0))[1]
+                cores[name] = cores.get(name, 0) + (seconds - before) / elapsed
+        cores = {name: round(value, 3) for name, value in sorted(cores.items())}
+        cores["total"] = round(sum(cores.values()), 3)
+        return {"broker": broker, "cpu_cores": cores, "bolts_ms": bolt_times(self.metrics_address)}
+
+
+class OneProcess(Children):
+    """Gateway, master and topology in one process; the broker embedded, or a private RabbitMQ."""
+
+    def __init__(self, build, out, broker):
+        super().__init__(out)
+        self.build, self.broker = build.resolve(), broker
+
+    def begin(self, properties):
+        url = self.server("rabbitmq") if self.broker == "rabbitmq" else "embedded://demo"
+        metrics = f"127.0.0.1:{free_port()}"
+        self.spawn("turtlebot-demo", [
+            self.build / "bin/turtlebot-demo", "--broker-url", url, "--plugins", self.build / "plugins",
+            "--topology", HERE / "follower.yaml", "--metrics", metrics,
+            *(f"--property={key}={value}" for key, value in properties.items())])
+        self.measurement = Measurement(self.out, metrics)
+
+    def finish(self):
+        self.require_alive()
+        measured = self.measurement.finish(self.broker)
+        self.stop()
+        return measured
+
+
+class Cluster(PrivateCluster):
+    """RabbitMQ, ZooKeeper, one master, two gateways, a topology worker; the driver deployed by the CLI."""
+
+    def __init__(self, build, out, broker):
+        super().__init__(out, build / "bin", build / "plugins")
+        self.broker = broker
+
+    def begin(self, properties):
+        print("starting RabbitMQ, ZooKeeper, a master and two gateways ...", flush=True)
+        self.start(gateways=2)
+        metrics = f"127.0.0.1:{free_port()}"
+        topology = (HERE / "follower.yaml").read_text()
+        topology = re.sub(r"(?m)^zk\.servers:.*$", 'zk.servers: ["{zookeeper}"]', topology)
+        topology = re.sub(r"(?m)^topology\.library:.*$",
+                          f'topology.library: "{self.plugins / "turtlebot_follower.so"}"', topology)
+        print("starting the topology's worker ...", flush=True)
+        self.topology("topology", f'{topology}\nmetrics: {{address: "{metrics}"}}\n')
+        self.wait_until_ready()
+        print("deploying the turtle driver ...", flush=True)
+        self.deploy("turtle.so", "gateway-1", properties)
+        self.measurement = Measurement(self.out, metrics)
+
+    def finish(self):
+        self.require_alive()
+        measured = self.measurement.finish(self.broker)
+        self.undeploy_all()
+        self.stop()
+        return measured

@@ -1,0 +1,156 @@
+"""Figures and pictures of one run, from the turtle driver's trace (drivers/turtle/README.md has the columns)."""
+
+import csv
+import math
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+GOAL_M = 0.7  # the reference's distance between camera and person
+MAX_MEAN_ERROR_M = 0.25
+MIN_ANSWERED = 0.99
+
+
+@dataclass
+class Row:
+    seq: int
+    seconds: float
+    robot: tuple
+    person: tuple
+    distance: float
+    visible: bool
+    encode_ms: float
+    raw_bytes: int
+    payload_bytes: int
+    answered: bool
+    latency_ms: float
+
+
+def read_trace(path, last=None):
+    """The rows of a trace that may still be growing: a last line without its end is left out."""
+    try:
+        text = Path(path).read_text()
+    except FileNotFoundError:
+        return []
+    lines = text[: text.rfind("\n") + 1].splitlines()
+    if len(lines) < 2:
+        return []
+    body = lines[1:] if last is None else lines[1:][-last:]
+    rows = []
+    for fields in csv.DictReader([lines[0], *body]):
+        rows.append(Row(
+            seq=int(fields["seq"]), seconds=float(fields["capture_s"]),
+            robot=(float(fields["robot_x"]), float(fields["robot_y"])),
+            person=(float(fields["person_x"]), float(fields["person_y"])),
+            distance=float(fields["distance_m"]), visible=fields["person_visible"] == "1",
+            encode_ms=float(fields["encode_us"]) / 1000, raw_bytes=int(fields["raw_bytes"]),
+            payload_bytes=int(fields["payload_bytes"]), answered=fields["answered"] == "1",
+            latency_ms=float(fields["latency_us"] or 0) / 1000))
+    return rows
+
+
+def percentile(values, percent):
+    """Nearest rank; NaN of nothing."""
+    if not values:
+        return math.nan
+    ordered = sorted(values)
+    return ordered[max(0, math.ceil(percent / 100 * len(ordered)) - 1)]
+
+
+def spread(values):
+    """p50, p99, max, mean and standard deviation; null where nothing was measured."""
+    if not values:
+        return {"n": 0, "p50": None, "p99": None, "max": None, "mean": None, "stdev": None}
+    mean = sum(values) / len(values)
+    return {"n": len(values), "p50": round(percentile(values, 50), 4), "p99": round(percentile(values, 99), 4),
+            "max": round(max(values), 4), "mean": round(mean, 4),
+            "stdev": round(math.sqrt(sum((v - mean) ** 2 for v in values) / len(values)), 4)}
+
+
+def make_report(trace, options, measured):
+    rows = read_trace(trace)
+    answered = [row for row in rows if row.answered]
+    errors = [abs(row.distance - GOAL_M) for row in rows]
+    mean_error = sum(errors) / len(errors) if errors else math.inf
+    lost = sum(not row.visible for row in rows)
+    share = len(answered) / len(rows) if rows else 0
+    payload = sum(row.payload_bytes for row in rows)
+    # The loop was closed for as long as it was asked to be, at the sensor's rate or near it.
+    long_enough = bool(rows) and rows[-1].seconds - rows[0].seconds >= 0.9 * (options.seconds - 1)
+    return {
+        "followed": bool(long_enough and lost == 0 and share >= MIN_ANSWERED and mean_error < MAX_MEAN_ERROR_M),
+        "mode": "cluster" if options.cluster else "local",
+        "broker": measured["broker"],
+        "seed": options.seed,
+        "seconds": round(rows[-1].seconds - rows[0].seconds, 3) if rows else 0,
+        "frames_sent": len(rows),
+        "frames_answered": len(answered),
+        "frames_without_person": lost,
+        "distance_error_m": {"mean": round(mean_error, 4) if errors else None,
+                             "worst": round(max(errors), 4) if errors else None},
+        "latency_ms": spread([row.latency_ms for row in answered]),
+        "codec": {"ratio": round(sum(row.raw_bytes for row in rows) / payload, 2) if payload else None,
+                  "encode_ms": spread([row.encode_ms for row in rows]),
+                  "frame_bytes": round(payload / len(rows)) if rows else None},
+        "bolts_ms": measured["bolts_ms"],
+        "cpu_cores": measured["cpu_cores"],
+        "machine": {"cores": os.cpu_count(), "kernel": os.uname().release},
+    }
+
+
+def draw(trace, out):
+    """paths.png, distance.png and latency.png beside the report."""
+    if not shutil.which("gnuplot"):
+        print("no pictures: gnuplot is not installed (./dev deps installs it)")
+        return
+    rows = read_trace(trace)
+    data = out / "plot.dat"
+    data.write_text("".join(
+        f"{r.seconds} {r.robot[0]} {r.robot[1]} {r.person[0]} {r.person[1]} {r.distance} "
+        f"{r.latency_ms if r.answered else 'nan'}\n" for r in rows))
+    script = f"""
+set terminal pngcairo size 900,600 noenhanced font 'sans,11'
+set grid
+set datafile missing 'nan'
+set output '{out}/paths.png'
+set title 'The two paths, seen from above'
+set xlabel 'x (m)'; set ylabel 'y (m)'; set size ratio -1; set key outside
+plot '{data}' using 4:5 with lines lw 2 title 'person', '' using 2:3 with lines lw 2 title 'robot'
+set output '{out}/distance.png'
+set size noratio; set key inside
+set title 'Distance between camera and person'
+set xlabel 'time (s)'; set ylabel 'm'; set yrange [0:*]
+plot '{data}' using 1:6 with lines lw 2 title 'distance', {GOAL_M} with lines dt 2 title 'goal'
+set output '{out}/latency.png'
+set title 'Frame to command, every frame (the paper, figure 12)'
+set ylabel 'ms'
+plot '{data}' using 1:7 with points pt 7 ps 0.4 title 'latency'
+"""
+    subprocess.run(["gnuplot"], input=script, text=True, check=True)
+    data.unlink()
+
+
+def print_summary(result, out):
+    latency, codec, error = result["latency_ms"], result["codec"], result["distance_error_m"]
+
+    def show(value, unit):
+        return "-" if value is None else f"{value:.2f} {unit}"
+
+    print()
+    print(f"followed             {'yes' if result['followed'] else 'NO'}"
+          f"  ({result['mode']}, {result['broker']}, seed {result['seed']})")
+    print(f"distance error       mean {show(error['mean'], 'm')}, worst {show(error['worst'], 'm')}"
+          f" (goal {GOAL_M} m; mean below {MAX_MEAN_ERROR_M} m)")
+    print(f"frames               {result['frames_sent']} sent, {result['frames_answered']} answered,"
+          f" {result['frames_without_person']} without the person")
+    print(f"frame to command     p50 {show(latency['p50'], 'ms')}, p99 {show(latency['p99'], 'ms')},"
+          f" max {show(latency['max'], 'ms')}")
+    print(f"compression          {codec['ratio']}:1, encode p50 {show(codec['encode_ms']['p50'], 'ms')}"
+          f" a frame of {codec['frame_bytes']} bytes")
+    for bolt, times in result["bolts_ms"].items():
+        print(f"bolt {bolt:<15} p50 {show(times['p50'], 'ms')}, p99 {show(times['p99'], 'ms')}")
+    cpu = ", ".join(f"{name} {cores:.2f}" for name, cores in result["cpu_cores"].items())
+    print(f"CPU used (cores)     {cpu}")
+    print(f"report and pictures  {os.path.relpath(out)}")

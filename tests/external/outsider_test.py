@@ -1,0 +1,67 @@
+#!/usr/bin/python3
+"""An outsider's driver and bolt: installs the SDK, builds a project that sees nothing else, deploys and runs it.
+
+usage: outsider_test.py BUILD_DIR   (exit status 0: every reading that was answered was answered rightly)
+"""
+
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+from private_cluster import PrivateCluster  # noqa: E402
+
+ANSWERS = 100
+
+
+def run(*command):
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}")
+
+
+def wait_for(what, condition, limit=30):
+    deadline = time.monotonic() + limit
+    while time.monotonic() < deadline:
+        if condition():
+            return
+        time.sleep(0.05)
+    sys.exit(f"not within {limit} s: {what}")
+
+
+def main():
+    build = Path(sys.argv[1]).resolve()
+    work = build / "external"
+    shutil.rmtree(work, ignore_errors=True)
+    prefix, project = work / "prefix", work / "build"
+    run("cmake", "--install", build, "--prefix", prefix)
+    run("cmake", "-S", HERE / "project", "-B", project, "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}",
+        "-DCMAKE_BUILD_TYPE=Release")
+    run("cmake", "--build", project)
+
+    log = work / "orders.log"
+    with PrivateCluster(work / "cluster", prefix / "bin", project / "plugins") as cluster:
+        cluster.start(gateways=1)
+        topology = (HERE / "project/topology.yaml").read_text()
+        cluster.topology("topology", topology.replace("{library}", str(project / "plugins/thermostat.so")))
+        cluster.wait_until_ready()
+        cluster.deploy("thermometer.so", "gateway-1", {"log": log})
+        wait_for(f"{ANSWERS} orders for the heater",
+                 lambda: log.exists() and len(log.read_text().splitlines()) >= ANSWERS)
+        cluster.undeploy_all()
+        cluster.require_alive()
+
+    for line in log.read_text().splitlines():
+        instance, addressee, order = line.split()
+        reading, heat = order.split("=")
+        if instance != addressee or heat != ("on" if int(reading) < 20 else "off"):
+            sys.exit(f"a wrong order: {line}")
+    print(f"{len(log.read_text().splitlines())} orders, all right")
+
+
+if __name__ == "__main__":
+    main()

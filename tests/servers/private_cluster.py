@@ -1,0 +1,177 @@
+"""A private system on loopback for the demo and the system tests: servers and daemons as children of this process.
+
+Every child is stopped by its id; the servers' supervisors (rabbitmq.py, zookeeper.py) end with their standard input, so
+that nothing outlives a script that was killed.
+"""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+
+
+class StartError(Exception):
+    """Something did not start; the text names its log."""
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Children:
+    """Processes with a log file each in `out`, stopped in reverse order at the end of the `with` block."""
+
+    def __init__(self, out):
+        self.out = Path(out).resolve()
+        self.out.mkdir(parents=True, exist_ok=True)
+        self.children = []  # (name, Popen), in starting order
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+    def log(self, name):
+        return self.out / f"{name}.log"
+
+    def spawn(self, name, command, **options):
+        with open(self.log(name), "w") as log:
+            child = subprocess.Popen([str(word) for word in command], stderr=log, start_new_session=True, **options)
+        self.children.append((name, child))
+        return child
+
+    def server(self, kind):
+        """Starts a private server, "rabbitmq" or "zookeeper", and returns its URL."""
+        child = self.spawn(kind, ["/usr/bin/python3", HERE / f"{kind}.py", "--dir", self.out / kind],
+                           stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        answer = child.stdout.readline().split()
+        if len(answer) != 2 or answer[0] != "READY":
+            raise StartError(f"{kind} did not start; see {self.log(kind)}")
+        return answer[1]
+
+    def dead(self):
+        """Name of a child that ended although nobody stopped it; None when all live."""
+        for name, child in self.children:
+            if child.poll() is not None:
+                return name
+        return None
+
+    def require_alive(self):
+        name = self.dead()
+        if name:
+            raise StartError(f"{name} ended before its time; see {self.log(name)}")
+
+    def stop(self, limit=10):
+        while self.children:
+            name, child = self.children.pop()
+            if child.poll() is not None:
+                continue
+            if child.stdin:
+                child.stdin.close()
+            else:
+                child.send_signal(signal.SIGTERM)
+            try:
+                child.wait(limit)
+            except subprocess.TimeoutExpired:
+                print(f"{name} did not stop within {limit} s and is killed; see {self.log(name)}")
+                child.kill()
+                child.wait()
+
+
+class PrivateCluster(Children):
+    """RabbitMQ, ZooKeeper, a master, gateways named gateway-1, gateway-2, ... and topology workers."""
+
+    def __init__(self, out, bin_dir, plugin_dir):
+        super().__init__(out)
+        self.bin, self.plugins = Path(bin_dir).resolve(), Path(plugin_dir).resolve()
+
+    def start(self, gateways=2):
+        self.rabbitmq, self.zookeeper = self.server("rabbitmq"), self.server("zookeeper")
+        self.api_port = free_port()
+        self.daemon("iotcloud-master", "master", f"""
+id: private-master
+registry: "{self.zookeeper}"
+api: {{host: 127.0.0.1, port: {self.api_port}}}
+gateways: {{host: 127.0.0.1, port: {free_port()}}}
+""")
+        for number in range(1, gateways + 1):
+            name = f"gateway-{number}"
+            self.daemon("iotcloud-gateway", name, f"""
+id: {name}
+registry: "{self.zookeeper}"
+thrift: {{host: 127.0.0.1, port: {free_port()}}}
+plugins: "{self.plugins}"
+state: "{self.out / 'state' / name}"
+brokers:
+  rabbitmq: {{type: rabbitmq, urls: ["{self.rabbitmq}"]}}
+""")
+        self.gateways = gateways
+
+    def daemon(self, program, name, configuration):
+        file = self.out / f"{name}.yaml"
+        file.write_text(configuration.lstrip())
+        return self.spawn(name, [self.bin / program, "--config", file])
+
+    def topology(self, name, configuration):
+        """A worker; `configuration` is its YAML with the registry written as {zookeeper} in zk.servers."""
+        servers = self.zookeeper.removeprefix("zookeeper://")
+        return self.daemon("iotcloud-topology", name, configuration.replace("{zookeeper}", servers))
+
+    def cli(self, *words):
+        """What the CLI printed. Raises StartError with what it complained about."""
+        done = subprocess.run([str(self.bin / "iotcloud"), "--master", f"127.0.0.1:{self.api_port}", *map(str, words)],
+                              capture_output=True, text=True, timeout=60)
+        if done.returncode:
+            raise StartError(f"iotcloud {' '.join(map(str, words))}: {done.stderr.strip() or done.stdout.strip()}")
+        return done.stdout
+
+    def deploy(self, plugin, gateway, properties):
+        self.cli("deploy", plugin, "--gateway", gateway, *(f"--property={k}={v}" for k, v in properties.items()))
+
+    def undeploy_all(self):
+        for driver in json.loads(self.cli("drivers", "-o", "json")):
+            self.cli("undeploy", driver["instance"])
+
+    def wait_until_ready(self, limit=30):
+        """All gateways are ready and every topology that was started has a worker."""
+        deadline = time.monotonic() + limit
+        problem = ""
+        while time.monotonic() < deadline:
+            self.require_alive()
+            try:
+                gateways = json.loads(self.cli("gateways", "-o", "json"))
+                topologies = json.loads(self.cli("topologies", "-o", "json"))
+                ready = [gateway for gateway in gateways if gateway["state"] == "ready"]
+                if len(ready) == self.gateways and any(topology["workers"] for topology in topologies):
+                    return
+                problem = f"{len(ready)} of {self.gateways} gateways are ready, {len(topologies)} topologies are there"
+            except StartError as error:
+                problem = str(error)
+            time.sleep(0.2)
+        raise StartError(f"the cluster was not ready within {limit} s: {problem}; logs are in {self.out}")
+
+
+def cpu_seconds(marker):
+    """CPU seconds used so far by each living process with `marker` in its command line: {pid: (command, seconds)}."""
+    ticks = os.sysconf("SC_CLK_TCK")
+    used = {}
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            if marker not in command:
+                continue
+            fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+        except OSError:
+            continue  # it ended meanwhile
+        used[int(entry.name)] = (command, (int(fields[11]) + int(fields[12])) / ticks)
+    return used
