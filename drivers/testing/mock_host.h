@@ -1,0 +1,142 @@
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <iotcloud/drivers/plugin.h>
+
+/// Lets authors test a driver without a gateway: link iotcloud::drivers_testing.
+namespace iotcloud::drivers::testing {
+
+/// A driver host whose time is simulated: nothing happens until the test advances it. Everything that the driver does
+/// is recorded. publish, post, log and fail may be called from any thread, all else from the test's.
+class MockHost final : public HostInterface {
+ public:
+  struct Published {
+    std::string channel;
+    Message message;  ///< with driver_id, gateway_id and time_ms filled in, as a real host does
+  };
+  struct Logged {
+    LogLevel level;
+    std::string text;
+  };
+
+  explicit MockHost(PropertyMap properties = {}) : properties_(std::move(properties)) {}
+
+  // What the driver sees.
+  const std::string& instance_id() const noexcept override { return instance_id_; }
+  const std::string& gateway_id() const noexcept override { return gateway_id_; }
+  const PropertyMap& properties() const noexcept override { return properties_; }
+  PublishStatus publish(std::string_view channel, Message message) noexcept override;
+  HandlerId start_timer(std::chrono::microseconds first, std::chrono::microseconds period,
+                        std::function<void()> callback) noexcept override;
+  HandlerId watch_descriptor(int descriptor, bool for_writing, std::function<void()> callback) noexcept override;
+  void stop_handler(HandlerId id) noexcept override;
+  void post(std::function<void()> callback) noexcept override;
+  void log(LogLevel level, std::string_view text) noexcept override;
+  void fail(std::string_view reason) noexcept override;
+
+  // What the test does.
+  /// Moves time: runs what is posted, and every timer that falls due, in order of its time.
+  void advance(std::chrono::microseconds duration);
+  /// Runs the callbacks that were posted, and those that they post, about `limit` of them at most (a driver that posts
+  /// for ever does not hang the test). \return how many ran.
+  std::size_t run_posted(std::size_t limit = 1'000'000);
+  /// Waits up to `limit` of real time for a watched descriptor and runs the callbacks of those that are ready.
+  /// \return how many ran.
+  std::size_t poll_descriptors(std::chrono::milliseconds limit);
+  /// What publish() answers on a channel from now on; a message is recorded only when it is accepted.
+  void answer_publish(const std::string& channel, PublishStatus status);
+  /// Called for each accepted message from inside publish(): a loop can be closed with post().
+  void on_publish(std::function<void(const Published&)> callback) { on_publish_ = std::move(callback); }
+  /// Forgets what waits: as when the instance is closed, no callback runs any more.
+  void drop_handlers();
+
+  // What came of it.
+  std::chrono::microseconds now() const { return now_; }  ///< simulated, from 0
+  std::vector<Published> published() const;
+  std::vector<Published> published(std::string_view channel) const;
+  void forget_published();
+  std::vector<Logged> logged() const;
+  /// How many lines hold this text.
+  std::size_t logged_count(std::string_view text) const;
+  bool failed() const;
+  std::string failure() const;  ///< the first reason given to fail(); empty when there was none
+
+ private:
+  struct Timer {
+    std::chrono::microseconds due, period;
+    std::function<void()> callback;
+  };
+  struct Watch {
+    int descriptor;
+    bool for_writing;
+    std::function<void()> callback;
+  };
+
+  const PropertyMap properties_;
+  const std::string instance_id_ = "0123456789abcdef0123456789abcdef";
+  const std::string gateway_id_ = "test-gateway";
+  std::function<void(const Published&)> on_publish_;
+  std::chrono::microseconds now_{0};
+  HandlerId next_id_ = 1;
+  std::map<HandlerId, Timer> timers_;
+  std::map<HandlerId, Watch> watches_;
+
+  mutable std::mutex mutex_;  ///< guards what follows
+  std::vector<std::function<void()>> posted_;
+  std::vector<Published> published_;
+  std::vector<Logged> logged_;
+  std::map<std::string, PublishStatus, std::less<>> answers_;
+  std::string failure_;
+  bool failed_ = false;
+};
+
+/// One instance of a driver in a MockHost, driven through its plugin's descriptor as a real host does: nothing throws,
+/// and what the driver throws is in error().
+///
+///     MockInstance robot(describe<TurtleDriver>("turtle", "1", true), {{"seed", "7"}});
+///     robot.start();
+///     robot.host().advance(100ms);
+///     EXPECT_EQ(robot.host().published("kinect").size(), 3);
+class MockInstance {
+ public:
+  explicit MockInstance(const Descriptor& descriptor, PropertyMap properties = {});
+  /// Closes the instance when that has not happened.
+  ~MockInstance();
+  MockInstance(const MockInstance&) = delete;
+  MockInstance& operator=(const MockInstance&) = delete;
+
+  /// channels, open, activate. \return whether all went well.
+  bool start();
+  bool open();  ///< channels and open only
+  bool activate();
+  bool deactivate();
+  /// As if a message had come on an incoming channel; then runs what the driver posted.
+  bool deliver(std::string_view channel, Message message);
+  bool writable(std::string_view channel);
+  void close();
+
+  MockHost& host() { return host_; }
+  const std::vector<ChannelSpec>& channels() const { return channels_; }
+  /// What the driver threw first; empty when it threw nothing.
+  const std::string& error() const { return error_; }
+
+ private:
+  bool note(const std::string& error);
+  Descriptor descriptor_;
+  MockHost host_;
+  DriverShell* shell_;
+  std::vector<ChannelSpec> channels_;
+  std::string error_;
+  bool opened_ = false;
+};
+
+}  // namespace iotcloud::drivers::testing
