@@ -1,0 +1,89 @@
+#include <memory>
+#include <string>
+
+#include <spdlog/sinks/stdout_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::config {
+
+namespace {
+
+spdlog::level::level_enum to_spdlog(LogLevel level) {
+  switch (level) {
+    case LogLevel::debug:
+      return spdlog::level::debug;
+    case LogLevel::info:
+      return spdlog::level::info;
+    case LogLevel::warn:
+      return spdlog::level::warn;
+    case LogLevel::error:
+      return spdlog::level::err;
+    case LogLevel::off:
+      break;
+  }
+  return spdlog::level::off;
+}
+
+spdlog::logger& sink() {
+  // Never destroyed: threads may still log while the process ends.
+  static spdlog::logger& logger = *[] {
+    auto made = new spdlog::logger("iotcloud", std::make_shared<spdlog::sinks::stderr_sink_mt>());
+    made->set_pattern("%Y-%m-%dT%H:%M:%S.%e %^%-5l%$ %v");
+    made->set_level(spdlog::level::info);
+    made->flush_on(spdlog::level::debug);
+    return made;
+  }();
+  return logger;
+}
+
+}  // namespace
+
+void log_line(LogLevel level, std::string_view part, std::string_view text) noexcept {
+  try {
+    sink().log(to_spdlog(level), "{}: {}", part, text);
+  } catch (...) {  // a line that cannot be written must not stop the one who speaks
+  }
+}
+
+void set_log_level(LogLevel level) {
+  sink().set_level(to_spdlog(level));
+}
+
+LogLevel log_level() {
+  switch (sink().level()) {
+    case spdlog::level::trace:
+    case spdlog::level::debug:
+      return LogLevel::debug;
+    case spdlog::level::info:
+      return LogLevel::info;
+    case spdlog::level::warn:
+      return LogLevel::warn;
+    case spdlog::level::err:
+    case spdlog::level::critical:
+      return LogLevel::error;
+    default:
+      return LogLevel::off;
+  }
+}
+
+LogLevel parse_log_level(std::string_view name) {
+  if (name == "debug") return LogLevel::debug;
+  if (name == "info") return LogLevel::info;
+  if (name == "warn") return LogLevel::warn;
+  if (name == "error") return LogLevel::error;
+  if (name == "off") return LogLevel::off;
+  throw ConfigError({}, "log level", "\"" + std::string(name) + "\" is none", "use debug, info, warn, error or off");
+}
+
+void Logger::write(LogLevel level, fmt::string_view format, fmt::format_args args) const noexcept {
+  try {
+    if (!sink().should_log(to_spdlog(level))) return;
+    log_line(level, part_, fmt::vformat(format, args));
+  } catch (...) {  // as in log_line
+  }
+}
+
+}  // namespace iotcloud::config

@@ -1,0 +1,149 @@
+#include <array>
+#include <bit>
+#include <cmath>
+#include <deque>
+#include <limits>
+#include <mutex>
+
+#include <iotcloud/config/metrics.h>
+
+namespace iotcloud::config {
+
+namespace {
+
+constexpr int sub_buckets = 16;  // for each power of two
+constexpr int bucket_count = 64 * sub_buckets;
+
+int bucket_of(std::uint64_t ns) {
+  if (ns < sub_buckets) return static_cast<int>(ns);
+  const int octave = static_cast<int>(std::bit_width(ns)) - 1;  // >= 4
+  const auto within = static_cast<int>((ns >> (octave - 4)) & (sub_buckets - 1));
+  return (octave - 3) * sub_buckets + within;
+}
+
+/// The middle of a bucket, ns.
+double middle_of(int bucket) {
+  if (bucket < sub_buckets) return bucket;
+  const int octave = bucket / sub_buckets + 3;
+  const double width = std::ldexp(1.0, octave - 4);
+  return std::ldexp(1.0, octave) + (bucket % sub_buckets + 0.5) * width;
+}
+
+}  // namespace
+
+struct Histogram::Buckets {
+  std::array<std::atomic<std::uint64_t>, bucket_count> counts{};
+  std::atomic<std::uint64_t> count{0};
+  std::atomic<std::uint64_t> sum{0};
+  std::atomic<std::uint64_t> max{0};
+};
+
+Histogram::Histogram() = default;
+Histogram::~Histogram() {
+  delete buckets_.load();
+}
+
+Histogram::Buckets& Histogram::buckets() {
+  if (Buckets* there = buckets_.load(std::memory_order_acquire)) return *there;
+  auto made = std::make_unique<Buckets>();
+  Buckets* expected = nullptr;
+  if (buckets_.compare_exchange_strong(expected, made.get(), std::memory_order_acq_rel)) return *made.release();
+  return *expected;
+}
+
+void Histogram::record_ns(std::int64_t ns) {
+  const auto value = static_cast<std::uint64_t>(ns < 0 ? 0 : ns);
+  Buckets& b = buckets();
+  b.counts[static_cast<std::size_t>(bucket_of(value))].fetch_add(1, std::memory_order_relaxed);
+  b.sum.fetch_add(value, std::memory_order_relaxed);
+  std::uint64_t max = b.max.load(std::memory_order_relaxed);
+  while (value > max && !b.max.compare_exchange_weak(max, value, std::memory_order_relaxed)) {
+  }
+  b.count.fetch_add(1, std::memory_order_relaxed);
+}
+
+Histogram::Summary Histogram::summary() const {
+  const Buckets* b = buckets_.load(std::memory_order_acquire);
+  Summary summary;
+  if (!b) return summary;
+  std::array<std::uint64_t, bucket_count> counts{};
+  for (std::size_t i = 0; i < counts.size(); ++i) {
+    counts[i] = b->counts[i].load(std::memory_order_relaxed);
+    summary.count += counts[i];
+  }
+  if (summary.count == 0) return summary;
+  summary.max_ns = static_cast<double>(b->max.load(std::memory_order_relaxed));
+  summary.mean_ns = static_cast<double>(b->sum.load(std::memory_order_relaxed)) / static_cast<double>(summary.count);
+  const auto quantile = [&](double q) {
+    const auto rank = static_cast<std::uint64_t>(std::ceil(q * static_cast<double>(summary.count)));
+    std::uint64_t seen = 0;
+    for (int i = 0; i < bucket_count; ++i) {
+      seen += counts[static_cast<std::size_t>(i)];
+      if (seen >= rank) return std::min(middle_of(i), summary.max_ns);
+    }
+    return summary.max_ns;
+  };
+  summary.p50_ns = quantile(0.5);
+  summary.p99_ns = quantile(0.99);
+  return summary;
+}
+
+struct Metrics::Impl {
+  template <typename Metric>
+  struct Named {
+    std::string help;
+    Metric metric;
+  };
+  using Key = std::pair<std::string, Labels>;
+
+  template <typename Metric>
+  Metric& find_or_make(std::map<Key, Named<Metric>>& metrics, const std::string& name, const std::string& help,
+                       const Labels& labels) {
+    const std::lock_guard lock(mutex);
+    auto& named = metrics[{name, labels}];  // map nodes stay where they are
+    if (named.help.empty()) named.help = help;
+    return named.metric;
+  }
+
+  mutable std::mutex mutex;  // guards the maps, not the metrics in them
+  std::map<Key, Named<Counter>> counters;
+  std::map<Key, Named<Gauge>> gauges;
+  std::map<Key, Named<Histogram>> histograms;
+};
+
+Metrics::Metrics() : impl_(std::make_unique<Impl>()) {}
+Metrics::~Metrics() = default;
+
+Counter& Metrics::counter(const std::string& name, const std::string& help, const Labels& labels) {
+  return impl_->find_or_make(impl_->counters, name, help, labels);
+}
+Gauge& Metrics::gauge(const std::string& name, const std::string& help, const Labels& labels) {
+  return impl_->find_or_make(impl_->gauges, name, help, labels);
+}
+Histogram& Metrics::histogram(const std::string& name, const std::string& help, const Labels& labels) {
+  return impl_->find_or_make(impl_->histograms, name, help, labels);
+}
+
+std::vector<Sample> Metrics::collect() const {
+  const std::lock_guard lock(impl_->mutex);
+  std::vector<Sample> samples;
+  for (const auto& [key, named] : impl_->counters) {
+    samples.push_back(
+        {key.first, named.help, key.second, Sample::Kind::counter, static_cast<double>(named.metric.value()), {}});
+  }
+  for (const auto& [key, named] : impl_->gauges) {
+    samples.push_back(
+        {key.first, named.help, key.second, Sample::Kind::gauge, static_cast<double>(named.metric.value()), {}});
+  }
+  for (const auto& [key, named] : impl_->histograms) {
+    samples.push_back({key.first, named.help, key.second, Sample::Kind::histogram, 0, named.metric.summary()});
+  }
+  return samples;
+}
+
+Metrics& process_metrics() {
+  static Metrics& metrics = *new Metrics;  // never destroyed: threads may still count while the process ends
+  return metrics;
+}
+
+}  // namespace iotcloud::config
