@@ -1,0 +1,381 @@
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <fstream>
+#include <set>
+#include <sstream>
+
+#include <yaml-cpp/yaml.h>
+
+#include <iotcloud/config/yaml.h>
+
+namespace iotcloud::config {
+
+struct Section::Impl {
+  YAML::Node node;  ///< a mapping
+  std::string file;
+  std::string path;
+  /// Keys asked for so far. Shared by all copies of a section, so that finish() sees what every reader asked for.
+  std::set<std::string> asked;
+};
+
+namespace {
+
+Location location(const std::string& file, const YAML::Mark& mark) {
+  if (mark.is_null()) return {file, 0, 0};
+  return {file, mark.line + 1, mark.column + 1};
+}
+
+std::string join(const std::string& path, const std::string& key) {
+  return path.empty() ? key : path + "." + key;
+}
+
+const char* kind_of(const YAML::Node& node) {
+  switch (node.Type()) {
+    case YAML::NodeType::Null:
+      return "nothing";
+    case YAML::NodeType::Scalar:
+      return "a single value";
+    case YAML::NodeType::Sequence:
+      return "a sequence";
+    case YAML::NodeType::Map:
+      return "a mapping";
+    case YAML::NodeType::Undefined:
+      break;
+  }
+  return "missing";
+}
+
+std::string list_of(const std::vector<std::string>& words) {
+  std::string text;
+  for (const auto& word : words) text += (text.empty() ? "\"" : ", \"") + word + "\"";
+  return text;
+}
+
+/// Duplicate keys, everywhere below `node`: yaml-cpp would let the first one win in silence.
+void refuse_duplicates(const YAML::Node& node, const std::string& file, const std::string& path) {
+  if (node.IsMap()) {
+    std::set<std::string> seen;
+    for (const auto& entry : node) {
+      if (!entry.first.IsScalar()) {
+        throw ConfigError(location(file, entry.first.Mark()), path, "a key must be a single word", "quote it");
+      }
+      const std::string& key = entry.first.Scalar();
+      if (!seen.insert(key).second) {
+        throw ConfigError(location(file, entry.first.Mark()), join(path, key), "this key stands here twice",
+                          "remove one of them");
+      }
+      refuse_duplicates(entry.second, file, join(path, key));
+    }
+  } else if (node.IsSequence()) {
+    for (std::size_t i = 0; i < node.size(); ++i) {
+      refuse_duplicates(node[i], file, path + "[" + std::to_string(i) + "]");
+    }
+  }
+}
+
+template <typename Number>
+bool parse_whole(const std::string& text, Number& value) {
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
+  return status == std::errc{} && end == text.data() + text.size();
+}
+
+std::optional<std::chrono::microseconds> parse_duration(const std::string& text) {
+  double number = 0;
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (status != std::errc{} || !(number >= 0) || number > 1e12) return std::nullopt;
+  const std::string_view unit(end, static_cast<std::size_t>(text.data() + text.size() - end));
+  double factor = 0;
+  if (unit == "us") factor = 1;
+  if (unit == "ms") factor = 1e3;
+  if (unit == "s") factor = 1e6;
+  if (unit == "m") factor = 60e6;
+  if (unit == "h") factor = 3600e6;
+  if (factor == 0) return std::nullopt;
+  return std::chrono::microseconds(std::llround(number * factor));
+}
+
+}  // namespace
+
+Section Section::parse(std::string_view text, const std::string& name) {
+  auto impl = std::make_shared<Impl>();
+  impl->file = name;
+  try {
+    impl->node = YAML::Load(std::string(text));
+  } catch (const YAML::Exception& e) {
+    throw ConfigError(location(name, e.mark), "", "this is not YAML: " + e.msg, "");
+  }
+  if (!impl->node.IsMap()) {
+    throw ConfigError({name, 1, 1}, "", std::string("a mapping is expected at the top, not ") + kind_of(impl->node),
+                      "write lines of the form \"key: value\"");
+  }
+  refuse_duplicates(impl->node, name, "");
+  return Section(std::move(impl));
+}
+
+Section Section::load_file(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  if (!file || !(text << file.rdbuf())) {
+    throw ConfigError({path, 0, 0}, "", "this file cannot be read", "check its name and permissions");
+  }
+  return parse(text.str(), path);
+}
+
+namespace {
+
+/// The value of a key, or an undefined node; a key with nothing behind it counts as missing.
+YAML::Node lookup(const YAML::Node& node, const std::string& key) {
+  const YAML::Node value = node[key];
+  if (!value || value.IsNull()) return YAML::Node(YAML::NodeType::Undefined);
+  return value;
+}
+
+}  // namespace
+
+bool Section::has(const std::string& key) const {
+  return lookup(impl_->node, key).IsDefined();
+}
+
+Location Section::where(const std::string& key) const {
+  if (!key.empty()) {
+    for (const auto& entry : impl_->node) {
+      if (entry.first.Scalar() == key) return location(impl_->file, entry.first.Mark());
+    }
+  }
+  return location(impl_->file, impl_->node.Mark());
+}
+
+const std::string& Section::path() const {
+  return impl_->path;
+}
+
+ConfigError Section::error(const std::string& key, const std::string& problem, const std::string& remedy) const {
+  return ConfigError(where(key), key.empty() ? impl_->path : join(impl_->path, key), problem, remedy);
+}
+
+std::optional<std::string> Section::optional_string(const std::string& key) {
+  impl_->asked.insert(key);
+  const YAML::Node value = lookup(impl_->node, key);
+  if (!value.IsDefined()) return std::nullopt;
+  if (!value.IsScalar()) {
+    throw error(key, std::string("a single value is expected here, not ") + kind_of(value), "");
+  }
+  return value.Scalar();
+}
+
+std::string Section::require_string(const std::string& key) {
+  auto value = optional_string(key);
+  if (!value) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ": ...\"");
+  if (value->empty()) throw error(key, "this must not be empty", "");
+  return *value;
+}
+
+std::string Section::string_or(const std::string& key, const std::string& fallback) {
+  return optional_string(key).value_or(fallback);
+}
+
+std::int64_t Section::int_or(const std::string& key, std::int64_t fallback, std::int64_t min, std::int64_t max) {
+  const auto text = optional_string(key);
+  if (!text) return fallback;
+  std::int64_t value = 0;
+  if (!parse_whole(*text, value) || value < min || value > max) {
+    throw error(key, "\"" + *text + "\" does not fit",
+                "a whole number from " + std::to_string(min) + " to " + std::to_string(max) + " is expected");
+  }
+  return value;
+}
+
+std::int64_t Section::require_int(const std::string& key, std::int64_t min, std::int64_t max) {
+  static_cast<void>(require_string(key));
+  return int_or(key, 0, min, max);
+}
+
+double Section::double_or(const std::string& key, double fallback, double min, double max) {
+  const auto text = optional_string(key);
+  if (!text) return fallback;
+  double value = 0;
+  if (!parse_whole(*text, value) || !(value >= min && value <= max)) {
+    std::ostringstream range;
+    range << "a number from " << min << " to " << max << " is expected";
+    throw error(key, "\"" + *text + "\" does not fit", range.str());
+  }
+  return value;
+}
+
+bool Section::bool_or(const std::string& key, bool fallback) {
+  const auto text = optional_string(key);
+  if (!text) return fallback;
+  if (*text == "true" || *text == "yes" || *text == "on") return true;
+  if (*text == "false" || *text == "no" || *text == "off") return false;
+  throw error(key, "\"" + *text + "\" does not fit", "true or false is expected");
+}
+
+std::chrono::microseconds Section::duration_or(const std::string& key, std::chrono::microseconds fallback) {
+  const auto text = optional_string(key);
+  if (!text) return fallback;
+  const auto value = parse_duration(*text);
+  if (!value) {
+    throw error(key, "\"" + *text + "\" is not a duration", "write a number and a unit: 250ms, 2s, 5m, 1h or 10us");
+  }
+  return *value;
+}
+
+std::string Section::choice_or(const std::string& key, const std::string& fallback,
+                               const std::vector<std::string>& choices) {
+  const auto value = optional_string(key);
+  if (!value) return fallback;
+  if (std::find(choices.begin(), choices.end(), *value) == choices.end()) {
+    const std::string guess = nearest(*value, choices);
+    throw error(
+        key, "\"" + *value + "\" is not known",
+        (guess.empty() ? "" : "did you mean \"" + guess + "\"? ") + std::string("use one of ") + list_of(choices));
+  }
+  return *value;
+}
+
+std::string Section::require_choice(const std::string& key, const std::vector<std::string>& choices) {
+  static_cast<void>(require_string(key));
+  return choice_or(key, "", choices);
+}
+
+std::vector<std::string> Section::strings_or(const std::string& key, const std::vector<std::string>& fallback) {
+  impl_->asked.insert(key);
+  const YAML::Node value = lookup(impl_->node, key);
+  if (!value.IsDefined()) return fallback;
+  if (value.IsScalar()) return {value.Scalar()};
+  if (!value.IsSequence())
+    throw error(key, std::string("a sequence is expected here, not ") + kind_of(value), "[a, b]");
+  std::vector<std::string> strings;
+  for (const auto& item : value) {
+    if (!item.IsScalar()) {
+      throw ConfigError(location(impl_->file, item.Mark()), join(impl_->path, key),
+                        std::string("single values are expected in this sequence, not ") + kind_of(item), "");
+    }
+    strings.push_back(item.Scalar());
+  }
+  return strings;
+}
+
+std::vector<std::string> Section::require_strings(const std::string& key) {
+  auto strings = strings_or(key, {});
+  if (!has(key)) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ": [...]\"");
+  if (strings.empty()) throw error(key, "this must not be empty", "");
+  return strings;
+}
+
+std::map<std::string, std::string> Section::string_map(const std::string& key) {
+  impl_->asked.insert(key);
+  const YAML::Node value = lookup(impl_->node, key);
+  std::map<std::string, std::string> map;
+  if (!value.IsDefined()) return map;
+  if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
+  for (const auto& entry : value) {
+    if (!entry.second.IsScalar()) {
+      throw ConfigError(location(impl_->file, entry.second.Mark()), join(join(impl_->path, key), entry.first.Scalar()),
+                        std::string("a single value is expected here, not ") + kind_of(entry.second), "");
+    }
+    map[entry.first.Scalar()] = entry.second.Scalar();
+  }
+  return map;
+}
+
+std::vector<std::pair<std::string, Section>> Section::sections(const std::string& key) {
+  impl_->asked.insert(key);
+  const YAML::Node value = lookup(impl_->node, key);
+  std::vector<std::pair<std::string, Section>> result;
+  if (!value.IsDefined()) return result;
+  if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
+  for (const auto& entry : value) {
+    const std::string& name = entry.first.Scalar();
+    auto impl = std::make_shared<Impl>();
+    impl->file = impl_->file;
+    impl->path = join(join(impl_->path, key), name);
+    if (!entry.second.IsMap()) {
+      throw ConfigError(location(impl_->file, entry.first.Mark()), impl->path,
+                        std::string("a mapping is expected here, not ") + kind_of(entry.second), "");
+    }
+    impl->node = entry.second;
+    result.emplace_back(name, Section(std::move(impl)));
+  }
+  return result;
+}
+
+std::vector<Section> Section::section_list(const std::string& key) {
+  impl_->asked.insert(key);
+  const YAML::Node value = lookup(impl_->node, key);
+  std::vector<Section> result;
+  if (!value.IsDefined()) return result;
+  const auto add = [&](const YAML::Node& item, const std::string& path) {
+    if (!item.IsMap()) {
+      throw ConfigError(location(impl_->file, item.Mark()), path,
+                        std::string("a mapping is expected here, not ") + kind_of(item), "");
+    }
+    auto impl = std::make_shared<Impl>();
+    impl->file = impl_->file;
+    impl->path = path;
+    impl->node = item;
+    result.push_back(Section(std::move(impl)));
+  };
+  const std::string path = join(impl_->path, key);
+  if (value.IsSequence()) {
+    for (std::size_t i = 0; i < value.size(); ++i) add(value[i], path + "[" + std::to_string(i) + "]");
+  } else {
+    add(value, path);
+  }
+  return result;
+}
+
+std::optional<Section> Section::optional_section(const std::string& key) {
+  impl_->asked.insert(key);
+  const YAML::Node value = lookup(impl_->node, key);
+  if (!value.IsDefined()) return std::nullopt;
+  if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
+  auto impl = std::make_shared<Impl>();
+  impl->file = impl_->file;
+  impl->path = join(impl_->path, key);
+  impl->node = value;
+  return Section(std::move(impl));
+}
+
+Section Section::require_section(const std::string& key) {
+  auto section = optional_section(key);
+  if (!section) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ":\" and what belongs below it");
+  return *section;
+}
+
+void Section::finish() const {
+  const std::vector<std::string> known(impl_->asked.begin(), impl_->asked.end());
+  for (const auto& entry : impl_->node) {
+    const std::string& key = entry.first.Scalar();
+    if (impl_->asked.contains(key)) continue;
+    const std::string guess = nearest(key, known);
+    throw error(key, "unknown key", guess.empty() ? "known are " + list_of(known) : "did you mean \"" + guess + "\"?");
+  }
+}
+
+std::string nearest(std::string_view word, const std::vector<std::string>& candidates) {
+  std::string best;
+  std::size_t best_distance = std::max<std::size_t>(1, word.size() / 3) + 1;
+  for (const auto& candidate : candidates) {
+    // Levenshtein, one row at a time.
+    std::vector<std::size_t> row(candidate.size() + 1);
+    for (std::size_t j = 0; j < row.size(); ++j) row[j] = j;
+    for (std::size_t i = 1; i <= word.size(); ++i) {
+      std::size_t diagonal = row[0];
+      row[0] = i;
+      for (std::size_t j = 1; j < row.size(); ++j) {
+        const std::size_t substituted = diagonal + (word[i - 1] == candidate[j - 1] ? 0 : 1);
+        diagonal = row[j];
+        row[j] = std::min({row[j] + 1, row[j - 1] + 1, substituted});
+      }
+    }
+    if (row.back() < best_distance) {
+      best_distance = row.back();
+      best = candidate;
+    }
+  }
+  return best;
+}
+
+}  // namespace iotcloud::config
