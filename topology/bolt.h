@@ -1,6 +1,8 @@
 #pragma once
 
-#include <chrono>
+#include <memory>
+#include <type_traits>
+#include <utility>
 
 #include <iotcloud/topology/output_collector.h>
 #include <iotcloud/topology/topology_context.h>
@@ -36,25 +38,50 @@ class BasicOutputCollector {
   const Tuple& input_;
 };
 
-/// A bolt that is done with a tuple when execute returns: anchors and acks by itself, fails the tuple when execute
-/// throws.
-class BasicBolt : public Bolt {
+/// A bolt that is done with a tuple when execute returns: what it emits is anchored, the tuple is acked by itself, and
+/// failed when execute throws. Used wherever a Bolt is.
+class BasicBolt {
  public:
+  virtual ~BasicBolt() = default;
+  virtual void declare_output_fields(OutputFieldsDeclarer& declarer) const { (void)declarer; }
   virtual void prepare(const Config& config, const TopologyContext& context) { (void)config, (void)context; }
   virtual void execute(const Tuple& tuple, BasicOutputCollector& collector) = 0;
+  virtual void cleanup() {}
+};
 
-  void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) final {
+namespace detail {
+
+/// Runs a BasicBolt as a Bolt.
+class BasicBoltExecutor final : public Bolt {
+ public:
+  explicit BasicBoltExecutor(std::unique_ptr<BasicBolt> basic) : basic_(std::move(basic)) {}
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { basic_->declare_output_fields(declarer); }
+  void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) override {
     collector_ = &collector;
-    prepare(config, context);
+    basic_->prepare(config, context);
   }
-  void execute(const Tuple& tuple) final {
+  void execute(const Tuple& tuple) override {
     BasicOutputCollector basic(*collector_, tuple);
-    execute(tuple, basic);
+    basic_->execute(tuple, basic);
     collector_->ack(tuple);
   }
+  void cleanup() override { basic_->cleanup(); }
 
  private:
+  std::unique_ptr<BasicBolt> basic_;
   OutputCollector* collector_ = nullptr;
 };
+
+}  // namespace detail
+
+/// Makes a T, which is a Bolt or a BasicBolt, as a Bolt.
+template <typename T, typename... Args>
+std::unique_ptr<Bolt> make_bolt(Args&&... args) {
+  if constexpr (std::is_base_of_v<BasicBolt, T>) {
+    return std::make_unique<detail::BasicBoltExecutor>(std::make_unique<T>(std::forward<Args>(args)...));
+  } else {
+    return std::make_unique<T>(std::forward<Args>(args)...);
+  }
+}
 
 }  // namespace iotcloud::topology

@@ -23,7 +23,7 @@ class ComponentRegistry {
   }
   template <typename T>
   void add_bolt(const std::string& name) {
-    bolts_[name] = [] { return std::make_unique<T>(); };
+    bolts_[name] = [] { return make_bolt<T>(); };
   }
   void set_application(Application application) { application_ = std::move(application); }
 

@@ -97,7 +97,7 @@ class TopologyBuilder {
   template <typename T>
   BoltDeclarer set_bolt(const std::string& id, int parallelism = 1, Config config = {}) {
     return set_bolt(
-        id, [] { return std::make_unique<T>(); }, parallelism, std::move(config));
+        id, [] { return make_bolt<T>(); }, parallelism, std::move(config));
   }
   /// The declarer of a bolt that was set before (the application connects what YAML declared).
   /// \throws TopologyError when there is none of that id.
