@@ -59,17 +59,26 @@ function(iotcloud_plugin)
 endfunction()
 
 # A GoogleTest program; each of its tests is a test of ctest.
-#   LABELS: `unit` (fast, no server), `server` (starts real servers), `system` (several processes), `long`.
-#   Sanitizer runs take `unit` and `short-contract`.
+#   LABELS: `unit` (fast, no server), `contract` (short, real servers too), `server`, `system` (several processes),
+#   `long`. Sanitizer runs take `unit` and `contract`.
+#   WHOLE words: its tests share servers that cost seconds to start, so ctest runs the program once for each word, with
+#   the tests whose names contain it.
 function(iotcloud_test)
-  cmake_parse_arguments(arg "" "NAME;TIMEOUT" "SOURCES;USES;LIBRARIES;LABELS" ${ARGN})
+  cmake_parse_arguments(arg "" "NAME;TIMEOUT" "SOURCES;USES;LIBRARIES;LABELS;WHOLE" ${ARGN})
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 120)
   endif()
   add_executable(${arg_NAME} ${arg_SOURCES})
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} GTest::gmock_main)
   # Test sources may share helpers of their own folder tree: <iotcloud/tests/...>.
-  gtest_discover_tests(${arg_NAME} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${arg_LABELS}" DISCOVERY_TIMEOUT 60)
+  if(arg_WHOLE)
+    foreach(word ${arg_WHOLE})
+      add_test(NAME ${arg_NAME}.${word} COMMAND ${arg_NAME} --gtest_filter=*${word}*)
+      set_tests_properties(${arg_NAME}.${word} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${arg_LABELS}")
+    endforeach()
+  else()
+    gtest_discover_tests(${arg_NAME} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${arg_LABELS}" DISCOVERY_TIMEOUT 60)
+  endif()
 endfunction()
 
 # Compiles one Thrift file of a room into the static library `iotcloud_<name>`; private to those who link it.

@@ -1,0 +1,22 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+namespace iotcloud::brokers {
+
+/// The parts of a broker's URL, percent-decoded: scheme://user:password@host:port/path.
+struct BrokerUrl {
+  std::string scheme;      ///< lower case
+  std::string user;        ///< empty: none given
+  std::string password;    ///< empty: none given
+  std::string host;        ///< of "embedded://NAME": the name; IPv6 without its brackets
+  std::uint16_t port = 0;  ///< 0: none given
+  std::string path;        ///< without the leading slash: RabbitMQ's virtual host
+  bool has_path = false;   ///< "amqp://host/" (an empty path) differs from "amqp://host" (none)
+};
+
+/// \throws config::Error that shows the URL without its password and says what is wrong with it.
+BrokerUrl parse_broker_url(const std::string& url);
+
+}  // namespace iotcloud::brokers

@@ -1,0 +1,170 @@
+#include "iotcloud/brokers/embedded/connection.h"
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include <pthread.h>
+
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers::embedded {
+namespace {
+
+const config::Logger logger{"brokers.embedded"};
+
+}  // namespace
+
+Reader::Reader(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> owner, Handler handler_to_run)
+    : handler(std::move(handler_to_run)), server_(std::move(server)), owner_(std::move(owner)) {}
+
+void Reader::settle(std::uint64_t tag, Settlement settlement) noexcept {
+  WakeList wake;
+  const std::lock_guard lock(server_->mutex);
+  const auto found = unsettled.find(tag);
+  if (found == unsettled.end()) return;  // the server went away meanwhile, or the subscription was closed
+  if (settlement == Settlement::retry && queue) queue->put_back(std::move(found->second));
+  unsettled.erase(found);
+  if (queue) server_->poke(*queue, wake);
+}
+
+Connection::Connection(std::shared_ptr<ServerState> of, const config::Clock& time, Meters counters)
+    : server(std::move(of)), clock(time), meters(std::move(counters)) {}
+
+void Connection::open() {
+  {
+    const std::lock_guard lock(server->mutex);
+    server->join(*this);
+  }
+  thread_ = std::thread([this] { run(); });
+  pthread_setname_np(thread_.native_handle(), "embedded-reader");
+}
+
+void Connection::close() {
+  {
+    const std::lock_guard lock(server->mutex);
+    closing_ = true;
+  }
+  wake();
+  thread_.join();
+  const std::lock_guard lock(server->mutex);
+  server->leave(*this);
+}
+
+void Connection::wake() {
+  {
+    const std::lock_guard lock(sleep_mutex_);
+    woken_ = true;
+  }
+  sleep_over_.notify_one();
+}
+
+void Connection::sleep(std::optional<Instant> until) {
+  std::unique_lock lock(sleep_mutex_);
+  const auto over = [this] { return woken_; };
+  if (until) {
+    sleep_over_.wait_for(lock, *until - clock.now(), over);
+  } else {
+    sleep_over_.wait(lock, over);
+  }
+  woken_ = false;
+}
+
+std::optional<Instant> Connection::next_deadline(Instant now) {
+  std::optional<Instant> next;
+  for (Producer* producer : timed) {
+    WakeList unneeded;  // this thread is awake
+    server->expire(*producer, now, unneeded);
+    producer->timed = !producer->waiting.empty();
+    if (!producer->timed) continue;
+    const Instant expires = producer->waiting.front().accepted + producer->options.deadline;
+    if (!next || expires < *next) next = expires;
+  }
+  std::erase_if(timed, [](const Producer* producer) { return !producer->timed; });
+  return next;
+}
+
+void Connection::run() {
+  std::unique_lock lock(server->mutex);
+  while (!closing_) {
+    if (deliver_next(lock)) continue;
+    const std::optional<Instant> deadline = next_deadline(clock.now());
+    if (!to_report.empty()) {
+      const std::shared_ptr<Producer> producer = to_report.front();
+      report(producer, lock);
+      continue;
+    }
+    sleeping = true;
+    lock.unlock();
+    sleep(deadline);
+    lock.lock();
+    sleeping = false;
+  }
+}
+
+bool Connection::deliver_next(std::unique_lock<std::mutex>& lock) {
+  if (ready.empty()) return false;
+  const std::shared_ptr<Reader> reader = std::static_pointer_cast<Reader>(std::move(ready.front()));
+  ready.pop_front();
+  reader->in_ready = false;
+  if (!reader->can_take()) return true;
+  std::optional<Stored> stored;
+  std::size_t conflated = 0;
+  {
+    WakeList wake;
+    stored = server->take(*reader, clock.now(), wake, conflated);
+    // Woken under the lock: this happens only when a queue was full.
+  }
+  for (; conflated > 0; --conflated) meters.conflated();
+  if (!stored) return true;
+  meters.received(stored->redelivered);
+  const std::uint64_t tag = ++reader->last_tag;
+  if (!reader->options.automatic_ack) reader->unsettled.emplace(tag, *stored);
+  {
+    WakeList unneeded;
+    server->poke(reader, unneeded);  // in turn with the other subscriptions of this connection
+  }
+  reader->running = true;
+  lock.unlock();
+  run_handler(reader, std::move(*stored), tag);
+  lock.lock();
+  reader->running = false;
+  if (reader->closed) changed.notify_all();
+  return true;
+}
+
+void Connection::run_handler(const std::shared_ptr<Reader>& reader, Stored stored, std::uint64_t tag) {
+  std::shared_ptr<Settler> settler;
+  if (!reader->options.automatic_ack) settler = reader;
+  try {
+    reader->handler(Delivery(std::move(stored.message), stored.redelivered, std::move(settler), tag));
+  } catch (const std::exception& error) {
+    logger.error("the handler of topic {} threw: {}; the message is delivered again", reader->topic.name, error.what());
+  } catch (...) {
+    logger.error("the handler of topic {} threw; the message is delivered again", reader->topic.name);
+  }
+}
+
+void Connection::report(const std::shared_ptr<Producer>& producer, std::unique_lock<std::mutex>& lock) {
+  changed.wait(lock, [&] { return !producer->reporting; });
+  if (std::exchange(producer->in_report, false)) std::erase(to_report, producer);
+  const std::vector<Producer::Event> events = std::exchange(producer->events, {});
+  const bool writable = std::exchange(producer->writable_due, false);
+  if (events.empty() && !writable) return;
+  producer->reporting = true;
+  lock.unlock();
+  try {
+    for (const auto& event : events) producer->options.on_outcome(event.number, event.outcome, event.reason);
+    if (writable && producer->options.on_writable) producer->options.on_writable();
+  } catch (const std::exception& error) {
+    logger.error("a callback of the publisher of topic {} threw: {}", producer->topic.name, error.what());
+  } catch (...) {
+    logger.error("a callback of the publisher of topic {} threw", producer->topic.name);
+  }
+  lock.lock();
+  producer->reporting = false;
+  producer->pending -= events.size();
+  changed.notify_all();
+}
+
+}  // namespace iotcloud::brokers::embedded

@@ -1,0 +1,203 @@
+#include "iotcloud/brokers/embedded/embedded_broker.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "iotcloud/brokers/embedded/connection.h"
+#include <iotcloud/brokers/embedded/server.h>
+
+namespace iotcloud::brokers::embedded {
+namespace {
+
+class EmbeddedPublisher final : public Publisher {
+ public:
+  EmbeddedPublisher(std::shared_ptr<Connection> connection, const Topic& topic, const PublisherOptions& options)
+      : connection_(std::move(connection)), server_(*connection_->server) {
+    producer_->topic = topic;
+    producer_->options = options;
+    producer_->options.capacity = std::max<std::size_t>(options.capacity, 1);
+    producer_->connection = connection_.get();
+    const std::lock_guard lock(server_.mutex);
+    producer_->route = server_.route(topic.name);
+    connection_->producers.push_back(producer_.get());
+  }
+
+  ~EmbeddedPublisher() override {
+    WakeList wake;
+    std::unique_lock lock(server_.mutex);
+    producer_->closed = true;
+    producer_->wants_writable = producer_->writable_due = false;
+    for (const auto& waiting : producer_->waiting) {
+      server_.settle(*producer_, waiting.number, Outcome::unknown, reason::closed, wake);
+    }
+    producer_->waiting.clear();
+    std::erase(producer_->route->waiting, producer_.get());
+    if (!connection_->on_own_thread() || !producer_->reporting) connection_->report(producer_, lock);
+    std::erase(connection_->producers, producer_.get());
+    std::erase(connection_->timed, producer_.get());
+  }
+
+  PublishStatus publish(Message message) override {
+    WakeList wake;
+    const std::lock_guard lock(server_.mutex);
+    if (producer_->closed) return PublishStatus::closed;
+    const Instant now = connection_->clock.now();
+    server_.expire(*producer_, now, wake);
+    if (message.payload.size() > max_payload) {
+      accept();
+      server_.settle(*producer_, producer_->last_number, Outcome::refused, reason::too_large, wake);
+      return PublishStatus::accepted;
+    }
+    if (producer_->waiting.empty() && server_.deliver(*producer_->route, message, producer_->options, now, now, wake)) {
+      accept();
+      server_.settle(*producer_, producer_->last_number, Outcome::confirmed, "", wake);
+      return PublishStatus::accepted;
+    }
+    return wait(std::move(message), now, wake);
+  }
+
+  bool drain(std::chrono::milliseconds limit) override {
+    const auto end = std::chrono::steady_clock::now() + limit;
+    std::unique_lock lock(server_.mutex);
+    while (producer_->pending > 0) {
+      if (!producer_->events.empty() && !producer_->reporting) {
+        connection_->report(producer_, lock);
+      } else if (connection_->changed.wait_until(lock, end) == std::cv_status::timeout) {
+        return producer_->pending == 0;
+      }
+    }
+    return true;
+  }
+
+  std::size_t pending() const override {
+    const std::lock_guard lock(server_.mutex);
+    return producer_->pending;
+  }
+
+ private:
+  void accept() {
+    ++producer_->last_number;
+    ++producer_->pending;
+  }
+
+  /// The server cannot take it now: it waits here, under the channel's own policy.
+  PublishStatus wait(Message message, Instant now, WakeList& wake) {
+    if (producer_->waiting.size() >= producer_->options.capacity) {
+      if (producer_->options.when_full == WhenFull::block) {
+        producer_->wants_writable = true;
+        return PublishStatus::would_block;
+      }
+      const bool unread = server_.running() && producer_->route->queues.empty();
+      server_.settle(*producer_, producer_->waiting.front().number, Outcome::dropped,
+                     unread ? reason::no_reader : reason::superseded, wake);
+      producer_->waiting.pop_front();
+    }
+    if (producer_->waiting.empty()) {
+      auto& waiting = producer_->route->waiting;
+      if (std::find(waiting.begin(), waiting.end(), producer_.get()) == waiting.end())
+        waiting.push_back(producer_.get());
+      if (producer_->options.deadline.count() > 0 && !producer_->timed) {
+        producer_->timed = true;
+        connection_->timed.push_back(producer_.get());
+        wake.add(*connection_);  // it must know when to wake up
+      }
+    }
+    accept();
+    producer_->waiting.push_back({std::move(message), producer_->last_number, now});
+    return PublishStatus::accepted;
+  }
+
+  const std::shared_ptr<Connection> connection_;
+  ServerState& server_;
+  const std::shared_ptr<Producer> producer_ = std::make_shared<Producer>();
+};
+
+class EmbeddedSubscription final : public Subscription {
+ public:
+  EmbeddedSubscription(std::shared_ptr<Connection> connection, const Topic& topic, const SubscriptionOptions& options,
+                       Handler handler)
+      : connection_(std::move(connection)),
+        server_(*connection_->server),
+        reader_(std::make_shared<Reader>(connection_->server, connection_, std::move(handler))) {
+    reader_->topic = topic;
+    reader_->options = options;
+    reader_->connection = connection_.get();
+    WakeList wake;
+    const std::lock_guard lock(server_.mutex);
+    connection_->consumers.push_back(reader_);
+    server_.attach(reader_, connection_->clock.now(), wake);
+  }
+
+  ~EmbeddedSubscription() override {
+    {
+      WakeList wake;
+      const std::lock_guard lock(server_.mutex);
+      reader_->closed = true;
+      server_.detach(*reader_, connection_->clock.now(), wake);
+      std::erase(connection_->consumers, reader_);
+    }
+    std::unique_lock lock(server_.mutex);
+    if (!connection_->on_own_thread()) {
+      connection_->changed.wait(lock, [&] { return !reader_->running; });
+    }
+  }
+
+  void pause() override {
+    const std::lock_guard lock(server_.mutex);
+    reader_->paused = true;
+  }
+
+  void resume() override {
+    WakeList wake;
+    const std::lock_guard lock(server_.mutex);
+    reader_->paused = false;
+    server_.poke(reader_, wake);
+  }
+
+  bool active() const override {
+    const std::lock_guard lock(server_.mutex);
+    return reader_->active;
+  }
+
+ private:
+  const std::shared_ptr<Connection> connection_;
+  ServerState& server_;
+  const std::shared_ptr<Reader> reader_;
+};
+
+class EmbeddedBroker final : public Broker {
+ public:
+  EmbeddedBroker(const BrokerOptions& options, const std::string& name)
+      : url_(options.url),
+        connection_(std::make_shared<Connection>(Server::named(name).state(),
+                                                 options.clock != nullptr ? *options.clock : config::system_clock(),
+                                                 Meters(options.metrics, "embedded"))) {
+    connection_->open();
+  }
+  ~EmbeddedBroker() override { connection_->close(); }
+
+  std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
+    return std::make_unique<EmbeddedPublisher>(connection_, topic, options);
+  }
+  std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
+                                          Handler handler) override {
+    return std::make_unique<EmbeddedSubscription>(connection_, topic, options, std::move(handler));
+  }
+  ConnectionState state() const override {
+    const std::lock_guard lock(connection_->server->mutex);
+    return connection_->server->running() ? ConnectionState::connected : ConnectionState::connecting;
+  }
+  const std::string& url() const override { return url_; }
+
+ private:
+  const std::string url_;
+  const std::shared_ptr<Connection> connection_;
+};
+
+}  // namespace
+
+std::unique_ptr<Broker> make_embedded_broker(const BrokerOptions& options, const std::string& name) {
+  return std::make_unique<EmbeddedBroker>(options, name);
+}
+
+}  // namespace iotcloud::brokers::embedded

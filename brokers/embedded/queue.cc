@@ -1,0 +1,83 @@
+#include "iotcloud/brokers/embedded/queue.h"
+
+#include <algorithm>
+
+namespace iotcloud::brokers::embedded {
+namespace {
+
+/// What a message costs: its payload and an estimate of the rest.
+std::size_t cost(const Stored& stored) {
+  return stored.message.payload.size() + 256;
+}
+
+}  // namespace
+
+bool Consumer::can_take() const {
+  return active && !paused && !closed && queue && queue->size() > 0 &&
+         (options.automatic_ack || unsettled.size() < std::max<std::size_t>(options.prefetch, 1));
+}
+
+void Queue::push(Message message, std::optional<Instant> expires) {
+  items_.push_back(Stored{std::move(message), ++last_sequence_, expires, false});
+  bytes_ += cost(items_.back());
+}
+
+void Queue::put_back(Stored stored) {
+  stored.redelivered = true;
+  bytes_ += cost(stored);
+  const auto place =
+      std::lower_bound(items_.begin(), items_.end(), stored.sequence,
+                       [](const Stored& item, std::uint64_t sequence) { return item.sequence < sequence; });
+  items_.insert(place, std::move(stored));
+}
+
+std::optional<Stored> Queue::pop(Instant now) {
+  while (!items_.empty()) {
+    Stored first = std::move(items_.front());
+    items_.pop_front();
+    bytes_ -= cost(first);
+    if (!first.expires || *first.expires > now) return first;
+  }
+  return std::nullopt;
+}
+
+std::size_t Queue::trim(std::size_t keep) {
+  std::size_t dropped = 0;
+  for (; items_.size() > keep; ++dropped) {
+    bytes_ -= cost(items_.front());
+    items_.pop_front();
+  }
+  return dropped;
+}
+
+std::size_t Queue::unsettled() const {
+  std::size_t total = 0;
+  for (const auto& reader : readers_) total += reader->unsettled.size();
+  return total;
+}
+
+void Queue::attach(const std::shared_ptr<Consumer>& consumer) {
+  readers_.push_back(consumer);
+  activate();
+}
+
+void Queue::detach(Consumer& consumer, Instant now) {
+  std::erase_if(readers_, [&](const auto& reader) { return reader.get() == &consumer; });
+  consumer.active = false;
+  for (auto& [tag, stored] : consumer.unsettled) put_back(std::move(stored));
+  consumer.unsettled.clear();
+  if (readers_.empty()) unused_since_ = now;
+  activate();
+}
+
+void Queue::activate() {
+  bool any = std::any_of(readers_.begin(), readers_.end(), [](const auto& reader) { return reader->active; });
+  for (const auto& reader : readers_) {
+    if (reader->active && reader->options.exclusive) return;
+    if (reader->active || (reader->options.exclusive && any)) continue;
+    reader->active = any = true;
+    if (reader->options.exclusive) return;
+  }
+}
+
+}  // namespace iotcloud::brokers::embedded

@@ -1,0 +1,90 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/clock.h>
+
+namespace iotcloud::brokers::embedded {
+
+using Instant = config::Clock::Instant;
+
+class Queue;
+class Connection;
+
+/// A message in a queue.
+struct Stored {
+  Message message;
+  std::uint64_t sequence = 0;      ///< its place in the queue; kept when it comes back
+  std::optional<Instant> expires;  ///< worthless from then on
+  bool redelivered = false;
+};
+
+/// The server's side of one subscription. Guarded by the server's mutex, constants apart.
+struct Consumer {
+  Topic topic;
+  SubscriptionOptions options;
+  Connection* connection = nullptr;  ///< outlives it
+
+  std::shared_ptr<Queue> queue;  ///< null while the server is away
+  bool active = false;           ///< reads; false: another holds the queue exclusively, or the server is away
+  bool paused = false;
+  bool closed = false;
+  bool in_ready = false;  ///< stands in its connection's list of those with something to do
+  bool running = false;   ///< its handler runs
+  std::uint64_t last_tag = 0;
+  std::map<std::uint64_t, Stored> unsettled;  ///< by tag
+
+  bool can_take() const;
+};
+
+/// One queue with its readers. No locks: guarded by the server's mutex.
+class Queue {
+ public:
+  Queue(std::string name, bool durable) : name_(std::move(name)), durable_(durable) {}
+
+  const std::string& name() const { return name_; }
+  bool durable() const { return durable_; }
+  std::size_t size() const { return items_.size(); }
+  std::size_t bytes() const { return bytes_; }
+  bool has_readers() const { return !readers_.empty(); }
+  Instant unused_since() const { return unused_since_; }
+  /// All readers, in the order they came; those that are not active stand by.
+  const std::vector<std::shared_ptr<Consumer>>& readers() const { return readers_; }
+
+  /// Appends a message.
+  void push(Message message, std::optional<Instant> expires);
+  /// Puts a message back in its old place.
+  void put_back(Stored stored);
+  /// The oldest that is still worth something; nullopt when there is none.
+  std::optional<Stored> pop(Instant now);
+  /// Drops the oldest until `keep` are left. \return how many went.
+  std::size_t trim(std::size_t keep);
+  /// Messages that are handed out and unsettled.
+  std::size_t unsettled() const;
+
+  /// Adds a reader; it becomes active unless exclusivity (its own or another's) forbids.
+  void attach(const std::shared_ptr<Consumer>& consumer);
+  /// Removes a reader, puts its unsettled messages back and lets the next one take over.
+  void detach(Consumer& consumer, Instant now);
+
+ private:
+  void activate();
+
+  const std::string name_;
+  const bool durable_;
+  std::deque<Stored> items_;  ///< ascending in `sequence`
+  std::size_t bytes_ = 0;
+  std::uint64_t last_sequence_ = 0;
+  std::vector<std::shared_ptr<Consumer>> readers_;  ///< in the order they came
+  Instant unused_since_{};
+};
+
+}  // namespace iotcloud::brokers::embedded

@@ -1,0 +1,231 @@
+#include "iotcloud/brokers/embedded/server.h"
+
+#include <algorithm>
+
+#include "iotcloud/brokers/embedded/connection.h"
+#include "iotcloud/brokers/embedded/server_state.h"
+
+namespace iotcloud::brokers::embedded {
+
+WakeList::~WakeList() {
+  if (first_) first_->wake();
+  for (const auto& connection : others_) connection->wake();
+}
+
+void WakeList::add(Connection& connection) {
+  if (!connection.sleeping) return;
+  connection.sleeping = false;
+  if (!first_) {
+    first_ = connection.shared_from_this();
+  } else {
+    others_.push_back(connection.shared_from_this());
+  }
+}
+
+std::string queue_name(const std::string& topic, const std::string& group) {
+  return group.empty() ? topic : topic + "." + group;
+}
+
+std::shared_ptr<Route> ServerState::route(const std::string& topic) {
+  auto& route = routes_[topic];
+  if (!route) route = std::make_shared<Route>();
+  return route;
+}
+
+const Queue* ServerState::find(const std::string& queue_name) const {
+  const auto found = queues_.find(queue_name);
+  return found == queues_.end() ? nullptr : found->second.get();
+}
+
+void ServerState::stop(WakeList& wake) {
+  if (!running_) return;
+  running_ = false;
+  for (Connection* connection : connections_) {
+    for (const auto& consumer : connection->consumers) {
+      if (!consumer->queue) continue;
+      consumer->queue->detach(*consumer, connection->clock.now());
+      consumer->queue = nullptr;
+    }
+    wake.add(*connection);
+  }
+  std::erase_if(queues_, [](const auto& entry) { return !entry.second->durable(); });
+  for (const auto& [topic, route] : routes_) {
+    std::erase_if(route->queues, [](const auto& queue) { return !queue->durable(); });
+  }
+}
+
+void ServerState::start(WakeList& wake) {
+  if (running_) return;
+  running_ = true;
+  for (Connection* connection : connections_) {
+    for (const auto& consumer : connection->consumers) attach(consumer, connection->clock.now(), wake);
+  }
+  for (Connection* connection : connections_) {
+    for (Producer* producer : connection->producers) flush(*producer, connection->clock.now(), wake);
+  }
+}
+
+void ServerState::remove_idle(Route& route, Instant now) {
+  std::erase_if(route.queues, [&](const std::shared_ptr<Queue>& queue) {
+    const bool idle = !queue->durable() && !queue->has_readers() && now - queue->unused_since() > idle_queue_limit;
+    if (idle) queues_.erase(queue->name());
+    return idle;
+  });
+}
+
+void ServerState::sweep(Instant now) {
+  if (now - last_sweep_ < idle_queue_limit) return;
+  last_sweep_ = now;
+  std::erase_if(routes_, [&](const auto& entry) {
+    remove_idle(*entry.second, now);
+    return entry.second->queues.empty() && entry.second.use_count() == 1;  // no publisher holds it
+  });
+}
+
+bool ServerState::deliver(Route& route, Message& message, const PublisherOptions& options, Instant accepted,
+                          Instant now, WakeList& wake) {
+  if (!running_) return false;
+  remove_idle(route, now);
+  if (route.queues.empty()) return false;
+  for (const auto& queue : route.queues) {
+    if (queue->bytes() > queue_bytes_limit) return false;
+  }
+  std::optional<Instant> expires;
+  if (options.deadline.count() > 0) expires = accepted + options.deadline;
+  for (std::size_t i = 0; i + 1 < route.queues.size(); ++i) route.queues[i]->push(message, expires);
+  route.queues.back()->push(std::move(message), expires);
+  for (const auto& queue : route.queues) poke(*queue, wake);
+  return true;
+}
+
+void ServerState::expire(Producer& producer, Instant now, WakeList& wake) {
+  if (producer.options.deadline.count() <= 0) return;
+  while (!producer.waiting.empty() && producer.waiting.front().accepted + producer.options.deadline <= now) {
+    settle(producer, producer.waiting.front().number, Outcome::dropped, reason::deadline, wake);
+    producer.waiting.pop_front();
+  }
+}
+
+void ServerState::flush(Producer& producer, Instant now, WakeList& wake) {
+  expire(producer, now, wake);
+  while (!producer.waiting.empty()) {
+    auto& first = producer.waiting.front();
+    if (!deliver(*producer.route, first.message, producer.options, first.accepted, now, wake)) break;
+    settle(producer, first.number, Outcome::confirmed, "", wake);
+    producer.waiting.pop_front();
+  }
+  if (producer.waiting.empty()) std::erase(producer.route->waiting, &producer);
+}
+
+void ServerState::settle(Producer& producer, std::uint64_t number, Outcome outcome, const char* reason,
+                         WakeList& wake) {
+  if (producer.wants_writable && !producer.closed) {
+    producer.wants_writable = false;
+    producer.writable_due = true;
+  }
+  producer.connection->meters.outcome(outcome, reason);
+  if (producer.options.on_outcome) {
+    producer.events.push_back({number, outcome, reason});
+  } else {
+    --producer.pending;
+    if (producer.pending == 0) producer.connection->changed.notify_all();
+    if (!producer.writable_due) return;
+  }
+  if (!producer.in_report) {
+    producer.in_report = true;
+    producer.connection->to_report.push_back(producer.shared_from_this());
+  }
+  wake.add(*producer.connection);
+}
+
+void ServerState::flush_waiting(Route& route, Instant now, WakeList& wake) {
+  const std::vector<Producer*> waiting = route.waiting;  // flush() takes those out that are done
+  for (Producer* producer : waiting) flush(*producer, now, wake);
+}
+
+void ServerState::flush_topics_of(const Queue& queue, Instant now, WakeList& wake) {
+  for (const auto& [topic, route] : routes_) {
+    const bool bound = std::any_of(route->queues.begin(), route->queues.end(),
+                                   [&](const auto& candidate) { return candidate.get() == &queue; });
+    if (bound && !route->waiting.empty()) flush_waiting(*route, now, wake);
+  }
+}
+
+void ServerState::attach(const std::shared_ptr<Consumer>& consumer, Instant now, WakeList& wake) {
+  if (!running_ || consumer->closed || consumer->queue) return;
+  sweep(now);
+  const std::string name = queue_name(consumer->topic.name, consumer->options.group);
+  auto& queue = queues_[name];
+  if (!queue) queue = std::make_shared<Queue>(name, consumer->topic.durable);
+  consumer->queue = queue;
+  queue->attach(consumer);
+  const std::shared_ptr<Route> bound = route(consumer->topic.name);
+  if (std::find(bound->queues.begin(), bound->queues.end(), queue) == bound->queues.end()) {
+    bound->queues.push_back(queue);
+  }
+  poke(consumer, wake);
+  flush_waiting(*bound, now, wake);
+}
+
+void ServerState::detach(Consumer& consumer, Instant now, WakeList& wake) {
+  if (!consumer.queue) return;
+  const std::shared_ptr<Queue> queue = std::exchange(consumer.queue, nullptr);
+  queue->detach(consumer, now);
+  poke(*queue, wake);
+}
+
+std::optional<Stored> ServerState::take(Consumer& consumer, Instant now, WakeList& wake, std::size_t& conflated) {
+  Queue& queue = *consumer.queue;
+  const bool was_full = queue.bytes() > queue_bytes_limit;
+  if (consumer.options.keep_last > 0) conflated = queue.trim(consumer.options.keep_last);
+  std::optional<Stored> taken = queue.pop(now);
+  if (was_full && queue.bytes() <= queue_bytes_limit) flush_topics_of(queue, now, wake);
+  return taken;
+}
+
+void ServerState::poke(Queue& queue, WakeList& wake) {
+  for (const auto& reader : queue.readers()) poke(reader, wake);
+}
+
+void ServerState::poke(const std::shared_ptr<Consumer>& consumer, WakeList& wake) {
+  if (consumer->in_ready || !consumer->can_take()) return;
+  consumer->in_ready = true;
+  consumer->connection->ready.push_back(consumer);
+  wake.add(*consumer->connection);
+}
+
+Server Server::named(const std::string& name) {
+  static std::mutex mutex;
+  static std::map<std::string, std::weak_ptr<ServerState>> servers;
+  const std::lock_guard lock(mutex);
+  std::erase_if(servers, [](const auto& entry) { return entry.second.expired(); });
+  auto& known = servers[name];
+  std::shared_ptr<ServerState> state = known.lock();
+  if (!state) known = state = std::make_shared<ServerState>();
+  return Server(std::move(state));
+}
+
+void Server::stop() {
+  WakeList wake;  // before the lock: it wakes after the lock is gone
+  const std::lock_guard lock(state_->mutex);
+  state_->stop(wake);
+}
+
+void Server::start() {
+  WakeList wake;
+  const std::lock_guard lock(state_->mutex);
+  state_->start(wake);
+}
+
+bool Server::running() const {
+  const std::lock_guard lock(state_->mutex);
+  return state_->running();
+}
+
+std::size_t Server::depth(const std::string& topic, const std::string& group) const {
+  const std::lock_guard lock(state_->mutex);
+  const Queue* queue = state_->find(queue_name(topic, group));
+  return queue == nullptr ? 0 : queue->size() + queue->unsettled();
+}
+
+}  // namespace iotcloud::brokers::embedded

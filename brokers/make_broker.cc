@@ -1,0 +1,20 @@
+#include "iotcloud/brokers/broker_url.h"
+#include "iotcloud/brokers/embedded/embedded_broker.h"
+#include "iotcloud/config/error.h"
+#include <iotcloud/brokers/broker.h>
+
+namespace iotcloud::brokers {
+
+const std::vector<std::string>& broker_kinds() {
+  static const std::vector<std::string> kinds{"embedded"};
+  return kinds;
+}
+
+std::unique_ptr<Broker> make_broker(const BrokerOptions& options) {
+  const BrokerUrl url = parse_broker_url(options.url);
+  if (url.scheme == "embedded") return embedded::make_embedded_broker(options, url.host);
+  throw config::Error("broker URL \"" + printable_url(options.url) + "\": no broker has the scheme \"" + url.scheme +
+                      "\"; there are: embedded");
+}
+
+}  // namespace iotcloud::brokers

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <array>
+#include <string>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/metrics.h>
+
+namespace iotcloud::brokers {
+
+/// Why a message was dropped: the words that on_outcome and the metrics use.
+namespace reason {
+inline constexpr const char* superseded = "superseded";  ///< a newer one came while it waited (keep_newest, keep_last)
+inline constexpr const char* deadline = "deadline";      ///< it grew too old
+inline constexpr const char* no_reader = "no_reader";    ///< superseded while nobody read the topic
+inline constexpr const char* too_large = "too_large";    ///< above max_payload
+inline constexpr const char* closed = "closed";          ///< the publisher was closed first
+}  // namespace reason
+
+/// The largest payload that is accepted, in bytes: what a RabbitMQ server takes unless it is configured otherwise.
+inline constexpr std::size_t max_payload = 134'217'728;
+
+/// What a broker of one kind counts. The counters are the process's, not one broker object's. Thread safe.
+class Meters {
+ public:
+  /// \param metrics nullptr: the process's own. \param kind "embedded", "rabbitmq"
+  Meters(config::Metrics* metrics, const std::string& kind);
+  void outcome(Outcome outcome, const std::string& reason);
+  void received(bool redelivered);
+  void conflated();  ///< a delivery that keep_last skipped
+
+ private:
+  config::Metrics& metrics_;
+  std::string kind_;
+  config::Counter& confirmed_;
+  config::Counter& received_;
+  config::Counter& redelivered_;
+  config::Counter& conflated_;
+};
+
+}  // namespace iotcloud::brokers

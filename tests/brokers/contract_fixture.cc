@@ -1,0 +1,204 @@
+#include "iotcloud/tests/brokers/contract_fixture.h"
+
+#include <algorithm>
+#include <atomic>
+#include <thread>
+#include <utility>
+
+#include <iotcloud/brokers/embedded/server.h>
+
+namespace iotcloud::brokers {
+namespace {
+
+class EmbeddedTestServer final : public TestServer {
+ public:
+  std::string url() const override { return "embedded://contract"; }
+  void kill() override { server_.stop(); }
+  void start() override { server_.start(); }
+
+ private:
+  embedded::Server server_ = embedded::Server::named("contract");
+};
+
+std::unique_ptr<TestServer> make_server(const std::string& kind) {
+  if (kind == "embedded") return std::make_unique<EmbeddedTestServer>();
+  throw std::runtime_error("no test server of kind " + kind);
+}
+
+std::map<std::string, std::unique_ptr<TestServer>>& servers() {
+  static std::map<std::string, std::unique_ptr<TestServer>> all;
+  return all;
+}
+
+}  // namespace
+
+Handler Inbox::handler() {
+  return [this](Delivery delivery) {
+    Received received{std::string(delivery.message.payload.text()), delivery.message, delivery.redelivered};
+    delivery.settle(verdict_ ? verdict_(received) : Settlement::accept);
+    const std::lock_guard lock(mutex_);
+    received_.push_back(std::move(received));
+    more_.notify_all();
+  };
+}
+
+bool Inbox::wait_until(const std::function<bool(const std::vector<Received>&)>& enough,
+                       std::chrono::milliseconds limit) {
+  std::unique_lock lock(mutex_);
+  return more_.wait_until(lock, std::chrono::system_clock::now() + limit, [&] { return enough(received_); });
+}
+
+bool Inbox::wait_for(std::size_t count, std::chrono::milliseconds limit) {
+  return wait_until([&](const auto& received) { return received.size() >= count; }, limit);
+}
+
+std::vector<Inbox::Received> Inbox::all() const {
+  const std::lock_guard lock(mutex_);
+  return received_;
+}
+
+std::vector<std::string> Inbox::bodies() const {
+  const std::lock_guard lock(mutex_);
+  std::vector<std::string> bodies;
+  for (const auto& received : received_) bodies.push_back(received.body);
+  return bodies;
+}
+
+std::size_t Inbox::size() const {
+  const std::lock_guard lock(mutex_);
+  return received_.size();
+}
+
+Handler Holder::handler() {
+  return [this](Delivery delivery) {
+    const std::lock_guard lock(mutex_);
+    held_.push_back(std::move(delivery));
+    more_.notify_all();
+  };
+}
+
+bool Holder::wait_for(std::size_t count, std::chrono::milliseconds limit) {
+  std::unique_lock lock(mutex_);
+  return more_.wait_until(lock, std::chrono::system_clock::now() + limit, [&] { return held_.size() >= count; });
+}
+
+std::size_t Holder::size() const {
+  const std::lock_guard lock(mutex_);
+  return held_.size();
+}
+
+std::string Holder::body(std::size_t index) const {
+  const std::lock_guard lock(mutex_);
+  return std::string(held_.at(index).message.payload.text());
+}
+
+void Holder::settle(std::size_t index, Settlement settlement) {
+  std::unique_lock lock(mutex_);
+  Delivery delivery = std::move(held_.at(index));
+  lock.unlock();
+  delivery.settle(settlement);
+}
+
+void Holder::drop_all() {
+  std::vector<Delivery> dropped;
+  const std::lock_guard lock(mutex_);
+  dropped.swap(held_);
+}
+
+std::function<void(std::uint64_t, Outcome, const std::string&)> Outcomes::callback() {
+  return [this](std::uint64_t number, Outcome outcome, const std::string& reason) {
+    const std::lock_guard lock(mutex_);
+    outcomes_[number].emplace_back(outcome, reason);
+    more_.notify_all();
+  };
+}
+
+bool Outcomes::wait_for(std::size_t count, std::chrono::milliseconds limit) {
+  std::unique_lock lock(mutex_);
+  return more_.wait_until(lock, std::chrono::system_clock::now() + limit, [&] { return outcomes_.size() >= count; });
+}
+
+Outcome Outcomes::of(std::uint64_t number) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = outcomes_.find(number);
+  if (found == outcomes_.end() || found->second.size() != 1) {
+    ADD_FAILURE() << "message " << number << " has " << (found == outcomes_.end() ? 0 : found->second.size())
+                  << " outcomes";
+    return Outcome::unknown;
+  }
+  return found->second.front().first;
+}
+
+std::string Outcomes::reason(std::uint64_t number) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = outcomes_.find(number);
+  return found == outcomes_.end() ? "" : found->second.front().second;
+}
+
+std::size_t Outcomes::size() const {
+  const std::lock_guard lock(mutex_);
+  return outcomes_.size();
+}
+
+std::size_t Outcomes::count(Outcome outcome) const {
+  const std::lock_guard lock(mutex_);
+  return static_cast<std::size_t>(std::count_if(
+      outcomes_.begin(), outcomes_.end(), [&](const auto& entry) { return entry.second.front().first == outcome; }));
+}
+
+bool Outcomes::each_once() const {
+  const std::lock_guard lock(mutex_);
+  return std::all_of(outcomes_.begin(), outcomes_.end(), [](const auto& entry) { return entry.second.size() == 1; });
+}
+
+bool eventually(const std::function<bool()>& condition, std::chrono::milliseconds limit) {
+  const auto end = std::chrono::steady_clock::now() + limit;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > end) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  }
+  return true;
+}
+
+Message text_message(const std::string& body) {
+  Message message;
+  message.payload = Payload::copy(body);
+  message.driver_id = "driver";
+  return message;
+}
+
+void BrokerContract::SetUp() {
+  auto& known = servers()[GetParam()];
+  if (!known) known = make_server(GetParam());
+}
+
+void BrokerContract::TearDownTestSuite() {
+  servers().clear();
+}
+
+TestServer& BrokerContract::server() const {
+  return *servers().at(GetParam());
+}
+
+std::unique_ptr<Broker> BrokerContract::broker() const {
+  BrokerOptions options;
+  options.url = server().url();
+  options.heartbeat = std::chrono::seconds(2);
+  return make_broker(options);
+}
+
+Topic BrokerContract::topic(bool durable) const {
+  static std::atomic<int> last{0};
+  const std::string test = testing::UnitTest::GetInstance()->current_test_info()->name();
+  Topic topic;
+  topic.exchange = durable ? "contract_durable" : "contract";
+  topic.name = "gw.driver." + test.substr(0, test.find('/')) + "." + std::to_string(++last);
+  topic.durable = durable;
+  return topic;
+}
+
+void BrokerContract::await_active(const Subscription& subscription) {
+  ASSERT_TRUE(eventually([&] { return subscription.active(); })) << "the subscription never became active";
+}
+
+}  // namespace iotcloud::brokers

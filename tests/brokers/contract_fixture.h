@@ -1,0 +1,113 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include <iotcloud/brokers/broker.h>
+
+namespace iotcloud::brokers {
+
+/// How long a test waits for what must come; under sanitizers on a busy machine it may take long.
+inline constexpr std::chrono::seconds patience{60};
+/// How long a test watches that nothing comes which must not come.
+inline constexpr std::chrono::milliseconds moment{300};
+
+/// A server of one kind that can be taken away and brought back.
+class TestServer {
+ public:
+  virtual ~TestServer() = default;
+  virtual std::string url() const = 0;
+  virtual void kill() = 0;
+  virtual void start() = 0;
+};
+
+/// Collects deliveries; the handler accepts each unless told otherwise. Thread safe.
+class Inbox {
+ public:
+  struct Received {
+    std::string body;
+    Message message;
+    bool redelivered = false;
+  };
+  /// Decides what becomes of a delivery; called before it is stored.
+  using Verdict = std::function<Settlement(const Received&)>;
+  explicit Inbox(Verdict verdict = {}) : verdict_(std::move(verdict)) {}
+
+  Handler handler();
+  bool wait_for(std::size_t count, std::chrono::milliseconds limit = patience);
+  bool wait_until(const std::function<bool(const std::vector<Received>&)>& enough,
+                  std::chrono::milliseconds limit = patience);
+  std::vector<Received> all() const;
+  std::vector<std::string> bodies() const;
+  std::size_t size() const;
+
+ private:
+  mutable std::mutex mutex_;
+  std::condition_variable more_;
+  std::vector<Received> received_;
+  Verdict verdict_;
+};
+
+/// Keeps deliveries unsettled until the test settles them. Thread safe.
+class Holder {
+ public:
+  Handler handler();
+  bool wait_for(std::size_t count, std::chrono::milliseconds limit = patience);
+  std::size_t size() const;
+  std::string body(std::size_t index) const;
+  void settle(std::size_t index, Settlement settlement);
+  void drop_all();
+
+ private:
+  mutable std::mutex mutex_;
+  std::condition_variable more_;
+  std::vector<Delivery> held_;
+};
+
+/// Collects outcomes by publish number. Thread safe.
+class Outcomes {
+ public:
+  std::function<void(std::uint64_t, Outcome, const std::string&)> callback();
+  bool wait_for(std::size_t count, std::chrono::milliseconds limit = patience);
+  /// The only outcome of one message; fails the test when there is none or more than one.
+  Outcome of(std::uint64_t number) const;
+  std::string reason(std::uint64_t number) const;
+  std::size_t size() const;  ///< messages with an outcome
+  std::size_t count(Outcome outcome) const;
+  bool each_once() const;
+
+ private:
+  mutable std::mutex mutex_;
+  std::condition_variable more_;
+  std::map<std::uint64_t, std::vector<std::pair<Outcome, std::string>>> outcomes_;
+};
+
+/// Waits for a condition that other threads make true.
+bool eventually(const std::function<bool()>& condition, std::chrono::milliseconds limit = patience);
+
+Message text_message(const std::string& body);
+
+/// Every test runs on each kind of broker; all tests of a kind share one server, which is up at a test's start.
+class BrokerContract : public testing::TestWithParam<std::string> {
+ protected:
+  void SetUp() override;
+  static void TearDownTestSuite();
+
+  TestServer& server() const;
+  std::unique_ptr<Broker> broker() const;
+  /// A topic that no other test uses.
+  Topic topic(bool durable = false) const;
+  /// Waits until a subscription reads.
+  static void await_active(const Subscription& subscription);
+};
+
+}  // namespace iotcloud::brokers
