@@ -1,10 +1,10 @@
-#include "follower.h"
-
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+
+#include <fmt/format.h>
+
+#include <iotcloud/examples/turtlebot_follower/follower.h>
 
 namespace turtlebot_follower {
 
@@ -72,7 +72,8 @@ Follower::Result Follower::compute(std::span<const std::uint16_t> depth_mm) cons
   Sums sums;
   for (int v = 0; v < height; ++v) {
     if (row_last_[v] < row_first_[v]) continue;
-    add_row(depth_mm.data() + static_cast<std::size_t>(v) * width, column_last_.data(), row_first_[v], row_last_[v], sums);
+    add_row(depth_mm.data() + static_cast<std::size_t>(v) * width, column_last_.data(), row_first_[v], row_last_[v],
+            sums);
   }
   Result result;
   result.points = sums.points;

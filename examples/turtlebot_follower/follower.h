@@ -16,15 +16,15 @@ struct Velocity {
 
 /// The reference's constants (REFERENCE.md section 6), and the limits that the original did not have.
 struct FollowerOptions {
-  double goal_distance = 0.7;      ///< m, kept between camera and person
-  double max_linear = 0.65;        ///< m/s; the base's own limit
-  double max_angular = 3.14;       ///< rad/s
-  std::uint32_t min_points = 4000; ///< with this many or fewer there is nobody to follow
+  double goal_distance = 0.7;       ///< m, kept between camera and person
+  double max_linear = 0.65;         ///< m/s; the base's own limit
+  double max_angular = 3.14;        ///< rad/s
+  std::uint32_t min_points = 4000;  ///< with this many or fewer there is nobody to follow
 };
 
-/// Finds the person in a depth frame and steers towards a fixed distance: the centroid of the points in a box in front of
-/// the camera (-0.2 < x < 0.2 m, 0.1 < y < 0.5 m below the optical axis, 0 < z < 1 m), then a proportional controller.
-/// Thread safe: computing changes nothing.
+/// Finds the person in a depth frame and steers towards a fixed distance: the centroid of the points in a box in front
+/// of the camera (-0.2 < x < 0.2 m, 0.1 < y < 0.5 m below the optical axis, 0 < z < 1 m), then a proportional
+/// controller. Thread safe: computing changes nothing.
 class Follower {
  public:
   static constexpr int width = 640;

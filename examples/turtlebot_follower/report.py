@@ -20,7 +20,7 @@ class Row:
     robot: tuple
     person: tuple
     distance: float
-    visible: bool
+    in_box: bool  # the person stands where the follower looks
     encode_ms: float
     raw_bytes: int
     payload_bytes: int
@@ -44,7 +44,7 @@ def read_trace(path, last=None):
             seq=int(fields["seq"]), seconds=float(fields["capture_s"]),
             robot=(float(fields["robot_x"]), float(fields["robot_y"])),
             person=(float(fields["person_x"]), float(fields["person_y"])),
-            distance=float(fields["distance_m"]), visible=fields["person_visible"] == "1",
+            distance=float(fields["distance"]), in_box=fields["in_box"] == "1",
             encode_ms=float(fields["encode_us"]) / 1000, raw_bytes=int(fields["raw_bytes"]),
             payload_bytes=int(fields["payload_bytes"]), answered=fields["answered"] == "1",
             latency_ms=float(fields["latency_us"] or 0) / 1000))
@@ -74,7 +74,7 @@ def make_report(trace, options, measured):
     answered = [row for row in rows if row.answered]
     errors = [abs(row.distance - GOAL_M) for row in rows]
     mean_error = sum(errors) / len(errors) if errors else math.inf
-    lost = sum(not row.visible for row in rows)
+    lost = sum(not row.in_box for row in rows)
     share = len(answered) / len(rows) if rows else 0
     payload = sum(row.payload_bytes for row in rows)
     # The loop was closed for as long as it was asked to be, at the sensor's rate or near it.

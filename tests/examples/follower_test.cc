@@ -1,19 +1,21 @@
-#include <iotcloud/examples/turtlebot_follower/follower.h>
-
-#include <gtest/gtest.h>
-
 #include <cmath>
 #include <cstdint>
-#include <nlohmann/json.hpp>
 #include <random>
 #include <vector>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/examples/turtlebot_follower/follower.h>
 
 namespace turtlebot_follower {
 namespace {
 
 using Frame = std::vector<std::uint16_t>;
 
-Frame empty_frame() { return Frame(static_cast<std::size_t>(Follower::width) * Follower::height, 0); }
+Frame empty_frame() {
+  return Frame(static_cast<std::size_t>(Follower::width) * Follower::height, 0);
+}
 
 void fill(Frame& frame, int u0, int u1, int v0, int v1, std::uint16_t mm) {
   for (int v = v0; v < v1; ++v) {
@@ -105,7 +107,8 @@ TEST(Follower, drives_forward_to_a_person_too_far_away_and_back_from_one_too_nea
 TEST(Follower, turns_towards_the_person) {
   Frame right = empty_frame();
   fill(right, 380, 450, 340, 460, 800);
-  EXPECT_LT(Follower().compute(right).velocity.angular, -0.1) << "a person on the right: a turn to the right is negative";
+  EXPECT_LT(Follower().compute(right).velocity.angular, -0.1)
+      << "a person on the right: a turn to the right is negative";
   Frame left = empty_frame();
   fill(left, 190, 260, 340, 460, 800);
   EXPECT_GT(Follower().compute(left).velocity.angular, 0.1);
@@ -128,7 +131,8 @@ TEST(Follower, ignores_a_frame_of_another_size) {
 
 TEST(Follower, writes_the_command_of_the_original) {
   const auto command = nlohmann::json::parse(to_json({0.25, -0.5}));
-  EXPECT_EQ(command, nlohmann::json::parse(R"({"linear":{"x":0.25,"y":0.0,"z":0.0},"angular":{"x":0.0,"y":0.0,"z":-0.5}})"));
+  EXPECT_EQ(command,
+            nlohmann::json::parse(R"({"linear":{"x":0.25,"y":0.0,"z":0.0},"angular":{"x":0.0,"y":0.0,"z":-0.5}})"));
 }
 
 }  // namespace

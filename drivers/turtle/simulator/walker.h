@@ -1,0 +1,53 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include <iotcloud/drivers/turtle/simulator/random.h>
+#include <iotcloud/drivers/turtle/simulator/scene.h>
+
+namespace iotcloud::drivers::turtle::simulator {
+
+/// A person who walks round the table on a winding closed path, at changing speed and with pauses. Path, direction and
+/// speeds follow from the seed. Not thread safe.
+class Walker {
+ public:
+  static constexpr double top_speed = 0.2;     ///< m/s, REFERENCE.md 6: 0.3 is the follower's limit
+  static constexpr double leg_radius = 0.07;   ///< m
+  static constexpr double leg_spacing = 0.18;  ///< m, between the axes of the legs
+  /// How far the mean of a leg's visible half lies before its axis: pi/4 of the radius.
+  static constexpr double surface_offset = 0.055;
+
+  explicit Walker(std::uint64_t seed);
+  /// Walks on. Small steps: one millisecond to some ten.
+  void advance(double seconds);
+
+  Pose pose() const { return pose_; }  ///< of the vertical axis
+  double speed() const { return speed_; }
+  /// The axes of both legs, as they swing.
+  std::array<Pose, 2> legs() const;
+  /// The body as the sensor sees it. Replaces what `body` holds.
+  void shape(std::vector<Prism>& body) const;
+
+ private:
+  struct Point {
+    double x, y, slope_x, slope_y;  ///< the slope by the angle
+  };
+  Point path(double angle) const;
+  void choose_speed();
+
+  struct Wave {
+    double amplitude, phase;
+  };
+  Random random_;
+  std::array<Wave, 4> waves_{};  ///< of the path's radius, 2 to 5 a round
+  double direction_ = 1;         ///< 1: counter-clockwise
+  double angle_ = 0;             ///< where on the path, seen from the table
+  Pose pose_;
+  double speed_ = 0, wanted_speed_ = 0;
+  double until_change_ = 1.0;  ///< s to the next choice of speed; the first second is spent standing
+  double stride_ = 0;          ///< phase of the gait
+};
+
+}  // namespace iotcloud::drivers::turtle::simulator

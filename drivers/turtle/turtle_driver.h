@@ -1,0 +1,53 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <optional>
+#include <string_view>
+#include <vector>
+
+#include <iotcloud/drivers/depth/depth_codec.h>
+#include <iotcloud/drivers/driver.h>
+#include <iotcloud/drivers/turtle/device.h>
+#include <iotcloud/drivers/turtle/frame_log.h>
+#include <iotcloud/drivers/turtle/options.h>
+
+namespace iotcloud::drivers::turtle {
+
+/// Depth frames to the cloud, velocities back to the robot. Wants an event thread of its own: encoding a frame takes
+/// half a millisecond, simulating one some more. When no command came for `watchdog_ms` the robot is stopped.
+class TurtleDriver final : public Driver {
+ public:
+  static constexpr std::string_view frames_channel = "kinect";
+  static constexpr std::string_view control_channel = "control";
+
+  std::vector<ChannelSpec> channels(const PropertyMap& properties) override;
+  void open(DriverContext& context) override;
+  void activate() override;
+  void deactivate() override;
+  void close() override;
+  void on_message(std::string_view channel, Message message) override;
+
+ private:
+  using Instant = std::chrono::steady_clock::time_point;
+  void send(const DepthFrame& frame);
+  PublishStatus publish(std::uint64_t sequence, std::int64_t time_ms, std::span<const std::byte> bytes);
+  void guard_robot();
+  void note_malformed(Instant now);
+  void sum_up();
+
+  DriverContext* context_ = nullptr;
+  TurtleOptions options_;
+  Device device_;
+  depth::DepthEncoder encoder_;
+  FrameLog log_;
+  std::uint64_t sequence_ = 0;  ///< of the next frame
+  std::int64_t last_time_ms_ = 0;
+  bool opened_once_ = false, active_ = false;
+  std::optional<HandlerId> watchdog_;
+  std::uint64_t watchdog_stops_ = 0;
+  std::uint64_t malformed_ = 0;
+  Instant last_malformed_{};
+};
+
+}  // namespace iotcloud::drivers::turtle

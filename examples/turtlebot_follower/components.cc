@@ -1,0 +1,105 @@
+#include <charconv>
+#include <memory>
+#include <stdexcept>
+#include <string>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/drivers/depth/depth_codec.h>
+#include <iotcloud/examples/turtlebot_follower/follower.h>
+#include <iotcloud/topology/bolt.h>
+#include <iotcloud/topology/plugin.h>
+
+namespace turtlebot_follower {
+
+namespace depth = iotcloud::drivers::depth;
+using iotcloud::topology::BasicBolt;
+using iotcloud::topology::BasicOutputCollector;
+using iotcloud::topology::Config;
+using iotcloud::topology::Fields;
+using iotcloud::topology::OutputFieldsDeclarer;
+using iotcloud::topology::Payload;
+using iotcloud::topology::TopologyContext;
+using iotcloud::topology::Tuple;
+using iotcloud::topology::Values;
+
+namespace {
+
+const iotcloud::config::Logger logger{"turtlebot_follower"};
+
+double number_or(const Config& config, const std::string& key, double fallback) {
+  const auto found = config.find(key);
+  if (found == config.end()) return fallback;
+  double value = 0;
+  const auto* end = found->second.data() + found->second.size();
+  if (std::from_chars(found->second.data(), end, value).ptr != end || found->second.empty()) {
+    throw std::invalid_argument(key + ": \"" + found->second + "\" is not a number");
+  }
+  return value;
+}
+
+}  // namespace
+
+/// In: frame (compressed), driverID, time. Out: depth (640x480 millimetres, 16 bits each), driverID, time.
+class Decoder : public BasicBolt {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"depth", "driverID", "time"});
+  }
+  void prepare(const Config&, const TopologyContext& context) override {
+    bad_frames_ = &context.metrics->counter("turtlebot_bad_frames_total", "Frames that could not be decoded",
+                                            {{"topology", context.topology}});
+  }
+  void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
+    // Shared with the follower's task, so each frame has its own memory; every pixel is written by the decoder.
+    const auto mm = std::make_shared_for_overwrite<std::uint16_t[]>(depth::frame_pixels);
+    const auto error =
+        decoder_.decode(tuple.get<Payload>("frame").bytes(), depth::FrameSpan(mm.get(), depth::frame_pixels));
+    if (error != depth::DecodeError::none) {
+      bad_frames_->add();
+      if (!std::exchange(in_bad_burst_, true)) {
+        logger.warn("a frame of driver {} is refused: {}; further ones are only counted until a good one comes",
+                    tuple.get<std::string>("driverID"), depth::describe(error));
+      }
+      return;
+    }
+    in_bad_burst_ = false;
+    const auto bytes = std::as_bytes(std::span(mm.get(), depth::frame_pixels));
+    collector.emit(Values(Payload::wrap(mm, bytes), tuple.at("driverID"), tuple.at("time")));
+  }
+
+ private:
+  depth::DepthDecoder decoder_;
+  iotcloud::config::Counter* bad_frames_ = nullptr;
+  bool in_bad_burst_ = false;
+};
+
+/// In: depth, driverID, time. Out: control (a velocity as JSON), driverID, time.
+class Follow : public BasicBolt {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"control", "driverID", "time"});
+  }
+  void prepare(const Config& config, const TopologyContext&) override {
+    FollowerOptions options;
+    options.goal_distance = number_or(config, "goal_distance", options.goal_distance);
+    options.max_linear = number_or(config, "max_linear", options.max_linear);
+    options.max_angular = number_or(config, "max_angular", options.max_angular);
+    follower_ = Follower(options);
+  }
+  void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
+    const Payload& depth_mm = tuple.get<Payload>("depth");
+    const std::span pixels(reinterpret_cast<const std::uint16_t*>(depth_mm.data()), depth_mm.size() / 2);
+    const Velocity velocity = follower_.compute(pixels).velocity;
+    collector.emit(Values(Payload::take(to_json(velocity)), tuple.at("driverID"), tuple.at("time")));
+  }
+
+ private:
+  Follower follower_;
+};
+
+}  // namespace turtlebot_follower
+
+IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
+  registry.add_bolt<turtlebot_follower::Decoder>("turtlebot.Decoder");
+  registry.add_bolt<turtlebot_follower::Follow>("turtlebot.Follow");
+}

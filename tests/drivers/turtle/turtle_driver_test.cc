@@ -1,0 +1,367 @@
+#include <algorithm>
+#include <chrono>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <unistd.h>
+
+#include <iotcloud/drivers/testing/mock_host.h>
+#include <iotcloud/drivers/turtle/command.h>
+#include <iotcloud/drivers/turtle/turtle_driver.h>
+#include <iotcloud/tests/drivers/turtle/reference_follower.h>
+
+namespace iotcloud::drivers::turtle {
+namespace {
+
+using namespace std::chrono_literals;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using testing::MockInstance;
+
+const Descriptor turtle = describe<TurtleDriver>("turtle", "test", true);
+
+Message command(const std::string& text, std::int64_t time_ms = 0) {
+  Message message;
+  message.payload = Payload::copy(text);
+  message.time_ms = time_ms;
+  return message;
+}
+
+Message command(const Velocity& velocity, std::int64_t time_ms = 0) {
+  return command(as_json(velocity), time_ms);
+}
+
+std::vector<std::uint16_t> decoded(const Message& message) {
+  std::vector<std::uint16_t> mm(depth::frame_pixels);
+  depth::DepthDecoder decoder;
+  EXPECT_EQ(decoder.decode(message.payload.bytes(), depth::FrameSpan(mm)), depth::DecodeError::none);
+  return mm;
+}
+
+/// A file of this process's own that is gone afterwards.
+class ScratchFile {
+ public:
+  explicit ScratchFile(const std::string& name)
+      : path_(std::filesystem::temp_directory_path() / ("turtle-" + std::to_string(getpid()) + "-" + name)) {}
+  ~ScratchFile() { std::filesystem::remove(path_); }
+  std::string path() const { return path_.string(); }
+  /// Row by row, by the names in the first line.
+  std::vector<std::map<std::string, std::string>> rows() const {
+    std::ifstream file(path_);
+    std::vector<std::string> names;
+    std::vector<std::map<std::string, std::string>> rows;
+    for (std::string line; std::getline(file, line);) {
+      std::vector<std::string> fields(1);
+      for (const char c : line) {
+        if (c == ',') {
+          fields.emplace_back();
+        } else {
+          fields.back() += c;
+        }
+      }
+      if (names.empty()) {
+        names = fields;
+        continue;
+      }
+      EXPECT_EQ(fields.size(), names.size()) << line;
+      auto& row = rows.emplace_back();
+      for (std::size_t i = 0; i < std::min(fields.size(), names.size()); ++i) row[names[i]] = fields[i];
+    }
+    return rows;
+  }
+
+ private:
+  std::filesystem::path path_;
+};
+
+double number(const std::map<std::string, std::string>& row, const std::string& column) {
+  return std::strtod(row.at(column).c_str(), nullptr);
+}
+
+TEST(TurtleDriver, wants_newest_frames_out_and_the_last_command_in) {
+  MockInstance robot(turtle, {{"broker", "rabbit"}});
+  ASSERT_TRUE(robot.open()) << robot.error();
+  ASSERT_EQ(robot.channels().size(), 2);
+  const ChannelSpec& kinect = robot.channels()[0];
+  EXPECT_EQ(kinect.name, "kinect");
+  EXPECT_EQ(kinect.direction, Direction::out);
+  EXPECT_EQ(kinect.when_full, WhenFull::keep_newest);
+  EXPECT_LE(kinect.capacity, 2);
+  EXPECT_EQ(kinect.deadline, 200ms);
+  EXPECT_FALSE(kinect.shared);
+  EXPECT_EQ(kinect.broker, "rabbit");
+  const ChannelSpec& control = robot.channels()[1];
+  EXPECT_EQ(control.name, "control");
+  EXPECT_EQ(control.direction, Direction::in);
+  EXPECT_EQ(control.keep_last, 1);
+  EXPECT_FALSE(control.shared);
+  EXPECT_EQ(control.broker, "rabbit");
+}
+
+TEST(TurtleDriver, says_which_property_is_wrong_and_what_would_be_right) {
+  const auto error_with = [](const PropertyMap& properties) {
+    MockInstance robot(turtle, properties);
+    EXPECT_FALSE(robot.open());
+    return robot.error();
+  };
+  EXPECT_THAT(error_with({{"sed", "1"}}), AllOf(HasSubstr("\"sed\""), HasSubstr("seed"), HasSubstr("watchdog_ms")));
+  EXPECT_THAT(error_with({{"source", "kinect"}}), AllOf(HasSubstr("source"), HasSubstr("simulator")));
+  EXPECT_THAT(error_with({{"actuator", "ros"}}), AllOf(HasSubstr("actuator"), HasSubstr("simulator")));
+  EXPECT_THAT(error_with({{"rate", "fast"}}), AllOf(HasSubstr("rate"), HasSubstr("fast"), HasSubstr("120")));
+  EXPECT_THAT(error_with({{"rate", "nan"}}), HasSubstr("rate"));
+  EXPECT_THAT(error_with({{"rate", "0"}}), HasSubstr("rate"));
+  EXPECT_THAT(error_with({{"watchdog_ms", "1"}}), HasSubstr("watchdog_ms"));
+  EXPECT_THAT(error_with({{"clock", "sundial"}}), AllOf(HasSubstr("realtime"), HasSubstr("lockstep")));
+  EXPECT_THAT(error_with({{"trace", "/nonexistent/folder/t.csv"}}), HasSubstr("/nonexistent/folder/t.csv"));
+  MockInstance robot(turtle, {{"channel.kinect.capacity", "1"}});
+  EXPECT_TRUE(robot.open()) << robot.error();
+}
+
+TEST(TurtleDriver, publishes_frames_at_its_rate_each_with_a_time_of_its_own) {
+  MockInstance robot(turtle, {{"rate", "20"}});
+  ASSERT_TRUE(robot.start()) << robot.error();
+  robot.host().advance(1s);
+  const auto frames = robot.host().published("kinect");
+  ASSERT_EQ(frames.size(), 20);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    const Message& frame = frames[i].message;
+    ASSERT_NE(frame.properties.find("seq"), nullptr);
+    EXPECT_EQ(*frame.properties.find("seq"), std::to_string(i));
+    // The test's clock runs faster than the wall's, yet no two frames share a time.
+    if (i > 0) {
+      EXPECT_GT(frame.time_ms, frames[i - 1].message.time_ms);
+    }
+  }
+  EXPECT_FALSE(follow(depth::FrameView(decoded(frames.front().message))).lost());
+}
+
+TEST(TurtleDriver, stops_after_the_number_of_frames_asked_for) {
+  MockInstance robot(turtle, {{"frames", "3"}});
+  ASSERT_TRUE(robot.start());
+  robot.host().advance(1s);
+  EXPECT_EQ(robot.host().published("kinect").size(), 3);
+}
+
+TEST(TurtleDriver, produces_only_while_active) {
+  MockInstance robot(turtle);
+  ASSERT_TRUE(robot.open());
+  robot.host().advance(200ms);
+  EXPECT_TRUE(robot.host().published().empty());
+  ASSERT_TRUE(robot.activate());
+  robot.host().advance(200ms);
+  EXPECT_EQ(robot.host().published().size(), 6);
+  ASSERT_TRUE(robot.deactivate());
+  robot.host().advance(200ms);
+  EXPECT_EQ(robot.host().published().size(), 6);
+  ASSERT_TRUE(robot.activate());
+  robot.host().advance(200ms);
+  EXPECT_EQ(robot.host().published().size(), 12);
+}
+
+TEST(TurtleDriver, moves_the_robot_as_commanded) {
+  ScratchFile trace("moves.csv");
+  MockInstance robot(turtle, {{"trace", trace.path()}});
+  ASSERT_TRUE(robot.start());
+  robot.host().advance(34ms);
+  for (int i = 0; i < 10; ++i) {
+    ASSERT_TRUE(robot.deliver("control", command(Velocity{-0.2, 0.5})));
+    robot.host().advance(100ms);
+  }
+  robot.close();
+  const auto rows = trace.rows();
+  ASSERT_EQ(rows.size(), 31);
+  const auto& first = rows.front();
+  const auto& last = rows.back();
+  // Back off for a second at 0.2 m/s, less the time that the base takes to get there.
+  const double moved = std::hypot(number(last, "robot_x") - number(first, "robot_x"),
+                                  number(last, "robot_y") - number(first, "robot_y"));
+  EXPECT_NEAR(moved, 0.17, 0.04);
+  EXPECT_GT(number(last, "distance"), number(first, "distance") + 0.1);
+  const double turned = std::remainder(number(last, "robot_heading") - number(first, "robot_heading"), 2 * M_PI);
+  EXPECT_NEAR(turned, 0.48, 0.06);
+}
+
+TEST(TurtleDriver, stops_the_robot_when_no_command_came_for_a_while) {
+  ScratchFile trace("watchdog.csv");
+  MockInstance robot(turtle, {{"trace", trace.path()}, {"watchdog_ms", "200"}, {"rate", "100"}});
+  ASSERT_TRUE(robot.start());
+  robot.host().advance(10ms);
+  ASSERT_TRUE(robot.deliver("control", command(Velocity{0, 1.0})));
+  robot.host().advance(1s);
+  EXPECT_EQ(robot.host().logged_count("no command for 200 ms"), 1);
+  ASSERT_TRUE(robot.deliver("control", command(Velocity{0, 1.0})));  // and starts again
+  robot.host().advance(100ms);
+  robot.close();
+  const auto rows = trace.rows();
+  const auto heading = [&](std::size_t row) { return number(rows.at(row), "robot_heading"); };
+  const auto turned = [&](std::size_t from, std::size_t to) {
+    return std::remainder(heading(to) - heading(from), 2 * M_PI);
+  };
+  EXPECT_GT(turned(0, 15), 0.05);         // it turned at first,
+  EXPECT_NEAR(turned(0, 30), 0.2, 0.06);  // some 0.2 s long;
+  EXPECT_DOUBLE_EQ(turned(40, 99), 0);    // it stood well before the base's own 0.6 s,
+  EXPECT_GT(turned(100, 109), 0.02);      // and turned when told again.
+}
+
+TEST(TurtleDriver, ignores_malformed_commands_and_logs_a_burst_once) {
+  MockInstance robot(turtle, {{"rate", "100"}});
+  ASSERT_TRUE(robot.start());
+  robot.host().advance(10ms);
+  const auto frame = robot.host().published("kinect").at(0).message;
+  const std::string deep(3000, '[');
+  for (const std::string& text :
+       {std::string(), std::string("stop"), std::string("{}"), std::string("[]"), std::string("null"),
+        std::string(R"({"linear":1,"angular":2})"), std::string(R"({"linear":{"x":"1"},"angular":{"z":0}})"),
+        std::string(R"({"linear":{"x":1},"angular":{}})"), std::string(R"({"linear":{"x":1e999},"angular":{"z":0}})"),
+        std::string(R"({"linear":{"x":1},"angular":{"z":0})"), std::string("\xff\xfe\x00\x01", 4), deep,
+        std::string(100'000, ' ')}) {
+    EXPECT_TRUE(robot.deliver("control", command(text, frame.time_ms))) << text.substr(0, 60) << robot.error();
+  }
+  EXPECT_EQ(robot.host().logged_count("is ignored"), 1);
+  EXPECT_FALSE(robot.host().failed());
+  robot.close();
+  EXPECT_EQ(robot.host().logged_count("0 answered"), 1);
+  EXPECT_EQ(robot.host().logged_count("13 malformed"), 1);
+}
+
+TEST(TurtleDriver, measures_from_a_frame_to_the_command_that_carries_its_time) {
+  ScratchFile trace("latency.csv");
+  MockInstance robot(turtle, {{"trace", trace.path()}, {"frames", "3"}});
+  ASSERT_TRUE(robot.start());
+  robot.host().advance(100ms);
+  const auto frames = robot.host().published("kinect");
+  ASSERT_EQ(frames.size(), 3);
+  ASSERT_TRUE(robot.deliver("control", command(Velocity{0.1, -0.2}, frames[1].message.time_ms)));
+  ASSERT_TRUE(robot.deliver("control", command(Velocity{0.3, 0.0}, frames[1].message.time_ms)));  // again: not counted
+  ASSERT_TRUE(robot.deliver("control", command(Velocity{0.3, 0.0}, 12345)));                      // no frame's time
+  robot.close();
+  const auto rows = trace.rows();
+  ASSERT_EQ(rows.size(), 3);
+  EXPECT_EQ(rows[0].at("answered"), "0");
+  EXPECT_EQ(rows[0].at("latency_us"), "");
+  EXPECT_EQ(rows[1].at("answered"), "1");
+  EXPECT_EQ(rows[1].at("time_ms"), std::to_string(frames[1].message.time_ms));
+  EXPECT_GT(number(rows[1], "latency_us"), 0);
+  EXPECT_DOUBLE_EQ(number(rows[1], "linear"), 0.1);
+  EXPECT_DOUBLE_EQ(number(rows[1], "angular"), -0.2);
+  EXPECT_EQ(rows[2].at("answered"), "0");
+  EXPECT_EQ(rows[1].at("raw_bytes"), "614400");
+  EXPECT_EQ(rows[1].at("payload_bytes"), std::to_string(frames[1].message.payload.size()));
+  EXPECT_EQ(robot.host().logged_count("3 frames, 1 answered"), 1);
+}
+
+TEST(TurtleDriver, notes_what_the_channel_did_not_take) {
+  ScratchFile trace("refused.csv");
+  MockInstance robot(turtle, {{"trace", trace.path()}});
+  ASSERT_TRUE(robot.start());
+  robot.host().answer_publish("kinect", PublishStatus::would_block);
+  robot.host().advance(100ms);
+  robot.close();
+  const auto rows = trace.rows();
+  ASSERT_EQ(rows.size(), 3);
+  EXPECT_EQ(rows[0].at("published"), "would_block");
+  EXPECT_EQ(robot.host().logged_count("3 not taken"), 1);
+}
+
+TEST(TurtleDriver, has_the_same_frames_for_the_same_seed) {
+  const auto first_frames = [](const std::string& seed) {
+    MockInstance robot(turtle, {{"seed", seed}, {"frames", "3"}});
+    EXPECT_TRUE(robot.start());
+    robot.host().advance(200ms);
+    std::vector<std::string> payloads;
+    for (const auto& frame : robot.host().published("kinect")) payloads.emplace_back(frame.message.payload.text());
+    return payloads;
+  };
+  const auto once = first_frames("5"), again = first_frames("5"), other = first_frames("6");
+  ASSERT_EQ(once.size(), 3);
+  EXPECT_EQ(once, again);
+  EXPECT_NE(once, other);
+  EXPECT_NE(once[0], once[1]);  // the noise is new in each frame
+}
+
+TEST(TurtleDriverInLockStep, waits_for_the_answer_and_sends_the_frame_again_when_none_comes) {
+  MockInstance robot(turtle, {{"clock", "lockstep"}, {"retry_ms", "500"}});
+  ASSERT_TRUE(robot.start());
+  robot.host().advance(1100ms);
+  auto frames = robot.host().published("kinect");
+  ASSERT_EQ(frames.size(), 3);  // one frame, twice again
+  for (const auto& frame : frames) {
+    EXPECT_EQ(*frame.message.properties.find("seq"), "0");
+    EXPECT_EQ(frame.message.time_ms, frames[0].message.time_ms);
+    EXPECT_EQ(frame.message.payload.text(), frames[0].message.payload.text());
+  }
+  ASSERT_TRUE(robot.deliver("control", command(Velocity{}, frames[0].message.time_ms)));
+  ASSERT_TRUE(
+      robot.deliver("control", command(Velocity{}, frames[0].message.time_ms)));  // the answer to the repetition
+  frames = robot.host().published("kinect");
+  ASSERT_EQ(frames.size(), 4);
+  EXPECT_EQ(*frames[3].message.properties.find("seq"), "1");
+}
+
+/// Runs a whole robot in lock step with the reference follower, through the driver's border.
+std::vector<std::map<std::string, std::string>> follow_in_lock_step(const std::string& seed, const std::string& name,
+                                                                    int frames, int& lost) {
+  ScratchFile trace(name);
+  MockInstance robot(
+      turtle, {{"clock", "lockstep"}, {"seed", seed}, {"frames", std::to_string(frames)}, {"trace", trace.path()}});
+  std::size_t answered = 0;
+  EXPECT_TRUE(robot.start());
+  robot.host().run_posted();
+  for (;;) {
+    const auto published = robot.host().published("kinect");
+    if (published.empty()) break;
+    EXPECT_EQ(published.size(), 1);
+    robot.host().forget_published();
+    const Message& frame = published.front().message;
+    const Followed followed = follow(depth::FrameView(decoded(frame)));
+    if (followed.lost()) ++lost;
+    ++answered;
+    EXPECT_TRUE(robot.deliver("control", command(followed.command, frame.time_ms)));
+  }
+  EXPECT_EQ(answered, static_cast<std::size_t>(frames));
+  robot.close();
+  return trace.rows();
+}
+
+TEST(TurtleDriverInLockStep, closes_the_loop_and_keeps_its_distance) {
+  int lost = 0;
+  const auto rows = follow_in_lock_step("3", "loop.csv", 450, lost);
+  ASSERT_EQ(rows.size(), 450);
+  EXPECT_EQ(lost, 0);
+  double error = 0;
+  for (const auto& row : rows) {
+    EXPECT_EQ(row.at("answered"), "1");
+    EXPECT_EQ(row.at("visible"), "1");
+    EXPECT_EQ(row.at("in_box"), "1");
+    error += std::abs(number(row, "error"));
+    EXPECT_NEAR(number(row, "distance") - 0.7, number(row, "error"), 0.0002);
+  }
+  EXPECT_LT(error / 450, 0.25);
+  EXPECT_NEAR(number(rows.back(), "device_s"), 449 / 30.0, 0.001);
+  const double walked = std::hypot(number(rows.back(), "person_x") - number(rows.front(), "person_x"),
+                                   number(rows.back(), "person_y") - number(rows.front(), "person_y"));
+  EXPECT_GT(walked, 0.5);  // otherwise it was no feat
+}
+
+TEST(TurtleDriverInLockStep, repeats_a_run_to_the_last_digit) {
+  const auto world = [](std::vector<std::map<std::string, std::string>> rows) {
+    for (auto& row : rows) {
+      for (const char* column : {"time_ms", "capture_s", "render_us", "encode_us", "latency_us"}) row.erase(column);
+    }
+    return rows;
+  };
+  int lost = 0;
+  EXPECT_EQ(world(follow_in_lock_step("9", "once.csv", 90, lost)),
+            world(follow_in_lock_step("9", "again.csv", 90, lost)));
+}
+
+}  // namespace
+}  // namespace iotcloud::drivers::turtle

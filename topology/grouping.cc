@@ -1,0 +1,119 @@
+#include <stdexcept>
+
+#include <iotcloud/topology/grouping.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+/// What all groupings here keep: the targets.
+class TargetedGrouping : public Grouping {
+ public:
+  void prepare(const TopologyContext&, const Fields&, std::span<const int> targets) override {
+    targets_.assign(targets.begin(), targets.end());
+  }
+
+ protected:
+  std::vector<int> targets_;
+};
+
+class ShuffleGrouping final : public TargetedGrouping {
+ public:
+  void prepare(const TopologyContext& emitter, const Fields& fields, std::span<const int> targets) override {
+    TargetedGrouping::prepare(emitter, fields, targets);
+    next_ = static_cast<std::size_t>(emitter.task_index) % targets_.size();  // emitters do not start at the same one
+  }
+  void choose(const Values&, std::vector<int>& chosen) override {
+    chosen.push_back(targets_[next_]);
+    if (++next_ == targets_.size()) next_ = 0;
+  }
+
+ private:
+  std::size_t next_ = 0;
+};
+
+class KeyGrouping : public TargetedGrouping {
+ public:
+  explicit KeyGrouping(Fields key) : key_(std::move(key)) {}
+  void prepare(const TopologyContext& emitter, const Fields& fields, std::span<const int> targets) override {
+    TargetedGrouping::prepare(emitter, fields, targets);
+    for (const auto& name : key_) positions_.push_back(fields.find(name).value());  // build() checked that it is there
+  }
+
+ protected:
+  std::uint64_t key_hash(const Values& values) const {
+    std::uint64_t hash = 14695981039346656037ULL;
+    for (const std::size_t position : positions_) hash = stable_hash(values[position], hash);
+    return hash;
+  }
+
+ private:
+  Fields key_;
+  std::vector<std::size_t> positions_;
+};
+
+class FieldsGrouping final : public KeyGrouping {
+ public:
+  using KeyGrouping::KeyGrouping;
+  void choose(const Values& values, std::vector<int>& chosen) override {
+    chosen.push_back(targets_[key_hash(values) % targets_.size()]);
+  }
+};
+
+/// Two choices for a key, the one that this emitter used less: a hot key is shared by two tasks.
+class PartialKeyGrouping final : public KeyGrouping {
+ public:
+  using KeyGrouping::KeyGrouping;
+  void prepare(const TopologyContext& emitter, const Fields& fields, std::span<const int> targets) override {
+    KeyGrouping::prepare(emitter, fields, targets);
+    used_.assign(targets_.size(), 0);
+  }
+  void choose(const Values& values, std::vector<int>& chosen) override {
+    const std::uint64_t hash = key_hash(values);
+    const std::size_t first = hash % targets_.size();
+    std::size_t second = (hash >> 32) % targets_.size();
+    if (second == first) second = (first + 1) % targets_.size();
+    const std::size_t pick = used_[second] < used_[first] ? second : first;
+    ++used_[pick];
+    chosen.push_back(targets_[pick]);
+  }
+
+ private:
+  std::vector<std::uint64_t> used_;
+};
+
+class AllGrouping final : public TargetedGrouping {
+ public:
+  void choose(const Values&, std::vector<int>& chosen) override {
+    chosen.insert(chosen.end(), targets_.begin(), targets_.end());
+  }
+};
+
+class GlobalGrouping final : public TargetedGrouping {
+ public:
+  void choose(const Values&, std::vector<int>& chosen) override { chosen.push_back(targets_.front()); }
+};
+
+}  // namespace
+
+const std::vector<std::string>& grouping_names() {
+  static const std::vector<std::string> names{"shuffle", "fields", "partial_key",      "all",
+                                              "global",  "none",   "local_or_shuffle", "direct"};
+  return names;
+}
+
+GroupingFactory make_grouping(const std::string& name, const Fields& fields) {
+  if (name == "shuffle" || name == "none" || name == "local_or_shuffle") {
+    return [] { return std::make_unique<ShuffleGrouping>(); };
+  }
+  if (name == "fields") return [fields] { return std::make_unique<FieldsGrouping>(fields); };
+  if (name == "partial_key") return [fields] { return std::make_unique<PartialKeyGrouping>(fields); };
+  if (name == "all") return [] { return std::make_unique<AllGrouping>(); };
+  if (name == "global") return [] { return std::make_unique<GlobalGrouping>(); };
+  if (name == "direct") return {};
+  std::string known;
+  for (const auto& candidate : grouping_names()) known += (known.empty() ? "" : ", ") + candidate;
+  throw std::invalid_argument("there is no grouping \"" + name + "\"; use one of " + known);
+}
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,86 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <iotcloud/topology/topology_builder.h>
+
+namespace iotcloud::topology {
+
+/// Component classes by name, and optionally the application that puts the inner graph together (the paper's way: the
+/// outer layer in YAML, the algorithm in C++). Filled by a component library.
+class ComponentRegistry {
+ public:
+  using Application = std::function<void(TopologyBuilder&, const Config&)>;
+
+  template <typename T>
+  void add_spout(const std::string& name) {
+    spouts_[name] = [] { return std::make_unique<T>(); };
+  }
+  template <typename T>
+  void add_bolt(const std::string& name) {
+    bolts_[name] = [] { return make_bolt<T>(); };
+  }
+  void set_application(Application application) { application_ = std::move(application); }
+
+  /// nullptr when there is none.
+  const SpoutFactory* spout(const std::string& name) const { return find(spouts_, name); }
+  const BoltFactory* bolt(const std::string& name) const { return find(bolts_, name); }
+  const Application& application() const { return application_; }
+  std::vector<std::string> spout_names() const { return names(spouts_); }
+  std::vector<std::string> bolt_names() const { return names(bolts_); }
+
+ private:
+  template <typename Factory>
+  static const Factory* find(const std::map<std::string, Factory>& factories, const std::string& name) {
+    const auto found = factories.find(name);
+    return found == factories.end() ? nullptr : &found->second;
+  }
+  template <typename Factory>
+  static std::vector<std::string> names(const std::map<std::string, Factory>& factories) {
+    std::vector<std::string> list;
+    for (const auto& [name, factory] : factories) list.push_back(name);
+    return list;
+  }
+  std::map<std::string, SpoutFactory> spouts_;
+  std::map<std::string, BoltFactory> bolts_;
+  Application application_;
+};
+
+/// Grows with every change that a library built before it cannot follow.
+inline constexpr std::uint32_t sdk_version = 1;
+
+#if defined(__GLIBCXX__) && _GLIBCXX_USE_CXX11_ABI
+inline constexpr const char* cxx_abi = "itanium;libstdc++;cxx11=1";
+#else
+inline constexpr const char* cxx_abi = "another C++ library";
+#endif
+
+/// The one C symbol of a component library returns this; version and ABI are checked before any C++ call.
+struct LibraryDescriptor {
+  std::uint32_t sdk_version;
+  std::uint32_t size;
+  const char* cxx_abi;
+  void (*fill)(ComponentRegistry&);
+};
+
+inline constexpr const char* library_symbol = "iotcloud_topology_library";
+
+}  // namespace iotcloud::topology
+
+/// Once in a component library, at file scope:
+///   IOTCLOUD_TOPOLOGY_LIBRARY(registry) { registry.add_bolt<MyBolt>("my.Bolt"); }
+#define IOTCLOUD_TOPOLOGY_LIBRARY(registry)                                                                          \
+  static void iotcloud_fill_registry(iotcloud::topology::ComponentRegistry& registry);                               \
+  extern "C" __attribute__((visibility("default"))) const iotcloud::topology::LibraryDescriptor*                     \
+  iotcloud_topology_library() {                                                                                      \
+    static const iotcloud::topology::LibraryDescriptor descriptor{                                                   \
+        iotcloud::topology::sdk_version, sizeof(iotcloud::topology::LibraryDescriptor), iotcloud::topology::cxx_abi, \
+        &iotcloud_fill_registry};                                                                                    \
+    return &descriptor;                                                                                              \
+  }                                                                                                                  \
+  static void iotcloud_fill_registry(iotcloud::topology::ComponentRegistry& registry)

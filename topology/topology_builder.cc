@@ -1,0 +1,220 @@
+#include <algorithm>
+#include <set>
+
+#include <iotcloud/topology/topology_builder.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+/// Collects what one component declares.
+class Declarations final : public OutputFieldsDeclarer {
+ public:
+  explicit Declarations(std::string component) : component_(std::move(component)) {}
+  void declare_stream(const std::string& stream, Fields fields, bool direct) override {
+    if (std::set<std::string>(fields.begin(), fields.end()).size() != fields.size()) {
+      throw TopologyError(component_,
+                          component_ + " declares stream \"" + stream + "\" with a field name twice: " + fields.list());
+    }
+    if (!streams.emplace(stream, StreamSpec{std::move(fields), direct}).second) {
+      throw TopologyError(component_, component_ + " declares stream \"" + stream + "\" twice");
+    }
+  }
+  std::map<std::string, StreamSpec> streams;
+
+ private:
+  std::string component_;
+};
+
+std::map<std::string, StreamSpec> ask_streams(const ComponentSpec& spec) {
+  Declarations declarations(spec.id);
+  try {
+    if (spec.spout) {
+      spec.spout()->declare_output_fields(declarations);
+    } else {
+      spec.bolt()->declare_output_fields(declarations);
+    }
+  } catch (const TopologyError&) {
+    throw;
+  } catch (const std::exception& e) {
+    throw TopologyError(spec.id, spec.id + " could not be made and asked for its fields: " + e.what());
+  }
+  return declarations.streams;
+}
+
+void check_input(const ComponentSpec& bolt, const Subscription& input, const Topology& topology) {
+  const auto source = topology.streams.find(input.from);
+  if (source == topology.streams.end()) {
+    std::string known;
+    for (const auto& [id, streams] : topology.streams) known += (known.empty() ? "" : ", ") + id;
+    throw TopologyError(bolt.id, bolt.id + " takes its input from \"" + input.from +
+                                     "\", which is no component of this topology; there are: " + known);
+  }
+  const auto stream = source->second.find(input.stream);
+  if (stream == source->second.end()) {
+    std::string known;
+    for (const auto& [name, spec] : source->second) known += (known.empty() ? "" : ", ") + name;
+    throw TopologyError(bolt.id, bolt.id + " takes stream \"" + input.stream + "\" of " + input.from +
+                                     ", which declares " + (known.empty() ? "no stream" : "only: " + known));
+  }
+  const bool direct = input.grouping == "direct";
+  if (direct != stream->second.direct) {
+    throw TopologyError(bolt.id,
+                        bolt.id + ": stream \"" + input.stream + "\" of " + input.from +
+                            (stream->second.direct ? " is direct and needs the direct grouping"
+                                                   : " is not declared direct, so it cannot be grouped direct"));
+  }
+  if ((input.grouping == "fields" || input.grouping == "partial_key") && input.fields.empty()) {
+    throw TopologyError(bolt.id, bolt.id + ": the " + input.grouping + " grouping on " + input.from +
+                                     " needs the fields that make the key");
+  }
+  for (const auto& field : input.fields) {
+    if (!stream->second.fields.find(field)) {
+      throw TopologyError(bolt.id, bolt.id + ": the key field \"" + field + "\" is not declared by " + input.from +
+                                       "; its fields are: " + stream->second.fields.list());
+    }
+  }
+}
+
+/// Sources before those they feed. \throws TopologyError naming a cycle.
+std::vector<ComponentSpec> sorted_by_flow(std::vector<ComponentSpec> components) {
+  std::vector<ComponentSpec> sorted;
+  std::set<std::string> done;
+  while (!components.empty()) {
+    const auto ready = std::find_if(components.begin(), components.end(), [&](const ComponentSpec& c) {
+      return std::all_of(c.inputs.begin(), c.inputs.end(),
+                         [&](const auto& input) { return done.contains(input.from); });
+    });
+    if (ready == components.end()) {
+      // Walk back along inputs that are not done: within as many steps as there are components a name comes again.
+      std::vector<std::string> walk{components.front().id};
+      while (true) {
+        const auto at = std::find_if(components.begin(), components.end(),
+                                     [&](const ComponentSpec& c) { return c.id == walk.back(); });
+        const auto next = std::find_if(at->inputs.begin(), at->inputs.end(),
+                                       [&](const auto& input) { return !done.contains(input.from); });
+        const auto seen = std::find(walk.begin(), walk.end(), next->from);
+        if (seen != walk.end()) {
+          std::string cycle = next->from;
+          for (auto it = walk.rbegin(); it != walk.rend() && *it != next->from; ++it) cycle += " -> " + *it;
+          throw TopologyError(next->from, "the topology has a cycle: " + cycle + " -> " + next->from +
+                                              "; tuples must flow one way, from spouts to bolts");
+        }
+        walk.push_back(next->from);
+      }
+    }
+    done.insert(ready->id);
+    sorted.push_back(std::move(*ready));
+    components.erase(ready);
+  }
+  return sorted;
+}
+
+}  // namespace
+
+BoltDeclarer& BoltDeclarer::grouping(const std::string& name, const std::string& from, Fields key,
+                                     const std::string& stream) {
+  GroupingFactory factory;
+  try {
+    factory = make_grouping(name, key);
+  } catch (const std::invalid_argument& e) {
+    throw TopologyError(spec_.id, spec_.id + ": " + e.what());
+  }
+  spec_.inputs.push_back({from, stream, name, std::move(key), std::move(factory)});
+  return *this;
+}
+BoltDeclarer& BoltDeclarer::shuffle_grouping(const std::string& from, const std::string& stream) {
+  return grouping("shuffle", from, {}, stream);
+}
+BoltDeclarer& BoltDeclarer::fields_grouping(const std::string& from, Fields key, const std::string& stream) {
+  return grouping("fields", from, std::move(key), stream);
+}
+BoltDeclarer& BoltDeclarer::partial_key_grouping(const std::string& from, Fields key, const std::string& stream) {
+  return grouping("partial_key", from, std::move(key), stream);
+}
+BoltDeclarer& BoltDeclarer::all_grouping(const std::string& from, const std::string& stream) {
+  return grouping("all", from, {}, stream);
+}
+BoltDeclarer& BoltDeclarer::global_grouping(const std::string& from, const std::string& stream) {
+  return grouping("global", from, {}, stream);
+}
+BoltDeclarer& BoltDeclarer::none_grouping(const std::string& from, const std::string& stream) {
+  return grouping("none", from, {}, stream);
+}
+BoltDeclarer& BoltDeclarer::local_or_shuffle_grouping(const std::string& from, const std::string& stream) {
+  return grouping("local_or_shuffle", from, {}, stream);
+}
+BoltDeclarer& BoltDeclarer::direct_grouping(const std::string& from, const std::string& stream) {
+  return grouping("direct", from, {}, stream);
+}
+BoltDeclarer& BoltDeclarer::custom_grouping(const std::string& from, GroupingFactory factory,
+                                            const std::string& stream) {
+  spec_.inputs.push_back({from, stream, "custom", {}, std::move(factory)});
+  return *this;
+}
+BoltDeclarer& BoltDeclarer::tick(std::chrono::microseconds period) {
+  spec_.tick = period;
+  return *this;
+}
+
+ComponentSpec& TopologyBuilder::add(const std::string& id, int parallelism, Config config) {
+  if (id.empty() || id.starts_with("__")) {
+    throw TopologyError(id, "\"" + id + "\" cannot be a component's id: it must not be empty nor begin with \"__\"");
+  }
+  if (has(id)) throw TopologyError(id, "there are two components with the id \"" + id + "\"");
+  if (parallelism < 1) {
+    throw TopologyError(id, id + ": parallelism " + std::to_string(parallelism) + " is not possible; 1 is the least");
+  }
+  components_.push_back(std::make_unique<ComponentSpec>());
+  auto& spec = *components_.back();
+  spec.id = id;
+  spec.parallelism = parallelism;
+  spec.config = std::move(config);
+  return spec;
+}
+
+void TopologyBuilder::set_spout(const std::string& id, SpoutFactory factory, int parallelism, Config config) {
+  add(id, parallelism, std::move(config)).spout = std::move(factory);
+}
+
+BoltDeclarer TopologyBuilder::set_bolt(const std::string& id, BoltFactory factory, int parallelism, Config config) {
+  auto& spec = add(id, parallelism, std::move(config));
+  spec.bolt = std::move(factory);
+  return BoltDeclarer(spec);
+}
+
+bool TopologyBuilder::has(const std::string& id) const {
+  return std::any_of(components_.begin(), components_.end(), [&](const auto& c) { return c->id == id; });
+}
+
+BoltDeclarer TopologyBuilder::bolt(const std::string& id) {
+  for (const auto& component : components_) {
+    if (component->id == id && component->bolt) return BoltDeclarer(*component);
+  }
+  throw TopologyError(id, "there is no bolt \"" + id + "\" to connect");
+}
+
+Topology TopologyBuilder::build(const std::string& name, const Config& config) const {
+  Topology topology;
+  topology.name = name;
+  topology.config = config;
+  std::vector<ComponentSpec> components;
+  for (const auto& component : components_) {
+    topology.streams[component->id] = ask_streams(*component);
+    components.push_back(*component);
+  }
+  if (std::none_of(components.begin(), components.end(), [](const auto& c) { return bool(c.spout); })) {
+    throw TopologyError("", "the topology \"" + name + "\" has no spout, so nothing would ever happen");
+  }
+  for (const auto& component : components) {
+    if (!component.bolt) continue;
+    if (component.inputs.empty()) {
+      throw TopologyError(component.id, "bolt \"" + component.id + "\" has no input; say which component feeds it");
+    }
+    for (const auto& input : component.inputs) check_input(component, input, topology);
+  }
+  topology.components = sorted_by_flow(std::move(components));
+  return topology;
+}
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,98 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include <iotcloud/topology/fields.h>
+#include <iotcloud/topology/value.h>
+
+namespace iotcloud::topology {
+
+namespace detail {
+
+/// What all tuples of one stream share; lives as long as the topology.
+struct StreamInfo {
+  std::string component;
+  std::string stream;
+  Fields fields;
+};
+
+/// One emitted tuple, shared by all tasks that receive it; made and recycled by the runtime.
+struct TupleData {
+  virtual ~TupleData() = default;
+  /// Called when the last handle is gone.
+  virtual void recycle() noexcept = 0;
+
+  std::atomic<std::uint32_t> handles{0};
+  Values values;
+  const StreamInfo* stream = nullptr;
+  int source_task = -1;
+};
+
+}  // namespace detail
+
+/// A received tuple: a cheap handle on shared immutable values. Copy it freely; thread safe like a shared_ptr to const.
+/// Every received tuple of a Bolt (not of a BasicBolt) is acked or failed exactly once, by any copy of the handle.
+class Tuple {
+ public:
+  Tuple() = default;
+  explicit Tuple(detail::TupleData* data) : data_(data) { hold(); }
+  Tuple(const Tuple& other) : data_(other.data_) { hold(); }
+  Tuple(Tuple&& other) noexcept : data_(std::exchange(other.data_, nullptr)) {}
+  Tuple& operator=(Tuple other) noexcept {
+    std::swap(data_, other.data_);
+    return *this;
+  }
+  ~Tuple() {
+    if (data_ && data_->handles.fetch_sub(1, std::memory_order_acq_rel) == 1) data_->recycle();
+  }
+
+  std::size_t size() const { return data_->values.size(); }
+  const Fields& fields() const { return data_->stream->fields; }
+  const std::string& source_component() const { return data_->stream->component; }
+  const std::string& source_stream() const { return data_->stream->stream; }
+  int source_task() const { return data_->source_task; }
+  bool is_tick() const;
+
+  /// \throws std::out_of_range, naming the fields there are.
+  const Value& at(std::size_t i) const;
+  const Value& at(std::string_view field) const;
+  bool has(std::string_view field) const { return fields().find(field).has_value(); }
+
+  /// The field as T: bool, std::int64_t, double, std::string or Payload.
+  /// \throws std::out_of_range for a field that is not there, std::invalid_argument for one of another kind.
+  template <typename T>
+  const T& get(std::string_view field) const {
+    return as<T>(at(field), field);
+  }
+  template <typename T>
+  const T& get(std::size_t i) const {
+    return as<T>(at(i), i < fields().size() ? std::string_view(fields()[i]) : "");
+  }
+
+  detail::TupleData* data() const { return data_; }
+  explicit operator bool() const { return data_ != nullptr; }
+
+ private:
+  void hold() {
+    if (data_) data_->handles.fetch_add(1, std::memory_order_relaxed);
+  }
+  template <typename T>
+  const T& as(const Value& value, std::string_view field) const {
+    if (const T* found = std::get_if<T>(&value)) return *found;
+    wrong_kind(value, field, kind_of(Value(T{})));
+  }
+  [[noreturn]] void wrong_kind(const Value& value, std::string_view field, const char* wanted) const;
+
+  detail::TupleData* data_ = nullptr;
+};
+
+/// The component and stream that tick tuples come from (Storm's words).
+inline constexpr const char* system_component = "__system";
+inline constexpr const char* tick_stream = "__tick";
+
+}  // namespace iotcloud::topology
