@@ -1,0 +1,52 @@
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace iotcloud::drivers::loadgen {
+
+/// Counts of durations in buckets of 1/32 octave: a quantile is within 1.6 % of the true one, the largest is exact.
+/// Not thread safe.
+class Latencies {
+ public:
+  void add(std::chrono::nanoseconds duration);
+  std::uint64_t count() const { return count_; }
+  /// Microseconds, 0 when there are none. \param share 0 to 1; 1 is the largest.
+  double quantile_us(double share) const;
+  double mean_us() const { return count_ == 0 ? 0 : sum_us_ / static_cast<double>(count_); }
+
+ private:
+  static constexpr unsigned steps = 32;  ///< buckets for each octave
+  static std::size_t bucket(std::uint64_t ns);
+  static double middle_ns(std::size_t bucket);
+  std::array<std::uint64_t, 64 * steps> buckets_{};
+  std::uint64_t count_ = 0, largest_ns_ = 0;
+  double sum_us_ = 0;
+};
+
+/// What becomes of a sequence of messages that are sent and come back. One bit of memory for each. Not thread safe.
+class RoundTrips {
+ public:
+  void sent() { ++sent_; }
+  /// Notes that a message came back. Only the first time counts for the latencies.
+  /// \param latency since the time it was to be sent. \return false for a number that was never sent.
+  bool received(std::uint64_t sequence, std::chrono::nanoseconds latency);
+
+  std::uint64_t sent_count() const { return sent_; }
+  std::uint64_t received_count() const { return received_; }  ///< each message once
+  std::uint64_t lost() const { return sent_ - received_; }    ///< not back, or not yet
+  std::uint64_t duplicated() const { return duplicated_; }
+  std::uint64_t out_of_order() const { return out_of_order_; }  ///< came after one that was sent later
+  const Latencies& latencies() const { return latencies_; }
+
+ private:
+  std::uint64_t sent_ = 0, received_ = 0, duplicated_ = 0, out_of_order_ = 0;
+  std::uint64_t newest_ = 0;  ///< the largest number that came back, plus one
+  std::vector<bool> seen_;
+  Latencies latencies_;
+};
+
+}  // namespace iotcloud::drivers::loadgen
