@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -21,6 +22,7 @@ enum class RegistryErrorCode {
   bad_path,     ///< not of the form /a/b/c, or a child of an ephemeral node
   away,         ///< no connection within the time-out: whether a write took effect is unknown
   closed,       ///< the registry object was closed
+  too_large,    ///< more data than a node takes (max_node_size)
 };
 
 class RegistryError : public config::Error {
@@ -31,6 +33,9 @@ class RegistryError : public config::Error {
  private:
   RegistryErrorCode code_;
 };
+
+/// Bytes of data that a node takes (ZooKeeper's limit, less what its protocol adds).
+inline constexpr std::size_t max_node_size = 1'000'000;
 
 struct Node {
   std::string data;
@@ -76,6 +81,11 @@ class Registry {
   /// the first creation throws. \param on_created gets the real path after each creation; may be empty.
   virtual GuardPtr hold(const std::string& path, const std::string& data, bool sequential = false,
                         std::function<void(const std::string& real_path)> on_created = {}) = 0;
+  /// The same, but returns at once: the node is created as soon as the registry is there
+  /// and lets us, also while another session's node still stands in its place (that of a process which died).
+  /// \throws RegistryError bad_path, too_large.
+  virtual GuardPtr hold_eventually(const std::string& path, const std::string& data, bool sequential = false,
+                                   std::function<void(const std::string& real_path)> on_created = {}) = 0;
 
   /// Calls back with the node (nullopt: it is not there) soon, and after every change until the guard dies. Changes
   /// that come fast are seen as one: the last state is always reported. While the registry is away nothing is reported.
@@ -85,6 +95,7 @@ class Registry {
                                   std::function<void(const std::optional<std::vector<std::string>>&)> callback) = 0;
 
   virtual SessionState session() const = 0;
+  /// Calls back with the state soon, and after every change.
   virtual GuardPtr on_session(std::function<void(SessionState)> callback) = 0;
 };
 
@@ -105,7 +116,8 @@ void remove_tree(Registry& registry, const std::string& path);
 
 /// Leader election below `path`: of all members exactly one leads at a time, the longest standing one.
 /// Callbacks run on the registry's dispatcher. Leadership is lost when the session is no longer certain to live
-/// (disconnected for longer than the session's time-out, or expired); the member stands again by itself.
+/// (disconnected for longer than the session's time-out, or expired); the member stands again by itself. One whose node
+/// outlived the interruption leads again under the same epoch: nobody else can have led meanwhile.
 class Election {
  public:
   struct Callbacks {
@@ -114,6 +126,7 @@ class Election {
     std::function<void()> on_lost;
   };
   /// \param data what others see in this member's node (host:port, say).
+  /// Returns at once, whether the registry is there or not.
   Election(Registry& registry, std::string path, std::string data, Callbacks callbacks);
   ~Election();
   bool leading() const;

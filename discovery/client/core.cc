@@ -1,0 +1,238 @@
+#include <algorithm>
+#include <future>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/discovery/client/core.h>
+
+namespace iotcloud::discovery {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using std::chrono::milliseconds;
+
+const config::Logger log{"discovery"};
+constexpr milliseconds first_complaint{2000};
+constexpr milliseconds repeat_pause{20};
+constexpr milliseconds renew_pause{500};
+
+struct SessionMetrics {
+  config::Gauge& connected = config::process_metrics().gauge("iotcloud_registry_connected",
+                                                             "Registry clients of this process that are connected");
+  config::Counter& losses = config::process_metrics().counter("iotcloud_registry_disconnects_total",
+                                                              "Connections to the registry that were lost");
+  config::Counter& expiries = config::process_metrics().counter("iotcloud_registry_expired_sessions_total",
+                                                                "Sessions that the registry dropped");
+};
+
+SessionMetrics& metrics() {
+  static SessionMetrics all;
+  return all;
+}
+
+}  // namespace
+
+struct Core::WatchGuard : Guard {
+  WatchGuard(std::weak_ptr<Core> c, std::shared_ptr<Watch> w) : core(std::move(c)), watch(std::move(w)) {}
+  ~WatchGuard() override {
+    watch->shut();
+    if (const auto alive = core.lock()) {
+      alive->worker_.post([core = alive.get(), watch = watch] { core->watches_.remove(watch); });
+    }
+  }
+  std::weak_ptr<Core> core;
+  std::shared_ptr<Watch> watch;
+};
+
+struct Core::HoldGuard : Guard {
+  HoldGuard(std::weak_ptr<Core> c, std::shared_ptr<Hold> h) : core(std::move(c)), hold(std::move(h)) {}
+  ~HoldGuard() override {
+    hold->on_created->shut();
+    // The removal is under way before this returns: later calls of this thread find the node gone.
+    if (const auto alive = core.lock()) {
+      alive->on_worker_and_wait([core = alive.get(), hold = hold] { core->holds_.release(hold); });
+    }
+  }
+  std::weak_ptr<Core> core;
+  std::shared_ptr<Hold> hold;
+};
+
+struct Core::ListenerGuard : Guard {
+  ListenerGuard(std::weak_ptr<Core> c, std::shared_ptr<SessionCallback> l)
+      : core(std::move(c)), listener(std::move(l)) {}
+  ~ListenerGuard() override {
+    listener->shut();
+    if (const auto alive = core.lock()) {
+      alive->worker_.post([core = alive.get(), listener = listener] { core->listeners_.remove(listener); });
+    }
+  }
+  std::weak_ptr<Core> core;
+  std::shared_ptr<SessionCallback> listener;
+};
+
+void Core::open() {
+  Connection::Events events;
+  events.connected = [this](std::int64_t session, milliseconds timeout) {
+    worker_.post([this, session, timeout] { on_connected(session, timeout); });
+  };
+  events.disconnected = [this] { worker_.post([this, when = Clock::now()] { on_disconnected(when); }); };
+  events.expired = [this] { worker_.post([this] { on_expired(); }); };
+  events.changed = [this](const std::string& path) { worker_.post([this, path] { watches_.changed(path); }); };
+  worker_.post([this, events = std::move(events)]() mutable {
+    if (!connection_->open(std::move(events))) renew_later();
+  });
+  worker_.post_at(Clock::now() + first_complaint, [this] {
+    if (link_changes_ == 0) log.warn("the registry {} cannot be reached yet; trying on", options_.url);
+  });
+}
+
+void Core::close() {
+  {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+    state_ = SessionState::closed;
+    changed_.notify_all();
+  }
+  worker_.stop();
+  dispatcher_.stop();
+  connection_.reset();
+  if (linked_) metrics().connected.add(-1);
+}
+
+void Core::on_connected(std::int64_t session, milliseconds timeout) {
+  timeout_ = timeout;
+  ++link_changes_;
+  if (!std::exchange(linked_, true)) metrics().connected.add(1);
+  log.info("connected to the registry {}", options_.url);
+  enter(SessionState::connected);
+  holds_.connected(session);
+  watches_.connected();
+}
+
+void Core::on_disconnected(Clock::time_point when) {
+  if (!std::exchange(linked_, false)) return;
+  metrics().connected.add(-1);
+  metrics().losses.add();
+  log.warn("lost the connection to the registry {}; connecting again", options_.url);
+  holds_.disconnected();
+  watches_.disconnected();
+  enter(SessionState::connecting);
+  const auto change = ++link_changes_;
+  worker_.post_at(when + connection_->certain_after_disconnect(timeout_), [this, change] {
+    if (link_changes_ != change) return;
+    log.warn("the session with the registry {} may be over: no contact for too long", options_.url);
+    enter(SessionState::expired);
+  });
+}
+
+void Core::on_expired() {
+  if (std::exchange(linked_, false)) metrics().connected.add(-1);
+  metrics().expiries.add();
+  ++link_changes_;
+  log.warn("the registry {} has dropped the session; starting a new one", options_.url);
+  holds_.disconnected();
+  watches_.disconnected();
+  enter(SessionState::expired);
+  if (!connection_->renew()) renew_later();
+}
+
+void Core::renew_later() {
+  worker_.post_at(Clock::now() + renew_pause, [this] {
+    if (!connection_->renew()) renew_later();
+  });
+}
+
+void Core::enter(SessionState state) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (closed_ || state_ == state) return;
+    state_ = state;
+    changed_.notify_all();
+  }
+  for (const auto& listener : listeners_) listener->deliver_each(dispatcher_, state);
+}
+
+Reply Core::call(const std::string& what, const std::function<void(Connection&, Done)>& operation, bool* in_doubt) {
+  const auto deadline = Clock::now() + options_.operation_timeout;
+  bool lost_once = false;
+  std::unique_lock lock(mutex_);
+  const auto give_up = [&](const std::string& problem) {
+    const std::string seconds = std::to_string(options_.operation_timeout.count()) + " ms";
+    return RegistryError(RegistryErrorCode::away, what + ": " + problem + " within " + seconds + " from the registry " +
+                                                      options_.url + "; is it running?");
+  };
+  const auto wait_until = [&](Clock::time_point limit, const auto& condition) {
+    changed_.wait_until(lock, limit, [&] { return closed_ || condition(); });
+    if (closed_) throw RegistryError(RegistryErrorCode::closed, what + ": the registry was closed");
+    return condition();
+  };
+  for (;;) {
+    if (!wait_until(deadline, [&] { return state_ == SessionState::connected; })) {
+      throw give_up(lost_once ? "no second answer after the connection was lost" : "no connection");
+    }
+    const auto pending = std::make_shared<Pending>();
+    lock.unlock();
+    operation(*connection_, [this, pending](Reply reply) {
+      const std::lock_guard answer_lock(mutex_);
+      pending->reply = std::move(reply);
+      changed_.notify_all();
+    });
+    lock.lock();
+    if (!wait_until(deadline, [&] { return pending->reply.has_value(); })) throw give_up("no answer");
+    if (pending->reply->status != Status::away) {
+      if (in_doubt != nullptr) *in_doubt = lost_once;
+      return std::move(*pending->reply);
+    }
+    lost_once = true;
+    wait_until(std::min(deadline, Clock::now() + repeat_pause), [&] { return state_ != SessionState::connected; });
+  }
+}
+
+void Core::on_worker_and_wait(std::function<void()> task) {
+  auto packaged = std::make_shared<std::packaged_task<void()>>(std::move(task));
+  const auto done = packaged->get_future();
+  // Only the worker's queue owns the task from here on. A worker that has stopped drops it: nobody waits for ever.
+  worker_.post([packaged = std::move(packaged)] { (*packaged)(); });
+  done.wait();
+}
+
+GuardPtr Core::add_watch(std::shared_ptr<Watch> watch) {
+  worker_.post([this, watch] { watches_.add(watch); });
+  return std::make_unique<WatchGuard>(weak_from_this(), std::move(watch));
+}
+
+GuardPtr Core::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& refusal) {
+  refusal = Status::ok;
+  GuardPtr guard;
+  const auto add = [&] {
+    // From here on the guard sees to it that nothing is left behind, should the answer not come in time.
+    guard = std::make_unique<HoldGuard>(weak_from_this(), hold);
+    worker_.post([this, hold] { holds_.add(hold); });
+  };
+  if (!wait) {
+    add();
+    return guard;
+  }
+  const auto create = [&](Connection&, Done done) {
+    hold->first_answer = [done = std::move(done)](Status status) {
+      Reply reply;
+      reply.status = status;
+      done(std::move(reply));
+    };
+    add();
+  };
+  refusal = call("create " + hold->path, create, nullptr).status;
+  if (refusal != Status::ok) guard.reset();
+  return guard;
+}
+
+GuardPtr Core::add_listener(std::function<void(SessionState)> callback) {
+  auto listener = std::make_shared<SessionCallback>(std::move(callback));
+  worker_.post([this, listener] {
+    listeners_.push_back(listener);
+    listener->deliver_each(dispatcher_, session());
+  });
+  return std::make_unique<ListenerGuard>(weak_from_this(), std::move(listener));
+}
+
+}  // namespace iotcloud::discovery

@@ -1,0 +1,224 @@
+#include <algorithm>
+#include <utility>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/client/holds.h>
+#include <iotcloud/discovery/client/path.h>
+
+namespace iotcloud::discovery {
+namespace {
+
+const config::Logger log{"discovery"};
+constexpr std::chrono::milliseconds retry_pause{50};
+/// While another session's node stands in the way (that of a process which died a moment ago, say).
+constexpr std::chrono::milliseconds refused_pause{200};
+
+}  // namespace
+
+void Holds::add(HoldPtr hold) {
+  holds_.insert(hold);
+  step(hold);
+}
+
+void Holds::release(const HoldPtr& hold) {
+  hold->released = true;
+  step(hold);
+}
+
+void Holds::connected(std::int64_t session) {
+  connected_ = true;
+  session_ = session;
+  const std::vector<HoldPtr> all(holds_.begin(), holds_.end());
+  for (const HoldPtr& hold : all) step(hold);
+}
+
+/// Does what is next for this hold, when nothing is under way already.
+void Holds::step(const HoldPtr& hold) {
+  if (hold->busy) return;
+  if (hold->session != session_) {  // that session's nodes are gone
+    hold->real_path.clear();
+    hold->in_doubt = false;
+  }
+  const bool exists = !hold->real_path.empty();
+  if (hold->released && !exists && !hold->in_doubt) {
+    holds_.erase(hold);
+  } else if (!connected_) {
+    return;  // connected() goes on
+  } else if (hold->in_doubt) {
+    resolve_doubt(hold);
+  } else if (hold->released) {
+    remove(hold);
+  } else if (!exists) {
+    create(hold);
+  }
+}
+
+void Holds::step_later(const HoldPtr& hold, std::chrono::milliseconds pause) {
+  hold->busy = true;
+  worker_.post_at(std::chrono::steady_clock::now() + pause, [this, hold] {
+    hold->busy = false;
+    step(hold);
+  });
+}
+
+Done Holds::on_worker(std::function<void(Reply)> next) {
+  return [this, next = std::move(next)](Reply reply) {
+    worker_.post([next, reply = std::move(reply)]() mutable { next(std::move(reply)); });
+  };
+}
+
+void Holds::create(const HoldPtr& hold) {
+  hold->busy = true;
+  hold->session = session_;
+  connection_.create(hold->path, hold->data, true, hold->sequential, on_worker([this, hold](const Reply& reply) {
+                       hold->busy = false;
+                       created(hold, reply);
+                     }));
+}
+
+void Holds::created(const HoldPtr& hold, const Reply& reply) {
+  switch (reply.status) {
+    case Status::ok:
+      if (taken(reply.path)) {  // another hold of the same name took this node for its own: ours is the one it made
+        hold->in_doubt = true;
+        step(hold);
+      } else {
+        settle(hold, reply.path);
+      }
+      return;
+    case Status::no_node:
+      hold->busy = true;
+      make_parents(hold->path, [this, hold](Status status) {
+        hold->busy = false;
+        if (status == Status::ok) {
+          step(hold);
+        } else if (status == Status::away) {
+          step_later(hold, retry_pause);
+        } else {
+          refused(hold, status);
+        }
+      });
+      return;
+    case Status::away:
+      hold->in_doubt = true;
+      step_later(hold, retry_pause);
+      return;
+    default:
+      refused(hold, reply.status);
+  }
+}
+
+/// The node is there and ours.
+void Holds::settle(const HoldPtr& hold, const std::string& real_path) {
+  if (hold->session != session_) {  // it was, in a session that is over
+    step(hold);
+    return;
+  }
+  hold->in_doubt = false;
+  hold->complained = false;
+  hold->real_path = real_path;
+  if (hold->released) {
+    step(hold);
+    return;
+  }
+  hold->on_created->deliver_each(dispatcher_, real_path);
+  if (auto answer = std::exchange(hold->first_answer, nullptr)) answer(Status::ok);
+}
+
+void Holds::refused(const HoldPtr& hold, Status status) {
+  if (auto answer = std::exchange(hold->first_answer, nullptr)) {
+    holds_.erase(hold);
+    answer(status);
+    return;
+  }
+  if (!std::exchange(hold->complained, true)) {
+    log.warn("{} cannot be created for now: {}; trying on", hold->path,
+             status == Status::exists ? "another session's node stands there" : "the registry refuses");
+  }
+  step_later(hold, refused_pause);
+}
+
+void Holds::remove(const HoldPtr& hold) {
+  hold->busy = true;
+  connection_.remove(hold->real_path, -1, on_worker([this, hold](const Reply& reply) {
+                       hold->busy = false;
+                       if (reply.status == Status::away) {
+                         step_later(hold, retry_pause);
+                       } else {
+                         hold->real_path.clear();
+                         step(hold);
+                       }
+                     }));
+}
+
+bool Holds::taken(const std::string& real_path) const {
+  return std::any_of(holds_.begin(), holds_.end(),
+                     [&](const HoldPtr& hold) { return hold->session == session_ && hold->real_path == real_path; });
+}
+
+/// Looks for a node that a creation without answer has left.
+void Holds::resolve_doubt(const HoldPtr& hold) {
+  if (!hold->sequential) {
+    look_at(hold, {hold->path});
+    return;
+  }
+  hold->busy = true;
+  connection_.children(parent_of(hold->path), false, on_worker([this, hold](const Reply& reply) {
+                         hold->busy = false;
+                         if (reply.status == Status::away) {
+                           step_later(hold, retry_pause);
+                           return;
+                         }
+                         const std::string parent = parent_of(hold->path);
+                         std::vector<std::string> candidates;
+                         for (const std::string& name : reply.names) {
+                           std::string path = child_of(parent, name);
+                           if (path.size() == hold->path.size() + 10 && path.starts_with(hold->path)) {
+                             candidates.push_back(std::move(path));
+                           }
+                         }
+                         look_at(hold, std::move(candidates));
+                       }));
+}
+
+void Holds::look_at(const HoldPtr& hold, std::vector<std::string> candidates) {
+  while (!candidates.empty() && taken(candidates.back())) candidates.pop_back();
+  if (candidates.empty()) {  // it was not created
+    hold->in_doubt = false;
+    step(hold);
+    return;
+  }
+  const std::string path = std::move(candidates.back());
+  candidates.pop_back();
+  hold->busy = true;
+  connection_.get(path, false, on_worker([this, hold, path, candidates](const Reply& reply) {
+                    hold->busy = false;
+                    if (reply.status == Status::away) {
+                      step_later(hold, retry_pause);
+                    } else if (reply.status == Status::ok && reply.node.owner_session == hold->session &&
+                               reply.node.data == hold->data && !taken(path)) {
+                      settle(hold, path);
+                    } else {
+                      look_at(hold, candidates);
+                    }
+                  }));
+}
+
+void Holds::make_parents(const std::string& path, std::function<void(Status)> next) {
+  const std::string parent = parent_of(path);
+  connection_.create(parent, "", false, false, on_worker([this, path, parent, next](const Reply& reply) {
+                       if (reply.status == Status::no_node && parent != "/") {
+                         make_parents(parent, [this, path, next](Status status) {
+                           if (status == Status::ok) {
+                             make_parents(path, next);
+                           } else {
+                             next(status);
+                           }
+                         });
+                       } else {
+                         next(reply.status == Status::exists ? Status::ok : reply.status);
+                       }
+                     }));
+}
+
+}  // namespace iotcloud::discovery

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <iotcloud/discovery/client/callback.h>
+#include <iotcloud/discovery/client/connection.h>
+#include <iotcloud/discovery/client/serial_thread.h>
+
+namespace iotcloud::discovery {
+
+/// One held node.
+struct Hold {
+  std::string path;
+  std::string data;
+  bool sequential = false;
+  std::shared_ptr<Callback<std::string>> on_created;
+  /// Told of the first attempt's outcome, on the worker. When it is set, a first attempt that the server refuses is
+  /// the last one; when it is empty, it is tried for ever.
+  std::function<void(Status)> first_answer;
+
+ private:
+  friend class Holds;
+  bool released = false;     ///< the guard is gone
+  bool busy = false;         ///< an operation is under way, or due at a later time
+  std::string real_path;     ///< empty: not created, as far as is known
+  std::int64_t session = 0;  ///< of the node, or of the creation in doubt
+  bool in_doubt = false;     ///< a creation in `session` was not answered
+  bool complained = false;   ///< said in the log that it cannot be created
+};
+
+/// Keeps ephemeral nodes: creates them again in every new session, finds out about creations whose answer was lost
+/// (the node is ours when our session owns it), and removes them when they are released, whatever happened before.
+/// All methods run on the worker.
+class Holds {
+ public:
+  Holds(Connection& connection, SerialThread& worker, SerialThread& dispatcher)
+      : connection_(connection), worker_(worker), dispatcher_(dispatcher) {}
+
+  void add(std::shared_ptr<Hold> hold);
+  void release(const std::shared_ptr<Hold>& hold);
+  void connected(std::int64_t session);
+  void disconnected() { connected_ = false; }
+
+ private:
+  using HoldPtr = std::shared_ptr<Hold>;
+  void step(const HoldPtr& hold);
+  void step_later(const HoldPtr& hold, std::chrono::milliseconds pause);
+  void create(const HoldPtr& hold);
+  void created(const HoldPtr& hold, const Reply& reply);
+  void settle(const HoldPtr& hold, const std::string& real_path);
+  void refused(const HoldPtr& hold, Status status);
+  void remove(const HoldPtr& hold);
+  void resolve_doubt(const HoldPtr& hold);
+  void look_at(const HoldPtr& hold, std::vector<std::string> candidates);
+  void make_parents(const std::string& path, std::function<void(Status)> next);
+  bool taken(const std::string& real_path) const;
+  /// Brings the answer to the worker.
+  Done on_worker(std::function<void(Reply)> next);
+
+  Connection& connection_;
+  SerialThread& worker_;
+  SerialThread& dispatcher_;
+  bool connected_ = false;
+  std::int64_t session_ = 0;
+  std::set<HoldPtr> holds_;
+};
+
+}  // namespace iotcloud::discovery

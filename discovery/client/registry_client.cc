@@ -1,0 +1,184 @@
+#include <utility>
+
+#include <iotcloud/discovery/client/core.h>
+#include <iotcloud/discovery/client/path.h>
+#include <iotcloud/discovery/client/registry_client.h>
+
+namespace iotcloud::discovery {
+namespace {
+
+void check(const std::string& path, const std::string& data) {
+  check_path(path);
+  if (data.size() > max_node_size) {
+    throw RegistryError(RegistryErrorCode::too_large, path + ": " + std::to_string(data.size()) +
+                                                          " bytes are more than a node takes (" +
+                                                          std::to_string(max_node_size) + ")");
+  }
+}
+
+/// An earlier attempt was not answered, and now it looks as if it had, or somebody else's call had, taken effect.
+RegistryError doubt(const std::string& what) {
+  return RegistryError(RegistryErrorCode::away,
+                       what + ": the connection was lost meanwhile; whether it took effect is unknown");
+}
+
+RegistryError refusal(const std::string& what, Status status) {
+  switch (status) {
+    case Status::no_node:
+      return RegistryError(RegistryErrorCode::no_node, what + ": no such node");
+    case Status::exists:
+      return RegistryError(RegistryErrorCode::exists, what + ": it exists already");
+    case Status::not_empty:
+      return RegistryError(RegistryErrorCode::not_empty, what + ": it has children");
+    case Status::bad_version:
+      return RegistryError(RegistryErrorCode::bad_version, what + ": it was changed meanwhile");
+    case Status::bad_path:
+      return RegistryError(RegistryErrorCode::bad_path, what +
+                                                            ": no such path is possible (an ephemeral node cannot "
+                                                            "have children, and the root cannot be removed)");
+    case Status::ok:
+    case Status::away:
+      break;
+  }
+  return RegistryError(RegistryErrorCode::away, what + ": no answer");
+}
+
+class RegistryClient : public Registry {
+ public:
+  RegistryClient(std::unique_ptr<Connection> connection, const RegistryOptions& options)
+      : core_(std::make_shared<Core>(std::move(connection), options)) {
+    core_->open();
+  }
+  ~RegistryClient() override { core_->close(); }
+  RegistryClient(const RegistryClient&) = delete;
+  RegistryClient& operator=(const RegistryClient&) = delete;
+
+  void create(const std::string& path, const std::string& data, bool parents) override {
+    check(path, data);
+    const std::string what = "create " + path;
+    if (path == "/") throw refusal(what, Status::exists);
+    for (;;) {
+      bool in_doubt = false;
+      const Reply reply = core_->call(
+          what,
+          [&](Connection& connection, Done done) { connection.create(path, data, false, false, std::move(done)); },
+          &in_doubt);
+      if (reply.status == Status::ok) return;
+      if (reply.status == Status::exists && in_doubt) throw doubt(what);
+      if (reply.status != Status::no_node || !parents || parent_of(path) == "/") throw refusal(what, reply.status);
+      make(parent_of(path));
+    }
+  }
+
+  void set(const std::string& path, const std::string& data, std::int64_t expected_version) override {
+    check(path, data);
+    const std::string what = "set " + path;
+    bool in_doubt = false;
+    const Reply reply = core_->call(
+        what, [&](Connection& connection, Done done) { connection.set(path, data, expected_version, std::move(done)); },
+        &in_doubt);
+    if (reply.status == Status::bad_version && in_doubt) throw doubt(what);
+    if (reply.status != Status::ok) throw refusal(what, reply.status);
+  }
+
+  std::optional<Node> get(const std::string& path) override {
+    check_path(path);
+    Reply reply = core_->call(
+        "get " + path, [&](Connection& connection, Done done) { connection.get(path, false, std::move(done)); },
+        nullptr);
+    if (reply.status == Status::no_node) return std::nullopt;
+    if (reply.status != Status::ok) throw refusal("get " + path, reply.status);
+    return std::move(reply.node);
+  }
+
+  bool remove(const std::string& path, std::int64_t expected_version) override {
+    check_path(path);
+    const std::string what = "remove " + path;
+    if (path == "/") throw refusal(what, Status::bad_path);
+    bool in_doubt = false;
+    const Reply reply = core_->call(
+        what, [&](Connection& connection, Done done) { connection.remove(path, expected_version, std::move(done)); },
+        &in_doubt);
+    if (reply.status == Status::ok) return true;
+    if (reply.status == Status::no_node) return in_doubt;
+    if (reply.status == Status::bad_version && in_doubt) throw doubt(what);
+    throw refusal(what, reply.status);
+  }
+
+  std::optional<std::vector<std::string>> children(const std::string& path) override {
+    check_path(path);
+    Reply reply = core_->call(
+        "children of " + path,
+        [&](Connection& connection, Done done) { connection.children(path, false, std::move(done)); }, nullptr);
+    if (reply.status == Status::no_node) return std::nullopt;
+    if (reply.status != Status::ok) throw refusal("children of " + path, reply.status);
+    return std::move(reply.names);
+  }
+
+  GuardPtr hold(const std::string& path, const std::string& data, bool sequential,
+                std::function<void(const std::string&)> on_created) override {
+    return start_hold(path, data, sequential, std::move(on_created), true);
+  }
+
+  GuardPtr hold_eventually(const std::string& path, const std::string& data, bool sequential,
+                           std::function<void(const std::string&)> on_created) override {
+    return start_hold(path, data, sequential, std::move(on_created), false);
+  }
+
+  GuardPtr watch_node(const std::string& path, std::function<void(const std::optional<Node>&)> callback) override {
+    check_path(path);
+    auto watch = std::make_shared<Watch>();
+    watch->path = path;
+    watch->on_node = std::make_shared<NodeCallback>(std::move(callback));
+    return core_->add_watch(std::move(watch));
+  }
+
+  GuardPtr watch_children(const std::string& path,
+                          std::function<void(const std::optional<std::vector<std::string>>&)> callback) override {
+    check_path(path);
+    auto watch = std::make_shared<Watch>();
+    watch->path = path;
+    watch->on_children = std::make_shared<ChildrenCallback>(std::move(callback));
+    return core_->add_watch(std::move(watch));
+  }
+
+  SessionState session() const override { return core_->session(); }
+  GuardPtr on_session(std::function<void(SessionState)> callback) override {
+    return core_->add_listener(std::move(callback));
+  }
+
+ private:
+  /// A persistent, empty node and its parents, whoever makes them.
+  void make(const std::string& path) {
+    try {
+      create(path, "", true);
+    } catch (const RegistryError& error) {
+      if (error.code() == RegistryErrorCode::exists) return;
+      if (error.code() != RegistryErrorCode::away || !get(path)) throw;  // in doubt, and there all the same
+    }
+  }
+
+  GuardPtr start_hold(const std::string& path, const std::string& data, bool sequential,
+                      std::function<void(const std::string&)> on_created, bool wait) {
+    check(sequential ? path + "0" : path, data);
+    auto hold = std::make_shared<Hold>();
+    hold->path = path;
+    hold->data = data;
+    hold->sequential = sequential;
+    hold->on_created = std::make_shared<Callback<std::string>>(std::move(on_created));
+    Status status = Status::ok;
+    GuardPtr guard = core_->add_hold(std::move(hold), wait, status);
+    if (!guard) throw refusal("create " + path, status);
+    return guard;
+  }
+
+  const std::shared_ptr<Core> core_;
+};
+
+}  // namespace
+
+std::unique_ptr<Registry> make_client(std::unique_ptr<Connection> connection, const RegistryOptions& options) {
+  return std::make_unique<RegistryClient>(std::move(connection), options);
+}
+
+}  // namespace iotcloud::discovery

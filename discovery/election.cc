@@ -1,0 +1,193 @@
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <mutex>
+#include <utility>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/client/path.h>
+#include <iotcloud/discovery/registry.h>
+
+namespace iotcloud::discovery {
+namespace {
+
+using Names = std::vector<std::string>;
+
+const config::Logger log{"discovery.election"};
+constexpr std::size_t sequence_digits = 10;
+const std::string member_prefix = "member-";
+
+/// The members' names, longest standing first.
+Names members_in_order(Names names) {
+  std::erase_if(names, [](const std::string& name) {
+    return name.size() != member_prefix.size() + sequence_digits || !name.starts_with(member_prefix);
+  });
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+}  // namespace
+
+/// Every member holds a sequential node; the first in order leads, the others watch the one before them only, so that
+/// a member that goes wakes one other. Watches only, no calls: nothing here waits, and nothing is lost when the
+/// registry is away. Everything but the beginning and the end runs on the dispatcher, in its turn.
+struct Election::Impl : std::enable_shared_from_this<Impl> {
+  Impl(Registry& r, std::string p, std::string d, Callbacks c)
+      : registry(r), path(std::move(p)), data(std::move(d)), callbacks(std::move(c)) {}
+
+  /// A callback that runs in its turn, and does nothing once the election is over.
+  template <typename Function>
+  auto guarded(Function function) {
+    return [weak = weak_from_this(), function](const auto& argument) {
+      const auto self = weak.lock();
+      if (!self) return;
+      const std::lock_guard lock(self->turn);
+      if (!self->over) function(*self, argument);
+    };
+  }
+
+  void begin() {
+    const std::lock_guard lock(turn);
+    session_listener = registry.on_session(guarded([](Impl& self, SessionState state) { self.on_session(state); }));
+    stand();
+  }
+
+  void end() {
+    std::array<GuardPtr, 5> dying;  // they die after the turn: their destructors wait for callbacks, which want it
+    const std::lock_guard lock(turn);
+    over = true;
+    leads = false;
+    dying = {std::move(session_listener), std::move(predecessor_watch), std::move(list_watch), std::move(own_watch),
+             std::move(hold)};
+  }
+
+  void stand() {
+    hold = registry.hold_eventually(
+        path + "/" + member_prefix, data, true,
+        guarded([](Impl& self, const std::string& real_path) { self.on_standing(real_path); }));
+  }
+
+  /// The member's node is there, for the first time or again under a new name.
+  void on_standing(const std::string& real_path) {
+    own_path = real_path;
+    first = false;
+    lose();
+    if (over) return;
+    watch_own_node();
+    look();
+  }
+
+  void watch_own_node() {
+    own_epoch = 0;
+    own_watch = registry.watch_node(
+        own_path, guarded([](Impl& self, const std::optional<Node>& node) { self.on_own_node(node); }));
+  }
+
+  void on_own_node(const std::optional<Node>& node) {
+    if (node) {
+      own_epoch = node->created;
+      decide();
+      return;
+    }
+    // Removed by somebody else, or with a session that is over: stand again.
+    own_path.clear();
+    own_epoch = 0;
+    first = false;
+    lose();
+    if (over) return;
+    own_watch.reset();
+    list_watch.reset();
+    predecessor_watch.reset();
+    stand();
+  }
+
+  /// Finds the member's place. The list is wanted once; what comes afterwards the predecessor tells.
+  void look() {
+    list_watch = registry.watch_children(path, guarded([](Impl& self, const std::optional<Names>& names) {
+                                           self.on_members(members_in_order(names.value_or(Names())));
+                                         }));
+  }
+
+  void on_members(const Names& members) {
+    const auto own = std::find(members.begin(), members.end(), name_of(own_path));
+    if (own == members.end()) return;  // another callback follows, of this watch or of the own node's
+    list_watch.reset();
+    if (own != members.begin()) {
+      predecessor_watch =
+          registry.watch_node(path + "/" + *std::prev(own), guarded([](Impl& self, const std::optional<Node>& node) {
+                                if (!node) self.look();
+                              }));
+      return;
+    }
+    predecessor_watch.reset();
+    first = true;
+    decide();
+  }
+
+  void on_session(SessionState state) {
+    if (state == SessionState::connected) {
+      if (!own_path.empty() && own_epoch == 0) watch_own_node();
+    } else if (state != SessionState::connecting) {
+      own_epoch = 0;  // whether the node outlives this has to be seen
+      lose();
+    }
+  }
+
+  void decide() {
+    if (!first || own_epoch == 0 || leads || registry.session() != SessionState::connected) return;
+    leads = true;
+    log.info("{} leads {} (epoch {})", data, path, own_epoch);
+    if (callbacks.on_elected) callbacks.on_elected(own_epoch);
+  }
+
+  void lose() {
+    if (!leads.exchange(false)) return;
+    log.warn("{} leads {} no longer", data, path);
+    if (callbacks.on_lost) callbacks.on_lost();
+  }
+
+  Registry& registry;
+  const std::string path;
+  const std::string data;
+  const Callbacks callbacks;
+  std::atomic<bool> leads{false};
+
+  /// Held while a callback runs. Recursive, so that the election may be destroyed by its own callback.
+  std::recursive_mutex turn;
+  // Guarded by turn:
+  bool over = false;
+  std::string own_path;        ///< empty: not standing
+  std::int64_t own_epoch = 0;  ///< 0: not known, or not known any more
+  bool first = false;          ///< nobody stands before
+  GuardPtr session_listener, hold, own_watch, list_watch, predecessor_watch;
+};
+
+Election::Election(Registry& registry, std::string path, std::string data, Callbacks callbacks)
+    : impl_(std::make_shared<Impl>(registry, std::move(path), std::move(data), std::move(callbacks))) {
+  impl_->begin();
+}
+
+Election::~Election() {
+  impl_->end();
+}
+
+bool Election::leading() const {
+  if (!impl_->leads) return false;
+  const SessionState state = impl_->registry.session();
+  return state == SessionState::connected || state == SessionState::connecting;
+}
+
+std::string Election::leader_data() const {
+  try {
+    for (;;) {
+      const Names members = members_in_order(impl_->registry.children(impl_->path).value_or(Names()));
+      if (members.empty()) return {};
+      if (const auto node = impl_->registry.get(impl_->path + "/" + members.front())) return node->data;
+    }
+  } catch (const RegistryError& error) {
+    log.debug("{}: who leads is not known: {}", impl_->path, error.what());
+    return {};
+  }
+}
+
+}  // namespace iotcloud::discovery

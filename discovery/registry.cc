@@ -1,0 +1,53 @@
+#include <iotcloud/config/error.h>
+#include <iotcloud/discovery/client/registry_client.h>
+#include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/discovery/zookeeper/connection.h>
+
+namespace iotcloud::discovery {
+
+std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
+  const std::string embedded_scheme = "embedded://";
+  if (options.url.starts_with(embedded_scheme)) {
+    auto server = embedded::Server::named(options.url.substr(embedded_scheme.size()));
+    return make_client(embedded::make_connection(std::move(server), options.session_timeout), options);
+  }
+  if (options.url.starts_with("zookeeper://")) {
+    return make_client(zookeeper::make_connection(zookeeper::parse_url(options.url), options.session_timeout), options);
+  }
+  throw config::Error("registry URL \"" + options.url +
+                      "\": unknown scheme; there are embedded://NAME and zookeeper://host:port,host:port/chroot");
+}
+
+void put(Registry& registry, const std::string& path, const std::string& data) {
+  for (;;) {
+    try {
+      registry.set(path, data);
+      return;
+    } catch (const RegistryError& error) {
+      if (error.code() != RegistryErrorCode::no_node) throw;
+    }
+    try {
+      registry.create(path, data);
+      return;
+    } catch (const RegistryError& error) {
+      if (error.code() != RegistryErrorCode::exists) throw;  // it came meanwhile: set it
+    }
+  }
+}
+
+void remove_tree(Registry& registry, const std::string& path) {
+  for (;;) {
+    try {
+      registry.remove(path);
+      return;
+    } catch (const RegistryError& error) {
+      if (error.code() != RegistryErrorCode::not_empty) throw;
+    }
+    const auto names = registry.children(path);
+    if (!names) return;
+    for (const std::string& name : *names) remove_tree(registry, (path == "/" ? "" : path) + "/" + name);
+  }
+}
+
+}  // namespace iotcloud::discovery
