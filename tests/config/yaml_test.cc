@@ -1,0 +1,144 @@
+#include <functional>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/config/yaml.h>
+
+namespace iotcloud::config {
+namespace {
+
+using std::chrono_literals::operator""ms;
+using std::chrono_literals::operator""us;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::Pair;
+
+Section yaml(std::string_view text) {
+  return Section::parse(text, "test.yaml");
+}
+
+std::string message_of(const std::function<void()>& action) {
+  try {
+    action();
+  } catch (const ConfigError& e) {
+    return e.what();
+  }
+  return "no error";
+}
+
+TEST(Yaml, reads_each_kind_of_value) {
+  auto top = yaml(R"(
+name: turtle
+count: 3
+ratio: 0.5
+on: true
+wait: 250ms
+list: [a, b]
+single: a
+map: {x: 1, y: two}
+)");
+  EXPECT_EQ(top.require_string("name"), "turtle");
+  EXPECT_EQ(top.require_int("count", 0, 10), 3);
+  EXPECT_DOUBLE_EQ(top.double_or("ratio", 0, 0, 1), 0.5);
+  EXPECT_TRUE(top.bool_or("on", false));
+  EXPECT_EQ(top.duration_or("wait", 0us), 250ms);
+  EXPECT_THAT(top.require_strings("list"), ElementsAre("a", "b"));
+  EXPECT_THAT(top.require_strings("single"), ElementsAre("a"));
+  EXPECT_THAT(top.string_map("map"), ElementsAre(Pair("x", "1"), Pair("y", "two")));
+  EXPECT_NO_THROW(top.finish());
+}
+
+TEST(Yaml, falls_back_for_what_is_missing_or_empty) {
+  auto top = yaml("name:\nother: x");
+  EXPECT_EQ(top.string_or("name", "fallback"), "fallback");
+  EXPECT_EQ(top.int_or("count", 7, 0, 10), 7);
+  EXPECT_FALSE(top.has("name"));
+  EXPECT_TRUE(top.has("other"));
+}
+
+TEST(Yaml, reports_an_unknown_key_with_place_and_the_nearest_known_one) {
+  auto top = yaml("name: x\nspouts:\n  receive:\n    brokr: rabbitmq\n");
+  static_cast<void>(top.require_string("name"));
+  auto spout = top.sections("spouts").front().second;
+  static_cast<void>(spout.optional_string("broker"));
+  EXPECT_EQ(message_of([&] { spout.finish(); }),
+            "test.yaml:4:5: spouts.receive.brokr: unknown key; did you mean \"broker\"?");
+}
+
+TEST(Yaml, lists_the_known_keys_when_none_is_near) {
+  auto top = yaml("qqqqqq: 1");
+  static_cast<void>(top.optional_string("name"));
+  EXPECT_THAT(message_of([&] { top.finish(); }), HasSubstr("known are \"name\""));
+}
+
+TEST(Yaml, refuses_values_of_the_wrong_type_with_their_place) {
+  auto top = yaml("count: many\nname: [a]\nlist: {a: 1}\nmap: text\nnested: {deep: {er: [1]}}");
+  EXPECT_THAT(message_of([&] { top.int_or("count", 0, 0, 9); }),
+              testing::AllOf(HasSubstr("test.yaml:1:1: count: \"many\""), HasSubstr("from 0 to 9")));
+  EXPECT_THAT(message_of([&] { top.require_string("name"); }), HasSubstr("test.yaml:2:1: name: a single value"));
+  EXPECT_THAT(message_of([&] { top.require_strings("list"); }),
+              HasSubstr("a sequence is expected here, not a mapping"));
+  EXPECT_THAT(message_of([&] { top.string_map("map"); }), HasSubstr("a mapping is expected here, not a single value"));
+  EXPECT_THAT(message_of([&] { top.require_section("nested").string_map("deep"); }), HasSubstr("nested.deep.er"));
+}
+
+TEST(Yaml, refuses_numbers_out_of_range_and_with_rubbish_behind_them) {
+  auto top = yaml("port: 70000\ncount: 12abc\nratio: 2\nnan: nan");
+  EXPECT_THAT(message_of([&] { top.int_or("port", 1, 1, 65535); }), HasSubstr("from 1 to 65535"));
+  EXPECT_THAT(message_of([&] { top.int_or("count", 1, 1, 65535); }), HasSubstr("12abc"));
+  EXPECT_THAT(message_of([&] { top.double_or("ratio", 1, 0, 1); }), HasSubstr("from 0 to 1"));
+  EXPECT_THAT(message_of([&] { top.double_or("nan", 1, 0, 1); }), HasSubstr("from 0 to 1"));
+}
+
+TEST(Yaml, refuses_a_duration_without_unit) {
+  auto top = yaml("a: 5\nb: -5ms\nc: 1.5s\nd: 10us");
+  EXPECT_THAT(message_of([&] { top.duration_or("a", 0us); }), HasSubstr("a number and a unit"));
+  EXPECT_THAT(message_of([&] { top.duration_or("b", 0us); }), HasSubstr("not a duration"));
+  EXPECT_EQ(top.duration_or("c", 0us), 1500ms);
+  EXPECT_EQ(top.duration_or("d", 0us), 10us);
+}
+
+TEST(Yaml, suggests_the_choice_that_was_meant) {
+  auto top = yaml("broker: rabitmq");
+  EXPECT_THAT(message_of([&] {
+                top.require_choice("broker", {"embedded", "rabbitmq"});
+              }),
+              testing::AllOf(HasSubstr("did you mean \"rabbitmq\"?"), HasSubstr("\"embedded\", \"rabbitmq\"")));
+}
+
+TEST(Yaml, names_a_key_that_is_missing) {
+  auto top = yaml("a: {b: 1}");
+  EXPECT_THAT(message_of([&] { top.require_section("a").require_string("c"); }),
+              HasSubstr("a: the key \"c\" is missing"));
+}
+
+TEST(Yaml, refuses_a_key_that_stands_twice_at_any_depth) {
+  EXPECT_THAT(message_of([] { yaml("a: 1\na: 2"); }), HasSubstr("test.yaml:2:1: a: this key stands here twice"));
+  EXPECT_THAT(message_of([] { yaml("a: [{b: 1, b: 2}]"); }), HasSubstr("a[0].b"));
+}
+
+TEST(Yaml, refuses_what_is_not_yaml_or_not_a_mapping) {
+  EXPECT_THAT(message_of([] { yaml("a: [1"); }), HasSubstr("this is not YAML"));
+  EXPECT_THAT(message_of([] { yaml("just text"); }), HasSubstr("a mapping is expected at the top"));
+  EXPECT_THAT(message_of([] { yaml(""); }), HasSubstr("a mapping is expected at the top"));
+  EXPECT_THAT(message_of([] { Section::load_file("/nonexistent/x.yaml"); }), HasSubstr("cannot be read"));
+}
+
+TEST(Yaml, keeps_sections_in_file_order_and_reads_a_single_mapping_as_a_list_of_one) {
+  auto top = yaml("bolts: {z: {a: 1}, a: {a: 2}}\ninputs: {from: x}\nmore: [{from: y}, {from: z}]");
+  const auto bolts = top.sections("bolts");
+  ASSERT_EQ(bolts.size(), 2U);
+  EXPECT_EQ(bolts[0].first, "z");
+  EXPECT_EQ(bolts[0].second.path(), "bolts.z");
+  EXPECT_EQ(top.section_list("inputs").size(), 1U);
+  EXPECT_EQ(top.section_list("more").at(1).path(), "more[1]");
+}
+
+TEST(Nearest, finds_typing_errors_and_nothing_far_away) {
+  EXPECT_EQ(nearest("chanel", {"channel", "driver"}), "channel");
+  EXPECT_EQ(nearest("xyz", {"channel", "driver"}), "");
+}
+
+}  // namespace
+}  // namespace iotcloud::config
