@@ -1,0 +1,99 @@
+#!/usr/bin/python3
+"""The frame of the daemons, from outside: usage: daemon_test.py TINY_DAEMON"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import unittest
+import urllib.request
+
+PROGRAM = sys.argv.pop(1)
+
+
+class Daemon(unittest.TestCase):
+    def setUp(self):
+        self.directory = tempfile.TemporaryDirectory()
+        self.addCleanup(self.directory.cleanup)
+
+    def config(self, text):
+        path = os.path.join(self.directory.name, "tiny.yaml")
+        with open(path, "w") as file:
+            file.write(text)
+        return path
+
+    def run_to_end(self, *words):
+        return subprocess.run([PROGRAM, *words], capture_output=True, text=True, timeout=30)
+
+    def start(self, text):
+        daemon = subprocess.Popen([PROGRAM, "--config", self.config(text)], stderr=subprocess.PIPE, text=True)
+        self.addCleanup(daemon.stderr.close)
+        self.addCleanup(daemon.wait)
+        self.addCleanup(daemon.kill)
+        self.await_line(daemon, "ready")
+        return daemon
+
+    def await_line(self, daemon, word):
+        for line in daemon.stderr:
+            if word in line:
+                return
+        self.fail(f'"{word}" was never logged; status {daemon.wait()}')
+
+    def test_help_and_version_are_printed(self):
+        self.assertIn("--check-config", self.run_to_end("--help").stdout)
+        self.assertIn("tiny-daemon 0.", self.run_to_end("--version").stdout)
+
+    def test_a_good_configuration_is_said_to_be_good(self):
+        done = self.run_to_end("--config", self.config("stop: hang"), "--check-config")
+        self.assertEqual(done.returncode, 0, done.stderr)
+
+    def test_a_bad_configuration_is_one_message_with_its_place(self):
+        done = self.run_to_end("--config", self.config("a: 1\nstop: hang"))
+        self.assertEqual(done.returncode, 2)
+        self.assertRegex(done.stderr, r"tiny\.yaml:1:1: a: unknown key")
+        self.assertEqual(done.stderr.count("\n"), 1)
+
+    def test_bad_usage_ends_with_2(self):
+        self.assertEqual(self.run_to_end("--nonsense").returncode, 2)
+        self.assertEqual(self.run_to_end().returncode, 2)
+
+    def test_sigterm_stops_in_order(self):
+        daemon = self.start("stop: at once")
+        daemon.send_signal(signal.SIGTERM)
+        self.assertEqual(daemon.wait(30), 0)
+
+    def test_sigpipe_is_ignored(self):
+        daemon = self.start("stop: at once")
+        daemon.send_signal(signal.SIGPIPE)
+        daemon.send_signal(signal.SIGINT)
+        self.assertEqual(daemon.wait(30), 0)
+
+    def test_a_service_that_hangs_while_stopping_is_ended(self):
+        daemon = self.start("stop: hang")
+        daemon.send_signal(signal.SIGTERM)
+        self.assertEqual(daemon.wait(30), 1)
+
+    def test_metrics_are_served_in_the_text_format(self):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        self.start(f'metrics: "127.0.0.1:{port}"')
+        text = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10).read().decode()
+        self.assertIn('tiny_total{kind="a"} 3', text)
+        self.assertIn("tiny_seconds_max 0.002", text)
+        self.assertRegex(text, r'tiny_seconds\{quantile="0.5"\} 0\.00(19|20)')
+
+    def test_an_address_in_use_is_named(self):
+        with socket.socket() as taken:
+            taken.bind(("127.0.0.1", 0))
+            taken.listen()
+            address = f"127.0.0.1:{taken.getsockname()[1]}"
+            done = self.run_to_end("--config", self.config(f'metrics: "{address}"'))
+        self.assertEqual(done.returncode, 1)
+        self.assertIn(address, done.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main()

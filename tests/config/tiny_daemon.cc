@@ -1,0 +1,49 @@
+#include <chrono>
+#include <memory>
+#include <optional>
+#include <thread>
+
+#include <iotcloud/config/daemon.h>
+#include <iotcloud/config/exposition/metrics_endpoint.h>
+#include <iotcloud/config/yaml.h>
+
+namespace {
+
+using iotcloud::config::MetricsEndpoint;
+using iotcloud::config::Section;
+using iotcloud::config::Service;
+
+/// A daemon whose file says how it behaves when it is stopped.
+class TinyService : public Service {
+ public:
+  explicit TinyService(const std::string& file) {
+    auto top = Section::load_file(file);
+    stop_ = top.choice_or("stop", "at once", {"at once", "hang"});
+    metrics_ = top.optional_string("metrics");
+    top.finish();
+  }
+  void start() override {
+    iotcloud::config::process_metrics().counter("tiny_total", "Tiny things", {{"kind", "a"}}).add(3);
+    iotcloud::config::process_metrics().histogram("tiny_seconds", "Tiny times").record_ns(2'000'000);
+    if (metrics_) endpoint_.emplace(*metrics_, iotcloud::config::process_metrics());
+  }
+  void stop(std::chrono::milliseconds) override {
+    while (stop_ == "hang") std::this_thread::yield();
+  }
+
+ private:
+  std::string stop_;
+  std::optional<std::string> metrics_;
+  std::optional<MetricsEndpoint> endpoint_;
+};
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return iotcloud::config::run_daemon(
+      argc, argv,
+      {.name = "tiny-daemon",
+       .description = "Does nothing until it is stopped.",
+       .build = [](const std::string& file) { return std::make_unique<TinyService>(file); },
+       .stop_limit = std::chrono::milliseconds(300)});
+}
