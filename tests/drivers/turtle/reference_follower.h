@@ -19,11 +19,12 @@ struct Followed {
 
 inline Followed follow(depth::FrameView mm) {
   Followed result;
-  for (int v = 0; v < 480; ++v) {
+  for (int v = 241; v < 480; ++v) {  // above, y is not positive
     for (int u = 0; u < 640; ++u) {
       const double z = mm[static_cast<std::size_t>(v * 640 + u)] / 1000.0;
+      if (!(z > 0 && z < 1.0)) continue;
       const double x = (u - 320) * z / 600, y = (v - 240) * z / 600;
-      if (!(z > 0 && x > -0.2 && x < 0.2 && y > 0.1 && y < 0.5 && z < 1.0)) continue;
+      if (!(x > -0.2 && x < 0.2 && y > 0.1 && y < 0.5)) continue;
       ++result.points;
       result.x += x;
       result.z += z;

@@ -1,0 +1,56 @@
+#include <chrono>
+#include <cstring>
+
+#include <dlfcn.h>
+#include <gmock/gmock.h>
+
+#include <iotcloud/drivers/testing/mock_host.h>
+
+namespace iotcloud::drivers {
+namespace {
+
+using namespace std::chrono_literals;
+
+struct Shipped {
+  const char* file;
+  const char* name;
+  const char* channel;  ///< on which it publishes by itself
+  bool own_thread;
+};
+
+class ShippedPlugin : public ::testing::TestWithParam<Shipped> {};
+
+TEST_P(ShippedPlugin, is_found_by_its_one_symbol_and_runs_in_a_host) {
+  void* library = dlopen(GetParam().file, RTLD_NOW | RTLD_LOCAL);
+  ASSERT_NE(library, nullptr) << dlerror();
+  using Entry = const Descriptor* (*)();
+  const auto entry = reinterpret_cast<Entry>(dlsym(library, descriptor_symbol));
+  ASSERT_NE(entry, nullptr);
+  const Descriptor& descriptor = *entry();
+  EXPECT_EQ(descriptor.sdk_version, sdk_version);
+  EXPECT_EQ(descriptor.size, sizeof(Descriptor));
+  EXPECT_STREQ(descriptor.cxx_abi, IOTCLOUD_CXX_ABI);
+  EXPECT_STREQ(descriptor.name, GetParam().name);
+  EXPECT_EQ(descriptor.own_thread, GetParam().own_thread);
+  {
+    testing::MockInstance instance(descriptor);
+    ASSERT_TRUE(instance.start()) << instance.error();
+    // loadgen sends by the real clock: simulated ticks until it has sent something.
+    const auto deadline = std::chrono::steady_clock::now() + 20s;
+    while (instance.host().published(GetParam().channel).empty() && std::chrono::steady_clock::now() < deadline) {
+      instance.host().advance(100ms);
+    }
+    EXPECT_FALSE(instance.host().published(GetParam().channel).empty());
+    instance.close();
+    EXPECT_EQ(instance.error(), "");
+  }
+  EXPECT_EQ(dlclose(library), 0);
+}
+
+INSTANTIATE_TEST_SUITE_P(All, ShippedPlugin,
+                         ::testing::Values(Shipped{TURTLE_PLUGIN, "turtle", "kinect", true},
+                                           Shipped{LOADGEN_PLUGIN, "loadgen", "data", false}),
+                         [](const auto& shipped) { return std::string(shipped.param.name); });
+
+}  // namespace
+}  // namespace iotcloud::drivers
