@@ -1,0 +1,310 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/topology/definition/assemble.h>
+#include <iotcloud/topology/definition/definition.h>
+
+namespace iotcloud::topology {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+using ::testing::StartsWith;
+
+/// The paper's example, word for word (REFERENCE.md 5).
+constexpr const char* paper_example = R"(zk.servers: ["server1:2181"]
+zk.root: "/iot/sensors"
+topology.name: "wordcount"
+spouts:
+  kinect_receive:
+    broker: "rabbitmq"
+    driver: "turtle"
+    channel: "kinect"
+    fields: ["frame", "driverID", "time"]
+bolts:
+  count_send:
+    broker: "rabbitmq"
+    driver: "turtle"
+    channel: "control"
+    fields: ["control", "driverID", "time"]
+)";
+
+/// The message of the error that reading `text` throws; empty when it throws none.
+std::string error_of(const std::string& text) {
+  try {
+    static_cast<void>(TopologyDefinition::parse(text, "t.yaml"));
+  } catch (const config::ConfigError& e) {
+    return e.what();
+  }
+  return "";
+}
+
+std::string with_spout(const std::string& spout) {
+  return "zk.servers: [a:2181]\ntopology.name: t\nspouts:\n  s:\n" + spout;
+}
+const std::string good_spout = "    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f]\n";
+
+std::string with_bolt(const std::string& bolt) {
+  return with_spout(good_spout) + "bolts:\n  b:\n" + bolt;
+}
+
+TEST(TopologyDefinition, ReadsThePapersExampleWordForWord) {
+  const auto definition = TopologyDefinition::parse(paper_example, "paper.yaml");
+
+  EXPECT_EQ(definition.name, "wordcount");
+  EXPECT_EQ(definition.registry_url, "zookeeper://server1:2181");
+  EXPECT_EQ(definition.zk_root, "/iot/sensors");
+  ASSERT_THAT(definition.spouts, SizeIs(1));
+  const auto& spout = definition.spouts[0];
+  EXPECT_EQ(spout.id, "kinect_receive");
+  ASSERT_TRUE(spout.endpoint);
+  EXPECT_EQ(spout.endpoint->broker, "rabbitmq");
+  EXPECT_EQ(spout.endpoint->driver, "turtle");
+  EXPECT_EQ(spout.endpoint->channel, "kinect");
+  EXPECT_EQ(spout.endpoint->fields, Fields({"frame", "driverID", "time"}));
+  EXPECT_THAT(spout.endpoint->roles, ElementsAre(FieldRole::payload, FieldRole::driver_id, FieldRole::time));
+  EXPECT_FALSE(spout.endpoint->reading.automatic_ack);
+  ASSERT_THAT(definition.bolts, SizeIs(1));
+  EXPECT_EQ(definition.bolts[0].id, "count_send");
+  EXPECT_THAT(definition.bolts[0].inputs, IsEmpty());
+}
+
+TEST(TopologyDefinition, TakesTheOlderWordsSensorAndSensorID) {
+  const auto definition = TopologyDefinition::parse(
+      with_spout("    broker: rabbitmq\n    sensor: d\n    channel: c\n    fields: [sensorID, f]\n"), "t.yaml");
+  EXPECT_EQ(definition.spouts.at(0).endpoint->driver, "d");
+  EXPECT_THAT(definition.spouts.at(0).endpoint->roles, ElementsAre(FieldRole::driver_id, FieldRole::payload));
+}
+
+TEST(TopologyDefinition, ReadsEverythingElse) {
+  const auto definition = TopologyDefinition::parse(R"(
+registry: "embedded://here"
+topology.name: t
+topology.library: [a.so, b.so]
+brokers: {lab: "amqp://lab"}
+conf: {colour: red}
+runtime: {threads: 3, message_timeout: 5s, max_spout_pending: 7, mailbox_capacity: 9}
+metrics: {address: "127.0.0.1:9100"}
+spouts:
+  s:
+    broker: lab
+    driver: d
+    channel: c
+    fields: [f]
+    builder: text
+    stream: lines
+    parallelism: 4
+    properties: {ackMode: auto, prefetchCount: 17, requeue: false, maxTries: 5, keepLast: 1}
+    conf: {size: 12}
+bolts:
+  inner:
+    class: some.Class
+    parallelism: 2
+    tick: 250ms
+    inputs: [{from: s, stream: lines, grouping: fields, fields: [f]}]
+  out:
+    broker: lab
+    driver: d
+    channel: back
+    fields: [f, driverID]
+    properties: {whenFull: keep_newest, capacity: 1, deadline: 100ms, unknownDriver: fail}
+    inputs: {from: inner}
+)",
+                                                    "t.yaml");
+  EXPECT_EQ(definition.registry_url, "embedded://here");
+  EXPECT_THAT(definition.libraries, ElementsAre("a.so", "b.so"));
+  EXPECT_EQ(definition.brokers.at("lab"), "amqp://lab");
+  EXPECT_EQ(definition.conf.at("colour"), "red");
+  EXPECT_EQ(definition.runtime.threads, 3);
+  EXPECT_EQ(definition.runtime.message_timeout, std::chrono::seconds(5));
+  EXPECT_EQ(definition.runtime.max_spout_pending, 7);
+  EXPECT_EQ(definition.runtime.mailbox_capacity, 9);
+  EXPECT_EQ(definition.metrics_address, "127.0.0.1:9100");
+  const auto& spout = definition.spouts.at(0);
+  EXPECT_EQ(spout.parallelism, 4);
+  EXPECT_EQ(spout.conf.at("size"), "12");
+  EXPECT_EQ(spout.endpoint->stream, "lines");
+  EXPECT_EQ(spout.endpoint->form, PayloadForm::text);
+  EXPECT_TRUE(spout.endpoint->reading.automatic_ack);
+  EXPECT_EQ(spout.endpoint->reading.prefetch, 17);
+  EXPECT_FALSE(spout.endpoint->reading.requeue);
+  EXPECT_EQ(spout.endpoint->reading.max_tries, 5);
+  EXPECT_EQ(spout.endpoint->reading.keep_last, 1);
+  const auto& inner = definition.bolts.at(0);
+  EXPECT_EQ(inner.class_name, "some.Class");
+  EXPECT_EQ(inner.tick, std::chrono::milliseconds(250));
+  EXPECT_EQ(inner.inputs.at(0).stream, "lines");
+  EXPECT_EQ(inner.inputs.at(0).fields, Fields({"f"}));
+  const auto& out = definition.bolts.at(1);
+  EXPECT_TRUE(out.endpoint->sending.keep_newest);
+  EXPECT_EQ(out.endpoint->sending.capacity, 1);
+  EXPECT_EQ(out.endpoint->sending.deadline, std::chrono::milliseconds(100));
+  EXPECT_EQ(out.endpoint->sending.unknown_driver, UnknownDriver::fail);
+  EXPECT_EQ(out.inputs.at(0).grouping, "shuffle");
+}
+
+struct Wrong {
+  const char* what;
+  std::string text;
+  const char* place;   ///< file:line:column: key
+  const char* remedy;  ///< what would be right
+};
+void PrintTo(const Wrong& wrong, std::ostream* out) {
+  *out << wrong.what;
+}
+
+class WrongFile : public ::testing::TestWithParam<Wrong> {};
+
+TEST_P(WrongFile, IsRefusedWithPlaceAndRemedy) {
+  EXPECT_THAT(error_of(GetParam().text), AllOf(StartsWith(GetParam().place), HasSubstr(GetParam().remedy)));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    TopologyDefinition, WrongFile,
+    ::testing::Values(
+        Wrong{"unknown key at the top", "zk.server: [a:1]\ntopology.name: t\n", "t.yaml:1:1: zk.server", "zk.servers"},
+        Wrong{"no name", "zk.servers: [a:2181]\n", "t.yaml:1:1", "topology.name"},
+        Wrong{"a name with a slash", "topology.name: a/b\n", "t.yaml:1:1: topology.name", "slash"},
+        Wrong{"a server without port", "topology.name: t\nzk.servers: [a]\n", "t.yaml:2:1: zk.servers", "host:port"},
+        Wrong{"a root that is no path", "topology.name: t\nzk.root: iot\n", "t.yaml:2:1: zk.root", "/iot/sensors"},
+        Wrong{"spouts of the wrong type", "topology.name: t\nspouts: [a]\n", "t.yaml:2:1: spouts", "mapping"},
+        Wrong{"unknown key in a spout", with_spout(good_spout + "    brokr: x\n"), "t.yaml:9:5: spouts.s.brokr",
+              "broker"},
+        Wrong{"neither broker nor class", with_spout("    driver: d\n"), "t.yaml:5:5: spouts.s", "class"},
+        Wrong{"broker and class", with_spout(good_spout + "    class: x\n"), "t.yaml:9:5: spouts.s.class", "remove"},
+        Wrong{"unknown broker", with_spout("    broker: rabitmq\n    driver: d\n    channel: c\n    fields: [f]\n"),
+              "t.yaml:5:5: spouts.s.broker", "did you mean \"rabbitmq\""},
+        Wrong{"no driver", with_spout("    broker: rabbitmq\n    channel: c\n    fields: [f]\n"),
+              "t.yaml:5:5: spouts.s", "driver"},
+        Wrong{"a driver that cannot be", with_spout("    broker: rabbitmq\n    driver: a/b\n"),
+              "t.yaml:6:5: spouts.s.driver", "slash"},
+        Wrong{"driver and sensor", with_spout("    broker: rabbitmq\n    driver: a\n    sensor: a\n"),
+              "t.yaml:7:5: spouts.s.sensor", "remove"},
+        Wrong{"no channel", with_spout("    broker: rabbitmq\n    driver: d\n    fields: [f]\n"),
+              "t.yaml:5:5: spouts.s", "channel"},
+        Wrong{"no fields", with_spout("    broker: rabbitmq\n    driver: d\n    channel: c\n"), "t.yaml:5:5: spouts.s",
+              "fields"},
+        Wrong{"two payloads", with_spout("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f, g]\n"),
+              "t.yaml:8:5: spouts.s.fields", "second field"},
+        Wrong{"no payload", with_spout("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [time]\n"),
+              "t.yaml:8:5: spouts.s.fields", "payload"},
+        Wrong{"a field twice", with_spout("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f, f]\n"),
+              "t.yaml:8:5: spouts.s.fields", "twice"},
+        Wrong{"unknown builder", with_spout(good_spout + "    builder: json\n"), "t.yaml:9:5: spouts.s.builder",
+              "\"text\""},
+        Wrong{"unknown ackMode", with_spout(good_spout + "    properties: {ackMode: never}\n"),
+              "t.yaml:9:18: spouts.s.properties.ackMode", "manual"},
+        Wrong{"prefetchCount out of range", with_spout(good_spout + "    properties: {prefetchCount: 0}\n"),
+              "t.yaml:9:18: spouts.s.properties.prefetchCount", "from 1"},
+        Wrong{"unknown property", with_spout(good_spout + "    properties: {prefetch: 5}\n"),
+              "t.yaml:9:18: spouts.s.properties.prefetch", "prefetchCount"},
+        Wrong{"inputs of a spout", with_spout(good_spout + "    inputs: []\n"), "t.yaml:9:5: spouts.s.inputs",
+              "unknown key"},
+        Wrong{"two readers of one channel", with_spout(good_spout + "  s2:\n" + good_spout),
+              "t.yaml:12:5: spouts.s2.channel", "one spout"},
+        Wrong{"unknown grouping", with_bolt("    class: x\n    inputs: [{from: s, grouping: shufle}]\n"),
+              "t.yaml:12:24: bolts.b.inputs[0].grouping", "did you mean \"shuffle\""},
+        Wrong{"fields grouping without key", with_bolt("    class: x\n    inputs: [{from: s, grouping: fields}]\n"),
+              "t.yaml:12:24: bolts.b.inputs[0].grouping", "fields: [driverID]"},
+        Wrong{"a key where none is used", with_bolt("    class: x\n    inputs: [{from: s, fields: [f]}]\n"),
+              "t.yaml:12:24: bolts.b.inputs[0].fields", "grouping: fields"},
+        Wrong{"an input without source", with_bolt("    class: x\n    inputs: [{grouping: all}]\n"),
+              "t.yaml:12:14: bolts.b.inputs[0]", "from"},
+        Wrong{"a tick without unit", with_bolt("    class: x\n    tick: 5\n"), "t.yaml:12:5: bolts.b.tick", "unit"},
+        Wrong{"parallelism of nothing", with_bolt("    class: x\n    parallelism: 0\n"),
+              "t.yaml:12:5: bolts.b.parallelism", "from 1"},
+        Wrong{"unknown policy",
+              with_bolt("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f]\n"
+                        "    properties: {whenFull: drop}\n"),
+              "t.yaml:15:18: bolts.b.properties.whenFull", "keep_newest"},
+        Wrong{"a negative number of threads", "topology.name: t\nruntime: {threads: -1}\n",
+              "t.yaml:2:11: runtime.threads", "from 0"}));
+
+// --- the merged graph ----------------------------------------------------------------------------
+
+class EmptySpout final : public Spout {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare(Fields{"f"}); }
+  void open(const Config&, const TopologyContext&, SpoutOutputCollector&) override {}
+  bool next_tuple() override { return false; }
+};
+class PassBolt final : public BasicBolt {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare(Fields{"f"}); }
+  void execute(const Tuple& tuple, BasicOutputCollector& collector) override { collector.emit(Values(tuple.at(0))); }
+};
+
+class Assemble : public ::testing::Test {
+ protected:
+  Assemble() {
+    components.add_bolt<PassBolt>("test.Pass");
+    components.add_spout<EmptySpout>("test.Empty");
+  }
+  Topology assemble_text(const std::string& text) {
+    const EndpointFactories endpoints{
+        [](const ComponentDefinition&) { return [] { return std::make_unique<EmptySpout>(); }; },
+        [](const ComponentDefinition&) { return [] { return make_bolt<PassBolt>(); }; }};
+    return assemble(TopologyDefinition::parse(text, "t.yaml"), components, endpoints);
+  }
+  std::string refusal(const std::string& text) {
+    try {
+      static_cast<void>(assemble_text(text));
+    } catch (const config::ConfigError& e) {
+      return e.what();
+    }
+    return "";
+  }
+  ComponentRegistry components;
+};
+
+TEST_F(Assemble, JoinsTheOuterLayerInYamlWithTheAlgorithmInCpp) {
+  components.set_application([](TopologyBuilder& builder, const Config&) {
+    builder.set_bolt<PassBolt>("count").shuffle_grouping("kinect_receive");
+    builder.bolt("count_send").fields_grouping("count", Fields{"f"});
+  });
+  const auto topology = assemble_text(paper_example);
+  ASSERT_THAT(topology.components, SizeIs(3));
+  EXPECT_EQ(topology.components[0].id, "kinect_receive");
+  EXPECT_EQ(topology.components[1].id, "count");
+  EXPECT_EQ(topology.components[2].id, "count_send");
+}
+
+TEST_F(Assemble, RefusesABoltWithoutInputInTheMergedGraph) {
+  EXPECT_THAT(refusal(paper_example), AllOf(StartsWith("t.yaml:11:3: bolts.count_send"), HasSubstr("no input")));
+}
+
+TEST_F(Assemble, RefusesACycleByName) {
+  const std::string text = with_bolt("    class: test.Pass\n    inputs: [{from: s}, {from: b2}]\n") +
+                           "  b2:\n    class: test.Pass\n    inputs: {from: b}\n";
+  EXPECT_THAT(refusal(text), AllOf(StartsWith("t.yaml:1"), HasSubstr("cycle"), HasSubstr("b2")));
+}
+
+TEST_F(Assemble, RefusesAnUnknownClassWithASuggestion) {
+  EXPECT_THAT(refusal(with_bolt("    class: test.Pas\n    inputs: {from: s}\n")),
+              AllOf(StartsWith("t.yaml:11:5: bolts.b.class"), HasSubstr("did you mean \"test.Pass\"")));
+}
+
+TEST_F(Assemble, RefusesAnUnknownSourceAtItsInput) {
+  EXPECT_THAT(refusal(with_bolt("    class: test.Pass\n    inputs: {from: spout}\n")),
+              AllOf(StartsWith("t.yaml:12:14: bolts.b.inputs.from"), HasSubstr("spout")));
+}
+
+TEST_F(Assemble, RefusesAKeyThatTheSourceDoesNotDeclare) {
+  EXPECT_THAT(refusal(with_bolt("    class: test.Pass\n    inputs: {from: s, grouping: fields, fields: [g]}\n")),
+              AllOf(StartsWith("t.yaml:10:3: bolts.b"), HasSubstr("\"g\"")));
+}
+
+TEST_F(Assemble, RefusesATopologyWithoutSpout) {
+  EXPECT_THAT(refusal("topology.name: t\n"), AllOf(StartsWith("t.yaml:1:1"), HasSubstr("no spout")));
+}
+
+TEST_F(Assemble, SaysWhenTheApplicationThrows) {
+  components.set_application([](TopologyBuilder&, const Config&) { throw std::runtime_error("no map"); });
+  EXPECT_THAT(refusal(paper_example), AllOf(StartsWith("t.yaml:1:1"), HasSubstr("no map")));
+}
+
+}  // namespace
+}  // namespace iotcloud::topology

@@ -1,0 +1,106 @@
+#include <algorithm>
+
+#include <iotcloud/topology/definition/assemble.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+/// The factory of a class, or an error that names the classes there are.
+template <typename Factory>
+const Factory& find_class(const ComponentDefinition& component, const Factory* found,
+                          const std::vector<std::string>& known) {
+  if (found != nullptr) return *found;
+  std::string list;
+  for (const auto& name : known) list += (list.empty() ? "\"" : ", \"") + name + "\"";
+  const std::string guess = config::nearest(component.class_name, known);
+  throw component.section.error("class", "there is no class \"" + component.class_name + "\"",
+                                !guess.empty()  ? "did you mean \"" + guess + "\"?"
+                                : known.empty() ? "name the library that registers it as \"topology.library\""
+                                                : "the component libraries register " + list);
+}
+
+/// The graph's complaint at the place where the file can mend it.
+config::ConfigError at_its_place(const TopologyDefinition& definition, const TopologyError& error) {
+  config::Section root = definition.root;
+  for (const char* group : {"spouts", "bolts"}) {
+    if (!root.has(group)) continue;
+    const config::Section section = root.require_section(group);
+    if (section.has(error.component())) return section.error(error.component(), error.what());
+  }
+  const bool application = !error.component().empty() && definition.root.has("topology.library");
+  return definition.root.error(application ? "topology.library" : "", error.what());
+}
+
+void connect_inputs(TopologyBuilder& builder, const ComponentDefinition& bolt) {
+  for (const auto& input : bolt.inputs) {
+    builder.bolt(bolt.id).grouping(input.grouping, input.from, input.fields, input.stream);
+  }
+}
+
+/// The application's part of the graph. What it throws is as wrong as a wrong file.
+void apply(const ComponentRegistry::Application& application, TopologyBuilder& builder,
+           const TopologyDefinition& definition) {
+  try {
+    application(builder, definition.conf);
+  } catch (const TopologyError&) {
+    throw;
+  } catch (const std::exception& e) {
+    throw definition.root.error("topology.library",
+                                std::string("the application could not put its graph together: ") + e.what());
+  }
+}
+
+/// The first input whose source is not there; nullptr: there is none.
+const InputDefinition* unknown_input(const TopologyDefinition& definition, const TopologyBuilder& builder) {
+  for (const auto& bolt : definition.bolts) {
+    for (const auto& input : bolt.inputs) {
+      if (!builder.has(input.from)) return &input;
+    }
+  }
+  return nullptr;
+}
+
+[[noreturn]] void refuse_unknown_source(const TopologyDefinition& definition, const InputDefinition& input) {
+  std::vector<std::string> known;
+  for (const auto* group : {&definition.spouts, &definition.bolts}) {
+    for (const auto& component : *group) known.push_back(component.id);
+  }
+  const std::string guess = config::nearest(input.from, known);
+  std::string list;
+  for (const auto& name : known) list += (list.empty() ? "\"" : ", \"") + name + "\"";
+  throw input.section.error("from", "there is no component \"" + input.from + "\"",
+                            guess.empty() ? "the file has " + list : "did you mean \"" + guess + "\"?");
+}
+
+}  // namespace
+
+Topology assemble(const TopologyDefinition& definition, const ComponentRegistry& components,
+                  const EndpointFactories& endpoints) {
+  TopologyBuilder builder;
+  try {
+    for (const auto& spout : definition.spouts) {
+      builder.set_spout(spout.id,
+                        spout.endpoint
+                            ? endpoints.spout(spout)
+                            : find_class(spout, components.spout(spout.class_name), components.spout_names()),
+                        spout.parallelism, spout.conf);
+    }
+    for (const auto& bolt : definition.bolts) {
+      auto declarer =
+          builder.set_bolt(bolt.id,
+                           bolt.endpoint ? endpoints.bolt(bolt)
+                                         : find_class(bolt, components.bolt(bolt.class_name), components.bolt_names()),
+                           bolt.parallelism, bolt.conf);
+      if (bolt.tick.count() > 0) declarer.tick(bolt.tick);
+    }
+    if (components.application()) apply(components.application(), builder, definition);
+    for (const auto& bolt : definition.bolts) connect_inputs(builder, bolt);
+    if (const auto* input = unknown_input(definition, builder)) refuse_unknown_source(definition, *input);
+    return builder.build(definition.name, definition.conf);
+  } catch (const TopologyError& error) {
+    throw at_its_place(definition, error);
+  }
+}
+
+}  // namespace iotcloud::topology
