@@ -1,0 +1,322 @@
+#include <algorithm>
+#include <chrono>
+#include <functional>
+#include <ostream>
+#include <set>
+#include <stdexcept>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/master/cli/command.h>
+#include <iotcloud/master/cli/master_client.h>
+#include <iotcloud/master/cli/output.h>
+
+namespace iotcloud::master::cli {
+
+using discovery::wire::TDirection;
+using discovery::wire::TSensor;
+using discovery::wire::TSite;
+using Json = nlohmann::ordered_json;
+using Rows = std::vector<std::vector<std::string>>;
+
+namespace {
+
+/// The command line asks for something that is not clear.
+struct Ambiguous : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+std::int64_t now_ms() {
+  using namespace std::chrono;
+  return duration_cast<milliseconds>(system_clock::now().time_since_epoch()).count();
+}
+
+template <typename T>
+bool among(const std::vector<T>& all, const T& one) {
+  return std::find(all.begin(), all.end(), one) != all.end();
+}
+
+const std::string& state_of(const TSensor& driver) {
+  return driver.exactState;
+}
+
+const char* state_of(const TSite& gateway) {
+  return gateway.alive ? "ready" : "lost";
+}
+
+const char* word(wire::TOutcome::type outcome) {
+  switch (outcome) {
+    case wire::TOutcome::DONE:
+      return "done";
+    case wire::TOutcome::FAILED:
+      return "failed";
+    case wire::TOutcome::PENDING:
+      return "pending";
+    case wire::TOutcome::UNKNOWN:
+      return "unknown";
+  }
+  return "unknown";
+}
+
+void print_data(std::ostream& out, Format format, const Json& json) {
+  if (format == Format::yaml) return print_yaml(out, json);
+  out << json.dump(2, ' ', false, Json::error_handler_t::replace) << '\n';
+}
+
+Json to_json(const TSensor& driver) {
+  Json channels = Json::array();
+  for (const auto& channel : driver.channels) {
+    channels.push_back({{"name", channel.name},
+                        {"direction", channel.direction == TDirection::OUT ? "out" : "in"},
+                        {"broker", channel.transport},
+                        {"broker_url", channel.brokerUrl},
+                        {"shared", channel.grouped},
+                        {"properties", channel.properties}});
+  }
+  Json metadata = Json::parse(driver.metadata, nullptr, false);
+  if (!metadata.is_object()) metadata = Json::object();  // the original puts bytes of its own there
+  return {{"instance", driver.sensorId}, {"driver", driver.name},          {"gateway", driver.siteId},
+          {"state", state_of(driver)},   {"reason", driver.reason},        {"since_ms", driver.sinceMs},
+          {"metadata", metadata},        {"channels", std::move(channels)}};
+}
+
+std::vector<std::string> broker_names(const TSite& gateway) {
+  std::vector<std::string> names;
+  for (const auto& broker : gateway.brokers) names.push_back(broker.name);
+  return names;
+}
+
+/// Drivers in the order in which people look for them.
+std::vector<TSensor> sorted_drivers(MasterClient& master) {
+  auto drivers = master.drivers();
+  std::sort(drivers.begin(), drivers.end(), [](const auto& a, const auto& b) {
+    return std::tie(a.name, a.siteId, a.sensorId) < std::tie(b.name, b.siteId, b.sensorId);
+  });
+  return drivers;
+}
+
+int show_gateways(const Command& command, MasterClient& master, std::ostream& out) {
+  const auto gateways = master.gateways();
+  if (command.format == Format::table) {
+    Rows rows;
+    for (const auto& gateway : gateways)
+      rows.push_back({printable(gateway.siteId), state_of(gateway), fmt::format("{}:{}", gateway.host, gateway.port),
+                      printable(fmt::format("{}", fmt::join(broker_names(gateway), ","))),
+                      age(gateway.sinceMs, now_ms())});
+    print_table(out, {"GATEWAY", "STATE", "ADDRESS", "BROKERS", "SINCE"}, rows);
+    return exit_ok;
+  }
+  Json json = Json::array();
+  for (const auto& gateway : gateways)
+    json.push_back({{"gateway", gateway.siteId},
+                    {"state", state_of(gateway)},
+                    {"host", gateway.host},
+                    {"port", gateway.port},
+                    {"brokers", broker_names(gateway)},
+                    {"since_ms", gateway.sinceMs}});
+  print_data(out, command.format, json);
+  return exit_ok;
+}
+
+int show_drivers(const Command& command, MasterClient& master, std::ostream& out) {
+  auto drivers = sorted_drivers(master);
+  std::erase_if(drivers, [&](const TSensor& driver) {
+    const auto begins = [&](const std::string& id) { return driver.sensorId.starts_with(id); };
+    return (!command.instances.empty() && std::none_of(command.instances.begin(), command.instances.end(), begins)) ||
+           (!command.gateways.empty() && !among(command.gateways, driver.siteId)) ||
+           (!command.driver.empty() && command.driver != driver.name) ||
+           (!command.state.empty() && command.state != state_of(driver));
+  });
+  if (command.format == Format::table) {
+    std::set<std::string> lost;
+    for (const auto& gateway : master.gateways())
+      if (!gateway.alive) lost.insert(gateway.siteId);
+    Rows rows;
+    for (const auto& driver : drivers)
+      rows.push_back({driver.sensorId, printable(driver.name),
+                      printable(driver.siteId) + (lost.contains(driver.siteId) ? " (lost)" : ""), state_of(driver),
+                      age(driver.sinceMs, now_ms()), printable(driver.reason)});
+    print_table(out, {"INSTANCE", "DRIVER", "GATEWAY", "STATE", "SINCE", "REASON"}, rows);
+    return exit_ok;
+  }
+  Json json = Json::array();
+  for (const auto& driver : drivers) json.push_back(to_json(driver));
+  print_data(out, command.format, json);
+  return exit_ok;
+}
+
+int show_topologies(const Command& command, MasterClient& master, std::ostream& out) {
+  const auto topologies = master.topologies();
+  if (command.format == Format::table) {
+    Rows rows;
+    for (const auto& topology : topologies)
+      rows.push_back({printable(topology.name), std::to_string(topology.workers.size()),
+                      age(topology.sinceMs, now_ms()), printable(fmt::format("{}", fmt::join(topology.spouts, ","))),
+                      printable(fmt::format("{}", fmt::join(topology.bolts, ",")))});
+    print_table(out, {"TOPOLOGY", "WORKERS", "SINCE", "SPOUTS", "BOLTS"}, rows);
+    return exit_ok;
+  }
+  Json json = Json::array();
+  for (const auto& topology : topologies)
+    json.push_back({{"topology", topology.name},
+                    {"workers", topology.workers},
+                    {"spouts", topology.spouts},
+                    {"bolts", topology.bolts},
+                    {"since_ms", topology.sinceMs}});
+  print_data(out, command.format, json);
+  return exit_ok;
+}
+
+int show_status(const Command& command, MasterClient& master, std::ostream& out) {
+  const auto status = master.status();
+  const auto gateways = master.gateways();
+  const auto topologies = master.topologies();
+  std::map<std::string, int> drivers;
+  for (const auto& driver : master.drivers()) ++drivers[state_of(driver)];
+  const auto ready = std::count_if(gateways.begin(), gateways.end(), [](const auto& g) { return g.alive; });
+  const auto lost = static_cast<std::ptrdiff_t>(gateways.size()) - ready;
+
+  if (command.format == Format::table) {
+    std::vector<std::string> states;
+    for (const auto& [state, count] : drivers) states.push_back(fmt::format("{} {}", count, state));
+    std::vector<std::string> names;
+    for (const auto& topology : topologies)
+      names.push_back(fmt::format("{} ({} worker{})", topology.name, topology.workers.size(),
+                                  topology.workers.size() == 1 ? "" : "s"));
+    const auto or_none = [](const std::vector<std::string>& items) {
+      return items.empty() ? "none" : fmt::format("{}", fmt::join(items, ", "));
+    };
+    const auto role = status.leading          ? fmt::format("leads, epoch {}", status.epoch)
+                      : status.leader.empty() ? "standby; no master leads"
+                                              : fmt::format("standby; {} leads", status.leader);
+    print_table(out, {"master", fmt::format("{} at {} ({})", printable(status.id), master.address(), role)},
+                {{"registry", status.registryAway ? "away" : "connected"},
+                 {"gateways", fmt::format("{} ready{}", ready, lost > 0 ? fmt::format(", {} lost", lost) : "")},
+                 {"drivers", or_none(states)},
+                 {"topologies", printable(or_none(names))}});
+    return exit_ok;
+  }
+  Json names = Json::array();
+  for (const auto& topology : topologies)
+    names.push_back({{"topology", topology.name}, {"workers", topology.workers.size()}});
+  print_data(out, command.format,
+             {{"master",
+               {{"id", status.id},
+                {"address", master.address()},
+                {"leading", status.leading},
+                {"leader", status.leader},
+                {"epoch", status.epoch},
+                {"registry", status.registryAway ? "away" : "connected"}}},
+              {"gateways", {{"ready", ready}, {"lost", lost}}},
+              {"drivers", drivers},
+              {"topologies", names}});
+  return exit_ok;
+}
+
+int show_order(const Command& command, const wire::TOrderResponse& answer, std::ostream& out, std::ostream& err) {
+  const bool ok = answer.response.state == discovery::wire::TResponseState::SUCCESS;
+  if (command.format == Format::table) {
+    if (answer.refusal != wire::TRefusal::NONE) {
+      err << "iotcloud: " << printable(answer.response.statusMessage) << '\n';
+      return exit_failed;
+    }
+    Rows rows;
+    for (const auto& outcome : answer.outcomes)
+      rows.push_back({outcome.instance, printable(outcome.gateway), word(outcome.outcome), printable(outcome.reason)});
+    print_table(out, {"INSTANCE", "GATEWAY", "OUTCOME", "REASON"}, rows);
+    return ok ? exit_ok : exit_failed;
+  }
+  Json outcomes = Json::array();
+  for (const auto& outcome : answer.outcomes)
+    outcomes.push_back({{"instance", outcome.instance},
+                        {"gateway", outcome.gateway},
+                        {"outcome", word(outcome.outcome)},
+                        {"reason", outcome.reason}});
+  print_data(out, command.format, {{"ok", ok}, {"text", answer.response.statusMessage}, {"outcomes", outcomes}});
+  return ok ? exit_ok : exit_failed;
+}
+
+/// Ids in full from their beginnings. One that no record has is passed on: its order may not have been taken up yet.
+std::vector<std::string> complete(const std::vector<std::string>& beginnings, MasterClient& master) {
+  const auto drivers = sorted_drivers(master);
+  std::vector<std::string> ids;
+  for (const auto& beginning : beginnings) {
+    std::vector<std::string> fitting;
+    for (const auto& driver : drivers) {
+      if (driver.sensorId == beginning) {
+        fitting = {beginning};
+        break;
+      }
+      if (driver.sensorId.starts_with(beginning))
+        fitting.push_back(
+            fmt::format("{} ({} on {})", driver.sensorId, printable(driver.name), printable(driver.siteId)));
+    }
+    if (fitting.size() > 1)
+      throw Ambiguous(fmt::format("\"{}\" begins {} ids; give more of it:\n  {}", beginning, fitting.size(),
+                                  fmt::join(fitting, "\n  ")));
+    ids.push_back(fitting.empty() ? beginning : fitting.front().substr(0, fitting.front().find(' ')));
+  }
+  return ids;
+}
+
+int order(const Command& command, MasterClient& master, std::ostream& out, std::ostream& err) {
+  if (command.verb == Verb::deploy) {
+    wire::TDeployRequest request;
+    request.__set_gateways(command.gateways);
+    request.__set_plugin(command.plugin);
+    request.__set_driver(command.driver);
+    request.__set_properties(command.properties);
+    request.__set_metadata(command.metadata);
+    request.__set_count(command.count);
+    request.__set_waitMs(command.wait_ms);
+    return show_order(command, master.deploy(request), out, err);
+  }
+  wire::TInstanceSelection selection;
+  selection.__set_instances(complete(command.instances, master));
+  selection.__set_gateways(command.gateways);
+  selection.__set_waitMs(command.wait_ms);
+  const auto answer = command.verb == Verb::undeploy ? master.undeploy(selection)
+                      : command.verb == Verb::start  ? master.start(selection)
+                                                     : master.stop(selection);
+  return show_order(command, answer, out, err);
+}
+
+}  // namespace
+
+int run(const Command& command, std::ostream& out, std::ostream& err) {
+  try {
+    MasterClient master(command.masters, command.token);
+    switch (command.verb) {
+      case Verb::gateways:
+        return show_gateways(command, master, out);
+      case Verb::drivers:
+        return show_drivers(command, master, out);
+      case Verb::topologies:
+        return show_topologies(command, master, out);
+      case Verb::status:
+        return show_status(command, master, out);
+      case Verb::deploy:
+      case Verb::undeploy:
+      case Verb::start:
+      case Verb::stop:
+        return order(command, master, out, err);
+    }
+  } catch (const Ambiguous& e) {
+    err << "iotcloud: " << e.what() << '\n';
+    return exit_usage;
+  } catch (const std::invalid_argument& e) {
+    err << "iotcloud: " << e.what() << '\n';
+    return exit_usage;
+  } catch (const Unreachable& e) {
+    err << "iotcloud: " << e.what() << '\n';
+    return exit_unreachable;
+  } catch (const Failed& e) {
+    err << "iotcloud: " << e.what() << '\n';
+    return exit_failed;
+  }
+  return exit_usage;
+}
+
+}  // namespace iotcloud::master::cli

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <cstdint>
+#include <iosfwd>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace iotcloud::master::cli {
+
+enum class Verb { gateways, drivers, topologies, status, deploy, undeploy, start, stop };
+enum class Format { table, json, yaml };
+
+/// One call of the CLI, parsed.
+struct Command {
+  Verb verb = Verb::status;
+  std::vector<std::string> masters;
+  std::string token;
+  Format format = Format::table;
+  std::vector<std::string> gateways;   ///< drivers: only on these; orders: on these
+  std::vector<std::string> instances;  ///< ids or their beginnings
+  std::string state;                   ///< drivers: only in this state
+  std::string driver;                  ///< drivers: only of this name; deploy: the driver's name
+  std::string plugin;
+  std::map<std::string, std::string> properties;
+  std::map<std::string, std::string> metadata;
+  int count = 1;
+  std::int64_t wait_ms = 0;  ///< 0: as long as the master thinks fit
+};
+
+/// What scripts may rely on.
+enum ExitStatus {
+  exit_ok = 0,
+  exit_failed = 1,       ///< the order failed, for all or for some; or the master could not answer
+  exit_usage = 2,        ///< the command line is wrong, or the beginning of an id fits several
+  exit_unreachable = 3,  ///< no master answers
+};
+
+/// Does what the command says. Results go to `out`, complaints to `err`. \return the exit status
+int run(const Command& command, std::ostream& out, std::ostream& err);
+
+}  // namespace iotcloud::master::cli

@@ -1,0 +1,172 @@
+#include <chrono>
+#include <csignal>
+#include <cstdlib>
+#include <fstream>
+#include <iostream>
+#include <map>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include <iotcloud/config/version.h>
+#include <iotcloud/master/cli/command.h>
+
+using iotcloud::master::cli::Command;
+using iotcloud::master::cli::Format;
+using iotcloud::master::cli::Verb;
+
+namespace {
+
+constexpr const char* footer =
+    "Exit status: 0 done; 1 failed, for all or for some; 2 wrong usage; 3 no master answers.\n"
+    "Environment: IOTCLOUD_MASTER as --master, IOTCLOUD_TOKEN_FILE as --token-file.";
+
+/// "k=v" words into a map. \throws CLI::ValidationError
+std::map<std::string, std::string> pairs(const std::vector<std::string>& words, const char* option) {
+  std::map<std::string, std::string> out;
+  for (const auto& word : words) {
+    const auto equals = word.find('=');
+    if (equals == 0 || equals == std::string::npos)
+      throw CLI::ValidationError(option, "\"" + word + "\" is not of the form NAME=VALUE");
+    if (!out.emplace(word.substr(0, equals), word.substr(equals + 1)).second)
+      throw CLI::ValidationError(option, word.substr(0, equals) + " is given twice");
+  }
+  return out;
+}
+
+std::string first_line(const std::string& file) {
+  std::ifstream in(file);
+  std::string line;
+  if (!std::getline(in, line)) throw CLI::ValidationError("--token-file", "cannot read a line from " + file);
+  return line;
+}
+
+/// What the command line is parsed into before it becomes a Command.
+struct Words {
+  std::vector<std::string> properties;
+  std::vector<std::string> metadata;
+  std::string token_file;
+  bool all = false;
+  double wait_s = 0;
+};
+
+void add_output(CLI::App& app, Command& command) {
+  app.add_option_function<std::string>(
+         "-o,--output",
+         [&command](const std::string& format) {
+           command.format = format == "json" ? Format::json : format == "yaml" ? Format::yaml : Format::table;
+         },
+         "table, json or yaml")
+      ->check(CLI::IsMember({"table", "json", "yaml"}).description(""))
+      ->type_name("FORMAT");
+}
+
+CLI::App& add(CLI::App& app, Command& command, Verb verb, const char* name, const char* what, const char* example) {
+  auto& sub = *app.add_subcommand(name, what);
+  sub.footer(std::string("Example:\n  ") + example);
+  sub.callback([&command, verb] { command.verb = verb; });
+  add_output(sub, command);
+  return sub;
+}
+
+void add_gateways(CLI::App& sub, Command& command, const char* what) {
+  sub.add_option("-g,--gateway", command.gateways, what)->delimiter(',')->allow_extra_args(false)->type_name("GATEWAY");
+}
+
+void add_wait(CLI::App& sub, Words& words) {
+  sub.add_option("--wait", words.wait_s, "seconds to wait for the outcome; the master decides when it is not given")
+      ->check(CLI::Range(0.001, 600.0))
+      ->type_name("SECONDS");
+}
+
+void add_reads(CLI::App& app, Command& command) {
+  add(app, command, Verb::gateways, "gateways", "List the gateways, and whether they live", "iotcloud gateways");
+  auto& drivers =
+      add(app, command, Verb::drivers, "drivers", "List driver instances with their state, and why they are in it",
+          "iotcloud drivers --state failed");
+  drivers.add_option("ID", command.instances, "ids, or how they begin");
+  add_gateways(drivers, command, "only on these gateways");
+  drivers.add_option("--driver", command.driver, "only of this driver")->type_name("NAME");
+  drivers.add_option("--state", command.state, "only in this state")
+      ->check(CLI::IsMember({"deployed", "starting", "active", "stopping", "inactive", "failed", "undeployed"}))
+      ->type_name("STATE");
+  add(app, command, Verb::topologies, "topologies", "List the topologies that run, and their workers",
+      "iotcloud topologies -o json");
+  add(app, command, Verb::status, "status", "Show who leads, gateways, drivers by state, and topologies",
+      "iotcloud --master lab1:12904,lab2:12904 status");
+}
+
+void add_deploy(CLI::App& app, Command& command, Words& words) {
+  auto& deploy = add(app, command, Verb::deploy, "deploy", "Deploy a driver; answers when the outcome is known",
+                     "iotcloud deploy turtle.so --gateway lab1 --property source=simulation");
+  deploy.add_option("PLUGIN", command.plugin, "file name in the gateways' plugin folder")->required();
+  add_gateways(deploy, command, "on these gateways");
+  deploy.add_flag("--all", words.all, "on all gateways")->excludes("--gateway");
+  deploy.add_option("--name", command.driver, "the driver's name; the plugin's own when it is not given")
+      ->type_name("NAME");
+  deploy.add_option("-p,--property", words.properties, "a property of the driver; may be repeated")
+      ->allow_extra_args(false)
+      ->type_name("NAME=VALUE");
+  deploy.add_option("-m,--metadata", words.metadata, "what others see in the driver's record; may be repeated")
+      ->allow_extra_args(false)
+      ->type_name("NAME=VALUE");
+  deploy.add_option("-n,--count", command.count, "instances on each gateway")
+      ->check(CLI::Range(1, 10'000))
+      ->type_name("N");
+  add_wait(deploy, words);
+}
+
+/// What the options cannot check one by one. \throws CLI::ParseError
+void finish(Command& command, const Words& words) {
+  if (command.verb == Verb::deploy && command.gateways.empty() && !words.all)
+    throw CLI::RequiredError("--gateway GATEWAY or --all");
+  command.properties = pairs(words.properties, "--property");
+  command.metadata = pairs(words.metadata, "--metadata");
+  if (!words.token_file.empty()) command.token = first_line(words.token_file);
+  command.wait_ms = static_cast<std::int64_t>(words.wait_s * 1000);
+}
+
+void add_changes(CLI::App& app, Command& command, Words& words) {
+  const auto change = [&](Verb verb, const char* name, const char* what, const char* example) {
+    auto& sub = add(app, command, verb, name, what, example);
+    sub.add_option("ID", command.instances, "ids of instances, or how they begin")->required();
+    add_gateways(sub, command, "the instances must be on one of these gateways");
+    add_wait(sub, words);
+  };
+  change(Verb::undeploy, "undeploy", "Take driver instances away", "iotcloud undeploy 3f2a9c");
+  change(Verb::start, "start", "Let driver instances produce again", "iotcloud start 3f2a9c");
+  change(Verb::stop, "stop", "Let driver instances pause; they stay deployed", "iotcloud stop 3f2a9c 77b1");
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  std::signal(SIGPIPE, SIG_IGN);  // a broken connection is an error with a text
+  Command command;
+  Words words;
+  command.masters = {"127.0.0.1:12904"};
+  CLI::App app{"Runs a fleet of IoTCloud gateways through their master.", "iotcloud"};
+  app.footer(footer);
+  app.require_subcommand(1);
+  app.fallthrough();
+  app.set_version_flag("--version", std::string("iotcloud ") + iotcloud::config::version);
+  app.add_option("--master", command.masters, "where a master is; several: the first that answers")
+      ->envname("IOTCLOUD_MASTER")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->type_name("HOST:PORT,...")
+      ->default_str("127.0.0.1:12904");
+  app.add_option("--token-file", words.token_file, "file whose first line is the master's token")
+      ->envname("IOTCLOUD_TOKEN_FILE")
+      ->type_name("FILE");
+  add_reads(app, command);
+  add_deploy(app, command, words);
+  add_changes(app, command, words);
+  try {
+    app.parse(argc, argv);
+    finish(command, words);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? iotcloud::master::cli::exit_ok : iotcloud::master::cli::exit_usage;
+  }
+  return iotcloud::master::cli::run(command, std::cout, std::cerr);
+}

@@ -1,0 +1,202 @@
+#include <algorithm>
+#include <thread>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <thrift/TApplicationException.h>
+#include <thrift/TOutput.h>
+#include <thrift/protocol/TBinaryProtocol.h>
+#include <thrift/transport/TBufferTransports.h>
+#include <thrift/transport/TSocket.h>
+#include <thrift/transport/TTransportException.h>
+
+#include "iotcloud/master/TMasterAPIService.h"
+#include <iotcloud/master/cli/master_client.h>
+
+namespace iotcloud::master::cli {
+
+using apache::thrift::TException;
+using apache::thrift::protocol::TBinaryProtocol;
+using apache::thrift::transport::TFramedTransport;
+using apache::thrift::transport::TSocket;
+using apache::thrift::transport::TTransportException;
+using wire::TMasterAPIServiceClient;
+
+namespace {
+
+constexpr int connect_timeout_ms = 3'000;
+constexpr int read_timeout_ms = 30'000;
+/// What a master takes for an order on top of the wait it was asked for.
+constexpr int order_margin_ms = 30'000;
+/// Longest wait of a master that is not asked for one.
+constexpr int longest_own_wait_ms = 600'000;
+/// A fleet without a leader is electing one: this long it is worth waiting for.
+constexpr std::chrono::seconds election_patience{15};
+
+std::pair<std::string, int> split(const std::string& address) {
+  const auto colon = address.rfind(':');
+  try {
+    std::size_t used = 0;
+    const int port = std::stoi(address.substr(colon == std::string::npos ? address.size() : colon + 1), &used);
+    if (colon > 0 && port > 0 && port < 65536 && colon + 1 + used == address.size())
+      return {address.substr(0, colon), port};
+  } catch (const std::logic_error&) {
+    // falls through to the message that names the whole address
+  }
+  throw std::invalid_argument(
+      fmt::format("\"{}\" is no address of a master: give HOST:PORT, for example 127.0.0.1:12904", address));
+}
+
+}  // namespace
+
+struct MasterClient::Impl {
+  std::vector<std::string> addresses;
+  std::string token;
+  std::string address;  ///< of the connection, and of the last one after it broke
+  std::shared_ptr<TSocket> socket;
+  std::unique_ptr<TMasterAPIServiceClient> client;
+
+  /// \throws TException when there is no master at this address.
+  void connect(const std::string& to) {
+    client.reset();
+    const auto [host, port] = split(to);
+    socket = std::make_shared<TSocket>(host, port);
+    socket->setConnTimeout(connect_timeout_ms);
+    socket->setRecvTimeout(read_timeout_ms);
+    socket->setSendTimeout(read_timeout_ms);
+    auto transport = std::make_shared<TFramedTransport>(socket);
+    transport->open();
+    client = std::make_unique<TMasterAPIServiceClient>(std::make_shared<TBinaryProtocol>(transport));
+    address = to;
+    if (token.empty()) return;
+    discovery::wire::TResponse answer;
+    client->authenticate(answer, token);
+    if (answer.state != discovery::wire::TResponseState::SUCCESS)
+      throw Failed(fmt::format("master {}: {}", to, answer.statusMessage));
+  }
+
+  void connect_any() {
+    if (client) return;
+    std::vector<std::string> problems;
+    for (const auto& candidate : addresses) {
+      try {
+        connect(candidate);
+        return;
+      } catch (const TException& e) {
+        problems.push_back(fmt::format("{}: {}", candidate, e.what()));
+      }
+    }
+    throw Unreachable(
+        fmt::format("no master answers ({}); is iotcloud-master running? Say where with --master HOST:PORT or the "
+                    "environment variable IOTCLOUD_MASTER",
+                    fmt::join(problems, "; ")));
+  }
+
+  template <typename Ask>
+  auto read(Ask&& ask) {
+    connect_any();
+    try {
+      return ask(*client);
+    } catch (const wire::TMasterError& e) {
+      throw Failed(fmt::format("master {}: {}", address, e.reason));
+    } catch (const TException& e) {
+      client.reset();
+      throw Failed(fmt::format("master {} did not answer the question: {}", address, e.what()));
+    }
+  }
+
+  template <typename Give>
+  wire::TOrderResponse order(std::int64_t wait_ms, Give&& give) {
+    const auto patience = std::chrono::steady_clock::now() + election_patience;
+    connect_any();
+    while (true) {
+      const auto own_wait = wait_ms > 0 ? std::min<std::int64_t>(wait_ms, longest_own_wait_ms) : longest_own_wait_ms;
+      socket->setRecvTimeout(static_cast<int>(own_wait) + order_margin_ms);
+      wire::TOrderResponse answer;
+      try {
+        give(*client, answer);
+      } catch (const TException& e) {
+        client.reset();
+        throw Failed(
+            fmt::format("the answer of master {} was lost ({}): the order may have been taken; `iotcloud "
+                        "drivers` shows what is there",
+                        address, e.what()));
+      }
+      if (answer.refusal != wire::TRefusal::NOT_LEADING || std::chrono::steady_clock::now() > patience) return answer;
+      // Nothing was written: the order may be given again.
+      const auto leader = answer.__isset.leader ? answer.leader : "";
+      if (leader.empty() || leader == address) std::this_thread::sleep_for(std::chrono::milliseconds(200));
+      if (leader.empty()) continue;
+      try {
+        connect(leader);
+      } catch (const TException& e) {
+        throw Unreachable(fmt::format("master {} is on standby and names {} as the leader, which does not answer: {}",
+                                      address, leader, e.what()));
+      }
+    }
+  }
+};
+
+MasterClient::MasterClient(std::vector<std::string> addresses, std::string token) : impl_(std::make_unique<Impl>()) {
+  apache::thrift::GlobalOutput.setOutputFunction([](const char*) {});  // every error comes as an exception too
+  for (const auto& address : addresses) split(address);
+  impl_->addresses = std::move(addresses);
+  impl_->token = std::move(token);
+}
+
+MasterClient::~MasterClient() = default;
+
+const std::string& MasterClient::address() const {
+  return impl_->address;
+}
+
+wire::TMasterStatus MasterClient::status() {
+  return impl_->read([](auto& client) {
+    wire::TMasterStatus out;
+    client.getStatus(out);
+    return out;
+  });
+}
+
+std::vector<discovery::wire::TSite> MasterClient::gateways() {
+  return impl_->read([](auto& client) {
+    std::vector<discovery::wire::TSite> out;
+    client.listGateways(out);
+    return out;
+  });
+}
+
+std::vector<discovery::wire::TSensor> MasterClient::drivers() {
+  return impl_->read([](auto& client) {
+    std::vector<discovery::wire::TSensor> out;
+    client.listDrivers(out);
+    return out;
+  });
+}
+
+std::vector<wire::TTopology> MasterClient::topologies() {
+  return impl_->read([](auto& client) {
+    std::vector<wire::TTopology> out;
+    client.listTopologies(out);
+    return out;
+  });
+}
+
+wire::TOrderResponse MasterClient::deploy(const wire::TDeployRequest& request) {
+  return impl_->order(request.waitMs, [&](auto& client, auto& answer) { client.deploy(answer, request); });
+}
+
+wire::TOrderResponse MasterClient::undeploy(const wire::TInstanceSelection& selection) {
+  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.undeploy(answer, selection); });
+}
+
+wire::TOrderResponse MasterClient::start(const wire::TInstanceSelection& selection) {
+  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.start(answer, selection); });
+}
+
+wire::TOrderResponse MasterClient::stop(const wire::TInstanceSelection& selection) {
+  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.stop(answer, selection); });
+}
+
+}  // namespace iotcloud::master::cli

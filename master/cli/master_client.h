@@ -1,0 +1,59 @@
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "iotcloud/master/master_types.h"
+
+namespace iotcloud::master::wire {
+class TMasterAPIServiceClient;
+}
+
+namespace iotcloud::master::cli {
+
+/// No master answered. what() says whom was asked and how to mend it.
+class Unreachable : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// A master answered that it cannot, or the connection broke when an order was on its way.
+class Failed : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Speaks with the masters of one fleet: asks any that answers, and follows the leader with orders. Used by one thread.
+class MasterClient {
+ public:
+  /// \param addresses "host:port" of some masters. \throws std::invalid_argument for one that is none.
+  /// \param token for authenticate(); empty: none.
+  MasterClient(std::vector<std::string> addresses, std::string token);
+  ~MasterClient();
+
+  /// \throws Unreachable, Failed
+  wire::TMasterStatus status();
+  std::vector<discovery::wire::TSite> gateways();
+  std::vector<discovery::wire::TSensor> drivers();
+  std::vector<wire::TTopology> topologies();
+
+  /// Gives an order to the master that leads. An order is sent once: when its answer is lost, it is not repeated.
+  /// \param wait how long the master may wait for outcomes. \throws Unreachable, Failed
+  wire::TOrderResponse deploy(const wire::TDeployRequest& request);
+  wire::TOrderResponse undeploy(const wire::TInstanceSelection& selection);
+  wire::TOrderResponse start(const wire::TInstanceSelection& selection);
+  wire::TOrderResponse stop(const wire::TInstanceSelection& selection);
+
+  /// The master that was spoken with last.
+  const std::string& address() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace iotcloud::master::cli

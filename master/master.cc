@@ -1,0 +1,133 @@
+#include <algorithm>
+#include <utility>
+
+#include <fmt/ranges.h>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/master/master.h>
+#include <iotcloud/master/master_impl.h>
+
+namespace iotcloud::master {
+
+using discovery::DriverRecord;
+using discovery::GatewayStatus;
+using std::chrono::milliseconds;
+
+namespace {
+
+constexpr config::Logger logger{"master"};
+constexpr milliseconds longest_wait{600'000};
+
+}  // namespace
+
+bool is_node_name(const std::string& name) {
+  return !name.empty() && name.size() <= 255 && name != "." && name != ".." &&
+         std::none_of(name.begin(), name.end(), [](unsigned char c) { return c == '/' || c < 0x20 || c == 0x7f; });
+}
+
+const GatewayStatus* find(const std::vector<GatewayStatus>& gateways, const std::string& id) {
+  const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
+  return at == gateways.end() ? nullptr : &*at;
+}
+
+OrderResult refuse(Refusal refusal, std::string text) {
+  return {refusal, std::move(text), "", {}};
+}
+
+OrderResult refuse_gateway(const std::string& id, const std::vector<GatewayStatus>& known) {
+  if (known.empty())
+    return refuse(Refusal::unknown_gateway,
+                  "no gateway is registered: start iotcloud-gateway with the same registry and zk.root");
+  std::vector<std::string> ids;
+  for (const auto& gateway : known) ids.push_back(gateway.record.id);
+  return refuse(Refusal::unknown_gateway,
+                fmt::format("no gateway \"{}\"; known gateways: {}", id, fmt::join(ids, ", ")));
+}
+
+void set_verdict(InstanceOutcome& outcome, const std::optional<OutcomeWatch::Verdict>& verdict) {
+  if (!verdict) return;
+  outcome.outcome = verdict->outcome;
+  outcome.reason = verdict->reason;
+}
+
+Master::Impl::Impl(discovery::Registry& registry_of_all, MasterOptions given)
+    : registry(registry_of_all),
+      options(std::move(given)),
+      election(registry, options.paths.masters(), options.address,
+               {[this](std::int64_t now) {
+                  epoch = now;
+                  logger.info("{} leads, epoch {}", options.id, now);
+                },
+                [this] {
+                  epoch = 0;
+                  logger.warn("{} does not lead any more", options.id);
+                }}) {}
+
+std::optional<OrderResult> Master::Impl::refuse_unless_leading() const {
+  if (leading_epoch() > 0) return std::nullopt;
+  auto result = refuse(Refusal::not_leading, "");
+  if (registry.session() != discovery::SessionState::connected) {
+    result.refusal = Refusal::registry_away;
+    result.text = "the registry is away, so no order can be given; this master keeps trying to reach it";
+    return result;
+  }
+  result.leader = leader();
+  result.text = result.leader.empty()
+                    ? fmt::format("master {} does not lead and none does yet; try again in a moment", options.id)
+                    : fmt::format("master {} is on standby; the one that leads is {}", options.id, result.leader);
+  return result;
+}
+
+milliseconds Master::Impl::limit(const WaitLimit& wait) const {
+  return std::clamp(wait.value_or(options.outcome_timeout), milliseconds{0}, longest_wait);
+}
+
+void Master::Impl::settle(OrderResult& result, OutcomeWatch& watch, DirectCalls& calls, const WaitLimit& wait,
+                          const std::string& order) {
+  const auto verdicts = watch.wait(limit(wait), closing.get_token());
+  for (auto& outcome : result.outcomes) {
+    const auto verdict = verdicts.find(outcome.instance);
+    if (verdict != verdicts.end()) set_verdict(outcome, verdict->second);  // the others are known already
+  }
+  for (auto& call : calls) result.outcomes.push_back(call.get());
+  for (const auto& outcome : result.outcomes)
+    config::process_metrics()
+        .counter("iotcloud_master_orders_total", "Orders by what became of them, one for each instance",
+                 {{"order", order}, {"outcome", to_string(outcome.outcome)}})
+        .add();
+  logger.info("{}: {}", order, result.summary());
+}
+
+Master::Master(discovery::Registry& registry, MasterOptions options)
+    : impl_(std::make_unique<Impl>(registry, std::move(options))) {}
+
+Master::~Master() {
+  close();
+  std::unique_lock lock(impl_->mutex);
+  impl_->idle.wait(lock, [this] { return impl_->under_way == 0; });
+}
+
+void Master::close() {
+  impl_->closing.request_stop();
+}
+
+std::vector<DriverRecord> Master::drivers() const {
+  return discovery::list_drivers(impl_->registry, impl_->options.paths);
+}
+
+std::vector<GatewayStatus> Master::gateways() const {
+  return discovery::list_gateways(impl_->registry, impl_->options.paths);
+}
+
+std::vector<discovery::TopologyStatus> Master::topologies() const {
+  return discovery::list_topologies(impl_->registry, impl_->options.paths);
+}
+
+MasterStatus Master::status() const {
+  const auto epoch = impl_->leading_epoch();
+  return {impl_->options.id, epoch > 0, epoch, impl_->leader(),
+          impl_->registry.session() != discovery::SessionState::connected};
+}
+
+}  // namespace iotcloud::master

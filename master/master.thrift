@@ -1,0 +1,132 @@
+// The services of the gateway master, framed and binary. Methods, names and field ids up to 99 are those of the
+// original system (REFERENCE.md section 1) and are never changed; what is new stands below them in each service.
+include "iotcloud/discovery/records.thrift"
+namespace cpp iotcloud.master.wire
+
+// ---- new: an order's outcome for each instance
+
+enum TOutcome {
+  // The gateway reported the wanted state.
+  DONE = 0,
+  // The gateway reported a failure, or the order could not be written.
+  FAILED = 1,
+  // Recorded; the gateway is lost and follows when it comes back.
+  PENDING = 2,
+  // Nothing was heard in time: it may still happen.
+  UNKNOWN = 3
+}
+
+struct TInstanceOutcome {
+  1: string gateway
+  2: string instance
+  3: TOutcome outcome
+  4: string reason
+}
+
+enum TRefusal {
+  NONE = 0,
+  // Another master leads: `leader`.
+  NOT_LEADING = 1,
+  UNKNOWN_GATEWAY = 2,
+  UNKNOWN_INSTANCE = 3,
+  BAD_REQUEST = 4,
+  REGISTRY_AWAY = 5,
+  // authenticate() first.
+  NOT_AUTHENTICATED = 6
+}
+
+// SUCCESS only when every outcome is DONE.
+struct TOrderResponse {
+  1: records.TResponse response
+  2: list<TInstanceOutcome> outcomes
+  // When the order was refused as a whole: nothing was written.
+  3: TRefusal refusal
+  // host:port of the master that leads, when this one does not and knows it.
+  4: optional string leader
+}
+
+struct TDeployRequest {
+  // Empty: all that are registered.
+  1: list<string> gateways
+  // File name in the gateway's plugin folder.
+  2: string plugin
+  // The driver's name; empty: the plugin's own.
+  3: string driver
+  4: map<string, string> properties
+  5: map<string, string> metadata
+  // Instances on each gateway.
+  6: i32 count = 1
+  // How long to wait for the outcomes, milliseconds; 0: as long as the master thinks fit.
+  7: i64 waitMs
+}
+
+struct TInstanceSelection {
+  1: list<string> instances
+  // When not empty, the instances must be on one of these.
+  2: list<string> gateways
+  3: i64 waitMs
+}
+
+struct TTopology {
+  1: string name
+  // Wall time of its start, milliseconds since 1970 UTC.
+  2: i64 sinceMs
+  3: list<string> spouts
+  4: list<string> bolts
+  5: list<string> workers
+}
+
+struct TMasterStatus {
+  1: string id
+  2: bool leading
+  // Of this master's orders; 0 while it does not lead.
+  3: i64 epoch
+  // host:port of the master that leads; empty: none, or not known.
+  4: string leader
+  5: bool registryAway
+}
+
+// A question that cannot be answered now.
+exception TMasterError {
+  1: string reason
+}
+
+// For people's programs; port 12904.
+service TMasterAPIService {
+  // An empty list of sites means all. SUCCESS only when every gateway has done it.
+  list<string> getSites()
+  records.TSiteDetailsResponse getSite(1: string siteId)
+  // filename: the plugin's file name. className: the driver's name; empty or a Java class: the plugin's own.
+  records.TResponse deploySensor(1: list<string> sites, 2: records.TSensorDeployDescriptor deployDescriptor)
+  records.TResponse unDeploySensor(1: list<string> sites, 2: string id)
+  records.TResponse unDeployAllSensor(1: string id)
+  records.TResponse startSensor(1: list<string> sites, 2: string id)
+  records.TResponse startAllSensor(1: string id)
+  records.TResponse stopSiteSensors(1: list<string> sites, 2: string id)
+  records.TResponse stopAllSensors(1: string id)
+  list<records.TSensor> getSensors(1: string siteId)
+  list<records.TSensor> getAllSensors()
+
+  // ---- new
+  // Opens the connection where the master asks for a token; SUCCESS where it does not.
+  records.TResponse authenticate(1: string token)
+  TMasterStatus getStatus() throws (1: TMasterError error)
+  // With `alive`.
+  list<records.TSite> listGateways() throws (1: TMasterError error)
+  // With exactState, reason and sinceMs.
+  list<records.TSensor> listDrivers() throws (1: TMasterError error)
+  list<TTopology> listTopologies() throws (1: TMasterError error)
+  TOrderResponse deploy(1: TDeployRequest request)
+  TOrderResponse undeploy(1: TInstanceSelection selection)
+  TOrderResponse start(1: TInstanceSelection selection)
+  TOrderResponse stop(1: TInstanceSelection selection)
+}
+
+// For gateways of the original system; port 12903. Gateways of this one write to the registry themselves.
+service TMasterService {
+  records.TResponse registerSite(1: records.TSite site)
+  records.TResponse unRegisterSite(1: records.TSite site)
+  records.TResponse registerSensor(1: string siteId, 2: records.TSensor sensor)
+  records.TResponse unRegisterSensor(1: string siteId, 2: string id)
+  records.TResponse updateSensor(1: string siteId, 2: records.TSensor sensor)
+}

@@ -1,0 +1,135 @@
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <future>
+#include <mutex>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include <iotcloud/master/direct_gateways.h>
+#include <iotcloud/master/master.h>
+#include <iotcloud/master/outcome_watch.h>
+
+/// The inside of Master, shared by the sources that make it.
+namespace iotcloud::master {
+
+inline constexpr const char* lost_text = "gateway is lost; it will follow the order when it comes back";
+inline constexpr const char* lost_and_not_recorded_text = "gateway is lost; the order was not recorded";
+
+/// Whether it may be one name in a path of the registry, or a file's name.
+bool is_node_name(const std::string& name);
+const discovery::GatewayStatus* find(const std::vector<discovery::GatewayStatus>& gateways, const std::string& id);
+OrderResult refuse(Refusal refusal, std::string text);
+/// The refusal of a gateway that is not registered, naming those that are.
+OrderResult refuse_gateway(const std::string& id, const std::vector<discovery::GatewayStatus>& known);
+void set_verdict(InstanceOutcome& outcome, const std::optional<OutcomeWatch::Verdict>& verdict);
+
+struct Master::Impl {
+  using MaybeVerdict = std::optional<OutcomeWatch::Verdict>;  ///< nullopt: written, the outcome is yet to come
+  using DirectCalls = std::vector<std::future<InstanceOutcome>>;
+
+  Impl(discovery::Registry& registry_of_all, MasterOptions given);
+
+  /// Counts an order as under way while it lives.
+  class UnderWay {
+   public:
+    explicit UnderWay(Impl& impl) : impl_(impl) {
+      std::lock_guard lock(impl_.mutex);
+      ++impl_.under_way;
+    }
+    ~UnderWay() {
+      std::lock_guard lock(impl_.mutex);
+      if (--impl_.under_way == 0) impl_.idle.notify_all();
+    }
+    UnderWay(const UnderWay&) = delete;
+    UnderWay& operator=(const UnderWay&) = delete;
+
+   private:
+    Impl& impl_;
+  };
+
+  /// The epoch of orders now; 0 when this master does not lead.
+  std::int64_t leading_epoch() const { return election.leading() ? epoch.load() : 0; }
+
+  std::string leader() const { return leading_epoch() > 0 ? options.address : election.leader_data(); }
+
+  std::optional<OrderResult> refuse_unless_leading() const;
+
+  /// How long to wait when the caller asked for `wait`.
+  std::chrono::milliseconds limit(const WaitLimit& wait) const;
+
+  /// Runs an order's body with the checks and errors that all orders share.
+  template <typename Body>
+  OrderResult guarded(Body&& body) {
+    UnderWay guard(*this);
+    if (auto refusal = refuse_unless_leading()) return *refusal;
+    try {
+      return body();
+    } catch (const discovery::RegistryError& e) {
+      return refuse(Refusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
+    } catch (const config::Error& e) {
+      return refuse(Refusal::bad_request, e.what());
+    }
+  }
+
+  /// Writes to the registry; what that says about the order, when it is not simply written.
+  template <typename Write>
+  MaybeVerdict written(Write&& write) {
+    if (leading_epoch() == 0) return OutcomeWatch::Verdict{Outcome::failed, "this master has just lost its lead"};
+    try {
+      return write();
+    } catch (const discovery::RegistryError& e) {
+      if (e.code() == discovery::RegistryErrorCode::away)
+        return OutcomeWatch::Verdict{Outcome::unknown,
+                                     fmt::format("whether the order was recorded is not known: {}", e.what())};
+      return OutcomeWatch::Verdict{Outcome::failed, e.what()};
+    }
+  }
+
+  // order_deploy.cc
+  std::optional<OrderResult> refuse_deployment(const DeployRequest& request) const;
+  discovery::OrderRecord order_for(const DeployRequest& request) const;
+  OrderResult deploy(const DeployRequest& request);
+  MaybeVerdict order_deployment(const discovery::GatewayStatus& gateway, const discovery::OrderRecord& order,
+                                OutcomeWatch& watch);
+
+  // order_change.cc
+  /// Where an instance stands in the registry.
+  struct Located {
+    std::string instance;
+    std::string gateway;
+    std::string driver;                     ///< empty: no record yet
+    std::optional<discovery::Node> record;  ///< nullopt: no record yet
+  };
+  std::optional<Located> locate(const std::string& instance, const std::vector<discovery::GatewayStatus>& known);
+
+  OrderResult change(const InstanceSelection& selection, Change change);
+  MaybeVerdict order_change(const Located& where, const discovery::GatewayStatus& gateway, Change change,
+                            OutcomeWatch& watch);
+  MaybeVerdict clear_away(const Located& where, Change change);
+  MaybeVerdict remove_order(const Located& where);
+  MaybeVerdict set_active(const Located& where, bool active);
+  MaybeVerdict fenced(const discovery::OrderRecord& order) const;
+
+  // master.cc
+  bool is_direct(const std::string& gateway) const { return options.direct && options.direct->has(gateway); }
+  /// Waits for all outcomes, then logs and counts them.
+  void settle(OrderResult& result, OutcomeWatch& watch, DirectCalls& calls, const WaitLimit& wait,
+              const std::string& order);
+
+  discovery::Registry& registry;
+  const MasterOptions options;
+  std::stop_source closing;
+  std::atomic<std::int64_t> epoch{0};
+  std::mutex mutex;
+  std::condition_variable idle;
+  int under_way = 0;             ///< guarded by mutex
+  discovery::Election election;  ///< last: its callbacks use the others
+};
+
+}  // namespace iotcloud::master

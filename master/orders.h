@@ -1,0 +1,77 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace iotcloud::master {
+
+/// What became of an order for one instance on one gateway.
+enum class Outcome {
+  done,     ///< the gateway reported the wanted state
+  failed,   ///< the gateway reported a failure, or the order could not be written
+  pending,  ///< recorded; the gateway is lost and will do it when it comes back
+  unknown,  ///< nothing was heard in time: it may still happen
+};
+std::string to_string(Outcome outcome);
+
+struct InstanceOutcome {
+  std::string gateway;
+  std::string instance;
+  Outcome outcome = Outcome::unknown;
+  std::string reason;  ///< for people; empty when done and nothing is to be said
+  friend bool operator==(const InstanceOutcome&, const InstanceOutcome&) = default;
+};
+
+/// What an order asks of an instance that is deployed.
+enum class Change { undeploy, start, stop };
+std::string to_string(Change change);
+
+/// Why a master took no order at all: nothing was written.
+enum class Refusal {
+  none,
+  not_leading,       ///< another master leads: OrderResult::leader
+  unknown_gateway,   ///< the text lists the known ones
+  unknown_instance,  ///< the text says which
+  bad_request,       ///< a name that cannot be one, a count out of range
+  registry_away,     ///< the registry did not answer
+};
+
+/// The answer to an order: refused as a whole, or an outcome for each instance.
+struct OrderResult {
+  Refusal refusal = Refusal::none;
+  std::string text;    ///< why it was refused, and how to mend it
+  std::string leader;  ///< host:port of the master that leads, when `not_leading` and known
+  std::vector<InstanceOutcome> outcomes;
+
+  /// Not refused, and every outcome is `done`.
+  bool all_done() const;
+  /// One line for people: "2 of 3 done; lab2: failed: no such plugin (turtel.so)".
+  std::string summary() const;
+};
+
+/// Time to wait for outcomes when the caller names none: MasterOptions::outcome_timeout.
+using WaitLimit = std::optional<std::chrono::milliseconds>;
+
+struct DeployRequest {
+  std::vector<std::string> gateways;  ///< empty: all that are registered
+  std::string plugin;                 ///< file name in the gateway's plugin folder ("turtle.so")
+  std::string driver;                 ///< name of the driver; empty: the plugin's own
+  std::map<std::string, std::string> properties;
+  std::map<std::string, std::string> metadata;
+  int count = 1;  ///< instances on each gateway, 1 to max_count
+  WaitLimit wait;
+  static constexpr int max_count = 10'000;
+};
+
+/// Instances that an order to undeploy, start or stop is for.
+struct InstanceSelection {
+  std::vector<std::string> instances;  ///< ids in full
+  std::vector<std::string> gateways;   ///< when not empty, the instances must be on one of these
+  WaitLimit wait;
+};
+
+}  // namespace iotcloud::master
