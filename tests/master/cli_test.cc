@@ -1,0 +1,293 @@
+#include <cstdio>
+#include <fstream>
+#include <map>
+#include <optional>
+#include <sstream>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/master/api_handler.h>
+#include <iotcloud/master/thrift_server.h>
+#include <iotcloud/tests/master/fleet.h>
+#include <iotcloud/tests/master/process.h>
+
+namespace iotcloud::master {
+namespace {
+
+using discovery::DriverState;
+using nlohmann::json;
+using test::FakeGateway;
+using test::Finished;
+using test::TestMaster;
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::MatchesRegex;
+using testing::Not;
+using testing::SizeIs;
+using testing::StartsWith;
+
+class Cli : public testing::Test {
+ protected:
+  /// The master tells others where its API is, so the port must be known before either is made.
+  Cli() {
+    for (int attempt = 0; !server && attempt < 10; ++attempt) {
+      master.reset();
+      auto options = TestMaster::quick();
+      ThriftServerOptions listen;
+      listen.port = test::free_port();
+      options.address = "127.0.0.1:" + std::to_string(listen.port);
+      master.emplace(url, options);
+      try {
+        server.emplace(listen, serve_api(**master, ""));
+      } catch (const config::Error&) {
+        continue;  // somebody else was faster to take the port
+      }
+    }
+    EXPECT_TRUE(server && master->leads());
+  }
+  std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }
+
+  /// Runs the CLI against the test's master.
+  Finished run(std::vector<std::string> words) const {
+    words.insert(words.begin(), IOTCLOUD_CLI);
+    return test::run_program(words, {{"IOTCLOUD_MASTER", address()}});
+  }
+  json run_json(std::vector<std::string> words) const {
+    words.insert(words.end(), {"-o", "json"});
+    const auto done = run(words);
+    EXPECT_EQ(done.status, 0) << done.err;
+    return json::parse(done.out);
+  }
+  std::string deploy(const std::string& gateway) {
+    DeployRequest request;
+    request.plugin = "turtle.so";
+    request.gateways = {gateway};
+    return (*master)->deploy(request).outcomes.at(0).instance;
+  }
+
+  const std::string url = test::fresh_registry_url();
+  std::optional<TestMaster> master;
+  std::optional<ThriftServer> server;
+};
+
+TEST_F(Cli, DeploysAndListsAsJson) {
+  FakeGateway gateway(url, "lab1");
+  const auto answer = run_json({"deploy", "turtle.so", "--gateway", "lab1", "--name", "robot", "--property=map=a=b",
+                                "-p", "speed=1", "-m", "room=12", "--count", "2"});
+  EXPECT_EQ(answer["ok"], true);
+  ASSERT_THAT(answer["outcomes"], SizeIs(2));
+  EXPECT_EQ(answer["outcomes"][0]["outcome"], "done");
+  EXPECT_EQ(gateway.orders().at(0).properties.at("map"), "a=b");
+  EXPECT_EQ(gateway.orders().at(0).properties.at("speed"), "1");
+
+  const auto drivers = run_json({"drivers"});
+  ASSERT_THAT(drivers, SizeIs(2));
+  EXPECT_EQ(drivers[0]["driver"], "robot");
+  EXPECT_EQ(drivers[0]["gateway"], "lab1");
+  EXPECT_EQ(drivers[0]["state"], "active");
+  EXPECT_EQ(drivers[0]["metadata"]["room"], "12");
+  EXPECT_EQ(drivers[0]["channels"][0]["name"], "kinect");
+  EXPECT_EQ(drivers[0]["since_ms"], 1000);
+
+  const auto gateways = run_json({"gateways"});
+  ASSERT_THAT(gateways, SizeIs(1));
+  EXPECT_EQ(gateways[0]["gateway"], "lab1");
+  EXPECT_EQ(gateways[0]["state"], "ready");
+}
+
+TEST_F(Cli, TablesAreAligned) {
+  FakeGateway one(url, "lab1");
+  FakeGateway two(url, "a-much-longer-name");
+  const auto done = run({"gateways"});
+  EXPECT_EQ(done.status, 0) << done.err;
+  std::istringstream lines(done.out);
+  std::string head, first, second;
+  std::getline(lines, head);
+  std::getline(lines, first);
+  std::getline(lines, second);
+  EXPECT_EQ(head.find("STATE"), first.find("ready"));
+  EXPECT_EQ(head.find("STATE"), second.find("ready"));
+  EXPECT_EQ(head.find("ADDRESS"), second.find("127.0.0.1:12905"));
+}
+
+TEST_F(Cli, AFailedDeploymentHasTheReasonAndExitStatusOne) {
+  FakeGateway gateway(url, "lab1", FakeGateway::fail("no such plugin; the folder has turtle.so"));
+  const auto done = run({"deploy", "turtel.so", "--all"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.out, AllOf(HasSubstr("failed"), HasSubstr("no such plugin; the folder has turtle.so")));
+  const auto listed = run({"drivers", "--state", "failed"});
+  EXPECT_THAT(listed.out, HasSubstr("no such plugin"));
+}
+
+TEST_F(Cli, APartialDeploymentHasExitStatusOne) {
+  FakeGateway good(url, "lab1");
+  FakeGateway bad(url, "lab2", FakeGateway::fail("no"));
+  const auto done = run({"deploy", "turtle.so", "-g", "lab1,lab2", "-o", "json"});
+  EXPECT_EQ(done.status, 1);
+  const auto answer = json::parse(done.out);
+  EXPECT_EQ(answer["ok"], false);
+  EXPECT_EQ(answer["outcomes"][0]["outcome"], "done");
+  EXPECT_EQ(answer["outcomes"][1]["outcome"], "failed");
+}
+
+TEST_F(Cli, ASilentGatewayIsUnknownAfterTheWait) {
+  FakeGateway silent(url, "lab1", FakeGateway::say_nothing());
+  const auto done = run({"deploy", "turtle.so", "--all", "--wait", "0.05"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.out, HasSubstr("unknown"));
+}
+
+TEST_F(Cli, AnUnknownGatewayIsAnErrorThatListsTheKnownOnes) {
+  FakeGateway gateway(url, "lab1");
+  const auto done = run({"deploy", "turtle.so", "--gateway", "lab7"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.err, AllOf(StartsWith("iotcloud: "), HasSubstr("lab7"), HasSubstr("known gateways: lab1")));
+}
+
+TEST_F(Cli, IdsMayBeGivenByTheirBeginning) {
+  FakeGateway gateway(url, "lab1");
+  const auto id = deploy("lab1");
+  EXPECT_EQ(run({"stop", id.substr(0, 8)}).status, 0);
+  EXPECT_EQ(run_json({"drivers", id.substr(0, 8)})[0]["state"], "inactive");
+  EXPECT_EQ(run({"start", id.substr(0, 8)}).status, 0);
+  EXPECT_EQ(run({"undeploy", id.substr(0, 8)}).status, 0);
+  EXPECT_THAT(run_json({"drivers"}), SizeIs(0));
+  const auto gone = run({"undeploy", id});
+  EXPECT_EQ(gone.status, 1);
+  EXPECT_THAT(gone.err, HasSubstr("iotcloud drivers"));
+}
+
+TEST_F(Cli, ABeginningOfSeveralIdsIsRefusedWithTheCandidates) {
+  FakeGateway gateway(url, "lab1");
+  // Seventeen ids: two begin with the same hexadecimal digit.
+  std::map<char, std::string> by_digit;
+  std::string digit, one, other;
+  while (digit.empty()) {
+    const auto id = deploy("lab1");
+    const auto [at, is_new] = by_digit.emplace(id[0], id);
+    if (is_new) continue;
+    digit = id.substr(0, 1);
+    one = at->second;
+    other = id;
+  }
+  const auto done = run({"undeploy", digit});
+  EXPECT_EQ(done.status, 2);
+  EXPECT_THAT(done.err, AllOf(HasSubstr(one), HasSubstr(other), HasSubstr("give more of it")));
+  EXPECT_THAT(run_json({"drivers", one}), SizeIs(1));
+}
+
+TEST_F(Cli, StatusShowsLeaderGatewaysDriversAndTopologies) {
+  FakeGateway gateway(url, "lab1");
+  { FakeGateway gone(url, "lab2"); }
+  deploy("lab1");
+  ASSERT_TRUE(test::eventually([&] { return !(*master)->gateways().at(1).alive; }));
+  const auto status = run_json({"status"});
+  EXPECT_EQ(status["master"]["leading"], true);
+  EXPECT_EQ(status["master"]["address"], address());
+  EXPECT_EQ(status["gateways"]["ready"], 1);
+  EXPECT_EQ(status["gateways"]["lost"], 1);
+  EXPECT_EQ(status["drivers"]["active"], 1);
+  EXPECT_THAT(status["topologies"], SizeIs(0));
+  EXPECT_THAT(run({"status"}).out, AllOf(HasSubstr("1 ready, 1 lost"), HasSubstr("1 active")));
+}
+
+TEST_F(Cli, YamlSaysTheSameAsJson) {
+  FakeGateway gateway(url, "lab1");
+  const auto done = run({"gateways", "-o", "yaml"});
+  EXPECT_EQ(done.status, 0);
+  EXPECT_EQ(done.out,
+            "- gateway: lab1\n  state: ready\n  host: \"127.0.0.1\"\n  port: 12905\n  brokers:\n    - rabbitmq\n"
+            "  since_ms: 1\n");
+}
+
+TEST_F(Cli, FollowsTheLeaderWhenItAskedAStandby) {
+  FakeGateway gateway(url, "lab1");
+  auto options = TestMaster::quick();
+  options.id = "m2";
+  TestMaster standby(url, options);
+  ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
+  ThriftServer standby_server({}, serve_api(*standby, ""));
+  const auto at_standby = "127.0.0.1:" + std::to_string(standby_server.port());
+
+  const auto deployed = run({"--master", at_standby, "deploy", "turtle.so", "--all"});
+  EXPECT_EQ(deployed.status, 0) << deployed.err;
+  EXPECT_THAT(gateway.orders(), SizeIs(1));
+  const auto status = run({"--master", at_standby, "status"});
+  EXPECT_THAT(status.out, HasSubstr("standby; " + address() + " leads"));
+}
+
+TEST_F(Cli, ALeaderThatDoesNotAnswerIsSaid) {
+  auto options = TestMaster::quick();
+  options.id = "m2";
+  TestMaster standby(url, options);
+  ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
+  ThriftServer standby_server({}, serve_api(*standby, ""));
+  const auto leader = address();
+  server.reset();
+  const auto done = test::run_program(
+      {IOTCLOUD_CLI, "--master", "127.0.0.1:" + std::to_string(standby_server.port()), "deploy", "turtle.so", "--all"});
+  EXPECT_EQ(done.status, 3);
+  EXPECT_THAT(done.err, AllOf(HasSubstr("standby"), HasSubstr(leader)));
+}
+
+TEST_F(Cli, AsksTheNextMasterWhenTheFirstIsAway) {
+  FakeGateway gateway(url, "lab1");
+  EXPECT_EQ(run({"--master", "127.0.0.1:1," + address(), "gateways"}).status, 0);
+}
+
+TEST_F(Cli, WithoutAMasterTheExitStatusIsThreeAndTheTextSaysHowToMendIt) {
+  const auto done = run({"--master", "127.0.0.1:1", "drivers"});
+  EXPECT_EQ(done.status, 3);
+  EXPECT_THAT(done.err, AllOf(HasSubstr("127.0.0.1:1"), HasSubstr("--master"), HasSubstr("iotcloud-master")));
+}
+
+TEST_F(Cli, AMasterThatWantsATokenGetsItFromAFile) {
+  FakeGateway gateway(url, "lab1");
+  server.reset();
+  server.emplace(ThriftServerOptions{}, serve_api(**master, "open sesame"));
+  const auto closed = run({"gateways"});
+  EXPECT_EQ(closed.status, 1);
+  EXPECT_THAT(closed.err, HasSubstr("token"));
+  const std::string file = testing::TempDir() + "iotcloud-token-" + std::to_string(getpid());
+  std::ofstream(file) << "open sesame\n";
+  EXPECT_EQ(run({"--token-file", file, "gateways"}).status, 0);
+  std::remove(file.c_str());
+}
+
+TEST_F(Cli, WrongUsageHasExitStatusTwo) {
+  for (const std::vector<std::string>& words : {std::vector<std::string>{},
+                                                {"deploi"},
+                                                {"deploy"},
+                                                {"deploy", "turtle.so"},
+                                                {"undeploy"},
+                                                {"drivers", "-o", "xml"},
+                                                {"deploy", "turtle.so", "--all", "-p", "novalue"},
+                                                {"deploy", "turtle.so", "--all", "--gateway", "lab1"},
+                                                {"deploy", "turtle.so", "--all", "--count", "0"},
+                                                {"--master", "nowhere", "status"}}) {
+    const auto done = run(words);
+    EXPECT_EQ(done.status, 2) << testing::PrintToString(words) << done.out << done.err;
+    EXPECT_FALSE(done.err.empty());
+  }
+}
+
+TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
+  for (const char* command : {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop"}) {
+    const auto done = run({command, "--help"});
+    EXPECT_EQ(done.status, 0) << command;
+    EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud "))) << command;
+  }
+  EXPECT_THAT(run({"--help"}).out, HasSubstr("Exit status"));
+}
+
+TEST_F(Cli, WhatOthersWroteCannotSteerTheTerminal) {
+  FakeGateway gateway(url, "lab1", FakeGateway::fail("\x1b[2Jgone\nnext"));
+  const auto done = run({"deploy", "turtle.so", "--all"});
+  EXPECT_THAT(done.out, AllOf(HasSubstr("[2Jgone next"), Not(HasSubstr("\x1b"))));
+}
+
+}  // namespace
+}  // namespace iotcloud::master

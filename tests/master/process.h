@@ -1,0 +1,22 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+namespace iotcloud::master::test {
+
+/// What a program that ran to its end left.
+struct Finished {
+  int status = -1;  ///< exit status; -1: a signal ended it
+  std::string out;
+  std::string err;
+};
+
+/// Runs a program to its end. \param environment is added to this process's own.
+Finished run_program(const std::vector<std::string>& words, const std::map<std::string, std::string>& environment = {});
+
+/// A port of the loopback interface that nobody listens on now.
+int free_port();
+
+}  // namespace iotcloud::master::test
