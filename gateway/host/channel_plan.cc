@@ -1,0 +1,154 @@
+#include <algorithm>
+#include <charconv>
+#include <set>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <iotcloud/config/yaml.h>
+#include <iotcloud/gateway/host/channel_plan.h>
+#include <iotcloud/gateway/host/plugin.h>
+
+namespace iotcloud::gateway {
+
+namespace {
+
+using drivers::ChannelSpec;
+
+const std::vector<std::string> options = {"capacity", "when_full", "deadline_ms", "durable",
+                                          "broker",   "shared",    "keep_last"};
+constexpr std::string_view prefix = "channel.";
+
+std::size_t whole_number(const std::string& property, const std::string& text, std::size_t min) {
+  std::size_t value = 0;
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (status != std::errc{} || end != text.data() + text.size() || value < min || value > 1'000'000'000) {
+    throw config::Error(
+        fmt::format("property \"{}\" is \"{}\"; it must be a whole number from {} on", property, text, min));
+  }
+  return value;
+}
+
+bool yes_or_no(const std::string& property, const std::string& text) {
+  if (text == "true") return true;
+  if (text == "false") return false;
+  throw config::Error(fmt::format("property \"{}\" is \"{}\"; it must be true or false", property, text));
+}
+
+void apply(ChannelSpec& spec, const std::string& option, const std::string& property, const std::string& value) {
+  if (option == "capacity") {
+    spec.capacity = whole_number(property, value, 1);
+  } else if (option == "deadline_ms") {
+    spec.deadline = std::chrono::milliseconds(whole_number(property, value, 0));
+  } else if (option == "keep_last") {
+    spec.keep_last = whole_number(property, value, 0);
+  } else if (option == "durable") {
+    spec.durable = yes_or_no(property, value);
+  } else if (option == "shared") {
+    spec.shared = yes_or_no(property, value);
+  } else if (option == "broker") {
+    spec.broker = value;
+  } else if (value == "keep_newest" || value == "block") {
+    spec.when_full = value == "block" ? drivers::WhenFull::block : drivers::WhenFull::keep_newest;
+  } else {
+    throw config::Error(fmt::format("property \"{}\" is \"{}\"; it must be keep_newest or block", property, value));
+  }
+}
+
+void apply_overrides(const drivers::PropertyMap& properties, std::vector<ChannelSpec>& specs) {
+  for (const auto& [property, value] : properties) {
+    if (!property.starts_with(prefix)) continue;
+    const auto dot = property.rfind('.');
+    const std::string option = property.substr(dot + 1);
+    const std::string channel =
+        dot > prefix.size() ? property.substr(prefix.size(), dot - prefix.size()) : std::string{};
+    const auto spec = std::find_if(specs.begin(), specs.end(), [&](const auto& s) { return s.name == channel; });
+    if (spec == specs.end()) {
+      std::vector<std::string> names;
+      for (const auto& s : specs) names.push_back(s.name);
+      throw config::Error(fmt::format("property \"{}\": the driver has no channel \"{}\"; it has {}", property, channel,
+                                      fmt::join(names, ", ")));
+    }
+    if (std::find(options.begin(), options.end(), option) == options.end()) {
+      const std::string near = config::nearest(option, options);
+      throw config::Error(fmt::format("property \"{}\": \"{}\" is no option of a channel; {}", property, option,
+                                      near.empty() ? fmt::format("they are {}", fmt::join(options, ", "))
+                                                   : fmt::format("did you mean \"{}\"?", near)));
+    }
+    apply(*spec, option, property, value);
+  }
+}
+
+const BrokerPlan& broker_of(const ChannelSpec& spec, const std::vector<BrokerPlan>& brokers) {
+  if (brokers.empty())
+    throw config::Error("the gateway has no broker; name one under \"brokers\" in its configuration");
+  if (spec.broker.empty()) return brokers.front();
+  for (const auto& broker : brokers) {
+    if (broker.name == spec.broker) return broker;
+  }
+  std::vector<std::string> names;
+  for (const auto& broker : brokers) names.push_back(broker.name);
+  throw config::Error(fmt::format("channel \"{}\" wants the broker \"{}\"; this gateway has {}", spec.name, spec.broker,
+                                  fmt::join(names, ", ")));
+}
+
+PlannedChannel plan(const std::string& gateway, const std::string& driver, const InstanceSpec& instance,
+                    const ChannelSpec& spec) {
+  check_name("channel name", spec.name);
+  const BrokerPlan& broker = broker_of(spec, instance.brokers);
+  if (broker.type == "kafka" && !spec.shared) {
+    throw config::Error(
+        fmt::format("channel \"{}\" is exclusive, but Kafka carries shared channels only; deploy with --property "
+                    "channel.{}.shared=true, or use another broker",
+                    spec.name, spec.name));
+  }
+  const auto given = [&](const char* key, const std::string& fallback) {
+    const auto found = spec.properties.find(key);
+    return found == spec.properties.end() || found->second.empty() ? fallback : found->second;
+  };
+  const std::string group = spec.shared ? fmt::format("{}.{}.", gateway, driver)
+                                        : fmt::format("{}.{}.{}.", gateway, driver, instance.order.instance);
+
+  PlannedChannel channel;
+  channel.spec = spec;
+  channel.topic.durable = spec.durable;
+  auto& record = channel.record;
+  if (broker.type == "kafka") {
+    channel.topic.name = group + given("topic", spec.name);
+    record.properties["topic"] = channel.topic.name;
+  } else {
+    channel.topic.exchange = given("exchange", spec.durable ? driver + ".durable" : driver);
+    channel.topic.name = group + given("routingKey", given("queueName", spec.name));
+    record.properties["exchange"] = channel.topic.exchange;
+    record.properties["routingKey"] = channel.topic.name;
+    record.properties["queueName"] = group + given("queueName", given("routingKey", spec.name));
+  }
+  record.properties["durable"] = spec.durable ? "true" : "false";
+  record.name = spec.name;
+  record.transport = broker.name;
+  record.direction = spec.direction == drivers::Direction::in ? discovery::Direction::in : discovery::Direction::out;
+  record.broker_url = spec.shared ? broker.shared_url : broker.exclusive_url;
+  record.gateway = gateway;
+  record.driver = driver;
+  record.instance = instance.order.instance;
+  record.shared = spec.shared;
+  return channel;
+}
+
+}  // namespace
+
+std::vector<PlannedChannel> plan_channels(const std::string& gateway, const std::string& driver,
+                                          const InstanceSpec& instance, std::vector<ChannelSpec> wanted) {
+  apply_overrides(instance.order.properties, wanted);
+  std::vector<PlannedChannel> planned;
+  std::set<std::string> names;
+  for (const auto& spec : wanted) {
+    if (!names.insert(spec.name).second) {
+      throw config::Error(fmt::format("the driver asks for two channels named \"{}\"", spec.name));
+    }
+    planned.push_back(plan(gateway, driver, instance, spec));
+  }
+  return planned;
+}
+
+}  // namespace iotcloud::gateway

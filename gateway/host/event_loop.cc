@@ -1,0 +1,202 @@
+#include <atomic>
+#include <exception>
+#include <thread>
+#include <unordered_map>
+#include <utility>
+
+#include <boost/asio/dispatch.hpp>
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/posix/stream_descriptor.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <fcntl.h>
+#include <pthread.h>
+#include <sys/prctl.h>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/gateway/host/event_loop.h>
+
+namespace iotcloud::gateway {
+
+namespace asio = boost::asio;
+
+namespace {
+
+constexpr config::Logger log{"gateway.loop"};
+constexpr std::chrono::seconds catch_up_limit{1};
+
+using Steady = std::chrono::steady_clock;
+
+/// No exception crosses a thread's entry.
+void guarded(const std::function<void()>& callback) noexcept {
+  try {
+    callback();
+  } catch (const std::exception& e) {
+    log.error("a callback threw: {}", e.what());
+  } catch (...) {
+    log.error("a callback threw an exception that is not a std::exception");
+  }
+}
+
+}  // namespace
+
+struct EventLoop::Impl : std::enable_shared_from_this<EventLoop::Impl> {
+  struct Handler {
+    virtual ~Handler() = default;
+    virtual void cancel() = 0;
+    bool stopped = false;
+    std::function<void()> callback;
+  };
+  struct Timer final : Handler {
+    explicit Timer(asio::io_context& context) : timer(context) {}
+    void cancel() override { timer.cancel(); }
+    asio::steady_timer timer;
+    std::chrono::microseconds period{0};
+    Steady::time_point intended;
+  };
+  struct Watch final : Handler {
+    Watch(asio::io_context& context, int duplicate) : descriptor(context, duplicate) {}
+    void cancel() override { descriptor.close(ignored); }
+    asio::posix::stream_descriptor descriptor;
+    boost::system::error_code ignored;
+  };
+
+  // No concurrency hint: with a hint of 1 what a callback posts would be overtaken by what others post after it.
+  asio::io_context context;
+  asio::executor_work_guard<asio::io_context::executor_type> work{context.get_executor()};
+  std::atomic<HandlerId> next_id{1};
+  std::unordered_map<HandlerId, std::shared_ptr<Handler>> handlers;  ///< loop's thread only
+  std::thread thread;
+  std::atomic<bool> probe_out{false};
+  std::atomic<Steady::rep> probe_sent{0};
+
+  void wait_timer(HandlerId id, const std::shared_ptr<Timer>& timer) {
+    timer->timer.expires_at(timer->intended);
+    timer->timer.async_wait([this, id, timer](const boost::system::error_code&) {
+      if (timer->stopped) return;
+      if (timer->period.count() == 0) handlers.erase(id);
+      guarded(timer->callback);
+      if (timer->stopped || timer->period.count() == 0) return;
+      timer->intended += timer->period;
+      const auto behind = Steady::now() - timer->intended;
+      if (behind > catch_up_limit && behind > timer->period) {
+        timer->intended += timer->period * (behind / timer->period);
+      }
+      wait_timer(id, timer);
+    });
+  }
+
+  void wait_descriptor(const std::shared_ptr<Watch>& watch, bool for_writing) {
+    const auto kind =
+        for_writing ? asio::posix::stream_descriptor::wait_write : asio::posix::stream_descriptor::wait_read;
+    watch->descriptor.async_wait(kind, [this, watch, for_writing](const boost::system::error_code& error) {
+      if (watch->stopped) return;
+      if (error) {
+        log.warn("a descriptor is not watched any more: {}", error.message());
+        return;
+      }
+      guarded(watch->callback);
+      if (!watch->stopped) wait_descriptor(watch, for_writing);
+    });
+  }
+};
+
+EventLoop::EventLoop(const std::string& name) : impl_(std::make_shared<Impl>()) {
+  impl_->thread = std::thread([impl = impl_, name] {
+    pthread_setname_np(pthread_self(), name.substr(0, 15).c_str());
+    prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);  // otherwise every sleep is 50 us late
+    impl->context.run();
+  });
+}
+
+EventLoop::~EventLoop() {
+  stop();
+}
+
+void EventLoop::stop() {
+  impl_->context.stop();
+  if (!impl_->thread.joinable()) return;
+  if (on_this_thread()) {
+    impl_->thread.detach();  // the thread's own share keeps Impl alive until it has left the callback
+  } else {
+    impl_->thread.join();
+    impl_->handlers.clear();
+  }
+}
+
+void EventLoop::abandon() {
+  impl_->context.stop();
+  if (impl_->thread.joinable()) impl_->thread.detach();
+}
+
+void EventLoop::post(std::function<void()> callback) {
+  asio::post(impl_->context, [callback = std::move(callback)] { guarded(callback); });
+}
+
+HandlerId EventLoop::new_handler() {
+  return impl_->next_id++;
+}
+
+HandlerId EventLoop::start_timer(std::chrono::microseconds first, std::chrono::microseconds period,
+                                 std::function<void()> callback, HandlerId id) {
+  if (id == 0) id = new_handler();
+  auto timer = std::make_shared<Impl::Timer>(impl_->context);
+  timer->callback = std::move(callback);
+  timer->period = period;
+  timer->intended = Steady::now() + first;
+  asio::dispatch(impl_->context, [impl = impl_.get(), id, timer] {
+    if (timer->stopped) return;
+    impl->handlers.emplace(id, timer);
+    impl->wait_timer(id, timer);
+  });
+  return id;
+}
+
+HandlerId EventLoop::watch_descriptor(int descriptor, bool for_writing, std::function<void()> callback, HandlerId id) {
+  if (id == 0) id = new_handler();
+  // A duplicate: the caller may close its own, or watch it for reading and for writing.
+  const int duplicate = fcntl(descriptor, F_DUPFD_CLOEXEC, 0);
+  if (duplicate < 0) {
+    log.error("descriptor {} cannot be watched: it is not open", descriptor);
+    return id;
+  }
+  asio::dispatch(impl_->context, [impl = impl_.get(), id, duplicate, for_writing, callback = std::move(callback)] {
+    try {
+      auto watch = std::make_shared<Impl::Watch>(impl->context, duplicate);
+      watch->callback = callback;
+      impl->handlers.emplace(id, watch);
+      impl->wait_descriptor(watch, for_writing);
+    } catch (const std::exception& e) {
+      log.error("a descriptor cannot be watched (a regular file?): {}", e.what());
+    }
+  });
+  return id;
+}
+
+void EventLoop::stop_handler(HandlerId id) {
+  asio::dispatch(impl_->context, [impl = impl_.get(), id] {
+    const auto found = impl->handlers.find(id);
+    if (found == impl->handlers.end()) return;
+    const auto handler = std::move(found->second);
+    impl->handlers.erase(found);
+    handler->stopped = true;
+    handler->cancel();
+  });
+}
+
+bool EventLoop::on_this_thread() const {
+  return impl_->thread.get_id() == std::this_thread::get_id();
+}
+
+std::chrono::milliseconds EventLoop::stalled() {
+  const auto now = Steady::now();
+  if (!impl_->probe_out.exchange(true)) {
+    impl_->probe_sent = now.time_since_epoch().count();
+    post([impl = impl_.get()] { impl->probe_out = false; });
+    return std::chrono::milliseconds{0};
+  }
+  return std::chrono::duration_cast<std::chrono::milliseconds>(now.time_since_epoch() -
+                                                               Steady::duration(impl_->probe_sent.load()));
+}
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,55 @@
+// iotcloud-driver-host: a process that runs all instances of one driver plugin. Started by a gateway.
+#include <cstdio>
+#include <cstdlib>
+
+#include <CLI/CLI.hpp>
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/signalfd.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/log.h>
+#include <iotcloud/gateway/host/control_server.h>
+
+namespace {
+
+/// Blocks the signals that end the process before any thread exists, so that only the descriptor gets them.
+int signal_descriptor() {
+  signal(SIGPIPE, SIG_IGN);
+  sigset_t ending;
+  sigemptyset(&ending);
+  sigaddset(&ending, SIGTERM);
+  sigaddset(&ending, SIGINT);
+  pthread_sigmask(SIG_BLOCK, &ending, nullptr);
+  return signalfd(-1, &ending, SFD_CLOEXEC);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  iotcloud::gateway::ControlServer::Options options;
+  CLI::App app{"Runs the instances of one driver plugin for an IoTCloud gateway, which starts it.",
+               "iotcloud-driver-host"};
+  app.add_option("--plugin", options.plugin_path, "the driver's shared library")->required();
+  app.add_option("--gateway", options.order.gateway, "id of the gateway")->required();
+  app.add_option("--state", options.folder, "the gateway's state folder")->required();
+  app.add_option("--socket", options.socket_name, "name of the socket to listen on in the state folder")->required();
+  app.add_flag("--isolated", options.order.isolated, "this host is for one instance only");
+  CLI11_PARSE(app, argc, argv);
+  options.order.plugin = options.plugin_path.substr(options.plugin_path.rfind('/') + 1);
+
+  const int signals = signal_descriptor();
+  const std::string socket = options.folder + "/" + options.socket_name;
+  int status = 1;
+  try {
+    iotcloud::gateway::ControlServer server(std::move(options));
+    status = server.run(signals);
+    unlink(socket.c_str());
+    // A driver that is stuck must not keep the process; the sockets of brokers close with it.
+    if (status != 0) std::_Exit(status);
+  } catch (const std::exception& e) {
+    iotcloud::config::Logger{"gateway.host"}.error("{}", e.what());
+  }
+  return status;
+}

@@ -1,0 +1,133 @@
+// The outgoing side of an instance.
+#include <algorithm>
+#include <exception>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/gateway/host/instance.h>
+
+namespace iotcloud::gateway {
+
+namespace {
+
+constexpr config::Logger log_to{"gateway.host"};
+
+/// What became of a channel's messages, under their reasons.
+class OutcomeCounters {
+ public:
+  OutcomeCounters(config::Metrics& metrics, const discovery::ChannelRecord& channel)
+      : metrics_(metrics),
+        labels_{{"driver", channel.driver}, {"channel", channel.name}},
+        confirmed_(counter("confirmed", "")),
+        would_block_(counter("would_block", "")) {}
+
+  void count(brokers::Outcome outcome, const std::string& reason) {
+    switch (outcome) {
+      case brokers::Outcome::confirmed:
+        confirmed_.add();
+        break;
+      case brokers::Outcome::refused:
+        counter("refused", reason).add();
+        break;
+      case brokers::Outcome::dropped:
+        counter("dropped", reason).add();
+        break;
+      case brokers::Outcome::unknown:
+        counter("unknown", reason).add();
+        break;
+    }
+  }
+  void count_would_block() { would_block_.add(); }
+
+ private:
+  config::Counter& counter(const char* outcome, const std::string& reason) {
+    auto labels = labels_;
+    labels["outcome"] = outcome;
+    if (!reason.empty()) labels["reason"] = reason;
+    return metrics_.counter("iotcloud_driver_messages_total", "Messages of drivers, by what became of them", labels);
+  }
+  config::Metrics& metrics_;
+  const config::Labels labels_;
+  config::Counter& confirmed_;
+  config::Counter& would_block_;
+};
+
+}  // namespace
+
+struct Instance::Outgoing {
+  std::shared_ptr<OutcomeCounters> counters;
+  std::shared_ptr<brokers::Broker> broker;        ///< before what uses it
+  std::unique_ptr<brokers::Publisher> publisher;  ///< last: dies first
+};
+
+void Instance::open_outgoing(const PlannedChannel& channel) {
+  auto outgoing = std::make_shared<Outgoing>();
+  outgoing->counters = std::make_shared<OutcomeCounters>(*environment_->metrics, channel.record);
+  outgoing->broker = environment_->brokers->get(channel.record.broker_url);
+  brokers::PublisherOptions options;
+  options.when_full =
+      channel.spec.when_full == drivers::WhenFull::block ? brokers::WhenFull::block : brokers::WhenFull::keep_newest;
+  options.capacity = channel.spec.capacity;
+  options.deadline = channel.spec.deadline;
+  options.on_outcome = [counters = outgoing->counters](std::uint64_t, brokers::Outcome outcome,
+                                                       const std::string& reason) { counters->count(outcome, reason); };
+  options.on_writable = [weak = weak_from_this(), name = channel.spec.name] {
+    const auto self = weak.lock();
+    if (!self) return;
+    self->loop_->post([self, name] {
+      if (!self->running()) return;
+      self->call("on_writable", [&](std::string& error) { self->shell_->on_writable(name, error); });
+    });
+  };
+  outgoing->publisher = outgoing->broker->publisher(channel.topic, options);
+  const std::unique_lock lock(channels_mutex_);
+  outgoing_.emplace(channel.spec.name, std::move(outgoing));
+}
+
+drivers::PublishStatus Instance::publish(std::string_view channel, drivers::Message message) noexcept try {
+  if (!running()) return drivers::PublishStatus::closed;
+  const std::shared_lock lock(channels_mutex_);
+  const auto found = outgoing_.find(channel);
+  if (found == outgoing_.end()) return drivers::PublishStatus::closed;
+  message.driver_id = id_;
+  message.gateway_id = environment_->gateway;
+  if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();
+  switch (found->second->publisher->publish(std::move(message))) {
+    case brokers::PublishStatus::accepted:
+      return drivers::PublishStatus::accepted;
+    case brokers::PublishStatus::would_block:
+      found->second->counters->count_would_block();
+      return drivers::PublishStatus::would_block;
+    case brokers::PublishStatus::closed:
+      break;
+  }
+  return drivers::PublishStatus::closed;
+} catch (const std::exception& e) {
+  log_to.error("{}: publish on {} failed: {}", id_, channel, e.what());
+  return drivers::PublishStatus::closed;
+}
+
+void Instance::drain_then_report(discovery::DriverState final_state, const std::string& reason) {
+  auto closing = std::make_shared<std::map<std::string, std::shared_ptr<Outgoing>, std::less<>>>();
+  {
+    const std::unique_lock lock(channels_mutex_);  // waits for a publish that is under way
+    closing->swap(outgoing_);
+  }
+  // A failure is told at once; the end of an instance when its messages are out.
+  const bool failed = final_state == discovery::DriverState::failed;
+  if (failed) report(final_state, reason);
+  const auto deadline = environment_->clock->now() + environment_->drain_limit;
+  environment_->closing->post([self = shared_from_this(), closing, deadline, failed, final_state, reason] {
+    for (auto& [name, outgoing] : *closing) {
+      const auto left = std::max(deadline - self->environment_->clock->now(), config::Clock::Instant::duration::zero());
+      if (!outgoing->publisher->drain(std::chrono::duration_cast<std::chrono::milliseconds>(left))) {
+        log_to.warn("{}: channel {} closed with {} message(s) that the broker has not confirmed", self->id_, name,
+                    outgoing->publisher->pending());
+      }
+      outgoing->publisher.reset();
+    }
+    closing->clear();
+    if (!failed) self->report(final_state, reason);
+  });
+}
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,52 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <iotcloud/discovery/records.h>
+
+namespace iotcloud::gateway {
+
+/// A logical broker of the gateway as one instance sees it: the gateway has already picked the server for each channel
+/// group, so all hosts together spread their groups round robin (REFERENCE.md 3).
+struct BrokerPlan {
+  std::string name;           ///< logical ("rabbitmq"): ChannelSpec::broker, ChannelRecord::transport
+  std::string type;           ///< kind of broker ("embedded", "rabbitmq")
+  std::string exclusive_url;  ///< for this instance's own channels
+  std::string shared_url;     ///< for the channels that all instances of the driver share
+  friend bool operator==(const BrokerPlan&, const BrokerPlan&) = default;
+};
+
+/// All that a driver host needs to run one instance.
+struct InstanceSpec {
+  discovery::OrderRecord order;
+  std::vector<BrokerPlan> brokers;  ///< the first is the default
+  friend bool operator==(const InstanceSpec&, const InstanceSpec&) = default;
+};
+
+/// What a host is started for.
+struct HostOrder {
+  std::string plugin;     ///< plain file name ("turtle.so")
+  std::string gateway;    ///< id
+  bool isolated = false;  ///< for one instance only (`isolation: instance`)
+};
+
+/// What a driver host says of one instance.
+struct InstanceStatus {
+  std::string instance;
+  std::string driver;  ///< the order's name, or else the plugin's own
+  discovery::DriverState state = discovery::DriverState::deployed;
+  std::string reason;         ///< why it is in this state, for people
+  std::int64_t since_ms = 0;  ///< wall time of the last change
+  std::vector<discovery::ChannelRecord> channels;
+  friend bool operator==(const InstanceStatus&, const InstanceStatus&) = default;
+};
+
+/// An instance as its host knows it: what was ordered and what is.
+struct HostedInstance {
+  InstanceSpec spec;
+  InstanceStatus status;
+};
+
+}  // namespace iotcloud::gateway
