@@ -1,0 +1,90 @@
+#include <filesystem>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/yaml.h>
+#include <iotcloud/gateway/gateway_config.h>
+#include <iotcloud/gateway/host/plugin.h>
+
+namespace iotcloud::gateway {
+
+using std::chrono::duration_cast;
+using std::chrono::milliseconds;
+
+namespace {
+
+std::vector<BrokerSetting> read_brokers(config::Section& file) {
+  std::vector<BrokerSetting> brokers;
+  for (auto& [name, section] : file.sections("brokers")) {
+    BrokerSetting broker;
+    broker.name = name;
+    broker.type = section.choice_or("type", name, brokers::broker_kinds());
+    broker.urls = section.require_strings("urls");
+    section.finish();
+    if (broker.urls.empty()) throw section.error("urls", "there is none", "give the broker's URL");
+    if (broker.type == "embedded") {
+      throw section.error("type", "the embedded broker is inside one process, and driver hosts are others",
+                          "use a broker that is a server, or local mode");
+    }
+    brokers.push_back(std::move(broker));
+  }
+  if (brokers.empty()) throw file.error("brokers", "there is none", "name at least one, for drivers to publish to");
+  return brokers;
+}
+
+/// Runs a check whose error becomes one of this key.
+template <typename Check>
+void checked(const config::Section& section, const std::string& key, Check&& check) {
+  try {
+    check();
+  } catch (const config::ConfigError&) {
+    throw;
+  } catch (const config::Error& e) {
+    throw section.error(key, e.what());
+  }
+}
+
+void read_thrift(config::Section& file, SiteService::Options& thrift) {
+  auto section = file.optional_section("thrift");
+  if (!section) return;
+  thrift.host = section->string_or("host", thrift.host);
+  thrift.port = static_cast<int>(section->int_or("port", thrift.port, 0, 65535));
+  checked(*section, "host", [&] { SiteService::check_address(thrift.host); });
+  section->finish();
+}
+
+}  // namespace
+
+GatewayConfig GatewayConfig::load(const std::string& path) {
+  auto file = config::Section::load_file(path);
+  GatewayConfig config;
+  auto& gateway = config.gateway;
+  gateway.id = file.require_string("id");
+  checked(file, "id", [&] { check_name("gateway id", gateway.id); });
+  config.registry.url = file.require_string("registry");
+  config.registry.session_timeout =
+      duration_cast<milliseconds>(file.duration_or("registry.session_timeout", config.registry.session_timeout));
+  // A call that waits for the registry must not hold up the stop.
+  config.registry.operation_timeout = milliseconds{3000};
+  gateway.session_timeout = config.registry.session_timeout;
+  gateway.paths = discovery::Paths(file.string_or("zk.root", "/iot/sensors"));
+  gateway.brokers = read_brokers(file);
+  read_thrift(file, config.thrift);
+  gateway.host = config.thrift.host;
+  gateway.port = config.thrift.port;
+  config.hosts.plugin_dir = file.require_string("plugins");
+  config.hosts.state_dir = file.require_string("state");
+  checked(file, "plugins", [&] {
+    if (std::filesystem::is_directory(config.hosts.plugin_dir)) return;
+    throw file.error("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there",
+                     "make it, or name another");
+  });
+  config.hosts.hang_limit = duration_cast<milliseconds>(file.duration_or("host_hang_limit", config.hosts.hang_limit));
+  if (auto metrics = file.optional_section("metrics")) {
+    config.metrics_address = metrics->require_string("address");
+    metrics->finish();
+  }
+  file.finish();
+  return config;
+}
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,57 @@
+// iotcloud-gateway: connects the devices of one place to the brokers, by way of driver hosts.
+#include <memory>
+#include <optional>
+
+#include <iotcloud/config/daemon.h>
+#include <iotcloud/gateway/gateway_config.h>
+#include <iotcloud/gateway/state_folder.h>
+
+namespace {
+
+using namespace iotcloud;
+
+/// The daemon's parts, in the order in which they depend on each other.
+class GatewayDaemon final : public config::Service {
+ public:
+  explicit GatewayDaemon(gateway::GatewayConfig config) : config_(std::move(config)) {}
+
+  void start() override {
+    state_.emplace(config_.hosts.state_dir);
+    config_.hosts.state_dir = state_->path();
+    registry_ = discovery::make_registry(config_.registry);
+    auto options = config_.gateway;
+    options.registry = registry_.get();
+    options.state_id = state_->id();
+    options.launcher = std::make_shared<gateway::ProcessLauncher>(config_.hosts);
+    gateway_.emplace(std::move(options));
+    gateway_->start();
+    service_.emplace(config_.thrift, *gateway_, *registry_, config_.gateway.paths);
+  }
+
+  void stop(std::chrono::milliseconds limit) override {
+    gateway_->stop(limit - thrift_share);
+    service_.reset();
+    gateway_.reset();
+    registry_.reset();
+  }
+
+ private:
+  static constexpr std::chrono::milliseconds thrift_share{500};
+  gateway::GatewayConfig config_;
+  std::optional<gateway::StateFolder> state_;
+  std::unique_ptr<discovery::Registry> registry_;
+  std::optional<gateway::Gateway> gateway_;
+  std::optional<gateway::SiteService> service_;
+};
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  config::DaemonOptions options;
+  options.name = "iotcloud-gateway";
+  options.description = "Runs drivers, connects them to the brokers, and follows the gateway master's orders.";
+  options.build = [](const std::string& file) {
+    return std::make_unique<GatewayDaemon>(gateway::GatewayConfig::load(file));
+  };
+  return config::run_daemon(argc, argv, options);
+}
