@@ -1,0 +1,121 @@
+#include <gmock/gmock.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/gateway/host/channel_plan.h>
+
+namespace iotcloud::gateway {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+InstanceSpec instance(std::map<std::string, std::string> properties = {}) {
+  InstanceSpec spec;
+  spec.order.instance = "0a1b";
+  spec.order.properties = std::move(properties);
+  spec.brokers = {{"rabbitmq", "rabbitmq", "amqp://own", "amqp://shared"},
+                  {"kafka", "kafka", "kafka://own", "kafka://s"}};
+  return spec;
+}
+
+drivers::ChannelSpec channel(const std::string& name, bool shared = false) {
+  drivers::ChannelSpec spec;
+  spec.name = name;
+  spec.shared = shared;
+  return spec;
+}
+
+std::string error_of(const InstanceSpec& spec, const std::vector<drivers::ChannelSpec>& wanted) {
+  try {
+    plan_channels("gw1", "turtle", spec, wanted);
+  } catch (const config::Error& e) {
+    return e.what();
+  }
+  return "";
+}
+
+TEST(ChannelPlan, AnExclusiveChannelIsNamedAfterGatewayDriverAndInstance) {
+  const auto planned = plan_channels("gw1", "turtle", instance(), {channel("kinect")}).at(0);
+  EXPECT_EQ(planned.topic, (brokers::Topic{"turtle", "gw1.turtle.0a1b.kinect", false}));
+  EXPECT_EQ(planned.record.properties, (std::map<std::string, std::string>{{"exchange", "turtle"},
+                                                                           {"routingKey", "gw1.turtle.0a1b.kinect"},
+                                                                           {"queueName", "gw1.turtle.0a1b.kinect"},
+                                                                           {"durable", "false"}}));
+  EXPECT_EQ(planned.record.broker_url, "amqp://own");
+  EXPECT_EQ(planned.record.transport, "rabbitmq");
+  EXPECT_EQ(planned.record.gateway, "gw1");
+  EXPECT_EQ(planned.record.driver, "turtle");
+  EXPECT_EQ(planned.record.instance, "0a1b");
+  EXPECT_FALSE(planned.record.shared);
+}
+
+TEST(ChannelPlan, ASharedChannelIsNamedAfterGatewayAndDriverOnTheGroupsServer) {
+  const auto planned = plan_channels("gw1", "turtle", instance(), {channel("kinect", true)}).at(0);
+  EXPECT_EQ(planned.topic.name, "gw1.turtle.kinect");
+  EXPECT_EQ(planned.record.broker_url, "amqp://shared");
+  EXPECT_TRUE(planned.record.shared);
+}
+
+TEST(ChannelPlan, NamesThatTheDriverGivesFollowThePrefix) {
+  auto wanted = channel("kinect");
+  wanted.properties = {{"exchange", "sensors"}, {"routingKey", "depth"}, {"queueName", "frames"}};
+  const auto planned = plan_channels("gw1", "turtle", instance(), {wanted}).at(0);
+  EXPECT_EQ(planned.topic, (brokers::Topic{"sensors", "gw1.turtle.0a1b.depth", false}));
+  EXPECT_EQ(planned.record.properties.at("queueName"), "gw1.turtle.0a1b.frames");
+}
+
+TEST(ChannelPlan, ADurableChannelHasAnExchangeOfItsOwn) {
+  const auto planned =
+      plan_channels("gw1", "turtle", instance({{"channel.log.durable", "true"}}), {channel("log"), channel("kinect")});
+  EXPECT_EQ(planned.at(0).topic, (brokers::Topic{"turtle.durable", "gw1.turtle.0a1b.log", true}));
+  EXPECT_EQ(planned.at(0).record.properties.at("durable"), "true");
+  EXPECT_EQ(planned.at(1).topic.exchange, "turtle");
+}
+
+TEST(ChannelPlan, TheDeploymentOverridesTheQualityOfService) {
+  const auto planned = plan_channels("gw1", "turtle",
+                                     instance({{"channel.kinect.capacity", "2"},
+                                               {"channel.kinect.when_full", "keep_newest"},
+                                               {"channel.kinect.deadline_ms", "150"},
+                                               {"channel.kinect.keep_last", "1"},
+                                               {"channel.kinect.shared", "true"},
+                                               {"channel.kinect.broker", "kafka"},
+                                               {"seed", "7"}}),
+                                     {channel("kinect")})
+                           .at(0);
+  EXPECT_EQ(planned.spec.capacity, 2u);
+  EXPECT_EQ(planned.spec.when_full, drivers::WhenFull::keep_newest);
+  EXPECT_EQ(planned.spec.deadline, std::chrono::milliseconds(150));
+  EXPECT_EQ(planned.spec.keep_last, 1u);
+  EXPECT_EQ(planned.record.transport, "kafka");
+  EXPECT_EQ(planned.record.properties.at("topic"), "gw1.turtle.kinect");
+}
+
+TEST(ChannelPlan, AnOverrideThatCannotBeIsNamedWithWhatWouldBeRight) {
+  EXPECT_THAT(error_of(instance({{"channel.kinect.capasity", "2"}}), {channel("kinect")}),
+              AllOf(HasSubstr("channel.kinect.capasity"), HasSubstr("did you mean \"capacity\"?")));
+  EXPECT_THAT(error_of(instance({{"channel.camera.capacity", "2"}}), {channel("kinect")}),
+              AllOf(HasSubstr("no channel \"camera\""), HasSubstr("kinect")));
+  EXPECT_THAT(error_of(instance({{"channel.kinect.capacity", "0"}}), {channel("kinect")}), HasSubstr("from 1 on"));
+  EXPECT_THAT(error_of(instance({{"channel.kinect.capacity", "x"}}), {channel("kinect")}), HasSubstr("\"x\""));
+  EXPECT_THAT(error_of(instance({{"channel.kinect.when_full", "spool"}}), {channel("kinect")}),
+              HasSubstr("keep_newest or block"));
+  EXPECT_THAT(error_of(instance({{"channel.capacity", "1"}}), {channel("kinect")}), HasSubstr("channel.capacity"));
+}
+
+TEST(ChannelPlan, AnUnknownBrokerIsAnErrorThatListsThoseThereAre) {
+  EXPECT_THAT(error_of(instance({{"channel.kinect.broker", "rabbit"}}), {channel("kinect")}),
+              AllOf(HasSubstr("\"rabbit\""), HasSubstr("rabbitmq, kafka")));
+}
+
+TEST(ChannelPlan, AnExclusiveChannelOnKafkaIsAnError) {
+  EXPECT_THAT(error_of(instance({{"channel.kinect.broker", "kafka"}}), {channel("kinect")}),
+              HasSubstr("shared channels only"));
+}
+
+TEST(ChannelPlan, TwoChannelsOfOneNameAreAnError) {
+  EXPECT_THAT(error_of(instance(), {channel("kinect"), channel("kinect")}), HasSubstr("two channels named \"kinect\""));
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway

@@ -1,0 +1,103 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include <gmock/gmock.h>
+
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/gateway/gateway.h>
+#include <iotcloud/gateway/in_process_launcher.h>
+#include <iotcloud/tests/gateway/probe_driver.h>
+
+namespace iotcloud::gateway {
+
+/// Waits for a condition. \return false when it did not come in 20 s.
+inline bool eventually(const std::function<bool()>& condition) {
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds{20};
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > deadline) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds{1});
+  }
+  return true;
+}
+
+/// A gateway "gw" on an embedded registry and broker of its own, and what a master does: gives orders, reads records.
+class GatewayFixture : public ::testing::Test {
+ protected:
+  GatewayFixture() { registry_ = new_session(); }
+
+  std::unique_ptr<discovery::Registry> new_session() const {
+    discovery::RegistryOptions options;
+    options.url = registry_url_;
+    return discovery::make_registry(options);
+  }
+
+  virtual std::shared_ptr<HostLauncher> new_launcher() {
+    InProcessLauncher::Options options;
+    options.plugin_dir = "/nonexistent";
+    options.linked_in = {{"probe.so", &probe_}, {"other.so", &other_}};
+    return std::make_shared<InProcessLauncher>(options);
+  }
+
+  GatewayOptions options() {
+    GatewayOptions options;
+    options.id = "gw";
+    options.port = 12905;
+    options.brokers = {{"local", "embedded", {broker_url_}}};
+    options.registry = registry_.get();
+    options.launcher = new_launcher();
+    options.restart.first = std::chrono::milliseconds{1};
+    options.session_timeout = std::chrono::milliseconds{100};
+    return options;
+  }
+
+  void start_gateway() {
+    gateway_.emplace(options());
+    gateway_->start();
+  }
+
+  discovery::OrderRecord order(const std::string& instance, std::map<std::string, std::string> properties = {}) const {
+    discovery::OrderRecord order;
+    order.instance = instance;
+    order.plugin = "probe.so";
+    order.properties = std::move(properties);
+    order.epoch = 1;
+    return order;
+  }
+  void give(const discovery::OrderRecord& order) {
+    discovery::put(*registry_, paths_.order("gw", order.instance), encode(order));
+  }
+  void take_back(const std::string& instance) { registry_->remove(paths_.order("gw", instance)); }
+
+  std::optional<discovery::DriverRecord> record(const std::string& instance, const std::string& driver = "probe") {
+    const auto path = paths_.instance(driver, instance);
+    const auto node = registry_->get(path);
+    if (!node) return std::nullopt;
+    return discovery::decode_driver(node->data, path);
+  }
+  bool comes_to(const std::string& instance, discovery::DriverState state, const std::string& driver = "probe") {
+    return eventually([&] {
+      const auto now = record(instance, driver);
+      return now && now->state == state;
+    });
+  }
+
+  static inline std::atomic<int> next_{0};
+  const std::string name_ = "gateway-test-" + std::to_string(next_++);
+  const std::string registry_url_ = "embedded://" + name_;
+  const std::string broker_url_ = "embedded://" + name_;
+  const discovery::Paths paths_;
+  const drivers::Descriptor probe_ = drivers::describe<ProbeDriver>("probe", "1");
+  const drivers::Descriptor other_ = drivers::describe<ProbeDriver>("other", "1");
+  std::unique_ptr<discovery::Registry> registry_;
+  std::optional<Gateway> gateway_;
+};
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,236 @@
+#include <iotcloud/tests/gateway/gateway_fixture.h>
+
+#include <iotcloud/config/error.h>
+
+namespace iotcloud::gateway {
+namespace {
+
+using discovery::DriverState;
+using ::testing::HasSubstr;
+using namespace std::chrono_literals;
+
+class GatewayTest : public GatewayFixture {};
+
+TEST_F(GatewayTest, ItRegistersAndIsAliveUntilItStops) {
+  start_gateway();
+  const auto path = paths_.gateway("gw");
+  const auto record = discovery::decode_gateway(registry_->get(path)->data, path);
+  EXPECT_EQ(record.id, "gw");
+  EXPECT_EQ(record.port, 12905);
+  EXPECT_THAT(record.brokers, ::testing::ElementsAre("local"));
+  EXPECT_TRUE(registry_->get(paths_.gateway_alive("gw"))->ephemeral);
+  gateway_->stop(20s);
+  EXPECT_FALSE(registry_->get(paths_.gateway_alive("gw")));
+}
+
+TEST_F(GatewayTest, AnOrderBecomesAnActiveInstanceWithItsRecords) {
+  start_gateway();
+  auto wanted = order("a");
+  wanted.metadata = {{"room", "7"}};
+  give(wanted);
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  const auto driver = record("a");
+  EXPECT_EQ(driver->gateway, "gw");
+  EXPECT_EQ(driver->metadata, wanted.metadata);
+  EXPECT_GT(driver->since_ms, 0);
+  ASSERT_EQ(driver->channels.size(), 2u);
+  const auto path = paths_.channel("probe", "a", "readings");
+  const auto channel = discovery::decode_channel(registry_->get(path)->data, path);
+  EXPECT_EQ(channel, driver->channels.at(0));
+  EXPECT_EQ(channel.broker_url, broker_url_);
+}
+
+TEST_F(GatewayTest, TakingTheOrderBackRemovesTheInstanceAndItsRecords) {
+  start_gateway();
+  give(order("a"));
+  give(order("b"));
+  ASSERT_TRUE(comes_to("a", DriverState::active) && comes_to("b", DriverState::active));
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return !record("a"); }));
+  EXPECT_EQ(record("b")->state, DriverState::active);
+  take_back("b");
+  EXPECT_TRUE(eventually([&] { return !registry_->get(paths_.driver("probe")); }));
+}
+
+TEST_F(GatewayTest, AnInstanceIsStoppedAndStartedAsOrdered) {
+  start_gateway();
+  auto wanted = order("a");
+  give(wanted);
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  wanted.active = false;
+  give(wanted);
+  EXPECT_TRUE(comes_to("a", DriverState::inactive));
+  wanted.active = true;
+  give(wanted);
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+}
+
+TEST_F(GatewayTest, AnInstanceThatThrowsIsFailedForItsReasonAndHasNoChannels) {
+  start_gateway();
+  give(order("good"));
+  give(order("bad", {{"throw_in", "timer"}}));
+  ASSERT_TRUE(comes_to("bad", DriverState::failed));
+  EXPECT_THAT(record("bad")->reason, HasSubstr("told to throw in timer"));
+  EXPECT_TRUE(eventually([&] { return registry_->children(paths_.instance("probe", "bad"))->empty(); }));
+  EXPECT_TRUE(comes_to("good", DriverState::active));
+}
+
+TEST_F(GatewayTest, OrderingAFailedInstanceAgainStartsItAnew) {
+  start_gateway();
+  give(order("a", {{"throw_in", "open"}}));
+  ASSERT_TRUE(comes_to("a", DriverState::failed));
+  give(order("a"));
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+}
+
+TEST_F(GatewayTest, NewPropertiesReplaceTheInstance) {
+  start_gateway();
+  give(order("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  give(order("a", {{"shared", "true"}}));
+  EXPECT_TRUE(eventually([&] {
+    const auto now = record("a");
+    return now && now->state == DriverState::active && now->channels.at(0).shared;
+  }));
+}
+
+TEST_F(GatewayTest, APluginOutsideThePluginFolderIsRefused) {
+  start_gateway();
+  auto wanted = order("a");
+  wanted.plugin = "../../tmp/evil.so";
+  wanted.driver = "evil";
+  give(wanted);
+  ASSERT_TRUE(comes_to("a", DriverState::failed, "evil"));
+  EXPECT_THAT(record("a", "evil")->reason, HasSubstr("not a plain file name"));
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return !record("a", "evil"); }));
+}
+
+TEST_F(GatewayTest, ANameThatWouldLeaveItsPlaceInTheRegistryIsRefused) {
+  start_gateway();
+  auto wanted = order("a");
+  wanted.driver = "../gateways";
+  give(wanted);
+  ASSERT_TRUE(comes_to("a", DriverState::failed, "unknown"));
+  EXPECT_THAT(record("a", "unknown")->reason, HasSubstr("cannot be a driver name"));
+}
+
+TEST_F(GatewayTest, APluginThatIsNotThereFailsItsInstancesAndNoOthers) {
+  start_gateway();
+  auto wanted = order("a");
+  wanted.plugin = "absent.so";
+  give(wanted);
+  give(order("b"));
+  ASSERT_TRUE(comes_to("a", DriverState::failed, "absent"));
+  EXPECT_THAT(record("a", "absent")->reason, HasSubstr("absent.so"));
+  EXPECT_TRUE(comes_to("b", DriverState::active));
+}
+
+TEST_F(GatewayTest, AnOrderOfAnOlderEpochIsIgnored) {
+  start_gateway();
+  auto newer = order("a");
+  newer.epoch = 7;
+  give(newer);
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  auto older = newer;
+  older.epoch = 6;
+  older.active = false;
+  give(older);
+  auto newest = order("b");
+  newest.epoch = 7;
+  give(newest);  // it comes after the older one, and is followed
+  ASSERT_TRUE(comes_to("b", DriverState::active));
+  EXPECT_EQ(record("a")->state, DriverState::active);
+}
+
+TEST_F(GatewayTest, OrdersThatStoodBeforeTheGatewayCameAreFollowedWhateverTheirEpoch) {
+  for (const auto& [instance, epoch] : std::map<std::string, std::int64_t>{{"a", 9}, {"b", 2}}) {
+    auto wanted = order(instance);
+    wanted.epoch = epoch;
+    give(wanted);
+  }
+  start_gateway();
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+  EXPECT_TRUE(comes_to("b", DriverState::active));
+  EXPECT_EQ(gateway_->epoch(), 9);
+}
+
+TEST_F(GatewayTest, AnOrderThatCannotBeReadIsIgnored) {
+  start_gateway();
+  discovery::put(*registry_, paths_.order("gw", "a"), "{no json");
+  give(order("b"));
+  EXPECT_TRUE(comes_to("b", DriverState::active));
+}
+
+TEST_F(GatewayTest, ASecondGatewayOfTheSameIdIsRefused) {
+  start_gateway();
+  const auto other_session = new_session();
+  auto second = options();
+  second.registry = other_session.get();
+  Gateway twin(std::move(second));
+  try {
+    twin.start();
+    FAIL() << "it started";
+  } catch (const config::Error& e) {
+    EXPECT_THAT(e.what(), HasSubstr("another gateway with the id \"gw\" is alive (127.0.0.1:12905)"));
+  }
+}
+
+TEST_F(GatewayTest, TheNodeOfItsDeadPredecessorIsTakenOverAtOnce) {
+  const auto dead_session = new_session();
+  const auto dead = dead_session->hold(paths_.gateway_alive("gw"), R"({"host":"h","port":1,"state":"same folder"})");
+  auto second = options();
+  second.state_id = "same folder";
+  second.session_timeout = 1h;
+  gateway_.emplace(std::move(second));
+  gateway_->start();
+  EXPECT_THAT(registry_->get(paths_.gateway_alive("gw"))->data, HasSubstr("127.0.0.1"));
+}
+
+TEST_F(GatewayTest, RecordsOfAnEarlierLifeWithoutOrdersAreRemoved) {
+  discovery::DriverRecord stale;
+  stale.name = "probe";
+  stale.instance = "old";
+  stale.gateway = "gw";
+  stale.state = DriverState::active;
+  discovery::put(*registry_, paths_.instance("probe", "old"), encode(stale));
+  stale.instance = "of another gateway";
+  stale.gateway = "gw2";
+  discovery::put(*registry_, paths_.instance("probe", "else"), encode(stale));
+  start_gateway();
+  EXPECT_TRUE(eventually([&] { return !record("old"); }));
+  EXPECT_TRUE(record("else"));
+}
+
+TEST_F(GatewayTest, WhenItStopsItsInstancesAreInactiveAndItsOrdersStand) {
+  start_gateway();
+  give(order("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  gateway_->stop(20s);
+  EXPECT_EQ(record("a")->state, DriverState::inactive);
+  EXPECT_THAT(record("a")->reason, HasSubstr("gateway was stopped"));
+  EXPECT_TRUE(record("a")->channels.empty());
+  gateway_.reset();
+  start_gateway();
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+}
+
+TEST_F(GatewayTest, IsolatedInstancesHaveHostsOfTheirOwn) {
+  start_gateway();
+  give(order("a", {{"isolation", "instance"}}));
+  give(order("b", {{"isolation", "instance"}}));
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+  EXPECT_TRUE(comes_to("b", DriverState::active));
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return !record("a"); }));
+  EXPECT_EQ(record("b")->state, DriverState::active);
+}
+
+TEST_F(GatewayTest, ABrokerWithoutServersIsRefused) {
+  auto without = options();
+  without.brokers.at(0).urls.clear();
+  EXPECT_THROW(Gateway{std::move(without)}, config::Error);
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway

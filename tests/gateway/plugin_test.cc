@@ -1,0 +1,66 @@
+#include <gmock/gmock.h>
+
+#include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/tests/gateway/probe_driver.h>
+
+namespace iotcloud::gateway {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+std::string error_of(const std::function<void()>& call) {
+  try {
+    call();
+  } catch (const config::Error& e) {
+    return e.what();
+  }
+  return "";
+}
+
+std::string load_error(const std::string& file) {
+  return error_of([&] { Plugin::load(std::string(TEST_PLUGINS) + "/" + file); });
+}
+
+TEST(Plugin, AGoodPluginGivesItsDescriptor) {
+  const auto plugin = Plugin::load(std::string(TEST_PLUGINS) + "/probe.so");
+  EXPECT_EQ(plugin->name(), "probe");
+  EXPECT_FALSE(plugin->descriptor().own_thread);
+}
+
+TEST(Plugin, OneOfAnotherSdkIsRefusedNamingBothSides) {
+  EXPECT_THAT(load_error("future_sdk.so"),
+              AllOf(HasSubstr("future_sdk.so"), HasSubstr("4711"), HasSubstr("this driver host has version 1")));
+}
+
+TEST(Plugin, OneOfAnotherAbiIsRefusedNamingBothSides) {
+  auto descriptor = drivers::describe<ProbeDriver>("probe", "1");
+  descriptor.cxx_abi = "itanium;libc++";
+  EXPECT_THAT(error_of([&] { Plugin::wrap(descriptor, "probe.so"); }),
+              AllOf(HasSubstr("\"itanium;libc++\""), HasSubstr(IOTCLOUD_CXX_ABI)));
+}
+
+TEST(Plugin, ADescriptorOfAnotherSizeIsRefused) {
+  auto descriptor = drivers::describe<ProbeDriver>("probe", "1");
+  descriptor.size += 8;
+  EXPECT_THAT(error_of([&] { Plugin::wrap(descriptor, "probe.so"); }), HasSubstr("rebuild the driver"));
+}
+
+TEST(Plugin, ALibraryThatIsNoDriverIsRefused) {
+  EXPECT_THAT(load_error("no_driver.so"), HasSubstr("IOTCLOUD_DRIVER"));
+}
+
+TEST(Plugin, AFileThatIsNotThereIsNamed) {
+  EXPECT_THAT(load_error("absent.so"), HasSubstr("absent.so"));
+}
+
+TEST(Plugin, OnlyAPlainFileNameNamesAPlugin) {
+  EXPECT_NO_THROW(check_plugin_file_name("turtle.so"));
+  EXPECT_NO_THROW(check_plugin_file_name("..turtle.so"));
+  for (const std::string name : {"", ".", "..", "/etc/x.so", "../x.so", "a/b.so", "a\n.so"}) {
+    EXPECT_NE(error_of([&] { check_plugin_file_name(name); }), "") << name;
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway

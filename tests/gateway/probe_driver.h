@@ -1,0 +1,71 @@
+#pragma once
+
+#include <csignal>
+#include <filesystem>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include <iotcloud/drivers/driver.h>
+
+namespace iotcloud::gateway {
+
+/// A driver that does what the deployment's properties say, wrong things included.
+///   throw_in: channels, open, activate, timer or message
+///   crash_file: when this file appears it is removed and the process dies of SIGSEGV
+///   shared: "true" makes both channels shared; channels: "none" leaves them out
+/// It publishes one message ("up") when it is activated, and answers each message on `control` with its echo.
+class ProbeDriver : public drivers::Driver {
+ public:
+  std::vector<drivers::ChannelSpec> channels(const drivers::PropertyMap& properties) override {
+    throw_in_ = value(properties, "throw_in");
+    throw_if("channels");
+    drivers::ChannelSpec out;
+    out.name = "readings";
+    out.shared = value(properties, "shared") == "true";
+    drivers::ChannelSpec in;
+    in.name = "control";
+    in.direction = drivers::Direction::in;
+    in.shared = out.shared;
+    if (value(properties, "channels") == "none") return {};
+    return {out, in};
+  }
+
+  void open(drivers::DriverContext& context) override {
+    context_ = &context;
+    throw_if("open");
+    if (throw_in_ == "timer") context.after(std::chrono::milliseconds{1}, [this] { throw_if("timer"); });
+    const std::string crash_file = value(context.properties(), "crash_file");
+    if (crash_file.empty()) return;
+    context.every(std::chrono::milliseconds{5}, [crash_file] {
+      if (std::filesystem::remove(crash_file)) {
+        std::signal(SIGSEGV, SIG_DFL);  // a sanitizer's handler would write its report
+        std::raise(SIGSEGV);
+      }
+    });
+  }
+
+  void activate() override {
+    throw_if("activate");
+    context_->publish("readings", drivers::Payload::copy("up"));
+  }
+
+  void on_message(std::string_view, drivers::Message message) override {
+    throw_if("message");
+    context_->publish("readings", std::move(message));
+  }
+
+ private:
+  static std::string value(const drivers::PropertyMap& properties, const std::string& name) {
+    const auto found = properties.find(name);
+    return found == properties.end() ? "" : found->second;
+  }
+  void throw_if(const std::string& where) const {
+    if (throw_in_ == where) throw std::runtime_error("told to throw in " + where);
+  }
+
+  std::string throw_in_;
+  drivers::DriverContext* context_ = nullptr;
+};
+
+}  // namespace iotcloud::gateway
