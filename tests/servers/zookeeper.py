@@ -109,7 +109,7 @@ class ZooKeeper:
         """`srvr` tells the mode only once requests are served; `ruok` says imok long before."""
         try:
             with socket.create_connection(("127.0.0.1", self.port), timeout=1) as probe:
-                probe.settimeout(5)
+                probe.settimeout(0.3)  # asked too early it may never answer
                 probe.sendall(b"srvr")
                 answer = b""
                 while True:
