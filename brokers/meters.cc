@@ -40,7 +40,7 @@ void Meters::outcome(Outcome outcome, const std::string& reason) {
     return;
   }
   // A server's own words for a refusal are for the log and the callback, not for a label.
-  const std::string label = outcome == Outcome::dropped || reason == reason::too_large ? reason : std::string();
+  const std::string label = outcome == Outcome::dropped ? reason : std::string();
   metrics_.counter(outcomes_name, outcomes_help, {{"broker", kind_}, {"outcome", word(outcome)}, {"reason", label}})
       .add();
 }

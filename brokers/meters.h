@@ -13,12 +13,8 @@ namespace reason {
 inline constexpr const char* superseded = "superseded";  ///< a newer one came while it waited (keep_newest, keep_last)
 inline constexpr const char* deadline = "deadline";      ///< it grew too old
 inline constexpr const char* no_reader = "no_reader";    ///< superseded while nobody read the topic
-inline constexpr const char* too_large = "too_large";    ///< above max_payload
 inline constexpr const char* closed = "closed";          ///< the publisher was closed first
 }  // namespace reason
-
-/// The largest payload that is accepted, in bytes: what a RabbitMQ server takes unless it is configured otherwise.
-inline constexpr std::size_t max_payload = 134'217'728;
 
 /// What a broker of one kind counts. The counters are the process's, not one broker object's. Thread safe.
 class Meters {

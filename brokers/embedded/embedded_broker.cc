@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "iotcloud/brokers/embedded/connection.h"
+#include "iotcloud/brokers/limits.h"
 #include <iotcloud/brokers/embedded/server.h>
 
 namespace iotcloud::brokers::embedded {
@@ -43,9 +44,9 @@ class EmbeddedPublisher final : public Publisher {
     if (producer_->closed) return PublishStatus::closed;
     const Instant now = connection_->clock.now();
     server_.expire(*producer_, now, wake);
-    if (message.payload.size() > max_payload) {
+    if (const char* why = refusal(message)) {
       accept();
-      server_.settle(*producer_, producer_->last_number, Outcome::refused, reason::too_large, wake);
+      server_.settle(*producer_, producer_->last_number, Outcome::refused, why, wake);
       return PublishStatus::accepted;
     }
     if (producer_->waiting.empty() && server_.deliver(*producer_->route, message, producer_->options, now, now, wake)) {

@@ -14,7 +14,8 @@
 
 namespace iotcloud::brokers {
 
-INSTANTIATE_TEST_SUITE_P(On, BrokerContract, testing::Values("embedded"), [](const auto& kind) { return kind.param; });
+INSTANTIATE_TEST_SUITE_P(On, BrokerContract, testing::Values("embedded", "rabbitmq"),
+                         [](const auto& kind) { return kind.param; });
 
 namespace {
 

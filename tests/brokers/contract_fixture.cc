@@ -5,6 +5,7 @@
 #include <thread>
 #include <utility>
 
+#include "iotcloud/tests/servers/private_server.h"
 #include <iotcloud/brokers/embedded/server.h>
 
 namespace iotcloud::brokers {
@@ -20,8 +21,19 @@ class EmbeddedTestServer final : public TestServer {
   embedded::Server server_ = embedded::Server::named("contract");
 };
 
+class RabbitMqTestServer final : public TestServer {
+ public:
+  std::string url() const override { return server_.url(); }
+  void kill() override { server_.kill(); }
+  void start() override { server_.start(); }
+
+ private:
+  tests::PrivateServer server_{"rabbitmq.py"};
+};
+
 std::unique_ptr<TestServer> make_server(const std::string& kind) {
   if (kind == "embedded") return std::make_unique<EmbeddedTestServer>();
+  if (kind == "rabbitmq") return std::make_unique<RabbitMqTestServer>();
   throw std::runtime_error("no test server of kind " + kind);
 }
 

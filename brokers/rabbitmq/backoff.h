@@ -1,0 +1,29 @@
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <random>
+
+namespace iotcloud::brokers::rabbitmq {
+
+/// Waiting times that double up to a limit, each shortened by up to a half at random, so that many clients of a server
+/// that comes back do not all come at once. Not thread safe.
+class Backoff {
+ public:
+  Backoff(std::chrono::milliseconds first, std::chrono::milliseconds limit) : first_(first), limit_(limit) {}
+
+  std::chrono::milliseconds next() {
+    current_ = current_.count() == 0 ? first_ : std::min(limit_, current_ * 2);
+    std::uniform_int_distribution<std::int64_t> spread(current_.count() / 2, current_.count());
+    return std::chrono::milliseconds(spread(random_));
+  }
+  void reset() { current_ = std::chrono::milliseconds(0); }
+
+ private:
+  std::chrono::milliseconds first_;
+  std::chrono::milliseconds limit_;
+  std::chrono::milliseconds current_{0};
+  std::minstd_rand random_{std::random_device{}()};
+};
+
+}  // namespace iotcloud::brokers::rabbitmq

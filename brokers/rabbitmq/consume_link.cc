@@ -1,0 +1,270 @@
+#include "iotcloud/brokers/rabbitmq/consume_link.h"
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include <pthread.h>
+
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+const config::Logger logger{"brokers.rabbitmq"};
+
+// After so many handlers the socket is looked at again and settlements are sent.
+constexpr std::size_t batch = 64;
+// A connection that lasted so long was a good one: after it the waiting times start small again.
+constexpr std::chrono::seconds steady_connection{2};
+
+}  // namespace
+
+ConsumeLink::ConsumeLink(LinkOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log)
+    : options_(std::move(options)), meters_(meters), clock_(clock), log_(log) {}
+
+void ConsumeLink::close() {
+  {
+    const Lock lock(mutex_);
+    closing_ = true;
+    if (!started_) return;
+  }
+  wake_event_.signal();
+  thread_.join();
+}
+
+std::shared_ptr<Inlet> ConsumeLink::add(const Topic& topic, const SubscriptionOptions& options, Handler handler) {
+  auto inlet = std::make_shared<Inlet>(shared_from_this(), topic, options, std::move(handler));
+  const Lock lock(mutex_);
+  inlets_.push_back(inlet);
+  inlet->retry_at = clock_.now();
+  if (!std::exchange(started_, true)) {
+    thread_ = std::thread([this] { run(); });
+    pthread_setname_np(thread_.native_handle(), "amqp-consume");
+  }
+  wake();
+  return inlet;
+}
+
+void ConsumeLink::remove(const std::shared_ptr<Inlet>& inlet) {
+  Lock lock(mutex_);
+  inlet->closed = true;
+  inlet->arrived.clear();
+  std::erase(inlets_, inlet);
+  if (wire_ && inlet->channel != 0) {
+    try {
+      send_settlements(*inlet, 0);
+      close_channel(*inlet);
+    } catch (const std::exception&) {
+      broken_ = true;
+      wake();
+    }
+  }
+  if (inlet->phase != Inlet::Phase::idle) inlet->forget_channel();
+  if (std::this_thread::get_id() == thread_.get_id()) return;
+  handler_ended_.wait(lock, [&] { return !inlet->running; });
+}
+
+void ConsumeLink::pause(Inlet& inlet) {
+  const Lock lock(mutex_);
+  inlet.paused = true;
+}
+
+void ConsumeLink::resume(const std::shared_ptr<Inlet>& inlet) {
+  const Lock lock(mutex_);
+  inlet->paused = false;
+  make_ready(inlet);
+  wake();
+}
+
+bool ConsumeLink::active(const Inlet& inlet) const {
+  const Lock lock(mutex_);
+  return inlet.phase == Inlet::Phase::active;
+}
+
+ConnectionState ConsumeLink::state() const {
+  const Lock lock(mutex_);
+  if (closing_) return ConnectionState::closed;
+  return !started_ || wire_ ? ConnectionState::connected : ConnectionState::connecting;
+}
+
+void ConsumeLink::wake() {
+  if (!sleeping_) return;
+  sleeping_ = false;
+  wake_event_.signal();
+}
+
+void ConsumeLink::make_ready(const std::shared_ptr<Inlet>& inlet) {
+  if (inlet->in_ready || !inlet->has_work()) return;
+  inlet->in_ready = true;
+  ready_.push_back(inlet);
+}
+
+void ConsumeLink::give_back(Inlet& inlet) {
+  for (const Arrived& arrived : inlet.arrived) inlet.window.settle(arrived.tag, Settlement::retry);
+  inlet.arrived.clear();
+}
+
+void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t public_tag,
+                         Settlement settlement) noexcept {
+  const Lock lock(mutex_);
+  constexpr std::uint64_t tag_mask = (std::uint64_t{1} << 48U) - 1;
+  const std::uint64_t tag = public_tag & tag_mask;
+  if (inlet->closed || public_tag != inlet->public_tag(tag) || !inlet->window.settle(tag, settlement)) return;
+  // What came behind it goes back too, so that it is not handed on before it.
+  if (settlement == Settlement::retry) give_back(*inlet);
+  if (!inlet->in_dirty) {
+    inlet->in_dirty = true;
+    dirty_.push_back(inlet);
+  }
+  // The link's thread sends them when its handlers are done. When it sleeps, or is busy and a good part of the
+  // prefetch waits for it, this thread does.
+  const bool waits_for_others =
+      std::this_thread::get_id() == thread_.get_id() || (!sleeping_ && inlet->window.settled() <= inlet->patience());
+  if (waits_for_others || !wire_ || broken_) return;
+  try {
+    send_all_settlements();
+  } catch (const std::exception&) {
+    broken_ = true;
+    wake();
+  }
+}
+
+void ConsumeLink::run() {
+  bool look = true;
+  Lock lock(mutex_);
+  while (!closing_) {
+    try {
+      if (!wire_) connect(lock);
+      if (wire_) {
+        if (broken_) throw LinkError("it broke");
+        check_timers();
+        if (look || wire_->has_buffered()) read_frames();
+        hand_on(lock, batch);
+        if (wire_ && !broken_) send_all_settlements();
+      }
+    } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
+      lose(error.what());
+    }
+    if (closing_) break;
+    const bool more = !ready_.empty() || broken_ || (wire_ && wire_->has_buffered());
+    const std::chrono::milliseconds limit = more ? std::chrono::milliseconds(0) : time_to_sleep();
+    const int descriptor = wire_ ? wire_->descriptor() : -1;
+    sleeping_ = !more;
+    lock.unlock();
+    const WakeEvent::Result woken = wake_event_.wait(descriptor, false, limit);
+    lock.lock();
+    sleeping_ = false;
+    look = woken.readable || !more;  // after a time-out too: heartbeats
+  }
+  std::unique_ptr<AmqpLink> wire = std::move(wire_);
+  lock.unlock();
+  if (wire) wire->close(0);
+}
+
+void ConsumeLink::connect(Lock& lock) {
+  if (clock_.now() < next_attempt_) return;
+  lock.unlock();
+  std::unique_ptr<AmqpLink> wire;
+  try {
+    wire = std::make_unique<AmqpLink>(options_);
+    log_.connected();
+    connected_at_ = clock_.now();
+  } catch (const LinkError& error) {
+    log_.failed(error.what());
+    next_attempt_ = clock_.now() + backoff_.next();
+  }
+  lock.lock();
+  broken_ = false;
+  wire_ = std::move(wire);
+  if (!wire_) return;
+  for (const auto& inlet : inlets_) inlet->retry_at = clock_.now();
+}
+
+void ConsumeLink::lose(const std::string& reason) {
+  log_.lost(reason);
+  if (clock_.now() - connected_at_ > steady_connection) backoff_.reset();
+  next_attempt_ = clock_.now() + backoff_.next();
+  wire_.reset();
+  broken_ = false;
+  channels_.clear();
+  last_channel_ = 0;
+  for (const auto& inlet : ready_) inlet->in_ready = false;
+  ready_.clear();
+  for (const auto& inlet : dirty_) inlet->in_dirty = false;
+  dirty_.clear();
+  for (const auto& inlet : inlets_) {
+    inlet->forget_channel();
+    inlet->backoff.reset();
+  }
+}
+
+void ConsumeLink::hand_on(Lock& lock, std::size_t most) {
+  for (std::size_t i = 0; i < most && !ready_.empty() && !closing_; ++i) {
+    const std::shared_ptr<Inlet> inlet = std::move(ready_.front());
+    ready_.pop_front();
+    inlet->in_ready = false;
+    if (!inlet->has_work()) continue;
+    while (inlet->options.keep_last > 0 && inlet->arrived.size() > inlet->options.keep_last) {
+      inlet->window.settle(inlet->arrived.front().tag, Settlement::accept);
+      inlet->arrived.pop_front();
+      meters_.conflated();
+      if (!std::exchange(inlet->in_dirty, true)) dirty_.push_back(inlet);
+    }
+    Arrived arrived = std::move(inlet->arrived.front());
+    inlet->arrived.pop_front();
+    make_ready(inlet);  // in turn with the others
+    meters_.received(arrived.redelivered);
+    std::shared_ptr<Settler> settler = inlet;
+    if (inlet->options.automatic_ack) {
+      settler = nullptr;
+      inlet->window.settle(arrived.tag, Settlement::accept);
+      if (!std::exchange(inlet->in_dirty, true)) dirty_.push_back(inlet);
+    }
+    const std::uint64_t tag = inlet->public_tag(arrived.tag);
+    inlet->running = handling_ = true;
+    lock.unlock();
+    run_handler(*inlet, std::move(arrived), std::move(settler), tag);
+    lock.lock();
+    inlet->running = handling_ = false;
+    if (inlet->closed) handler_ended_.notify_all();
+  }
+}
+
+void ConsumeLink::run_handler(const Inlet& inlet, Arrived arrived, std::shared_ptr<Settler> settler,
+                              std::uint64_t tag) {
+  try {
+    inlet.handler(Delivery(std::move(arrived.message), arrived.redelivered, std::move(settler), tag));
+  } catch (const std::exception& error) {
+    logger.error("the handler of topic {} threw: {}; the message is delivered again", inlet.topic.name, error.what());
+  } catch (...) {
+    logger.error("the handler of topic {} threw; the message is delivered again", inlet.topic.name);
+  }
+}
+
+void ConsumeLink::attend() {
+  const Lock lock(mutex_);
+  if (!handling_ || !wire_ || broken_) return;
+  try {
+    check_timers();
+    read_frames();
+    send_all_settlements();
+  } catch (const std::exception&) {
+    broken_ = true;
+  }
+}
+
+std::chrono::milliseconds ConsumeLink::time_to_sleep() const {
+  const config::Clock::Instant now = clock_.now();
+  const auto until = [&](config::Clock::Instant instant) {
+    return std::max(std::chrono::milliseconds(0), std::chrono::ceil<std::chrono::milliseconds>(instant - now));
+  };
+  if (!wire_) return until(next_attempt_);
+  std::chrono::milliseconds limit = std::chrono::milliseconds(wire_->heartbeat()) / 2;
+  for (const auto& inlet : inlets_) {
+    if (inlet->retry_at) limit = std::min(limit, until(*inlet->retry_at));
+  }
+  return limit;
+}
+
+}  // namespace iotcloud::brokers::rabbitmq

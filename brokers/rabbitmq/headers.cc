@@ -1,0 +1,140 @@
+#include "iotcloud/brokers/rabbitmq/headers.h"
+
+#include <charconv>
+#include <optional>
+#include <string_view>
+
+#include <fmt/core.h>
+
+namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+// The words of the original system, so that its programs read ours (REFERENCE.md 4).
+constexpr std::string_view driver_header = "sensorID";
+constexpr std::string_view gateway_header = "siteID";
+constexpr std::string_view time_header = "time";
+// Our own: this copy was sent before on a connection that was lost.
+constexpr std::string_view resent_header = "x-iotcloud-resent";
+
+amqp_bytes_t view(std::string_view text) {
+  amqp_bytes_t bytes;
+  bytes.len = text.size();
+  bytes.bytes = const_cast<char*>(text.data());  // the library takes only non-const pointers; it does not write
+  return bytes;
+}
+
+std::string_view view(amqp_bytes_t bytes) {
+  return bytes.len == 0 ? std::string_view() : std::string_view(static_cast<const char*>(bytes.bytes), bytes.len);
+}
+
+bool reserved(std::string_view name) {
+  return name == driver_header || name == gateway_header || name == time_header || name == resent_header;
+}
+
+/// nullopt for what has no sensible text: tables, arrays, decimals.
+std::optional<std::string> text_of(const amqp_field_value_t& field) {
+  switch (field.kind) {
+    case AMQP_FIELD_KIND_UTF8:
+    case AMQP_FIELD_KIND_BYTES:
+      return std::string(view(field.value.bytes));
+    case AMQP_FIELD_KIND_BOOLEAN:
+      return field.value.boolean != 0 ? "true" : "false";
+    case AMQP_FIELD_KIND_I8:
+      return fmt::format("{}", static_cast<int>(field.value.i8));
+    case AMQP_FIELD_KIND_U8:
+      return fmt::format("{}", static_cast<unsigned>(field.value.u8));
+    case AMQP_FIELD_KIND_I16:
+      return fmt::format("{}", field.value.i16);
+    case AMQP_FIELD_KIND_U16:
+      return fmt::format("{}", field.value.u16);
+    case AMQP_FIELD_KIND_I32:
+      return fmt::format("{}", field.value.i32);
+    case AMQP_FIELD_KIND_U32:
+      return fmt::format("{}", field.value.u32);
+    case AMQP_FIELD_KIND_I64:
+      return fmt::format("{}", field.value.i64);
+    case AMQP_FIELD_KIND_U64:
+    case AMQP_FIELD_KIND_TIMESTAMP:
+      return fmt::format("{}", field.value.u64);
+    case AMQP_FIELD_KIND_F32:
+      return fmt::format("{}", field.value.f32);
+    case AMQP_FIELD_KIND_F64:
+      return fmt::format("{}", field.value.f64);
+    case AMQP_FIELD_KIND_VOID:
+      return std::string();
+    default:
+      return std::nullopt;
+  }
+}
+
+template <typename Number>
+Number to_number(std::string_view text) {
+  Number number = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  return error == std::errc() && end == text.data() + text.size() ? number : 0;
+}
+
+}  // namespace
+
+void MessageProperties::add(amqp_bytes_t name, amqp_bytes_t value) {
+  amqp_table_entry_t entry{};
+  entry.key = name;
+  entry.value.kind = AMQP_FIELD_KIND_UTF8;
+  entry.value.value.bytes = value;
+  entries_.push_back(entry);
+}
+
+const amqp_basic_properties_t& MessageProperties::encode(const Message& message, const Delivery& delivery) {
+  properties_ = {};
+  entries_.clear();
+  entries_.reserve(message.properties.size() + 4);
+  add(view(driver_header), view(message.driver_id));
+  if (!message.gateway_id.empty()) add(view(gateway_header), view(message.gateway_id));
+  time_ = fmt::format("{}", message.time_ms);
+  add(view(time_header), view(time_));
+  if (delivery.resent) add(view(resent_header), view(std::string_view("1")));
+  for (const auto& [name, value] : message.properties) {
+    if (!reserved(name)) add(view(name), view(value));
+  }
+  properties_.headers = {static_cast<int>(entries_.size()), entries_.data()};
+  properties_.delivery_mode = delivery.durable ? AMQP_DELIVERY_PERSISTENT : AMQP_DELIVERY_NONPERSISTENT;
+  publish_tag_ = fmt::format("{}", delivery.publish_tag);
+  properties_.message_id = view(publish_tag_);
+  properties_._flags = AMQP_BASIC_HEADERS_FLAG | AMQP_BASIC_DELIVERY_MODE_FLAG | AMQP_BASIC_MESSAGE_ID_FLAG;
+  if (delivery.expires_in.count() > 0) {
+    expiration_ = fmt::format("{}", delivery.expires_in.count());
+    properties_.expiration = view(expiration_);
+    properties_._flags |= AMQP_BASIC_EXPIRATION_FLAG;
+  }
+  return properties_;
+}
+
+bool decode_properties(const amqp_basic_properties_t& properties, Message& message) {
+  bool resent = false;
+  if ((properties._flags & AMQP_BASIC_HEADERS_FLAG) == 0) return resent;
+  for (int i = 0; i < properties.headers.num_entries; ++i) {
+    const amqp_table_entry_t& entry = properties.headers.entries[i];
+    const std::string_view name = view(entry.key);
+    std::optional<std::string> value = text_of(entry.value);
+    if (!value) continue;
+    if (name == driver_header) {
+      message.driver_id = std::move(*value);
+    } else if (name == gateway_header) {
+      message.gateway_id = std::move(*value);
+    } else if (name == time_header) {
+      message.time_ms = to_number<std::int64_t>(*value);
+    } else if (name == resent_header) {
+      resent = true;
+    } else {
+      message.properties.set(name, *value);
+    }
+  }
+  return resent;
+}
+
+std::uint64_t publish_tag_of(const amqp_basic_properties_t& properties) {
+  if ((properties._flags & AMQP_BASIC_MESSAGE_ID_FLAG) == 0) return 0;
+  return to_number<std::uint64_t>(view(properties.message_id));
+}
+
+}  // namespace iotcloud::brokers::rabbitmq

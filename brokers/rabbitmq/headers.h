@@ -1,0 +1,41 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <amqp.h>
+
+#include <iotcloud/brokers/message.h>
+
+namespace iotcloud::brokers::rabbitmq {
+
+/// The AMQP properties of one message (REFERENCE.md 4: headers sensorID, siteID, time and the custom properties).
+/// Points into itself and into the message: both must outlive its use. Reuse one object for many messages.
+class MessageProperties {
+ public:
+  struct Delivery {
+    bool durable = false;
+    bool resent = false;                      ///< sent before, to a connection that was lost: possibly a duplicate
+    std::chrono::milliseconds expires_in{0};  ///< 0 = never
+    std::uint64_t publish_tag = 0;            ///< finds the message again when the server returns it
+  };
+  const amqp_basic_properties_t& encode(const Message& message, const Delivery& delivery);
+
+ private:
+  void add(amqp_bytes_t name, amqp_bytes_t value);
+
+  amqp_basic_properties_t properties_{};
+  std::vector<amqp_table_entry_t> entries_;
+  std::string time_, expiration_, publish_tag_;
+};
+
+/// Fills the message's metadata from what a server sent, whoever published it: values that are no strings are written
+/// as text, nested tables and arrays are skipped. \return whether it is marked as sent before (see `resent`).
+bool decode_properties(const amqp_basic_properties_t& properties, Message& message);
+
+/// The publish tag of a returned message; 0 when it has none.
+std::uint64_t publish_tag_of(const amqp_basic_properties_t& properties);
+
+}  // namespace iotcloud::brokers::rabbitmq

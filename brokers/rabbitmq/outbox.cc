@@ -1,0 +1,152 @@
+#include "iotcloud/brokers/rabbitmq/outbox.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "iotcloud/brokers/meters.h"
+
+namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+// A message that nobody reads goes to the server and back for every try: often at first, so that a reader that starts
+// with the publisher waits little, then rarely.
+constexpr std::chrono::milliseconds first_retry{20};
+constexpr std::chrono::milliseconds last_retry{1000};
+
+PublisherOptions with_some_capacity(PublisherOptions options) {
+  options.capacity = std::max<std::size_t>(options.capacity, 1);
+  return options;
+}
+
+}  // namespace
+
+Outbox::Outbox(Topic to, PublisherOptions how)
+    : topic(std::move(to)), options(with_some_capacity(std::move(how))), backoff_(first_retry, last_retry) {}
+
+bool Outbox::has_room() const {
+  return options.when_full == WhenFull::keep_newest || waiting_.size() + under_way_ < options.capacity;
+}
+
+Outgoing Outbox::accept(Message message, Instant now) {
+  ++pending_;
+  return {std::move(message), ++last_number_, now, false};
+}
+
+void Outbox::add_waiting(Outgoing outgoing) {
+  insert(std::move(outgoing));
+  trim();
+}
+
+bool Outbox::may_send() const {
+  return ready && !closed && !retry_at_ && under_way_ < options.capacity && (proven_ || under_way_ == 0);
+}
+
+Outgoing Outbox::take_next() {
+  Outgoing next = std::move(waiting_.front());
+  waiting_.pop_front();
+  ++under_way_;
+  return next;
+}
+
+void Outbox::insert(Outgoing outgoing) {
+  const auto place =
+      std::upper_bound(waiting_.begin(), waiting_.end(), outgoing.number,
+                       [](std::uint64_t number, const Outgoing& other) { return number < other.number; });
+  waiting_.insert(place, std::move(outgoing));
+}
+
+void Outbox::trim() {
+  if (options.when_full != WhenFull::keep_newest) return;
+  while (waiting_.size() > options.capacity) {
+    settle(waiting_.front().number, Outcome::dropped, unread_ ? reason::no_reader : reason::superseded);
+    waiting_.pop_front();
+  }
+}
+
+void Outbox::settle(std::uint64_t number, Outcome outcome, std::string reason) {
+  events_.push_back({number, outcome, std::move(reason)});
+  if (wants_writable_ && has_room()) {
+    wants_writable_ = false;
+    writable_due_ = true;
+  }
+}
+
+void Outbox::confirmed(std::uint64_t number) {
+  --under_way_;
+  proven_ = true;
+  unread_ = false;
+  retry_at_.reset();
+  backoff_.reset();
+  settle(number, Outcome::confirmed, "");
+}
+
+void Outbox::refused(std::uint64_t number, const std::string& reason) {
+  --under_way_;
+  settle(number, Outcome::refused, reason);
+}
+
+void Outbox::returned(Outgoing outgoing, Instant now) {
+  --under_way_;
+  if (!retry_at_) retry_at_ = now + backoff_.next();
+  proven_ = false;
+  unread_ = true;
+  outgoing.resent = false;  // nobody got it
+  insert(std::move(outgoing));
+  trim();
+}
+
+void Outbox::lost(Outgoing outgoing) {
+  --under_way_;
+  outgoing.resent = true;
+  insert(std::move(outgoing));
+  trim();
+}
+
+void Outbox::disconnected() {
+  ready = false;
+  proven_ = false;
+  unread_ = false;
+  retry_at_.reset();
+  backoff_.reset();
+}
+
+void Outbox::expire(Instant now) {
+  if (options.deadline.count() <= 0) return;
+  const std::size_t before = waiting_.size();
+  std::erase_if(waiting_, [&](const Outgoing& outgoing) {
+    const bool old = outgoing.accepted + options.deadline <= now;
+    if (old) events_.push_back({outgoing.number, Outcome::dropped, reason::deadline});
+    return old;
+  });
+  if (waiting_.size() < before && std::exchange(wants_writable_, false)) writable_due_ = true;
+}
+
+std::optional<Instant> Outbox::next_timer() const {
+  if (waiting_.empty()) return std::nullopt;
+  std::optional<Instant> next = retry_at_;
+  if (options.deadline.count() > 0) {
+    const Instant expires = waiting_.front().accepted + options.deadline;
+    if (!next || expires < *next) next = expires;
+  }
+  return next;
+}
+
+void Outbox::fire_timer(Instant now) {
+  expire(now);
+  if (retry_at_ && *retry_at_ <= now) retry_at_.reset();
+}
+
+void Outbox::close(const std::vector<std::uint64_t>& under_way_numbers) {
+  closed = true;
+  wants_writable_ = writable_due_ = false;
+  for (const std::uint64_t number : under_way_numbers) settle(number, Outcome::unknown, reason::closed);
+  for (const Outgoing& outgoing : waiting_) settle(outgoing.number, Outcome::unknown, reason::closed);
+  waiting_.clear();
+}
+
+std::vector<Outbox::Event> Outbox::take_events(bool& writable) {
+  writable = std::exchange(writable_due_, false);
+  return std::exchange(events_, {});
+}
+
+}  // namespace iotcloud::brokers::rabbitmq

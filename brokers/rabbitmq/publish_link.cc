@@ -1,0 +1,313 @@
+#include "iotcloud/brokers/rabbitmq/publish_link.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <exception>
+#include <utility>
+
+#include <linux/tcp.h>
+#include <netinet/in.h>
+#include <pthread.h>
+#include <sys/socket.h>
+
+#include "iotcloud/brokers/limits.h"
+#include "iotcloud/brokers/rabbitmq/publish_wire.h"
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+const config::Logger logger{"brokers.rabbitmq"};
+
+// A caller sends at most so many of others' messages beside its own.
+constexpr std::size_t helping = 16;
+
+}  // namespace
+
+PublishLink::PublishLink(LinkOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log)
+    : options_(std::move(options)), meters_(meters), clock_(clock), log_(log) {
+  thread_ = std::thread([this] { run(); });
+  pthread_setname_np(thread_.native_handle(), "amqp-publish");
+}
+
+PublishLink::~PublishLink() {
+  {
+    Lock lock(mutex_);
+    closing_ = true;
+    changed_.notify_all();
+  }
+  wake_event_.signal();
+  thread_.join();
+}
+
+std::shared_ptr<Outbox> PublishLink::add(const Topic& topic, const PublisherOptions& options) {
+  auto outbox = std::make_shared<Outbox>(topic, options);
+  Lock lock(mutex_);
+  outboxes_.push_back(outbox);
+  if (connected_) {
+    undeclared_.push_back(outbox);
+    wake(lock);
+  }
+  return outbox;
+}
+
+void PublishLink::remove(const std::shared_ptr<Outbox>& outbox) {
+  Lock lock(mutex_);
+  std::vector<std::uint64_t> numbers;
+  for (const UnderWay& entry : under_way_) {
+    if (entry.outbox == outbox && !entry.answered) numbers.push_back(entry.outgoing.number);
+  }
+  outbox->close(numbers);
+  std::erase(outboxes_, outbox);
+  std::erase(undeclared_, outbox);
+  if (outbox->reporting && std::this_thread::get_id() == thread_.get_id()) return;  // from inside its own callback
+  report(outbox, lock);
+}
+
+PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Message message) {
+  const char* why_not = refusal(message);
+  Lock lock(mutex_);
+  if (outbox->closed) return PublishStatus::closed;
+  const Instant now = clock_.now();
+  if (why_not != nullptr) {
+    const Outgoing refused = outbox->accept(std::move(message), now);
+    outbox->sent_directly();
+    outbox->refused(refused.number, why_not);
+    note_report(outbox);
+    wake(lock);
+    return PublishStatus::accepted;
+  }
+  outbox->expire(now);
+  note_report(outbox);
+  if (outbox->has_report()) wake(lock);
+  if (!outbox->has_room()) {
+    outbox->refuse_room();
+    return PublishStatus::would_block;
+  }
+  Outgoing outgoing = outbox->accept(std::move(message), now);
+  const bool direct = connected_ && !blocked_ && !wire_busy_ && !wire_broken_ && one_by_one_ == 0 &&
+                      runnable_.empty() && outbox->idle() && outbox->may_send() &&
+                      wire_->room_for(outgoing.message.payload.size());
+  if (!direct) {
+    const bool timed = outbox->idle() && outbox->options.deadline.count() > 0;
+    outbox->add_waiting(std::move(outgoing));
+    note_report(outbox);
+    make_runnable(outbox);
+    // Whoever has the wire looks again before giving it back.
+    if (timed || outbox->has_report() || (outbox->in_runnable && !wire_busy_)) wake(lock);
+    return PublishStatus::accepted;
+  }
+  acquire_wire(lock);
+  outbox->sent_directly();
+  try {
+    send(lock, outbox, std::move(outgoing));
+    send_waiting(lock, helping, false);
+    if (wire_->has_buffered()) wake(lock);
+  } catch (const std::exception&) {  // LinkError, or memory that ran out in the middle of a frame
+    if (!lock.owns_lock()) lock.lock();
+    wire_broken_ = true;
+  }
+  release_wire();
+  if (wire_broken_ || !runnable_.empty() || !to_report_.empty()) wake(lock);
+  return PublishStatus::accepted;
+}
+
+bool PublishLink::drain(const std::shared_ptr<Outbox>& outbox, std::chrono::milliseconds limit) {
+  const auto end = std::chrono::system_clock::now() + limit;
+  Lock lock(mutex_);
+  while (outbox->pending() > 0) {
+    if (outbox->has_report() && !outbox->reporting) {
+      report(outbox, lock);
+    } else if (changed_.wait_until(lock, end) == std::cv_status::timeout) {
+      return outbox->pending() == 0;
+    }
+  }
+  return true;
+}
+
+std::size_t PublishLink::pending(const Outbox& outbox) const {
+  const Lock lock(mutex_);
+  return outbox.pending();
+}
+
+ConnectionState PublishLink::state() const {
+  const Lock lock(mutex_);
+  if (closing_) return ConnectionState::closed;
+  if (!connected_) return ConnectionState::connecting;
+  return blocked_ ? ConnectionState::blocked : ConnectionState::connected;
+}
+
+void PublishLink::watch() {
+  const Lock lock(mutex_);
+  if (!wire_busy_ || !wire_ || std::chrono::steady_clock::now() - busy_since_ < options_.rpc_timeout) return;
+  tcp_info info{};
+  socklen_t length = sizeof(info);
+  if (::getsockopt(wire_->descriptor(), IPPROTO_TCP, TCP_INFO, &info, &length) == 0 &&
+      length > offsetof(tcp_info, tcpi_bytes_acked) && info.tcpi_bytes_acked != acknowledged_bytes_) {
+    acknowledged_bytes_ = info.tcpi_bytes_acked;  // slow, but it moves
+    busy_since_ = std::chrono::steady_clock::now();
+    return;
+  }
+  ::shutdown(wire_->descriptor(), SHUT_RDWR);  // the send that stands still fails now
+}
+
+void PublishLink::wake(Lock& lock) {
+  if (!sleeping_ || !lock.owns_lock()) return;
+  sleeping_ = false;
+  wake_event_.signal();
+}
+
+void PublishLink::acquire_wire(Lock& lock) {
+  changed_.wait(lock, [this] { return !wire_busy_; });
+  wire_busy_ = true;
+  busy_since_ = std::chrono::steady_clock::now();
+}
+
+void PublishLink::release_wire() {
+  wire_busy_ = false;
+  changed_.notify_all();
+}
+
+void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
+  if (outbox->in_runnable || outbox->idle() || !outbox->may_send()) return;
+  outbox->in_runnable = true;
+  runnable_.push_back(outbox);
+}
+
+void PublishLink::note_report(const std::shared_ptr<Outbox>& outbox) {
+  if (outbox->in_report || !outbox->has_report()) return;
+  outbox->in_report = true;
+  to_report_.push_back(outbox);
+}
+
+void PublishLink::report(const std::shared_ptr<Outbox>& outbox, Lock& lock) {
+  changed_.wait(lock, [&] { return !outbox->reporting; });
+  if (std::exchange(outbox->in_report, false)) std::erase(to_report_, outbox);
+  bool writable = false;
+  const std::vector<Outbox::Event> events = outbox->take_events(writable);
+  if (events.empty() && !writable) return;
+  outbox->reporting = true;
+  lock.unlock();
+  for (const auto& event : events) meters_.outcome(event.outcome, event.reason);
+  try {
+    if (outbox->options.on_outcome) {
+      for (const auto& event : events) outbox->options.on_outcome(event.number, event.outcome, event.reason);
+    }
+    if (writable && outbox->options.on_writable) outbox->options.on_writable();
+  } catch (const std::exception& error) {
+    logger.error("a callback of the publisher of topic {} threw: {}", outbox->topic.name, error.what());
+  } catch (...) {
+    logger.error("a callback of the publisher of topic {} threw", outbox->topic.name);
+  }
+  lock.lock();
+  outbox->reporting = false;
+  outbox->reported(events.size());
+  changed_.notify_all();
+}
+
+void PublishLink::report_all(Lock& lock) {
+  while (!to_report_.empty()) {
+    const std::shared_ptr<Outbox> outbox = to_report_.front();
+    report(outbox, lock);
+  }
+}
+
+void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing) {
+  MessageProperties::Delivery delivery;
+  delivery.durable = outbox->topic.durable;
+  delivery.resent = outgoing.resent;
+  delivery.publish_tag = first_tag_ + under_way_.size();
+  if (outbox->options.deadline.count() > 0) {
+    const auto left = outgoing.accepted + outbox->options.deadline - clock_.now();
+    delivery.expires_in = std::max(std::chrono::milliseconds(1), std::chrono::ceil<std::chrono::milliseconds>(left));
+  }
+  under_way_.push_back({outbox, std::move(outgoing), false, false});
+  // The entry stays where it is while the wire is ours: only the wire's owner takes entries out.
+  const Message& message = under_way_.back().outgoing.message;
+  lock.unlock();
+  wire_->publish(publish_channel, exchange_of(outbox->topic), outbox->topic.name, properties_.encode(message, delivery),
+                 message.payload.data(), message.payload.size());
+  lock.lock();
+}
+
+void PublishLink::send_waiting(Lock& lock, std::size_t most, bool first_may_wait) {
+  for (std::size_t sent = 0; sent < most && !runnable_.empty() && !blocked_; ++sent) {
+    if (one_by_one_ > 0 && !under_way_.empty()) return;
+    const std::shared_ptr<Outbox> outbox = runnable_.front();
+    outbox->expire(clock_.now());
+    note_report(outbox);
+    if (outbox->idle() || !outbox->may_send()) {
+      runnable_.pop_front();
+      outbox->in_runnable = false;
+      continue;
+    }
+    if (!std::exchange(first_may_wait, false) && !wire_->room_for(outbox->next().message.payload.size())) return;
+    runnable_.pop_front();
+    outbox->in_runnable = false;
+    Outgoing next = outbox->take_next();
+    make_runnable(outbox);  // in turn with the others
+    send(lock, outbox, std::move(next));
+  }
+}
+
+void PublishLink::requeue_under_way() {
+  std::deque<UnderWay> entries = std::exchange(under_way_, {});
+  for (UnderWay& entry : entries) {
+    if (entry.answered || entry.outbox->closed) continue;
+    entry.outbox->lost(std::move(entry.outgoing));
+    note_report(entry.outbox);
+  }
+}
+
+void PublishLink::settle(UnderWay& entry, bool good, Instant now) {
+  entry.answered = true;
+  if (entry.outbox->closed) return;
+  if (!good) {
+    entry.outbox->refused(entry.outgoing.number, "the server could not store it (nack)");
+  } else if (entry.returned) {
+    entry.outbox->returned(std::move(entry.outgoing), now);
+  } else {
+    entry.outbox->confirmed(entry.outgoing.number);
+  }
+  note_report(entry.outbox);
+  make_runnable(entry.outbox);
+}
+
+void PublishLink::on_answer(std::uint64_t tag, bool multiple, bool good) {
+  const Lock lock(mutex_);
+  const Instant now = clock_.now();
+  if (tag < first_tag_ || tag >= first_tag_ + under_way_.size()) {
+    if (tag != 0 || !multiple) return;  // tag 0 with multiple: all so far
+    tag = first_tag_ + under_way_.size() - 1;
+  }
+  for (std::uint64_t i = multiple ? first_tag_ : tag; i <= tag && !under_way_.empty(); ++i) {
+    UnderWay& entry = under_way_[i - first_tag_];
+    if (!entry.answered) settle(entry, good, now);
+    if (one_by_one_ > 0) --one_by_one_;
+  }
+  while (!under_way_.empty() && under_way_.front().answered) {
+    under_way_.pop_front();
+    ++first_tag_;
+  }
+}
+
+std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
+  std::chrono::milliseconds limit{1000};
+  if (connected_) limit = std::min(limit, std::chrono::milliseconds(wire_->heartbeat()) / 2);
+  for (const auto& outbox : outboxes_) {
+    const std::optional<Instant> next = outbox->next_timer();
+    if (!next) continue;
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(*next - now);
+    if (left.count() > 0) {
+      limit = std::min(limit, left);
+      continue;
+    }
+    outbox->fire_timer(now);
+    note_report(outbox);
+    if (connected_) make_runnable(outbox);
+    limit = std::chrono::milliseconds(0);
+  }
+  return limit;
+}
+
+}  // namespace iotcloud::brokers::rabbitmq

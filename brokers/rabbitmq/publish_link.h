@@ -1,0 +1,121 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "iotcloud/brokers/meters.h"
+#include "iotcloud/brokers/rabbitmq/amqp_link.h"
+#include "iotcloud/brokers/rabbitmq/backoff.h"
+#include "iotcloud/brokers/rabbitmq/connection_log.h"
+#include "iotcloud/brokers/rabbitmq/headers.h"
+#include "iotcloud/brokers/rabbitmq/outbox.h"
+#include "iotcloud/brokers/rabbitmq/wake_event.h"
+
+namespace iotcloud::brokers::rabbitmq {
+
+/// The publishing connection of one broker object.
+///
+/// Threads: callers of publish(), and one thread of the link's own. The *wire* (the AmqpLink) belongs to one thread at
+/// a time, noted in `wire_busy_` under the mutex; the mutex itself is never held while bytes move. A caller takes the
+/// wire only when it is free, nothing waits, and the socket's buffer has room: then it sends on its own thread, and
+/// what other callers leave meanwhile. Everything else (answers, heartbeats, what must wait, connecting) is the link's
+/// thread's.
+class PublishLink {
+ public:
+  PublishLink(LinkOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log);
+  ~PublishLink();
+  PublishLink(const PublishLink&) = delete;
+  PublishLink& operator=(const PublishLink&) = delete;
+
+  std::shared_ptr<Outbox> add(const Topic& topic, const PublisherOptions& options);
+  /// Closes the publisher: reports what has no outcome as unknown, waits for callbacks that run.
+  void remove(const std::shared_ptr<Outbox>& outbox);
+  PublishStatus publish(const std::shared_ptr<Outbox>& outbox, Message message);
+  bool drain(const std::shared_ptr<Outbox>& outbox, std::chrono::milliseconds limit);
+  std::size_t pending(const Outbox& outbox) const;
+  ConnectionState state() const;
+  /// Called now and then by the broker's keeper: breaks a connection on which a send has stood still for too long
+  /// (a server under a memory alarm takes nothing, for ever, and no time-out of the library helps).
+  void watch();
+
+ private:
+  using Lock = std::unique_lock<std::mutex>;
+  struct UnderWay {
+    std::shared_ptr<Outbox> outbox;
+    Outgoing outgoing;
+    bool returned = false;
+    bool answered = false;
+  };
+
+  void run();
+  void connect();
+  void serve(bool readable, bool writable);
+  void lose(const std::string& reason);
+  void acquire_wire(Lock& lock);
+  void release_wire();
+
+  void read_frames();
+  void on_method(const amqp_method_t& method, amqp_channel_t channel);
+  void on_answer(std::uint64_t tag, bool multiple, bool good);
+  void on_channel_closed(const amqp_channel_close_t& closed);
+  void settle(UnderWay& entry, bool good, Instant now);
+
+  void declare_exchanges(Lock& lock);
+  /// Sends what waits; the wire is the caller's. \param first_may_wait the socket said that it can be written
+  void send_waiting(Lock& lock, std::size_t most, bool first_may_wait);
+  void send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing);
+  void make_runnable(const std::shared_ptr<Outbox>& outbox);
+  void note_report(const std::shared_ptr<Outbox>& outbox);
+  void report(const std::shared_ptr<Outbox>& outbox, Lock& lock);
+  void report_all(Lock& lock);
+  std::chrono::milliseconds time_to_sleep(Instant now);
+  void wake(Lock& lock);
+  void requeue_under_way();
+
+  const LinkOptions options_;
+  Meters& meters_;
+  const config::Clock& clock_;
+  ConnectionLog& log_;
+  WakeEvent wake_event_;
+
+  // The wire: used by its owner only; replaced by the link's thread, with the mutex held too.
+  std::unique_ptr<AmqpLink> wire_;
+  MessageProperties properties_;
+  std::uint64_t returned_tag_ = 0;  ///< of the message whose return is being read
+  bool reading_return_ = false;
+
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;  ///< the wire became free, a callback ended
+  // All below: guarded by mutex_.
+  bool closing_ = false;
+  bool connected_ = false;
+  bool blocked_ = false;  ///< the server asked us to publish nothing (memory or disk alarm)
+  bool wire_busy_ = false;
+  bool wire_broken_ = false;  ///< a caller saw it fail; the link's thread cleans up
+  bool sleeping_ = false;     ///< the link's thread polls
+  std::chrono::steady_clock::time_point busy_since_;
+  std::uint64_t acknowledged_bytes_ = 0;  ///< by the peer's TCP at the last look of watch()
+  std::vector<std::shared_ptr<Outbox>> outboxes_;
+  std::vector<std::shared_ptr<Outbox>> undeclared_;
+  std::deque<std::shared_ptr<Outbox>> runnable_;
+  std::deque<std::shared_ptr<Outbox>> to_report_;
+  std::set<std::pair<std::string, bool>> declared_;  ///< exchanges on this connection
+  std::deque<UnderWay> under_way_;                   ///< by publish tag, ascending
+  std::uint64_t first_tag_ = 1;                      ///< of under_way_.front()
+  std::size_t one_by_one_ = 0;  ///< so many messages still go alone: one of them made the server close the channel
+
+  // The link's thread's.
+  Backoff backoff_{std::chrono::milliseconds(50), std::chrono::milliseconds(2000)};
+  Instant next_attempt_{};
+  Instant connected_at_{};
+  std::thread thread_;
+};
+
+}  // namespace iotcloud::brokers::rabbitmq

@@ -1,0 +1,232 @@
+// What the publishing link's own thread does: connect, read answers, keep the connection alive, clean up.
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include "iotcloud/brokers/rabbitmq/publish_link.h"
+#include "iotcloud/brokers/rabbitmq/publish_wire.h"
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+const config::Logger logger{"brokers.rabbitmq"};
+
+constexpr std::size_t batch = 256;
+// A connection that lasted so long was a good one: after it the waiting times start small again.
+constexpr std::chrono::seconds steady_connection{2};
+
+}  // namespace
+
+void PublishLink::run() {
+  bool readable = true;
+  bool writable = false;
+  for (;;) {
+    try {
+      if (!wire_) connect();
+      if (wire_) serve(readable, writable);
+    } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
+      lose(error.what());
+    }
+    Lock lock(mutex_);
+    report_all(lock);
+    if (closing_) break;
+    std::chrono::milliseconds limit = time_to_sleep(clock_.now());
+    if (!to_report_.empty() || wire_broken_) limit = std::chrono::milliseconds(0);
+    if (!connected_)
+      limit = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(next_attempt_ - clock_.now()),
+                         std::chrono::milliseconds(0), limit);
+    const bool want_write = connected_ && !blocked_ && !runnable_.empty() && (one_by_one_ == 0 || under_way_.empty());
+    const int descriptor = connected_ ? wire_->descriptor() : -1;
+    sleeping_ = true;
+    lock.unlock();
+    const WakeEvent::Result woken = wake_event_.wait(descriptor, want_write, limit);
+    lock.lock();
+    sleeping_ = false;
+    writable = woken.writable;
+    readable = woken.readable || !woken.writable;  // after a time-out too: heartbeats
+  }
+  Lock lock(mutex_);
+  acquire_wire(lock);
+  std::unique_ptr<AmqpLink> wire = std::move(wire_);
+  connected_ = false;
+  release_wire();
+  lock.unlock();
+  if (wire) wire->close(publish_channel);
+}
+
+void PublishLink::connect() {
+  if (clock_.now() < next_attempt_) return;
+  std::unique_ptr<AmqpLink> wire;
+  try {
+    wire = std::make_unique<AmqpLink>(options_);
+    wire->open_channel(publish_channel);
+    wire->select_confirms(publish_channel);
+  } catch (const LinkError& error) {
+    log_.failed(error.what());
+    next_attempt_ = clock_.now() + backoff_.next();
+    return;
+  }
+  log_.connected();
+  connected_at_ = clock_.now();
+  const Lock lock(mutex_);
+  wire_ = std::move(wire);
+  connected_ = true;
+  blocked_ = wire_broken_ = false;
+  reading_return_ = false;
+  first_tag_ = 1;
+  declared_.clear();
+  undeclared_ = outboxes_;
+}
+
+void PublishLink::serve(bool readable, bool writable) {
+  Lock lock(mutex_);
+  acquire_wire(lock);
+  if (wire_broken_) {
+    release_wire();
+    throw LinkError("a send failed");
+  }
+  try {
+    declare_exchanges(lock);
+    lock.unlock();
+    if (readable || wire_->has_buffered()) read_frames();
+    lock.lock();
+    send_waiting(lock, batch, writable);
+    while (wire_->has_buffered()) {  // a send reads too when heartbeats are due
+      lock.unlock();
+      read_frames();
+      lock.lock();
+    }
+  } catch (...) {
+    if (!lock.owns_lock()) lock.lock();
+    release_wire();
+    throw;
+  }
+  release_wire();
+}
+
+void PublishLink::lose(const std::string& reason) {
+  log_.lost(reason);
+  if (clock_.now() - connected_at_ > steady_connection) backoff_.reset();
+  next_attempt_ = clock_.now() + backoff_.next();
+  Lock lock(mutex_);
+  acquire_wire(lock);
+  wire_.reset();
+  connected_ = blocked_ = wire_broken_ = false;
+  requeue_under_way();
+  one_by_one_ = 0;
+  for (const auto& outbox : runnable_) outbox->in_runnable = false;
+  runnable_.clear();
+  undeclared_.clear();
+  for (const auto& outbox : outboxes_) outbox->disconnected();
+  release_wire();
+}
+
+void PublishLink::declare_exchanges(Lock& lock) {
+  while (!undeclared_.empty()) {
+    const std::shared_ptr<Outbox> outbox = undeclared_.back();
+    undeclared_.pop_back();
+    const std::pair<std::string, bool> exchange(exchange_of(outbox->topic), outbox->topic.durable);
+    if (must_declare(outbox->topic) && declared_.insert(exchange).second) {
+      lock.unlock();
+      const std::string why = wire_->declare_exchange(declare_channel, exchange.first, exchange.second);
+      lock.lock();
+      if (!why.empty()) {
+        logger.error(
+            "cannot declare the exchange {} ({}): {}; using it as it is. Delete it on the server, or set the "
+            "channel's durability to what it was made with",
+            exchange.first, exchange.second ? "durable" : "not durable", why);
+      }
+    }
+    outbox->ready = true;
+    make_runnable(outbox);
+  }
+}
+
+void PublishLink::read_frames() {
+  do {
+    const std::optional<amqp_frame_t> frame = wire_->next_frame();
+    if (!frame) return;
+    if (frame->frame_type == AMQP_FRAME_METHOD) {
+      on_method(frame->payload.method, frame->channel);
+    } else if (frame->frame_type == AMQP_FRAME_HEADER && reading_return_) {
+      const auto& properties = *static_cast<const amqp_basic_properties_t*>(frame->payload.properties.decoded);
+      returned_tag_ = publish_tag_of(properties);
+      const Lock lock(mutex_);
+      if (returned_tag_ >= first_tag_ && returned_tag_ < first_tag_ + under_way_.size()) {
+        under_way_[returned_tag_ - first_tag_].returned = true;
+      }
+      reading_return_ = false;  // its body follows and is of no interest: we still have the message
+    }
+    wire_->release(frame->channel);
+  } while (wire_->has_buffered());
+}
+
+void PublishLink::on_method(const amqp_method_t& method, amqp_channel_t channel) {
+  switch (method.id) {
+    case AMQP_BASIC_ACK_METHOD: {
+      const auto& ack = *static_cast<const amqp_basic_ack_t*>(method.decoded);
+      on_answer(ack.delivery_tag, ack.multiple != 0, true);
+      return;
+    }
+    case AMQP_BASIC_NACK_METHOD: {
+      const auto& nack = *static_cast<const amqp_basic_nack_t*>(method.decoded);
+      on_answer(nack.delivery_tag, nack.multiple != 0, false);
+      return;
+    }
+    case AMQP_BASIC_RETURN_METHOD:
+      reading_return_ = true;
+      return;
+    case AMQP_CHANNEL_CLOSE_METHOD:
+      wire_->send(channel, AMQP_CHANNEL_CLOSE_OK_METHOD, amqp_channel_close_ok_t{});
+      if (channel == publish_channel) {
+        on_channel_closed(*static_cast<const amqp_channel_close_t*>(method.decoded));
+      }
+      return;
+    case AMQP_CONNECTION_CLOSE_METHOD:
+      throw LinkError("the server closed it: " +
+                      describe(*static_cast<const amqp_connection_close_t*>(method.decoded)));
+    case AMQP_CONNECTION_BLOCKED_METHOD: {
+      const auto& blocked = *static_cast<const amqp_connection_blocked_t*>(method.decoded);
+      logger.warn("the server takes no messages for now: {}", to_string(blocked.reason));
+      const Lock lock(mutex_);
+      blocked_ = true;
+      return;
+    }
+    case AMQP_CONNECTION_UNBLOCKED_METHOD: {
+      logger.info("the server takes messages again");
+      const Lock lock(mutex_);
+      blocked_ = false;
+      return;
+    }
+    default:
+      return;
+  }
+}
+
+void PublishLink::on_channel_closed(const amqp_channel_close_t& closed) {
+  const std::string why = describe(closed);
+  {
+    const Lock lock(mutex_);
+    const bool alone = under_way_.size() == 1 && !under_way_.front().outbox->closed;
+    if (alone && (closed.reply_code != AMQP_NOT_FOUND || under_way_.front().outgoing.resent)) {
+      // It is the one that the server does not want, and not for an exchange that we can declare again.
+      under_way_.front().answered = true;
+      under_way_.front().outbox->refused(under_way_.front().outgoing.number, why);
+      note_report(under_way_.front().outbox);
+    }
+    logger.error("the server refused a message: {}", why);
+    one_by_one_ = under_way_.size();
+    requeue_under_way();
+    declared_.clear();
+    undeclared_ = outboxes_;  // perhaps the exchange was deleted
+    for (const auto& outbox : runnable_) outbox->in_runnable = false;
+    runnable_.clear();
+    for (const auto& outbox : outboxes_) outbox->disconnected();
+    first_tag_ = 1;
+  }
+  wire_->open_channel(publish_channel);
+  wire_->select_confirms(publish_channel);
+}
+
+}  // namespace iotcloud::brokers::rabbitmq

@@ -1,0 +1,13 @@
+#pragma once
+
+#include <memory>
+
+#include "iotcloud/brokers/broker_url.h"
+#include <iotcloud/brokers/broker.h>
+
+namespace iotcloud::brokers::rabbitmq {
+
+/// A broker that speaks AMQP 0-9-1 to a RabbitMQ server; `url` is options.url, parsed.
+std::unique_ptr<Broker> make_rabbitmq_broker(const BrokerOptions& options, const BrokerUrl& url);
+
+}  // namespace iotcloud::brokers::rabbitmq
