@@ -1,0 +1,202 @@
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/tests/discovery/contract_fixture.h>
+
+namespace iotcloud::discovery::tests {
+namespace {
+
+using testing::ElementsAre;
+using testing::UnorderedElementsAre;
+
+class Directory : public testing::Test {
+ protected:
+  std::unique_ptr<Registry> client() const { return make_registry({.url = place_->url()}); }
+
+  DriverRecord driver(const std::string& instance, DriverState state) const {
+    DriverRecord record;
+    record.name = "turtle";
+    record.instance = instance;
+    record.gateway = "gw";
+    record.state = state;
+    return record;
+  }
+  void put_driver(const std::string& instance, DriverState state) {
+    put(*writer_, paths_.instance("turtle", instance), encode(driver(instance, state)));
+  }
+  void put_channel(const std::string& instance, const std::string& name, const std::string& broker_url = "amqp://1") {
+    ChannelRecord record;
+    record.name = name;
+    record.transport = "rabbitmq";
+    record.driver = "turtle";
+    record.instance = instance;
+    record.broker_url = broker_url;
+    put(*writer_, paths_.channel("turtle", instance, name), encode(record));
+  }
+  /// What a directory of `channel` says goes to `seen_`.
+  std::unique_ptr<DriverDirectory> watch(const std::string& channel) {
+    DriverDirectory::Callbacks callbacks;
+    callbacks.on_channel = [this](const ChannelRecord& record) {
+      seen_.add("+" + record.instance + "." + record.name + "@" + record.broker_url);
+    };
+    callbacks.on_channel_gone = [this](const ChannelRecord& record) {
+      seen_.add("-" + record.instance + "." + record.name);
+    };
+    return std::make_unique<DriverDirectory>(*registry_, paths_, "turtle", channel, std::move(callbacks));
+  }
+
+  const Paths paths_;
+  const std::unique_ptr<Place> place_ = make_place("embedded");
+  const std::unique_ptr<Registry> registry_ = client();
+  const std::unique_ptr<Registry> writer_ = client();
+  Seen<std::string> seen_;
+};
+
+TEST_F(Directory, ReportsWhatIsThereAndWhatComesOfOneChannel) {
+  put_driver("1", DriverState::active);
+  put_channel("1", "kinect");
+  put_channel("1", "control");
+  const auto directory = watch("kinect");
+  ASSERT_TRUE(seen_.wait_for_last("+1.kinect@amqp://1"));
+  put_driver("2", DriverState::active);
+  put_channel("2", "control");
+  put_channel("2", "kinect");
+  ASSERT_TRUE(seen_.wait_for_last("+2.kinect@amqp://1"));
+  EXPECT_EQ(seen_.all().size(), 2U);
+}
+
+TEST_F(Directory, ReportsAllChannelsWhenNoneIsNamed) {
+  put_driver("1", DriverState::active);
+  put_channel("1", "kinect");
+  put_channel("1", "control");
+  const auto directory = watch("");
+  ASSERT_TRUE(seen_.wait_for_count(2));
+  EXPECT_THAT(seen_.all(), UnorderedElementsAre("+1.kinect@amqp://1", "+1.control@amqp://1"));
+  writer_->remove(paths_.channel("turtle", "1", "control"));
+  EXPECT_TRUE(seen_.wait_for_last("-1.control"));
+}
+
+TEST_F(Directory, WaitsForADriverThatDoesNotExistYet) {
+  const auto directory = watch("kinect");
+  put_driver("1", DriverState::active);
+  put_channel("1", "kinect");
+  EXPECT_TRUE(seen_.wait_for_last("+1.kinect@amqp://1"));
+}
+
+TEST_F(Directory, AChannelIsThereOnlyWhileItsDriverIsActive) {
+  put_driver("1", DriverState::starting);
+  put_channel("1", "kinect");
+  const auto directory = watch("kinect");
+  put_driver("1", DriverState::active);
+  ASSERT_TRUE(seen_.wait_for_last("+1.kinect@amqp://1"));
+  put_driver("1", DriverState::failed);
+  ASSERT_TRUE(seen_.wait_for_last("-1.kinect"));
+  put_driver("1", DriverState::active);
+  ASSERT_TRUE(seen_.wait_for_count(3));
+  remove_tree(*writer_, paths_.instance("turtle", "1"));
+  ASSERT_TRUE(seen_.wait_for_count(4));
+  EXPECT_THAT(seen_.all(), ElementsAre("+1.kinect@amqp://1", "-1.kinect", "+1.kinect@amqp://1", "-1.kinect"));
+}
+
+TEST_F(Directory, AChangedRecordIsReportedAgainAndAnUnchangedOneIsNot) {
+  put_driver("1", DriverState::active);
+  put_channel("1", "kinect");
+  const auto directory = watch("kinect");
+  ASSERT_TRUE(seen_.wait_for_count(1));
+  put_channel("1", "kinect");
+  put_driver("1", DriverState::active);
+  put_channel("1", "kinect", "amqp://2");
+  ASSERT_TRUE(seen_.wait_for_last("+1.kinect@amqp://2"));
+  EXPECT_EQ(seen_.all().size(), 2U);
+}
+
+TEST_F(Directory, WhatCannotBeReadIsSkippedUntilItCan) {
+  put(*writer_, paths_.instance("turtle", "1"), "\x0bgarbage");
+  put_channel("1", "kinect");
+  put_driver("2", DriverState::active);
+  put(*writer_, paths_.channel("turtle", "2", "kinect"), "garbage");
+  put_driver("3", DriverState::active);
+  put_channel("3", "kinect");
+  const auto directory = watch("kinect");
+  ASSERT_TRUE(seen_.wait_for_last("+3.kinect@amqp://1"));
+  put_driver("1", DriverState::active);
+  ASSERT_TRUE(seen_.wait_for_last("+1.kinect@amqp://1"));
+  put_channel("2", "kinect");
+  ASSERT_TRUE(seen_.wait_for_last("+2.kinect@amqp://1"));
+  put(*writer_, paths_.channel("turtle", "2", "kinect"), "garbage");
+  EXPECT_TRUE(seen_.wait_for_last("-2.kinect"));
+}
+
+TEST_F(Directory, KeepsItsViewThroughAnExpiredSession) {
+  put_driver("1", DriverState::active);
+  put_channel("1", "kinect");
+  const auto directory = watch("kinect");
+  ASSERT_TRUE(seen_.wait_for_count(1));
+  const auto guard = registry_->hold("/who", "");
+  place_->expire(registry_->get("/who")->owner_session);
+  put_driver("2", DriverState::active);
+  put_channel("2", "kinect");
+  ASSERT_TRUE(seen_.wait_for_last("+2.kinect@amqp://1"));
+  EXPECT_EQ(seen_.all().size(), 2U);  // nothing is reported twice, nothing taken back
+}
+
+TEST_F(Directory, MayEndInItsOwnCallback) {
+  put_driver("1", DriverState::active);
+  put_channel("1", "a");
+  put_channel("1", "b");
+  std::unique_ptr<DriverDirectory> directory;
+  std::mutex assigned;
+  std::unique_lock lock(assigned);
+  DriverDirectory::Callbacks callbacks;
+  callbacks.on_channel = [&](const ChannelRecord& record) {
+    const std::lock_guard wait(assigned);
+    directory.reset();
+    seen_.add(record.name);
+  };
+  directory = std::make_unique<DriverDirectory>(*registry_, paths_, "turtle", "", std::move(callbacks));
+  lock.unlock();
+  ASSERT_TRUE(seen_.wait_for_count(1));
+  const auto other = watch("");
+  ASSERT_TRUE(seen_.wait_for_count(3));
+  EXPECT_EQ(seen_.all().size(), 3U);
+}
+
+TEST_F(Directory, ListsDriversWithTheirChannels) {
+  EXPECT_TRUE(list_drivers(*registry_, paths_).empty());
+  put_driver("1", DriverState::failed);
+  put_channel("1", "kinect");
+  put_channel("1", "control");
+  put(*writer_, paths_.instance("turtle", "bad"), "garbage");
+  const auto drivers = list_drivers(*registry_, paths_);
+  ASSERT_EQ(drivers.size(), 1U);
+  EXPECT_EQ(drivers[0].state, DriverState::failed);
+  ASSERT_EQ(drivers[0].channels.size(), 2U);
+  EXPECT_EQ(drivers[0].channels[0].name, "control");
+}
+
+TEST_F(Directory, ListsGatewaysAndWhetherTheyLive) {
+  for (const char* id : {"a", "b"}) {
+    GatewayRecord record;
+    record.id = id;
+    put(*writer_, paths_.gateway(id), encode(record));
+  }
+  const auto alive = writer_->hold(paths_.gateway_alive("b"), "");
+  const auto gateways = list_gateways(*registry_, paths_);
+  ASSERT_EQ(gateways.size(), 2U);
+  EXPECT_EQ(gateways[0].record.id, "a");
+  EXPECT_FALSE(gateways[0].alive);
+  EXPECT_TRUE(gateways[1].alive);
+}
+
+TEST_F(Directory, ListsTopologiesAndTheirWorkers) {
+  TopologyRecord record;
+  record.name = "follower";
+  put(*writer_, paths_.topology("follower"), encode(record));
+  const auto worker = writer_->hold(paths_.workers("follower") + "/w1", "");
+  const auto topologies = list_topologies(*registry_, paths_);
+  ASSERT_EQ(topologies.size(), 1U);
+  EXPECT_EQ(topologies[0].record, record);
+  EXPECT_THAT(topologies[0].workers, ElementsAre("w1"));
+}
+
+}  // namespace
+}  // namespace iotcloud::discovery::tests

@@ -1,0 +1,37 @@
+#include <gmock/gmock.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/discovery/zookeeper/url.h>
+
+namespace iotcloud::discovery {
+namespace {
+
+TEST(RegistryUrl, NamesHostsPortsAndChroot) {
+  const auto plain = zookeeper::parse_url("zookeeper://localhost");
+  EXPECT_EQ(plain.hosts, "localhost:2181");
+  EXPECT_EQ(plain.chroot, "");
+  const auto full = zookeeper::parse_url("zookeeper://a:1,b,[::1]:65535/x/y");
+  EXPECT_EQ(full.hosts, "a:1,b:2181,[::1]:65535");
+  EXPECT_EQ(full.chroot, "/x/y");
+  EXPECT_EQ(zookeeper::parse_url("zookeeper://a/").chroot, "");
+}
+
+TEST(RegistryUrl, WhatCannotBeReadIsRefusedWithTheFormThatIsRight) {
+  for (const char* url :
+       {"zookeeper://", "zookeeper:///chroot", "zookeeper://a,,b", "zookeeper://a:0", "zookeeper://a:65536",
+        "zookeeper://a:b", "zookeeper://a:", "zookeeper://:1", "zookeeper://a/x//y", "zookeeper://a/../y"}) {
+    try {
+      make_registry({.url = url});
+      ADD_FAILURE() << url;
+    } catch (const config::Error& error) {
+      EXPECT_THAT(error.what(), testing::HasSubstr("zookeeper://host:port"));
+      EXPECT_THAT(error.what(), testing::HasSubstr(url));
+    }
+  }
+  EXPECT_THROW(make_registry({.url = "etcd://a"}), config::Error);
+  EXPECT_THROW(make_registry({.url = ""}), config::Error);
+}
+
+}  // namespace
+}  // namespace iotcloud::discovery
