@@ -51,15 +51,15 @@ Histogram::Buckets& Histogram::buckets() {
   return *expected;
 }
 
-void Histogram::record_ns(std::int64_t ns) {
+void Histogram::record_ns(std::int64_t ns, std::uint64_t times) {
   const auto value = static_cast<std::uint64_t>(ns < 0 ? 0 : ns);
   Buckets& b = buckets();
-  b.counts[static_cast<std::size_t>(bucket_of(value))].fetch_add(1, std::memory_order_relaxed);
-  b.sum.fetch_add(value, std::memory_order_relaxed);
+  b.counts[static_cast<std::size_t>(bucket_of(value))].fetch_add(times, std::memory_order_relaxed);
+  b.sum.fetch_add(value * times, std::memory_order_relaxed);
   std::uint64_t max = b.max.load(std::memory_order_relaxed);
   while (value > max && !b.max.compare_exchange_weak(max, value, std::memory_order_relaxed)) {
   }
-  b.count.fetch_add(1, std::memory_order_relaxed);
+  b.count.fetch_add(times, std::memory_order_relaxed);
 }
 
 Histogram::Summary Histogram::summary() const {

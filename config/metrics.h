@@ -45,7 +45,8 @@ class Histogram {
   Histogram(const Histogram&) = delete;
   Histogram& operator=(const Histogram&) = delete;
 
-  void record_ns(std::int64_t ns);
+  /// \param times how many samples of this value (a batch that was timed as a whole).
+  void record_ns(std::int64_t ns, std::uint64_t times = 1);
   Summary summary() const;
 
  private:

@@ -41,6 +41,12 @@ class Tuple {
  public:
   Tuple() = default;
   explicit Tuple(detail::TupleData* data) : data_(data) { hold(); }
+  /// A handle that was counted already. For the runtime.
+  static Tuple adopt(detail::TupleData* data) {
+    Tuple tuple;
+    tuple.data_ = data;
+    return tuple;
+  }
   Tuple(const Tuple& other) : data_(other.data_) { hold(); }
   Tuple(Tuple&& other) noexcept : data_(std::exchange(other.data_, nullptr)) {}
   Tuple& operator=(Tuple other) noexcept {
@@ -48,7 +54,12 @@ class Tuple {
     return *this;
   }
   ~Tuple() {
-    if (data_ && data_->handles.fetch_sub(1, std::memory_order_acq_rel) == 1) data_->recycle();
+    if (data_ == nullptr) return;
+    // The only handle need not count down: nobody else can copy it.
+    if (data_->handles.load(std::memory_order_acquire) == 1 ||
+        data_->handles.fetch_sub(1, std::memory_order_acq_rel) == 1) {
+      data_->recycle();
+    }
   }
 
   std::size_t size() const { return data_->values.size(); }

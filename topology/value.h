@@ -1,12 +1,14 @@
 #pragma once
 
-#include <array>
+#include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <new>
 #include <span>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <variant>
-#include <vector>
 
 #include <iotcloud/brokers/message.h>
 
@@ -28,31 +30,46 @@ std::uint64_t stable_hash(const Value& value, std::uint64_t seed = 1469598103934
 /// The values of a tuple, in the order of its fields. Up to four are held without an allocation.
 class Values {
  public:
-  Values() = default;
+  Values() noexcept = default;
   /// `Values(payload, "turtle-1", 42)`: each argument becomes one Value.
   template <typename First, typename... Rest>
   requires(!std::is_same_v<std::decay_t<First>, Values>) explicit Values(First&& first, Rest&&... rest) {
-    add(make(std::forward<First>(first)));
-    (add(make(std::forward<Rest>(rest))), ...);
+    reserve(1 + sizeof...(Rest));
+    new (data_ + size_++) Value(make(std::forward<First>(first)));
+    (new (data_ + size_++) Value(make(std::forward<Rest>(rest))), ...);
   }
+  Values(const Values& other) {
+    reserve(other.size_);
+    for (const Value& value : other.all()) add(value);
+  }
+  Values(Values&& other) noexcept { take(other); }
+  Values& operator=(const Values& other) {
+    if (this != &other) *this = Values(other);
+    return *this;
+  }
+  Values& operator=(Values&& other) noexcept {
+    if (this != &other) {
+      clear();
+      take(other);
+    }
+    return *this;
+  }
+  ~Values() { clear(); }
 
   void add(Value value) {
-    if (size_ < inline_capacity) {
-      inline_[size_++] = std::move(value);
-      return;
-    }
-    if (size_ == inline_capacity) {
-      more_.reserve(2 * inline_capacity);
-      for (auto& v : inline_) more_.push_back(std::move(v));
-    }
-    more_.push_back(std::move(value));
-    ++size_;
+    if (size_ == capacity_) reserve(2 * capacity_);
+    new (data_ + size_++) Value(std::move(value));
+  }
+  void clear() noexcept {
+    std::destroy_n(data_, size_);
+    if (capacity_ > inline_capacity) std::allocator<Value>().deallocate(data_, capacity_);
+    data_ = inline_data();
+    size_ = 0;
+    capacity_ = inline_capacity;
   }
   std::size_t size() const { return size_; }
-  const Value& operator[](std::size_t i) const { return all()[i]; }
-  std::span<const Value> all() const {
-    return size_ <= inline_capacity ? std::span<const Value>(inline_.data(), size_) : std::span<const Value>(more_);
-  }
+  const Value& operator[](std::size_t i) const { return data_[i]; }
+  std::span<const Value> all() const { return {data_, size_}; }
 
  private:
   static constexpr std::size_t inline_capacity = 4;
@@ -71,9 +88,34 @@ class Values {
       return Value(std::string(std::forward<T>(value)));
     }
   }
-  std::array<Value, inline_capacity> inline_;
-  std::vector<Value> more_;  ///< all of them, once there are more than fit inline
+  Value* inline_data() { return reinterpret_cast<Value*>(inline_); }
+  void reserve(std::size_t capacity) {
+    if (capacity <= capacity_) return;
+    Value* grown = std::allocator<Value>().allocate(capacity);
+    std::uninitialized_move_n(data_, size_, grown);
+    const std::size_t size = size_;
+    clear();
+    data_ = grown;
+    size_ = size;
+    capacity_ = capacity;
+  }
+  /// \pre this one is empty.
+  void take(Values& other) noexcept {
+    if (other.capacity_ > inline_capacity) {
+      data_ = std::exchange(other.data_, other.inline_data());
+      capacity_ = std::exchange(other.capacity_, inline_capacity);
+      size_ = std::exchange(other.size_, 0);
+    } else {
+      std::uninitialized_move_n(other.data_, other.size_, data_);
+      size_ = other.size_;
+      other.clear();
+    }
+  }
+
+  alignas(Value) std::byte inline_[inline_capacity * sizeof(Value)];
+  Value* data_ = inline_data();
   std::size_t size_ = 0;
+  std::size_t capacity_ = inline_capacity;
 };
 
 }  // namespace iotcloud::topology

@@ -71,16 +71,16 @@ struct Snapshot {
 /// as long as they are idle and time is not up; the pool does the rest. Nothing spins.
 class Runtime {
  public:
-  /// Makes tasks, starts nothing. `clock` and `metrics` of the options must outlive it.
+  /// Makes the tasks, starts nothing. `clock` and `metrics` of the options must outlive it.
+  /// \throws TopologyError when a component or a grouping throws as it is made.
   Runtime(Topology topology, RuntimeOptions options);
   /// stop() without waiting for what is under way. Returns when no user code runs any more.
   ~Runtime();
   Runtime(const Runtime&) = delete;
   Runtime& operator=(const Runtime&) = delete;
 
-  /// Prepares bolts, opens and activates spouts, on this thread; once.
-  /// \throws TopologyError when a component throws in its constructor, prepare(), open() or activate(): those already
-  /// opened are closed again.
+  /// Prepares bolts and opens spouts on this thread, then lets them run (spouts are activated first); once.
+  /// \throws TopologyError when a component throws in prepare() or open(): those already opened are closed again.
   void start();
   /// Stops asking spouts (deactivates them), waits until what is under way is done, then closes and cleans up.
   /// \return false when `limit` passed first: what was left is in the snapshot; a task that hangs in user code is not

@@ -1,0 +1,216 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <iotcloud/topology/runtime/complete_topology.h>
+#include <iotcloud/topology/runtime/runtime.h>
+#include <iotcloud/topology/topology_builder.h>
+
+/// Spouts and bolts that tests put topologies together from; each task of a component shares what is outside of it.
+namespace iotcloud::topology::workshop {
+
+using namespace std::chrono_literals;
+
+/// Waits until `condition` holds. \return false when 20 s passed first.
+inline bool eventually(const std::function<bool()>& condition) {
+  const auto deadline = std::chrono::steady_clock::now() + 20s;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > deadline) return false;
+    std::this_thread::yield();
+  }
+  return true;
+}
+
+/// What a SourceSpout emits, put there from outside, and what it hears back.
+class Source {
+ public:
+  void put(Values values) {
+    {
+      const std::lock_guard lock(mutex_);
+      waiting_.push_back(std::move(values));
+    }
+    waker_.wake();
+  }
+  /// Puts without waking.
+  void lay(Values values) {
+    const std::lock_guard lock(mutex_);
+    waiting_.push_back(std::move(values));
+  }
+  void wake() const { waker_.wake(); }
+  std::size_t waiting() const {
+    const std::lock_guard lock(mutex_);
+    return waiting_.size();
+  }
+  std::vector<MessageId> acked() const {
+    const std::lock_guard lock(mutex_);
+    return acked_;
+  }
+  std::vector<MessageId> failed() const {
+    const std::lock_guard lock(mutex_);
+    return failed_;
+  }
+  std::vector<std::string> calls() const {
+    const std::lock_guard lock(mutex_);
+    return calls_;
+  }
+  bool tracked = true;
+
+ private:
+  friend class SourceSpout;
+  void note(const char* call) {
+    const std::lock_guard lock(mutex_);
+    calls_.emplace_back(call);
+  }
+  mutable std::mutex mutex_;
+  SpoutWaker waker_;
+  std::deque<Values> waiting_;
+  std::vector<MessageId> acked_, failed_;
+  std::vector<std::string> calls_;
+  MessageId next_id_ = 0;
+};
+
+/// Emits what its Source holds, tracked with ids 1, 2, 3, ...
+class SourceSpout : public Spout {
+ public:
+  SourceSpout(std::shared_ptr<Source> source, Fields fields) : source_(std::move(source)), fields_(std::move(fields)) {}
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare(fields_); }
+  void open(const Config&, const TopologyContext& context, SpoutOutputCollector& collector) override {
+    collector_ = &collector;
+    const std::lock_guard lock(source_->mutex_);
+    source_->waker_ = context.waker;
+    source_->calls_.emplace_back("open");
+  }
+  void activate() override { source_->note("activate"); }
+  void deactivate() override { source_->note("deactivate"); }
+  void close() override { source_->note("close"); }
+  void throttled(bool on) override { source_->note(on ? "throttled" : "unthrottled"); }
+  bool next_tuple() override {
+    Values values;
+    MessageId id = 0;
+    {
+      const std::lock_guard lock(source_->mutex_);
+      if (source_->waiting_.empty()) return false;
+      values = std::move(source_->waiting_.front());
+      source_->waiting_.pop_front();
+      id = ++source_->next_id_;
+    }
+    if (source_->tracked) {
+      collector_->emit(std::move(values), id);
+    } else {
+      collector_->emit(std::move(values));
+    }
+    return true;
+  }
+  void ack(MessageId id) override {
+    const std::lock_guard lock(source_->mutex_);
+    source_->acked_.push_back(id);
+  }
+  void fail(MessageId id) override {
+    const std::lock_guard lock(source_->mutex_);
+    source_->failed_.push_back(id);
+  }
+
+ private:
+  std::shared_ptr<Source> source_;
+  Fields fields_;
+  SpoutOutputCollector* collector_ = nullptr;
+};
+
+inline SpoutFactory source_spout(std::shared_ptr<Source> source, Fields fields = {"value"}) {
+  return [source, fields] { return std::make_unique<SourceSpout>(source, fields); };
+}
+
+/// A bolt made of a function that does all by hand.
+class FunctionBolt : public Bolt {
+ public:
+  using Execute = std::function<void(const Tuple&, OutputCollector&, const TopologyContext&)>;
+  FunctionBolt(Execute execute, Fields fields) : execute_(std::move(execute)), fields_(std::move(fields)) {}
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    if (!fields_.empty()) declarer.declare(fields_);
+  }
+  void prepare(const Config&, const TopologyContext& context, OutputCollector& collector) override {
+    context_ = &context;
+    collector_ = &collector;
+  }
+  void execute(const Tuple& tuple) override { execute_(tuple, *collector_, *context_); }
+
+ private:
+  Execute execute_;
+  Fields fields_;
+  const TopologyContext* context_ = nullptr;
+  OutputCollector* collector_ = nullptr;
+};
+
+inline BoltFactory bolt(FunctionBolt::Execute execute, Fields fields = {}) {
+  return [execute, fields] { return std::make_unique<FunctionBolt>(execute, fields); };
+}
+
+/// Acks, and keeps what each task got.
+struct Sink {
+  struct Item {
+    int task;
+    std::thread::id thread;
+    std::vector<Value> values;
+  };
+  void add(const Tuple& tuple, int task) {
+    const std::lock_guard lock(mutex);
+    items.push_back({task, std::this_thread::get_id(), {}});
+    for (std::size_t i = 0; i < tuple.size(); ++i) items.back().values.push_back(tuple.at(i));
+  }
+  std::size_t size() const {
+    const std::lock_guard lock(mutex);
+    return items.size();
+  }
+  std::vector<std::int64_t> numbers() const {
+    const std::lock_guard lock(mutex);
+    std::vector<std::int64_t> list;
+    for (const Item& item : items) list.push_back(std::get<std::int64_t>(item.values.at(0)));
+    return list;
+  }
+  mutable std::mutex mutex;
+  std::vector<Item> items;
+};
+
+inline BoltFactory sink_bolt(std::shared_ptr<Sink> sink) {
+  return bolt([sink](const Tuple& tuple, OutputCollector& collector, const TopologyContext& context) {
+    sink->add(tuple, context.task_index);
+    collector.ack(tuple);
+  });
+}
+
+/// Hands tuples on as they are, anchored.
+inline BoltFactory pass_bolt(Fields fields = {"value"}) {
+  return bolt(
+      [](const Tuple& tuple, OutputCollector& collector, const TopologyContext&) {
+        Values values;
+        for (std::size_t i = 0; i < tuple.size(); ++i) values.add(tuple.at(i));
+        collector.emit(tuple, std::move(values));
+        collector.ack(tuple);
+      },
+      fields);
+}
+
+/// No threads, simulated time.
+struct Bench {
+  SimulatedClock clock;
+  config::Metrics metrics;
+  RuntimeOptions options() {
+    RuntimeOptions all;
+    all.threads = 0;
+    all.clock = &clock;
+    all.metrics = &metrics;
+    return all;
+  }
+};
+
+}  // namespace iotcloud::topology::workshop

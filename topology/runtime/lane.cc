@@ -1,0 +1,84 @@
+#include <iotcloud/topology/runtime/bolt_task.h>
+#include <iotcloud/topology/runtime/lane.h>
+#include <iotcloud/topology/runtime/scheduler.h>
+
+namespace iotcloud::topology::internal {
+
+void ReadyList::push(Task& task) {
+  task.next_ready = nullptr;
+  (last_ == nullptr ? first_ : last_->next_ready) = &task;
+  last_ = &task;
+  ++size_;
+}
+
+Task* ReadyList::pop() {
+  Task* task = first_;
+  if (task == nullptr) return nullptr;
+  first_ = task->next_ready;
+  if (first_ == nullptr) last_ = nullptr;
+  --size_;
+  return task;
+}
+
+void ReadyList::append(ReadyList& other) {
+  if (other.empty()) return;
+  (last_ == nullptr ? first_ : last_->next_ready) = other.first_;
+  last_ = other.last_;
+  size_ += other.size_;
+  other = ReadyList();
+}
+
+Lane::Lane(Scheduler& scheduler, std::size_t tasks, std::uint64_t seed)
+    : scheduler_(scheduler), out_of_task_(tasks + 1, 0), random_(seed) {}
+
+void Lane::put(BoltTask& target, TupleCell* cell) {
+  std::uint32_t& slot = out_of_task_[static_cast<std::size_t>(target.id())];
+  if (slot == 0) {
+    if (outs_used_ == outs_.size()) outs_.emplace_back();
+    outs_[outs_used_].target = &target;
+    slot = static_cast<std::uint32_t>(++outs_used_);
+  }
+  auto& cells = outs_[slot - 1].cells;
+  cells.push_back(cell);
+  if (target.full(2 * cells.size())) wants_flush_ = true;
+}
+
+void Lane::flush(Task& emitter) {
+  for (std::size_t i = 0; i < outs_used_; ++i) {
+    Out& out = outs_[i];
+    out_of_task_[static_cast<std::size_t>(out.target->id())] = 0;
+    out.target->deliver(out.cells);
+    out.cells.clear();
+    if (out.target->full(0)) out.target->block_until_room(emitter);
+    scheduler_.schedule(*out.target);
+  }
+  outs_used_ = 0;
+  wants_flush_ = false;
+}
+
+void Lane::push(Task& task) {
+  const std::lock_guard lock(mutex_);
+  ready_.push(task);
+  ready_count_.store(ready_.size(), std::memory_order_relaxed);
+}
+
+Task* Lane::pop() {
+  if (!has_ready()) return nullptr;
+  const std::lock_guard lock(mutex_);
+  Task* task = ready_.pop();
+  ready_count_.store(ready_.size(), std::memory_order_relaxed);
+  return task;
+}
+
+void Lane::take_all(ReadyList& into) {
+  const std::lock_guard lock(mutex_);
+  into.append(ready_);
+  ready_count_.store(0, std::memory_order_relaxed);
+}
+
+Lane*& Lane::of_this_thread() {
+  thread_local Lane* lane = nullptr;
+  return lane;
+}
+
+}  // namespace iotcloud::topology::internal

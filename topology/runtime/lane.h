@@ -1,0 +1,110 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <mutex>
+#include <vector>
+
+#include <iotcloud/topology/runtime/tracking.h>
+
+namespace iotcloud::topology::internal {
+
+class BoltTask;
+class Scheduler;
+class Task;
+
+/// Tasks that are ready, first in, first out. Intrusive: no memory of its own. Not thread safe.
+class ReadyList {
+ public:
+  bool empty() const { return first_ == nullptr; }
+  std::size_t size() const { return size_; }
+  void push(Task& task);
+  Task* pop();
+  void append(ReadyList& other);  ///< leaves `other` empty
+
+ private:
+  Task* first_ = nullptr;
+  Task* last_ = nullptr;
+  std::size_t size_ = 0;
+};
+
+/// One thread that runs tasks: its run list and what the running task has emitted but not handed over yet. A thread of
+/// the pool has its own for ever, a thread that calls wake() borrows one.
+class Lane {
+ public:
+  Lane(Scheduler& scheduler, std::size_t tasks, std::uint64_t seed);
+
+  Scheduler& scheduler() { return scheduler_; }
+  /// The task whose user code runs on this thread; set by OwnCall.
+  const Task* current = nullptr;
+
+  // What the running task emits.
+  void put(BoltTask& target, TupleCell* cell);
+  /// Hands everything over and makes the receivers ready; `emitter` waits for those that are full.
+  void flush(Task& emitter);
+  bool wants_flush() const { return wants_flush_; }
+
+  /// 64 random bits, for the acker (splitmix64).
+  std::uint64_t random() {
+    std::uint64_t z = (random_ += 0x9e3779b97f4a7c15ULL);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ULL;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebULL;
+    return z ^ (z >> 31);
+  }
+
+  // The run list. Another thread takes from it when this one is long in user code.
+  void push(Task& task);
+  Task* pop();
+  void take_all(ReadyList& into);
+  std::size_t ready_count() const { return ready_count_.load(std::memory_order_relaxed); }
+  bool has_ready() const { return ready_count() > 0; }
+  // For those who watch.
+  std::atomic<std::int64_t> slice_began_ns{0};  ///< real_ns(); 0 = no slice runs
+  std::atomic<const Task*> running{nullptr};    ///< the task whose slice it is
+
+  /// The lane of the calling thread, if it runs tasks.
+  static Lane*& of_this_thread();
+
+ private:
+  struct Out {
+    BoltTask* target = nullptr;
+    std::vector<TupleCell*> cells;
+  };
+  Scheduler& scheduler_;
+  std::vector<std::uint32_t> out_of_task_;  ///< by task id: index into outs_ plus 1, 0 = none
+  std::vector<Out> outs_;
+  std::size_t outs_used_ = 0;
+  bool wants_flush_ = false;
+  std::uint64_t random_;
+
+  std::atomic<std::size_t> ready_count_{0};
+  std::mutex mutex_;
+  ReadyList ready_;  ///< guarded by mutex_
+};
+
+/// While it lives the calling thread is in the task's own calls.
+class OwnCall {
+ public:
+  OwnCall(Lane& lane, const Task& task) : lane_(lane), outer_lane_(Lane::of_this_thread()), outer_(lane.current) {
+    Lane::of_this_thread() = &lane;
+    lane.current = &task;
+  }
+  ~OwnCall() {
+    lane_.current = outer_;
+    Lane::of_this_thread() = outer_lane_;
+  }
+  OwnCall(const OwnCall&) = delete;
+  OwnCall& operator=(const OwnCall&) = delete;
+
+  static bool is_of(const Task& task) {
+    const Lane* lane = Lane::of_this_thread();
+    return lane != nullptr && lane->current == &task;
+  }
+
+ private:
+  Lane& lane_;
+  Lane* outer_lane_;
+  const Task* outer_;
+};
+
+}  // namespace iotcloud::topology::internal

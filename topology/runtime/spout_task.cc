@@ -1,0 +1,309 @@
+#include <algorithm>
+#include <stdexcept>
+
+#include <iotcloud/topology/runtime/scheduler.h>
+#include <iotcloud/topology/runtime/slice_clock.h>
+#include <iotcloud/topology/runtime/spout_task.h>
+#include <iotcloud/topology/runtime/timers.h>
+
+namespace iotcloud::topology::internal {
+
+namespace {
+/// A spout whose next_tuple() threw is asked again after this pause.
+constexpr std::chrono::milliseconds pause_after_throw{100};
+}  // namespace
+
+void WakeGate::wake() noexcept {
+  if ((users_.fetch_add(1, std::memory_order_acq_rel) & shut_bit) == 0 && task_ != nullptr) task_->wake();
+  if (users_.fetch_sub(1, std::memory_order_acq_rel) == (shut_bit | 1)) users_.notify_all();
+}
+
+void WakeGate::shut() noexcept {
+  users_.fetch_or(shut_bit, std::memory_order_acq_rel);
+  for (std::uint32_t users = users_.load(); users != shut_bit; users = users_.load()) users_.wait(users);
+}
+
+SpoutTask::SpoutTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Spout> spout,
+                     std::shared_ptr<WakeGate> gate)
+    : Task(surroundings, std::move(context)),
+      spout_(std::move(spout)),
+      gate_(std::move(gate)),
+      complete_latency_(&context_.metrics->histogram("iotcloud_spout_complete_seconds",
+                                                     "From emit to the ack of the whole tree",
+                                                     {{"topology", context_.topology},
+                                                      {"component", context_.component},
+                                                      {"task", std::to_string(context_.task)}})) {}
+
+SpoutTask::~SpoutTask() {
+  for (Tree* tree : wheel_) {
+    while (tree != nullptr) {
+      Tree* older = tree->older;
+      tree->let_go();
+      tree = older;
+    }
+  }
+}
+
+void SpoutTask::open(const Config& config, Lane& lane) {
+  lane_ = &lane;
+  gate_->open(*this);
+  const OwnCall own(lane, *this);
+  spout_->open(config, context_, *this);
+  opened_ = true;
+  lane.flush(*this);
+}
+
+void SpoutTask::close() {
+  if (!opened_) return;
+  if (std::exchange(active_, false)) guarded("deactivate()", [this] { spout_->deactivate(); });
+  guarded("close()", [this] { spout_->close(); });
+  publish_counts();
+}
+
+void SpoutTask::fill(TaskSnapshot& snapshot) const {
+  snapshot.pending = pending_.load(std::memory_order_relaxed);
+  snapshot.complete_latency = complete_latency_->summary();
+}
+
+void SpoutTask::wake() noexcept {
+  woken_.store(true, std::memory_order_release);
+  around_.scheduler->run_now(*this);
+}
+
+void SpoutTask::set_active(bool active) {
+  wanted_active_.store(active, std::memory_order_release);
+  signal(activity_due);
+}
+
+std::int64_t SpoutTask::now_ns() const {
+  return around_.clock->now().time_since_epoch().count();
+}
+
+// Running.
+
+bool SpoutTask::slice(Lane& lane) {
+  lane_ = &lane;
+  const OwnCall own(lane, *this);
+  const std::uint32_t signals = take_signals();
+  if ((signals & activity_due) != 0) switch_activity();
+  if ((signals & poll_due) != 0) poll_armed_ = false;
+  if (wheel_armed_) turn_wheel();
+  take_posted();
+  const bool more = ask(lane);
+  lane.flush(*this);
+  publish_counts();
+  return more;
+}
+
+void SpoutTask::switch_activity() {
+  const bool wanted = wanted_active_.load(std::memory_order_acquire);
+  if (wanted == active_) return;
+  active_ = wanted;
+  if (wanted) {
+    guarded("activate()", [this] { spout_->activate(); });
+  } else {
+    guarded("deactivate()", [this] { spout_->deactivate(); });
+  }
+}
+
+bool SpoutTask::may_ask() {
+  if (!active_) return false;
+  const std::size_t limit = around_.options->max_spout_pending;
+  const bool full = blocked() || (limit > 0 && pending_.load(std::memory_order_relaxed) >= limit);
+  if (full != throttled_) {
+    throttled_ = full;
+    guarded("throttled()", [&] { spout_->throttled(full); });
+  }
+  return !full;
+}
+
+/// \return true when the spout is to be asked again soon.
+bool SpoutTask::ask(Lane& lane) {
+  const std::int64_t slice_began = real_ns();
+  std::int64_t began = slice_began;
+  while (may_ask()) {
+    woken_.store(false, std::memory_order_relaxed);
+    bool more = true;
+    std::chrono::microseconds pause = spout_->poll_period();
+    std::size_t calls = 0;
+    for (; more && calls < chunk_ && !lane.wants_flush() && (calls == 0 || may_ask()); ++calls) {
+      if (!guarded("next_tuple()", [&] { more = spout_->next_tuple(); })) {
+        more = false;
+        pause = pause_after_throw;
+      }
+      if (more) bump(counts_.executed);
+      take_acked_at_once();
+    }
+    lane.flush(*this);
+    const std::int64_t now = real_ns();
+    chunk_ = next_chunk(chunk_, calls, now - began);
+    began = now;
+    if (!more && !woken_.load(std::memory_order_acquire)) {
+      if (pause.count() > 0 && !poll_armed_) {
+        poll_armed_ = true;
+        around_.timers->add(around_.clock->now() + pause, *this, poll_due);
+      }
+      return false;
+    }
+    if (lane.has_ready() || now - slice_began > slice_limit_ns) return true;
+    take_posted();
+  }
+  return false;
+}
+
+// The collector.
+
+void SpoutTask::emit(const std::string& stream, Values&& values, int direct_task, const MessageId* id) {
+  if (!OwnCall::is_of(*this)) {
+    throw std::logic_error("component " + context_.component + " emits outside of its own calls");
+  }
+  emitter_.choose(stream, values, direct_task);
+  bump(counts_.emitted);
+  bump(counts_.transferred, emitter_.chosen());
+  const bool track_it = id != nullptr && around_.options->acking && emitter_.chosen() > 0;
+  if (track_it) {
+    Tree* tree = Tree::make(*this, *id, now_ns());
+    Tree* const trees[] = {tree};
+    tree->open.store(emitter_.send(*lane_, std::move(values), trees), std::memory_order_relaxed);
+    track(*tree);
+    return;
+  }
+  if (emitter_.chosen() > 0) emitter_.send(*lane_, std::move(values), {});
+  if (id != nullptr) acked_at_once_.push_back(*id);
+}
+
+void SpoutTask::take_acked_at_once() {
+  // By index: ack() may emit again.
+  for (std::size_t i = 0; i < acked_at_once_.size(); ++i) {
+    const MessageId id = acked_at_once_[i];
+    bump(counts_.acked);
+    guarded("ack()", [&] { spout_->ack(id); });
+  }
+  acked_at_once_.clear();
+}
+
+// Trees.
+
+void SpoutTask::post(Tree& tree) noexcept {
+  Tree* first = posted_.load(std::memory_order_relaxed);
+  do {
+    tree.next_posted = first;
+  } while (!posted_.compare_exchange_weak(first, &tree, std::memory_order_acq_rel, std::memory_order_relaxed));
+  around_.scheduler->schedule(*this);
+}
+
+void SpoutTask::take_posted() {
+  if (posted_.load(std::memory_order_relaxed) == nullptr) return;
+  Tree* newest = posted_.exchange(nullptr, std::memory_order_acq_rel);
+  Tree* oldest = nullptr;
+  while (newest != nullptr) {
+    Tree* next = newest->next_posted;
+    newest->next_posted = oldest;
+    oldest = newest;
+    newest = next;
+  }
+  while (oldest != nullptr) {
+    Tree& tree = *oldest;
+    oldest = tree.next_posted;
+    const std::uint8_t flags = tree.flags.load(std::memory_order_acquire);
+    if ((flags & Tree::failed) != 0) {
+      finish(tree, false, false);
+    } else if ((flags & Tree::lost) != 0) {
+      tree.abandoned = true;
+      abandoned_.fetch_add(1, std::memory_order_relaxed);
+    } else {
+      finish(tree, true, false);
+    }
+  }
+  take_acked_at_once();
+}
+
+void SpoutTask::finish(Tree& tree, bool acked, bool timed_out) {
+  unlink(tree);
+  pending_.fetch_sub(1, std::memory_order_relaxed);
+  const MessageId id = tree.id;
+  if (acked) {
+    complete_latency_->record_ns(now_ns() - tree.emitted_ns);
+    bump(counts_.acked);
+  } else {
+    bump(counts_.failed);
+    if (timed_out) bump(counts_.timed_out);
+  }
+  tree.let_go();
+  if (acked) {
+    guarded("ack()", [&] { spout_->ack(id); });
+  } else {
+    guarded("fail()", [&] { spout_->fail(id); });
+  }
+}
+
+void SpoutTask::track(Tree& tree) {
+  pending_.fetch_add(1, std::memory_order_relaxed);
+  if (!wheel_armed_) {
+    slot_ends_ns_ = tree.emitted_ns + slot_width_ns();
+    arm_wheel();
+  }
+  link(tree, slot_);
+}
+
+void SpoutTask::link(Tree& tree, std::size_t slot) {
+  tree.slot = slot;
+  tree.newer = nullptr;
+  tree.older = wheel_[slot];
+  if (tree.older != nullptr) tree.older->newer = &tree;
+  wheel_[slot] = &tree;
+}
+
+void SpoutTask::unlink(Tree& tree) {
+  (tree.newer != nullptr ? tree.newer->older : wheel_[tree.slot]) = tree.older;
+  if (tree.older != nullptr) tree.older->newer = tree.newer;
+}
+
+std::int64_t SpoutTask::slot_width_ns() const {
+  const std::chrono::nanoseconds timeout = around_.options->message_timeout;
+  return std::max<std::int64_t>(timeout.count() / static_cast<std::int64_t>(slots - 1), 1);
+}
+
+void SpoutTask::arm_wheel() {
+  wheel_armed_ = true;
+  around_.timers->add(config::Clock::Instant(std::chrono::nanoseconds(slot_ends_ns_)), *this, wheel_due);
+}
+
+void SpoutTask::turn_wheel() {
+  const std::int64_t now = now_ns();
+  if (now < slot_ends_ns_) return;
+  while (now >= slot_ends_ns_) {
+    slot_ = (slot_ + 1) % slots;
+    slot_ends_ns_ += slot_width_ns();
+    expire(slot_, now);
+    if (pending_.load(std::memory_order_relaxed) == 0) {
+      wheel_armed_ = false;
+      return;
+    }
+  }
+  arm_wheel();
+}
+
+/// What is in this slot was put there nine slots ago.
+void SpoutTask::expire(std::size_t slot, std::int64_t now) {
+  const std::int64_t width = slot_width_ns();
+  Tree* tree = wheel_[slot];
+  while (tree != nullptr) {
+    Tree& due = *tree;
+    tree = due.older;
+    const std::int64_t touched = due.touched_ns.load(std::memory_order_relaxed);
+    const std::int64_t left = touched == 0 ? 0 : touched + width * static_cast<std::int64_t>(slots - 1) - now;
+    if (left > 0) {
+      // The slot k turns ahead is looked at after k widths at the earliest.
+      unlink(due);
+      link(due, (slot + static_cast<std::size_t>((left + width - 1) / width)) % slots);
+    } else if (due.abandoned) {
+      abandoned_.fetch_sub(1, std::memory_order_relaxed);
+      finish(due, false, true);
+    } else if (!due.posted.exchange(true, std::memory_order_acq_rel)) {
+      finish(due, false, true);
+    }  // otherwise its end was posted just now
+  }
+}
+
+}  // namespace iotcloud::topology::internal

@@ -1,0 +1,122 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/topology/runtime/emitter.h>
+#include <iotcloud/topology/runtime/runtime.h>
+#include <iotcloud/topology/topology_context.h>
+
+namespace iotcloud::topology::internal {
+
+class Lane;
+class Scheduler;
+class Timers;
+
+/// What the tasks of a runtime share.
+struct Surroundings {
+  Scheduler* scheduler = nullptr;
+  Timers* timers = nullptr;
+  const config::Clock* clock = nullptr;
+  const RuntimeOptions* options = nullptr;
+};
+
+/// Counts of one task. Written by the thread that runs it, read by any (errors: written by any).
+struct Counts {
+  std::atomic<std::uint64_t> emitted{0}, transferred{0}, executed{0}, acked{0}, failed{0}, timed_out{0}, errors{0};
+};
+
+inline void bump(std::atomic<std::uint64_t>& count, std::uint64_t n = 1) {
+  count.store(count.load(std::memory_order_relaxed) + n, std::memory_order_relaxed);
+}
+
+/// A task: one object of user code, its calls serial. It runs in slices, on whatever thread has it on its run list.
+class Task {
+ public:
+  enum class State : std::uint8_t {
+    idle,      ///< nothing to do
+    queued,    ///< on one run list
+    running,   ///< a thread is in it (also before start and after stop: held)
+    notified,  ///< running, and there is news since
+  };
+
+  Task(const Surroundings& surroundings, TopologyContext context);
+  virtual ~Task() = default;
+  Task(const Task&) = delete;
+  Task& operator=(const Task&) = delete;
+
+  /// Works for a while on the calling thread. \return true when there is more to do.
+  virtual bool slice(Lane& lane) = 0;
+  virtual bool is_spout() const = 0;
+  virtual std::size_t depth() const = 0;  ///< tuples that wait
+  /// The end of its life; only when nothing else runs it.
+  virtual void close() = 0;
+  virtual void fill(TaskSnapshot& snapshot) const = 0;
+
+  // Asked for by any thread, done in the next slice.
+  static constexpr std::uint32_t tick_due = 1, wheel_due = 2, poll_due = 4, activity_due = 8;
+  /// Sets control bits and schedules. These pass whatever waits.
+  void signal(std::uint32_t bits);
+
+  TaskSnapshot snapshot() const;
+  /// Counts, logs (once a second for a task at most) and hands on. Any thread.
+  void report_error(const std::string& text) noexcept;
+  /// Adds what was counted since the last time to the process's metrics. In a slice.
+  void publish_counts();
+
+  const TopologyContext& context() const { return context_; }
+  int id() const { return context_.task; }
+
+  // Back pressure: how many full mailboxes this task waits for.
+  bool blocked() const { return blocked_on_.load(std::memory_order_acquire) > 0; }
+  void block() { blocked_on_.fetch_add(1, std::memory_order_acq_rel); }
+  void unblock();  ///< schedules it when nothing is left to wait for
+
+  std::atomic<State> state{State::running};
+  Task* next_ready = nullptr;  ///< in a run list
+
+ protected:
+  /// Runs user code. \return false, with the error reported, when it threw.
+  template <typename Call>
+  bool guarded(const char* what, Call&& call) noexcept {
+    try {
+      call();
+      return true;
+    } catch (const std::exception& e) {
+      report_error(std::string(what) + " threw: " + e.what());
+    } catch (...) {
+      report_error(std::string(what) + " threw something that is no std::exception");
+    }
+    return false;
+  }
+  std::uint32_t take_signals() { return signals_.exchange(0, std::memory_order_acq_rel); }
+
+  const Surroundings around_;
+  const TopologyContext context_;
+  Emitter emitter_;
+  Counts counts_;
+  std::size_t chunk_ = 1;  ///< calls between two looks at the clock; grows while they are quick
+
+ public:
+  Emitter& emitter() { return emitter_; }
+
+ private:
+  struct Published {
+    config::Counter* counter = nullptr;
+    std::atomic<std::uint64_t>* count = nullptr;
+    std::uint64_t seen = 0;
+  };
+  std::atomic<std::uint32_t> signals_{0};
+  std::atomic<int> blocked_on_{0};
+  std::vector<Published> published_;
+  mutable std::mutex error_mutex_;
+  std::string last_error_;        ///< guarded by error_mutex_
+  std::int64_t last_log_ns_ = 0;  ///< guarded by error_mutex_
+  std::uint64_t unlogged_ = 0;    ///< guarded by error_mutex_
+};
+
+}  // namespace iotcloud::topology::internal

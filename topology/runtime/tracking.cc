@@ -1,0 +1,62 @@
+#include <iotcloud/topology/runtime/pool.h>
+#include <iotcloud/topology/runtime/spout_task.h>
+#include <iotcloud/topology/runtime/tracking.h>
+
+namespace iotcloud::topology::internal {
+
+Tree* Tree::make(SpoutTask& owner, MessageId id, std::int64_t now_ns) {
+  Tree* tree = Pool<Tree>::take();
+  tree->open.store(0, std::memory_order_relaxed);
+  tree->flags.store(0, std::memory_order_relaxed);
+  tree->posted.store(false, std::memory_order_relaxed);
+  tree->touched_ns.store(0, std::memory_order_relaxed);
+  tree->holders.store(2, std::memory_order_relaxed);
+  tree->owner = &owner;
+  tree->id = id;
+  tree->emitted_ns = now_ns;
+  tree->abandoned = false;
+  tree->newer = tree->older = tree->next_posted = nullptr;
+  return tree;
+}
+
+void Tree::close(std::uint64_t change, std::uint8_t flag) noexcept {
+  if (flag != 0) flags.fetch_or(flag, std::memory_order_acq_rel);
+  // The spout hears of a failure at once, not when the rest of the tree is done.
+  if ((flag & failed) != 0 && !posted.exchange(true, std::memory_order_acq_rel)) owner->post(*this);
+  if ((open.fetch_xor(change, std::memory_order_acq_rel) ^ change) != 0) return;
+  if (!posted.exchange(true, std::memory_order_acq_rel)) owner->post(*this);
+  let_go();
+}
+
+void Tree::let_go() noexcept {
+  if (holders.fetch_sub(1, std::memory_order_acq_rel) == 1) Pool<Tree>::give(this);
+}
+
+TupleCell* TupleCell::make() {
+  return Pool<TupleCell>::take();
+}
+
+void TupleCell::recycle() noexcept {
+  if (tracked()) {
+    const auto give_up = [this](Delivery& delivery) {
+      if (delivery.receiver != nullptr && !delivery.settled) settle(delivery, Tree::lost);
+    };
+    give_up(first);
+    for (Delivery& delivery : more) give_up(delivery);
+    trees.clear();
+    more.clear();
+    first.receiver = nullptr;
+  }
+  values.clear();
+  Pool<TupleCell>::give(this);
+}
+
+Delivery* TupleCell::open_delivery(const Task* receiver) {
+  if (first.receiver == receiver && !first.settled) return &first;
+  for (Delivery& delivery : more) {
+    if (delivery.receiver == receiver && !delivery.settled) return &delivery;
+  }
+  return nullptr;
+}
+
+}  // namespace iotcloud::topology::internal
