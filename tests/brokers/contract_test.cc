@@ -590,6 +590,43 @@ TEST_P(BrokerContract, APublisherClosedEarlySaysWhatItDoesNotKnow) {
   EXPECT_TRUE(outcomes.each_once());
 }
 
+TEST_P(BrokerContract, RefusesWhatNoBrokerCanCarryAndGoesOn) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic, options);
+  Message long_name = text_message("1");
+  long_name.properties.set(std::string(256, 'n'), "v");
+  Message much = text_message("2");
+  much.properties.set("k", std::string(130'000, 'v'));
+  EXPECT_EQ(publisher->publish(long_name), PublishStatus::accepted);
+  EXPECT_EQ(publisher->publish(much), PublishStatus::accepted);
+  EXPECT_EQ(publisher->publish(text_message("3")), PublishStatus::accepted);
+  ASSERT_TRUE(inbox.wait_for(1));
+  EXPECT_THAT(inbox.bodies(), ElementsAre("3"));
+  ASSERT_TRUE(outcomes.wait_for(3));
+  EXPECT_EQ(outcomes.of(1), Outcome::refused);
+  EXPECT_EQ(outcomes.of(2), Outcome::refused);
+  EXPECT_EQ(outcomes.of(3), Outcome::confirmed);
+}
+
+TEST_P(BrokerContract, CarriesAsMuchMetadataAsItSays) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  const auto publisher = broker->publisher(topic, {});
+  Message message = text_message("x");
+  message.properties.set(std::string(255, 'n'), std::string(119'000, 'v'));
+  EXPECT_EQ(publisher->publish(message), PublishStatus::accepted);
+  ASSERT_TRUE(inbox.wait_for(1));
+  EXPECT_EQ(inbox.all().front().message.properties, message.properties);
+}
+
 TEST_P(BrokerContract, ReportsItsState) {
   const auto broker = this->broker();
   EXPECT_TRUE(eventually([&] { return broker->state() == ConnectionState::connected; }));

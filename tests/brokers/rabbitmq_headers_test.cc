@@ -1,0 +1,162 @@
+#include <array>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "iotcloud/brokers/rabbitmq/headers.h"
+
+namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+amqp_bytes_t bytes(std::string& text) {
+  return {text.size(), text.data()};
+}
+
+/// A header table as a server might send it, one entry for each call.
+class Table {
+ public:
+  amqp_field_value_t& add(const std::string& name, std::uint8_t kind) {
+    names_.push_back(std::make_unique<std::string>(name));
+    amqp_table_entry_t entry{};
+    entry.key = bytes(*names_.back());
+    entry.value.kind = kind;
+    entries_.push_back(entry);
+    return entries_.back().value;
+  }
+  void add_text(const std::string& name, const std::string& value) {
+    names_.push_back(std::make_unique<std::string>(value));
+    std::string& kept = *names_.back();
+    add(name, AMQP_FIELD_KIND_UTF8).value.bytes = bytes(kept);
+  }
+  Message decode(bool* resent = nullptr) {
+    amqp_basic_properties_t properties{};
+    properties._flags = AMQP_BASIC_HEADERS_FLAG;
+    properties.headers = {static_cast<int>(entries_.size()), entries_.data()};
+    Message message;
+    const bool marked = decode_properties(properties, message);
+    if (resent != nullptr) *resent = marked;
+    return message;
+  }
+
+ private:
+  std::vector<std::unique_ptr<std::string>> names_;
+  std::vector<amqp_table_entry_t> entries_;
+};
+
+TEST(RabbitMqHeadersTest, ComeBackAsTheyWent) {
+  Message sent;
+  sent.driver_id = std::string("a\0b", 3);
+  sent.gateway_id = "gateway";
+  sent.time_ms = 1'700'000'000'123;
+  sent.properties.set("k", "v");
+  sent.properties.set("empty", "");
+  MessageProperties properties;
+  Message received;
+  EXPECT_FALSE(decode_properties(properties.encode(sent, {}), received));
+  EXPECT_EQ(received.driver_id, sent.driver_id);
+  EXPECT_EQ(received.gateway_id, sent.gateway_id);
+  EXPECT_EQ(received.time_ms, sent.time_ms);
+  EXPECT_EQ(received.properties, sent.properties);
+}
+
+TEST(RabbitMqHeadersTest, AreNamedAsInTheOriginal) {
+  Message sent;
+  sent.driver_id = "id";
+  sent.gateway_id = "site";
+  sent.time_ms = 42;
+  MessageProperties encoder;
+  const amqp_basic_properties_t& properties = encoder.encode(sent, {});
+  ASSERT_EQ(properties.headers.num_entries, 3);
+  const std::array<std::pair<std::string, std::string>, 3> expected{
+      {{"sensorID", "id"}, {"siteID", "site"}, {"time", "42"}}};
+  for (int i = 0; i < 3; ++i) {
+    const auto& entry = properties.headers.entries[i];
+    EXPECT_EQ(std::string(static_cast<const char*>(entry.key.bytes), entry.key.len), expected[i].first);
+    EXPECT_EQ(entry.value.kind, AMQP_FIELD_KIND_UTF8);
+    EXPECT_EQ(std::string(static_cast<const char*>(entry.value.value.bytes.bytes), entry.value.value.bytes.len),
+              expected[i].second);
+  }
+}
+
+TEST(RabbitMqHeadersTest, CarryDurabilityExpiryTagAndResentMark) {
+  MessageProperties encoder;
+  MessageProperties::Delivery delivery;
+  delivery.durable = true;
+  delivery.resent = true;
+  delivery.expires_in = std::chrono::milliseconds(250);
+  delivery.publish_tag = 77;
+  const amqp_basic_properties_t& properties = encoder.encode(Message{}, delivery);
+  EXPECT_EQ(properties.delivery_mode, AMQP_DELIVERY_PERSISTENT);
+  EXPECT_EQ(std::string(static_cast<const char*>(properties.expiration.bytes), properties.expiration.len), "250");
+  EXPECT_EQ(publish_tag_of(properties), 77U);
+  Message received;
+  EXPECT_TRUE(decode_properties(properties, received));
+  EXPECT_TRUE(received.properties.empty()) << "the mark is ours, not the user's";
+}
+
+TEST(RabbitMqHeadersTest, CustomPropertiesCannotForgeTheMetadata) {
+  Message sent;
+  sent.driver_id = "real";
+  sent.properties.set("sensorID", "forged");
+  MessageProperties encoder;
+  Message received;
+  decode_properties(encoder.encode(sent, {}), received);
+  EXPECT_EQ(received.driver_id, "real");
+}
+
+TEST(RabbitMqHeadersTest, OddTypesBecomeText) {
+  Table table;
+  table.add("time", AMQP_FIELD_KIND_I64).value.i64 = 1234;
+  table.add("sensorID", AMQP_FIELD_KIND_I32).value.i32 = -5;
+  table.add("yes", AMQP_FIELD_KIND_BOOLEAN).value.boolean = 1;
+  table.add("byte", AMQP_FIELD_KIND_I8).value.i8 = -1;
+  table.add("unsigned", AMQP_FIELD_KIND_U16).value.u16 = 65535;
+  table.add("stamp", AMQP_FIELD_KIND_TIMESTAMP).value.u64 = 99;
+  table.add("real", AMQP_FIELD_KIND_F64).value.f64 = 1.5;
+  table.add("nothing", AMQP_FIELD_KIND_VOID);
+  const Message message = table.decode();
+  EXPECT_EQ(message.time_ms, 1234);
+  EXPECT_EQ(message.driver_id, "-5");
+  EXPECT_EQ(*message.properties.find("yes"), "true");
+  EXPECT_EQ(*message.properties.find("byte"), "-1");
+  EXPECT_EQ(*message.properties.find("unsigned"), "65535");
+  EXPECT_EQ(*message.properties.find("stamp"), "99");
+  EXPECT_EQ(*message.properties.find("real"), "1.5");
+  EXPECT_EQ(*message.properties.find("nothing"), "");
+}
+
+TEST(RabbitMqHeadersTest, NestedAndUnknownTypesAreSkipped) {
+  Table table;
+  table.add("table", AMQP_FIELD_KIND_TABLE).value.table = amqp_empty_table;
+  table.add("array", AMQP_FIELD_KIND_ARRAY).value.array = amqp_empty_array;
+  table.add("decimal", AMQP_FIELD_KIND_DECIMAL).value.decimal = {2, 314};
+  table.add("alien", '?');
+  table.add("sensorID", AMQP_FIELD_KIND_TABLE).value.table = amqp_empty_table;
+  table.add_text("kept", "v");
+  const Message message = table.decode();
+  EXPECT_EQ(message.driver_id, "");
+  EXPECT_EQ(message.properties.size(), 1U);
+  EXPECT_EQ(*message.properties.find("kept"), "v");
+}
+
+TEST(RabbitMqHeadersTest, ATimeThatIsNoNumberIsZero) {
+  for (const std::string text : {"", "soon", "12x", "99999999999999999999999"}) {
+    Table table;
+    table.add_text("time", text);
+    EXPECT_EQ(table.decode().time_ms, 0) << text;
+  }
+  Table negative;
+  negative.add_text("time", "-7");
+  EXPECT_EQ(negative.decode().time_ms, -7);
+}
+
+TEST(RabbitMqHeadersTest, NoHeadersAtAllAreFine) {
+  amqp_basic_properties_t properties{};
+  Message message;
+  EXPECT_FALSE(decode_properties(properties, message));
+  EXPECT_EQ(publish_tag_of(properties), 0U);
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers::rabbitmq
