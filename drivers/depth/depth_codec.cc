@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <cmath>
 
 #include <snappy.h>
@@ -12,6 +11,19 @@ namespace {
 // REFERENCE.md 6. The scale is 10 bits' worth of inverse millimetres; the offset moves 4 m to code 1.
 constexpr int code_scale = 90300;
 constexpr double code_offset = 21.575;
+
+/// On loops over the pixels of a buffer that one object owns: the thread sanitizer has nothing to find in them, and
+/// makes them fifty times slower. They call nothing, since what they call would not be inlined.
+#define IOTCLOUD_PIXEL_LOOP __attribute__((no_sanitize("thread")))
+
+IOTCLOUD_PIXEL_LOOP void to_codes(const std::uint16_t* disparities, const std::uint8_t* table, std::uint8_t* codes) {
+  // The table's last entry is 0, so whatever is larger lands on "no reading".
+  for (std::size_t i = 0; i < frame_pixels; ++i) codes[i] = table[disparities[i] < 1023 ? disparities[i] : 1023];
+}
+
+IOTCLOUD_PIXEL_LOOP void to_mm(const std::uint8_t* codes, const std::uint16_t* table, std::uint16_t* mm) {
+  for (std::size_t i = 0; i < frame_pixels; ++i) mm[i] = table[codes[i]];
+}
 
 std::array<std::uint8_t, 1024> make_code_table() {
   std::array<std::uint8_t, 1024> table{};
@@ -47,12 +59,9 @@ const std::array<std::uint16_t, 256>& mm_table() {
 DepthEncoder::DepthEncoder() : codes_(frame_pixels), compressed_(snappy::MaxCompressedLength(frame_pixels)) {}
 
 std::span<const std::byte> DepthEncoder::encode(FrameView disparities) {
-  const std::uint8_t* table = code_table().data();
-  std::uint8_t* codes = codes_.data();
-  // The table's last entry is 0, so whatever is larger lands on "no reading".
-  for (std::size_t i = 0; i < frame_pixels; ++i) codes[i] = table[std::min<unsigned>(disparities[i], 1023)];
+  to_codes(disparities.data(), code_table().data(), codes_.data());
   std::size_t size = 0;
-  snappy::RawCompress(reinterpret_cast<const char*>(codes), frame_pixels, compressed_.data(), &size);
+  snappy::RawCompress(reinterpret_cast<const char*>(codes_.data()), frame_pixels, compressed_.data(), &size);
   return std::as_bytes(std::span(compressed_.data(), size));
 }
 
@@ -78,9 +87,10 @@ DecodeError DepthDecoder::decode(std::span<const std::byte> payload, FrameSpan m
   if (!snappy::GetUncompressedLength(bytes, payload.size(), &declared)) return DecodeError::not_snappy;
   if (declared < frame_pixels) return DecodeError::too_short;
   if (declared > frame_pixels) return DecodeError::too_long;
-  if (!snappy::RawUncompress(bytes, payload.size(), codes_.data())) return DecodeError::not_snappy;
-  const std::uint16_t* table = mm_table().data();
-  for (std::size_t i = 0; i < frame_pixels; ++i) mm[i] = table[static_cast<std::uint8_t>(codes_[i])];
+  if (!snappy::RawUncompress(bytes, payload.size(), reinterpret_cast<char*>(codes_.data()))) {
+    return DecodeError::not_snappy;
+  }
+  to_mm(codes_.data(), mm_table().data(), mm.data());
   return DecodeError::none;
 }
 

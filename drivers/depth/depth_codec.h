@@ -74,7 +74,7 @@ class DepthDecoder {
   [[nodiscard]] DecodeError decode(std::span<const std::byte> payload, FrameSpan mm) noexcept;
 
  private:
-  std::vector<char> codes_;
+  std::vector<std::uint8_t> codes_;
 };
 
 }  // namespace iotcloud::drivers::depth
