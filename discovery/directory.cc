@@ -49,8 +49,8 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
     };
   }
 
+  /// Takes no turn: a user who constructs under a lock that his callbacks take as well does no harm.
   void begin() {
-    const std::lock_guard lock(turn);
     list_watch = registry.watch_children(paths.driver(driver), guarded([](Impl& self, const auto& names) {
                                            self.on_instances(names.value_or(Names()));
                                          }));
@@ -187,7 +187,7 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
   std::recursive_mutex turn;
   // Guarded by turn:
   bool over = false;
-  GuardPtr list_watch;
+  GuardPtr list_watch;  ///< set by begin(), looked at by end() only
   std::map<std::string, Instance> instances;
 };
 

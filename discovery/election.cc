@@ -46,10 +46,10 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
     };
   }
 
+  /// Takes no turn (a user may construct under a lock that his callbacks take as well): the first word about the
+  /// session, which comes at once, does the rest.
   void begin() {
-    const std::lock_guard lock(turn);
     session_listener = registry.on_session(guarded([](Impl& self, SessionState state) { self.on_session(state); }));
-    stand();
   }
 
   void end() {
@@ -125,6 +125,7 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   }
 
   void on_session(SessionState state) {
+    if (!hold) stand();
     if (state == SessionState::connected) {
       if (!own_path.empty() && own_epoch == 0) watch_own_node();
     } else if (state != SessionState::connecting) {
@@ -159,7 +160,8 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   std::string own_path;        ///< empty: not standing
   std::int64_t own_epoch = 0;  ///< 0: not known, or not known any more
   bool first = false;          ///< nobody stands before
-  GuardPtr session_listener, hold, own_watch, list_watch, predecessor_watch;
+  GuardPtr session_listener;   ///< set by begin(), looked at by end() only
+  GuardPtr hold, own_watch, list_watch, predecessor_watch;
 };
 
 Election::Election(Registry& registry, std::string path, std::string data, Callbacks callbacks)
