@@ -49,9 +49,6 @@ void Connection::close() {
   thread_.join();
   const std::lock_guard lock(server->mutex);
   server->leave(*this);
-  // Readers hold their connection: what is left of them here must not hold it in a circle.
-  ready.clear();
-  to_report.clear();
 }
 
 void Connection::wake() {

@@ -1,5 +1,6 @@
-#include <iotcloud/config/error.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
+
+#include <iotcloud/config/error.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -111,7 +112,7 @@ TEST_F(GatewayTest, ANameThatWouldLeaveItsPlaceInTheRegistryIsRefused) {
   wanted.driver = "../gateways";
   give(wanted);
   ASSERT_TRUE(comes_to("a", DriverState::failed, "unknown"));
-  EXPECT_THAT(record("a", "unknown")->reason, HasSubstr("cannot be used as driver name"));
+  EXPECT_THAT(record("a", "unknown")->reason, HasSubstr("cannot be a driver name"));
 }
 
 TEST_F(GatewayTest, APluginThatIsNotThereFailsItsInstancesAndNoOthers) {

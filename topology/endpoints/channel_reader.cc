@@ -1,0 +1,58 @@
+#include <iotcloud/topology/endpoints/channel_reader.h>
+
+namespace iotcloud::topology {
+
+std::shared_ptr<ChannelReader> ChannelReader::open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
+                                                   const brokers::SubscriptionOptions& options, std::string driver_id,
+                                                   std::shared_ptr<Inbox> inbox) {
+  std::shared_ptr<ChannelReader> reader(new ChannelReader(std::move(driver_id), std::move(inbox)));
+  const auto handler = [weak = std::weak_ptr(reader)](brokers::Delivery delivery) {
+    if (auto self = weak.lock()) {
+      Inbox& target = *self->inbox_;
+      target.push({std::move(delivery), std::move(self), 0});
+    }
+  };
+  auto subscription = broker->subscribe(topic, options, handler);
+  const std::lock_guard lock(reader->mutex_);
+  reader->broker_ = std::move(broker);
+  reader->subscription_ = std::move(subscription);
+  if (reader->paused_) reader->subscription_->pause();  // the handler ran before this line
+  return reader;
+}
+
+void ChannelReader::pause() {
+  const std::lock_guard lock(mutex_);
+  paused_ = true;
+  if (subscription_) subscription_->pause();
+}
+
+void ChannelReader::resume() {
+  const std::lock_guard lock(mutex_);
+  paused_ = false;
+  if (subscription_) subscription_->resume();
+}
+
+void ChannelReader::close() {
+  std::shared_ptr<brokers::Broker> broker;
+  std::unique_ptr<brokers::Subscription> subscription;
+  {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+    broker = std::move(broker_);
+    subscription = std::move(subscription_);
+  }
+  subscription.reset();
+  inbox_->forget(*this);
+}
+
+bool ChannelReader::closed() const {
+  const std::lock_guard lock(mutex_);
+  return closed_;
+}
+
+bool ChannelReader::active() const {
+  const std::lock_guard lock(mutex_);
+  return subscription_ && subscription_->active();
+}
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <memory>
+#include <mutex>
+#include <string>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/topology/endpoints/inbox.h>
+
+namespace iotcloud::topology {
+
+/// One topic being read into an inbox. Thread safe. Its owner closes it.
+class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
+ public:
+  /// \param driver_id whose messages these are when they do not say so themselves; empty for a shared channel.
+  static std::shared_ptr<ChannelReader> open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
+                                             const brokers::SubscriptionOptions& options, std::string driver_id,
+                                             std::shared_ptr<Inbox> inbox);
+
+  void pause();
+  void resume();
+  /// Returns when nothing comes any more (unless called from within a handler); what waits goes back to the broker.
+  void close();
+  bool closed() const;
+  /// True while it reads; false while disconnected, or while another reader has the topic.
+  bool active() const;
+  const std::string& driver_id() const { return driver_id_; }
+
+ private:
+  ChannelReader(std::string driver_id, std::shared_ptr<Inbox> inbox)
+      : driver_id_(std::move(driver_id)), inbox_(std::move(inbox)) {}
+
+  const std::string driver_id_;
+  const std::shared_ptr<Inbox> inbox_;
+  mutable std::mutex mutex_;
+  bool closed_ = false;                                  ///< guarded by mutex_
+  bool paused_ = false;                                  ///< guarded by mutex_
+  std::shared_ptr<brokers::Broker> broker_;              ///< guarded by mutex_; outlives the subscription
+  std::unique_ptr<brokers::Subscription> subscription_;  ///< guarded by mutex_; null until open() and after close()
+};
+
+}  // namespace iotcloud::topology

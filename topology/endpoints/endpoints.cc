@@ -1,0 +1,24 @@
+#include <iotcloud/topology/endpoints/broker_bolt.h>
+#include <iotcloud/topology/endpoints/broker_spout.h>
+#include <iotcloud/topology/endpoints/endpoints.h>
+
+namespace iotcloud::topology {
+
+EndpointFactories endpoint_factories(EndpointServicesPtr services) {
+  EndpointFactories factories;
+  factories.spout = [services](const ComponentDefinition& spout) -> SpoutFactory {
+    auto placement = std::make_shared<SpoutPlacement>(services, spout.id, *spout.endpoint);
+    return [services, placement, endpoint = *spout.endpoint] {
+      return std::make_unique<BrokerSpout>(services, placement, endpoint);
+    };
+  };
+  factories.bolt = [services](const ComponentDefinition& bolt) -> BoltFactory {
+    auto routes = std::make_shared<RouteTable>(services, bolt.id, *bolt.endpoint);
+    return [services, routes, endpoint = *bolt.endpoint] {
+      return std::make_unique<BrokerBolt>(services, routes, endpoint);
+    };
+  };
+  return factories;
+}
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,12 @@
+#pragma once
+
+#include <iotcloud/topology/definition/assemble.h>
+#include <iotcloud/topology/endpoints/services.h>
+
+namespace iotcloud::topology {
+
+/// The factories of the spouts and bolts that face brokers. They connect when the topology starts: `services` may be
+/// filled until then.
+EndpointFactories endpoint_factories(EndpointServicesPtr services);
+
+}  // namespace iotcloud::topology

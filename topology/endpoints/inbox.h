@@ -1,0 +1,56 @@
+#pragma once
+
+#include <cstddef>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <vector>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/topology/topology_context.h>
+
+namespace iotcloud::topology {
+
+class ChannelReader;
+
+/// A message on its way from a channel into the topology.
+struct Arrival {
+  brokers::Delivery delivery;
+  std::shared_ptr<ChannelReader> reader;
+  int tries = 0;  ///< how often it was emitted
+};
+
+/// What waits for one spout task. Readers that bring more than `limit` are paused until half of it is gone, so that a
+/// slow topology leaves its work in the broker. Thread safe.
+class Inbox {
+ public:
+  Inbox(std::size_t limit, SpoutWaker waker) : limit_(limit), waker_(std::move(waker)) {}
+
+  /// Called by a reader's handler: the tuple runs to completion on this thread when the spout is idle.
+  void push(Arrival arrival);
+  /// Again, before everything that waits.
+  void push_front(Arrival arrival);
+  struct Taken {
+    std::optional<Arrival> arrival;
+    bool more = false;
+  };
+  Taken pop();
+  /// Drops what came from a reader that was closed (its broker delivers it again) and lets others go on.
+  void forget(const ChannelReader& reader);
+  /// What comes from now on, and what waits, goes back to the broker.
+  void close();
+  std::size_t size() const;
+
+ private:
+  void resume_when_half_empty();
+
+  const std::size_t limit_;
+  const SpoutWaker waker_;
+  mutable std::mutex mutex_;
+  bool closed_ = false;                                 ///< guarded by mutex_
+  std::deque<Arrival> waiting_;                         ///< guarded by mutex_
+  std::vector<std::shared_ptr<ChannelReader>> paused_;  ///< guarded by mutex_
+};
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,288 @@
+#include <algorithm>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/topology/endpoints/fair_shares.h>
+#include <iotcloud/topology/endpoints/spout_placement.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+const config::Logger logger{"topology.endpoints"};
+
+/// A driver instance for an exclusive channel, a gateway for a shared one.
+std::string unit_of(const discovery::ChannelRecord& channel) {
+  return channel.shared ? "gateway-" + channel.gateway : "instance-" + channel.instance;
+}
+
+}  // namespace
+
+struct SpoutPlacement::Search {
+  discovery::GuardPtr session;
+  discovery::GuardPtr workers;
+  std::unique_ptr<discovery::DriverDirectory> directory;
+};
+
+SpoutPlacement::SpoutPlacement(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint)
+    : services_(std::move(services)), component_(std::move(component)), endpoint_(std::move(endpoint)) {}
+
+SpoutPlacement::~SpoutPlacement() = default;
+
+void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox> inbox) {
+  {
+    const std::lock_guard lock(mutex_);
+    inboxes_[task_index] = std::move(inbox);
+    if (inboxes_.size() < static_cast<std::size_t>(task_count)) return;
+    workers_ = {services_->worker};
+  }
+  // Callbacks come on the dispatcher and wait for mutex_: it is not held here, nor in leave() while the watches die.
+  auto& registry = *services_->registry;
+  auto search = std::make_unique<Search>();
+  search->session = registry.on_session([this](discovery::SessionState state) {
+    const std::lock_guard lock(mutex_);
+    if (!over_) on_session(state);
+  });
+  search->workers = registry.watch_children(services_->paths.workers(services_->topology), [this](const auto& names) {
+    const std::lock_guard lock(mutex_);
+    if (!over_) on_workers(names.value_or(std::vector<std::string>()));
+  });
+  discovery::DriverDirectory::Callbacks callbacks;
+  callbacks.on_channel = [this](const discovery::ChannelRecord& channel) {
+    const std::lock_guard lock(mutex_);
+    if (!over_) on_channel(channel);
+  };
+  callbacks.on_channel_gone = [this](const discovery::ChannelRecord& channel) {
+    const std::lock_guard lock(mutex_);
+    if (!over_) on_channel_gone(channel);
+  };
+  search->directory = std::make_unique<discovery::DriverDirectory>(registry, services_->paths, endpoint_.driver,
+                                                                   endpoint_.channel, std::move(callbacks));
+  search_ = std::move(search);
+}
+
+void SpoutPlacement::leave() {
+  std::map<std::string, Unit> units;
+  {
+    const std::lock_guard lock(mutex_);
+    if (std::exchange(over_, true)) return;
+    units.swap(units_);
+    inboxes_.clear();
+  }
+  search_.reset();
+  for (auto& [name, unit] : units) release(unit);
+}
+
+bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
+  std::string problem;
+  if (channel.direction != discovery::Direction::out) {
+    problem = "it brings messages to the driver, so there is nothing to read";
+  } else if (channel.transport != endpoint_.broker) {
+    problem =
+        "it goes over the broker \"" + channel.transport + "\", and the topology says \"" + endpoint_.broker + "\"";
+  } else if (topic_of(channel).name.empty()) {
+    problem = "its record names no topic";
+  }
+  if (problem.empty()) return true;
+  if (complained_.insert(channel.gateway + problem).second) {
+    logger.warn("{}: channel {} of driver {} on gateway {} is not read: {}", component_, channel.name, channel.driver,
+                channel.gateway, problem);
+  }
+  return false;
+}
+
+void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
+  if (!fits(channel)) {
+    on_channel_gone(channel);
+    return;
+  }
+  const std::string name = unit_of(channel);
+  const bool fresh = !units_.contains(name);
+  Unit& unit = units_[name];
+  unit.channels[channel.instance] = channel;
+  if (fresh) share_out();
+  if (unit.task >= 0) read(unit);
+  report();
+}
+
+void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
+  const auto found = units_.find(unit_of(channel));
+  if (found == units_.end() || found->second.channels.erase(channel.instance) == 0) return;
+  if (!found->second.channels.empty()) {
+    if (found->second.task >= 0) read(found->second);
+  } else {
+    release(found->second);
+    units_.erase(found);
+    share_out();
+    balance();
+  }
+  report();
+}
+
+void SpoutPlacement::on_workers(const std::vector<std::string>& workers) {
+  workers_ = workers;
+  // Not listed yet, or not any more while the session is renewed: this worker counts all the same.
+  if (std::find(workers_.begin(), workers_.end(), services_->worker) == workers_.end()) {
+    workers_.push_back(services_->worker);
+  }
+  share_out();
+  balance();
+  report();
+}
+
+void SpoutPlacement::share_out() {
+  if (workers_.size() == 1) {
+    for (auto& [name, unit] : units_) stand(name, unit);
+    return;
+  }
+  std::vector<std::string> names;
+  for (const auto& [name, unit] : units_) names.push_back(name);
+  const auto shares = fair_shares(std::move(names), workers_);
+  for (auto& [name, unit] : units_) {
+    if (shares.at(name) == services_->worker) {
+      stand(name, unit);
+    } else if (unit.election && !unit.frozen) {
+      release(unit);
+    }
+  }
+}
+
+void SpoutPlacement::stand(const std::string& name, Unit& unit) {
+  if (unit.election) return;
+  discovery::Election::Callbacks callbacks;
+  callbacks.on_elected = [this, name](std::int64_t) {
+    const std::lock_guard lock(mutex_);
+    if (!over_) on_elected(name);
+  };
+  callbacks.on_lost = [this, name] {
+    const std::lock_guard lock(mutex_);
+    if (!over_) on_lost(name);
+  };
+  unit.election = std::make_unique<discovery::Election>(
+      *services_->registry, services_->paths.topology(services_->topology) + "/readers/" + component_ + "/" + name,
+      services_->worker, std::move(callbacks));
+}
+
+void SpoutPlacement::on_elected(const std::string& name) {
+  const auto found = units_.find(name);
+  if (found == units_.end()) return;
+  Unit& unit = found->second;
+  unit.leads = true;
+  unit.frozen = false;
+  if (unit.task < 0) {
+    const auto loads = units_by_task();
+    unit.task = static_cast<int>(std::min_element(loads.begin(), loads.end()) - loads.begin());
+  }
+  read(unit);
+  report();
+}
+
+void SpoutPlacement::on_lost(const std::string& name) {
+  const auto found = units_.find(name);
+  if (found == units_.end()) return;
+  Unit& unit = found->second;
+  unit.leads = false;
+  if (services_->registry->session() != discovery::SessionState::connected) {
+    unit.frozen = true;
+    return;
+  }
+  stop_reading(unit);
+  balance();
+  report();
+}
+
+/// The registry is back: what was kept without it is given up unless it was won again already.
+void SpoutPlacement::on_session(discovery::SessionState state) {
+  if (state != discovery::SessionState::connected) return;
+  for (auto& [name, unit] : units_) {
+    if (std::exchange(unit.frozen, false) && !unit.leads) stop_reading(unit);
+  }
+  share_out();
+  balance();
+  report();
+}
+
+/// First the readers, then the right to read: the next reader finds the topic free.
+void SpoutPlacement::release(Unit& unit) {
+  stop_reading(unit);
+  unit.election.reset();
+  unit.leads = false;
+  unit.frozen = false;
+}
+
+void SpoutPlacement::stop_reading(Unit& unit) {
+  for (const auto& [key, reader] : unit.readers) reader->close();
+  unit.readers.clear();
+  unit.task = -1;
+}
+
+/// Makes the unit's readers those that its channels want.
+void SpoutPlacement::read(Unit& unit) {
+  std::map<ReaderKey, const discovery::ChannelRecord*> wanted;
+  for (const auto& [instance, channel] : unit.channels) {
+    wanted.emplace(ReaderKey(url_of(channel, *services_), topic_of(channel)), &channel);
+  }
+  for (auto place = unit.readers.begin(); place != unit.readers.end();) {
+    if (wanted.contains(place->first)) {
+      ++place;
+      continue;
+    }
+    place->second->close();
+    place = unit.readers.erase(place);
+  }
+  for (const auto& [key, channel] : wanted) {
+    if (unit.readers.contains(key)) continue;
+    if (auto reader = open_reader(*channel, key, unit.task)) unit.readers[key] = std::move(reader);
+  }
+}
+
+std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::ChannelRecord& channel,
+                                                           const ReaderKey& key, int task) {
+  brokers::SubscriptionOptions options;
+  options.group = services_->topology;
+  options.automatic_ack = endpoint_.reading.automatic_ack;
+  options.prefetch = static_cast<std::uint16_t>(endpoint_.reading.prefetch);
+  options.keep_last = static_cast<std::size_t>(endpoint_.reading.keep_last);
+  try {
+    return ChannelReader::open(services_->brokers->get(key.first), key.second, options,
+                               channel.shared ? "" : channel.instance, inboxes_.at(task));
+  } catch (const config::Error& error) {
+    if (complained_.insert(key.first).second) {
+      logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());
+    }
+    return nullptr;
+  }
+}
+
+std::vector<int> SpoutPlacement::units_by_task() const {
+  std::vector<int> loads(inboxes_.size(), 0);
+  for (const auto& [name, unit] : units_) {
+    if (unit.task >= 0) ++loads[static_cast<std::size_t>(unit.task)];
+  }
+  return loads;
+}
+
+/// Moves units from the busiest task to the idlest while they differ by more than one.
+void SpoutPlacement::balance() {
+  for (;;) {
+    const auto loads = units_by_task();
+    const auto [least, most] = std::minmax_element(loads.begin(), loads.end());
+    if (*most - *least <= 1) return;
+    const int from = static_cast<int>(most - loads.begin());
+    const auto moved =
+        std::find_if(units_.begin(), units_.end(), [&](const auto& entry) { return entry.second.task == from; });
+    stop_reading(moved->second);
+    moved->second.task = static_cast<int>(least - loads.begin());
+    read(moved->second);
+  }
+}
+
+void SpoutPlacement::report() {
+  std::size_t readers = 0;
+  for (const auto& [name, unit] : units_) readers += unit.readers.size();
+  services_->metrics
+      ->gauge("iotcloud_spout_channels", "Channels that this worker reads",
+              {{"topology", services_->topology}, {"component", component_}})
+      .set(static_cast<std::int64_t>(readers));
+}
+
+}  // namespace iotcloud::topology

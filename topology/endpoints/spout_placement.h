@@ -1,0 +1,78 @@
+#pragma once
+
+#include <map>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/topology/definition/definition.h>
+#include <iotcloud/topology/endpoints/channel_reader.h>
+#include <iotcloud/topology/endpoints/services.h>
+
+namespace iotcloud::topology {
+
+/// Finds the channels that one spout component reads, and places them on its tasks; one object for each component and
+/// worker. The unit of placement is a driver instance (exclusive channels) or a driver on a gateway (shared ones).
+///
+/// Each worker stands for election for its fair share of the units, so that over all workers, and within one over its
+/// tasks, nobody has more than one unit more than another; the election lets a unit have one reader, and the broker's
+/// exclusive consumer makes sure of it. While the registry is away nothing moves and reading goes on.
+/// Thread safe.
+class SpoutPlacement {
+ public:
+  SpoutPlacement(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
+  ~SpoutPlacement();
+
+  /// A task is open. With the last of `task_count` the search begins.
+  void join(int task_index, int task_count, std::shared_ptr<Inbox> inbox);
+  /// A task closes: with the first one everything ends. Returns when nothing comes any more.
+  void leave();
+
+ private:
+  using ReaderKey = std::pair<std::string, brokers::Topic>;  ///< URL and topic
+  struct Unit {
+    std::map<std::string, discovery::ChannelRecord> channels;  ///< by driver instance
+    std::unique_ptr<discovery::Election> election;             ///< null: another worker's share
+    bool leads = false;
+    bool frozen = false;  ///< leadership was lost with the registry: reading goes on until it is back
+    int task = -1;        ///< -1: not read here
+    std::map<ReaderKey, std::shared_ptr<ChannelReader>> readers;
+  };
+  struct Search;  ///< the watches
+
+  // From here on with mutex_ held, on the registry's dispatcher.
+  void on_channel(const discovery::ChannelRecord& channel);
+  void on_channel_gone(const discovery::ChannelRecord& channel);
+  void on_workers(const std::vector<std::string>& workers);
+  void on_elected(const std::string& unit);
+  void on_lost(const std::string& unit);
+  void on_session(discovery::SessionState state);
+  bool fits(const discovery::ChannelRecord& channel);
+  void share_out();
+  void stand(const std::string& name, Unit& unit);
+  void release(Unit& unit);
+  void stop_reading(Unit& unit);
+  void read(Unit& unit);
+  void balance();
+  std::vector<int> units_by_task() const;
+  std::shared_ptr<ChannelReader> open_reader(const discovery::ChannelRecord& channel, const ReaderKey& key, int task);
+  void report();
+
+  const EndpointServicesPtr services_;
+  const std::string component_;
+  const EndpointDefinition endpoint_;
+
+  std::mutex mutex_;
+  std::map<int, std::shared_ptr<Inbox>> inboxes_;  ///< by task index; guarded by mutex_
+  bool over_ = false;                              ///< guarded by mutex_
+  std::vector<std::string> workers_;               ///< guarded by mutex_
+  std::map<std::string, Unit> units_;              ///< guarded by mutex_
+  std::set<std::string> complained_;               ///< guarded by mutex_
+  std::unique_ptr<Search> search_;                 ///< set by the last join(), taken by the first leave()
+};
+
+}  // namespace iotcloud::topology

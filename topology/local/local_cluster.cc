@@ -1,0 +1,192 @@
+#include <atomic>
+#include <mutex>
+#include <thread>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/gateway/gateway.h>
+#include <iotcloud/gateway/in_process_launcher.h>
+#include <iotcloud/topology/local/local_cluster.h>
+
+namespace iotcloud::local {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+const config::Logger logger{"local"};
+
+/// "amqp://..." is served by the kind "rabbitmq"; the other kinds have schemes of their own name.
+std::string kind_of(const std::string& url) {
+  const std::string scheme = url.substr(0, url.find("://"));
+  return scheme == "amqp" || scheme == "amqps" ? "rabbitmq" : scheme;
+}
+
+std::unique_ptr<discovery::Registry> connect(const LocalOptions& options) {
+  discovery::RegistryOptions registry;
+  registry.url = options.registry_url.empty() ? "embedded://" + options.name : options.registry_url;
+  return discovery::make_registry(registry);
+}
+
+}  // namespace
+
+struct LocalCluster::Impl {
+  explicit Impl(LocalOptions given) : options(std::move(given)), registry(connect(options)) {
+    master = std::make_unique<master::Master>(*registry, master_options());
+    gateway::InProcessLauncher::Options launching;
+    launching.plugin_dir = options.plugin_dir;
+    launching.linked_in = options.drivers;
+    launching.clock = options.clock;
+    launching.metrics = options.metrics;
+    const auto launcher = std::make_shared<gateway::InProcessLauncher>(launching);
+    for (const auto& id : options.gateways) {
+      gateway::GatewayOptions gateway;
+      gateway.id = id;
+      gateway.brokers = brokers();
+      gateway.registry = registry.get();
+      gateway.paths = paths;
+      gateway.launcher = launcher;
+      gateway.state_id = discovery::new_instance_id();
+      gateway.clock = options.clock;
+      gateways.push_back(std::make_unique<gateway::Gateway>(std::move(gateway)));
+      gateways.back()->start();
+    }
+    wait_for_leadership();
+  }
+
+  master::MasterOptions master_options() const {
+    master::MasterOptions settings;
+    settings.id = options.name;
+    settings.paths = paths;
+    return settings;
+  }
+
+  std::vector<gateway::BrokerSetting> brokers() const {
+    std::vector<gateway::BrokerSetting> settings;
+    for (const auto& [name, given] : options.brokers) {
+      const std::string url = given.empty() ? "embedded://" + options.name : given;
+      settings.push_back({name, kind_of(url), {url}});
+    }
+    return settings;
+  }
+
+  void wait_for_leadership() {
+    const auto deadline = Clock::now() + std::chrono::seconds(10);
+    while (!master->status().leading) {
+      if (Clock::now() > deadline) {
+        throw config::Error("the master of the local cluster \"" + options.name +
+                            "\" was not elected within 10 s; is the registry there?");
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+  }
+
+  topology::Worker& run(topology::TopologyDefinition definition, topology::ComponentRegistry components) {
+    topology::WorkerOptions worker{.definition = std::move(definition),
+                                   .components = std::move(components),
+                                   .library_folders = {},
+                                   .registry = registry.get(),
+                                   .clock = options.clock,
+                                   .metrics = options.metrics};
+    worker.definition.zk_root = paths.sensors;
+    if (!options.plugin_dir.empty()) worker.library_folders.push_back(options.plugin_dir);
+    auto started = std::make_unique<topology::Worker>(std::move(worker));
+    started->start();
+    const std::lock_guard lock(mutex);
+    workers.push_back(std::move(started));
+    return *workers.back();
+  }
+
+  std::string deploy(const std::string& plugin, const std::map<std::string, std::string>& properties,
+                     const std::string& gateway) {
+    master::DeployRequest request;
+    request.plugin = plugin;
+    request.properties = properties;
+    request.gateways = {gateway.empty() ? options.gateways.at(0) : gateway};
+    return done("deploy " + plugin, master->deploy(request));
+  }
+
+  /// The instance of an order that must have been done.
+  static std::string done(const std::string& order, const master::OrderResult& result) {
+    if (!result.all_done() || result.outcomes.size() != 1) {
+      throw config::Error(order + ": " + (result.text.empty() ? result.summary() : result.text));
+    }
+    return result.outcomes.front().instance;
+  }
+
+  bool stop(std::chrono::milliseconds limit) {
+    const std::lock_guard lock(mutex);
+    if (stopped) return in_time;
+    stopped = true;
+    const auto deadline = Clock::now() + limit;
+    const auto left = [&] {
+      return std::max(std::chrono::duration_cast<std::chrono::milliseconds>(deadline - Clock::now()),
+                      std::chrono::milliseconds(100));
+    };
+    const auto part = [&](const char* what, config::Service& service) {
+      try {
+        service.stop(left());
+      } catch (const std::exception& error) {
+        logger.error("a {} did not stop in order: {}", what, error.what());
+        in_time = false;
+      }
+    };
+    for (auto& worker : workers) part("worker", *worker);
+    for (auto& gateway : gateways) part("gateway", *gateway);
+    master->close();
+    in_time = in_time && Clock::now() <= deadline;
+    return in_time;
+  }
+
+  const LocalOptions options;
+  const discovery::Paths paths;
+  std::unique_ptr<discovery::Registry> registry;
+  std::unique_ptr<master::Master> master;
+  std::vector<std::unique_ptr<gateway::Gateway>> gateways;
+  std::mutex mutex;
+  std::vector<std::unique_ptr<topology::Worker>> workers;  ///< guarded by mutex
+  bool stopped = false;                                    ///< guarded by mutex
+  bool in_time = true;                                     ///< guarded by mutex
+};
+
+LocalCluster::LocalCluster(LocalOptions options) : impl_(std::make_unique<Impl>(std::move(options))) {}
+
+LocalCluster::~LocalCluster() {
+  impl_->stop(std::chrono::seconds(5));
+}
+
+topology::Worker& LocalCluster::run_topology(const std::string& yaml_file, topology::ComponentRegistry components) {
+  return impl_->run(topology::TopologyDefinition::load(yaml_file), std::move(components));
+}
+
+topology::Worker& LocalCluster::run_topology(topology::TopologyDefinition definition,
+                                             topology::ComponentRegistry components) {
+  return impl_->run(std::move(definition), std::move(components));
+}
+
+std::string LocalCluster::deploy(const std::string& plugin, const std::map<std::string, std::string>& properties,
+                                 const std::string& gateway) {
+  return impl_->deploy(plugin, properties, gateway);
+}
+
+void LocalCluster::undeploy(const std::string& instance) {
+  master::InstanceSelection selection;
+  selection.instances = {instance};
+  Impl::done("undeploy " + instance, impl_->master->undeploy(selection));
+}
+
+bool LocalCluster::stop(std::chrono::milliseconds limit) {
+  return impl_->stop(limit);
+}
+
+master::Master& LocalCluster::master() {
+  return *impl_->master;
+}
+
+discovery::Registry& LocalCluster::registry() {
+  return *impl_->registry;
+}
+
+const discovery::Paths& LocalCluster::paths() const {
+  return impl_->paths;
+}
+
+}  // namespace iotcloud::local
