@@ -76,7 +76,7 @@ struct Gateway::Impl {
               [this](const InstanceStatus& status) { heard(status); }) {}
 
   // Everything below runs on the loop unless it says otherwise.
-  void join(const std::shared_ptr<std::promise<void>>& first);
+  void join(const std::shared_ptr<std::promise<std::string>>& first);
   void joined();
   void names_changed(const std::set<std::string>& names);
   void order_changed(const std::string& instance, const std::optional<discovery::Node>& node);
@@ -143,7 +143,7 @@ void Gateway::start() {
     const std::lock_guard lock(impl_->mutex);
     impl_->started = true;
   }
-  auto first = std::make_shared<std::promise<void>>();
+  auto first = std::make_shared<std::promise<std::string>>();
   auto outcome = first->get_future();
   impl_->loop.post([impl = impl_.get(), first] {
     for (const auto& found : impl->fleet.adopt()) {
@@ -154,12 +154,13 @@ void Gateway::start() {
     }
     impl->join(first);
   });
-  outcome.get();
+  const std::string refusal = outcome.get();
+  if (!refusal.empty()) throw config::Error(refusal);
 }
 
-/// \param first told of the outcome of start(); null once the gateway counts as started.
-void Gateway::Impl::join(const std::shared_ptr<std::promise<void>>& first) try {
-  const auto again = [&](milliseconds pause, const std::shared_ptr<std::promise<void>>& waiting) {
+/// \param first told of the outcome of start(), empty or why it failed; null once the gateway counts as started.
+void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first) try {
+  const auto again = [&](milliseconds pause, const std::shared_ptr<std::promise<std::string>>& waiting) {
     loop.start_timer(pause, milliseconds{0}, [this, waiting] {
       if (!stopping) join(waiting);
     });
@@ -167,31 +168,31 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<void>>& first) try {
   switch (membership.join()) {
     case Membership::Result::joined:
       joined();
-      if (first) first->set_value();
+      if (first) first->set_value("");
       return;
     case Membership::Result::away:
       if (!told_away) log.warn("the registry is away; the gateway {} registers when it comes", options.id);
       told_away = true;
-      if (first) first->set_value();
+      if (first) first->set_value("");
       again(retry_pause, nullptr);
       return;
     case Membership::Result::taken:
       break;
   }
   if (membership.hopeless()) {
-    const config::Error taken(fmt::format(
+    const std::string taken = fmt::format(
         "another gateway with the id \"{}\" is alive ({}); give this one an id of its own, or stop the other",
-        options.id, membership.incumbent()));
+        options.id, membership.incumbent());
     if (first) {
-      first->set_exception(std::make_exception_ptr(taken));
+      first->set_value(taken);
       return;
     }
-    if (!std::exchange(told_taken, true)) log.error("{}; until then this gateway follows no orders", taken.what());
+    if (!std::exchange(told_taken, true)) log.error("{}; until then this gateway follows no orders", taken);
   }
   again(taken_pause, first);
 } catch (const std::exception& e) {
   log.error("the gateway cannot register: {}", e.what());
-  if (first) first->set_exception(std::current_exception());
+  if (first) first->set_value(e.what());
 }
 
 void Gateway::Impl::joined() {

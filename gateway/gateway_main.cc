@@ -3,6 +3,7 @@
 #include <optional>
 
 #include <iotcloud/config/daemon.h>
+#include <iotcloud/config/exposition/metrics_endpoint.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/state_folder.h>
 
@@ -18,6 +19,7 @@ class GatewayDaemon final : public config::Service {
   void start() override {
     state_.emplace(config_.hosts.state_dir);
     config_.hosts.state_dir = state_->path();
+    if (!config_.metrics_address.empty()) metrics_.emplace(config_.metrics_address, config::process_metrics());
     registry_ = discovery::make_registry(config_.registry);
     auto options = config_.gateway;
     options.registry = registry_.get();
@@ -38,6 +40,7 @@ class GatewayDaemon final : public config::Service {
  private:
   static constexpr std::chrono::milliseconds thrift_share{500};
   gateway::GatewayConfig config_;
+  std::optional<config::MetricsEndpoint> metrics_;
   std::optional<gateway::StateFolder> state_;
   std::unique_ptr<discovery::Registry> registry_;
   std::optional<gateway::Gateway> gateway_;

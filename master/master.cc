@@ -21,11 +21,6 @@ constexpr milliseconds longest_wait{600'000};
 
 }  // namespace
 
-bool is_node_name(const std::string& name) {
-  return !name.empty() && name.size() <= 255 && name != "." && name != ".." &&
-         std::none_of(name.begin(), name.end(), [](unsigned char c) { return c == '/' || c < 0x20 || c == 0x7f; });
-}
-
 const GatewayStatus* find(const std::vector<GatewayStatus>& gateways, const std::string& id) {
   const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
   return at == gateways.end() ? nullptr : &*at;

@@ -13,6 +13,7 @@
 
 #include <iotcloud/master/direct_gateways.h>
 #include <iotcloud/master/master.h>
+#include <iotcloud/master/node_name.h>
 #include <iotcloud/master/outcome_watch.h>
 
 /// The inside of Master, shared by the sources that make it.
@@ -21,8 +22,6 @@ namespace iotcloud::master {
 inline constexpr const char* lost_text = "gateway is lost; it will follow the order when it comes back";
 inline constexpr const char* lost_and_not_recorded_text = "gateway is lost; the order was not recorded";
 
-/// Whether it may be one name in a path of the registry, or a file's name.
-bool is_node_name(const std::string& name);
 const discovery::GatewayStatus* find(const std::vector<discovery::GatewayStatus>& gateways, const std::string& id);
 OrderResult refuse(Refusal refusal, std::string text);
 /// The refusal of a gateway that is not registered, naming those that are.

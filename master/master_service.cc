@@ -12,8 +12,10 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/master/api_handler.h>
+#include <iotcloud/master/gateway_handler.h>
 #include <iotcloud/master/master.h>
 #include <iotcloud/master/master_service.h>
+#include <iotcloud/master/original_gateways.h>
 #include <iotcloud/master/thrift_server.h>
 
 namespace iotcloud::master {
@@ -53,35 +55,53 @@ class MasterService final : public config::Service {
 
   void start() override {
     registry_ = discovery::make_registry({config_.registry_url, milliseconds{10'000}, registry_timeout});
+    OriginalGatewaysOptions original_options;
+    original_options.paths = discovery::Paths(config_.sensors_root);
+    original_ = std::make_unique<OriginalGateways>(*registry_, original_options);
     MasterOptions options;
     options.id = config_.id;
     options.address = config_.advertise;
     options.paths = discovery::Paths(config_.sensors_root);
     options.outcome_timeout = config_.outcome_timeout;
     options.record_for_lost_gateways = config_.record_for_lost_gateways;
+    options.direct = original_.get();
     master_ = std::make_unique<Master>(*registry_, options);
     ThriftServerOptions api;
     api.host = config_.api.host;
     api.port = config_.api.port;
     api_ = std::make_unique<ThriftServer>(api, serve_api(*master_, config_.token));
+    original_->start([this] { return master_->status().leading; });
+    ThriftServerOptions gateways;
+    gateways.host = config_.gateways.host;
+    gateways.port = config_.gateways.port;
+    gateways_ = std::make_unique<ThriftServer>(
+        gateways, serve_original_gateways(*original_, [this] { return master_->status(); }));
     if (!config_.metrics_address.empty())
       metrics_ = std::make_unique<config::MetricsEndpoint>(config_.metrics_address, config::process_metrics());
     logger.info("{}: API on {}:{}, registry {}", config_.id, api.host, api_->port(), config_.registry_url);
   }
 
-  void stop(milliseconds) override {
-    if (master_) master_->close();  // orders under way answer at once, so that the server can end
+  void stop(milliseconds) override { end(); }
+  ~MasterService() override { end(); }  // start() may have thrown half way
+
+ private:
+  void end() {
+    if (master_) master_->close();  // orders under way answer at once, so that the servers can end
     metrics_.reset();
     api_.reset();
+    gateways_.reset();
+    if (original_) original_->stop();  // it asks the master
     master_.reset();
+    original_.reset();
     registry_.reset();
   }
 
- private:
   const MasterDaemonConfig config_;
   std::unique_ptr<discovery::Registry> registry_;
+  std::unique_ptr<OriginalGateways> original_;
   std::unique_ptr<Master> master_;
   std::unique_ptr<ThriftServer> api_;
+  std::unique_ptr<ThriftServer> gateways_;
   std::unique_ptr<config::MetricsEndpoint> metrics_;
 };
 

@@ -24,6 +24,14 @@ Struct parse(const std::string& bytes) {
   return value;
 }
 
+template <typename Struct>
+std::string to_bytes(const Struct& value) {
+  auto buffer = std::make_shared<TMemoryBuffer>();
+  TBinaryProtocol protocol(buffer);
+  value.write(&protocol);
+  return buffer->getBufferAsString();
+}
+
 WaitLimit wait_limit(std::int64_t ms) {
   if (ms <= 0) return std::nullopt;
   return std::chrono::milliseconds(ms);
@@ -135,6 +143,14 @@ DeployRequest from_wire(const wire::TDeployRequest& request) {
 
 InstanceSelection from_wire(const wire::TInstanceSelection& selection) {
   return {selection.instances, selection.gateways, wait_limit(selection.waitMs)};
+}
+
+discovery::GatewayRecord from_wire(const discovery::wire::TSite& site) {
+  return discovery::decode_gateway(to_bytes(site), "registerSite");
+}
+
+discovery::DriverRecord from_wire(const discovery::wire::TSensor& sensor) {
+  return discovery::decode_driver(to_bytes(sensor), "registerSensor");
 }
 
 }  // namespace iotcloud::master

@@ -21,5 +21,8 @@ discovery::wire::TResponse failure(const std::string& text);
 
 DeployRequest from_wire(const wire::TDeployRequest& request);
 InstanceSelection from_wire(const wire::TInstanceSelection& selection);
+/// \throws config::Error when there is something in them that cannot be.
+discovery::GatewayRecord from_wire(const discovery::wire::TSite& site);
+discovery::DriverRecord from_wire(const discovery::wire::TSensor& sensor);
 
 }  // namespace iotcloud::master

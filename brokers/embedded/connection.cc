@@ -49,6 +49,9 @@ void Connection::close() {
   thread_.join();
   const std::lock_guard lock(server->mutex);
   server->leave(*this);
+  // Readers hold their connection: what is left of them here must not hold it in a circle.
+  ready.clear();
+  to_report.clear();
 }
 
 void Connection::wake() {

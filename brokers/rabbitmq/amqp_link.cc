@@ -115,7 +115,8 @@ std::chrono::seconds AmqpLink::heartbeat() const {
 }
 
 void AmqpLink::check(const amqp_rpc_reply_t& reply, const char* doing) const {
-  if (reply.reply_type != AMQP_RESPONSE_NORMAL) throw LinkError(fmt::format("cannot {}: {}", doing, describe_reply(reply)));
+  if (reply.reply_type != AMQP_RESPONSE_NORMAL)
+    throw LinkError(fmt::format("cannot {}: {}", doing, describe_reply(reply)));
 }
 
 std::optional<amqp_frame_t> AmqpLink::next_frame() {

@@ -31,6 +31,11 @@ void ConsumeLink::close() {
   }
   wake_event_.signal();
   thread_.join();
+  // Inlets hold their link: what is left of them here must not hold it in a circle.
+  const Lock lock(mutex_);
+  ready_.clear();
+  dirty_.clear();
+  channels_.clear();
 }
 
 std::shared_ptr<Inlet> ConsumeLink::add(const Topic& topic, const SubscriptionOptions& options, Handler handler) {

@@ -70,7 +70,8 @@ function(iotcloud_test)
   endif()
   add_executable(${arg_NAME} ${arg_SOURCES})
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} GTest::gmock_main)
-  # Test sources may share helpers of their own folder tree: <iotcloud/tests/...>.
+  # Test sources may share helpers of their own folder tree: <iotcloud/tests/...>. Scripts that they run stand here:
+  target_compile_definitions(${arg_NAME} PRIVATE IOTCLOUD_TEST_SERVERS="${PROJECT_SOURCE_DIR}/tests/servers")
   if(arg_WHOLE)
     foreach(word ${arg_WHOLE})
       add_test(NAME ${arg_NAME}.${word} COMMAND ${arg_NAME} --gtest_filter=*${word}*)

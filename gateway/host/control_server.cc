@@ -82,7 +82,7 @@ void ControlServer::Impl::tell(const Event& event) {
 
 void ControlServer::Impl::accept_gateway() {
   OwnedDescriptor fresh = accept_from(listener);
-  if (!fresh) return;
+  if (!fresh || gateway) return;  // one gateway at a time; a dead one's connection has ended before its next life comes
   gateway = std::move(fresh);
   frames = {};
   {

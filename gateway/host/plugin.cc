@@ -77,8 +77,9 @@ void check_plugin_file_name(const std::string& file_name) {
 void check_name(const std::string& what, const std::string& name) {
   if (name.empty() || name == "." || name == ".." || name.find('/') != std::string::npos || name.size() > 200 ||
       has_control_characters(name)) {
-    throw config::Error(fmt::format(
-        "\"{}\" cannot be a {}: it must have 1 to 200 characters, no slash and no control character", name, what));
+    throw config::Error(
+        fmt::format("\"{}\" cannot be used as {}: it must have 1 to 200 characters, no slash and no control character",
+                    name, what));
   }
 }
 

@@ -9,7 +9,7 @@
 #include <iotcloud/gateway/host/instance_spec.h>
 
 /// What a gateway and a driver host process say to each other over a Unix domain socket in the gateway's state folder.
-/// The host listens and takes one connection at a time; a new one replaces the last. Every frame is a length of four
+/// The host listens and keeps one connection at a time; others are closed at once. Every frame is a length of four
 /// bytes, most significant first, and that many bytes of JSON. The host greets with Hello, so that a gateway that comes
 /// back knows what runs. A host goes on when its gateway is gone.
 namespace iotcloud::gateway::protocol {

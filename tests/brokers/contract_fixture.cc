@@ -5,7 +5,6 @@
 #include <thread>
 #include <utility>
 
-#include "iotcloud/tests/servers/private_server.h"
 #include <iotcloud/brokers/embedded/server.h>
 
 namespace iotcloud::brokers {
@@ -26,6 +25,7 @@ class RabbitMqTestServer final : public TestServer {
   std::string url() const override { return server_.url(); }
   void kill() override { server_.kill(); }
   void start() override { server_.start(); }
+  tests::PrivateServer* process() override { return &server_; }
 
  private:
   tests::PrivateServer server_{"rabbitmq.py"};

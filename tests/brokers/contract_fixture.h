@@ -12,6 +12,7 @@
 
 #include <gtest/gtest.h>
 
+#include "iotcloud/tests/servers/private_server.h"
 #include <iotcloud/brokers/broker.h>
 
 namespace iotcloud::brokers {
@@ -28,6 +29,8 @@ class TestServer {
   virtual std::string url() const = 0;
   virtual void kill() = 0;
   virtual void start() = 0;
+  /// The private server behind it; null for one in process.
+  virtual tests::PrivateServer* process() { return nullptr; }
 };
 
 /// Collects deliveries; the handler accepts each unless told otherwise. Thread safe.

@@ -110,11 +110,13 @@ TEST(EventLoop, ALoopThatIsStuckSaysSo) {
 
 TEST(EventLoop, ItMayBeDestroyedFromItsOwnCallback) {
   auto loop = std::make_unique<EventLoop>("test");
-  std::promise<void> gone;
+  std::promise<void> posted, gone;
   loop->post([&] {
+    posted.get_future().wait();  // until post() has let go of the loop
     loop.reset();
     gone.set_value();
   });
+  posted.set_value();
   EXPECT_EQ(gone.get_future().wait_for(patience), std::future_status::ready);
 }
 

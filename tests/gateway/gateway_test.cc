@@ -1,6 +1,5 @@
-#include <iotcloud/tests/gateway/gateway_fixture.h>
-
 #include <iotcloud/config/error.h>
+#include <iotcloud/tests/gateway/gateway_fixture.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -112,7 +111,7 @@ TEST_F(GatewayTest, ANameThatWouldLeaveItsPlaceInTheRegistryIsRefused) {
   wanted.driver = "../gateways";
   give(wanted);
   ASSERT_TRUE(comes_to("a", DriverState::failed, "unknown"));
-  EXPECT_THAT(record("a", "unknown")->reason, HasSubstr("cannot be a driver name"));
+  EXPECT_THAT(record("a", "unknown")->reason, HasSubstr("cannot be used as driver name"));
 }
 
 TEST_F(GatewayTest, APluginThatIsNotThereFailsItsInstancesAndNoOthers) {

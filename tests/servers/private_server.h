@@ -16,6 +16,10 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#ifndef IOTCLOUD_TEST_SERVERS
+#error "iotcloud_test() defines IOTCLOUD_TEST_SERVERS, the folder of the scripts: declare this program with it"
+#endif
+
 namespace iotcloud::tests {
 
 /// A real server of its own for a test process: runs a script of this folder (rabbitmq.py, zookeeper.py), which starts
@@ -51,6 +55,12 @@ class PrivateServer {
   void start() { url_ = address(ask("start")); }  ///< after kill(): the same port, the same data
   void pause() { command("pause", "PAUSED"); }    ///< SIGSTOP: it hangs, its connections stay open
   void resume() { command("resume", "RESUMED"); }
+  /// A command that only this kind of server knows; throws when the answer is another one.
+  void command(const std::string& text, const std::string& expected) {
+    if (const std::string answer = ask(text); answer != expected) {
+      throw std::runtime_error(script_ + ": " + text + ": " + answer);
+    }
+  }
 
  private:
   void launch(const std::vector<std::string>& arguments) {
@@ -59,7 +69,7 @@ class PrivateServer {
     if (::pipe2(to_script.data(), O_CLOEXEC) != 0 || ::pipe2(from_script.data(), O_CLOEXEC) != 0) {
       throw std::runtime_error("cannot make a pipe for " + script_);
     }
-    const std::string path = (std::filesystem::path(__FILE__).parent_path() / script_).string();
+    const std::string path = (std::filesystem::path(IOTCLOUD_TEST_SERVERS) / script_).string();
     std::vector<std::string> words{"/usr/bin/python3", path, "--dir", folder_.string()};
     words.insert(words.end(), arguments.begin(), arguments.end());
     std::vector<char*> argv;
@@ -88,12 +98,6 @@ class PrivateServer {
       throw std::runtime_error(script_ + " is gone; could not send: " + command);
     }
     return read_line();
-  }
-
-  void command(const std::string& text, const std::string& expected) {
-    if (const std::string answer = ask(text); answer != expected) {
-      throw std::runtime_error(script_ + ": " + text + ": " + answer);
-    }
   }
 
   std::string address(const std::string& answer) const {

@@ -14,6 +14,8 @@ Then it obeys one command for each line of stdin and answers with one line on st
     start   starts it again, same port and data    READY amqp://...
     pause   SIGSTOP to the node: it hangs          PAUSED
     resume  SIGCONT                                RESUMED
+    alarm   memory alarm: it takes no messages     ALARM
+    clear   ends the alarm                         CLEAR
     stop    ends everything                        STOPPED
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
@@ -168,6 +170,19 @@ class RabbitMq:
         self.signal(signal.SIGCONT)
         return "RESUMED"
 
+    def control(self, *arguments):
+        subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, *arguments], env=self.environment(),
+                       stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=True, timeout=60,
+                       preexec_fn=become_child)
+
+    def alarm(self):
+        self.control("set_vm_memory_high_watermark", "0")
+        return "ALARM"
+
+    def clear(self):
+        self.control("set_vm_memory_high_watermark", "0.4")
+        return "CLEAR"
+
     def stop(self):
         """A short grace for the node to write its data, then the end."""
         if self.node and self.node.poll() is None:
@@ -192,7 +207,8 @@ def say(line):
 
 
 def serve(server):
-    commands = {"kill": server.kill, "start": server.start, "pause": server.pause, "resume": server.resume}
+    commands = {"kill": server.kill, "start": server.start, "pause": server.pause, "resume": server.resume,
+                "alarm": server.alarm, "clear": server.clear}
     say(server.start())
     for line in sys.stdin:
         command = line.strip()
@@ -203,7 +219,7 @@ def serve(server):
             continue
         try:
             say(commands[command]())
-        except (RuntimeError, OSError) as error:
+        except (RuntimeError, OSError, subprocess.SubprocessError) as error:
             say("ERROR %s" % error)
 
 

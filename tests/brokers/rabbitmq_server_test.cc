@@ -1,0 +1,207 @@
+// What only a real RabbitMQ server does to its clients: alarms, hanging, objects deleted or made by others.
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "iotcloud/brokers/broker_url.h"
+#include "iotcloud/brokers/rabbitmq/amqp_link.h"
+#include "iotcloud/tests/brokers/contract_fixture.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+class RabbitMqServer : public BrokerContract {
+ protected:
+  /// A client of its own, to do what an operator or a foreign program might.
+  std::unique_ptr<rabbitmq::AmqpLink> operator_link() const {
+    rabbitmq::LinkOptions options;
+    options.url = parse_broker_url(server().url());
+    options.purpose = "test";
+    auto link = std::make_unique<rabbitmq::AmqpLink>(options);
+    link->open_channel(1);
+    return link;
+  }
+  /// Sends a method and waits for any answer.
+  template <typename Method>
+  static void call(rabbitmq::AmqpLink& link, amqp_method_number_t number, Method method) {
+    link.send(1, number, method);
+    ASSERT_TRUE(eventually([&] { return link.next_frame().has_value(); }));
+  }
+  static void publish_numbers(Publisher& publisher, int from, int to) {
+    for (int i = from; i <= to; ++i) {
+      ASSERT_EQ(publisher.publish(text_message(std::to_string(i))), PublishStatus::accepted);
+    }
+  }
+};
+
+INSTANTIATE_TEST_SUITE_P(On, RabbitMqServer, testing::Values("rabbitmq"), [](const auto& kind) { return kind.param; });
+
+TEST_P(RabbitMqServer, AnAlarmBlocksPublishingAndLosesNothing) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  PublisherOptions options;
+  options.capacity = 300;
+  const auto publisher = broker->publisher(topic, options);
+  publish_numbers(*publisher, 1, 10);
+  ASSERT_TRUE(inbox.wait_for(10));
+  server().process()->command("alarm", "ALARM");
+  publish_numbers(*publisher, 11, 200);
+  EXPECT_TRUE(eventually([&] { return broker->state() == ConnectionState::blocked; }));
+  EXPECT_FALSE(publisher->drain(moment));
+  EXPECT_EQ(publisher->publish(Message{Payload::copy(std::string(2'000'000, 'x')), "", "", 0, {}}),
+            PublishStatus::accepted)
+      << "publish must not block";
+  server().process()->command("clear", "CLEAR");
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(inbox.wait_for(201));
+  for (int i = 0; i < 200; ++i) EXPECT_EQ(inbox.bodies()[i], std::to_string(i + 1));
+  EXPECT_EQ(broker->state(), ConnectionState::connected);
+}
+
+TEST_P(RabbitMqServer, AServerThatHangsIsNoticedAndNothingIsLost) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto publisher = broker->publisher(topic, {});
+  publish_numbers(*publisher, 1, 10);
+  ASSERT_TRUE(inbox.wait_for(10));
+  server().process()->pause();
+  publish_numbers(*publisher, 11, 50);
+  // Far more than fits into the socket: some thread stands in a send now, but not this one.
+  for (int i = 0; i < 20; ++i) publisher->publish(text_message(std::string(2'000'000, 'x')));
+  EXPECT_TRUE(eventually([&] { return broker->state() == ConnectionState::connecting && !subscription->active(); }));
+  server().process()->resume();
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(inbox.wait_until([](const auto& received) {
+    return std::count_if(received.begin(), received.end(), [](const auto& one) { return one.body.size() > 100; }) >= 20;
+  }));
+  std::vector<int> firsts;
+  for (const std::string& body : inbox.bodies()) {
+    if (body.size() > 100) continue;
+    const int number = std::stoi(body);
+    if (std::find(firsts.begin(), firsts.end(), number) == firsts.end()) firsts.push_back(number);
+  }
+  EXPECT_EQ(firsts.size(), 50U);
+  EXPECT_TRUE(std::is_sorted(firsts.begin(), firsts.end()));
+}
+
+TEST_P(RabbitMqServer, AnExchangeThatIsDeletedIsDeclaredAgain) {
+  const auto broker = this->broker();
+  Topic topic = this->topic();
+  topic.exchange = "deleted_" + topic.name;
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic, options);
+  publish_numbers(*publisher, 1, 5);
+  ASSERT_TRUE(inbox.wait_for(5));
+  ASSERT_TRUE(publisher->drain(patience));
+  const auto link = operator_link();
+  amqp_exchange_delete_t request{};
+  request.exchange = rabbitmq::to_bytes(topic.exchange);
+  call(*link, AMQP_EXCHANGE_DELETE_METHOD, request);
+  publish_numbers(*publisher, 6, 10);
+  EXPECT_FALSE(outcomes.wait_for(10, moment)) << "the binding is gone with the exchange: nobody reads";
+  EXPECT_EQ(outcomes.size(), 5U) << "nothing was refused";
+  Inbox other;
+  SubscriptionOptions group;
+  group.group = "other";
+  const auto late = broker->subscribe(topic, group, other.handler());
+  ASSERT_TRUE(other.wait_for(5));
+  EXPECT_THAT(other.bodies(), testing::ElementsAre("6", "7", "8", "9", "10"));
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 10U);
+}
+
+TEST_P(RabbitMqServer, AQueueThatIsDeletedUnderItsReaderIsMadeAgain) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto publisher = broker->publisher(topic, {});
+  publish_numbers(*publisher, 1, 1);
+  ASSERT_TRUE(inbox.wait_for(1));
+  const auto link = operator_link();
+  amqp_queue_delete_t request{};
+  request.queue = rabbitmq::to_bytes(topic.name);
+  call(*link, AMQP_QUEUE_DELETE_METHOD, request);
+  publish_numbers(*publisher, 2, 5);
+  ASSERT_TRUE(inbox.wait_for(5));
+  EXPECT_THAT(inbox.bodies(), testing::ElementsAre("1", "2", "3", "4", "5"));
+}
+
+TEST_P(RabbitMqServer, UsesExchangesAndQueuesThatOthersMadeDifferently) {
+  const auto broker = this->broker();
+  Topic topic = this->topic();
+  topic.exchange = "others_" + topic.name;
+  const auto link = operator_link();
+  amqp_exchange_declare_t exchange{};
+  exchange.exchange = rabbitmq::to_bytes(topic.exchange);
+  exchange.type = amqp_cstring_bytes("direct");
+  exchange.durable = 1;
+  call(*link, AMQP_EXCHANGE_DECLARE_METHOD, exchange);
+  amqp_queue_declare_t queue{};
+  queue.queue = rabbitmq::to_bytes(topic.name);
+  call(*link, AMQP_QUEUE_DECLARE_METHOD, queue);
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  const auto publisher = broker->publisher(topic, {});
+  publish_numbers(*publisher, 1, 3);
+  ASSERT_TRUE(inbox.wait_for(3));
+}
+
+TEST_P(RabbitMqServer, TakesMessagesOfForeignProgramsWithOddHeaders) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto link = operator_link();
+  std::vector<amqp_table_entry_t> headers(3);
+  headers[0].key = amqp_cstring_bytes("time");
+  headers[0].value.kind = AMQP_FIELD_KIND_I64;
+  headers[0].value.value.i64 = 77;
+  headers[1].key = amqp_cstring_bytes("nested");
+  headers[1].value.kind = AMQP_FIELD_KIND_TABLE;
+  headers[2].key = amqp_cstring_bytes("flag");
+  headers[2].value.kind = AMQP_FIELD_KIND_BOOLEAN;
+  amqp_basic_properties_t properties{};
+  properties._flags = AMQP_BASIC_HEADERS_FLAG;
+  properties.headers = {static_cast<int>(headers.size()), headers.data()};
+  link->publish(1, topic.exchange, topic.name, properties, "odd", 3);
+  amqp_basic_properties_t none{};
+  link->publish(1, topic.exchange, topic.name, none, "bare", 4);
+  ASSERT_TRUE(inbox.wait_for(2));
+  const auto all = inbox.all();
+  EXPECT_EQ(all[0].body, "odd");
+  EXPECT_EQ(all[0].message.time_ms, 77);
+  EXPECT_EQ(*all[0].message.properties.find("flag"), "false");
+  EXPECT_EQ(all[0].message.properties.find("nested"), nullptr);
+  EXPECT_EQ(all[1].body, "bare");
+  EXPECT_EQ(all[1].message.driver_id, "");
+}
+
+TEST_P(RabbitMqServer, AWrongPasswordIsNoReasonToStop) {
+  BrokerOptions options;
+  options.url = server().url();
+  options.url.replace(options.url.find("guest@"), 5, "wrong");
+  const auto broker = make_broker(options);
+  const auto publisher = broker->publisher(topic(), {});
+  EXPECT_EQ(publisher->publish(text_message("x")), PublishStatus::accepted);
+  EXPECT_FALSE(publisher->drain(moment));
+  EXPECT_EQ(broker->state(), ConnectionState::connecting);
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers

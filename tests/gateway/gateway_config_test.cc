@@ -1,0 +1,83 @@
+#include <filesystem>
+#include <fstream>
+#include <regex>
+
+#include <gmock/gmock.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/gateway/gateway_config.h>
+
+namespace iotcloud::gateway {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+class GatewayConfigTest : public ::testing::Test {
+ protected:
+  GatewayConfigTest() {
+    std::string pattern = std::filesystem::temp_directory_path() / "iotcloud-config-XXXXXX";
+    folder_ = mkdtemp(pattern.data());
+  }
+  ~GatewayConfigTest() override { std::filesystem::remove_all(folder_); }
+
+  /// A good file with one line replaced or added.
+  std::string with(const std::string& key, const std::string& line) const {
+    std::map<std::string, std::string> lines = {
+        {"id", "id: gw"},
+        {"registry", "registry: \"zookeeper://127.0.0.1:2181\""},
+        {"plugins", "plugins: " + folder_.string()},
+        {"state", "state: " + folder_.string()},
+        {"brokers", "brokers: {rabbitmq: {urls: [\"amqp://a/\", \"amqp://b/\"]}}"}};
+    lines[key] = line;
+    std::string text;
+    for (const auto& [name, content] : lines) text += content + "\n";
+    return text;
+  }
+  GatewayConfig load(const std::string& text) const {
+    const auto file = folder_ / "gateway.yaml";
+    std::ofstream(file) << text;
+    return GatewayConfig::load(file);
+  }
+  std::string error_of(const std::string& text) const {
+    try {
+      load(text);
+    } catch (const config::ConfigError& e) {
+      return e.what();
+    }
+    return "";
+  }
+
+  std::filesystem::path folder_;
+};
+
+TEST_F(GatewayConfigTest, AGoodFileIsRead) {
+  const auto config = load(with("thrift", "thrift: {port: 4000}"));
+  EXPECT_EQ(config.gateway.id, "gw");
+  EXPECT_EQ(config.gateway.port, 4000);
+  EXPECT_EQ(config.gateway.brokers.at(0).type, "rabbitmq");
+  EXPECT_EQ(config.gateway.brokers.at(0).urls.size(), 2u);
+  EXPECT_EQ(config.gateway.paths.sensors, "/iot/sensors");
+}
+
+TEST_F(GatewayConfigTest, WhatIsWrongIsNamedWithItsPlace) {
+  EXPECT_THAT(error_of(with("thrift", "thrift: {host: 0.0.0.0}")),
+              AllOf(HasSubstr("thrift.host"), HasSubstr("loopback"), HasSubstr("gateway.yaml:")));
+  EXPECT_THAT(error_of(with("plugins", "plugins: /nowhere")), AllOf(HasSubstr("plugins"), HasSubstr("/nowhere")));
+  EXPECT_THAT(error_of(with("brokers", "brokers: {mine: {type: rabbit, urls: [x]}}")), HasSubstr("rabbitmq"));
+  EXPECT_THAT(error_of(with("brokers", "brokers: {mine: {type: embedded, urls: [\"embedded://x\"]}}")),
+              HasSubstr("local mode"));
+  EXPECT_THAT(error_of(with("id", "id: a/b")), AllOf(HasSubstr("id"), HasSubstr("slash")));
+  EXPECT_THAT(error_of(with("brokerz", "brokerz: {}")), HasSubstr("did you mean \"brokers\"?"));
+}
+
+TEST_F(GatewayConfigTest, TheFileThatWeShipIsGood) {
+  std::ifstream shipped(SHIPPED_CONFIG);
+  std::string text((std::istreambuf_iterator<char>(shipped)), {});
+  text = std::regex_replace(text, std::regex("plugins: plugins"), "plugins: " + folder_.string());
+  EXPECT_EQ(load(text).gateway.id, "gateway1");
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway

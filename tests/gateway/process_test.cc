@@ -1,0 +1,224 @@
+// Driver hosts as real processes.
+#include <filesystem>
+#include <fstream>
+
+#include <signal.h>
+#include <unistd.h>
+
+#include <iotcloud/gateway/host/unix_socket.h>
+#include <iotcloud/gateway/process_launcher.h>
+#include <iotcloud/tests/gateway/gateway_fixture.h>
+#include <iotcloud/tests/gateway/status_log.h>
+
+namespace iotcloud::gateway {
+namespace {
+
+using discovery::DriverState;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using namespace std::chrono_literals;
+namespace fs = std::filesystem;
+
+class ProcessTest : public GatewayFixture {
+ protected:
+  ProcessTest() {
+    std::string pattern = fs::temp_directory_path() / "iotcloud-gateway-XXXXXX";
+    folder_ = mkdtemp(pattern.data());
+    // Longer than a socket's address may be.
+    state_ = folder_ / std::string(120, 's');
+    plugins_ = folder_ / "plugins";
+    fs::create_directories(state_);
+    fs::create_directories(plugins_);
+    for (const auto* name : {"probe.so", "future_sdk.so"}) fs::copy(fs::path(TEST_PLUGINS) / name, plugins_ / name);
+    fs::copy(fs::path(TEST_PLUGINS) / "probe.so", plugins_ / "other.so");
+  }
+  ~ProcessTest() override {
+    gateway_.reset();
+    for (const auto& socket : sockets()) kill(peer_process(connect_in(state_, socket)), SIGKILL);
+    fs::remove_all(folder_);
+  }
+
+  std::shared_ptr<HostLauncher> new_launcher() override {
+    ProcessLauncher::Options options;
+    options.plugin_dir = plugins_;
+    options.state_dir = state_;
+    options.host_program = HOST_PROGRAM;
+    options.ping_period = 20ms;
+    options.hang_limit = hang_limit_;
+    return std::make_shared<ProcessLauncher>(options);
+  }
+
+  /// A driver without traffic: the embedded broker does not reach another process.
+  discovery::OrderRecord quiet(const std::string& instance, const std::string& plugin = "probe.so",
+                               std::map<std::string, std::string> properties = {}) const {
+    properties["channels"] = "none";
+    auto wanted = order(instance, std::move(properties));
+    wanted.plugin = plugin;
+    wanted.driver = plugin.substr(0, plugin.find('.'));
+    return wanted;
+  }
+
+  std::vector<std::string> sockets() const {
+    std::vector<std::string> names;
+    for (const auto& file : fs::directory_iterator(state_)) {
+      if (file.path().extension() == ".sock") names.push_back(file.path().filename());
+    }
+    return names;
+  }
+  /// The process of the only host there is.
+  int host_process() const {
+    const auto names = sockets();
+    return names.size() == 1 ? peer_process(connect_in(state_, names.front())) : 0;
+  }
+  bool has_ended(int process) const {
+    return eventually([&] { return kill(process, 0) != 0; });
+  }
+
+  fs::path folder_, state_, plugins_;
+  std::chrono::milliseconds hang_limit_{20000};
+};
+
+TEST_F(ProcessTest, AnInstanceRunsInAProcessOfItsPluginAndTheLastOneEndsIt) {
+  start_gateway();
+  give(quiet("a"));
+  give(quiet("b"));
+  ASSERT_TRUE(comes_to("a", DriverState::active) && comes_to("b", DriverState::active));
+  const int process = host_process();
+  ASSERT_GT(process, 0);
+  EXPECT_NE(process, getpid());
+  EXPECT_NE(getsid(process), getsid(0)) << "it does not get the terminal's signals";
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return !record("a"); }));
+  EXPECT_EQ(host_process(), process);
+  take_back("b");
+  EXPECT_TRUE(has_ended(process));
+  EXPECT_TRUE(eventually([&] { return sockets().empty(); }));
+}
+
+TEST_F(ProcessTest, ACrashIsToldAndTheInstancesRunAgainWhileOtherPluginsNoticeNothing) {
+  start_gateway();
+  const std::string crash_file = folder_ / "crash";
+  give(quiet("a", "probe.so", {{"crash_file", crash_file}}));
+  give(quiet("b", "other.so"));
+  ASSERT_TRUE(comes_to("a", DriverState::active) && comes_to("b", DriverState::active, "other"));
+  const auto untouched = record("b", "other");
+
+  StatusLog told;
+  const auto watch = registry_->watch_node(paths_.instance("probe", "a"), [&](const auto& node) {
+    if (!node) return;
+    const auto record = discovery::decode_driver(node->data, "a");
+    told.add({"a", record.name, record.state, record.reason, record.since_ms, record.channels});
+  });
+  ASSERT_TRUE(told.wait_for("a", DriverState::active));
+  std::ofstream{crash_file};
+  EXPECT_TRUE(eventually([&] { return !fs::exists(crash_file); }));
+  EXPECT_TRUE(told.wait_for("a", DriverState::active));
+  EXPECT_EQ(record("b", "other"), untouched);
+}
+
+TEST_F(ProcessTest, AHostThatCrashesAtOnceAgainIsToldWithItsSignal) {
+  auto slow = options();
+  slow.restart.first = 1h;  // the state stays to be seen
+  gateway_.emplace(std::move(slow));
+  gateway_->start();
+  const std::string crash_file = folder_ / "crash";
+  give(quiet("a", "probe.so", {{"crash_file", crash_file}}));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  std::ofstream{crash_file};
+  ASSERT_TRUE(comes_to("a", DriverState::starting));
+  EXPECT_THAT(record("a")->reason, AllOf(HasSubstr("signal 11"), HasSubstr("started again in 3600000 ms")));
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return !record("a"); }));
+}
+
+TEST_F(ProcessTest, AHostThatHangsIsKilledAndStartedAgain) {
+  hang_limit_ = 500ms;
+  start_gateway();
+  give(quiet("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  const int process = host_process();
+  kill(process, SIGSTOP);
+  EXPECT_TRUE(has_ended(process));
+  EXPECT_TRUE(eventually([&] { return host_process() > 0 && host_process() != process; }));
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+}
+
+TEST_F(ProcessTest, APluginOfAnotherSdkIsRefusedInItsRecordNamingBothSides) {
+  start_gateway();
+  give(quiet("a", "future_sdk.so"));
+  give(quiet("b"));
+  ASSERT_TRUE(comes_to("a", DriverState::failed, "future_sdk"));
+  EXPECT_THAT(record("a", "future_sdk")->reason, AllOf(HasSubstr("4711"), HasSubstr("this driver host has version 1")));
+  EXPECT_TRUE(comes_to("b", DriverState::active));
+}
+
+TEST_F(ProcessTest, StoppingTheGatewayEndsItsHosts) {
+  start_gateway();
+  give(quiet("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  const int process = host_process();
+  gateway_->stop(20s);
+  EXPECT_EQ(record("a")->state, DriverState::inactive);
+  EXPECT_TRUE(has_ended(process));
+}
+
+TEST_F(ProcessTest, AHostOutlivesItsLinkAndIsAdoptedWithItsInstances) {
+  StatusLog first_life, second_life;
+  std::optional<HostEnd> end;
+  std::mutex mutex;
+  {
+    const auto launcher = new_launcher();
+    auto link =
+        launcher->launch({"probe.so", "gw", false}, {[&](const auto& s) { first_life.add(s); }, [](const auto&) {}});
+    InstanceSpec spec;
+    spec.order = quiet("a");
+    spec.brokers = {{"local", "embedded", "embedded://x", "embedded://x"}};
+    link->create(spec);
+    ASSERT_TRUE(first_life.wait_for("a", DriverState::active));
+  }
+  const int process = host_process();
+  ASSERT_GT(process, 0) << "it did not outlive its link";
+
+  const auto launcher = new_launcher();
+  const auto running = launcher->running("gw");
+  ASSERT_EQ(running.size(), 1u);
+  ASSERT_EQ(running[0].instances.size(), 1u);
+  EXPECT_EQ(running[0].order.plugin, "probe.so");
+  EXPECT_EQ(running[0].instances[0].status.state, DriverState::active);
+  EXPECT_EQ(running[0].instances[0].spec.order, quiet("a"));
+  auto link = launcher->adopt(running[0], {[&](const auto& s) { second_life.add(s); },
+                                           [&](const HostEnd& e) {
+                                             const std::lock_guard lock(mutex);
+                                             end = e;
+                                           }});
+  EXPECT_TRUE(second_life.wait_for("a", DriverState::active));
+  link->deactivate("a");
+  EXPECT_TRUE(second_life.wait_for("a", DriverState::inactive));
+  EXPECT_EQ(host_process(), process);
+  link->shutdown(20s);
+  EXPECT_TRUE(second_life.wait_for("a", DriverState::undeployed));
+  EXPECT_TRUE(eventually([&] {
+    const std::lock_guard lock(mutex);
+    return end.has_value();
+  }));
+  EXPECT_EQ(end->how, HostEnd::How::stopped);
+}
+
+TEST_F(ProcessTest, TheHostOfAnotherGatewayInTheFolderIsEnded) {
+  StatusLog log;
+  {
+    const auto launcher = new_launcher();
+    auto link =
+        launcher->launch({"probe.so", "another", false}, {[&](const auto& s) { log.add(s); }, [](const auto&) {}});
+    InstanceSpec spec;
+    spec.order = quiet("a");
+    spec.brokers = {{"local", "embedded", "embedded://x", "embedded://x"}};
+    link->create(spec);
+    ASSERT_TRUE(log.wait_for("a", DriverState::active));
+  }
+  EXPECT_TRUE(new_launcher()->running("gw").empty());
+  EXPECT_TRUE(sockets().empty());
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway

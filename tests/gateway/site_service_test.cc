@@ -1,0 +1,139 @@
+#include <gmock/gmock.h>
+#include <thrift/protocol/TBinaryProtocol.h>
+#include <thrift/transport/TBufferTransports.h>
+#include <thrift/transport/TSocket.h>
+
+#include "iotcloud/gateway/TSensorSiteService.h"
+#include <iotcloud/gateway/site_service.h>
+#include <iotcloud/tests/gateway/gateway_fixture.h>
+
+namespace iotcloud::gateway {
+namespace {
+
+using discovery::DriverState;
+using discovery::wire::TResponse;
+using discovery::wire::TResponseState;
+using ::testing::HasSubstr;
+
+/// A client of the original system, as far as the wire goes.
+class SiteServiceTest : public GatewayFixture {
+ protected:
+  SiteServiceTest() {
+    start_gateway();
+    SiteService::Options options;
+    options.port = 0;
+    options.max_message_bytes = 10000;
+    service_.emplace(options, *gateway_, *registry_, paths_);
+    connect();
+  }
+  ~SiteServiceTest() override {
+    transport_->close();
+    service_.reset();
+  }
+
+  void connect() {
+    namespace thrift = apache::thrift;
+    transport_ = std::make_shared<thrift::transport::TFramedTransport>(
+        std::make_shared<thrift::transport::TSocket>("127.0.0.1", service_->port()));
+    transport_->open();
+    client_.emplace(std::make_shared<thrift::protocol::TBinaryProtocol>(transport_));
+  }
+
+  TResponse deploy(std::map<std::string, std::string> properties = {}, const std::string& file = "probe.so",
+                   const std::string& name = "") {
+    discovery::wire::TSensorDeployDescriptor descriptor;
+    descriptor.__set_filename(file);
+    descriptor.__set_className(name);
+    descriptor.__set_properties(properties);
+    TResponse answer;
+    client_->deploySensor(answer, descriptor);
+    return answer;
+  }
+
+  std::optional<SiteService> service_;
+  std::shared_ptr<apache::thrift::transport::TFramedTransport> transport_;
+  std::optional<wire::TSensorSiteServiceClient> client_;
+};
+
+TEST_F(SiteServiceTest, AnInstanceIsDeployedStoppedStartedAndUndeployed) {
+  const auto deployed = deploy({}, "probe.so", "camera");
+  ASSERT_EQ(deployed.state, TResponseState::SUCCESS) << deployed.statusMessage;
+  const std::string id = deployed.statusMessage;
+  EXPECT_EQ(record(id, "camera")->state, DriverState::active);
+  EXPECT_TRUE(registry_->get(paths_.order("gw", id))) << "a call is an order in the registry";
+
+  TResponse answer;
+  client_->stopSensor(answer, id);
+  EXPECT_EQ(answer.state, TResponseState::SUCCESS) << answer.statusMessage;
+  EXPECT_EQ(record(id, "camera")->state, DriverState::inactive);
+  client_->startSensor(answer, id);
+  EXPECT_EQ(answer.state, TResponseState::SUCCESS) << answer.statusMessage;
+  EXPECT_EQ(record(id, "camera")->state, DriverState::active);
+  client_->unDeploySensor(answer, id);
+  EXPECT_EQ(answer.state, TResponseState::SUCCESS) << answer.statusMessage;
+  EXPECT_FALSE(record(id, "camera"));
+}
+
+TEST_F(SiteServiceTest, AJavaClassIsNotTakenForTheDriversName) {
+  const auto deployed = deploy({}, "probe.so", "cgl.iotcloud.Turtle");
+  ASSERT_EQ(deployed.state, TResponseState::SUCCESS) << deployed.statusMessage;
+  EXPECT_TRUE(record(deployed.statusMessage, "probe"));
+}
+
+TEST_F(SiteServiceTest, ADeploymentThatFailsSaysWhyAndIsTakenBack) {
+  const auto answer = deploy({{"throw_in", "open"}});
+  EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  EXPECT_THAT(answer.statusMessage, HasSubstr("told to throw in open"));
+  EXPECT_TRUE(eventually([&] { return registry_->children(paths_.orders("gw"))->empty(); }));
+  EXPECT_TRUE(eventually([&] { return !registry_->get(paths_.driver("probe")); }));
+}
+
+TEST_F(SiteServiceTest, AFileOutsideThePluginFolderIsRefusedWithoutAnOrder) {
+  const auto answer = deploy({}, "../probe.so");
+  EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  EXPECT_THAT(answer.statusMessage, HasSubstr("not a plain file name"));
+  EXPECT_TRUE(registry_->children(paths_.orders("gw"))->empty());
+}
+
+TEST_F(SiteServiceTest, AnUnknownInstanceIsAFailureThatNamesIt) {
+  TResponse answer;
+  for (const auto call : {&wire::TSensorSiteServiceClient::startSensor, &wire::TSensorSiteServiceClient::stopSensor,
+                          &wire::TSensorSiteServiceClient::unDeploySensor}) {
+    ((*client_).*call)(answer, "nobody");
+    EXPECT_EQ(answer.state, TResponseState::FAILURE);
+    EXPECT_THAT(answer.statusMessage, HasSubstr("nobody"));
+  }
+  client_->unDeploySensor(answer, "../../gw2/orders/x");
+  EXPECT_THAT(answer.statusMessage, HasSubstr("cannot be used as instance id"));
+}
+
+TEST_F(SiteServiceTest, TheHeartbeatCountsInstances) {
+  ASSERT_EQ(deploy().state, TResponseState::SUCCESS);
+  give(order("bad", {{"throw_in", "open"}}));
+  ASSERT_TRUE(comes_to("bad", DriverState::failed));
+  discovery::wire::THeartBeatResponse answer;
+  client_->hearbeat(answer, {});
+  EXPECT_EQ(answer.totalSensors, 2);
+  EXPECT_EQ(answer.responsiveSonsor, 1);
+}
+
+TEST_F(SiteServiceTest, AMessageThatIsTooLargeEndsItsConnectionAndNoOther) {
+  EXPECT_THROW(deploy({{"big", std::string(20000, 'x')}}), apache::thrift::TException);
+  transport_->close();
+  connect();
+  wire::TPing ping;
+  client_->ping(ping);
+  EXPECT_EQ(ping.gateway, "gw");
+}
+
+TEST(SiteServiceAddress, OnlyLoopbackIsAllowed) {
+  for (const std::string host : {"127.0.0.1", "127.1.2.3", "localhost", "::1"}) {
+    EXPECT_NO_THROW(SiteService::check_address(host)) << host;
+  }
+  for (const std::string host : {"0.0.0.0", "192.168.1.2", "::", "example.org", ""}) {
+    EXPECT_THROW(SiteService::check_address(host), config::Error) << host;
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway

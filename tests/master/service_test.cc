@@ -1,0 +1,104 @@
+#include <cstdio>
+#include <fstream>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/master/master_service.h>
+#include <iotcloud/tests/master/process.h>
+
+namespace iotcloud::master {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+/// A configuration file that goes with the test.
+class ConfigFile {
+ public:
+  explicit ConfigFile(const std::string& text)
+      : path_(testing::TempDir() + "iotcloud-master-" + std::to_string(getpid()) + ".yaml") {
+    std::ofstream(path_) << text;
+  }
+  ~ConfigFile() { std::remove(path_.c_str()); }
+  const std::string& path() const { return path_; }
+
+ private:
+  const std::string path_;
+};
+
+std::string error_of(const std::string& text) {
+  const ConfigFile file(text);
+  try {
+    load_master_config(file.path());
+    return "";
+  } catch (const config::ConfigError& e) {
+    return e.what();
+  }
+}
+
+TEST(MasterConfig, TheShippedFileIsGood) {
+  const auto config = load_master_config(IOTCLOUD_SOURCE_DIR "/config/master.yaml");
+  EXPECT_EQ(config.api.port, 12904);
+  EXPECT_EQ(config.gateways.port, 12903);
+  EXPECT_EQ(config.sensors_root, "/iot/sensors");
+}
+
+TEST(MasterConfig, OnlyTheRegistryIsNeeded) {
+  const ConfigFile file("registry: \"embedded://a\"\n");
+  const auto config = load_master_config(file.path());
+  EXPECT_EQ(config.api.host, "127.0.0.1");
+  EXPECT_EQ(config.advertise, "127.0.0.1:12904");
+  EXPECT_THAT(error_of("id: m\n"), HasSubstr("registry"));
+}
+
+TEST(MasterConfig, AnAddressThatOthersCanReachIsRefusedWithTheReason) {
+  for (const char* section : {"api", "gateways"}) {
+    const auto text = error_of("registry: \"embedded://a\"\n" + std::string(section) + ": {host: 0.0.0.0}\n");
+    EXPECT_THAT(text, AllOf(HasSubstr(":2:"), HasSubstr(std::string(section) + ".host"), HasSubstr("TLS"),
+                            HasSubstr("127.0.0.1")));
+  }
+}
+
+TEST(MasterConfig, AnUnknownKeyIsNamedWithItsPlace) {
+  EXPECT_THAT(error_of("registry: \"embedded://a\"\napi: {prot: 1}\n"), AllOf(HasSubstr(":2:"), HasSubstr("port")));
+  EXPECT_THAT(error_of("registry: \"embedded://a\"\norders: {wait: 30}\n"), HasSubstr("orders.wait"));
+}
+
+TEST(MasterConfig, ATokenFileThatCannotBeReadIsAnError) {
+  EXPECT_THAT(error_of("registry: \"embedded://a\"\napi: {token_file: /nonexistent/token}\n"),
+              HasSubstr("/nonexistent/token"));
+}
+
+TEST(MasterService, StartsAndStopsAndMayBeStartedAnew) {
+  MasterDaemonConfig config;
+  config.id = "m1";
+  config.registry_url = "embedded://master-service-" + std::to_string(getpid());
+  config.sensors_root = "/iot/sensors";
+  config.api.port = 0;
+  config.gateways.port = 0;
+  for (int i = 0; i < 2; ++i) {
+    auto service = make_master_service(config);
+    service->start();
+    service->stop(std::chrono::seconds(5));
+  }
+}
+
+TEST(MasterService, APortInUseStopsTheStartCleanly) {
+  MasterDaemonConfig config;
+  config.registry_url = "embedded://master-service-" + std::to_string(getpid());
+  config.sensors_root = "/iot/sensors";
+  config.api.port = 0;
+  config.gateways.port = test::free_port();
+  auto first = make_master_service(config);
+  first->start();
+  auto second = make_master_service(config);
+  EXPECT_THROW(second->start(), config::Error);
+  second.reset();
+  first->stop(std::chrono::seconds(5));
+}
+
+}  // namespace
+}  // namespace iotcloud::master
