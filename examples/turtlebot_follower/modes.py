@@ -57,10 +57,10 @@ class OneProcess(Children):
         self.build, self.broker = build.resolve(), broker
 
     def begin(self, properties):
-        url = self.server("rabbitmq") if self.broker == "rabbitmq" else "embedded://demo"
+        url = [f"--broker-url={self.server('rabbitmq')}"] if self.broker == "rabbitmq" else []
         metrics = f"127.0.0.1:{free_port()}"
         self.spawn("turtlebot-demo", [
-            self.build / "bin/turtlebot-demo", "--broker-url", url, "--plugins", self.build / "plugins",
+            self.build / "bin/turtlebot-demo", *url, "--plugins", self.build / "plugins",
             "--topology", HERE / "follower.yaml", "--metrics", metrics,
             *(f"--property={key}={value}" for key, value in properties.items())])
         self.measurement = Measurement(self.out, metrics)
