@@ -66,7 +66,7 @@ bool PropertyReader::flag(const std::string& name, bool fallback) {
 
 std::string PropertyReader::choice(const std::string& name, const std::string& fallback,
                                    const std::vector<std::string>& choices) {
-  const std::string value = text(name, fallback);
+  std::string value = text(name, fallback);
   for (const std::string& choice : choices) {
     if (value == choice) return value;
   }

@@ -7,8 +7,7 @@ namespace iotcloud::drivers::loadgen {
 
 std::size_t Latencies::bucket(std::uint64_t ns) {
   if (ns < steps) return ns;
-  const unsigned octave = static_cast<unsigned>(std::bit_width(ns)) - 1;  // 5 or more
-  const unsigned shift = octave - static_cast<unsigned>(std::bit_width(steps) - 1);
+  const auto shift = static_cast<std::size_t>(std::bit_width(ns) - std::bit_width(steps));
   return (shift + 1) * steps + ((ns >> shift) - steps);
 }
 

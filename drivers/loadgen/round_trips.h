@@ -19,7 +19,7 @@ class Latencies {
   double mean_us() const { return count_ == 0 ? 0 : sum_us_ / static_cast<double>(count_); }
 
  private:
-  static constexpr unsigned steps = 32;  ///< buckets for each octave
+  static constexpr std::size_t steps = 32;  ///< buckets for each octave
   static std::size_t bucket(std::uint64_t ns);
   static double middle_ns(std::size_t bucket);
   std::array<std::uint64_t, 64 * steps> buckets_{};

@@ -84,12 +84,14 @@ IOTCLOUD_PIXEL_LOOP void measure(const float* inverse_depth, const float* neighb
     projector[row] = shadow ? projector[row] : at_projector;
     const float change = w - neighbour[row];
     const bool edge = (change > edge_step) | (change < -edge_step);
-    const float q = inverse_scale * w;
+    // Nearer than half of the nearest reading the series ends; what is there has no reading anyway.
+    const float q = inverse_scale * (w < 4 ? w : 4);
     const float q2 = q * q;
     const float angle = disparity_start - q * (1 - q2 * (1.0f / 3 - q2 * (0.2f - q2 * (1.0f / 7))));
     const float exact = disparity_scale * angle;
     const float measured = exact + static_cast<float>(noise[row]) * (noise_deviation * SensorNoise::unit);
-    const int disparity = static_cast<int>(measured + 0.5f);
+    const int disparity =
+        static_cast<int>(measured + 0.5f);  // NOLINT(bugprone-incorrect-roundings): what is negative has no reading
     const int unread = edge ? edge_chance : speck_chance;
     const bool reads = !shadow & (chance[row] >= unread) & (disparity >= range.first) & (disparity <= range.last);
     disparities[row] = static_cast<std::uint16_t>(reads ? disparity : depth::no_reading);

@@ -13,7 +13,8 @@
 namespace iotcloud::drivers::turtle::simulator {
 
 /// A simulated TurtleBot with a Kinect, paced by the driver's timers.
-/// Real time: a frame every period, the world at the frames' intended times; a command acts from when it comes.
+/// Real time: a frame every period, the world at the frames' intended times (a host that was held up catches up, and so
+/// does the world); a command acts from when it comes.
 /// Lock step: the world moves one period on when the last frame was answered, however long that takes; when no answer
 /// comes the same frame is sent again.
 class SimulatedRobot final : public DepthSource, public Actuator {
