@@ -45,6 +45,8 @@ class Payload {
   bool empty() const { return size_ == 0; }
   std::span<const std::byte> bytes() const { return {data_, size_}; }
   std::string_view text() const { return {reinterpret_cast<const char*>(data_), size_}; }
+  /// Equal bytes.
+  friend bool operator==(const Payload& a, const Payload& b) { return a.text() == b.text(); }
 
  private:
   Payload(std::shared_ptr<const void> owner, const std::byte* data, std::size_t size)

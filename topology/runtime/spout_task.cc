@@ -287,10 +287,13 @@ void SpoutTask::turn_wheel() {
 /// What is in this slot was put there nine slots ago.
 void SpoutTask::expire(std::size_t slot, std::int64_t now) {
   const std::int64_t width = slot_width_ns();
-  Tree* tree = wheel_[slot];
-  while (tree != nullptr) {
-    Tree& due = *tree;
-    tree = due.older;
+  // Oldest first, up to what is the newest now: fail() may emit again, into this very slot.
+  Tree* const newest = wheel_[slot];
+  Tree* next = newest;
+  while (next != nullptr && next->older != nullptr) next = next->older;
+  while (next != nullptr) {
+    Tree& due = *next;
+    next = &due == newest ? nullptr : due.newer;
     const std::int64_t touched = due.touched_ns.load(std::memory_order_relaxed);
     const std::int64_t left = touched == 0 ? 0 : touched + width * static_cast<std::int64_t>(slots - 1) - now;
     if (left > 0) {

@@ -1,0 +1,147 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/tests/topology/workshop.h>
+
+namespace iotcloud::topology::workshop {
+namespace {
+
+using testing::ElementsAre;
+
+/// in -> pass -> slow; the slow bolt looks at the depths of both queues each time.
+TEST(BackPressure, NoQueueGrowsBeyondItsBoundAndNothingIsLost) {
+  constexpr std::size_t capacity = 16, count = 5000;
+  Bench bench;
+  auto options = bench.options();
+  options.mailbox_capacity = capacity;
+  auto source = std::make_shared<Source>();
+  auto sink = std::make_shared<Sink>();
+  Runtime* running = nullptr;
+  std::size_t deepest = 0;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("pass", pass_bolt()).shuffle_grouping("in");
+  builder
+      .set_bolt("slow", bolt([&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                  for (const auto& task : running->snapshot().tasks) deepest = std::max(deepest, task.queue_depth);
+                  sink->add(tuple, 0);
+                  out.ack(tuple);
+                }))
+      .shuffle_grouping("pass");
+  Runtime runtime(builder.build("bounded"), options);
+  running = &runtime;
+  runtime.start();
+  for (std::size_t i = 0; i < count; ++i) source->lay(Values(i));
+  source->wake();
+  runtime.run_until_idle();
+  EXPECT_EQ(sink->size(), count);
+  EXPECT_EQ(source->acked().size(), count);
+  EXPECT_LE(deepest, capacity);
+  EXPECT_GT(deepest, 1U);
+}
+
+TEST(BackPressure, ASpoutIsNotAskedWhileWhatItFeedsIsFullAndIsTold) {
+  Bench bench;
+  auto options = bench.options();
+  options.threads = 1;
+  options.mailbox_capacity = 8;
+  auto source = std::make_shared<Source>();
+  auto other = std::make_shared<Source>();
+  auto sink = std::make_shared<Sink>();
+  std::atomic<bool> go{false};
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_spout("other", source_spout(other));
+  builder
+      .set_bolt("slow", bolt([&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                  while (!go) std::this_thread::yield();
+                  out.ack(tuple);
+                }))
+      .shuffle_grouping("in");
+  builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("other");
+  Runtime runtime(builder.build("told"), options);
+  runtime.start();
+  ASSERT_TRUE(eventually([&] { return runtime.idle(); }));
+  std::jthread reader([&] {
+    for (int i = 0; i < 100; ++i) source->put(Values(i));
+  });
+  const auto throttled = [&] {
+    const auto calls = source->calls();
+    return std::find(calls.begin(), calls.end(), "throttled") != calls.end();
+  };
+  ASSERT_TRUE(eventually([&] { return runtime.snapshot().component("slow").queue_depth > 0; }));
+  // Whoever runs the slow bolt is stuck in it; another thread wakes the spout, until its target is full.
+  ASSERT_TRUE(eventually([&] {
+    source->put(Values(0));
+    return throttled();
+  }));
+  EXPECT_LE(runtime.snapshot().component("slow").queue_depth, 8U);
+  // What does not feed the slow bolt goes on.
+  other->put(Values(1));
+  EXPECT_TRUE(eventually([&] { return sink->size() == 1; }));
+  go = true;
+  reader.join();
+  EXPECT_TRUE(eventually([&] { return source->waiting() == 0; }));
+  EXPECT_TRUE(runtime.stop(5s));
+  const auto calls = source->calls();
+  EXPECT_NE(std::find(calls.begin(), calls.end(), "unthrottled"), calls.end());
+  EXPECT_EQ(source->acked().size(), runtime.snapshot().component("slow").acked);
+}
+
+TEST(BackPressure, AcksPassAFullQueue) {
+  Bench bench;
+  auto options = bench.options();
+  options.mailbox_capacity = 4;
+  options.max_spout_pending = 100;
+  auto source = std::make_shared<Source>();
+  std::vector<Tuple> kept;
+  OutputCollector* collector = nullptr;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("pass", pass_bolt()).shuffle_grouping("in");
+  builder
+      .set_bolt("keep", bolt([&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                  collector = &out;
+                  kept.push_back(tuple);
+                }))
+      .shuffle_grouping("pass");
+  Runtime runtime(builder.build("acks"), options);
+  runtime.start();
+  for (int i = 0; i < 50; ++i) source->lay(Values(i));
+  source->wake();
+  runtime.run_until_idle();
+  ASSERT_EQ(kept.size(), 50U);
+  for (const Tuple& tuple : kept) collector->ack(tuple);
+  runtime.run_until_idle();
+  EXPECT_EQ(source->acked().size(), 50U);
+  kept.clear();
+}
+
+TEST(BackPressure, ManyEmittersIntoOneSlowTaskAllFinish) {
+  constexpr int emitters = 8, each = 500;
+  config::Metrics metrics;
+  RuntimeOptions options;
+  options.threads = 2;
+  options.metrics = &metrics;
+  options.mailbox_capacity = 8;
+  auto source = std::make_shared<Source>();
+  auto sink = std::make_shared<Sink>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source), 2);
+  builder.set_bolt("wide", pass_bolt(), emitters).shuffle_grouping("in");
+  builder.set_bolt("one", sink_bolt(sink)).global_grouping("wide");
+  Runtime runtime(builder.build("fan-in"), options);
+  runtime.start();
+  for (int i = 0; i < emitters * each; ++i) source->lay(Values(i));
+  std::atomic<bool> done{false};
+  std::jthread waker([&] {
+    while (!done) source->wake();
+  });
+  EXPECT_TRUE(eventually([&] { return sink->size() == emitters * each; }));
+  done = true;
+  waker.join();
+  EXPECT_TRUE(runtime.stop(5s));
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::workshop

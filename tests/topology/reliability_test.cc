@@ -1,0 +1,338 @@
+#include <random>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/tests/topology/workshop.h>
+
+namespace iotcloud::topology::workshop {
+namespace {
+
+using testing::ElementsAre;
+using testing::IsEmpty;
+using testing::UnorderedElementsAre;
+
+/// A source, a bolt that keeps what it gets, and simulated time.
+class Reliability : public testing::Test {
+ protected:
+  void start(const std::function<void(TopologyBuilder&)>& add, RuntimeOptions options) {
+    TopologyBuilder builder;
+    builder.set_spout("in", source_spout(source));
+    add(builder);
+    runtime = std::make_unique<Runtime>(builder.build("reliability"), std::move(options));
+    runtime->start();
+    runtime->run_until_idle();
+  }
+  BoltFactory keeper(Fields fields = {}) {
+    return bolt(
+        [this](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+          collectors.push_back(&out);
+          kept.push_back(tuple);
+        },
+        fields);
+  }
+  void pass(std::chrono::nanoseconds time) {
+    bench.clock.advance(time);
+    runtime->run_due_timers();
+    runtime->run_until_idle();
+  }
+  void settle(std::size_t which, bool ack) {
+    ack ? collectors.at(which)->ack(kept.at(which)) : collectors.at(which)->fail(kept.at(which));
+    runtime->run_until_idle();
+  }
+
+  Bench bench;
+  std::shared_ptr<Source> source = std::make_shared<Source>();
+  std::unique_ptr<Runtime> runtime;
+  std::vector<OutputCollector*> collectors;
+  std::vector<Tuple> kept;
+  void TearDown() override {
+    kept.clear();
+    runtime.reset();
+  }
+};
+
+TEST_F(Reliability, AcksOnlyWhenTheWholeTreeIsDone) {
+  start(
+      [this](TopologyBuilder& builder) {
+        builder.set_bolt("pass", pass_bolt()).shuffle_grouping("in");
+        builder.set_bolt("keep", keeper(), 2).all_grouping("pass");
+      },
+      bench.options());
+  source->put(Values(1));
+  ASSERT_EQ(kept.size(), 2U);
+  EXPECT_THAT(source->acked(), IsEmpty());
+  settle(0, true);
+  EXPECT_THAT(source->acked(), IsEmpty());
+  settle(1, true);
+  EXPECT_THAT(source->acked(), ElementsAre(1));
+}
+
+TEST_F(Reliability, AFailureReachesTheSpoutAtOnceAndOnce) {
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper(), 2).all_grouping("in"); },
+        bench.options());
+  source->put(Values(1));
+  settle(0, false);
+  EXPECT_THAT(source->failed(), ElementsAre(1));
+  settle(1, false);
+  EXPECT_THAT(source->failed(), ElementsAre(1));
+  EXPECT_THAT(source->acked(), IsEmpty());
+  EXPECT_EQ(runtime->snapshot().component("in").pending, 0U);
+}
+
+TEST_F(Reliability, ATupleWithTwoAnchorsFailsBothTrees) {
+  start(
+      [this](TopologyBuilder& builder) {
+        builder
+            .set_bolt("join", bolt(
+                                  [held = std::make_shared<std::vector<Tuple>>()](
+                                      const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                                    held->push_back(tuple);
+                                    if (held->size() < 2) return;
+                                    out.emit(*held, Values(100));
+                                    for (const Tuple& anchor : *held) out.ack(anchor);
+                                    held->clear();
+                                  },
+                                  {"sum"}))
+            .global_grouping("in");
+        builder.set_bolt("keep", keeper()).shuffle_grouping("join");
+      },
+      bench.options());
+  for (int i = 1; i <= 4; ++i) source->put(Values(i));
+  ASSERT_EQ(kept.size(), 2U);
+  EXPECT_THAT(source->acked(), IsEmpty());
+  settle(0, false);
+  EXPECT_THAT(source->failed(), UnorderedElementsAre(1, 2));
+  settle(1, true);
+  EXPECT_THAT(source->acked(), UnorderedElementsAre(3, 4));
+}
+
+TEST_F(Reliability, AnchorsOfTheSameTreeCountOnce) {
+  start(
+      [this](TopologyBuilder& builder) {
+        builder.set_bolt("pass", pass_bolt(), 2).all_grouping("in");
+        builder
+            .set_bolt("join", bolt(
+                                  [held = std::make_shared<std::vector<Tuple>>()](
+                                      const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                                    held->push_back(tuple);
+                                    if (held->size() < 2) return;
+                                    out.emit(*held, Values(1));
+                                    for (const Tuple& anchor : *held) out.ack(anchor);
+                                    held->clear();
+                                  },
+                                  {"sum"}))
+            .global_grouping("pass");
+        builder.set_bolt("keep", keeper()).shuffle_grouping("join");
+      },
+      bench.options());
+  source->put(Values(1));
+  ASSERT_EQ(kept.size(), 1U);
+  EXPECT_THAT(source->acked(), IsEmpty());
+  settle(0, true);
+  EXPECT_THAT(source->acked(), ElementsAre(1));
+}
+
+TEST_F(Reliability, WhatIsNotAnchoredDoesNotHoldTheTree) {
+  start(
+      [this](TopologyBuilder& builder) {
+        builder
+            .set_bolt("loose", bolt(
+                                   [](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                                     out.emit(Values(1));
+                                     out.ack(tuple);
+                                   },
+                                   {"value"}))
+            .shuffle_grouping("in");
+        builder.set_bolt("keep", keeper()).shuffle_grouping("loose");
+      },
+      bench.options());
+  source->put(Values(1));
+  ASSERT_EQ(kept.size(), 1U);
+  EXPECT_THAT(source->acked(), ElementsAre(1));
+  settle(0, false);
+  EXPECT_THAT(source->failed(), IsEmpty());
+}
+
+TEST_F(Reliability, FailsByTimeBetweenTheTimeoutAndAnEighthMore) {
+  auto options = bench.options();
+  options.message_timeout = 800ms;
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); }, options);
+  source->put(Values(1));
+  pass(50ms);
+  source->put(Values(2));
+  pass(749ms);
+  EXPECT_THAT(source->failed(), IsEmpty());  // 799 ms after the first
+  pass(101ms);
+  EXPECT_THAT(source->failed(), testing::Contains(1));  // 900 ms
+  pass(50ms);
+  EXPECT_THAT(source->failed(), ElementsAre(1, 2));
+  EXPECT_EQ(runtime->snapshot().component("in").timed_out, 2U);
+  settle(0, true);  // late: ignored
+  EXPECT_THAT(source->acked(), IsEmpty());
+  EXPECT_EQ(runtime->snapshot().component("in").pending, 0U);
+}
+
+TEST_F(Reliability, TimesEveryTupleOutWithinItsBoundsWhateverTheMoment) {
+  auto options = bench.options();
+  options.message_timeout = 800ms;
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); }, options);
+  std::map<MessageId, int> put_at, failed_at;
+  std::mt19937 random(7);
+  MessageId id = 0;
+  for (int now = 0; now < 5000; now += 7) {
+    if (now < 3500 && random() % 3 == 0) {
+      put_at[++id] = now;
+      source->put(Values(now));
+    }
+    pass(7ms);
+    for (const MessageId failed : source->failed()) failed_at.emplace(failed, now + 7);
+  }
+  ASSERT_EQ(failed_at.size(), put_at.size());
+  for (const auto& [failed, at] : failed_at) {
+    EXPECT_GE(at - put_at[failed], 800) << failed;
+    EXPECT_LE(at - put_at[failed], 900 + 7) << failed;
+  }
+}
+
+TEST_F(Reliability, ResetTimeoutStartsTheTimeAgain) {
+  auto options = bench.options();
+  options.message_timeout = 800ms;
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); }, options);
+  source->put(Values(1));
+  pass(700ms);
+  collectors.at(0)->reset_timeout(kept.at(0));
+  runtime->run_until_idle();
+  pass(790ms);
+  EXPECT_THAT(source->failed(), IsEmpty());
+  pass(220ms);  // the reset, T and two slots
+  EXPECT_THAT(source->failed(), ElementsAre(1));
+}
+
+TEST_F(Reliability, ATupleDroppedWithoutAckFailsByTimeAndDoesNotHoldUpAStop) {
+  auto options = bench.options();
+  options.message_timeout = 800ms;
+  start(
+      [](TopologyBuilder& builder) {
+        builder.set_bolt("forgets", bolt([](const Tuple&, OutputCollector&, const TopologyContext&) {}))
+            .shuffle_grouping("in");
+      },
+      options);
+  source->put(Values(1));
+  pass(790ms);
+  EXPECT_THAT(source->failed(), IsEmpty());
+  pass(120ms);
+  EXPECT_THAT(source->failed(), ElementsAre(1));
+  source->put(Values(2));
+  EXPECT_TRUE(runtime->stop(0ms));
+}
+
+TEST_F(Reliability, ASecondAckOrFailIsIgnored) {
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper(), 2).all_grouping("in"); },
+        bench.options());
+  source->put(Values(1));
+  settle(0, true);
+  settle(0, true);
+  settle(0, false);
+  EXPECT_THAT(source->acked(), IsEmpty());
+  EXPECT_THAT(source->failed(), IsEmpty());
+  settle(1, true);
+  EXPECT_THAT(source->acked(), ElementsAre(1));
+  EXPECT_EQ(runtime->snapshot().component("keep").acked, 2U);
+}
+
+TEST_F(Reliability, ATupleThatNobodyReadsIsAckedAtOnce) {
+  auto lonely = std::make_shared<Source>();
+  start(
+      [&](TopologyBuilder& builder) {
+        builder.set_spout("lonely", source_spout(lonely));
+        builder.set_bolt("keep", keeper()).shuffle_grouping("in");
+      },
+      bench.options());
+  lonely->put(Values(1));
+  EXPECT_THAT(lonely->acked(), ElementsAre(1));
+}
+
+TEST_F(Reliability, WithoutAckersEveryTupleIsAckedWhenEmitted) {
+  auto options = bench.options();
+  options.acking = false;
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); }, options);
+  source->put(Values(1));
+  EXPECT_THAT(source->acked(), ElementsAre(1));
+  settle(0, false);
+  EXPECT_THAT(source->failed(), IsEmpty());
+}
+
+TEST_F(Reliability, AsksASpoutForNoMoreThanMayBePending) {
+  auto options = bench.options();
+  options.max_spout_pending = 3;
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); }, options);
+  for (int i = 0; i < 10; ++i) source->put(Values(i));
+  EXPECT_EQ(kept.size(), 3U);
+  EXPECT_EQ(source->calls().back(), "throttled");
+  settle(1, true);
+  EXPECT_EQ(kept.size(), 4U);
+  settle(0, false);
+  EXPECT_EQ(kept.size(), 5U);
+  EXPECT_EQ(runtime->snapshot().component("in").pending, 3U);
+}
+
+TEST_F(Reliability, MeasuresTheTimeToTheAckByTheTopologysClock) {
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); },
+        bench.options());
+  source->put(Values(1));
+  pass(1s);
+  settle(0, true);
+  const auto latency = runtime->snapshot().component("in").complete_latency;
+  EXPECT_EQ(latency.count, 1U);
+  EXPECT_EQ(latency.max_ns, 1e9);
+}
+
+TEST(ReliabilityUnderThreads, AcksFromOtherThreadsAccountForEveryTuple) {
+  auto source = std::make_shared<Source>();
+  struct Shared {
+    std::mutex mutex;
+    std::vector<std::pair<OutputCollector*, Tuple>> waiting;
+  } shared;
+  config::Metrics metrics;
+  RuntimeOptions options;
+  options.threads = 2;
+  options.metrics = &metrics;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("pass", pass_bolt(), 2).shuffle_grouping("in");
+  builder
+      .set_bolt("later", bolt([&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                  const std::lock_guard lock(shared.mutex);
+                  shared.waiting.emplace_back(&out, tuple);
+                }),
+                3)
+      .shuffle_grouping("pass");
+  Runtime runtime(builder.build("later"), options);
+  runtime.start();
+  constexpr std::size_t count = 3000;
+  std::atomic<bool> done{false};
+  const auto answer = [&] {
+    std::size_t turn = 0;
+    while (!done) {
+      std::vector<std::pair<OutputCollector*, Tuple>> some;
+      {
+        const std::lock_guard lock(shared.mutex);
+        some.swap(shared.waiting);
+      }
+      for (auto& [out, tuple] : some) ++turn % 5 == 0 ? out->fail(tuple) : out->ack(tuple);
+      std::this_thread::yield();
+    }
+  };
+  {
+    std::jthread first(answer), second(answer);
+    for (std::size_t i = 0; i < count; ++i) source->put(Values(i));
+    EXPECT_TRUE(eventually([&] { return source->acked().size() + source->failed().size() == count; }));
+    done = true;
+  }
+  EXPECT_EQ(runtime.snapshot().component("in").pending, 0U);
+  EXPECT_TRUE(runtime.stop(5s));
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::workshop
