@@ -68,7 +68,7 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
   void on_instances(const Names& ids) {
     // User callbacks may end the directory: `over` is looked at after each of them.
     for (auto place = instances.begin(); place != instances.end();) {
-      if (std::find(ids.begin(), ids.end(), place->first) != ids.end()) {
+      if (std::binary_search(ids.begin(), ids.end(), place->first)) {
         ++place;
         continue;
       }
@@ -110,7 +110,7 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
     if (found == instances.end()) return;
     auto& channels = found->second.channels;
     for (auto place = channels.begin(); place != channels.end();) {
-      if (std::find(names.begin(), names.end(), place->first) != names.end()) {
+      if (std::binary_search(names.begin(), names.end(), place->first)) {
         ++place;
         continue;
       }

@@ -25,6 +25,8 @@ class EmbeddedPlace : public Place {
   std::string url() const override { return "embedded://" + name_; }
   void stop() override { server_->stop(); }
   void start() override { server_->start(); }
+  void hang() override { server_->stop(); }  // within a process the two are the same
+  void go_on() override { server_->start(); }
   void expire(std::int64_t session) override { server_->expire(session); }
 
  private:
@@ -52,6 +54,8 @@ class ZooKeeperPlace : public Place {
   std::string url() const override { return server().url() + "/" + name_ + "/tree"; }
   void stop() override { server().kill(); }
   void start() override { server().start(); }
+  void hang() override { server().pause(); }
+  void go_on() override { server().resume(); }
 
   /// A second client takes the session over and closes it; again, when the first was quick enough to take it back.
   void expire(std::int64_t session) override {

@@ -17,6 +17,9 @@ class Place {
   /// The server is gone for all clients (killed, where there is a process), and back with its tree.
   virtual void stop() = 0;
   virtual void start() = 0;
+  /// The server keeps its connections and answers nothing, and goes on.
+  virtual void hang() = 0;
+  virtual void go_on() = 0;
   /// The server drops a session; its client hears of it.
   virtual void expire(std::int64_t session) = 0;
 };

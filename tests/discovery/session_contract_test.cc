@@ -172,6 +172,27 @@ TEST_P(RegistryContract, ASessionOutOfContactForLongIsNoLongerCertain) {
   EXPECT_TRUE(eventually([&] { return other_->get("/held").has_value(); }));
 }
 
+TEST_P(RegistryContract, AServerThatHangsIsNoticedAndEverythingComesBackWhenItGoesOn) {
+  const auto short_lived = client(std::chrono::milliseconds(1500));
+  Seen<SessionState> states;
+  Seen<std::string> seen;
+  const auto listener = short_lived->on_session([&](SessionState state) { states.add(state); });
+  const auto held = short_lived->hold("/held", "");
+  const auto watch = short_lived->watch_node("/w", [&](const auto& node) { seen.add(text(node)); });
+  ASSERT_TRUE(states.wait_for_last(SessionState::connected));
+  place_->hang();
+  ASSERT_TRUE(states.wait_for_last(SessionState::expired));
+  auto change = std::async(std::launch::async, [&] { put(*short_lived, "/w", "changed"); });
+  place_->go_on();
+  change.get();
+  EXPECT_TRUE(states.wait_for_last(SessionState::connected));
+  EXPECT_TRUE(seen.wait_for_last("changed"));
+  EXPECT_TRUE(eventually([&] {
+    const auto node = other_->get("/held");
+    return node && node->owner_session == session_of(*short_lived);
+  }));
+}
+
 TEST_P(RegistryContract, ClosingEndsCallsThatWait) {
   auto third = client();
   third->get("/a");
