@@ -110,10 +110,10 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   log.info("{} received, stopping", received == SIGTERM ? "SIGTERM" : "SIGINT");
   end_at_second_signal();
 
-  // The service has the whole limit; the watchdog comes a little later, for what hangs all the same.
-  const StopWatchdog watchdog(options.name, options.stop_limit + std::chrono::milliseconds(500));
+  // The service has nine tenths of the limit; the rest is for its destruction. At the limit the process ends.
+  const StopWatchdog watchdog(options.name, options.stop_limit);
   try {
-    service->stop(options.stop_limit);
+    service->stop(options.stop_limit * 9 / 10);
     service.reset();
   } catch (const std::exception& e) {
     log.error("did not stop in order: {}", e.what());

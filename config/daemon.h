@@ -22,6 +22,7 @@ struct DaemonOptions {
   std::string description;  ///< one sentence for --help
   /// Reads and checks the whole configuration, and builds the service without starting it. \throws ConfigError.
   std::function<std::unique_ptr<Service>(const std::string& config_file)> build;
+  /// From the signal to the end of the process at the latest; the service is given a little less.
   std::chrono::milliseconds stop_limit{5000};
 };
 

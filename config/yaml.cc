@@ -52,8 +52,13 @@ std::string list_of(const std::vector<std::string>& words) {
   return text;
 }
 
-/// Duplicate keys, everywhere below `node`: yaml-cpp would let the first one win in silence.
-void refuse_duplicates(const YAML::Node& node, const std::string& file, const std::string& path) {
+/// Duplicate keys, everywhere below `node`: yaml-cpp would let the first one win in silence. And nesting without end,
+/// which an alias within its own anchor makes.
+void refuse_duplicates(const YAML::Node& node, const std::string& file, const std::string& path, int depth = 0) {
+  constexpr int deepest = 32;
+  if (depth > deepest) {
+    throw ConfigError(location(file, node.Mark()), "", "this is nested too deeply", "does an alias contain itself?");
+  }
   if (node.IsMap()) {
     std::set<std::string> seen;
     for (const auto& entry : node) {
@@ -65,11 +70,11 @@ void refuse_duplicates(const YAML::Node& node, const std::string& file, const st
         throw ConfigError(location(file, entry.first.Mark()), join(path, key), "this key stands here twice",
                           "remove one of them");
       }
-      refuse_duplicates(entry.second, file, join(path, key));
+      refuse_duplicates(entry.second, file, join(path, key), depth + 1);
     }
   } else if (node.IsSequence()) {
     for (std::size_t i = 0; i < node.size(); ++i) {
-      refuse_duplicates(node[i], file, path + "[" + std::to_string(i) + "]");
+      refuse_duplicates(node[i], file, path + "[" + std::to_string(i) + "]", depth + 1);
     }
   }
 }
@@ -101,7 +106,12 @@ Section Section::parse(std::string_view text, const std::string& name) {
   auto impl = std::make_shared<Impl>();
   impl->file = name;
   try {
-    impl->node = YAML::Load(std::string(text));
+    const std::vector<YAML::Node> documents = YAML::LoadAll(std::string(text));
+    if (documents.size() > 1) {
+      throw ConfigError(location(name, documents[1].Mark()), "", "a second document begins here",
+                        "remove the line \"---\"; only one document is read");
+    }
+    if (!documents.empty()) impl->node = documents.front();
   } catch (const YAML::Exception& e) {
     throw ConfigError(location(name, e.mark), "", "this is not YAML: " + e.msg, "");
   }

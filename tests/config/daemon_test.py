@@ -75,6 +75,14 @@ class Daemon(unittest.TestCase):
         daemon.send_signal(signal.SIGTERM)
         self.assertEqual(daemon.wait(30), 1)
 
+    def test_a_second_signal_ends_at_once_what_takes_long_to_stop(self):
+        daemon = self.start("stop: hang")
+        daemon.send_signal(signal.SIGTERM)
+        self.await_line(daemon, "stopping")
+        daemon.send_signal(signal.SIGTERM)
+        self.assertEqual(daemon.wait(30), 1)
+        self.assertNotIn("did not stop within its limit", daemon.stderr.read())
+
     def test_metrics_are_served_in_the_text_format(self):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))

@@ -45,5 +45,5 @@ int main(int argc, char** argv) {
       {.name = "tiny-daemon",
        .description = "Does nothing until it is stopped.",
        .build = [](const std::string& file) { return std::make_unique<TinyService>(file); },
-       .stop_limit = std::chrono::milliseconds(300)});
+       .stop_limit = std::chrono::seconds(3)});
 }

@@ -1,14 +1,16 @@
 #!/usr/bin/python3
-"""A room uses only the rooms that it may use: checks every include below a source tree against the table here.
+"""A room uses only the rooms that it may use: checks every include below a source tree, and what the targets of its
+CMakeLists.txt name, against the table here.
 
 usage: check_includes.py ROOT     (exit status 1 and a line for each violation)
 """
 
+import posixpath
 import re
 import sys
 from pathlib import Path
 
-# Room: the rooms whose headers it may include, besides its own.
+# Room: the rooms that it may use, besides itself.
 ROOMS = {
     "config": [],
     "brokers": ["config"],
@@ -22,7 +24,6 @@ ROOMS = {
 PARTS = {
     "topology/local": None,
     "topology/runtime": ["config", "brokers"],
-    "topology/endpoints": ["config", "brokers", "discovery"],
 }
 OUTSIDE = ("examples", "tests", "bench")  # users of the rooms
 # Only these may name an implementation: its own folder, the factory, and who starts the in-process servers.
@@ -32,10 +33,28 @@ IMPLEMENTATIONS = {
     "discovery/embedded": ["discovery/registry.cc", "topology/local/"],
     "discovery/zookeeper": ["discovery/registry.cc"],
 }
-INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]')
+THRIFT_OF_GATEWAY = re.compile(r"gateway/(\w+_types|T\w+Service)\.h$")
+INCLUDE = re.compile(r'^\s*#\s*include\s*([<"])([^>"]+)[>"]')
+TARGET = re.compile(r"^[ \t]*iotcloud_(room|program|plugin|thrift)\(([^()]*)\)", re.MULTILINE)
 
 
-def violation(file, included):
+def room_violation(file, target_room):
+    """Why `file` (relative to the root) may not use this room; None when it may."""
+    room = file.split("/")[0]
+    if room in OUTSIDE or room == target_room:
+        return None
+    if target_room not in ROOMS:
+        return f"{target_room}/ is no room that others may use"
+    part = next((part for part in PARTS if file.startswith(part + "/")), None)
+    allowed = PARTS[part] if part else ROOMS.get(room)
+    if part and allowed is None:
+        return None
+    if allowed is None or target_room not in allowed:
+        return f"{part or room}/ may use {', '.join(allowed or []) or 'no other room'}, not {target_room}/"
+    return None
+
+
+def include_violation(file, included):
     """Why `file` (relative to the root) may not include `included`; None when it may."""
     if included.startswith("../") or "/../" in included:
         return "an include goes by way of the one include path: <iotcloud/...>"
@@ -47,42 +66,78 @@ def violation(file, included):
         if target.startswith(implementation + "/") and not file.startswith((implementation + "/", "tests/")):
             if not any(file.startswith(place) for place in allowed):
                 return f"only {', '.join(allowed)} may name {implementation}/"
-    if room in OUTSIDE or room == target_room:
-        return None
-    if target_room not in ROOMS:
-        return f"{target_room}/ is no room that others may use"
-    part = next((part for part in PARTS if file.startswith(part + "/")), None)
-    allowed = PARTS[part] if part else ROOMS.get(room)
-    if part and allowed is None:
-        return None
-    if allowed is None or target_room not in allowed:
-        return f"{part or room}/ may use {', '.join(allowed or []) or 'no other room'}, not {target_room}/"
-    sdk_only = room == "drivers" or (room == "topology" and not part)
-    if sdk_only and target_room == "brokers" and target != "brokers/message.h":
-        return f"{room}/ may use <iotcloud/brokers/message.h> only"
-    if room == "master" and target_room == "gateway" and not re.search(r"gateway/(\w+_types|T\w+)\.h$", target):
+    reason = room_violation(file, target_room)
+    if reason:
+        return reason
+    sdk = room == "drivers" or posixpath.dirname(file) == "topology"
+    if sdk and target_room == "brokers" and target != "brokers/message.h":
+        return f"the SDK in {room}/ may use <iotcloud/brokers/message.h> only"
+    if room == "master" and target_room == "gateway" and not THRIFT_OF_GATEWAY.search(target):
         return "master/ may use the gateway's Thrift client only"
     return None
 
 
-def check(root):
-    problems = []
-    for path in sorted(root.rglob("*")):
-        file = path.relative_to(root).as_posix()
-        if path.suffix not in (".h", ".cc") or file.startswith(("build/", ".")):
+def check_source(root, file):
+    lines = (root / file).read_text().splitlines()
+    if file.endswith(".h") and "#pragma once" not in lines:
+        yield f"{file}:1: a header begins with #pragma once"
+    for number, line in enumerate(lines, 1):
+        include = INCLUDE.match(line)
+        if not include:
             continue
-        lines = path.read_text().splitlines()
-        if path.suffix == ".h" and "#pragma once" not in lines:
-            problems.append(f"{file}:1: a header begins with #pragma once")
-        for number, line in enumerate(lines, 1):
-            include = INCLUDE.match(line)
-            reason = violation(file, include.group(1)) if include else None
+        quote, included = include.groups()
+        # What lies beside the file is held to the same rules, whatever the way it is named.
+        if quote == '"' and (root / posixpath.dirname(file) / included).exists() and ".." not in included:
+            included = posixpath.join("iotcloud", posixpath.dirname(file), included)
+        reason = include_violation(file, included)
+        if reason:
+            yield f"{file}:{number}: {include.group(2)}: {reason}"
+
+
+def targets_of(root, file):
+    """(line, kind, name, names of the rooms' targets that it uses) of each target in a CMakeLists.txt."""
+    text = re.sub(r"#[^\n]*", "", (root / file).read_text())
+    for call in TARGET.finditer(text):
+        name, keyword, used = None, None, []
+        for word in call.group(2).split():
+            if word.isupper():
+                keyword = word
+            elif keyword == "NAME":
+                name = word
+            elif keyword == "USES" or word.startswith("iotcloud_"):
+                used.append(word.removeprefix("iotcloud_"))
+        yield text[: call.start()].count("\n") + 1, call.group(1), name, used
+
+
+def check_targets(root, files):
+    targets = [(file, *target) for file in files for target in targets_of(root, file)]
+    places = {name: (file, kind) for file, _, kind, name, _ in targets if kind != "program"}
+    for file, line, _, name, uses in targets:
+        room = file.split("/")[0]
+        for used in uses:
+            if used not in places:
+                yield f"{file}:{line}: {name} uses {used}, and no CMakeLists.txt makes that"
+                continue
+            place, kind = places[used]
+            reason = room_violation(file, place.split("/")[0])
+            if not reason and room == "master" and place.startswith("gateway/") and kind != "thrift":
+                reason = "master/ may use the gateway's Thrift client only"
+            if not reason and room == "drivers" and place.startswith("brokers/") and used != "message":
+                reason = "the SDK in drivers/ may use message of brokers/ only"
             if reason:
-                problems.append(f"{file}:{number}: {include.group(1)}: {reason}")
-    return problems
+                yield f"{file}:{line}: {name} uses {used}: {reason}"
+
+
+def check(root):
+    files = [path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file()]
+    files = [file for file in files if not file.startswith(("build/", ".")) and "/build/" not in file]
+    problems = [problem for file in files if file.endswith((".h", ".cc")) for problem in check_source(root, file)]
+    # tests/external is a project of its own.
+    recipes = [f for f in files if posixpath.basename(f) == "CMakeLists.txt" and not f.startswith("tests/external/")]
+    return problems + list(check_targets(root, recipes))
 
 
 if __name__ == "__main__":
     found = check(Path(sys.argv[1]).resolve())
-    print("\n".join(found) or "every include keeps the rooms apart")
+    print("\n".join(found) or "includes and targets keep the rooms apart")
     sys.exit(1 if found else 0)

@@ -32,6 +32,10 @@ class CheckIncludes(unittest.TestCase):
         self.assertFalse(self.problems("drivers/a.h", "#include <iotcloud/brokers/message.h>"))
         self.assertTrue(self.problems("drivers/a.h", "#include <iotcloud/brokers/broker.h>"))
 
+    def test_the_topologys_sdk_sees_messages_only_but_its_parts_see_brokers(self):
+        self.assertTrue(self.problems("topology/bolt.h", "#include <iotcloud/brokers/broker.h>"))
+        self.assertFalse(self.problems("topology/endpoints/a.cc", "#include <iotcloud/brokers/broker.h>"))
+
     def test_the_master_uses_only_the_gateways_thrift_client(self):
         self.assertFalse(self.problems("master/a.cc", '#include "iotcloud/gateway/TSensorSiteService.h"'))
         self.assertTrue(self.problems("master/a.cc", "#include <iotcloud/gateway/gateway.h>"))
@@ -41,6 +45,37 @@ class CheckIncludes(unittest.TestCase):
         self.assertFalse(self.problems("brokers/make_broker.cc", line))
         self.assertTrue(self.problems("brokers/broker.h", line))
         self.assertTrue(self.problems("gateway/a.cc", line))
+
+    def test_a_file_named_by_way_of_its_neighbour_is_held_to_the_same_rules(self):
+        with tempfile.TemporaryDirectory() as root:
+            (Path(root) / "brokers/rabbitmq").mkdir(parents=True)
+            (Path(root) / "brokers/rabbitmq/rabbitmq_broker.h").write_text("#pragma once\n")
+            (Path(root) / "brokers/a.cc").write_text('#include "rabbitmq/rabbitmq_broker.h"\n')
+            problems = check_includes.check(Path(root))
+            self.assertEqual(len(problems), 1, problems)
+            self.assertIn("may name brokers/rabbitmq/", problems[0])
+
+    def test_a_target_that_uses_a_room_it_may_not_use_is_named_with_file_and_line(self):
+        recipes = {
+            "brokers": "iotcloud_room(NAME message HEADERS message.h)\niotcloud_room(NAME brokers USES message)\n",
+            "gateway": "iotcloud_thrift(NAME gateway_idl FILE a.thrift)\niotcloud_room(NAME gateway USES brokers)\n",
+            "master": "# USES gateway\niotcloud_room(\n  NAME master\n  PRIVATE_LIBRARIES iotcloud_gateway_idl)\n",
+            "drivers": "iotcloud_room(NAME drivers USES message)\n",
+        }
+        self.assertEqual(self.problems_of(recipes), [])
+        for room, used in (("brokers", "gateway"), ("master", "gateway"), ("master", "brokers"), ("drivers", "brokers")):
+            added = {**recipes, room: recipes[room] + f"\niotcloud_room(NAME extra USES {used})\n"}
+            problems = self.problems_of(added)
+            self.assertEqual(len(problems), 1, problems)
+            line = added[room].count("\n")
+            self.assertTrue(problems[0].startswith(f"{room}/CMakeLists.txt:{line}: extra uses {used}"), problems)
+
+    def problems_of(self, recipes):
+        with tempfile.TemporaryDirectory() as root:
+            for room, recipe in recipes.items():
+                (Path(root) / room).mkdir()
+                (Path(root) / room / "CMakeLists.txt").write_text(recipe)
+            return check_includes.check(Path(root))
 
     def test_relative_includes_and_missing_guards_are_refused(self):
         self.assertTrue(self.problems("config/a.cc", '#include "../brokers/broker.h"'))
