@@ -120,9 +120,13 @@ std::vector<discovery::TopologyStatus> Master::topologies() const {
 }
 
 MasterStatus Master::status() const {
-  const auto epoch = impl_->leading_epoch();
-  return {impl_->options.id, epoch > 0, epoch, impl_->leader(),
-          impl_->registry.session() != discovery::SessionState::connected};
+  MasterStatus status;
+  status.id = impl_->options.id;
+  status.epoch = impl_->leading_epoch();
+  status.leading = status.epoch > 0;
+  status.registry_away = impl_->registry.session() != discovery::SessionState::connected;
+  if (!status.registry_away) status.leader = impl_->leader();  // else it would be waited for
+  return status;
 }
 
 }  // namespace iotcloud::master

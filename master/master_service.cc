@@ -54,7 +54,7 @@ class MasterService final : public config::Service {
   explicit MasterService(MasterDaemonConfig config) : config_(std::move(config)) {}
 
   void start() override {
-    registry_ = discovery::make_registry({config_.registry_url, milliseconds{10'000}, registry_timeout});
+    registry_ = discovery::make_registry({config_.registry_url, config_.session_timeout, registry_timeout});
     OriginalGatewaysOptions original_options;
     original_options.paths = discovery::Paths(config_.sensors_root);
     original_ = std::make_unique<OriginalGateways>(*registry_, original_options);
@@ -113,6 +113,8 @@ MasterDaemonConfig load_master_config(const std::string& file) {
   config.id = top.string_or("id", "master");
   config.registry_url = top.require_string("registry");
   config.sensors_root = top.string_or("zk.root", "/iot/sensors");
+  config.session_timeout =
+      std::chrono::duration_cast<milliseconds>(top.duration_or("registry.session_timeout", config.session_timeout));
   if (auto api = top.optional_section("api")) {
     read_address(*api, config.api);
     config.advertise = api->string_or("advertise", "");
@@ -130,8 +132,8 @@ MasterDaemonConfig load_master_config(const std::string& file) {
     metrics->finish();
   }
   if (auto orders = top.optional_section("orders")) {
-    config.outcome_timeout = std::chrono::duration_cast<milliseconds>(
-        orders->duration_or("wait", std::chrono::duration_cast<std::chrono::microseconds>(config.outcome_timeout)));
+    config.outcome_timeout =
+        std::chrono::duration_cast<milliseconds>(orders->duration_or("wait", config.outcome_timeout));
     config.record_for_lost_gateways =
         orders->choice_or("for_lost_gateways", "record", {"record", "refuse"}) == "record";
     orders->finish();

@@ -19,6 +19,7 @@ struct MasterDaemonConfig {
   std::string id;
   std::string registry_url;
   std::string sensors_root;  ///< zk.root
+  std::chrono::milliseconds session_timeout{10'000};
   ListenAddress api{"127.0.0.1", 12904};
   ListenAddress gateways{"127.0.0.1", 12903};
   std::string token;            ///< api.token_file's first line; empty: none is asked for

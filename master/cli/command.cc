@@ -169,8 +169,32 @@ int show_topologies(const Command& command, MasterClient& master, std::ostream& 
   return exit_ok;
 }
 
+/// What a master says of itself.
+std::string role(const wire::TMasterStatus& status) {
+  if (status.leading) return fmt::format("leads, epoch {}", status.epoch);
+  return status.leader.empty() ? "standby; no master leads" : fmt::format("standby; {} leads", status.leader);
+}
+
+Json to_json(const wire::TMasterStatus& status, const std::string& address) {
+  return {{"id", status.id},         {"address", address},    {"leading", status.leading},
+          {"leader", status.leader}, {"epoch", status.epoch}, {"registry", status.registryAway ? "away" : "connected"}};
+}
+
+/// All that can be said while the master has no connection to the registry.
+int show_status_without_registry(const Command& command, MasterClient& master, const wire::TMasterStatus& status,
+                                 std::ostream& out) {
+  if (command.format == Format::table) {
+    print_table(out, {"master", fmt::format("{} at {} ({})", printable(status.id), master.address(), role(status))},
+                {{"registry", "away; the master keeps trying to reach it"}});
+  } else {
+    print_data(out, command.format, {{"master", to_json(status, master.address())}});
+  }
+  return exit_failed;
+}
+
 int show_status(const Command& command, MasterClient& master, std::ostream& out) {
   const auto status = master.status();
+  if (status.registryAway) return show_status_without_registry(command, master, status, out);
   const auto gateways = master.gateways();
   const auto topologies = master.topologies();
   std::map<std::string, int> drivers;
@@ -188,11 +212,8 @@ int show_status(const Command& command, MasterClient& master, std::ostream& out)
     const auto or_none = [](const std::vector<std::string>& items) {
       return items.empty() ? "none" : fmt::format("{}", fmt::join(items, ", "));
     };
-    const auto role = status.leading          ? fmt::format("leads, epoch {}", status.epoch)
-                      : status.leader.empty() ? "standby; no master leads"
-                                              : fmt::format("standby; {} leads", status.leader);
-    print_table(out, {"master", fmt::format("{} at {} ({})", printable(status.id), master.address(), role)},
-                {{"registry", status.registryAway ? "away" : "connected"},
+    print_table(out, {"master", fmt::format("{} at {} ({})", printable(status.id), master.address(), role(status))},
+                {{"registry", "connected"},
                  {"gateways", fmt::format("{} ready{}", ready, lost > 0 ? fmt::format(", {} lost", lost) : "")},
                  {"drivers", or_none(states)},
                  {"topologies", printable(or_none(names))}});
@@ -202,13 +223,7 @@ int show_status(const Command& command, MasterClient& master, std::ostream& out)
   for (const auto& topology : topologies)
     names.push_back({{"topology", topology.name}, {"workers", topology.workers.size()}});
   print_data(out, command.format,
-             {{"master",
-               {{"id", status.id},
-                {"address", master.address()},
-                {"leading", status.leading},
-                {"leader", status.leader},
-                {"epoch", status.epoch},
-                {"registry", status.registryAway ? "away" : "connected"}}},
+             {{"master", to_json(status, master.address())},
               {"gateways", {{"ready", ready}, {"lost", lost}}},
               {"drivers", drivers},
               {"topologies", names}});
@@ -287,7 +302,7 @@ int order(const Command& command, MasterClient& master, std::ostream& out, std::
 
 int run(const Command& command, std::ostream& out, std::ostream& err) {
   try {
-    MasterClient master(command.masters, command.token);
+    MasterClient master(command.masters, command.token, command.election_patience);
     switch (command.verb) {
       case Verb::gateways:
         return show_gateways(command, master, out);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <iosfwd>
 #include <map>
@@ -26,6 +27,8 @@ struct Command {
   std::map<std::string, std::string> metadata;
   int count = 1;
   std::int64_t wait_ms = 0;  ///< 0: as long as the master thinks fit
+  /// How long an order is offered again while no master leads: longer than an election takes after a leader died.
+  std::chrono::milliseconds election_patience{20'000};
 };
 
 /// What scripts may rely on.

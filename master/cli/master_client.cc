@@ -31,8 +31,7 @@ constexpr int read_timeout_ms = 30'000;
 constexpr int order_margin_ms = 30'000;
 /// Longest wait of a master that is not asked for one.
 constexpr int longest_own_wait_ms = 600'000;
-/// A fleet without a leader is electing one: this long it is worth waiting for.
-constexpr std::chrono::seconds election_patience{15};
+constexpr std::chrono::milliseconds election_pause{200};
 
 std::pair<std::string, int> split(const std::string& address) {
   const auto colon = address.rfind(':');
@@ -53,6 +52,7 @@ std::pair<std::string, int> split(const std::string& address) {
 struct MasterClient::Impl {
   std::vector<std::string> addresses;
   std::string token;
+  std::chrono::milliseconds election_patience;
   std::string address;  ///< of the connection, and of the last one after it broke
   std::shared_ptr<TSocket> socket;
   std::unique_ptr<TMasterAPIServiceClient> client;
@@ -123,26 +123,39 @@ struct MasterClient::Impl {
                         "drivers` shows what is there",
                         address, e.what()));
       }
-      if (answer.refusal != wire::TRefusal::NOT_LEADING || std::chrono::steady_clock::now() > patience) return answer;
+      if (answer.refusal != wire::TRefusal::NOT_LEADING) return answer;
       // Nothing was written: the order may be given again.
+      const auto standby = address;
       const auto leader = answer.__isset.leader ? answer.leader : "";
-      if (leader.empty() || leader == address) std::this_thread::sleep_for(std::chrono::milliseconds(200));
-      if (leader.empty()) continue;
-      try {
-        connect(leader);
-      } catch (const TException& e) {
-        throw Unreachable(fmt::format("master {} is on standby and names {} as the leader, which does not answer: {}",
-                                      address, leader, e.what()));
+      std::string silence;
+      if (!leader.empty() && leader != standby) {
+        try {
+          connect(leader);
+          continue;
+        } catch (const TException& e) {
+          silence = e.what();
+        }
       }
+      // No leader, or one that has just died: the others are electing another.
+      if (std::chrono::steady_clock::now() > patience) {
+        if (silence.empty()) return answer;
+        throw Unreachable(fmt::format("master {} is on standby and names {} as the leader, which does not answer: {}",
+                                      standby, leader, silence));
+      }
+      std::this_thread::sleep_for(election_pause);
+      if (!client) connect_any();
     }
   }
 };
 
-MasterClient::MasterClient(std::vector<std::string> addresses, std::string token) : impl_(std::make_unique<Impl>()) {
+MasterClient::MasterClient(std::vector<std::string> addresses, std::string token,
+                           std::chrono::milliseconds election_patience)
+    : impl_(std::make_unique<Impl>()) {
   apache::thrift::GlobalOutput.setOutputFunction([](const char*) {});  // every error comes as an exception too
   for (const auto& address : addresses) split(address);
   impl_->addresses = std::move(addresses);
   impl_->token = std::move(token);
+  impl_->election_patience = election_patience;
 }
 
 MasterClient::~MasterClient() = default;

@@ -32,7 +32,8 @@ class MasterClient {
  public:
   /// \param addresses "host:port" of some masters. \throws std::invalid_argument for one that is none.
   /// \param token for authenticate(); empty: none.
-  MasterClient(std::vector<std::string> addresses, std::string token);
+  /// \param election_patience how long an order is offered again while no master leads.
+  MasterClient(std::vector<std::string> addresses, std::string token, std::chrono::milliseconds election_patience);
   ~MasterClient();
 
   /// \throws Unreachable, Failed
@@ -42,7 +43,7 @@ class MasterClient {
   std::vector<wire::TTopology> topologies();
 
   /// Gives an order to the master that leads. An order is sent once: when its answer is lost, it is not repeated.
-  /// \param wait how long the master may wait for outcomes. \throws Unreachable, Failed
+  /// \throws Unreachable, Failed
   wire::TOrderResponse deploy(const wire::TDeployRequest& request);
   wire::TOrderResponse undeploy(const wire::TInstanceSelection& selection);
   wire::TOrderResponse start(const wire::TInstanceSelection& selection);

@@ -1,5 +1,6 @@
 #include <cstdio>
 #include <fstream>
+#include <future>
 #include <map>
 #include <optional>
 #include <sstream>
@@ -10,6 +11,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/api_handler.h>
+#include <iotcloud/master/cli/command.h>
 #include <iotcloud/master/thrift_server.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
@@ -219,7 +221,7 @@ TEST_F(Cli, FollowsTheLeaderWhenItAskedAStandby) {
   EXPECT_THAT(status.out, HasSubstr("standby; " + address() + " leads"));
 }
 
-TEST_F(Cli, ALeaderThatDoesNotAnswerIsSaid) {
+TEST_F(Cli, ALeaderThatDoesNotAnswerIsSaidWhenPatienceEnds) {
   auto options = TestMaster::quick();
   options.id = "m2";
   TestMaster standby(url, options);
@@ -227,10 +229,51 @@ TEST_F(Cli, ALeaderThatDoesNotAnswerIsSaid) {
   ThriftServer standby_server({}, serve_api(*standby, ""));
   const auto leader = address();
   server.reset();
-  const auto done = test::run_program(
-      {IOTCLOUD_CLI, "--master", "127.0.0.1:" + std::to_string(standby_server.port()), "deploy", "turtle.so", "--all"});
-  EXPECT_EQ(done.status, 3);
-  EXPECT_THAT(done.err, AllOf(HasSubstr("standby"), HasSubstr(leader)));
+  cli::Command command;
+  command.verb = cli::Verb::deploy;
+  command.masters = {"127.0.0.1:" + std::to_string(standby_server.port())};
+  command.plugin = "turtle.so";
+  command.election_patience = std::chrono::milliseconds(1);
+  std::ostringstream out, err;
+  EXPECT_EQ(cli::run(command, out, err), 3);
+  EXPECT_THAT(err.str(), AllOf(HasSubstr("standby"), HasSubstr(leader)));
+}
+
+TEST_F(Cli, AnOrderWaitsForTheSuccessorOfALeaderThatDied) {
+  FakeGateway gateway(url, "lab1");
+  auto options = TestMaster::quick();
+  options.id = "m2";
+  options.address = "127.0.0.1:1";  // nobody is sent there: it leads before anyone asks it for the leader
+  TestMaster standby(url, options);
+  ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
+  ThriftServer standby_server({}, serve_api(*standby, ""));
+  server.reset();  // the leader is silent, and the registry does not know it yet
+  auto done = std::async(std::launch::async, [&] {
+    cli::Command command;
+    command.verb = cli::Verb::deploy;
+    command.masters = {"127.0.0.1:" + std::to_string(standby_server.port())};
+    command.plugin = "turtle.so";
+    std::ostringstream out, err;
+    return std::pair(cli::run(command, out, err), err.str());
+  });
+  EXPECT_EQ(done.wait_for(std::chrono::milliseconds(50)), std::future_status::timeout);
+  master->end();
+  const auto [status, text] = done.get();
+  EXPECT_EQ(status, 0) << text;
+  EXPECT_THAT(gateway.orders(), SizeIs(1));
+}
+
+TEST_F(Cli, StatusIsSaidWhileTheRegistryIsAway) {
+  const auto nowhere = test::open_registry("zookeeper://127.0.0.1:1");
+  Master alone(*nowhere, TestMaster::quick());
+  ThriftServer alone_server({}, serve_api(alone, ""));
+  const auto at = "127.0.0.1:" + std::to_string(alone_server.port());
+  const auto table = run({"--master", at, "status"});
+  EXPECT_EQ(table.status, 1);
+  EXPECT_THAT(table.out, AllOf(HasSubstr("m1 at " + at), HasSubstr("away")));
+  const auto answer = json::parse(run({"--master", at, "status", "-o", "json"}).out);
+  EXPECT_EQ(answer["master"]["registry"], "away");
+  EXPECT_THAT(run({"--master", at, "deploy", "turtle.so", "--all"}).err, HasSubstr("registry is away"));
 }
 
 TEST_F(Cli, AsksTheNextMasterWhenTheFirstIsAway) {
