@@ -53,6 +53,7 @@ struct Gateway::Impl {
   struct Entry {
     OrderRecord order;
     std::int64_t order_version = -1;
+    std::int64_t order_created = 0;  ///< with the version: which writing of the order this is
     InstanceStatus status;
     bool in_fleet = false;
     bool removing = false;
@@ -242,7 +243,10 @@ void Gateway::Impl::names_changed(const std::set<std::string>& names) {
 void Gateway::Impl::order_changed(const std::string& instance, const std::optional<discovery::Node>& node) {
   if (stopping || !node) return;  // its going is seen by its name's going
   const auto entry = entries.find(instance);
-  if (entry != entries.end() && entry->second.order_version == node->version) return;
+  if (entry != entries.end() && entry->second.order_version == node->version &&
+      entry->second.order_created == node->created) {
+    return;
+  }
   try {
     const auto order = discovery::decode_order(node->data, options.paths.order(options.id, instance));
     if (order.instance != instance) {
@@ -260,6 +264,9 @@ void Gateway::Impl::order_changed(const std::string& instance, const std::option
       epoch = std::max(epoch, order.epoch);
     }
     apply(order, node->version);
+    if (const auto followed = entries.find(instance); followed != entries.end()) {
+      followed->second.order_created = node->created;
+    }
   } catch (const std::exception& e) {
     log.error("an order is ignored: {}", e.what());
   }
