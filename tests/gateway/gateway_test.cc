@@ -93,6 +93,18 @@ TEST_F(GatewayTest, NewPropertiesReplaceTheInstance) {
   }));
 }
 
+TEST_F(GatewayTest, AnOrderTakenBackAndGivenAnewAtOnceIsFollowed) {
+  start_gateway();
+  give(order("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  take_back("a");
+  give(order("a", {{"shared", "true"}}));
+  EXPECT_TRUE(eventually([&] {
+    const auto now = record("a");
+    return now && now->state == DriverState::active && now->channels.at(0).shared;
+  }));
+}
+
 TEST_F(GatewayTest, APluginOutsideThePluginFolderIsRefused) {
   start_gateway();
   auto wanted = order("a");
