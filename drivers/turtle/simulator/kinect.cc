@@ -101,6 +101,7 @@ IOTCLOUD_PIXEL_LOOP void measure(const float* inverse_depth, const float* neighb
 }  // namespace
 
 Kinect::Kinect(std::uint64_t seed) : random_(seed) {
+  SensorNoise::shared();  // made now, not in the first frame
   for (int row = 0; row < rows; ++row) {
     floor_[row] = std::max(0.0f, (static_cast<float>(row) - center_y) / (focal * eye));
   }

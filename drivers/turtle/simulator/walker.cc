@@ -17,10 +17,11 @@ constexpr double pause_share = 0.15;
 }  // namespace
 
 Walker::Walker(std::uint64_t seed) : random_(seed) {
-  // Together they stay within 0.4 m of the mean radius, and turn no tighter than the person does on purpose.
-  constexpr double largest[] = {0.16, 0.12, 0.08, 0.04};
+  // Together they stay within 0.4 m of the mean radius; the last makes the person turn left and right every metre.
+  constexpr Wave largest[] = {{2, 0.15, 0}, {3, 0.10, 0}, {5, 0.07, 0}, {8, 0.06, 0}};
   for (std::size_t i = 0; i < waves_.size(); ++i) {
-    waves_[i] = {random_.uniform(0.3, 1.0) * largest[i], random_.uniform(0, 2 * std::numbers::pi)};
+    waves_[i] = {largest[i].frequency, random_.uniform(0.5, 1.0) * largest[i].amplitude,
+                 random_.uniform(0, 2 * std::numbers::pi)};
   }
   direction_ = random_.uniform(0, 1) < 0.5 ? -1 : 1;
   angle_ = random_.uniform(0, 2 * std::numbers::pi);
@@ -30,10 +31,9 @@ Walker::Walker(std::uint64_t seed) : random_(seed) {
 
 Walker::Point Walker::path(double angle) const {
   double radius = mean_radius, slope = 0;
-  for (std::size_t i = 0; i < waves_.size(); ++i) {
-    const double frequency = static_cast<double>(i + 2);
-    radius += waves_[i].amplitude * std::cos(frequency * angle + waves_[i].phase);
-    slope -= waves_[i].amplitude * frequency * std::sin(frequency * angle + waves_[i].phase);
+  for (const Wave& wave : waves_) {
+    radius += wave.amplitude * std::cos(wave.frequency * angle + wave.phase);
+    slope -= wave.amplitude * wave.frequency * std::sin(wave.frequency * angle + wave.phase);
   }
   const double c = std::cos(angle), s = std::sin(angle);
   return {stretch * radius * c, radius * s, stretch * (slope * c - radius * s), slope * s + radius * c};

@@ -38,10 +38,10 @@ class Walker {
   void choose_speed();
 
   struct Wave {
-    double amplitude, phase;
+    double frequency, amplitude, phase;
   };
   Random random_;
-  std::array<Wave, 4> waves_{};  ///< of the path's radius, 2 to 5 a round
+  std::array<Wave, 4> waves_{};  ///< of the path's radius; the frequency is for one round
   double direction_ = 1;         ///< 1: counter-clockwise
   double angle_ = 0;             ///< where on the path, seen from the table
   Pose pose_;
