@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <map>
+#include <memory>
 #include <mutex>
 #include <shared_mutex>
 #include <utility>
@@ -136,7 +138,8 @@ class ZooKeeperConnection : public Connection {
     Done done;
   };
 
-  /// Not from a callback of the library: it waits for them. Calls that are under way are answered with `away`.
+  /// Not from a callback of the library: it waits for them. Calls that are under way are answered with `away`, by us:
+  /// the library forgets those whose answer its thread has not passed on yet.
   void close() {
     zhandle_t* handle = nullptr;
     {
@@ -144,6 +147,12 @@ class ZooKeeperConnection : public Connection {
       handle = std::exchange(handle_, nullptr);
     }
     if (handle != nullptr) zookeeper_close(handle);  // not under the lock: callbacks that run still want it
+    std::map<const void*, std::unique_ptr<Request>> forgotten;
+    {
+      const std::lock_guard lock(requests_mutex_);
+      forgotten.swap(requests_);
+    }
+    for (const auto& [key, request] : forgotten) request->done(with_status(ZCLOSING));
   }
 
   /// A read of a node that is not there sets no watch: asking whether it exists does. When it came in between, the
@@ -173,19 +182,31 @@ class ZooKeeperConnection : public Connection {
     auto request = std::make_unique<Request>(Request{this, std::move(done)});
     int code = ZINVALIDSTATE;
     {
-      const std::shared_lock lock(mutex_);
-      if (handle_ != nullptr) code = call(handle_, request.get());
+      const std::shared_lock lock(mutex_);  // close() cannot come in between
+      if (handle_ != nullptr) {
+        const void* key = request.get();
+        remember(std::move(request));
+        code = call(handle_, key);
+        if (code == ZOK) return;
+        request = taken(key);
+      }
     }
-    if (code == ZOK) {
-      static_cast<void>(request.release());  // finish() owns it now
-    } else {
-      request->done(with_status(code));
-    }
+    request->done(with_status(code));
   }
 
-  static void finish(const void* request, Reply reply) {
-    const std::unique_ptr<const Request> owned(static_cast<const Request*>(request));
-    owned->done(std::move(reply));
+  void remember(std::unique_ptr<Request> request) {
+    const std::lock_guard lock(requests_mutex_);
+    const void* key = request.get();
+    requests_.emplace(key, std::move(request));
+  }
+
+  std::unique_ptr<Request> taken(const void* key) {
+    const std::lock_guard lock(requests_mutex_);
+    return std::move(requests_.extract(key).mapped());
+  }
+
+  static void finish(const void* key, Reply reply) {
+    static_cast<const Request*>(key)->connection->taken(key)->done(std::move(reply));
   }
 
   static void on_created(int code, const char* path, const void* request) {
@@ -248,6 +269,8 @@ class ZooKeeperConnection : public Connection {
   Events events_;  ///< constant after open()
   std::shared_mutex mutex_;
   zhandle_t* handle_ = nullptr;  ///< guarded by mutex_: shared to call, exclusive to replace
+  std::mutex requests_mutex_;
+  std::map<const void*, std::unique_ptr<Request>> requests_;  ///< not answered yet; guarded by requests_mutex_
 };
 
 }  // namespace
