@@ -220,6 +220,9 @@ INSTANTIATE_TEST_SUITE_P(
               with_bolt("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f]\n"
                         "    properties: {whenFull: drop}\n"),
               "t.yaml:15:18: bolts.b.properties.whenFull", "keep_newest"},
+        Wrong{"a sending bolt that does not say to whom",
+              with_bolt("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f]\n"),
+              "t.yaml:14:5: bolts.b.fields", "driverID"},
         Wrong{"a negative number of threads", "topology.name: t\nruntime: {threads: -1}\n",
               "t.yaml:2:11: runtime.threads", "from 0"}));
 
@@ -233,7 +236,9 @@ class EmptySpout final : public Spout {
 };
 class PassBolt final : public BasicBolt {
  public:
-  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare(Fields{"f"}); }
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"control", "driverID", "time"});
+  }
   void execute(const Tuple& tuple, BasicOutputCollector& collector) override { collector.emit(Values(tuple.at(0))); }
 };
 
@@ -263,7 +268,7 @@ class Assemble : public ::testing::Test {
 TEST_F(Assemble, JoinsTheOuterLayerInYamlWithTheAlgorithmInCpp) {
   components.set_application([](TopologyBuilder& builder, const Config&) {
     builder.set_bolt<PassBolt>("count").shuffle_grouping("kinect_receive");
-    builder.bolt("count_send").fields_grouping("count", Fields{"f"});
+    builder.bolt("count_send").fields_grouping("count", Fields{"driverID"});
   });
   const auto topology = assemble_text(paper_example);
   ASSERT_THAT(topology.components, SizeIs(3));
@@ -295,6 +300,12 @@ TEST_F(Assemble, RefusesAnUnknownSourceAtItsInput) {
 TEST_F(Assemble, RefusesAKeyThatTheSourceDoesNotDeclare) {
   EXPECT_THAT(refusal(with_bolt("    class: test.Pass\n    inputs: {from: s, grouping: fields, fields: [g]}\n")),
               AllOf(StartsWith("t.yaml:10:3: bolts.b"), HasSubstr("\"g\"")));
+}
+
+TEST_F(Assemble, RefusesASendingBoltWhoseFieldsItsInputDoesNotHave) {
+  EXPECT_THAT(refusal(with_bolt("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f, driverID]\n"
+                                "    inputs: {from: s}\n")),
+              AllOf(StartsWith("t.yaml:14:5: bolts.b.fields"), HasSubstr("driverID")));
 }
 
 TEST_F(Assemble, RefusesATopologyWithoutSpout) {

@@ -73,6 +73,23 @@ const InputDefinition* unknown_input(const TopologyDefinition& definition, const
                             guess.empty() ? "the file has " + list : "did you mean \"" + guess + "\"?");
 }
 
+/// A bolt that sends takes its fields by name from the tuples that it gets.
+void check_sent_fields(const TopologyDefinition& definition, const Topology& topology) {
+  for (const auto& bolt : definition.bolts) {
+    if (!bolt.endpoint) continue;
+    const auto spec = std::find_if(topology.components.begin(), topology.components.end(),
+                                   [&](const ComponentSpec& component) { return component.id == bolt.id; });
+    for (const auto& input : spec->inputs) {
+      const Fields& given = topology.streams.at(input.from).at(input.stream).fields;
+      for (const auto& field : bolt.endpoint->fields) {
+        if (given.find(field)) continue;
+        throw bolt.section.error("fields", "its input \"" + input.from + "\" has no field \"" + field + "\"",
+                                 "its fields are: " + given.list());
+      }
+    }
+  }
+}
+
 }  // namespace
 
 Topology assemble(const TopologyDefinition& definition, const ComponentRegistry& components,
@@ -97,7 +114,9 @@ Topology assemble(const TopologyDefinition& definition, const ComponentRegistry&
     if (components.application()) apply(components.application(), builder, definition);
     for (const auto& bolt : definition.bolts) connect_inputs(builder, bolt);
     if (const auto* input = unknown_input(definition, builder)) refuse_unknown_source(definition, *input);
-    return builder.build(definition.name, definition.conf);
+    auto topology = builder.build(definition.name, definition.conf);
+    check_sent_fields(definition, topology);
+    return topology;
   } catch (const TopologyError& error) {
     throw at_its_place(definition, error);
   }

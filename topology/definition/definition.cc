@@ -125,8 +125,15 @@ ComponentDefinition read_spout(const std::string& id, Section section, const std
 
 ComponentDefinition read_bolt(const std::string& id, Section section, const std::vector<std::string>& brokers) {
   auto bolt = read_component(id, section, brokers);
-  if (bolt.endpoint) read_sending_options(section, bolt.endpoint->sending);
-  bolt.tick = section.duration_or("tick", bolt.tick);
+  if (bolt.endpoint) {
+    read_sending_options(section, bolt.endpoint->sending);
+    bolt.tick = std::chrono::seconds(1);  // its own, see BrokerBolt
+    if (!std::count(bolt.endpoint->roles.begin(), bolt.endpoint->roles.end(), FieldRole::driver_id)) {
+      throw section.error("fields", "no field says which driver a tuple is for", "add \"driverID\"");
+    }
+  } else {
+    bolt.tick = section.duration_or("tick", bolt.tick);
+  }
   for (auto& input : section.section_list("inputs")) {
     InputDefinition definition{input.require_string("from"), input.string_or("stream", default_stream),
                                input.choice_or("grouping", "shuffle", grouping_names()),

@@ -7,10 +7,6 @@ namespace iotcloud::topology {
 
 namespace {
 
-const config::Logger logger{"topology.endpoints"};
-/// A burst is over when nothing of its kind came for so long.
-constexpr std::chrono::seconds burst_end{10};
-
 std::string text_of(const Value& value) {
   return std::visit(
       [](const auto& v) -> std::string {
@@ -32,9 +28,7 @@ std::string text_of(const Value& value) {
 
 void BrokerBolt::prepare(const Config&, const TopologyContext& context, OutputCollector& collector) {
   collector_ = &collector;
-  component_ = context.component;
-  unknown_ = &services_->metrics->counter("iotcloud_bolt_unknown_driver_total", "Tuples for a driver that is not there",
-                                          {{"topology", context.topology}, {"component", context.component}});
+  first_task_ = context.task_index == 0;
   routes_->join();
 }
 
@@ -44,18 +38,10 @@ void BrokerBolt::cleanup() {
 
 void BrokerBolt::execute(const Tuple& tuple) {
   if (tuple.is_tick()) {
-    routes_->reset_timeouts();
-    collector_->ack(tuple);
+    if (first_task_) routes_->on_tick();
     return;
   }
-  brokers::Message message = message_of(tuple);
-  const auto route = routes_->find(message.driver_id);
-  if (!route.sender) {
-    no_route(tuple, message.driver_id);
-    return;
-  }
-  message.gateway_id = route.gateway;
-  route.sender->send(std::move(message), tuple, *collector_);
+  routes_->send(message_of(tuple), tuple, *collector_);
 }
 
 brokers::Message BrokerBolt::message_of(const Tuple& tuple) const {
@@ -84,21 +70,6 @@ brokers::Message BrokerBolt::message_of(const Tuple& tuple) const {
   }
   if (message.time_ms == 0) message.time_ms = services_->clock->wall_ms();
   return message;
-}
-
-void BrokerBolt::no_route(const Tuple& tuple, const std::string& driver_id) {
-  unknown_->add();
-  const auto now = services_->clock->now();
-  if (!last_unknown_ || now - *last_unknown_ > burst_end) {
-    logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"; further ones are only counted",
-                component_, endpoint_.driver, driver_id, endpoint_.channel);
-  }
-  last_unknown_ = now;
-  if (endpoint_.sending.unknown_driver == UnknownDriver::fail) {
-    collector_->fail(tuple);
-  } else {
-    collector_->ack(tuple);
-  }
 }
 
 }  // namespace iotcloud::topology

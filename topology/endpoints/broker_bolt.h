@@ -1,7 +1,6 @@
 #pragma once
 
 #include <memory>
-#include <optional>
 
 #include <iotcloud/topology/bolt.h>
 #include <iotcloud/topology/endpoints/route_table.h>
@@ -9,8 +8,7 @@
 namespace iotcloud::topology {
 
 /// Sends tuples to a driver's channel: each to the driver instance that its field driverID names, its field `time`
-/// carried on. A tuple is acked when its message was accepted; one for a driver that is not there is counted, said once
-/// a burst, and acked or failed as `unknownDriver` says.
+/// carried on. A tuple is acked when its message was accepted.
 class BrokerBolt final : public Bolt {
  public:
   BrokerBolt(EndpointServicesPtr services, std::shared_ptr<RouteTable> routes, EndpointDefinition endpoint)
@@ -22,15 +20,12 @@ class BrokerBolt final : public Bolt {
 
  private:
   brokers::Message message_of(const Tuple& tuple) const;
-  void no_route(const Tuple& tuple, const std::string& driver_id);
 
   const EndpointServicesPtr services_;
   const std::shared_ptr<RouteTable> routes_;
   const EndpointDefinition endpoint_;
   OutputCollector* collector_ = nullptr;
-  config::Counter* unknown_ = nullptr;
-  std::string component_;
-  std::optional<config::Clock::Instant> last_unknown_;
+  bool first_task_ = false;
 };
 
 }  // namespace iotcloud::topology

@@ -14,6 +14,9 @@ EndpointFactories endpoint_factories(EndpointServicesPtr services) {
   };
   factories.bolt = [services](const ComponentDefinition& bolt) -> BoltFactory {
     auto routes = std::make_shared<RouteTable>(services, bolt.id, *bolt.endpoint);
+    services->before_stop.emplace_back([weak = std::weak_ptr(routes)] {
+      if (const auto alive = weak.lock()) alive->end_grace();
+    });
     return [services, routes, endpoint = *bolt.endpoint] {
       return std::make_unique<BrokerBolt>(services, routes, endpoint);
     };

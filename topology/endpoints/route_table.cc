@@ -8,19 +8,27 @@ namespace iotcloud::topology {
 namespace {
 
 const config::Logger logger{"topology.endpoints"};
+/// A burst is over when nothing of its kind came for so long.
+constexpr std::chrono::seconds burst_end{10};
+/// So many ids of instances that went are remembered.
+constexpr std::size_t most_departed = 10'000;
 
 }  // namespace
 
 RouteTable::RouteTable(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint)
     : services_(std::move(services)), component_(std::move(component)), endpoint_(std::move(endpoint)) {}
 
+RouteTable::~RouteTable() = default;
+
 void RouteTable::join() {
   const std::lock_guard joining(joining_);
   if (tasks_++ > 0) return;
   {
     const std::lock_guard lock(mutex_);
-    meters_ = std::make_shared<SenderMeters>(
-        *services_->metrics, config::Labels{{"topology", services_->topology}, {"component", component_}});
+    const config::Labels labels{{"topology", services_->topology}, {"component", component_}};
+    meters_ = std::make_shared<SenderMeters>(*services_->metrics, labels);
+    unknown_ = &services_->metrics->counter("iotcloud_bolt_unknown_driver_total",
+                                            "Tuples for a driver that is not there", labels);
   }
   discovery::DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const discovery::ChannelRecord& channel) { on_channel(channel); };
@@ -30,36 +38,144 @@ void RouteTable::join() {
 }
 
 void RouteTable::leave(const OutputCollector& collector) {
+  std::deque<Waiting> forgotten;
   const std::lock_guard joining(joining_);
-  std::set<std::shared_ptr<ChannelSender>> senders;
   {
-    const std::lock_guard lock(mutex_);
-    for (const auto& [id, route] : routes_) senders.insert(route.sender);
+    std::unique_lock lock(mutex_);
+    sent_.wait(lock, [&] { return sending_ != &collector; });
+    for (auto& [id, line] : waiting_) {
+      for (auto& waiting : line) {
+        if (waiting.collector == &collector) forgotten.push_back(std::move(waiting));
+      }
+      waiting_count_ -= std::erase_if(line, [](const Waiting& waiting) { return !waiting.tuple; });
+    }
   }
-  for (const auto& sender : senders) sender->forget(collector);
+  for (const auto& sender : senders()) sender->forget(collector);
   if (--tasks_ > 0) return;
   directory_.reset();  // no callback runs any more
+  const auto last = senders();
   {
     const std::lock_guard lock(mutex_);
     routes_.clear();
     senders_.clear();
   }
-  for (const auto& sender : senders) sender->close();
+  for (const auto& sender : last) sender->close();
 }
 
-RouteTable::Route RouteTable::find(const std::string& driver_id) const {
+std::set<std::shared_ptr<ChannelSender>> RouteTable::senders() const {
+  std::set<std::shared_ptr<ChannelSender>> all;
   const std::lock_guard lock(mutex_);
-  const auto found = routes_.find(driver_id);
-  return found == routes_.end() ? Route{} : found->second;
+  for (const auto& [id, route] : routes_) all.insert(route.sender);
+  return all;
 }
 
-void RouteTable::reset_timeouts() {
-  std::set<std::shared_ptr<ChannelSender>> senders;
+void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollector& collector) {
+  std::unique_lock lock(mutex_);
+  const auto line = waiting_.find(message.driver_id);
+  const auto route = routes_.find(message.driver_id);
+  if (route != routes_.end() && line == waiting_.end()) {
+    const auto sender = route->second.sender;
+    message.gateway_id = route->second.gateway;
+    lock.unlock();
+    sender->send(std::move(message), tuple, collector);
+    return;
+  }
+  const bool waits = line != waiting_.end() || (!no_grace_ && !departed_.contains(message.driver_id));
+  if (waits && waiting_count_ < most_waiting) {
+    ++waiting_count_;
+    std::string id = message.driver_id;
+    waiting_[id].push_back({std::move(message), tuple, &collector, services_->clock->now()});
+    return;
+  }
+  lock.unlock();
+  unknown(message.driver_id, tuple, collector);
+}
+
+/// The driver's channel is there: what waited for it goes first, in order. On the dispatcher.
+void RouteTable::send_waiting(const std::string& driver_id) {
+  std::unique_lock lock(mutex_);
+  while (true) {
+    const auto line = waiting_.find(driver_id);
+    if (line == waiting_.end()) return;
+    const auto route = routes_.find(driver_id);
+    if (line->second.empty() || route == routes_.end()) {
+      if (line->second.empty()) waiting_.erase(line);
+      return;
+    }
+    Waiting next = std::move(line->second.front());
+    line->second.pop_front();
+    --waiting_count_;
+    const auto sender = route->second.sender;
+    next.message.gateway_id = route->second.gateway;
+    sending_ = next.collector;
+    lock.unlock();
+    sender->send(std::move(next.message), next.tuple, *next.collector);
+    next.tuple = {};
+    lock.lock();
+    sending_ = nullptr;
+    sent_.notify_all();
+  }
+}
+
+void RouteTable::on_tick() {
+  std::deque<Waiting> late;
   {
     const std::lock_guard lock(mutex_);
-    for (const auto& [id, route] : routes_) senders.insert(route.sender);
+    const auto now = services_->clock->now();
+    for (auto line = waiting_.begin(); line != waiting_.end();) {
+      auto& tuples = line->second;
+      while (!tuples.empty() && now - tuples.front().since >= grace) {
+        late.push_back(std::move(tuples.front()));
+        tuples.pop_front();
+        --waiting_count_;
+      }
+      line = tuples.empty() && !routes_.contains(line->first) ? waiting_.erase(line) : std::next(line);
+    }
   }
-  for (const auto& sender : senders) sender->reset_timeouts();
+  give_up(late);
+  for (const auto& sender : senders()) sender->reset_timeouts();
+}
+
+void RouteTable::end_grace() {
+  std::deque<Waiting> late;
+  {
+    const std::lock_guard lock(mutex_);
+    no_grace_ = true;
+    for (auto line = waiting_.begin(); line != waiting_.end();) {
+      if (routes_.contains(line->first)) {  // they are being sent
+        ++line;
+        continue;
+      }
+      std::move(line->second.begin(), line->second.end(), std::back_inserter(late));
+      waiting_count_ -= line->second.size();
+      line = waiting_.erase(line);
+    }
+  }
+  give_up(late);
+}
+
+void RouteTable::give_up(const std::deque<Waiting>& late) {
+  for (const auto& [message, tuple, collector, since] : late) unknown(message.driver_id, tuple, *collector);
+}
+
+void RouteTable::unknown(const std::string& driver_id, const Tuple& tuple, OutputCollector& collector) {
+  bool say_it = false;
+  {
+    const std::lock_guard lock(mutex_);
+    unknown_->add();
+    const auto now = services_->clock->now();
+    say_it = !last_unknown_ || now - *last_unknown_ > burst_end;
+    last_unknown_ = now;
+  }
+  if (say_it) {
+    logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"; further ones are only counted",
+                component_, endpoint_.driver, driver_id, endpoint_.channel);
+  }
+  if (endpoint_.sending.unknown_driver == UnknownDriver::fail) {
+    collector.fail(tuple);
+  } else {
+    collector.ack(tuple);
+  }
 }
 
 bool RouteTable::fits(const discovery::ChannelRecord& channel) {
@@ -93,11 +209,13 @@ void RouteTable::on_channel(const discovery::ChannelRecord& channel) {
     Route& route = routes_[channel.instance];
     if (route.sender != sender) replaced = std::exchange(route.sender, sender);
     route.gateway = channel.gateway;
+    departed_.erase(channel.instance);
     for (const auto& [id, other] : routes_) {
       if (other.sender == replaced) replaced = nullptr;  // others still use it
     }
   }
   if (replaced) replaced->close();
+  send_waiting(channel.instance);
 }
 
 void RouteTable::on_channel_gone(const discovery::ChannelRecord& channel) {
@@ -108,6 +226,8 @@ void RouteTable::on_channel_gone(const discovery::ChannelRecord& channel) {
     if (found == routes_.end()) return;
     unused = std::move(found->second.sender);
     routes_.erase(found);
+    if (departed_.size() >= most_departed) departed_.erase(departed_.begin());
+    departed_.insert(channel.instance);
     for (const auto& [id, other] : routes_) {
       if (other.sender == unused) return;
     }

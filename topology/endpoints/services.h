@@ -1,9 +1,11 @@
 #pragma once
 
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/clock.h>
@@ -38,6 +40,7 @@ struct EndpointServices {
   std::shared_ptr<BrokerPool> brokers;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
+  std::vector<std::function<void()>> before_stop;  ///< the worker calls them before it stops the topology
 };
 using EndpointServicesPtr = std::shared_ptr<EndpointServices>;
 

@@ -125,6 +125,7 @@ struct Worker::Impl {
 
   void stop(std::chrono::milliseconds limit) {
     if (!runtime || std::exchange(stopped, true)) return;
+    for (const auto& prepare : services->before_stop) prepare();
     const auto drain = std::max(limit - reserve, limit / 2);
     if (!runtime->stop(drain))
       logger.warn("topology {}: not everything was done within {} ms", topology.name, drain.count());
