@@ -32,6 +32,8 @@ class AckWindow {
   bool has_news() const { return settled_ > 0; }
   /// Deliveries that are settled and not told to the server yet.
   std::size_t settled() const { return settled_; }
+  /// Deliveries from the first on that the server was not told about.
+  std::size_t size() const { return states_.size(); }
   /// Forgets everything: the channel is gone.
   void clear();
 

@@ -35,6 +35,23 @@ amqp_table_entry_t flag(const char* name) {
   return entry;
 }
 
+const char* explain(int status) {
+  switch (status) {
+    case AMQP_STATUS_SOCKET_ERROR:
+    case AMQP_STATUS_TCP_ERROR:
+      return "the connection broke";
+    case AMQP_STATUS_CONNECTION_CLOSED:
+    case AMQP_STATUS_SOCKET_CLOSED:
+      return "the server closed the connection";
+    case AMQP_STATUS_HEARTBEAT_TIMEOUT:
+      return "no sign of life from the server";
+    case AMQP_STATUS_TIMEOUT:
+      return "no answer in time";
+    default:
+      return amqp_error_string2(status);
+  }
+}
+
 std::string describe_reply(const amqp_rpc_reply_t& reply) {
   if (reply.reply_type == AMQP_RESPONSE_SERVER_EXCEPTION) {
     if (reply.reply.id == AMQP_CONNECTION_CLOSE_METHOD) {
@@ -44,7 +61,7 @@ std::string describe_reply(const amqp_rpc_reply_t& reply) {
       return describe(*static_cast<const amqp_channel_close_t*>(reply.reply.decoded));
     }
   }
-  if (reply.reply_type == AMQP_RESPONSE_LIBRARY_EXCEPTION) return amqp_error_string2(reply.library_error);
+  if (reply.reply_type == AMQP_RESPONSE_LIBRARY_EXCEPTION) return explain(reply.library_error);
   return "unexpected answer";
 }
 
@@ -79,7 +96,9 @@ AmqpLink::AmqpLink(const LinkOptions& options) : state_(amqp_new_connection()) {
   const int port = options.url.port != 0 ? options.url.port : default_port;
   if (const int status = amqp_socket_open_noblock(socket, options.url.host.c_str(), port, &limit);
       status != AMQP_STATUS_OK) {
-    throw LinkError(amqp_error_string2(status));
+    throw LinkError(status == AMQP_STATUS_SOCKET_ERROR
+                        ? fmt::format("nobody listens at {} port {}, or it cannot be reached", options.url.host, port)
+                        : explain(status));
   }
   descriptor_ = amqp_get_sockfd(state_.get());
 
@@ -124,7 +143,7 @@ std::optional<amqp_frame_t> AmqpLink::next_frame() {
   const timeval no_wait{0, 0};
   const int status = amqp_simple_wait_frame_noblock(state_.get(), &frame, &no_wait);
   if (status == AMQP_STATUS_TIMEOUT) return std::nullopt;
-  if (status != AMQP_STATUS_OK) throw LinkError(amqp_error_string2(status));
+  if (status != AMQP_STATUS_OK) throw LinkError(explain(status));
   return frame;
 }
 
@@ -168,7 +187,7 @@ void AmqpLink::publish(amqp_channel_t channel, const std::string& exchange, cons
   constexpr amqp_boolean_t mandatory = 1;
   const int status =
       amqp_basic_publish(state_.get(), channel, to_bytes(exchange), to_bytes(key), mandatory, 0, &properties, bytes);
-  if (status != AMQP_STATUS_OK) throw LinkError(amqp_error_string2(status));
+  if (status != AMQP_STATUS_OK) throw LinkError(explain(status));
   const std::size_t frame_body = static_cast<std::size_t>(amqp_get_frame_max(state_.get())) - frame_overhead;
   if (body_size % frame_body == 0) {
     // The library said "more follows" with the last frame: the kernel would keep it for 200 ms. Setting this pushes it.
@@ -179,7 +198,7 @@ void AmqpLink::publish(amqp_channel_t channel, const std::string& exchange, cons
 
 void AmqpLink::send_method(amqp_channel_t channel, amqp_method_number_t number, void* decoded) {
   const int status = amqp_send_method(state_.get(), channel, number, decoded);
-  if (status != AMQP_STATUS_OK) throw LinkError(amqp_error_string2(status));
+  if (status != AMQP_STATUS_OK) throw LinkError(explain(status));
 }
 
 void AmqpLink::open_channel(amqp_channel_t channel) {

@@ -105,19 +105,12 @@ void ConsumeLink::make_ready(const std::shared_ptr<Inlet>& inlet) {
   ready_.push_back(inlet);
 }
 
-void ConsumeLink::give_back(Inlet& inlet) {
-  for (const Arrived& arrived : inlet.arrived) inlet.window.settle(arrived.tag, Settlement::retry);
-  inlet.arrived.clear();
-}
-
 void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t public_tag,
                          Settlement settlement) noexcept {
   const Lock lock(mutex_);
   constexpr std::uint64_t tag_mask = (std::uint64_t{1} << 48U) - 1;
   const std::uint64_t tag = public_tag & tag_mask;
   if (inlet->closed || public_tag != inlet->public_tag(tag) || !inlet->window.settle(tag, settlement)) return;
-  // What came behind it goes back too, so that it is not handed on before it.
-  if (settlement == Settlement::retry) give_back(*inlet);
   if (!inlet->in_dirty) {
     inlet->in_dirty = true;
     dirty_.push_back(inlet);
@@ -126,9 +119,10 @@ void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t publ
   // prefetch waits for it, this thread does.
   const bool waits_for_others =
       std::this_thread::get_id() == thread_.get_id() || (!sleeping_ && inlet->window.settled() <= inlet->patience());
-  if (waits_for_others || !wire_ || broken_) return;
+  if (!wire_ || broken_) return;
   try {
-    send_all_settlements();
+    if (settlement == Settlement::retry) rewind(*inlet);
+    if (!waits_for_others) send_all_settlements();
   } catch (const std::exception&) {
     broken_ = true;
     wake();

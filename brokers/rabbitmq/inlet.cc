@@ -71,6 +71,8 @@ void Inlet::forget_channel() {
   window.clear();
   assembly.reset();
   arrived.clear();
+  rewind = Rewind::none;
+  qos_answers_due = 0;
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -71,6 +71,15 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
   AckWindow window;
   Assembly assembly;
   std::deque<Arrived> arrived;
+  /// After a retry, see ConsumeLink::rewind().
+  enum class Rewind {
+    none,
+    stopping,  ///< what still comes goes back to the queue with the message
+    awaiting,  ///< all went back; the message is to come first
+  };
+  Rewind rewind = Rewind::none;
+  bool came_while_stopping = false;
+  int qos_answers_due = 0;
   bool paused = false;
   bool closed = false;
   bool running = false;   ///< its handler runs
@@ -81,6 +90,8 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
   std::size_t patience() const { return options.prefetch / 2U; }
   /// What the user's Delivery carries: the tag, made unique over all channels of this subscription.
   std::uint64_t public_tag(std::uint64_t tag) const { return generation << 48U | tag; }
+  /// No more than the prefetch is under way: nothing more can come.
+  bool full() const { return window.size() >= options.prefetch; }
   void forget_channel();
 
  private:

@@ -1,6 +1,10 @@
 // What every broker promises while its server is there. contract_failure_test.cc has the rest.
+#include <algorithm>
 #include <atomic>
 #include <future>
+#include <map>
+#include <mutex>
+#include <set>
 #include <string>
 #include <thread>
 #include <vector>
@@ -177,6 +181,40 @@ TEST_P(BrokerContract, RetryKeepsTheOrderAlsoWithALargePrefetch) {
   std::vector<std::string> expected = numbered(1, 20);
   expected.insert(expected.begin() + 2, "3");
   EXPECT_EQ(inbox.bodies(), expected);
+}
+
+TEST_P(BrokerContract, NothingOvertakesARetriedMessageWhileOthersKeepComing) {
+  constexpr int total = 4000;
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  std::mutex mutex;
+  std::vector<int> accepted;
+  std::set<int> retried;
+  std::promise<void> done;
+  SubscriptionOptions reading;
+  reading.prefetch = 50;
+  const auto subscription = broker->subscribe(topic, reading, [&](Delivery delivery) {
+    const int number = std::stoi(std::string(delivery.message.payload.text()));
+    const std::lock_guard lock(mutex);
+    if (number % 500 == 0 && retried.insert(number).second) return;  // dropped unsettled: retry
+    delivery.settle(Settlement::accept);
+    accepted.push_back(number);
+    if (number == total) done.set_value();
+  });
+  await_active(*subscription);
+  PublisherOptions options;
+  options.capacity = total;
+  const auto publisher = broker->publisher(topic, options);
+  for (int i = 1; i <= total; ++i) publisher->publish(text_message(std::to_string(i)));
+  ASSERT_EQ(done.get_future().wait_for(patience), std::future_status::ready);
+  const std::lock_guard lock(mutex);
+  EXPECT_EQ(retried.size(), 8U);
+  EXPECT_EQ(accepted.size(), static_cast<std::size_t>(total));
+  for (const int number : retried) {
+    const auto place = std::find(accepted.begin(), accepted.end(), number);
+    EXPECT_TRUE(std::all_of(accepted.begin(), place, [&](int earlier) { return earlier < number; }))
+        << "something overtook " << number;
+  }
 }
 
 TEST_P(BrokerContract, ARejectedMessageNeverComesAgain) {
