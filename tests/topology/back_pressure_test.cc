@@ -1,3 +1,6 @@
+#include <algorithm>
+#include <utility>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -89,32 +92,58 @@ TEST(BackPressure, ASpoutIsNotAskedWhileWhatItFeedsIsFullAndIsTold) {
 }
 
 TEST(BackPressure, AcksPassAFullQueue) {
-  Bench bench;
-  auto options = bench.options();
-  options.mailbox_capacity = 4;
-  options.max_spout_pending = 100;
-  auto source = std::make_shared<Source>();
-  std::vector<Tuple> kept;
+  // "keep" waits for room in "stuck" while tuples wait in its own queue; the ack of one that it had before passes them.
+  std::atomic<bool> go{false};
+  std::mutex mutex;
+  Tuple first;
+  bool kept = false;
   OutputCollector* collector = nullptr;
+  config::Metrics metrics;
+  RuntimeOptions options;
+  options.threads = 2;
+  options.metrics = &metrics;
+  options.mailbox_capacity = 4;
+  auto source = std::make_shared<Source>();
   TopologyBuilder builder;
   builder.set_spout("in", source_spout(source));
-  builder.set_bolt("pass", pass_bolt()).shuffle_grouping("in");
   builder
-      .set_bolt("keep", bolt([&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
-                  collector = &out;
-                  kept.push_back(tuple);
+      .set_bolt("keep", bolt(
+                            [&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                              const std::lock_guard lock(mutex);
+                              collector = &out;
+                              out.emit(Values(tuple.at("value")));
+                              std::exchange(kept, true) ? out.ack(tuple) : void(first = tuple);
+                            },
+                            {"value"}))
+      .shuffle_grouping("in");
+  builder
+      .set_bolt("stuck", bolt([&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                  while (!go) std::this_thread::yield();
+                  out.ack(tuple);
                 }))
-      .shuffle_grouping("pass");
+      .shuffle_grouping("keep");
   Runtime runtime(builder.build("acks"), options);
   runtime.start();
   for (int i = 0; i < 50; ++i) source->lay(Values(i));
-  source->wake();
-  runtime.run_until_idle();
-  ASSERT_EQ(kept.size(), 50U);
-  for (const Tuple& tuple : kept) collector->ack(tuple);
-  runtime.run_until_idle();
-  EXPECT_EQ(source->acked().size(), 50U);
-  kept.clear();
+  std::jthread waker([&] { source->wake(); });
+  ASSERT_TRUE(eventually([&] {
+    const Snapshot now = runtime.snapshot();
+    return now.component("stuck").queue_depth >= 4 && now.component("keep").queue_depth >= 4;
+  }));
+  {
+    const std::lock_guard lock(mutex);
+    collector->ack(first);
+    first = Tuple();
+  }
+  EXPECT_TRUE(eventually([&] {
+    const auto acked = source->acked();
+    return std::find(acked.begin(), acked.end(), 1U) != acked.end();
+  }));
+  EXPECT_GE(runtime.snapshot().component("keep").queue_depth, 4U);  // still full
+  go = true;
+  waker.join();
+  EXPECT_TRUE(eventually([&] { return source->acked().size() == 50; }));
+  EXPECT_TRUE(runtime.stop(5s));
 }
 
 TEST(BackPressure, ManyEmittersIntoOneSlowTaskAllFinish) {

@@ -1,0 +1,46 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/topology/bolt.h>
+#include <iotcloud/topology/runtime/component_library.h>
+
+namespace iotcloud::topology {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+std::string error_of(const std::string& path) {
+  try {
+    ComponentRegistry registry;
+    load_components(path, registry);
+  } catch (const config::Error& e) {
+    return e.what();
+  }
+  return "";
+}
+
+TEST(ComponentLibrary, RegistersItsComponents) {
+  ComponentRegistry registry;
+  const ComponentLibrary library = load_components(GOOD_LIBRARY, registry);
+  EXPECT_THAT(registry.bolt_names(), ElementsAre("good.Echo"));
+  ASSERT_NE(registry.bolt("good.Echo"), nullptr);
+  EXPECT_NE((*registry.bolt("good.Echo"))(), nullptr);
+  EXPECT_EQ(library.path(), GOOD_LIBRARY);
+}
+
+TEST(ComponentLibrary, CatchesWhatALibraryThrowsWhileItRegisters) {
+  EXPECT_THAT(error_of(THROWING_LIBRARY), HasSubstr("failed to register its components: no licence"));
+}
+
+TEST(ComponentLibrary, RefusesALibraryOfAnotherSdk) {
+  EXPECT_THAT(error_of(OLD_LIBRARY), HasSubstr("was built with topology SDK 0"));
+}
+
+TEST(ComponentLibrary, SaysWhyAFileCannotBeLoaded) {
+  EXPECT_THAT(error_of("/nowhere/at-all.so"), HasSubstr("cannot load component library /nowhere/at-all.so"));
+  EXPECT_THAT(error_of("libm.so.6"), HasSubstr("is no component library"));
+}
+
+}  // namespace
+}  // namespace iotcloud::topology
