@@ -1,7 +1,7 @@
-#include <iotcloud/drivers/plugin.h>
-
 #include <fstream>
 #include <string>
+
+#include <iotcloud/drivers/plugin.h>
 
 using iotcloud::drivers::ChannelSpec;
 using iotcloud::drivers::Direction;

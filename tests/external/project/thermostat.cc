@@ -1,6 +1,6 @@
-#include <iotcloud/topology/plugin.h>
-
 #include <string>
+
+#include <iotcloud/topology/plugin.h>
 
 using namespace iotcloud::topology;
 
@@ -21,4 +21,6 @@ class Decide : public BasicBolt {
   int limit_ = 0;
 };
 
-IOTCLOUD_TOPOLOGY_LIBRARY(registry) { registry.add_bolt<Decide>("thermostat.Decide"); }
+IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
+  registry.add_bolt<Decide>("thermostat.Decide");
+}
