@@ -1,0 +1,394 @@
+#include <algorithm>
+#include <condition_variable>
+#include <mutex>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/brokers/embedded/server.h>
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/topology/endpoints/fair_shares.h>
+#include <iotcloud/topology/endpoints/worker.h>
+
+namespace iotcloud::topology {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+// --- fair shares ---------------------------------------------------------------------------------
+
+std::vector<std::string> names(const std::string& prefix, int count) {
+  std::vector<std::string> all;
+  for (int i = 0; i < count; ++i) all.push_back(prefix + std::to_string(i));
+  return all;
+}
+
+TEST(FairShares, GiveEveryWorkerAsMuchOrOneLess) {
+  for (const int units : {0, 1, 3, 4, 10, 101}) {
+    for (const int workers : {1, 2, 3, 7}) {
+      std::map<std::string, int> load;
+      for (const auto& worker : names("w", workers)) load[worker] = 0;
+      for (const auto& [unit, worker] : fair_shares(names("u", units), names("w", workers))) ++load[worker];
+      const auto [least, most] =
+          std::minmax_element(load.begin(), load.end(), [](auto& a, auto& b) { return a.second < b.second; });
+      EXPECT_LE(most->second - least->second, 1) << units << " units, " << workers << " workers";
+    }
+  }
+}
+
+TEST(FairShares, AreTheSameWhateverTheOrderOfTheNames) {
+  auto units = names("u", 50), workers = names("w", 4);
+  const auto shares = fair_shares(units, workers);
+  std::reverse(units.begin(), units.end());
+  std::reverse(workers.begin(), workers.end());
+  EXPECT_EQ(fair_shares(units, workers), shares);
+}
+
+TEST(FairShares, MoveFewUnitsWhenAWorkerComes) {
+  const auto before = fair_shares(names("u", 1000), names("w", 4));
+  const auto after = fair_shares(names("u", 1000), names("w", 5));
+  int moved = 0;
+  for (const auto& [unit, worker] : before) moved += after.at(unit) != worker;
+  EXPECT_GE(moved, 200);  // the new one's share
+  EXPECT_LT(moved, 400);
+}
+
+// --- a worker on embedded broker and registry ------------------------------------------------------
+
+/// What a topology sent to one topic, or a driver's stand-in.
+class Mailbox {
+ public:
+  Mailbox(brokers::Broker& broker, const std::string& topic) {
+    brokers::SubscriptionOptions options;
+    subscription_ = broker.subscribe({"", topic, false}, options, [this](brokers::Delivery delivery) {
+      const std::lock_guard lock(mutex_);
+      messages_.push_back(delivery.message);
+      delivery.settle(brokers::Settlement::accept);
+      changed_.notify_all();
+    });
+  }
+  /// \return false when there were not so many within 20 s.
+  bool wait_for(std::size_t count) {
+    std::unique_lock lock(mutex_);
+    return changed_.wait_for(lock, std::chrono::seconds(20), [&] { return messages_.size() >= count; });
+  }
+  std::vector<std::string> texts() {
+    const std::lock_guard lock(mutex_);
+    std::vector<std::string> all;
+    for (const auto& message : messages_) all.emplace_back(message.payload.text());
+    return all;
+  }
+  brokers::Message message(std::size_t i) {
+    const std::lock_guard lock(mutex_);
+    return messages_.at(i);
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::vector<brokers::Message> messages_;  ///< guarded by mutex_
+  std::unique_ptr<brokers::Subscription> subscription_;
+};
+
+/// Lets tuples pass while it is open; thread safe.
+struct Gate {
+  static inline std::mutex mutex;
+  static inline std::condition_variable changed;
+  static inline bool open = true;
+  static inline int inside = 0;
+  static void set(bool is_open) {
+    const std::lock_guard lock(mutex);
+    open = is_open;
+    changed.notify_all();
+  }
+};
+
+class GateBolt final : public BasicBolt {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"text", "driverID", "time"});
+  }
+  void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
+    {
+      std::unique_lock lock(Gate::mutex);
+      ++Gate::inside;
+      Gate::changed.notify_all();
+      Gate::changed.wait(lock, [] { return Gate::open; });
+    }
+    collector.emit(Values(tuple.at("text"), tuple.at("driverID"), tuple.at("time")));
+  }
+};
+
+class Endpoints : public ::testing::Test {
+ protected:
+  Endpoints() {
+    static int number = 0;
+    Gate::open = true;
+    Gate::inside = 0;
+    const std::string name = "endpoints-test-" + std::to_string(++number);
+    url_ = "embedded://" + name;
+    discovery::RegistryOptions registry;
+    registry.url = url_;
+    registry_ = discovery::make_registry(registry);
+    brokers::BrokerOptions broker;
+    broker.url = url_;
+    broker_ = brokers::make_broker(broker);
+  }
+
+  Worker& run(const std::string& spout_properties = "{}", const std::string& bolt_properties = "{}") {
+    const std::string yaml =
+        "topology.name: t\nspouts:\n  in:\n    broker: rabbitmq\n    driver: d\n    channel: up\n" +
+        std::string("    fields: [text, driverID, time]\n    builder: text\n    properties: ") + spout_properties +
+        "\nbolts:\n  gate: {class: Gate, inputs: {from: in}}\n" +
+        "  out:\n    broker: rabbitmq\n    driver: d\n    channel: down\n" +
+        "    fields: [text, driverID, time]\n    properties: " + bolt_properties + "\n    inputs: {from: gate}\n";
+    WorkerOptions options{.definition = TopologyDefinition::parse(yaml, "t.yaml"),
+                          .components = {},
+                          .library_folders = {},
+                          .registry = registry_.get(),
+                          .clock = nullptr,
+                          .metrics = &metrics_};
+    options.components.add_bolt<GateBolt>("Gate");
+    workers_.push_back(std::make_unique<Worker>(std::move(options)));
+    workers_.back()->start();
+    return *workers_.back();
+  }
+
+  /// A driver as a gateway would show it.
+  void show_driver(const std::string& instance, const std::string& transport = "rabbitmq") {
+    discovery::DriverRecord driver;
+    driver.name = "d";
+    driver.instance = instance;
+    driver.gateway = "g";
+    driver.state = discovery::DriverState::active;
+    for (const std::string name : {"up", "down"}) {
+      discovery::ChannelRecord channel;
+      channel.name = name;
+      channel.transport = transport;
+      channel.direction = name == "up" ? discovery::Direction::out : discovery::Direction::in;
+      channel.properties = {{"routingKey", topic(instance, name)}};
+      channel.broker_url = url_;
+      channel.gateway = "g";
+      channel.driver = "d";
+      channel.instance = instance;
+      discovery::put(*registry_, paths_.channel("d", instance, name), discovery::encode(channel));
+    }
+    discovery::put(*registry_, paths_.instance("d", instance), discovery::encode(driver));
+  }
+  static std::string topic(const std::string& instance, const std::string& channel) {
+    return "g.d." + instance + "." + channel;
+  }
+  std::unique_ptr<brokers::Publisher> device(const std::string& instance) {
+    return broker_->publisher({"", topic(instance, "up"), false}, many());
+  }
+  static brokers::PublisherOptions many() {
+    brokers::PublisherOptions options;
+    options.capacity = 100'000;
+    return options;
+  }
+  static brokers::Message message(const std::string& text, const std::string& instance, std::int64_t time = 7) {
+    brokers::Message made;
+    made.payload = brokers::Payload::copy(text);
+    made.driver_id = instance;
+    made.time_ms = time;
+    return made;
+  }
+  double metric(const std::string& name) const {
+    double sum = 0;
+    for (const auto& sample : metrics_.collect()) {
+      if (sample.name == name) sum += sample.value;
+    }
+    return sum;
+  }
+  bool eventually(const std::function<bool()>& condition) {
+    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+    while (!condition()) {
+      if (std::chrono::steady_clock::now() > deadline) return false;
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    return true;
+  }
+
+  std::string url_;
+  config::Metrics metrics_;
+  const discovery::Paths paths_;
+  std::unique_ptr<discovery::Registry> registry_;
+  std::unique_ptr<brokers::Broker> broker_;
+  std::vector<std::unique_ptr<Worker>> workers_;  // they go first
+};
+
+TEST_F(Endpoints, CarryPayloadDriverAndTimeFromTheMessageInToTheMessageOut) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("hello", "one", 1234));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_EQ(mailbox.message(0).payload.text(), "hello");
+  EXPECT_EQ(mailbox.message(0).driver_id, "one");
+  EXPECT_EQ(mailbox.message(0).time_ms, 1234);
+  EXPECT_EQ(mailbox.message(0).gateway_id, "g");
+}
+
+TEST_F(Endpoints, TakeTheDriverFromTheChannelWhenTheMessageDoesNotNameIt) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("hello", ""));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_EQ(mailbox.message(0).driver_id, "one");
+}
+
+TEST_F(Endpoints, LeaveWhatASlowTopologyCannotTakeInTheBroker) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run("{prefetchCount: 10}");
+  show_driver("one");
+  Gate::set(false);
+  const auto publisher = device("one");
+  for (int i = 0; i < 1000; ++i) publisher->publish(message(std::to_string(i), "one"));
+  ASSERT_TRUE(eventually([] {
+    const std::lock_guard lock(Gate::mutex);
+    return Gate::inside > 0;
+  }));
+  EXPECT_LE(metric("iotcloud_spout_received_total"), 10);
+  EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 1000U);
+  Gate::set(true);
+  ASSERT_TRUE(mailbox.wait_for(1000));
+  const auto texts = mailbox.texts();
+  for (int i = 0; i < 1000; ++i) ASSERT_EQ(texts[static_cast<std::size_t>(i)], std::to_string(i));
+  EXPECT_TRUE(eventually(
+      [&] { return brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t") == 0; }));
+}
+
+TEST_F(Endpoints, FinishWhatIsUnderWayWhenTheWorkerStops) {
+  run();
+  show_driver("one");
+  Gate::set(false);
+  const auto publisher = device("one");
+  publisher->publish(message("unfinished", "one"));
+  ASSERT_TRUE(eventually([] {
+    const std::lock_guard lock(Gate::mutex);
+    return Gate::inside > 0;
+  }));
+  std::thread opener([&] {
+    // Whether the stop has begun or not: what the bolt has in hand is not settled before it is done.
+    EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 1U);
+    Gate::set(true);
+  });
+  workers_.back()->stop(std::chrono::seconds(5));
+  opener.join();
+  EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 0U);
+}
+
+TEST_F(Endpoints, CountTuplesForDriversThatAreNotThereAndGoOn) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("lost", "nobody"));
+  publisher->publish(message("found", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_THAT(mailbox.texts(), ElementsAre("found"));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_bolt_unknown_driver_total") == 1; }));
+  EXPECT_EQ(metric("iotcloud_spout_rejected_total"), 0);  // acked by default
+}
+
+TEST_F(Endpoints, HoldADriversFirstMessageUntilItsChannelIsKnown) {
+  Mailbox mailbox(*broker_, topic("late", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("early", "late"));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_received_total") == 1; }));
+  show_driver("late");
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_THAT(mailbox.texts(), ElementsAre("early"));
+}
+
+TEST_F(Endpoints, RejectWhatFailsForGoodWhenTheDriverIsUnknownAndThePolicySaysFail) {
+  run("{requeue: false}", "{unknownDriver: fail}");
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("lost", "nobody"));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_rejected_total") == 1; }));
+}
+
+TEST_F(Endpoints, IgnoreChannelsOfAnotherBroker) {
+  run();
+  show_driver("other", "kafka");
+  show_driver("one");
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+}
+
+TEST_F(Endpoints, DropAChannelWhenItsDriverGoes) {
+  run();
+  show_driver("one");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+  discovery::remove_tree(*registry_, paths_.instance("d", "one"));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+}
+
+TEST_F(Endpoints, ReadOnWhenTheBrokerWasGoneForAWhile) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("before", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  auto server = brokers::embedded::Server::named(url_.substr(11));
+  server.stop();
+  publisher->publish(message("meanwhile", "one"));
+  server.start();
+  ASSERT_TRUE(mailbox.wait_for(2));
+  EXPECT_EQ(mailbox.texts().back(), "meanwhile");
+}
+
+TEST_F(Endpoints, LetTwoTopologiesGetEverything) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  const std::string yaml =
+      "topology.name: other\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], "
+      "builder: text}\nbolts:\n  out: {broker: rabbitmq, driver: d, channel: down, fields: [text, driverID, time], "
+      "inputs: {from: in}}\n";
+  WorkerOptions options{.definition = TopologyDefinition::parse(yaml, "other.yaml"),
+                        .components = {},
+                        .library_folders = {},
+                        .registry = registry_.get(),
+                        .clock = nullptr,
+                        .metrics = &metrics_};
+  Worker other(std::move(options));
+  other.start();
+  show_driver("one");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2; }));
+  const auto publisher = device("one");
+  publisher->publish(message("twice", "one"));
+  ASSERT_TRUE(mailbox.wait_for(2));
+  EXPECT_THAT(mailbox.texts(), ElementsAre("twice", "twice"));
+}
+
+TEST_F(Endpoints, RefuseAWorkerWithoutRegistry) {
+  WorkerOptions options{
+      .definition = TopologyDefinition::parse(
+          "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [f]}\n", "t.yaml"),
+      .components = {},
+      .library_folders = {},
+      .registry = nullptr,
+      .clock = nullptr,
+      .metrics = nullptr};
+  try {
+    Worker worker(std::move(options));
+    FAIL() << "it was taken";
+  } catch (const config::ConfigError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("zk.servers"));
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::topology
