@@ -48,6 +48,12 @@ void Server::partition(std::int64_t session) {
   if (found != sessions_.end()) cut_off(found->second);
 }
 
+void Server::partition_before_next_answer(std::int64_t session) {
+  const std::lock_guard lock(mutex_);
+  const auto found = sessions_.find(session);
+  if (found != sessions_.end()) found->second.loses_answer = true;
+}
+
 void Server::restore(std::int64_t session) {
   const std::lock_guard lock(mutex_);
   if (sessions_.contains(session)) let_in(session);
@@ -124,7 +130,14 @@ void Server::create(std::int64_t session, const std::string& path, const std::st
                     bool sequential, const Done& done) {
   const std::lock_guard lock(mutex_);
   Reply reply;
-  if (reachable(session)) reply.status = put_node(session, path, data, ephemeral, sequential, reply.path);
+  if (reachable(session)) {
+    reply.status = put_node(session, path, data, ephemeral, sequential, reply.path);
+    Session& own = sessions_.at(session);
+    if (std::exchange(own.loses_answer, false)) {
+      reply = with_status(Status::away);
+      cut_off(own);
+    }
+  }
   done(std::move(reply));
 }
 

@@ -27,6 +27,8 @@ class Server : public std::enable_shared_from_this<Server> {
   std::vector<std::int64_t> sessions() const;
   /// Cuts a session's client off: its operations fail and it hears nothing; the session lives on.
   void partition(std::int64_t session);
+  /// The session's next creation takes effect, but it is cut off before it hears so.
+  void partition_before_next_answer(std::int64_t session);
   /// The client reaches the server again: under its old session, or hears that it expired meanwhile.
   void restore(std::int64_t session);
   /// Away for everybody, clients that come now included, as if the server were down; sessions live on.
@@ -59,6 +61,7 @@ class Server : public std::enable_shared_from_this<Server> {
     Connection::Events events;
     std::chrono::milliseconds timeout{0};
     bool reachable = true;
+    bool loses_answer = false;         ///< of the next creation
     bool expired = false;              ///< but its client does not know yet
     std::vector<std::string> to_tell;  ///< watches that fired while it was not reachable
   };
