@@ -36,7 +36,8 @@ struct TupleData {
 }  // namespace detail
 
 /// A received tuple: a cheap handle on shared immutable values. Copy it freely; thread safe like a shared_ptr to const.
-/// Every received tuple of a Bolt (not of a BasicBolt) is acked or failed exactly once, by any copy of the handle.
+/// Every received tuple of a Bolt (not of a BasicBolt) is acked or failed exactly once, by any copy of the handle. A
+/// handle may be kept after execute() and dropped on any thread, but not after the topology's runtime is gone.
 class Tuple {
  public:
   Tuple() = default;
