@@ -8,6 +8,7 @@
 
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/brokers/embedded/server.h>
+#include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/endpoints/fair_shares.h>
@@ -135,6 +136,7 @@ class Endpoints : public ::testing::Test {
     url_ = "embedded://" + name;
     discovery::RegistryOptions registry;
     registry.url = url_;
+    registry.session_timeout = std::chrono::milliseconds(300);
     registry_ = discovery::make_registry(registry);
     brokers::BrokerOptions broker;
     broker.url = url_;
@@ -348,6 +350,43 @@ TEST_F(Endpoints, ReadOnWhenTheBrokerWasGoneForAWhile) {
   server.start();
   ASSERT_TRUE(mailbox.wait_for(2));
   EXPECT_EQ(mailbox.texts().back(), "meanwhile");
+}
+
+TEST_F(Endpoints, ReadOnWhileTheRegistryIsAwayAndAfterItsSessionExpired) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("before", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+
+  const auto server = discovery::embedded::Server::named(url_.substr(11));
+  const auto session = server->sessions().at(0);
+  server->stop();
+  ASSERT_TRUE(eventually([&] { return registry_->session() == discovery::SessionState::expired; }));
+  publisher->publish(message("while it is away", "one"));
+  ASSERT_TRUE(mailbox.wait_for(2));
+
+  server->expire(session);
+  server->start();
+  ASSERT_TRUE(eventually([&] { return registry_->session() == discovery::SessionState::connected; }));
+  publisher->publish(message("when it is back", "one"));
+  ASSERT_TRUE(eventually([&] {
+    const auto texts = mailbox.texts();
+    return !texts.empty() && texts.back() == "when it is back";
+  }));
+}
+
+TEST_F(Endpoints, StartWithoutTheRegistryAndWorkWhenItComes) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  const auto server = discovery::embedded::Server::named(url_.substr(11));
+  server->stop();
+  run();
+  server->start();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("hello", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
 }
 
 TEST_F(Endpoints, LetTwoTopologiesGetEverything) {
