@@ -1,6 +1,6 @@
 #include <filesystem>
 #include <fstream>
-#include <regex>
+#include <string>
 
 #include <gmock/gmock.h>
 #include <unistd.h>
@@ -75,7 +75,9 @@ TEST_F(GatewayConfigTest, WhatIsWrongIsNamedWithItsPlace) {
 TEST_F(GatewayConfigTest, TheFileThatWeShipIsGood) {
   std::ifstream shipped(SHIPPED_CONFIG);
   std::string text((std::istreambuf_iterator<char>(shipped)), {});
-  text = std::regex_replace(text, std::regex("plugins: plugins"), "plugins: " + folder_.string());
+  const std::string plugins = "plugins: plugins";  // a folder that the test has not got
+  ASSERT_NE(text.find(plugins), std::string::npos);
+  text.replace(text.find(plugins), plugins.size(), "plugins: " + folder_.string());
   EXPECT_EQ(load(text).gateway.id, "gateway1");
 }
 
