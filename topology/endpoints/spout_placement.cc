@@ -38,22 +38,14 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
   // Callbacks come on the dispatcher and wait for mutex_: it is not held here, nor in leave() while the watches die.
   auto& registry = *services_->registry;
   auto search = std::make_unique<Search>();
-  search->session = registry.on_session([this](discovery::SessionState state) {
-    const std::lock_guard lock(mutex_);
-    if (!over_) on_session(state);
-  });
+  search->session = registry.on_session([this](discovery::SessionState state) { in_turn([&] { on_session(state); }); });
   search->workers = registry.watch_children(services_->paths.workers(services_->topology), [this](const auto& names) {
-    const std::lock_guard lock(mutex_);
-    if (!over_) on_workers(names.value_or(std::vector<std::string>()));
+    in_turn([&] { on_workers(names.value_or(std::vector<std::string>())); });
   });
   discovery::DriverDirectory::Callbacks callbacks;
-  callbacks.on_channel = [this](const discovery::ChannelRecord& channel) {
-    const std::lock_guard lock(mutex_);
-    if (!over_) on_channel(channel);
-  };
+  callbacks.on_channel = [this](const discovery::ChannelRecord& channel) { in_turn([&] { on_channel(channel); }); };
   callbacks.on_channel_gone = [this](const discovery::ChannelRecord& channel) {
-    const std::lock_guard lock(mutex_);
-    if (!over_) on_channel_gone(channel);
+    in_turn([&] { on_channel_gone(channel); });
   };
   search->directory = std::make_unique<discovery::DriverDirectory>(registry, services_->paths, endpoint_.driver,
                                                                    endpoint_.channel, std::move(callbacks));
@@ -69,7 +61,19 @@ void SpoutPlacement::leave() {
     inboxes_.clear();
   }
   search_.reset();
-  for (auto& [name, unit] : units) release(unit);
+  for (auto& [name, unit] : units) {
+    stop_reading(unit);
+    unit.election.reset();
+  }
+}
+
+template <typename Function>
+void SpoutPlacement::in_turn(Function function) {
+  std::vector<std::unique_ptr<discovery::Election>> dying;  // outside the lock: they wait for their callbacks
+  const std::lock_guard lock(mutex_);
+  if (over_) return;
+  function();
+  dying.swap(resigned_);
 }
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
@@ -149,14 +153,8 @@ void SpoutPlacement::share_out() {
 void SpoutPlacement::stand(const std::string& name, Unit& unit) {
   if (unit.election) return;
   discovery::Election::Callbacks callbacks;
-  callbacks.on_elected = [this, name](std::int64_t) {
-    const std::lock_guard lock(mutex_);
-    if (!over_) on_elected(name);
-  };
-  callbacks.on_lost = [this, name] {
-    const std::lock_guard lock(mutex_);
-    if (!over_) on_lost(name);
-  };
+  callbacks.on_elected = [this, name](std::int64_t) { in_turn([&] { on_elected(name); }); };
+  callbacks.on_lost = [this, name] { in_turn([&] { on_lost(name); }); };
   unit.election = std::make_unique<discovery::Election>(
       *services_->registry, services_->paths.topology(services_->topology) + "/readers/" + component_ + "/" + name,
       services_->worker, std::move(callbacks));
@@ -204,7 +202,7 @@ void SpoutPlacement::on_session(discovery::SessionState state) {
 /// First the readers, then the right to read: the next reader finds the topic free.
 void SpoutPlacement::release(Unit& unit) {
   stop_reading(unit);
-  unit.election.reset();
+  if (unit.election) resigned_.push_back(std::move(unit.election));
   unit.leads = false;
   unit.frozen = false;
 }

@@ -44,6 +44,10 @@ class SpoutPlacement {
   };
   struct Search;  ///< the watches
 
+  /// Runs a callback of the registry, unless everything is over.
+  template <typename Function>
+  void in_turn(Function function);
+
   // From here on with mutex_ held, on the registry's dispatcher.
   void on_channel(const discovery::ChannelRecord& channel);
   void on_channel_gone(const discovery::ChannelRecord& channel);
@@ -67,12 +71,13 @@ class SpoutPlacement {
   const EndpointDefinition endpoint_;
 
   std::mutex mutex_;
-  std::map<int, std::shared_ptr<Inbox>> inboxes_;  ///< by task index; guarded by mutex_
-  bool over_ = false;                              ///< guarded by mutex_
-  std::vector<std::string> workers_;               ///< guarded by mutex_
-  std::map<std::string, Unit> units_;              ///< guarded by mutex_
-  std::set<std::string> complained_;               ///< guarded by mutex_
-  std::unique_ptr<Search> search_;                 ///< set by the last join(), taken by the first leave()
+  std::map<int, std::shared_ptr<Inbox>> inboxes_;               ///< by task index; guarded by mutex_
+  bool over_ = false;                                           ///< guarded by mutex_
+  std::vector<std::string> workers_;                            ///< guarded by mutex_
+  std::map<std::string, Unit> units_;                           ///< guarded by mutex_
+  std::set<std::string> complained_;                            ///< guarded by mutex_
+  std::vector<std::unique_ptr<discovery::Election>> resigned_;  ///< of released units; guarded by mutex_
+  std::unique_ptr<Search> search_;                              ///< set by the last join(), taken by the first leave()
 };
 
 }  // namespace iotcloud::topology
