@@ -1,0 +1,101 @@
+#!/usr/bin/python3
+"""Two workers share four drivers over real servers; one is killed, one is stopped in order: no message is lost.
+
+usage: scale_out_test.py BUILD_DIR
+"""
+
+import json
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+from private_cluster import PrivateCluster  # noqa: E402
+
+COUNT, RATE = 2000, 100
+TOPOLOGY = """
+zk.servers: ["{zookeeper}"]
+topology.name: "echo"
+spouts:
+  receive: {broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: 2}
+bolts:
+  send:
+    broker: rabbitmq
+    driver: loadgen
+    channel: echo
+    fields: [data, driverID, time]
+    inputs: [{from: receive, grouping: fields, fields: [driverID]}]
+"""
+
+
+def wait_for(what, condition, limit):
+    deadline = time.monotonic() + limit
+    while time.monotonic() < deadline:
+        if condition():
+            return
+        time.sleep(0.1)
+    sys.exit(f"not within {limit} s: {what}")
+
+
+def result_of(report):
+    """The driver's report, None until it is written (when everything is back)."""
+    text = report.read_text() if report.exists() else ""
+    return json.loads(text) if text.rstrip().endswith("}") else None
+
+
+def reads_drivers(cluster, worker):
+    return " leads /iot/topologies/echo/readers/receive/" in cluster.log(worker).read_text()
+
+
+def workers(cluster):
+    return [worker for topology in json.loads(cluster.cli("topologies", "-o", "json")) for worker in topology["workers"]]
+
+
+def main():
+    build = Path(sys.argv[1]).resolve()
+    work = build / "scale-out"
+    shutil.rmtree(work, ignore_errors=True)
+    with PrivateCluster(work, build / "bin", build / "plugins") as cluster:
+        cluster.start(gateways=2)
+        victim = cluster.topology("worker-1", TOPOLOGY)
+        leaver = cluster.topology("worker-2", TOPOLOGY)
+        cluster.wait_until_ready()
+        wait_for("two workers are listed", lambda: len(workers(cluster)) == 2, 30)
+        reports = [work / f"report-{number}.json" for number in range(4)]
+        for number, report in enumerate(reports):
+            cluster.deploy("loadgen.so", f"gateway-{number % 2 + 1}", {"count": COUNT, "rate": RATE, "report": report})
+        wait_for("both workers read drivers",
+                 lambda: reads_drivers(cluster, "worker-1") and reads_drivers(cluster, "worker-2"), 30)
+
+        time.sleep(2)  # messages flow
+        victim.kill()
+        victim.wait()
+        cluster.children = [entry for entry in cluster.children if entry[1] is not victim]
+        time.sleep(2)
+        cluster.topology("worker-3", TOPOLOGY)
+        wait_for("the third worker reads drivers", lambda: reads_drivers(cluster, "worker-3"), 30)
+        begin = time.monotonic()
+        leaver.send_signal(signal.SIGTERM)
+        if leaver.wait(10) != 0:
+            sys.exit(f"the worker that was asked to stop ended with status {leaver.returncode}")
+        stopped_in = time.monotonic() - begin
+        cluster.children = [entry for entry in cluster.children if entry[1] is not leaver]
+
+        wait_for("all four drivers have everything back", lambda: all(map(result_of, reports)), 90)
+        cluster.require_alive()
+        for report in reports:
+            result = result_of(report)
+            wrong = {key: result[key] for key in ("lost", "damaged", "foreign") if result[key]}
+            if wrong or result["sent"] != COUNT:
+                sys.exit(f"{report.name}: {wrong or result}")
+        if stopped_in > 5.5:
+            sys.exit(f"the worker took {stopped_in:.1f} s to stop")
+    print(f"4 drivers x {COUNT} messages, all back; a worker stopped in {stopped_in:.1f} s")
+
+
+if __name__ == "__main__":
+    main()
