@@ -59,6 +59,10 @@ void ConsumeLink::on_arrived(const std::shared_ptr<Inlet>& inlet, Arrived arrive
     if (inlet->rewind == Inlet::Rewind::awaiting) send_settlements(*inlet, inlet->patience());
     return;
   }
+  if (!arrived.redelivered && inlet->doubtful > 0) {
+    --inlet->doubtful;
+    arrived.redelivered = true;
+  }
   inlet->arrived.push_back(std::move(arrived));
   make_ready(inlet);
 }
@@ -77,9 +81,15 @@ void ConsumeLink::on_method(const amqp_method_t& method, amqp_channel_t channel)
     case AMQP_BASIC_QOS_OK_METHOD:
       if (inlet) on_qos_answer(*inlet);
       return;
+    case AMQP_QUEUE_DECLARE_OK_METHOD:
+      if (inlet && inlet->read_before) {
+        inlet->doubtful = static_cast<const amqp_queue_declare_ok_t*>(method.decoded)->message_count;
+      }
+      return;
     case AMQP_BASIC_CONSUME_OK_METHOD:
       if (!inlet) return;
       inlet->phase = Inlet::Phase::active;
+      inlet->read_before = true;
       inlet->retry_at.reset();
       inlet->backoff.reset();
       inlet->complaint.clear();

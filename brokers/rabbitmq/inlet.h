@@ -71,6 +71,10 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
   AckWindow window;
   Assembly assembly;
   std::deque<Arrived> arrived;
+  bool read_before = false;  ///< was active once, on whatever channel
+  /// Messages to come that may have been handed on already although the server does not say so: a server that was
+  /// killed forgets what it had delivered. What waits in the queue when we come back is counted as such.
+  std::uint32_t doubtful = 0;
   /// After a retry, see ConsumeLink::rewind().
   enum class Rewind {
     none,
