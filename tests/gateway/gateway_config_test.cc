@@ -78,7 +78,7 @@ TEST_F(GatewayConfigTest, TheFileThatWeShipIsGood) {
   const std::string plugins = "plugins: plugins";  // a folder that the test has not got
   ASSERT_NE(text.find(plugins), std::string::npos);
   text.replace(text.find(plugins), plugins.size(), "plugins: " + folder_.string());
-  EXPECT_EQ(load(text).gateway.id, "gateway1");
+  EXPECT_EQ(load(text).gateway.id, "gateway-1");
 }
 
 }  // namespace
