@@ -28,6 +28,8 @@ def arguments():
     parser.add_argument("--broker", choices=["embedded", "rabbitmq"], metavar="NAME",
                         help="embedded or rabbitmq (default: embedded; rabbitmq with --cluster)")
     parser.add_argument("--json", metavar="FILE", help="write the report there too")
+    parser.add_argument("--lockstep", action="store_true",
+                        help="the world moves on with each answer, not with time: for slow machines")
     parser.add_argument("--build", type=Path, default=Path("build/release"), help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("build/demo"), help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -73,7 +75,8 @@ def main():
     broker = options.broker or ("rabbitmq" if options.cluster else "embedded")
     try:
         with mode(options.build, out, broker) as running:
-            running.begin({"seed": options.seed, "trace": trace})
+            clock = "lockstep" if options.lockstep else "realtime"
+            running.begin({"seed": options.seed, "trace": trace, "clock": clock})
             follow_progress(trace, options.seconds, lambda: running.dead() is None)
             measured = running.finish()
     except modes.StartError as error:

@@ -77,7 +77,7 @@ def make_report(trace, options, measured):
     lost = sum(not row.in_box for row in rows)
     share = len(answered) / len(rows) if rows else 0
     payload = sum(row.payload_bytes for row in rows)
-    # The loop was closed for as long as it was asked to be, at the sensor's rate or near it.
+    # The loop was closed for as long as it was asked to be.
     long_enough = bool(rows) and rows[-1].seconds - rows[0].seconds >= 0.9 * (options.seconds - 1)
     return {
         "followed": bool(long_enough and lost == 0 and share >= MIN_ANSWERED and mean_error < MAX_MEAN_ERROR_M),
