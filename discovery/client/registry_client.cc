@@ -1,6 +1,6 @@
 #include <utility>
 
-#include <iotcloud/discovery/client/core.h>
+#include <iotcloud/discovery/client/client_state.h>
 #include <iotcloud/discovery/client/path.h>
 #include <iotcloud/discovery/client/registry_client.h>
 
@@ -46,7 +46,7 @@ RegistryError refusal(const std::string& what, Status status) {
 class RegistryClient : public Registry {
  public:
   RegistryClient(std::unique_ptr<Connection> connection, const RegistryOptions& options)
-      : core_(std::make_shared<Core>(std::move(connection), options)) {
+      : core_(std::make_shared<ClientState>(std::move(connection), options)) {
     core_->open();
   }
   ~RegistryClient() override { core_->close(); }
@@ -172,7 +172,7 @@ class RegistryClient : public Registry {
     return guard;
   }
 
-  const std::shared_ptr<Core> core_;
+  const std::shared_ptr<ClientState> core_;
 };
 
 }  // namespace

@@ -3,7 +3,7 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/metrics.h>
-#include <iotcloud/discovery/client/core.h>
+#include <iotcloud/discovery/client/client_state.h>
 
 namespace iotcloud::discovery {
 namespace {
@@ -32,45 +32,45 @@ SessionMetrics& metrics() {
 
 }  // namespace
 
-struct Core::WatchGuard : Guard {
-  WatchGuard(std::weak_ptr<Core> c, std::shared_ptr<Watch> w) : core(std::move(c)), watch(std::move(w)) {}
+struct ClientState::WatchGuard : Guard {
+  WatchGuard(std::weak_ptr<ClientState> c, std::shared_ptr<Watch> w) : state(std::move(c)), watch(std::move(w)) {}
   ~WatchGuard() override {
     watch->shut();
-    if (const auto alive = core.lock()) {
-      alive->worker_.post([core = alive.get(), watch = watch] { core->watches_.remove(watch); });
+    if (const auto alive = state.lock()) {
+      alive->worker_.post([state = alive.get(), watch = watch] { state->watches_.remove(watch); });
     }
   }
-  std::weak_ptr<Core> core;
+  std::weak_ptr<ClientState> state;
   std::shared_ptr<Watch> watch;
 };
 
-struct Core::HoldGuard : Guard {
-  HoldGuard(std::weak_ptr<Core> c, std::shared_ptr<Hold> h) : core(std::move(c)), hold(std::move(h)) {}
+struct ClientState::HoldGuard : Guard {
+  HoldGuard(std::weak_ptr<ClientState> c, std::shared_ptr<Hold> h) : state(std::move(c)), hold(std::move(h)) {}
   ~HoldGuard() override {
     hold->on_created->shut();
     // The removal is under way before this returns: later calls of this thread find the node gone.
-    if (const auto alive = core.lock()) {
-      alive->on_worker_and_wait([core = alive.get(), hold = hold] { core->holds_.release(hold); });
+    if (const auto alive = state.lock()) {
+      alive->on_worker_and_wait([state = alive.get(), hold = hold] { state->holds_.release(hold); });
     }
   }
-  std::weak_ptr<Core> core;
+  std::weak_ptr<ClientState> state;
   std::shared_ptr<Hold> hold;
 };
 
-struct Core::ListenerGuard : Guard {
-  ListenerGuard(std::weak_ptr<Core> c, std::shared_ptr<SessionCallback> l)
-      : core(std::move(c)), listener(std::move(l)) {}
+struct ClientState::ListenerGuard : Guard {
+  ListenerGuard(std::weak_ptr<ClientState> c, std::shared_ptr<SessionCallback> l)
+      : state(std::move(c)), listener(std::move(l)) {}
   ~ListenerGuard() override {
     listener->shut();
-    if (const auto alive = core.lock()) {
-      alive->worker_.post([core = alive.get(), listener = listener] { core->listeners_.remove(listener); });
+    if (const auto alive = state.lock()) {
+      alive->worker_.post([state = alive.get(), listener = listener] { state->listeners_.remove(listener); });
     }
   }
-  std::weak_ptr<Core> core;
+  std::weak_ptr<ClientState> state;
   std::shared_ptr<SessionCallback> listener;
 };
 
-void Core::open() {
+void ClientState::open() {
   Connection::Events events;
   events.connected = [this](std::int64_t session, milliseconds timeout) {
     worker_.post([this, session, timeout] { on_connected(session, timeout); });
@@ -86,7 +86,7 @@ void Core::open() {
   });
 }
 
-void Core::close() {
+void ClientState::close() {
   {
     const std::lock_guard lock(mutex_);
     closed_ = true;
@@ -99,7 +99,7 @@ void Core::close() {
   if (linked_) metrics().connected.add(-1);
 }
 
-void Core::on_connected(std::int64_t session, milliseconds timeout) {
+void ClientState::on_connected(std::int64_t session, milliseconds timeout) {
   timeout_ = timeout;
   ++link_changes_;
   if (!std::exchange(linked_, true)) metrics().connected.add(1);
@@ -109,7 +109,7 @@ void Core::on_connected(std::int64_t session, milliseconds timeout) {
   watches_.connected();
 }
 
-void Core::on_disconnected(Clock::time_point when) {
+void ClientState::on_disconnected(Clock::time_point when) {
   if (!std::exchange(linked_, false)) return;
   metrics().connected.add(-1);
   metrics().losses.add();
@@ -125,7 +125,7 @@ void Core::on_disconnected(Clock::time_point when) {
   });
 }
 
-void Core::on_expired() {
+void ClientState::on_expired() {
   if (std::exchange(linked_, false)) metrics().connected.add(-1);
   metrics().expiries.add();
   ++link_changes_;
@@ -136,13 +136,13 @@ void Core::on_expired() {
   if (!connection_->renew()) renew_later();
 }
 
-void Core::renew_later() {
+void ClientState::renew_later() {
   worker_.post_at(Clock::now() + renew_pause, [this] {
     if (!connection_->renew()) renew_later();
   });
 }
 
-void Core::enter(SessionState state) {
+void ClientState::enter(SessionState state) {
   {
     const std::lock_guard lock(mutex_);
     if (closed_ || state_ == state) return;
@@ -152,7 +152,8 @@ void Core::enter(SessionState state) {
   for (const auto& listener : listeners_) listener->deliver_each(dispatcher_, state);
 }
 
-Reply Core::call(const std::string& what, const std::function<void(Connection&, Done)>& operation, bool* in_doubt) {
+Reply ClientState::call(const std::string& what, const std::function<void(Connection&, Done)>& operation,
+                        bool* in_doubt) {
   const auto deadline = Clock::now() + options_.operation_timeout;
   bool lost_once = false;
   std::unique_lock lock(mutex_);
@@ -188,7 +189,7 @@ Reply Core::call(const std::string& what, const std::function<void(Connection&, 
   }
 }
 
-void Core::on_worker_and_wait(std::function<void()> task) {
+void ClientState::on_worker_and_wait(std::function<void()> task) {
   auto packaged = std::make_shared<std::packaged_task<void()>>(std::move(task));
   const auto done = packaged->get_future();
   // Only the worker's queue owns the task from here on. A worker that has stopped drops it: nobody waits for ever.
@@ -196,12 +197,12 @@ void Core::on_worker_and_wait(std::function<void()> task) {
   done.wait();
 }
 
-GuardPtr Core::add_watch(std::shared_ptr<Watch> watch) {
+GuardPtr ClientState::add_watch(std::shared_ptr<Watch> watch) {
   worker_.post([this, watch] { watches_.add(watch); });
   return std::make_unique<WatchGuard>(weak_from_this(), std::move(watch));
 }
 
-GuardPtr Core::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& refusal) {
+GuardPtr ClientState::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& refusal) {
   refusal = Status::ok;
   GuardPtr guard;
   const auto add = [&] {
@@ -226,7 +227,7 @@ GuardPtr Core::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& refusal) 
   return guard;
 }
 
-GuardPtr Core::add_listener(std::function<void(SessionState)> callback) {
+GuardPtr ClientState::add_listener(std::function<void(SessionState)> callback) {
   auto listener = std::make_shared<SessionCallback>(std::move(callback));
   worker_.post([this, listener] {
     listeners_.push_back(listener);

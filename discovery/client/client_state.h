@@ -25,17 +25,17 @@ using SessionCallback = Callback<SessionState>;
 /// Everything behind the registry's face; guards refer to it weakly, so that they may outlive it without harm.
 /// Three kinds of threads meet here: the callers' (calls), the worker (session, watches, holds), the dispatcher
 /// (users' callbacks). The connection's own threads only post to the worker or answer a call.
-class Core : public std::enable_shared_from_this<Core> {
+class ClientState : public std::enable_shared_from_this<ClientState> {
  public:
-  Core(std::unique_ptr<Connection> connection, RegistryOptions options)
+  ClientState(std::unique_ptr<Connection> connection, RegistryOptions options)
       : options_(std::move(options)),
         connection_(std::move(connection)),
         dispatcher_("registry-calls"),
         worker_("registry"),
         watches_(*connection_, worker_, dispatcher_),
         holds_(*connection_, worker_, dispatcher_) {}
-  Core(const Core&) = delete;
-  Core& operator=(const Core&) = delete;
+  ClientState(const ClientState&) = delete;
+  ClientState& operator=(const ClientState&) = delete;
 
   void open();
   /// Ends calls with `closed`, threads and session. Not from a callback.
