@@ -1,33 +1,48 @@
 #include "iotcloud/brokers/rabbitmq/ack_window.h"
 
+#include <algorithm>
+#include <utility>
+
 namespace iotcloud::brokers::rabbitmq {
 
-bool AckWindow::delivered(std::uint64_t tag) {
-  if (tag != first_tag_ + states_.size()) return false;
-  states_.push_back(State::unsettled);
+bool AckWindow::delivered(Arrived arrived) {
+  if (arrived.tag != first_tag_ + entries_.size()) return false;
+  waiting_.push_back(arrived.tag);
+  entries_.push_back({State::waits, arrived.redelivered, std::move(arrived.message)});
   return true;
 }
 
+Arrived AckWindow::next() {
+  const std::uint64_t tag = waiting_.front();
+  waiting_.pop_front();
+  Entry& entry = entries_[tag - first_tag_];
+  entry.state = State::handed_on;
+  return {entry.message, entry.redelivered, tag};
+}
+
 bool AckWindow::settle(std::uint64_t tag, Settlement settlement) {
-  if (tag < first_tag_ || tag >= first_tag_ + states_.size()) return false;
-  State& state = states_[tag - first_tag_];
-  if (state != State::unsettled) return false;
-  state = settlement == Settlement::accept  ? State::accept
-          : settlement == Settlement::retry ? State::retry
-                                            : State::reject;
+  if (tag < first_tag_ || tag >= first_tag_ + entries_.size()) return false;
+  Entry& entry = entries_[tag - first_tag_];
+  if (entry.state != State::handed_on) return false;
+  if (settlement == Settlement::retry) {
+    entry.state = State::waits;
+    entry.redelivered = true;
+    waiting_.insert(std::lower_bound(waiting_.begin(), waiting_.end(), tag), tag);
+    return true;
+  }
+  entry.state = settlement == Settlement::accept ? State::accept : State::reject;
+  entry.message = {};
   ++settled_;
   return true;
 }
 
 std::vector<AckWindow::Action> AckWindow::take(std::size_t patience) {
   std::vector<Action> actions;
-  const auto kind_of = [](State state) {
-    return state == State::accept ? Kind::acknowledge : state == State::retry ? Kind::requeue : Kind::reject;
-  };
+  const auto kind_of = [](State state) { return state == State::accept ? Kind::acknowledge : Kind::reject; };
   // The settled ones in front: runs of one kind, each with one `multiple`.
-  while (!states_.empty() && states_.front() != State::unsettled) {
-    if (states_.front() != State::told) {
-      const Kind kind = kind_of(states_.front());
+  while (!entries_.empty() && !unsettled(entries_.front())) {
+    if (entries_.front().state != State::told) {
+      const Kind kind = kind_of(entries_.front().state);
       if (!actions.empty() && actions.back().kind == kind) {
         actions.back().tag = first_tag_;
       } else {
@@ -35,15 +50,15 @@ std::vector<AckWindow::Action> AckWindow::take(std::size_t patience) {
       }
       --settled_;
     }
-    states_.pop_front();
+    entries_.pop_front();
     ++first_tag_;
   }
   // Behind an unsettled one: each for itself.
   if (settled_ == 0) return actions;
   const bool all = settled_ > patience;
-  for (std::size_t i = 0; i < states_.size(); ++i) {
-    State& state = states_[i];
-    if (state == State::unsettled || state == State::told || (state == State::accept && !all)) continue;
+  for (std::size_t i = 0; i < entries_.size(); ++i) {
+    State& state = entries_[i].state;
+    if (unsettled(entries_[i]) || state == State::told || (state == State::accept && !all)) continue;
     actions.push_back({kind_of(state), first_tag_ + i, false});
     state = State::told;
     --settled_;
@@ -52,7 +67,8 @@ std::vector<AckWindow::Action> AckWindow::take(std::size_t patience) {
 }
 
 void AckWindow::clear() {
-  states_.clear();
+  entries_.clear();
+  waiting_.clear();
   first_tag_ = 1;
   settled_ = 0;
 }

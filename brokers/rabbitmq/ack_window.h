@@ -9,11 +9,19 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// What one channel's consumer owes the server: collects settlements and turns them into as few acknowledgements as
-/// possible (`multiple` up to the first delivery that is unsettled). Not thread safe.
+/// A received message.
+struct Arrived {
+  Message message;
+  bool redelivered = false;
+  std::uint64_t tag = 0;  ///< the channel's delivery tag
+};
+
+/// What one channel's consumer has from the server: keeps each message until it is settled, and turns settlements into
+/// as few acknowledgements as possible (`multiple` up to the first delivery that is unsettled). A retry stays here: the
+/// server is told nothing and the kept message is handed on again. Not thread safe.
 class AckWindow {
  public:
-  enum class Kind { acknowledge, requeue, reject };
+  enum class Kind { acknowledge, reject };
   struct Action {
     Kind kind = Kind::acknowledge;
     std::uint64_t tag = 0;
@@ -23,23 +31,32 @@ class AckWindow {
 
   /// Notes a delivery; the server counts tags up from 1 on each channel. \return false when the tag is not the next
   /// one.
-  bool delivered(std::uint64_t tag);
+  bool delivered(Arrived arrived);
+  /// The oldest message that waits to be handed on, marked as redelivered when it was before. `waiting() > 0`.
+  Arrived next();
+  std::size_t waiting() const { return waiting_.size(); }
+  /// `retry` makes it wait again, before all that came after it.
   /// \return false for what is not under way (settled before, or of an earlier channel).
   bool settle(std::uint64_t tag, Settlement settlement);
   /// What to send now. Settled deliveries behind an unsettled one wait for it, accepted ones until there are more than
   /// `patience` of them (so that one slow delivery does not eat up the whole prefetch); 0 = send everything.
   std::vector<Action> take(std::size_t patience);
-  bool has_news() const { return settled_ > 0; }
   /// Deliveries that are settled and not told to the server yet.
   std::size_t settled() const { return settled_; }
-  /// Deliveries from the first on that the server was not told about.
-  std::size_t size() const { return states_.size(); }
   /// Forgets everything: the channel is gone.
   void clear();
 
  private:
-  enum class State : std::uint8_t { unsettled, accept, retry, reject, told };
-  std::deque<State> states_;  ///< of the deliveries from first_tag_ on
+  enum class State : std::uint8_t { waits, handed_on, accept, reject, told };
+  struct Entry {
+    State state = State::waits;
+    bool redelivered = false;
+    Message message;  ///< until it is settled
+  };
+  bool unsettled(const Entry& entry) const { return entry.state == State::waits || entry.state == State::handed_on; }
+
+  std::deque<Entry> entries_;          ///< the deliveries from first_tag_ on
+  std::deque<std::uint64_t> waiting_;  ///< tags, ascending
   std::uint64_t first_tag_ = 1;
   std::size_t settled_ = 0;
 };

@@ -54,7 +54,6 @@ std::shared_ptr<Inlet> ConsumeLink::add(const Topic& topic, const SubscriptionOp
 void ConsumeLink::remove(const std::shared_ptr<Inlet>& inlet) {
   Lock lock(mutex_);
   inlet->closed = true;
-  inlet->arrived.clear();
   std::erase(inlets_, inlet);
   if (wire_ && inlet->channel != 0) {
     try {
@@ -111,6 +110,11 @@ void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t publ
   constexpr std::uint64_t tag_mask = (std::uint64_t{1} << 48U) - 1;
   const std::uint64_t tag = public_tag & tag_mask;
   if (inlet->closed || public_tag != inlet->public_tag(tag) || !inlet->window.settle(tag, settlement)) return;
+  if (settlement == Settlement::retry) {
+    make_ready(inlet);
+    wake();
+    return;
+  }
   if (!inlet->in_dirty) {
     inlet->in_dirty = true;
     dirty_.push_back(inlet);
@@ -121,7 +125,6 @@ void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t publ
       std::this_thread::get_id() == thread_.get_id() || (!sleeping_ && inlet->window.settled() <= inlet->patience());
   if (!wire_ || broken_) return;
   try {
-    if (settlement == Settlement::retry) rewind(*inlet);
     if (!waits_for_others) send_all_settlements();
   } catch (const std::exception&) {
     broken_ = true;
@@ -204,21 +207,21 @@ void ConsumeLink::hand_on(Lock& lock, std::size_t most) {
     ready_.pop_front();
     inlet->in_ready = false;
     if (!inlet->has_work()) continue;
-    while (inlet->options.keep_last > 0 && inlet->arrived.size() > inlet->options.keep_last) {
-      inlet->window.settle(inlet->arrived.front().tag, Settlement::accept);
-      inlet->arrived.pop_front();
-      meters_.conflated();
+    const auto done_with = [&](const Arrived& arrived) {
+      inlet->window.settle(arrived.tag, Settlement::accept);
       if (!std::exchange(inlet->in_dirty, true)) dirty_.push_back(inlet);
+    };
+    while (inlet->options.keep_last > 0 && inlet->window.waiting() > inlet->options.keep_last) {
+      done_with(inlet->window.next());
+      meters_.conflated();
     }
-    Arrived arrived = std::move(inlet->arrived.front());
-    inlet->arrived.pop_front();
+    Arrived arrived = inlet->window.next();
     make_ready(inlet);  // in turn with the others
     meters_.received(arrived.redelivered);
     std::shared_ptr<Settler> settler = inlet;
     if (inlet->options.automatic_ack) {
       settler = nullptr;
-      inlet->window.settle(arrived.tag, Settlement::accept);
-      if (!std::exchange(inlet->in_dirty, true)) dirty_.push_back(inlet);
+      done_with(arrived);
     }
     const std::uint64_t tag = inlet->public_tag(arrived.tag);
     inlet->running = handling_ = true;

@@ -66,9 +66,6 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   void open(const std::shared_ptr<Inlet>& inlet);
   void request_queue(const Inlet& inlet);
   void close_channel(Inlet& inlet);
-  void rewind(Inlet& inlet);
-  void on_qos_answer(Inlet& inlet);
-  void send_qos(Inlet& inlet, std::uint16_t count, bool whole_channel);
   void check_timers();
   void send_settlements(Inlet& inlet, std::size_t patience);
   void send_all_settlements();

@@ -47,23 +47,11 @@ void ConsumeLink::on_frame(const amqp_frame_t& frame) {
 }
 
 void ConsumeLink::on_arrived(const std::shared_ptr<Inlet>& inlet, Arrived arrived) {
-  if (!inlet->window.delivered(arrived.tag)) throw LinkError("a delivery out of turn");
-  if (inlet->rewind == Inlet::Rewind::awaiting && arrived.redelivered) {
-    inlet->rewind = Inlet::Rewind::none;
-    constexpr std::uint16_t unlimited = 0;  // the consumer's own prefetch still holds
-    send_qos(*inlet, unlimited, true);
-  }
-  if (inlet->rewind != Inlet::Rewind::none) {
-    inlet->window.settle(arrived.tag, Settlement::retry);
-    inlet->came_while_stopping = true;
-    if (inlet->rewind == Inlet::Rewind::awaiting) send_settlements(*inlet, inlet->patience());
-    return;
-  }
   if (!arrived.redelivered && inlet->doubtful > 0) {
     --inlet->doubtful;
     arrived.redelivered = true;
   }
-  inlet->arrived.push_back(std::move(arrived));
+  if (!inlet->window.delivered(std::move(arrived))) throw LinkError("a delivery out of turn");
   make_ready(inlet);
 }
 
@@ -77,9 +65,6 @@ void ConsumeLink::on_method(const amqp_method_t& method, amqp_channel_t channel)
   switch (method.id) {
     case AMQP_BASIC_DELIVER_METHOD:
       if (inlet) inlet->assembly.begin(*static_cast<const amqp_basic_deliver_t*>(method.decoded));
-      return;
-    case AMQP_BASIC_QOS_OK_METHOD:
-      if (inlet) on_qos_answer(*inlet);
       return;
     case AMQP_QUEUE_DECLARE_OK_METHOD:
       if (inlet && inlet->read_before) {
@@ -171,7 +156,9 @@ void ConsumeLink::open(const std::shared_ptr<Inlet>& inlet) {
   channels_[inlet->channel] = inlet;
   wire_->send(inlet->channel, AMQP_CHANNEL_OPEN_METHOD, amqp_channel_open_t{});
   request_queue(*inlet);
-  send_qos(*inlet, std::max<std::uint16_t>(inlet->options.prefetch, 1), false);
+  amqp_basic_qos_t qos{};
+  qos.prefetch_count = std::max<std::uint16_t>(inlet->options.prefetch, 1);
+  wire_->send(inlet->channel, AMQP_BASIC_QOS_METHOD, qos);
   amqp_basic_consume_t consume{};
   consume.queue = to_bytes(inlet->queue);
   consume.exclusive = inlet->options.exclusive ? 1 : 0;
@@ -205,39 +192,6 @@ void ConsumeLink::request_queue(const Inlet& inlet) {
   wire_->send(inlet.channel, AMQP_QUEUE_BIND_METHOD, bind);
 }
 
-void ConsumeLink::send_qos(Inlet& inlet, std::uint16_t count, bool whole_channel) {
-  amqp_basic_qos_t qos{};
-  qos.prefetch_count = count;
-  qos.global = whole_channel ? 1 : 0;
-  wire_->send(inlet.channel, AMQP_BASIC_QOS_METHOD, qos);
-  ++inlet.qos_answers_due;
-}
-
-// A message that is to be delivered again must come before what follows it, but up to a whole prefetch of followers is
-// here or under way already. So the channel is allowed a single unsettled message, which stops the server (the one to
-// be retried is unsettled still); this takes effect somewhat after the server's answer, so it is asked until nothing
-// comes any more. Then all goes back together, each to its old place, and the first that comes again is the one; what
-// was late nevertheless (it is not flagged as redelivered) goes back too.
-void ConsumeLink::rewind(Inlet& inlet) {
-  for (const Arrived& arrived : inlet.arrived) inlet.window.settle(arrived.tag, Settlement::retry);
-  inlet.arrived.clear();
-  if (inlet.rewind != Inlet::Rewind::none || inlet.phase != Inlet::Phase::active || inlet.options.prefetch <= 1) return;
-  inlet.rewind = Inlet::Rewind::stopping;
-  inlet.came_while_stopping = false;
-  send_qos(inlet, 1, true);
-}
-
-void ConsumeLink::on_qos_answer(Inlet& inlet) {
-  if (inlet.qos_answers_due > 0) --inlet.qos_answers_due;
-  if (inlet.rewind != Inlet::Rewind::stopping || inlet.qos_answers_due > 0) return;
-  if (std::exchange(inlet.came_while_stopping, false) && !inlet.full()) {
-    send_qos(inlet, 1, true);
-    return;
-  }
-  inlet.rewind = Inlet::Rewind::awaiting;
-  send_settlements(inlet, inlet.patience());
-}
-
 void ConsumeLink::check_timers() {
   const config::Clock::Instant now = clock_.now();
   for (const auto& inlet : inlets_) {
@@ -259,7 +213,6 @@ void ConsumeLink::send_settlements(Inlet& inlet, std::size_t patience) {
       amqp_basic_nack_t nack{};
       nack.delivery_tag = action.tag;
       nack.multiple = action.multiple ? 1 : 0;
-      nack.requeue = action.kind == AckWindow::Kind::requeue ? 1 : 0;
       wire_->send(inlet.channel, AMQP_BASIC_NACK_METHOD, nack);
     }
   }
@@ -269,7 +222,7 @@ void ConsumeLink::send_all_settlements() {
   const std::vector<std::shared_ptr<Inlet>> dirty = std::exchange(dirty_, {});
   for (const auto& inlet : dirty) inlet->in_dirty = false;
   for (const auto& inlet : dirty) {
-    if (inlet->closed || inlet->channel == 0 || inlet->rewind == Inlet::Rewind::stopping) continue;
+    if (inlet->closed || inlet->channel == 0) continue;
     send_settlements(*inlet, inlet->patience());
   }
 }

@@ -70,9 +70,6 @@ void Inlet::forget_channel() {
   ++generation;
   window.clear();
   assembly.reset();
-  arrived.clear();
-  rewind = Rewind::none;
-  qos_answers_due = 0;
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <optional>
 #include <string>
@@ -16,13 +15,6 @@
 namespace iotcloud::brokers::rabbitmq {
 
 class ConsumeLink;
-
-/// A received message that no handler has seen yet.
-struct Arrived {
-  Message message;
-  bool redelivered = false;
-  std::uint64_t tag = 0;  ///< the channel's delivery tag
-};
 
 /// Puts the frames of one delivery together: its method, its header, its body's pieces. One copy of the body.
 class Assembly {
@@ -70,32 +62,20 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
   std::string complaint;  ///< the last that was logged, so that it is logged once
   AckWindow window;
   Assembly assembly;
-  std::deque<Arrived> arrived;
   bool read_before = false;  ///< was active once, on whatever channel
   /// Messages to come that may have been handed on already although the server does not say so: a server that was
   /// killed forgets what it had delivered. What waits in the queue when we come back is counted as such.
   std::uint32_t doubtful = 0;
-  /// After a retry, see ConsumeLink::rewind().
-  enum class Rewind {
-    none,
-    stopping,  ///< what still comes goes back to the queue with the message
-    awaiting,  ///< all went back; the message is to come first
-  };
-  Rewind rewind = Rewind::none;
-  bool came_while_stopping = false;
-  int qos_answers_due = 0;
   bool paused = false;
   bool closed = false;
   bool running = false;   ///< its handler runs
   bool in_ready = false;  ///< stands in the link's list of those with something to hand on
   bool in_dirty = false;  ///< stands in the link's list of those with settlements to send
 
-  bool has_work() const { return !arrived.empty() && !paused && !closed; }
+  bool has_work() const { return window.waiting() > 0 && !paused && !closed; }
   std::size_t patience() const { return options.prefetch / 2U; }
   /// What the user's Delivery carries: the tag, made unique over all channels of this subscription.
   std::uint64_t public_tag(std::uint64_t tag) const { return generation << 48U | tag; }
-  /// No more than the prefetch is under way: nothing more can come.
-  bool full() const { return window.size() >= options.prefetch; }
   void forget_channel();
 
  private:
