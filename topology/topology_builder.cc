@@ -42,18 +42,21 @@ std::map<std::string, StreamSpec> ask_streams(const ComponentSpec& spec) {
   return declarations.streams;
 }
 
+void check_source(const ComponentSpec& bolt, const Subscription& input, const Topology& topology) {
+  if (topology.streams.contains(input.from)) return;
+  std::string known;
+  for (const auto& [id, streams] : topology.streams) known += (known.empty() ? "" : ", ") + id;
+  throw TopologyError(bolt.id, bolt.id + " takes its input from \"" + input.from +
+                                   "\", which is no component of this topology; there are: " + known);
+}
+
+/// The input's source is there and has all its streams.
 void check_input(const ComponentSpec& bolt, const Subscription& input, const Topology& topology) {
-  const auto source = topology.streams.find(input.from);
-  if (source == topology.streams.end()) {
+  const auto& streams = topology.streams.at(input.from);
+  const auto stream = streams.find(input.stream);
+  if (stream == streams.end()) {
     std::string known;
-    for (const auto& [id, streams] : topology.streams) known += (known.empty() ? "" : ", ") + id;
-    throw TopologyError(bolt.id, bolt.id + " takes its input from \"" + input.from +
-                                     "\", which is no component of this topology; there are: " + known);
-  }
-  const auto stream = source->second.find(input.stream);
-  if (stream == source->second.end()) {
-    std::string known;
-    for (const auto& [name, spec] : source->second) known += (known.empty() ? "" : ", ") + name;
+    for (const auto& [name, spec] : streams) known += (known.empty() ? "" : ", ") + name;
     throw TopologyError(bolt.id, bolt.id + " takes stream \"" + input.stream + "\" of " + input.from +
                                      ", which declares " + (known.empty() ? "no stream" : "only: " + known));
   }
@@ -72,6 +75,12 @@ void check_input(const ComponentSpec& bolt, const Subscription& input, const Top
     if (!stream->second.fields.find(field)) {
       throw TopologyError(bolt.id, bolt.id + ": the key field \"" + field + "\" is not declared by " + input.from +
                                        "; its fields are: " + stream->second.fields.list());
+    }
+  }
+  for (const auto& field : input.keep_key) {
+    if (!stream->second.fields.find(field)) {
+      throw TopologyError(bolt.id, bolt.id + ": the key field \"" + field + "\" of keep_last is not declared by " +
+                                       input.from + "; its fields are: " + stream->second.fields.list());
     }
   }
 }
@@ -110,6 +119,35 @@ std::vector<ComponentSpec> sorted_by_flow(std::vector<ComponentSpec> components)
   return sorted;
 }
 
+void set_tasks(ComponentSpec& spec, int count) {
+  if (count < spec.parallelism) {
+    throw TopologyError(spec.id, spec.id + ": " + std::to_string(count) + " tasks cannot keep " +
+                                     std::to_string(spec.parallelism) + " executors busy; name at least as many");
+  }
+  spec.tasks = count;
+}
+
+Subscription& last_input(ComponentSpec& spec) {
+  if (spec.inputs.empty()) throw TopologyError(spec.id, spec.id + " has no input yet; name its grouping first");
+  return spec.inputs.back();
+}
+
+/// A late tuple is emitted as it is, so its stream has the fields of the inputs.
+void declare_late_stream(const ComponentSpec& bolt, Topology& topology) {
+  if (bolt.late_stream.empty()) return;
+  const Fields& fields = topology.streams.at(bolt.inputs.front().from).at(bolt.inputs.front().stream).fields;
+  for (const auto& input : bolt.inputs) {
+    if (topology.streams.at(input.from).at(input.stream).fields == fields) continue;
+    throw TopologyError(bolt.id, bolt.id + ": the late stream \"" + bolt.late_stream +
+                                     "\" needs inputs of the same fields; " + input.from + " differs from " +
+                                     bolt.inputs.front().from);
+  }
+  if (!topology.streams[bolt.id].emplace(bolt.late_stream, StreamSpec{fields, false}).second) {
+    throw TopologyError(bolt.id, bolt.id + " declares stream \"" + bolt.late_stream +
+                                     "\" itself; the late stream needs a name of its own");
+  }
+}
+
 }  // namespace
 
 BoltDeclarer& BoltDeclarer::grouping(const std::string& name, const std::string& from, Fields key,
@@ -120,7 +158,13 @@ BoltDeclarer& BoltDeclarer::grouping(const std::string& name, const std::string&
   } catch (const std::invalid_argument& e) {
     throw TopologyError(spec_.id, spec_.id + ": " + e.what());
   }
-  spec_.inputs.push_back({from, stream, name, std::move(key), std::move(factory)});
+  Subscription input;
+  input.from = from;
+  input.stream = stream;
+  input.grouping = name;
+  input.fields = std::move(key);
+  input.factory = std::move(factory);
+  spec_.inputs.push_back(std::move(input));
   return *this;
 }
 BoltDeclarer& BoltDeclarer::shuffle_grouping(const std::string& from, const std::string& stream) {
@@ -149,11 +193,44 @@ BoltDeclarer& BoltDeclarer::direct_grouping(const std::string& from, const std::
 }
 BoltDeclarer& BoltDeclarer::custom_grouping(const std::string& from, GroupingFactory factory,
                                             const std::string& stream) {
-  spec_.inputs.push_back({from, stream, "custom", {}, std::move(factory)});
+  Subscription input;
+  input.from = from;
+  input.stream = stream;
+  input.grouping = "custom";
+  input.factory = std::move(factory);
+  spec_.inputs.push_back(std::move(input));
   return *this;
 }
 BoltDeclarer& BoltDeclarer::tick(std::chrono::microseconds period) {
   spec_.tick = period;
+  return *this;
+}
+BoltDeclarer& BoltDeclarer::tasks(int count) {
+  set_tasks(spec_, count);
+  return *this;
+}
+BoltDeclarer& BoltDeclarer::deadline(std::chrono::microseconds age, std::string late_stream) {
+  spec_.deadline = age;
+  spec_.late_stream = std::move(late_stream);
+  return *this;
+}
+BoltDeclarer& BoltDeclarer::input_deadline(std::chrono::microseconds age) {
+  last_input(spec_).deadline = age;
+  return *this;
+}
+BoltDeclarer& BoltDeclarer::keep_last(std::size_t count, Fields key) {
+  Subscription& input = last_input(spec_);
+  input.keep_last = count;
+  input.keep_key = std::move(key);
+  return *this;
+}
+
+SpoutDeclarer& SpoutDeclarer::tasks(int count) {
+  set_tasks(spec_, count);
+  return *this;
+}
+SpoutDeclarer& SpoutDeclarer::max_pending(std::size_t count) {
+  spec_.max_spout_pending = count;
   return *this;
 }
 
@@ -168,13 +245,15 @@ ComponentSpec& TopologyBuilder::add(const std::string& id, int parallelism, Conf
   components_.push_back(std::make_unique<ComponentSpec>());
   auto& spec = *components_.back();
   spec.id = id;
-  spec.parallelism = parallelism;
+  spec.parallelism = spec.tasks = parallelism;
   spec.config = std::move(config);
   return spec;
 }
 
-void TopologyBuilder::set_spout(const std::string& id, SpoutFactory factory, int parallelism, Config config) {
-  add(id, parallelism, std::move(config)).spout = std::move(factory);
+SpoutDeclarer TopologyBuilder::set_spout(const std::string& id, SpoutFactory factory, int parallelism, Config config) {
+  auto& spec = add(id, parallelism, std::move(config));
+  spec.spout = std::move(factory);
+  return SpoutDeclarer(spec);
 }
 
 BoltDeclarer TopologyBuilder::set_bolt(const std::string& id, BoltFactory factory, int parallelism, Config config) {
@@ -211,9 +290,13 @@ Topology TopologyBuilder::build(const std::string& name, const Config& config) c
     if (component.inputs.empty()) {
       throw TopologyError(component.id, "bolt \"" + component.id + "\" has no input; say which component feeds it");
     }
-    for (const auto& input : component.inputs) check_input(component, input, topology);
+    for (const auto& input : component.inputs) check_source(component, input, topology);
   }
   topology.components = sorted_by_flow(std::move(components));
+  for (const auto& component : topology.components) {
+    for (const auto& input : component.inputs) check_input(component, input, topology);
+    if (component.bolt) declare_late_stream(component, topology);
+  }
   return topology;
 }
 

@@ -70,7 +70,12 @@ void add_recorder(Topology& topology, std::vector<EmittedTuple>& emitted) {
   recorder.bolt = [&emitted] { return std::make_unique<Recorder>(emitted); };
   for (const auto& [component, streams] : topology.streams) {
     for (const auto& [stream, spec] : streams) {
-      if (!spec.direct) recorder.inputs.push_back({component, stream, "global", {}, make_grouping("global")});
+      if (spec.direct) continue;
+      Subscription& input = recorder.inputs.emplace_back();
+      input.from = component;
+      input.stream = stream;
+      input.grouping = "global";
+      input.factory = make_grouping("global");
     }
   }
   topology.components.push_back(std::move(recorder));

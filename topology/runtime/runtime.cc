@@ -149,14 +149,14 @@ class Runtime::Impl {
  private:
   std::size_t count_tasks() const {
     std::size_t count = 0;
-    for (const ComponentSpec& spec : topology_.components) count += static_cast<std::size_t>(spec.parallelism);
+    for (const ComponentSpec& spec : topology_.components) count += static_cast<std::size_t>(spec.tasks);
     return count;
   }
 
   void name_tasks() {
     int id = 0;
     for (const ComponentSpec& spec : topology_.components) {
-      for (int i = 0; i < spec.parallelism; ++i) tasks_of_[spec.id].push_back(++id);
+      for (int i = 0; i < spec.tasks; ++i) tasks_of_[spec.id].push_back(++id);
     }
     bolts_.resize(static_cast<std::size_t>(id) + 1, nullptr);
     for (const auto& [component, streams] : topology_.streams) {
@@ -172,7 +172,7 @@ class Runtime::Impl {
     context.component = spec.id;
     context.task = tasks_of_.at(spec.id)[index];
     context.task_index = static_cast<int>(index);
-    context.task_count = spec.parallelism;
+    context.task_count = spec.tasks;
     context.tasks_of = tasks_of_;
     context.clock = &clock_;
     context.metrics = &metrics_;
@@ -181,7 +181,7 @@ class Runtime::Impl {
 
   void make_tasks(const ComponentSpec& spec) {
     const internal::Surroundings around{&scheduler_, &timers_, &clock_, &options_};
-    for (std::size_t i = 0; i < static_cast<std::size_t>(spec.parallelism); ++i) {
+    for (std::size_t i = 0; i < static_cast<std::size_t>(spec.tasks); ++i) {
       TopologyContext context = context_of(spec, i);
       if (spec.spout) {
         auto spout = set_up(spec.id, "its factory", [&] { return spec.spout(); });
