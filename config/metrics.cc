@@ -109,6 +109,9 @@ struct Metrics::Impl {
   std::map<Key, Named<Counter>> counters;
   std::map<Key, Named<Gauge>> gauges;
   std::map<Key, Named<Histogram>> histograms;
+  mutable std::mutex sources_mutex;  // held while sources run
+  std::map<std::uint64_t, Source> sources;
+  std::uint64_t last_source = 0;
 };
 
 Metrics::Metrics() : impl_(std::make_unique<Impl>()) {}
@@ -124,9 +127,23 @@ Histogram& Metrics::histogram(const std::string& name, const std::string& help, 
   return impl_->find_or_make(impl_->histograms, name, help, labels);
 }
 
+Metrics::SourceRegistration Metrics::add_source(Source source) {
+  const std::lock_guard lock(impl_->sources_mutex);
+  impl_->sources.emplace(++impl_->last_source, std::move(source));
+  return SourceRegistration(*this, impl_->last_source);
+}
+void Metrics::remove_source(std::uint64_t id) {
+  const std::lock_guard lock(impl_->sources_mutex);
+  impl_->sources.erase(id);
+}
+
 std::vector<Sample> Metrics::collect() const {
-  const std::lock_guard lock(impl_->mutex);
   std::vector<Sample> samples;
+  {
+    const std::lock_guard lock(impl_->sources_mutex);
+    for (const auto& [id, source] : impl_->sources) source(samples);
+  }
+  const std::lock_guard lock(impl_->mutex);
   for (const auto& [key, named] : impl_->counters) {
     samples.push_back(
         {key.first, named.help, key.second, Sample::Kind::counter, static_cast<double>(named.metric.value()), {}});

@@ -2,9 +2,11 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace iotcloud::config {
@@ -76,9 +78,35 @@ class Metrics {
   Counter& counter(const std::string& name, const std::string& help, const Labels& labels = {});
   Gauge& gauge(const std::string& name, const std::string& help, const Labels& labels = {});
   Histogram& histogram(const std::string& name, const std::string& help, const Labels& labels = {});
+
+  /// Appends samples of its own. Called by collect() on any thread, one call at a time; must not use this Metrics.
+  using Source = std::function<void(std::vector<Sample>& samples)>;
+  /// Ends a source: when its destructor returns the source does not run and never will again.
+  class SourceRegistration {
+   public:
+    SourceRegistration() = default;
+    SourceRegistration(Metrics& metrics, std::uint64_t id) : metrics_(&metrics), id_(id) {}
+    SourceRegistration(SourceRegistration&& other) noexcept
+        : metrics_(std::exchange(other.metrics_, nullptr)), id_(other.id_) {}
+    SourceRegistration& operator=(SourceRegistration&& other) noexcept {
+      std::swap(metrics_, other.metrics_);
+      std::swap(id_, other.id_);
+      return *this;
+    }
+    ~SourceRegistration() {
+      if (metrics_ != nullptr) metrics_->remove_source(id_);
+    }
+
+   private:
+    Metrics* metrics_ = nullptr;
+    std::uint64_t id_ = 0;
+  };
+  /// For what has so many metrics that they are better read than pushed.
+  [[nodiscard]] SourceRegistration add_source(Source source);
   std::vector<Sample> collect() const;
 
  private:
+  void remove_source(std::uint64_t id);
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };

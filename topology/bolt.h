@@ -28,9 +28,7 @@ class BasicOutputCollector {
  public:
   BasicOutputCollector(OutputCollector& collector, const Tuple& input) : collector_(collector), input_(input) {}
   void emit(Values values) { collector_.emit(input_, std::move(values)); }
-  void emit_to(const std::string& stream, Values values) {
-    collector_.emit_to(stream, {&input_, 1}, std::move(values));
-  }
+  void emit_to(std::string_view stream, Values values) { collector_.emit_to(stream, {&input_, 1}, std::move(values)); }
   void report_error(const std::string& text) { collector_.report_error(text); }
 
  private:

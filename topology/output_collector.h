@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <iotcloud/topology/fields.h>
@@ -28,13 +29,25 @@ using MessageId = std::uint64_t;
 class SpoutOutputCollector {
  public:
   virtual ~SpoutOutputCollector() = default;
-  void emit(Values values) { emit_to(default_stream, std::move(values)); }
+  void emit(Values values) { do_emit(default_stream, std::move(values), no_task, nullptr); }
   /// Tracked: ack(id) when the whole tree of tuples was acked, fail(id) when one failed or the time-out passed.
-  void emit(Values values, MessageId id) { emit_to(default_stream, std::move(values), id); }
-  virtual void emit_to(const std::string& stream, Values values) = 0;
-  virtual void emit_to(const std::string& stream, Values values, MessageId id) = 0;
-  virtual void emit_direct(int task, const std::string& stream, Values values, MessageId id) = 0;
+  void emit(Values values, MessageId id) { do_emit(default_stream, std::move(values), no_task, &id); }
+  void emit_to(std::string_view stream, Values values) { do_emit(stream, std::move(values), no_task, nullptr); }
+  void emit_to(std::string_view stream, Values values, MessageId id) {
+    do_emit(stream, std::move(values), no_task, &id);
+  }
+  void emit_direct(int task, std::string_view stream, Values values) {
+    do_emit(stream, std::move(values), task, nullptr);
+  }
+  void emit_direct(int task, std::string_view stream, Values values, MessageId id) {
+    do_emit(stream, std::move(values), task, &id);
+  }
   virtual void report_error(const std::string& text) = 0;
+
+ protected:
+  static constexpr int no_task = -1;  ///< the groupings choose
+  /// \param id nullptr: not tracked.
+  virtual void do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) = 0;
 };
 
 /// How a bolt emits. emit: from the bolt's own calls only. ack, fail and reset_timeout: from any thread.
@@ -42,18 +55,28 @@ class OutputCollector {
  public:
   virtual ~OutputCollector() = default;
   /// Anchored by one tuple: if the new one fails, so does the anchor's tree.
-  void emit(const Tuple& anchor, Values values) { emit_to(default_stream, {&anchor, 1}, std::move(values)); }
-  void emit(std::span<const Tuple> anchors, Values values) { emit_to(default_stream, anchors, std::move(values)); }
+  void emit(const Tuple& anchor, Values values) { do_emit(default_stream, {&anchor, 1}, std::move(values), no_task); }
+  void emit(std::span<const Tuple> anchors, Values values) {
+    do_emit(default_stream, anchors, std::move(values), no_task);
+  }
   /// Not anchored: nobody hears of it again.
-  void emit(Values values) { emit_to(default_stream, {}, std::move(values)); }
-  virtual void emit_to(const std::string& stream, std::span<const Tuple> anchors, Values values) = 0;
-  virtual void emit_direct(int task, const std::string& stream, std::span<const Tuple> anchors, Values values) = 0;
+  void emit(Values values) { do_emit(default_stream, {}, std::move(values), no_task); }
+  void emit_to(std::string_view stream, std::span<const Tuple> anchors, Values values) {
+    do_emit(stream, anchors, std::move(values), no_task);
+  }
+  void emit_direct(int task, std::string_view stream, std::span<const Tuple> anchors, Values values) {
+    do_emit(stream, anchors, std::move(values), task);
+  }
 
   virtual void ack(const Tuple& tuple) = 0;
   virtual void fail(const Tuple& tuple) = 0;
   /// The time-out of the tuple's tree starts anew.
   virtual void reset_timeout(const Tuple& tuple) = 0;
   virtual void report_error(const std::string& text) = 0;
+
+ protected:
+  static constexpr int no_task = -1;  ///< the groupings choose
+  virtual void do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) = 0;
 };
 
 }  // namespace iotcloud::topology

@@ -42,7 +42,8 @@ struct TopologyContext {
   int task = 0;           ///< unique in the topology, from 1
   int task_index = 0;     ///< 0 .. task_count - 1, within the component
   int task_count = 1;
-  std::map<std::string, std::vector<int>> tasks_of;  ///< the tasks of every component
+  /// The tasks of every component, ascending; shared by all contexts.
+  std::shared_ptr<const std::map<std::string, std::vector<int>>> tasks_of;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
   SpoutWaker waker;  ///< spouts only

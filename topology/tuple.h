@@ -12,6 +12,10 @@
 
 namespace iotcloud::topology {
 
+namespace internal {
+struct Tree;
+}
+
 namespace detail {
 
 /// What all tuples of one stream share; lives as long as the topology.
@@ -28,9 +32,11 @@ struct TupleData {
   virtual void recycle() noexcept = 0;
 
   std::atomic<std::uint32_t> handles{0};
-  Values values;
-  const StreamInfo* stream = nullptr;
   int source_task = -1;
+  const StreamInfo* stream = nullptr;
+  internal::Tree* tree = nullptr;  ///< the runtime's; null: not tracked
+  std::int64_t born_ns = 0;        ///< topology's clock when the spout emitted what this comes from; 0: not asked for
+  Values values;
 };
 
 }  // namespace detail

@@ -40,7 +40,7 @@ class Values {
   }
   Values(const Values& other) {
     reserve(other.size_);
-    for (const Value& value : other.all()) add(value);
+    for (const Value& value : other.all()) new (data_ + size_++) Value(value);
   }
   Values(Values&& other) noexcept { take(other); }
   Values& operator=(const Values& other) {
@@ -57,22 +57,22 @@ class Values {
   ~Values() { clear(); }
 
   void add(Value value) {
-    if (size_ == capacity_) reserve(2 * capacity_);
+    if (size_ == capacity_) reserve(std::size_t{2} * capacity_);
     new (data_ + size_++) Value(std::move(value));
   }
   void clear() noexcept {
-    std::destroy_n(data_, size_);
-    if (capacity_ > inline_capacity) std::allocator<Value>().deallocate(data_, capacity_);
-    data_ = inline_data();
+    for (std::uint32_t i = 0; i < size_; ++i) {
+      if (!is_plain(data_[i])) data_[i].~Value();
+    }
     size_ = 0;
-    capacity_ = inline_capacity;
+    if (capacity_ > inline_capacity) free_grown();
   }
   std::size_t size() const { return size_; }
   const Value& operator[](std::size_t i) const { return data_[i]; }
   std::span<const Value> all() const { return {data_, size_}; }
 
  private:
-  static constexpr std::size_t inline_capacity = 4;
+  static constexpr std::uint32_t inline_capacity = 4;
 
   template <typename T>
   static Value make(T&& value) {
@@ -88,34 +88,60 @@ class Values {
       return Value(std::string(std::forward<T>(value)));
     }
   }
+  /// Needs no destructor, and moves by a copy of its bytes.
+  static bool is_plain(const Value& value) { return value.index() <= 3; }
+  static_assert(std::is_same_v<std::variant_alternative_t<3, Value>, double>);
+
+  /// Moves a value to memory that holds none and leaves none behind. Most values are plain, and a variant's own move is
+  /// a jump through a table.
+  static void relocate(Value* from, Value* to) noexcept {
+    switch (from->index()) {
+      case 0:
+        new (to) Value;
+        return;
+      case 1:
+        new (to) Value(*std::get_if<1>(from));
+        return;
+      case 2:
+        new (to) Value(*std::get_if<2>(from));
+        return;
+      case 3:
+        new (to) Value(*std::get_if<3>(from));
+        return;
+      default:
+        new (to) Value(std::move(*from));
+        from->~Value();
+    }
+  }
   Value* inline_data() { return reinterpret_cast<Value*>(inline_); }
+  void free_grown() noexcept {
+    std::allocator<Value>().deallocate(data_, capacity_);
+    data_ = inline_data();
+    capacity_ = inline_capacity;
+  }
   void reserve(std::size_t capacity) {
     if (capacity <= capacity_) return;
     Value* grown = std::allocator<Value>().allocate(capacity);
-    std::uninitialized_move_n(data_, size_, grown);
-    const std::size_t size = size_;
-    clear();
+    for (std::uint32_t i = 0; i < size_; ++i) relocate(data_ + i, grown + i);
+    if (capacity_ > inline_capacity) free_grown();
     data_ = grown;
-    size_ = size;
-    capacity_ = capacity;
+    capacity_ = static_cast<std::uint32_t>(capacity);
   }
   /// \pre this one is empty.
   void take(Values& other) noexcept {
+    size_ = std::exchange(other.size_, 0);
     if (other.capacity_ > inline_capacity) {
       data_ = std::exchange(other.data_, other.inline_data());
       capacity_ = std::exchange(other.capacity_, inline_capacity);
-      size_ = std::exchange(other.size_, 0);
     } else {
-      std::uninitialized_move_n(other.data_, other.size_, data_);
-      size_ = other.size_;
-      other.clear();
+      for (std::uint32_t i = 0; i < size_; ++i) relocate(other.data_ + i, data_ + i);
     }
   }
 
-  alignas(Value) std::byte inline_[inline_capacity * sizeof(Value)];
   Value* data_ = inline_data();
-  std::size_t size_ = 0;
-  std::size_t capacity_ = inline_capacity;
+  std::uint32_t size_ = 0;
+  std::uint32_t capacity_ = inline_capacity;
+  alignas(Value) std::byte inline_[inline_capacity * sizeof(Value)];
 };
 
 }  // namespace iotcloud::topology

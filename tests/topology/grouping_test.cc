@@ -125,7 +125,7 @@ TEST(Grouping, DirectGoesWhereTheEmitterSays) {
     }
     void prepare(const Config&, const TopologyContext& context, OutputCollector& collector) override {
       collector_ = &collector;
-      tasks_ = context.tasks_of.at("out");
+      tasks_ = context.tasks_of->at("out");
     }
     void execute(const Tuple& tuple) override {
       const auto number = tuple.get<std::int64_t>("value");

@@ -2,21 +2,19 @@
 #include <stdexcept>
 
 #include <iotcloud/topology/runtime/bolt_task.h>
+#include <iotcloud/topology/runtime/lane.h>
 #include <iotcloud/topology/runtime/scheduler.h>
 #include <iotcloud/topology/runtime/slice_clock.h>
 
 namespace iotcloud::topology::internal {
 
-BoltTask::BoltTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Bolt> bolt,
+BoltTask::BoltTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Bolt> bolt, Intake intake,
                    const detail::StreamInfo* tick_stream)
     : Task(surroundings, std::move(context)),
       bolt_(std::move(bolt)),
       tick_stream_(tick_stream),
-      capacity_(std::max<std::size_t>(around_.options->mailbox_capacity, 2)),
-      execute_latency_(&context_.metrics->histogram("iotcloud_task_execute_seconds", "One call of execute()",
-                                                    {{"topology", context_.topology},
-                                                     {"component", context_.component},
-                                                     {"task", std::to_string(context_.task)}})) {}
+      intake_(std::move(intake)),
+      mailbox_(*this, around_.options->mailbox_capacity, intake_.keep_last) {}
 
 BoltTask::~BoltTask() {
   discard();
@@ -33,65 +31,24 @@ void BoltTask::prepare(const Config& config, Lane& lane) {
 void BoltTask::close() {
   if (!prepared_) return;
   guarded("cleanup()", [this] { bolt_->cleanup(); });
-  publish_counts();
 }
 
 void BoltTask::fill(TaskSnapshot& snapshot) const {
-  snapshot.execute_latency = execute_latency_->summary();
+  snapshot.superseded = mailbox_.superseded();
+  snapshot.execute_latency = execute_latency_.summary();
+  snapshot.process_latency = process_latency_.summary();
+}
+
+void BoltTask::collect(std::vector<config::Sample>& samples) const {
+  Task::collect(samples);
+  add_sample(samples, "iotcloud_task_execute_seconds", "One call of execute()", execute_latency_);
+  add_sample(samples, "iotcloud_task_process_seconds", "From execute() to ack", process_latency_);
 }
 
 void BoltTask::discard() {
-  const auto drop = [](std::vector<TupleCell*>& cells, std::size_t from) {
-    for (std::size_t i = from; i < cells.size(); ++i) Tuple::adopt(cells[i]);
-    cells.clear();
-  };
   bolt_.reset();
-  drop(batch_, next_);
-  next_ = 0;
-  drop(waiting_, 0);
+  mailbox_.discard();
   answers_.clear();
-}
-
-// The mailbox.
-
-void BoltTask::deliver(std::span<TupleCell* const> cells) {
-  const std::lock_guard lock(mutex_);
-  waiting_.insert(waiting_.end(), cells.begin(), cells.end());
-  depth_.fetch_add(cells.size());
-}
-
-bool BoltTask::block_until_room(Task& emitter) {
-  const std::lock_guard lock(mutex_);
-  if (std::find(blocked_.begin(), blocked_.end(), &emitter) != blocked_.end()) return true;
-  // Announced first, looked at the depth second; done() does it the other way round, so one of the two sees the other.
-  has_blocked_.store(true);
-  if (depth_.load() <= capacity_ / 2) {
-    has_blocked_.store(!blocked_.empty());
-    return false;
-  }
-  blocked_.push_back(&emitter);
-  emitter.block();
-  return true;
-}
-
-void BoltTask::done(std::size_t executed) {
-  const std::size_t left = depth_.fetch_sub(executed) - executed;
-  if (left > capacity_ / 2 || !has_blocked_.load()) return;
-  std::vector<Task*> freed;
-  {
-    const std::lock_guard lock(mutex_);
-    freed.swap(blocked_);
-    has_blocked_.store(false);
-  }
-  for (Task* emitter : freed) emitter->unblock();
-}
-
-bool BoltTask::refill() {
-  batch_.clear();
-  next_ = 0;
-  const std::lock_guard lock(mutex_);
-  batch_.swap(waiting_);
-  return !batch_.empty();
 }
 
 // Running.
@@ -103,44 +60,80 @@ bool BoltTask::slice(Lane& lane) {
   if (has_answers_.load(std::memory_order_acquire)) take_answers();
   if ((signals & tick_due) != 0) tick();
   const std::int64_t slice_began = real_ns();
-  std::int64_t began = slice_began;
+  chunk_began_ns_ = slice_began;
   bool more = false;
   while (depth() > 0 && !blocked()) {
     std::size_t executed = 0;
-    while (executed < chunk_ && !lane.wants_flush() && (next_ < batch_.size() || refill())) {
-      execute(Tuple::adopt(batch_[next_++]));
+    while (executed < chunk_ && !lane.wants_flush()) {
+      TupleCell* cell = mailbox_.next();
+      if (cell == nullptr) break;
+      execute(Tuple::adopt(cell));
       ++executed;
     }
     const std::int64_t now = real_ns();
-    if (executed > 0) {
-      bump(counts_.executed, executed);
-      execute_latency_->record_ns((now - began) / static_cast<std::int64_t>(executed), executed);
-      chunk_ = next_chunk(chunk_, executed, now - began);
-      done(executed);
-    }
+    if (executed > 0) note_chunk(executed, now - chunk_began_ns_);
     lane.flush(*this);
-    began = now;
+    chunk_began_ns_ = now;
     if (lane.has_ready() || now - slice_began > slice_limit_ns) {
       more = depth() > 0 && !blocked();
       break;
     }
   }
   lane.flush(*this);
-  publish_counts();
   return more;
 }
 
+void BoltTask::note_chunk(std::size_t executed, std::int64_t took_ns) {
+  const std::int64_t each = took_ns / static_cast<std::int64_t>(executed);
+  bump(counts_.executed, executed);
+  bump(counts_.busy_ns, static_cast<std::uint64_t>(took_ns));
+  execute_latency_.record_ns(each, executed);
+  if (settled_in_chunk_ > 0) process_latency_.record_ns(each, std::exchange(settled_in_chunk_, 0));
+  chunk_ = next_chunk(chunk_, executed, took_ns);
+  mailbox_.done(executed);
+}
+
 void BoltTask::execute(Tuple tuple) {
-  current_ = cell_of(tuple);
+  TupleCell* const cell = cell_of(tuple);
+  current_ = cell;
   current_settled_ = false;
-  if (!guarded("execute()", [&] { bolt_->execute(tuple); }) && !current_settled_) settle(Answer::fail, tuple);
+  if (!intake_.deadlines.empty() && late(*cell)) {
+    give_up_late(tuple);
+  } else {
+    if (taps_.any() && emitter_.is_sink()) taps_.offer(real_ns(), id(), [&] { return tuple; });
+    if (!guarded("execute()", [&] { bolt_->execute(tuple); }) && !current_settled_) settle(Answer::fail, tuple);
+    if (current_settled_) {
+      ++settled_in_chunk_;
+    } else if (Delivery* delivery = cell->tracked() ? cell->open_delivery(this) : nullptr) {
+      delivery->executed_ns = chunk_began_ns_;
+    }
+  }
   current_ = nullptr;
+}
+
+bool BoltTask::late(const TupleCell& cell) const {
+  if (cell.born_ns == 0) return false;
+  for (const Intake::Deadline& deadline : intake_.deadlines) {
+    if (deadline.stream == cell.stream) return topology_ns() - cell.born_ns > deadline.age_ns;
+  }
+  return false;
+}
+
+void BoltTask::give_up_late(const Tuple& tuple) {
+  bump(counts_.late);
+  if (!intake_.late_stream.empty()) {
+    guarded("emit to the late stream", [&] {
+      do_emit(intake_.late_stream, {&tuple, 1}, Values(tuple.data()->values), no_task);
+    });
+  }
+  settle(Answer::ack, tuple);
 }
 
 void BoltTask::tick() {
   TupleCell* cell = TupleCell::make();
   cell->stream = tick_stream_;
   cell->source_task = 0;
+  cell->born_ns = 0;
   cell->handles.store(1, std::memory_order_relaxed);
   const Tuple tuple = Tuple::adopt(cell);
   guarded("execute() of a tick", [&] { bolt_->execute(tuple); });
@@ -148,31 +141,44 @@ void BoltTask::tick() {
 
 // The collector.
 
-void BoltTask::emit_to(const std::string& stream, std::span<const Tuple> anchors, Values values) {
-  emit(-1, stream, anchors, std::move(values));
-}
-
-void BoltTask::emit_direct(int task, const std::string& stream, std::span<const Tuple> anchors, Values values) {
-  if (task < 0) throw std::invalid_argument("there is no task " + std::to_string(task));
-  emit(task, stream, anchors, std::move(values));
-}
-
-void BoltTask::emit(int direct_task, const std::string& stream, std::span<const Tuple> anchors, Values&& values) {
+void BoltTask::do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) {
   if (!OwnCall::is_of(*this)) {
     throw std::logic_error("component " + context_.component +
                            " emits outside of its own calls; only ack, fail, reset_timeout and report_error may come "
                            "from other threads");
   }
-  emitter_.choose(stream, values, direct_task);
+  if (task < no_task) throw std::invalid_argument("there is no task " + std::to_string(task));
+  emitter_.choose(stream, values, task);
   bump(counts_.emitted);
+  if (taps_.any()) offer_emitted(values, birth_of_child(anchors));
   if (emitter_.chosen() == 0) return;
   bump(counts_.transferred, emitter_.chosen());
+  send(anchors, std::move(values));
+}
 
+std::int64_t BoltTask::birth_of_child(std::span<const Tuple> anchors) const {
+  if (!around_.has_deadlines) return 0;
+  std::int64_t oldest = 0;
+  for (const Tuple& anchor : anchors) {
+    const std::int64_t born = anchor.data()->born_ns;
+    if (born != 0 && (oldest == 0 || born < oldest)) oldest = born;
+  }
+  if (oldest != 0) return oldest;
+  return current_ != nullptr && current_->born_ns != 0 ? current_->born_ns : topology_ns();
+}
+
+void BoltTask::send(std::span<const Tuple> anchors, Values&& values) {
+  const std::int64_t born = birth_of_child(anchors);
   if (anchors.size() == 1) {
-    // The children's ids wait in the anchor's delivery, so that its ack changes the tree once for all of them.
     TupleCell& anchor = *cell_of(anchors.front());
-    if (Delivery* delivery = anchor.tracked() ? anchor.open_delivery(this) : nullptr) {
-      delivery->change ^= emitter_.send(*lane_, std::move(values), anchor.trees);
+    if (!anchor.tracked()) {
+      emitter_.send(*lane_, std::move(values), {}, born);
+      return;
+    }
+    // The children's ids wait in the anchor's delivery, so that its ack changes the tree once for all of them.
+    Delivery* delivery = anchor.open_delivery(this);
+    if (delivery != nullptr && (!anchor.more || anchor.more->trees.empty())) {
+      delivery->change ^= emitter_.send(*lane_, std::move(values), {&anchor.tree, 1}, born);
       return;
     }
   }
@@ -180,11 +186,11 @@ void BoltTask::emit(int direct_task, const std::string& stream, std::span<const 
   for (const Tuple& tuple : anchors) {
     TupleCell& anchor = *cell_of(tuple);
     if (!anchor.tracked() || anchor.open_delivery(this) == nullptr) continue;
-    for (Tree* tree : anchor.trees) {
+    anchor.for_each_tree([&](Tree* tree) {
       if (std::find(roots_.begin(), roots_.end(), tree) == roots_.end()) roots_.push_back(tree);
-    }
+    });
   }
-  const std::uint64_t ids = emitter_.send(*lane_, std::move(values), roots_);
+  const std::uint64_t ids = emitter_.send(*lane_, std::move(values), roots_, born);
   // The anchors are open, so these trees are; nobody has seen the new tuple before the lane is flushed.
   for (Tree* tree : roots_) tree->open.fetch_xor(ids, std::memory_order_acq_rel);
 }
@@ -195,7 +201,7 @@ void BoltTask::answer(Answer answer, const Tuple& tuple) {
     return;
   }
   {
-    const std::lock_guard lock(mutex_);
+    const std::lock_guard lock(answers_mutex_);
     answers_.emplace_back(answer, tuple);
     has_answers_.store(true, std::memory_order_release);
   }
@@ -205,7 +211,7 @@ void BoltTask::answer(Answer answer, const Tuple& tuple) {
 void BoltTask::take_answers() {
   std::vector<std::pair<Answer, Tuple>> answers;
   {
-    const std::lock_guard lock(mutex_);
+    const std::lock_guard lock(answers_mutex_);
     answers.swap(answers_);
     has_answers_.store(false, std::memory_order_relaxed);
   }
@@ -218,14 +224,16 @@ void BoltTask::settle(Answer answer, const Tuple& tuple) {
   Delivery* delivery = cell.tracked() ? cell.open_delivery(this) : nullptr;
   if (answer == Answer::reset) {
     if (delivery == nullptr) return;
-    const std::int64_t now = around_.clock->now().time_since_epoch().count();
-    for (Tree* tree : cell.trees) tree->touched_ns.store(now, std::memory_order_relaxed);
+    const std::int64_t now = topology_ns();
+    cell.for_each_tree([&](Tree* tree) { tree->touched_ns.store(now, std::memory_order_relaxed); });
     return;
   }
   if (cell.tracked() ? delivery == nullptr : (&cell == current_ && current_settled_)) return;  // a second time
   if (&cell == current_) current_settled_ = true;
   bump(answer == Answer::ack ? counts_.acked : counts_.failed);
-  if (delivery != nullptr) cell.settle(*delivery, answer == Answer::fail ? Tree::failed : std::uint8_t{0});
+  if (delivery == nullptr) return;
+  if (delivery->executed_ns != 0) process_latency_.record_ns(real_ns() - delivery->executed_ns);
+  cell.settle(*delivery, answer == Answer::fail ? Tree::failed : std::uint8_t{0});
 }
 
 }  // namespace iotcloud::topology::internal

@@ -1,8 +1,9 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <span>
-#include <string>
+#include <string_view>
 #include <vector>
 
 #include <iotcloud/topology/grouping.h>
@@ -15,8 +16,8 @@ class Lane;
 
 /// One reader of a stream: a component and the grouping that chooses among its tasks.
 struct Edge {
-  std::unique_ptr<Grouping> grouping;  ///< null: direct
-  std::vector<int> targets;            ///< ascending task ids
+  std::unique_ptr<Grouping> grouping;         ///< null: direct, or a single task that gets all
+  const std::vector<int>* targets = nullptr;  ///< ascending task ids; outlives the edge
 };
 
 struct OutStream {
@@ -34,18 +35,32 @@ class Emitter {
 
   /// Checks, and chooses the receivers. \throws std::invalid_argument when stream, task or values do not fit.
   /// \param direct_task -1: by the groupings.
-  void choose(const std::string& stream, const Values& values, int direct_task);
-  std::size_t chosen() const { return chosen_.size(); }
+  void choose(std::string_view stream, const Values& values, int direct_task);
+  std::size_t chosen() const { return chosen_count_; }
+  bool is_sink() const { return streams_.empty(); }
   /// Makes the tuple for the receivers that choose() found; at least one. It is tracked when `trees` is not empty.
   /// \return XOR of the ids of its deliveries (0 when not tracked).
-  std::uint64_t send(Lane& lane, Values&& values, std::span<Tree* const> trees);
+  std::uint64_t send(Lane& lane, Values&& values, std::span<Tree* const> trees, std::int64_t born_ns);
+  /// The tuple that send() would make, for a single handle; untracked.
+  TupleCell* make_cell(Values&& values, std::int64_t born_ns) const;
 
  private:
-  std::vector<OutStream> streams_;
+  struct Stream {
+    OutStream out;
+    BoltTask* only = nullptr;  ///< whatever is emitted, this one task gets it
+  };
+  Stream& find(std::string_view name);
+  void choose_by_groupings(Stream& stream, const Values& values);
+  void choose_direct(const Stream& stream, int task);
+
+  std::vector<Stream> streams_;
+  Stream* default_ = nullptr;
   const std::vector<BoltTask*>* tasks_ = nullptr;
   const Task* self_ = nullptr;
-  const OutStream* stream_ = nullptr;  ///< of the last choose()
-  std::vector<int> chosen_;
+  // Of the last choose():
+  const Stream* stream_ = nullptr;
+  std::size_t chosen_count_ = 0;
+  std::vector<int> chosen_;  ///< unless the stream has an `only`
 };
 
 }  // namespace iotcloud::topology::internal

@@ -4,6 +4,8 @@
 
 namespace iotcloud::topology::internal {
 
+thread_local constinit Lane* lane_of_this_thread = nullptr;
+
 void ReadyList::push(Task& task) {
   task.next_ready = nullptr;
   (last_ == nullptr ? first_ : last_->next_ready) = &task;
@@ -31,16 +33,27 @@ void ReadyList::append(ReadyList& other) {
 Lane::Lane(Scheduler& scheduler, std::size_t tasks, std::uint64_t seed)
     : scheduler_(scheduler), out_of_task_(tasks + 1, 0), random_(seed) {}
 
-void Lane::put(BoltTask& target, TupleCell* cell) {
+Lane::Out& Lane::out_to(BoltTask& target) {
   std::uint32_t& slot = out_of_task_[static_cast<std::size_t>(target.id())];
   if (slot == 0) {
-    if (outs_used_ == outs_.size()) outs_.emplace_back();
-    outs_[outs_used_].target = &target;
+    if (outs_used_ == outs_.size()) {
+      outs_.emplace_back();
+      last_out_ = nullptr;
+    }
+    Out& out = outs_[outs_used_];
+    out.target = &target;
+    out.room = target.room();
     slot = static_cast<std::uint32_t>(++outs_used_);
   }
-  auto& cells = outs_[slot - 1].cells;
+  return outs_[slot - 1];
+}
+
+void Lane::put(BoltTask& target, TupleCell* cell) {
+  if (last_out_ == nullptr || last_out_->target != &target) last_out_ = &out_to(target);
+  auto& cells = last_out_->cells;
   cells.push_back(cell);
-  if (target.full(2 * cells.size())) wants_flush_ = true;
+  // Others may put as many: half of the room is ours.
+  if (2 * cells.size() >= last_out_->room) wants_flush_ = true;
 }
 
 void Lane::flush(Task& emitter) {
@@ -49,10 +62,11 @@ void Lane::flush(Task& emitter) {
     out_of_task_[static_cast<std::size_t>(out.target->id())] = 0;
     out.target->deliver(out.cells);
     out.cells.clear();
-    if (out.target->full(0)) out.target->block_until_room(emitter);
+    if (out.target->room() == 0) out.target->block_until_room(emitter);
     scheduler_.schedule(*out.target);
   }
   outs_used_ = 0;
+  last_out_ = nullptr;
   wants_flush_ = false;
 }
 
@@ -74,11 +88,6 @@ void Lane::take_all(ReadyList& into) {
   const std::lock_guard lock(mutex_);
   into.append(ready_);
   ready_count_.store(0, std::memory_order_relaxed);
-}
-
-Lane*& Lane::of_this_thread() {
-  thread_local Lane* lane = nullptr;
-  return lane;
 }
 
 }  // namespace iotcloud::topology::internal

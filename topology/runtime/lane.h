@@ -59,21 +59,26 @@ class Lane {
   std::size_t ready_count() const { return ready_count_.load(std::memory_order_relaxed); }
   bool has_ready() const { return ready_count() > 0; }
   // For those who watch.
-  std::atomic<std::int64_t> slice_began_ns{0};  ///< real_ns(); 0 = no slice runs
-  std::atomic<const Task*> running{nullptr};    ///< the task whose slice it is
+  std::atomic<std::int64_t> slice_began_ns{0};    ///< real_ns(); 0 = no slice runs
+  std::atomic<Task*> running{nullptr};            ///< the task whose slice it is
+  std::atomic<std::int64_t> reported_hang_ns{0};  ///< slice_began_ns of the last one that was reported as hanging
 
   /// The lane of the calling thread, if it runs tasks.
-  static Lane*& of_this_thread();
+  static Lane* of_this_thread();
 
  private:
   struct Out {
     BoltTask* target = nullptr;
+    std::size_t room = 0;  ///< so many cells fit before the target is full
     std::vector<TupleCell*> cells;
   };
+  Out& out_to(BoltTask& target);
+
   Scheduler& scheduler_;
   std::vector<std::uint32_t> out_of_task_;  ///< by task id: index into outs_ plus 1, 0 = none
-  std::vector<Out> outs_;
+  std::vector<Out> outs_;                   ///< never shrinks: keeps its cells' memory
   std::size_t outs_used_ = 0;
+  Out* last_out_ = nullptr;  ///< of the last put()
   bool wants_flush_ = false;
   std::uint64_t random_;
 
@@ -82,23 +87,29 @@ class Lane {
   ReadyList ready_;  ///< guarded by mutex_
 };
 
+// The runtime is linked into programs, never loaded by itself: a direct access, without a call.
+extern thread_local constinit Lane* lane_of_this_thread __attribute__((tls_model("initial-exec")));
+
+inline Lane* Lane::of_this_thread() {
+  return lane_of_this_thread;
+}
+
 /// While it lives the calling thread is in the task's own calls.
 class OwnCall {
  public:
-  OwnCall(Lane& lane, const Task& task) : lane_(lane), outer_lane_(Lane::of_this_thread()), outer_(lane.current) {
-    Lane::of_this_thread() = &lane;
+  OwnCall(Lane& lane, const Task& task) : lane_(lane), outer_lane_(lane_of_this_thread), outer_(lane.current) {
+    lane_of_this_thread = &lane;
     lane.current = &task;
   }
   ~OwnCall() {
     lane_.current = outer_;
-    Lane::of_this_thread() = outer_lane_;
+    lane_of_this_thread = outer_lane_;
   }
   OwnCall(const OwnCall&) = delete;
   OwnCall& operator=(const OwnCall&) = delete;
 
   static bool is_of(const Task& task) {
-    const Lane* lane = Lane::of_this_thread();
-    return lane != nullptr && lane->current == &task;
+    return lane_of_this_thread != nullptr && lane_of_this_thread->current == &task;
   }
 
  private:

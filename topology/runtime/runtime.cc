@@ -5,6 +5,7 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/topology/runtime/bolt_task.h>
+#include <iotcloud/topology/runtime/executors.h>
 #include <iotcloud/topology/runtime/runtime.h>
 #include <iotcloud/topology/runtime/scheduler.h>
 #include <iotcloud/topology/runtime/spout_task.h>
@@ -19,6 +20,9 @@ using internal::Task;
 namespace {
 
 constexpr config::Logger logger{"topology"};
+// Between two looks at hanging tasks and at how busy all are.
+constexpr std::chrono::milliseconds shortest_round{10};
+constexpr std::chrono::milliseconds longest_round{5000};
 
 /// Runs user code of set-up; what it throws becomes a TopologyError that names the component.
 template <typename Call>
@@ -55,8 +59,13 @@ TaskSnapshot Snapshot::component(const std::string& id) const {
     sum.errors += task.errors;
     sum.queue_depth += task.queue_depth;
     sum.pending += task.pending;
+    sum.late += task.late;
+    sum.superseded += task.superseded;
+    sum.busy_seconds += task.busy_seconds;
+    sum.capacity = std::max(sum.capacity, task.capacity);
     if (!task.last_error.empty()) sum.last_error = task.last_error;
     if (task.execute_latency.count > sum.execute_latency.count) sum.execute_latency = task.execute_latency;
+    if (task.process_latency.count > sum.process_latency.count) sum.process_latency = task.process_latency;
     if (task.complete_latency.count > sum.complete_latency.count) sum.complete_latency = task.complete_latency;
   }
   return sum;
@@ -74,6 +83,9 @@ class Runtime::Impl {
         scheduler_(options_.threads, options_.caller_slice, count_tasks(), timers_) {
     name_tasks();
     for (const ComponentSpec& spec : topology_.components) make_tasks(spec);
+    metrics_source_ = metrics_.add_source([this](std::vector<config::Sample>& samples) {
+      for (const auto& task : tasks_) task->collect(samples);
+    });
   }
 
   ~Impl() {
@@ -90,7 +102,10 @@ class Runtime::Impl {
   void start() {
     prepare_all();
     scheduler_.start();
-    if (clock_is_real_ || options_.threads > 0) timers_.start(&scheduler_);
+    if (clock_is_real_ || options_.threads > 0) {
+      const auto often_enough = options_.hang_after.count() > 0 ? options_.hang_after / 2 : longest_round;
+      timers_.start(scheduler_, std::clamp(often_enough, shortest_round, longest_round), [this] { go_round(); });
+    }
     started_ = true;
     for (const auto& task : tasks_) {
       if (task->is_spout()) task->signal(Task::activity_due);
@@ -98,7 +113,7 @@ class Runtime::Impl {
     }
     for (const ComponentSpec& spec : topology_.components) {
       if (spec.tick.count() == 0) continue;
-      for (const int id : tasks_of_.at(spec.id)) {
+      for (const int id : tasks_of_->at(spec.id)) {
         timers_.add(clock_.now() + spec.tick, *bolts_[static_cast<std::size_t>(id)], Task::tick_due, spec.tick);
       }
     }
@@ -138,8 +153,47 @@ class Runtime::Impl {
     Snapshot snapshot;
     snapshot.topology = topology_.name;
     snapshot.active = started_ && active_.load();
+    for (const auto& [id, executors] : executors_) snapshot.parallelism[id] = executors.limit();
     for (const auto& task : tasks_) snapshot.tasks.push_back(task->snapshot());
     return snapshot;
+  }
+
+  void rebalance(const std::string& component, int parallelism) {
+    const auto executors = executors_.find(component);
+    if (executors == executors_.end()) throw std::invalid_argument(no_component(component));
+    const auto tasks = static_cast<int>(tasks_of_->at(component).size());
+    if (parallelism < 1 || parallelism > tasks) {
+      throw std::invalid_argument("component \"" + component + "\" cannot have a parallelism of " +
+                                  std::to_string(parallelism) + ": it has " + std::to_string(tasks) +
+                                  " tasks, so 1 to " + std::to_string(tasks) + " are possible");
+    }
+    scheduler_.set_limit(executors->second, parallelism);
+  }
+
+  std::unique_ptr<Tap> tap(const std::string& component, double per_second, TapCall call) {
+    class OwnedTap final : public Tap {
+     public:
+      explicit OwnedTap(std::vector<std::shared_ptr<internal::TapPoint>> points) : points_(std::move(points)) {}
+      ~OwnedTap() override {
+        for (const auto& point : points_) point->end();
+      }
+
+     private:
+      std::vector<std::shared_ptr<internal::TapPoint>> points_;
+    };
+    if (!tasks_of_->contains(component)) throw std::invalid_argument(no_component(component));
+    const auto one_at_a_time = [mutex = std::make_shared<std::mutex>(), call = std::move(call)](const Tuple& tuple,
+                                                                                                int task) {
+      const std::lock_guard lock(*mutex);
+      call(tuple, task);
+    };
+    std::vector<std::shared_ptr<internal::TapPoint>> points;
+    for (const auto& task : tasks_) {
+      if (task->context().component != component) continue;
+      points.push_back(std::make_shared<internal::TapPoint>(per_second, one_at_a_time));
+      task->taps().add(points.back());
+    }
+    return std::make_unique<OwnedTap>(std::move(points));
   }
 
   const Topology& topology() const { return topology_; }
@@ -153,11 +207,23 @@ class Runtime::Impl {
     return count;
   }
 
+  std::string no_component(const std::string& id) const {
+    std::string known;
+    for (const ComponentSpec& spec : topology_.components) known += (known.empty() ? "" : ", ") + spec.id;
+    return "topology \"" + topology_.name + "\" has no component \"" + id + "\"; it has: " + known;
+  }
+
   void name_tasks() {
     int id = 0;
+    auto tasks_of = std::make_shared<std::map<std::string, std::vector<int>>>();
     for (const ComponentSpec& spec : topology_.components) {
-      for (int i = 0; i < spec.tasks; ++i) tasks_of_[spec.id].push_back(++id);
+      for (int i = 0; i < spec.tasks; ++i) (*tasks_of)[spec.id].push_back(++id);
+      executors_.try_emplace(spec.id, spec.parallelism, spec.tasks);
+      has_deadlines_ = has_deadlines_ || spec.deadline.count() > 0 ||
+                       std::any_of(spec.inputs.begin(), spec.inputs.end(),
+                                   [](const Subscription& input) { return input.deadline.count() > 0; });
     }
+    tasks_of_ = std::move(tasks_of);
     bolts_.resize(static_cast<std::size_t>(id) + 1, nullptr);
     for (const auto& [component, streams] : topology_.streams) {
       for (const auto& [stream, spec] : streams) {
@@ -170,7 +236,7 @@ class Runtime::Impl {
     TopologyContext context;
     context.topology = topology_.name;
     context.component = spec.id;
-    context.task = tasks_of_.at(spec.id)[index];
+    context.task = tasks_of_->at(spec.id)[index];
     context.task_index = static_cast<int>(index);
     context.task_count = spec.tasks;
     context.tasks_of = tasks_of_;
@@ -180,25 +246,48 @@ class Runtime::Impl {
   }
 
   void make_tasks(const ComponentSpec& spec) {
-    const internal::Surroundings around{&scheduler_, &timers_, &clock_, &options_};
+    const internal::Surroundings around{&scheduler_, &timers_, &clock_, &options_, clock_is_real_, has_deadlines_};
     for (std::size_t i = 0; i < static_cast<std::size_t>(spec.tasks); ++i) {
       TopologyContext context = context_of(spec, i);
       if (spec.spout) {
         auto spout = set_up(spec.id, "its factory", [&] { return spec.spout(); });
         auto gate = std::make_shared<internal::WakeGate>();
         context.waker = SpoutWaker(gate);
-        auto task = std::make_unique<SpoutTask>(around, std::move(context), std::move(spout), std::move(gate));
+        auto task = std::make_unique<SpoutTask>(around, std::move(context), std::move(spout), std::move(gate),
+                                                spec.max_spout_pending.value_or(options_.max_spout_pending));
         spouts_.push_back(task.get());
         tasks_.push_back(std::move(task));
       } else {
         auto bolt = set_up(spec.id, "its factory", [&] { return spec.bolt(); });
-        auto task = std::make_unique<BoltTask>(around, std::move(context), std::move(bolt), &tick_stream_);
+        auto task =
+            std::make_unique<BoltTask>(around, std::move(context), std::move(bolt), intake_of(spec), &tick_stream_);
         bolts_[static_cast<std::size_t>(task->id())] = task.get();
         tasks_.push_back(std::move(task));
       }
       Task& made = *tasks_.back();
+      made.executors = &executors_.at(spec.id);
       made.emitter().set_up(streams_of(made), &bolts_, &made);
     }
+  }
+
+  internal::Intake intake_of(const ComponentSpec& bolt) const {
+    internal::Intake intake;
+    intake.late_stream = bolt.late_stream;
+    for (const Subscription& input : bolt.inputs) {
+      const auto* stream = &stream_infos_.at({input.from, input.stream});
+      const auto shorter = bolt.deadline.count() == 0    ? input.deadline
+                           : input.deadline.count() == 0 ? bolt.deadline
+                                                         : std::min(bolt.deadline, input.deadline);
+      if (shorter.count() > 0) intake.deadlines.push_back({stream, std::chrono::nanoseconds(shorter).count()});
+      if (input.keep_last == 0) continue;
+      internal::KeepLast& keep = intake.keep_last.emplace_back();
+      keep.stream = stream;
+      keep.keep = input.keep_last;
+      for (const std::string& name : input.keep_key.empty() ? input.fields : input.keep_key) {
+        keep.key.push_back(stream->fields.find(name).value());  // build() checked that it is there
+      }
+    }
+    return intake;
   }
 
   std::vector<internal::OutStream> streams_of(const Task& emitter) {
@@ -211,11 +300,12 @@ class Runtime::Impl {
       for (const ComponentSpec& reader : topology_.components) {
         for (const Subscription& input : reader.inputs) {
           if (input.from != component || input.stream != name) continue;
-          internal::Edge edge{nullptr, tasks_of_.at(reader.id)};
-          if (!spec.direct) {
+          internal::Edge edge{nullptr, &tasks_of_->at(reader.id)};
+          const bool one_for_all = edge.targets->size() == 1 && input.grouping != "custom";
+          if (!spec.direct && !one_for_all) {
             set_up(reader.id, "its grouping on " + component, [&] {
               edge.grouping = input.factory();
-              edge.grouping->prepare(emitter.context(), spec.fields, edge.targets);
+              edge.grouping->prepare(emitter.context(), spec.fields, *edge.targets);
             });
           }
           out.edges.push_back(std::move(edge));
@@ -247,6 +337,15 @@ class Runtime::Impl {
     }
   }
 
+  /// Once in a while, on the timers' thread.
+  void go_round() {
+    if (options_.hang_after.count() > 0) scheduler_.report_hanging(options_.hang_after);
+    const std::int64_t now =
+        std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
+            .count();
+    for (const auto& task : tasks_) task->measure_capacity(now);
+  }
+
   bool drain(std::chrono::steady_clock::time_point deadline) {
     const auto done = [this] {
       return std::all_of(spouts_.begin(), spouts_.end(), [](const SpoutTask* s) { return s->under_way() == 0; });
@@ -263,7 +362,9 @@ class Runtime::Impl {
   const config::Clock& clock_;
   config::Metrics& metrics_;
   const bool clock_is_real_;
-  std::map<std::string, std::vector<int>> tasks_of_;
+  std::shared_ptr<const std::map<std::string, std::vector<int>>> tasks_of_;
+  std::map<std::string, internal::Executors> executors_;  ///< by component
+  bool has_deadlines_ = false;
   std::map<std::pair<std::string, std::string>, detail::StreamInfo> stream_infos_;  ///< nodes stay where they are
   const detail::StreamInfo tick_stream_{system_component, tick_stream, {}};
   internal::Timers timers_;
@@ -274,8 +375,9 @@ class Runtime::Impl {
   std::atomic<bool> active_{true};
   std::atomic<bool> started_{false};
   std::mutex stop_mutex_;
-  bool stopped_ = false;          ///< guarded by stop_mutex_
-  bool stopped_in_time_ = false;  ///< guarded by stop_mutex_
+  bool stopped_ = false;                                ///< guarded by stop_mutex_
+  bool stopped_in_time_ = false;                        ///< guarded by stop_mutex_
+  config::Metrics::SourceRegistration metrics_source_;  ///< dies first: it reads the tasks
 };
 
 Runtime::Runtime(Topology topology, RuntimeOptions options)
@@ -293,6 +395,12 @@ void Runtime::deactivate() {
 }
 void Runtime::activate() {
   impl_->set_active(true);
+}
+void Runtime::rebalance(const std::string& component, int parallelism) {
+  impl_->rebalance(component, parallelism);
+}
+std::unique_ptr<Tap> Runtime::tap(const std::string& component, double per_second, TapCall call) {
+  return impl_->tap(component, per_second, std::move(call));
 }
 Snapshot Runtime::snapshot() const {
   return impl_->snapshot();

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -35,6 +36,8 @@ struct RuntimeOptions {
   std::size_t mailbox_capacity = 1024;
   /// Work done on a thread that called wake() before the rest goes to the pool.
   std::chrono::microseconds caller_slice{1000};
+  /// User code that does not return for so long is reported as an error of its task. 0 = never.
+  std::chrono::milliseconds hang_after{10000};
   /// Called once for each error of user code, from any thread; may be empty. Logged and counted in any case.
   std::function<void(const std::string& component, int task, const std::string& text)> on_error;
 };
@@ -51,20 +54,35 @@ struct TaskSnapshot {
   std::uint64_t failed = 0;       ///< bolts: inputs failed. Spouts: trees failed, time-outs included
   std::uint64_t timed_out = 0;    ///< spouts
   std::uint64_t errors = 0;       ///< exceptions and reported errors
+  std::uint64_t late = 0;         ///< bolts: tuples older than their deadline, not executed
+  std::uint64_t superseded = 0;   ///< bolts: tuples that a newer one replaced while they waited (keep_last)
   std::size_t queue_depth = 0;    ///< tuples that wait
   std::size_t pending = 0;        ///< spouts: trees under way
   std::string last_error;
+  double busy_seconds = 0;  ///< time in user code
+  double capacity = 0;      ///< part of the last seconds that it was busy, 0 to 1 (components: the busiest task)
   config::Histogram::Summary execute_latency;   ///< bolts: one execute()
+  config::Histogram::Summary process_latency;   ///< bolts: from execute() to ack or fail
   config::Histogram::Summary complete_latency;  ///< spouts: from emit to ack
 };
 
 struct Snapshot {
   std::string topology;
   bool active = false;
+  std::map<std::string, int> parallelism;  ///< of every component, as it is now
   std::vector<TaskSnapshot> tasks;
   /// The tasks of one component added up (latencies: those of the task with the most samples; task_id 0).
   TaskSnapshot component(const std::string& id) const;
 };
+
+/// Watches the tuples of a component until destroyed, see Runtime::tap(). When the destructor returns the call does not
+/// run any more; so do not destroy it from the call. It may outlive the runtime.
+class Tap {
+ public:
+  virtual ~Tap() = default;
+};
+/// \param task the task that emits it, or, for a component that emits nothing, executes it.
+using TapCall = std::function<void(const Tuple& tuple, int task)>;
 
 /// Runs one topology in this process. Thread safe unless said otherwise.
 /// A task is a serial mailbox: its calls never overlap. The thread that wakes a spout runs the tasks that follow too,
@@ -90,6 +108,16 @@ class Runtime {
   /// Pause and go on: spouts are not asked while deactivated; what is under way goes on.
   void deactivate();
   void activate();
+
+  /// Changes how many of a component's tasks may run at the same time, 1 to all of them. Takes effect when the slices
+  /// that run end; nothing is lost and no key's tuples change their order.
+  /// \throws std::invalid_argument naming what is possible.
+  void rebalance(const std::string& component, int parallelism);
+  /// Shows a sample of the tuples that a component emits, or, when it emits none, executes.
+  /// \param per_second for each task at most; infinity: every one.
+  /// \param call on the runtime's threads, one call at a time; keep it short. When it throws it is not called again.
+  /// \throws std::invalid_argument when there is no such component.
+  std::unique_ptr<Tap> tap(const std::string& component, double per_second, TapCall call);
 
   Snapshot snapshot() const;
   const Topology& topology() const;

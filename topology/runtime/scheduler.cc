@@ -195,8 +195,14 @@ void Scheduler::run(Lane& lane, Kind kind) noexcept {
 }
 
 void Scheduler::run_slice(Lane& lane, Task& task) noexcept {
+  bool counted = false;
+  if (!task.executors->enter(task, counted)) return;
   task.state.exchange(State::running, std::memory_order_acq_rel);
-  if (task.slice(lane)) {
+  const bool more = task.slice(lane);
+  if (counted) {
+    if (Task* next = task.executors->leave()) lane.push(*next);
+  }
+  if (more) {
     task.state.exchange(State::queued, std::memory_order_acq_rel);
     lane.push(task);
     return;
@@ -246,6 +252,23 @@ bool Scheduler::look() {
   }
   hand_over(freed);
   return again && !halted_.load();
+}
+
+void Scheduler::report_hanging(std::chrono::milliseconds limit) {
+  const std::int64_t now = real_ns();
+  const std::lock_guard lock(mutex_);  // lanes stay; a task lives as long as its scheduler
+  for (const auto& lane : lanes_) {
+    const std::int64_t began = lane->slice_began_ns.load(std::memory_order_relaxed);
+    Task* task = lane->running.load();
+    if (began == 0 || task == nullptr || now - began < std::chrono::nanoseconds(limit).count()) continue;
+    if (lane->reported_hang_ns.exchange(began) == began) continue;
+    task->report_error("does not return from user code for " + std::to_string((now - began) / 1'000'000'000) + " s");
+  }
+}
+
+void Scheduler::set_limit(Executors& executors, int limit) {
+  ReadyList freed = executors.set_limit(limit);
+  hand_over(freed);
 }
 
 // Waiting, and lanes for callers.

@@ -10,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include <iotcloud/topology/runtime/executors.h>
 #include <iotcloud/topology/runtime/lane.h>
 #include <iotcloud/topology/runtime/task.h>
 
@@ -52,6 +53,10 @@ class Scheduler {
   /// Frees run lists of threads that have been in one task for about a millisecond.
   /// \return true when there is something to look at again soon.
   bool look();
+
+  /// Reports user code that has not returned for `limit` as an error of its task, once for each such time.
+  void report_hanging(std::chrono::milliseconds limit);
+  void set_limit(Executors& executors, int limit);
 
   /// For user code that is called outside of slices (open, prepare).
   Lane& spare_lane() { return *spare_lane_; }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -19,7 +20,7 @@ inline constexpr std::int64_t slice_limit_ns = 200'000;
 inline constexpr std::size_t chunk_limit = 64;
 
 inline std::size_t next_chunk(std::size_t chunk, std::size_t calls, std::int64_t took_ns) {
-  if (took_ns > 20'000) return chunk > 1 ? chunk / 2 : 1;
+  if (took_ns > 20'000) return std::max<std::size_t>(1, calls * 10'000 / static_cast<std::size_t>(took_ns));
   if (calls == chunk && took_ns < 10'000 && chunk < chunk_limit) return 2 * chunk;
   return chunk;
 }

@@ -24,15 +24,11 @@ void WakeGate::shut() noexcept {
 }
 
 SpoutTask::SpoutTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Spout> spout,
-                     std::shared_ptr<WakeGate> gate)
+                     std::shared_ptr<WakeGate> gate, std::size_t max_pending)
     : Task(surroundings, std::move(context)),
       spout_(std::move(spout)),
       gate_(std::move(gate)),
-      complete_latency_(&context_.metrics->histogram("iotcloud_spout_complete_seconds",
-                                                     "From emit to the ack of the whole tree",
-                                                     {{"topology", context_.topology},
-                                                      {"component", context_.component},
-                                                      {"task", std::to_string(context_.task)}})) {}
+      max_pending_(max_pending) {}
 
 SpoutTask::~SpoutTask() {
   for (Tree* tree : wheel_) {
@@ -47,6 +43,7 @@ SpoutTask::~SpoutTask() {
 void SpoutTask::open(const Config& config, Lane& lane) {
   lane_ = &lane;
   gate_->open(*this);
+  now_ns_ = topology_ns();
   const OwnCall own(lane, *this);
   spout_->open(config, context_, *this);
   opened_ = true;
@@ -57,12 +54,16 @@ void SpoutTask::close() {
   if (!opened_) return;
   if (std::exchange(active_, false)) guarded("deactivate()", [this] { spout_->deactivate(); });
   guarded("close()", [this] { spout_->close(); });
-  publish_counts();
 }
 
 void SpoutTask::fill(TaskSnapshot& snapshot) const {
   snapshot.pending = pending_.load(std::memory_order_relaxed);
-  snapshot.complete_latency = complete_latency_->summary();
+  snapshot.complete_latency = complete_latency_.summary();
+}
+
+void SpoutTask::collect(std::vector<config::Sample>& samples) const {
+  Task::collect(samples);
+  add_sample(samples, "iotcloud_spout_complete_seconds", "From emit to the ack of the whole tree", complete_latency_);
 }
 
 void SpoutTask::wake() noexcept {
@@ -75,15 +76,12 @@ void SpoutTask::set_active(bool active) {
   signal(activity_due);
 }
 
-std::int64_t SpoutTask::now_ns() const {
-  return around_.clock->now().time_since_epoch().count();
-}
-
 // Running.
 
 bool SpoutTask::slice(Lane& lane) {
   lane_ = &lane;
   const OwnCall own(lane, *this);
+  now_ns_ = topology_ns();
   const std::uint32_t signals = take_signals();
   if ((signals & activity_due) != 0) switch_activity();
   if ((signals & poll_due) != 0) poll_armed_ = false;
@@ -91,7 +89,6 @@ bool SpoutTask::slice(Lane& lane) {
   take_posted();
   const bool more = ask(lane);
   lane.flush(*this);
-  publish_counts();
   return more;
 }
 
@@ -108,8 +105,7 @@ void SpoutTask::switch_activity() {
 
 bool SpoutTask::may_ask() {
   if (!active_) return false;
-  const std::size_t limit = around_.options->max_spout_pending;
-  const bool full = blocked() || (limit > 0 && pending_.load(std::memory_order_relaxed) >= limit);
+  const bool full = blocked() || (max_pending_ > 0 && pending_.load(std::memory_order_relaxed) >= max_pending_);
   if (full != throttled_) {
     throttled_ = full;
     guarded("throttled()", [&] { spout_->throttled(full); });
@@ -136,6 +132,8 @@ bool SpoutTask::ask(Lane& lane) {
     }
     lane.flush(*this);
     const std::int64_t now = real_ns();
+    now_ns_ = around_.clock_is_real ? now : topology_ns();
+    bump(counts_.busy_ns, static_cast<std::uint64_t>(now - began));
     chunk_ = next_chunk(chunk_, calls, now - began);
     began = now;
     if (!more && !woken_.load(std::memory_order_acquire)) {
@@ -153,22 +151,25 @@ bool SpoutTask::ask(Lane& lane) {
 
 // The collector.
 
-void SpoutTask::emit(const std::string& stream, Values&& values, int direct_task, const MessageId* id) {
+void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) {
   if (!OwnCall::is_of(*this)) {
     throw std::logic_error("component " + context_.component + " emits outside of its own calls");
   }
-  emitter_.choose(stream, values, direct_task);
+  if (task < no_task) throw std::invalid_argument("there is no task " + std::to_string(task));
+  emitter_.choose(stream, values, task);
   bump(counts_.emitted);
   bump(counts_.transferred, emitter_.chosen());
-  const bool track_it = id != nullptr && around_.options->acking && emitter_.chosen() > 0;
-  if (track_it) {
-    Tree* tree = Tree::make(*this, *id, now_ns());
-    Tree* const trees[] = {tree};
-    tree->open.store(emitter_.send(*lane_, std::move(values), trees), std::memory_order_relaxed);
-    track(*tree);
-    return;
+  const std::int64_t born = around_.has_deadlines ? topology_ns() : 0;
+  if (taps_.any()) offer_emitted(values, born);
+  if (emitter_.chosen() > 0) {
+    if (id != nullptr && around_.options->acking) {
+      Tree* tree = Tree::make(*this, *id, now_ns_);
+      tree->open.store(emitter_.send(*lane_, std::move(values), {&tree, 1}, born), std::memory_order_relaxed);
+      track(*tree);
+      return;
+    }
+    emitter_.send(*lane_, std::move(values), {}, born);
   }
-  if (emitter_.chosen() > 0) emitter_.send(*lane_, std::move(values), {});
   if (id != nullptr) acked_at_once_.push_back(*id);
 }
 
@@ -223,7 +224,7 @@ void SpoutTask::finish(Tree& tree, bool acked, bool timed_out) {
   pending_.fetch_sub(1, std::memory_order_relaxed);
   const MessageId id = tree.id;
   if (acked) {
-    complete_latency_->record_ns(now_ns() - tree.emitted_ns);
+    complete_latency_.record_ns(std::max<std::int64_t>(now_ns_ - tree.emitted_ns, 0));
     bump(counts_.acked);
   } else {
     bump(counts_.failed);
@@ -270,7 +271,7 @@ void SpoutTask::arm_wheel() {
 }
 
 void SpoutTask::turn_wheel() {
-  const std::int64_t now = now_ns();
+  const std::int64_t now = now_ns_;
   if (now < slot_ends_ns_) return;
   while (now >= slot_ends_ns_) {
     slot_ = (slot_ + 1) % slots;

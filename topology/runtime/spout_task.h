@@ -30,8 +30,9 @@ class WakeGate final : public SpoutWaker::Target {
 /// wide, so that a tree fails between T and T + T/8 after it was emitted.
 class SpoutTask final : public Task, private SpoutOutputCollector {
  public:
+  /// \param max_pending tracked tuples under way; 0: no limit.
   SpoutTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Spout> spout,
-            std::shared_ptr<WakeGate> gate);
+            std::shared_ptr<WakeGate> gate, std::size_t max_pending);
   ~SpoutTask() override;
 
   /// \throws what the spout's open() and activate() throw.
@@ -52,21 +53,15 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   std::size_t depth() const override { return 0; }
   void close() override;
   void fill(TaskSnapshot& snapshot) const override;
+  void collect(std::vector<config::Sample>& samples) const override;
   WakeGate& gate() { return *gate_; }
 
  private:
   static constexpr std::size_t slots = 9;
 
-  void emit_to(const std::string& stream, Values values) override { emit(stream, std::move(values), -1, nullptr); }
-  void emit_to(const std::string& stream, Values values, MessageId id) override {
-    emit(stream, std::move(values), -1, &id);
-  }
-  void emit_direct(int task, const std::string& stream, Values values, MessageId id) override {
-    emit(stream, std::move(values), task, &id);
-  }
+  void do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) override;
   void report_error(const std::string& text) override { Task::report_error(text); }
 
-  void emit(const std::string& stream, Values&& values, int direct_task, const MessageId* id);
   void switch_activity();
   bool may_ask();
   bool ask(Lane& lane);
@@ -80,11 +75,11 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   void expire(std::size_t slot, std::int64_t now);
   void arm_wheel();
   std::int64_t slot_width_ns() const;
-  std::int64_t now_ns() const;
 
   std::unique_ptr<Spout> spout_;
   std::shared_ptr<WakeGate> gate_;
-  config::Histogram* complete_latency_;
+  const std::size_t max_pending_;  ///< 0: no limit
+  config::Histogram complete_latency_;
   bool opened_ = false;
 
   std::atomic<bool> woken_{false};
@@ -95,6 +90,8 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
 
   // While in a slice.
   Lane* lane_ = nullptr;
+  /// The topology's clock at the last look: tuples are stamped with it. Calls between two looks are some microseconds.
+  std::int64_t now_ns_ = 0;
   bool active_ = false;
   bool throttled_ = false;
   std::vector<MessageId> acked_at_once_;

@@ -1,5 +1,8 @@
+#include <algorithm>
+
 #include <iotcloud/config/log.h>
 #include <iotcloud/topology/runtime/scheduler.h>
+#include <iotcloud/topology/runtime/slice_clock.h>
 #include <iotcloud/topology/runtime/task.h>
 
 namespace iotcloud::topology::internal {
@@ -10,19 +13,7 @@ constexpr std::int64_t log_pause_ns = 1'000'000'000;
 }  // namespace
 
 Task::Task(const Surroundings& surroundings, TopologyContext context)
-    : around_(surroundings), context_(std::move(context)) {
-  const config::Labels labels{
-      {"topology", context_.topology}, {"component", context_.component}, {"task", std::to_string(context_.task)}};
-  const auto publish = [&](const char* name, const char* help, std::atomic<std::uint64_t>& count) {
-    published_.push_back({&context_.metrics->counter(name, help, labels), &count, 0});
-  };
-  publish("iotcloud_task_emitted_total", "Tuples handed to emit", counts_.emitted);
-  publish("iotcloud_task_transferred_total", "Tuples sent to tasks", counts_.transferred);
-  publish("iotcloud_task_executed_total", "Tuples worked on", counts_.executed);
-  publish("iotcloud_task_acked_total", "Tuples acked (spouts: whole trees)", counts_.acked);
-  publish("iotcloud_task_failed_total", "Tuples failed (spouts: whole trees, time-outs included)", counts_.failed);
-  publish("iotcloud_task_errors_total", "Exceptions and reported errors of user code", counts_.errors);
-}
+    : around_(surroundings), context_(std::move(context)) {}
 
 void Task::signal(std::uint32_t bits) {
   signals_.fetch_or(bits, std::memory_order_acq_rel);
@@ -45,6 +36,9 @@ TaskSnapshot Task::snapshot() const {
   snapshot.failed = counts_.failed.load(std::memory_order_relaxed);
   snapshot.timed_out = counts_.timed_out.load(std::memory_order_relaxed);
   snapshot.errors = counts_.errors.load(std::memory_order_relaxed);
+  snapshot.late = counts_.late.load(std::memory_order_relaxed);
+  snapshot.busy_seconds = static_cast<double>(counts_.busy_ns.load(std::memory_order_relaxed)) / 1e9;
+  snapshot.capacity = capacity_.load(std::memory_order_relaxed);
   snapshot.queue_depth = depth();
   {
     const std::lock_guard lock(error_mutex_);
@@ -81,13 +75,55 @@ void Task::report_error(const std::string& text) noexcept {
   }
 }
 
-void Task::publish_counts() {
-  for (Published& published : published_) {
-    const std::uint64_t now = published.count->load(std::memory_order_relaxed);
-    if (now == published.seen) continue;
-    published.counter->add(now - published.seen);
-    published.seen = now;
+void Task::offer_emitted(const Values& values, std::int64_t born_ns) {
+  taps_.offer(real_ns(), id(), [&] { return Tuple::adopt(emitter_.make_cell(Values(values), born_ns)); });
+}
+
+void Task::measure_capacity(std::int64_t now_ns) {
+  const std::uint64_t busy = counts_.busy_ns.load(std::memory_order_relaxed);
+  if (capacity_since_ns_ != 0 && now_ns > capacity_since_ns_) {
+    const auto passed = static_cast<double>(now_ns - capacity_since_ns_);
+    capacity_.store(std::min(1.0, static_cast<double>(busy - capacity_busy_ns_) / passed), std::memory_order_relaxed);
   }
+  capacity_since_ns_ = now_ns;
+  capacity_busy_ns_ = busy;
+}
+
+void Task::add_sample(std::vector<config::Sample>& samples, const char* name, const char* help,
+                      const config::Histogram& histogram) const {
+  config::Sample sample;
+  sample.name = name;
+  sample.help = help;
+  sample.labels = {
+      {"topology", context_.topology}, {"component", context_.component}, {"task", std::to_string(context_.task)}};
+  sample.kind = config::Sample::Kind::histogram;
+  sample.histogram = histogram.summary();
+  if (sample.histogram.count > 0) samples.push_back(std::move(sample));
+}
+
+void Task::collect(std::vector<config::Sample>& samples) const {
+  const config::Labels labels{
+      {"topology", context_.topology}, {"component", context_.component}, {"task", std::to_string(context_.task)}};
+  const TaskSnapshot now = snapshot();
+  const auto add = [&](const char* name, const char* help, config::Sample::Kind kind, double value) {
+    samples.push_back({name, help, labels, kind, value, {}});
+  };
+  const auto count = [&](const char* name, const char* help, std::uint64_t value) {
+    add(name, help, config::Sample::Kind::counter, static_cast<double>(value));
+  };
+  count("iotcloud_task_emitted_total", "Tuples handed to emit", now.emitted);
+  count("iotcloud_task_transferred_total", "Tuples sent to tasks", now.transferred);
+  count("iotcloud_task_executed_total", "Tuples worked on", now.executed);
+  count("iotcloud_task_acked_total", "Tuples acked (spouts: whole trees)", now.acked);
+  count("iotcloud_task_failed_total", "Tuples failed (spouts: whole trees, time-outs included)", now.failed);
+  count("iotcloud_task_timed_out_total", "Trees that were not done in time", now.timed_out);
+  count("iotcloud_task_errors_total", "Exceptions and reported errors of user code", now.errors);
+  count("iotcloud_task_late_total", "Tuples older than their deadline, not executed", now.late);
+  count("iotcloud_task_superseded_total", "Tuples that a newer one of their key replaced (keep_last)", now.superseded);
+  add("iotcloud_task_busy_seconds_total", "Time in user code", config::Sample::Kind::counter, now.busy_seconds);
+  add("iotcloud_task_queue_depth", "Tuples that wait", config::Sample::Kind::gauge,
+      static_cast<double>(now.queue_depth));
+  add("iotcloud_task_capacity", "Part of the time that it was busy", config::Sample::Kind::gauge, now.capacity);
 }
 
 }  // namespace iotcloud::topology::internal

@@ -9,10 +9,12 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/topology/runtime/emitter.h>
 #include <iotcloud/topology/runtime/runtime.h>
+#include <iotcloud/topology/runtime/taps.h>
 #include <iotcloud/topology/topology_context.h>
 
 namespace iotcloud::topology::internal {
 
+class Executors;
 class Lane;
 class Scheduler;
 class Timers;
@@ -23,11 +25,14 @@ struct Surroundings {
   Timers* timers = nullptr;
   const config::Clock* clock = nullptr;
   const RuntimeOptions* options = nullptr;
+  bool clock_is_real = true;   ///< the topology's clock is that of real_ns()
+  bool has_deadlines = false;  ///< somewhere in the topology: tuples must know when they were born
 };
 
 /// Counts of one task. Written by the thread that runs it, read by any (errors: written by any).
 struct Counts {
-  std::atomic<std::uint64_t> emitted{0}, transferred{0}, executed{0}, acked{0}, failed{0}, timed_out{0}, errors{0};
+  std::atomic<std::uint64_t> emitted{0}, transferred{0}, executed{0}, acked{0}, failed{0}, timed_out{0}, errors{0},
+      late{0}, busy_ns{0};
 };
 
 inline void bump(std::atomic<std::uint64_t>& count, std::uint64_t n = 1) {
@@ -65,8 +70,10 @@ class Task {
   TaskSnapshot snapshot() const;
   /// Counts, logs (once a second for a task at most) and hands on. Any thread.
   void report_error(const std::string& text) noexcept;
-  /// Adds what was counted since the last time to the process's metrics. In a slice.
-  void publish_counts();
+  /// Appends its metrics. Any thread.
+  virtual void collect(std::vector<config::Sample>& samples) const;
+  /// Capacity: the part of the time since the last call that it was busy, 0 to 1. One thread.
+  void measure_capacity(std::int64_t now_ns);
 
   const TopologyContext& context() const { return context_; }
   int id() const { return context_.task; }
@@ -76,8 +83,12 @@ class Task {
   void block() { blocked_on_.fetch_add(1, std::memory_order_acq_rel); }
   void unblock();  ///< schedules it when nothing is left to wait for
 
+  Taps& taps() { return taps_; }
+  Emitter& emitter() { return emitter_; }
+
   std::atomic<State> state{State::running};
-  Task* next_ready = nullptr;  ///< in a run list
+  Task* next_ready = nullptr;      ///< in a run list
+  Executors* executors = nullptr;  ///< the component's
 
  protected:
   /// Runs user code. \return false, with the error reported, when it threw.
@@ -95,24 +106,25 @@ class Task {
   }
   std::uint32_t take_signals() { return signals_.exchange(0, std::memory_order_acq_rel); }
 
+  std::int64_t topology_ns() const { return around_.clock->now().time_since_epoch().count(); }
+  /// Shows what is emitted to those who watch; after Emitter::choose().
+  void offer_emitted(const Values& values, std::int64_t born_ns);
+  void add_sample(std::vector<config::Sample>& samples, const char* name, const char* help,
+                  const config::Histogram& histogram) const;
+
   const Surroundings around_;
   const TopologyContext context_;
   Emitter emitter_;
+  Taps taps_;
   Counts counts_;
   std::size_t chunk_ = 1;  ///< calls between two looks at the clock; grows while they are quick
 
- public:
-  Emitter& emitter() { return emitter_; }
-
  private:
-  struct Published {
-    config::Counter* counter = nullptr;
-    std::atomic<std::uint64_t>* count = nullptr;
-    std::uint64_t seen = 0;
-  };
   std::atomic<std::uint32_t> signals_{0};
   std::atomic<int> blocked_on_{0};
-  std::vector<Published> published_;
+  std::atomic<double> capacity_{0};
+  std::int64_t capacity_since_ns_ = 0;
+  std::uint64_t capacity_busy_ns_ = 0;
   mutable std::mutex error_mutex_;
   std::string last_error_;        ///< guarded by error_mutex_
   std::int64_t last_log_ns_ = 0;  ///< guarded by error_mutex_

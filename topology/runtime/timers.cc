@@ -25,12 +25,18 @@ int checked(int fd, const char* what) {
   return fd;
 }
 
-/// \param after from now; not negative.
-void set_timer(int fd, std::chrono::nanoseconds after) {
+timespec as_timespec(std::chrono::nanoseconds duration) {
+  timespec spec{};
+  spec.tv_sec = duration.count() / 1'000'000'000;
+  spec.tv_nsec = duration.count() % 1'000'000'000;
+  return spec;
+}
+
+/// \param after from now; not negative. \param period 0: once.
+void set_timer(int fd, std::chrono::nanoseconds after, std::chrono::nanoseconds period = {}) {
   itimerspec spec{};
-  const auto ns = std::max<std::int64_t>(after.count(), 1);
-  spec.it_value.tv_sec = ns / 1'000'000'000;
-  spec.it_value.tv_nsec = ns % 1'000'000'000;
+  spec.it_value = as_timespec(std::max(after, std::chrono::nanoseconds(1)));
+  spec.it_interval = as_timespec(period);
   timerfd_settime(fd, 0, &spec, nullptr);
 }
 
@@ -47,15 +53,18 @@ Timers::Timers(const config::Clock& clock, bool clock_is_real)
       clock_is_real_(clock_is_real),
       alarm_fd_(checked(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK), "timerfd_create")),
       watch_fd_(checked(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK), "timerfd_create")),
+      round_fd_(checked(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK), "timerfd_create")),
       stop_fd_(checked(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd")) {}
 
 Timers::~Timers() {
   stop();
-  for (const int fd : {alarm_fd_, watch_fd_, stop_fd_}) close(fd);
+  for (const int fd : {alarm_fd_, watch_fd_, round_fd_, stop_fd_}) close(fd);
 }
 
-void Timers::start(Scheduler* watched) {
-  watched_ = watched;
+void Timers::start(Scheduler& watched, std::chrono::milliseconds round_period, std::function<void()> round) {
+  watched_ = &watched;
+  round_ = std::move(round);
+  set_timer(round_fd_, round_period, round_period);
   thread_ = std::jthread([this] { run(); });
 }
 
@@ -106,7 +115,8 @@ void Timers::watch() {
 }
 
 void Timers::run() {
-  std::array<pollfd, 3> fds{{{stop_fd_, POLLIN, 0}, {alarm_fd_, POLLIN, 0}, {watch_fd_, POLLIN, 0}}};
+  std::array<pollfd, 4> fds{
+      {{stop_fd_, POLLIN, 0}, {alarm_fd_, POLLIN, 0}, {watch_fd_, POLLIN, 0}, {round_fd_, POLLIN, 0}}};
   while (true) {
     if (poll(fds.data(), fds.size(), -1) < 0) continue;
     if (fds[0].revents != 0) return;
@@ -117,7 +127,11 @@ void Timers::run() {
     if (fds[2].revents != 0) {
       empty(watch_fd_);
       watching_.store(false);
-      if (watched_ != nullptr && watched_->look()) watch();
+      if (watched_->look()) watch();
+    }
+    if (fds[3].revents != 0) {
+      empty(round_fd_);
+      round_();
     }
   }
 }

@@ -3,6 +3,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <mutex>
 #include <thread>
 #include <vector>
@@ -22,8 +23,9 @@ class Timers {
   Timers(const config::Clock& clock, bool clock_is_real);
   ~Timers();
 
-  /// Starts the thread. \param watched may be nullptr: nobody to look after.
-  void start(Scheduler* watched);
+  /// Starts the thread. \param watched whose look() is to be called.
+  /// \param round called once every `round_period`, by real time.
+  void start(Scheduler& watched, std::chrono::milliseconds round_period, std::function<void()> round);
   void stop();
 
   /// Sets `bits` of the task at `due`, and every `period` after it when that is not zero. Thread safe.
@@ -48,8 +50,10 @@ class Timers {
   const config::Clock& clock_;
   const bool clock_is_real_;
   Scheduler* watched_ = nullptr;
+  std::function<void()> round_;
   int alarm_fd_ = -1;
   int watch_fd_ = -1;
+  int round_fd_ = -1;
   int stop_fd_ = -1;
   std::atomic<bool> watching_{false};
   std::mutex mutex_;

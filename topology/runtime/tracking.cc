@@ -42,9 +42,12 @@ void TupleCell::recycle() noexcept {
       if (delivery.receiver != nullptr && !delivery.settled) settle(delivery, Tree::lost);
     };
     give_up(first);
-    for (Delivery& delivery : more) give_up(delivery);
-    trees.clear();
-    more.clear();
+    if (more) {
+      for (Delivery& delivery : more->deliveries) give_up(delivery);
+      more->trees.clear();
+      more->deliveries.clear();
+    }
+    tree = nullptr;
     first.receiver = nullptr;
   }
   values.clear();
@@ -53,7 +56,8 @@ void TupleCell::recycle() noexcept {
 
 Delivery* TupleCell::open_delivery(const Task* receiver) {
   if (first.receiver == receiver && !first.settled) return &first;
-  for (Delivery& delivery : more) {
+  if (!more) return nullptr;
+  for (Delivery& delivery : more->deliveries) {
     if (delivery.receiver == receiver && !delivery.settled) return &delivery;
   }
   return nullptr;

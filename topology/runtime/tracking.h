@@ -2,6 +2,8 @@
 
 #include <atomic>
 #include <cstdint>
+#include <memory>
+#include <span>
 #include <vector>
 
 #include <iotcloud/topology/output_collector.h>
@@ -45,33 +47,55 @@ struct Tree {
 /// What one task owes for one tracked tuple.
 struct Delivery {
   const Task* receiver = nullptr;
-  std::uint64_t change = 0;  ///< XOR of its own id and the ids of what was emitted with it as the only anchor
+  std::uint64_t change = 0;      ///< XOR of its own id and the ids of what was emitted with it as the only anchor
+  std::int64_t executed_ns = 0;  ///< when execute() was called, if that has returned without an answer; 0 = no
   bool settled = false;
 };
 
-/// A tuple as the runtime makes it: shared by all its receivers, recycled when the last handle is gone.
-struct TupleCell final : public detail::TupleData {
-  std::vector<Tree*> trees;  ///< empty: not tracked
-  Delivery first;            ///< of the first receiver
-  std::vector<Delivery> more;
+/// A tuple as the runtime makes it: shared by all its receivers, recycled when the last handle is gone. What every
+/// tuple needs stands in front, in the first two cache lines.
+struct alignas(64) TupleCell final : public detail::TupleData {
+  /// What few tuples need. Kept when the cell is recycled.
+  struct More {
+    std::vector<Tree*> trees;          ///< all but the first
+    std::vector<Delivery> deliveries;  ///< all but the first receiver's
+  };
+  Delivery first;  ///< of the first receiver
+  std::unique_ptr<More> more;
 
   static TupleCell* make();
   void recycle() noexcept override;
 
-  bool tracked() const { return !trees.empty(); }
+  bool tracked() const { return tree != nullptr; }
+  void track(std::span<Tree* const> trees) {
+    tree = trees.front();
+    if (trees.size() > 1) has_more().trees.assign(trees.begin() + 1, trees.end());
+  }
   void add_delivery(const Task* receiver, std::uint64_t id) {
-    Delivery delivery{receiver, id, false};
+    const Delivery delivery{receiver, id, 0, false};
     if (first.receiver == nullptr) {
       first = delivery;
     } else {
-      more.push_back(delivery);
+      has_more().deliveries.push_back(delivery);
     }
   }
   /// The receiver's delivery that is not settled yet, or nullptr.
   Delivery* open_delivery(const Task* receiver);
+  template <typename Call>
+  void for_each_tree(Call&& call) const {
+    call(tree);
+    if (!more) return;
+    for (Tree* other : more->trees) call(other);
+  }
   void settle(Delivery& delivery, std::uint8_t flag) noexcept {
     delivery.settled = true;
-    for (Tree* tree : trees) tree->close(delivery.change, flag);
+    for_each_tree([&](Tree* each) { each->close(delivery.change, flag); });
+  }
+
+ private:
+  More& has_more() {
+    if (!more) more = std::make_unique<More>();
+    return *more;
   }
 };
 
