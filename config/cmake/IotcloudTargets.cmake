@@ -82,6 +82,17 @@ function(iotcloud_test)
   endif()
 endfunction()
 
+# A program that measures; ./dev bench runs it. Not installed. SMOKE: arguments of a short run, which becomes a test.
+function(iotcloud_benchmark)
+  cmake_parse_arguments(arg "" "NAME" "SOURCES;USES;LIBRARIES;SMOKE" ${ARGN})
+  add_executable(${arg_NAME} ${arg_SOURCES})
+  _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
+  if(arg_SMOKE)
+    add_test(NAME ${arg_NAME}_runs COMMAND ${arg_NAME} ${arg_SMOKE})
+    set_tests_properties(${arg_NAME}_runs PROPERTIES TIMEOUT 60)
+  endif()
+endfunction()
+
 # Compiles one Thrift file of a room into the static library `iotcloud_<name>`; private to those who link it.
 #   iotcloud_thrift(NAME records_idl FILE records.thrift SERVICES TMasterService USES other_idl)
 # Include what it makes as "iotcloud/<room>/<file>_types.h".

@@ -1,0 +1,47 @@
+#include <cstdio>
+
+#include <sys/prctl.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <iotcloud/bench/harness/machine.h>
+
+namespace iotcloud::bench {
+
+void sleep_until(std::int64_t when_ns) {
+  thread_local const int exact = prctl(PR_SET_TIMERSLACK, 1UL);  // otherwise every sleep ends 50 us late
+  (void)exact;
+  timespec time;
+  time.tv_sec = when_ns / 1'000'000'000;
+  time.tv_nsec = when_ns % 1'000'000'000;
+  while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &time, nullptr) != 0) {
+  }
+}
+
+Usage Usage::now() {
+  rusage used;
+  getrusage(RUSAGE_SELF, &used);
+  const auto seconds = [](const timeval& t) {
+    return static_cast<double>(t.tv_sec) + static_cast<double>(t.tv_usec) * 1e-6;
+  };
+  return {now_ns(), seconds(used.ru_utime) + seconds(used.ru_stime), used.ru_nvcsw + used.ru_nivcsw};
+}
+
+double Usage::cpu_percent_since(const Usage& before) const {
+  return 100 * (cpu_seconds - before.cpu_seconds) / (static_cast<double>(at_ns - before.at_ns) * 1e-9);
+}
+
+double Usage::switches_per_second_since(const Usage& before) const {
+  return static_cast<double>(switches - before.switches) / (static_cast<double>(at_ns - before.at_ns) * 1e-9);
+}
+
+std::size_t resident_bytes() {
+  unsigned long size = 0, resident = 0;
+  if (std::FILE* file = std::fopen("/proc/self/statm", "r")) {
+    if (std::fscanf(file, "%lu %lu", &size, &resident) != 2) resident = 0;
+    std::fclose(file);
+  }
+  return resident * static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
+}
+
+}  // namespace iotcloud::bench

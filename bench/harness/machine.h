@@ -1,0 +1,34 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <ctime>
+
+/// What the programs of bench/ measure with.
+namespace iotcloud::bench {
+
+/// Monotonic nanoseconds, of the clock that all programs here use.
+inline std::int64_t now_ns() {
+  timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return static_cast<std::int64_t>(time.tv_sec) * 1'000'000'000 + time.tv_nsec;
+}
+
+/// Sleeps until now_ns() is `when_ns`, as precisely as the kernel can.
+void sleep_until(std::int64_t when_ns);
+
+/// What this process has used since it began.
+struct Usage {
+  std::int64_t at_ns = 0;
+  double cpu_seconds = 0;     ///< all threads, user and system
+  std::int64_t switches = 0;  ///< context switches, of its own will or not
+  static Usage now();
+  /// 100 = one core.
+  double cpu_percent_since(const Usage& before) const;
+  double switches_per_second_since(const Usage& before) const;
+};
+
+/// Resident memory of this process, bytes.
+std::size_t resident_bytes();
+
+}  // namespace iotcloud::bench

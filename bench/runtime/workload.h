@@ -1,0 +1,163 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include <iotcloud/bench/harness/machine.h>
+#include <iotcloud/brokers/message.h>
+#include <iotcloud/config/metrics.h>
+
+/// What every engine is given to do: the same items at the same times, counted and timed the same way.
+namespace iotcloud::bench {
+
+enum class Dag {
+  chain,    ///< source -> pass -> sink, a number
+  words,    ///< source -> split (2) -> by word -> count (2), sentences of ten words
+  fan,      ///< source -> pass (4, in turn) -> sink, a number
+  payload,  ///< as chain, 60 KB
+};
+
+struct Options {
+  std::string dag_name = "chain";
+  Dag dag = Dag::chain;
+  bool tracked = false;
+  double rate = 0;  ///< results a second; 0: as many as possible
+  double warm_up = 0.5, seconds = 1.5;
+  unsigned threads = 0;  ///< 0: the engine's own choice
+};
+inline constexpr std::uint64_t max_pending = 4096;  ///< tracked items under way
+
+constexpr std::uint64_t results_of_item(Dag dag) {
+  return dag == Dag::words ? 10 : 1;
+}
+/// Tuples that are handed from task to task for one result.
+constexpr double hops_of_result(Dag dag) {
+  return dag == Dag::words ? 1.1 : 2;
+}
+
+/// The source's view: which item is due. One thread at a time, except for what says otherwise.
+class Feed {
+ public:
+  explicit Feed(const Options& options);
+  /// Whether the next item is to be sent now. \return false: nothing is due, or it is over.
+  bool due() {
+    if (sent_.load(std::memory_order_relaxed) < due_) return !stopped();
+    return look();
+  }
+  /// The item that was just found due: 0, 1, 2, ...
+  std::uint64_t take() {
+    const std::uint64_t n = sent_.load(std::memory_order_relaxed);
+    sent_.store(n + 1, std::memory_order_relaxed);
+    return n;
+  }
+  /// The time at which item `n` should be sent. Any thread, after start().
+  std::int64_t intended_ns(std::uint64_t n) const {
+    return start_ns_ + static_cast<std::int64_t>(static_cast<double>(n) * interval_ns_);
+  }
+  bool paced() const { return interval_ns_ > 0; }
+  /// Of items; 0 when not paced.
+  double interval_ns() const { return interval_ns_; }
+  void start();                     ///< before the first due()
+  void stop() { stopped_ = true; }  ///< any thread
+  bool stopped() const { return stopped_.load(std::memory_order_relaxed); }
+  std::uint64_t sent() const { return sent_.load(std::memory_order_relaxed); }  ///< any thread
+
+ private:
+  bool look();
+  const double interval_ns_;
+  std::int64_t start_ns_ = 0;
+  std::uint64_t due_ = 0;
+  std::atomic<std::uint64_t> sent_{0};
+  std::atomic<bool> stopped_{false};
+};
+
+/// Counts and times what arrives at one task of the last component. One thread at a time writes, any reads.
+class alignas(64) Arrivals {
+ public:
+  /// \param results that came with it.
+  void arrived(const Feed& feed, std::uint64_t n, std::uint64_t results = 1) {
+    count_.store(count_.load(std::memory_order_relaxed) + results, std::memory_order_relaxed);
+    if (timing_ && (n & sample_mask_) == 0) record(feed, n);
+  }
+  /// For a result that does not know its item. Not timed.
+  void arrived() { count_.store(count_.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed); }
+  std::uint64_t count() const { return count_.load(std::memory_order_relaxed); }
+
+  /// Times one item of `every` (a power of two) from now on. Before the engine starts.
+  void time(std::uint64_t every) { timing_ = true, sample_mask_ = every - 1; }
+  /// Items sent before are not recorded. Any thread.
+  void begin_recording(std::uint64_t first) { first_recorded_.store(first, std::memory_order_relaxed); }
+  /// From the intended time, and from the time when the source's thread woke up for it.
+  config::Histogram latency, service;
+  /// When the thread that brings items was last told to. Written by that thread.
+  std::atomic<std::int64_t>* brought_ns = nullptr;
+
+ private:
+  void record(const Feed& feed, std::uint64_t n);
+  std::atomic<std::uint64_t> count_{0};
+  bool timing_ = false;
+  std::uint64_t sample_mask_ = 0;
+  std::atomic<std::uint64_t> first_recorded_{~std::uint64_t{0}};
+};
+
+/// Sentences of ten words, of 1000 different ones, frequent ones more often.
+class Sentences {
+ public:
+  Sentences();
+  const std::string& operator[](std::uint64_t n) const { return all_[n & (all_.size() - 1)]; }
+
+ private:
+  std::vector<std::string> all_;
+};
+
+/// Calls `each(std::string)` for each word.
+template <typename Each>
+void split(std::string_view sentence, Each&& each) {
+  while (!sentence.empty()) {
+    const std::size_t end = sentence.find(' ');
+    each(std::string(sentence.substr(0, end)));
+    if (end == std::string_view::npos) return;
+    sentence.remove_prefix(end + 1);
+  }
+}
+
+using WordCounts = std::unordered_map<std::string, std::uint64_t>;
+
+/// A few payloads of 60 KB, sent in turn; who receives one checks that it is the very same bytes.
+class Payloads {
+ public:
+  Payloads();
+  const brokers::Payload& operator[](std::uint64_t n) const { return all_[n % all_.size()]; }
+  bool is_same(std::uint64_t n, const brokers::Payload& arrived) const { return arrived.data() == (*this)[n].data(); }
+
+ private:
+  std::vector<brokers::Payload> all_;
+};
+
+/// What one measurement shares among the engine's components.
+struct Workload {
+  explicit Workload(const Options& o) : options(o), feed(o) {}
+  const Options options;
+  Feed feed;
+  Arrivals arrivals[2];  ///< tracked: the first one only, by acks
+  Sentences sentences;
+  Payloads payloads;
+  std::atomic<std::uint64_t> wrong{0};  ///< failed, or not the payload that was sent
+};
+
+/// What runs a DAG.
+class Engine {
+ public:
+  virtual ~Engine() = default;
+  /// Sends what is due, on this thread or by telling its own threads. Returns when nothing is due, or when the engine's
+  /// own threads go on with it; not paced: at the latest when the feed is stopped.
+  virtual void pump() = 0;
+  /// Called once, after the feed is stopped and everything has arrived.
+  virtual void stop() = 0;
+};
+
+}  // namespace iotcloud::bench
