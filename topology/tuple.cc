@@ -44,8 +44,7 @@ bool Tuple::is_tick() const {
   return source_component() == system_component && source_stream() == tick_stream;
 }
 
-const Value& Tuple::at(std::size_t i) const {
-  if (i < size()) return data_->values[i];
+void Tuple::no_field(std::size_t i) const {
   throw std::out_of_range("a tuple of " + source_component() + "/" + source_stream() + " has no field number " +
                           std::to_string(i) + "; it has " + std::to_string(size()) + ": " + fields().list());
 }

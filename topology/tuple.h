@@ -77,7 +77,10 @@ class Tuple {
   bool is_tick() const;
 
   /// \throws std::out_of_range, naming the fields there are.
-  const Value& at(std::size_t i) const;
+  const Value& at(std::size_t i) const {
+    if (i < size()) return data_->values[i];
+    no_field(i);
+  }
   const Value& at(std::string_view field) const;
   bool has(std::string_view field) const { return fields().find(field).has_value(); }
 
@@ -104,6 +107,7 @@ class Tuple {
     if (const T* found = std::get_if<T>(&value)) return *found;
     wrong_kind(value, field, kind_of(Value(T{})));
   }
+  [[noreturn]] void no_field(std::size_t i) const;
   [[noreturn]] void wrong_kind(const Value& value, std::string_view field, const char* wanted) const;
 
   detail::TupleData* data_ = nullptr;

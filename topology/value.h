@@ -35,12 +35,12 @@ class Values {
   template <typename First, typename... Rest>
   requires(!std::is_same_v<std::decay_t<First>, Values>) explicit Values(First&& first, Rest&&... rest) {
     reserve(1 + sizeof...(Rest));
-    new (data_ + size_++) Value(make(std::forward<First>(first)));
-    (new (data_ + size_++) Value(make(std::forward<Rest>(rest))), ...);
+    append(std::forward<First>(first));
+    (append(std::forward<Rest>(rest)), ...);
   }
   Values(const Values& other) {
     reserve(other.size_);
-    for (const Value& value : other.all()) new (data_ + size_++) Value(value);
+    for (const Value& value : other.all()) append(value);
   }
   Values(Values&& other) noexcept { take(other); }
   Values& operator=(const Values& other) {
@@ -58,7 +58,7 @@ class Values {
 
   void add(Value value) {
     if (size_ == capacity_) reserve(std::size_t{2} * capacity_);
-    new (data_ + size_++) Value(std::move(value));
+    append(std::move(value));
   }
   void clear() noexcept {
     for (std::uint32_t i = 0; i < size_; ++i) {
@@ -74,44 +74,58 @@ class Values {
  private:
   static constexpr std::uint32_t inline_capacity = 4;
 
+  /// \pre there is room.
   template <typename T>
-  static Value make(T&& value) {
+  void append(T&& value) {
     using Plain = std::decay_t<T>;
-    if constexpr (std::is_same_v<Plain, Value> || std::is_same_v<Plain, bool> ||
-                  std::is_same_v<Plain, std::monostate> || std::is_same_v<Plain, Payload>) {
-      return Value(std::forward<T>(value));
+    Value* const to = data_ + size_;
+    if constexpr (std::is_same_v<Plain, Value>) {
+      if (!copy_plain(value, to)) new (to) Value(std::forward<T>(value));
+    } else if constexpr (std::is_same_v<Plain, bool> || std::is_same_v<Plain, std::monostate> ||
+                         std::is_same_v<Plain, Payload>) {
+      new (to) Value(std::forward<T>(value));
     } else if constexpr (std::is_integral_v<Plain> || std::is_enum_v<Plain>) {
-      return Value(static_cast<std::int64_t>(value));
+      new (to) Value(static_cast<std::int64_t>(value));
     } else if constexpr (std::is_floating_point_v<Plain>) {
-      return Value(static_cast<double>(value));
+      new (to) Value(static_cast<double>(value));
     } else {
-      return Value(std::string(std::forward<T>(value)));
+      new (to) Value(std::in_place_type<std::string>, std::forward<T>(value));
     }
+    ++size_;
   }
   /// Needs no destructor, and moves by a copy of its bytes.
   static bool is_plain(const Value& value) { return value.index() <= 3; }
   static_assert(std::is_same_v<std::variant_alternative_t<3, Value>, double>);
 
-  /// Moves a value to memory that holds none and leaves none behind. Most values are plain, and a variant's own move is
-  /// a jump through a table.
-  static void relocate(Value* from, Value* to) noexcept {
-    switch (from->index()) {
+  /// Most values are plain, and a variant's own copy and move go through a table of functions.
+  /// \return false: it is not plain, nothing was done. \param to memory that holds no value.
+  static bool copy_plain(const Value& from, Value* to) noexcept {
+    switch (from.index()) {
       case 0:
         new (to) Value;
-        return;
+        return true;
       case 1:
-        new (to) Value(*std::get_if<1>(from));
-        return;
+        new (to) Value(*std::get_if<1>(&from));
+        return true;
       case 2:
-        new (to) Value(*std::get_if<2>(from));
-        return;
+        new (to) Value(*std::get_if<2>(&from));
+        return true;
       case 3:
-        new (to) Value(*std::get_if<3>(from));
-        return;
+        new (to) Value(*std::get_if<3>(&from));
+        return true;
       default:
-        new (to) Value(std::move(*from));
-        from->~Value();
+        return false;
     }
+  }
+  /// Moves a value to memory that holds none and leaves none behind.
+  static void relocate(Value* from, Value* to) noexcept {
+    if (copy_plain(*from, to)) return;
+    if (auto* text = std::get_if<std::string>(from)) {
+      new (to) Value(std::in_place_type<std::string>, std::move(*text));
+    } else {
+      new (to) Value(std::move(*from));
+    }
+    from->~Value();
   }
   Value* inline_data() { return reinterpret_cast<Value*>(inline_); }
   void free_grown() noexcept {

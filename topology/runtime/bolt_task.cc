@@ -58,9 +58,11 @@ bool BoltTask::slice(Lane& lane) {
   const OwnCall own(lane, *this);
   const std::uint32_t signals = take_signals();
   if (has_answers_.load(std::memory_order_acquire)) take_answers();
-  if ((signals & tick_due) != 0) tick();
-  const std::int64_t slice_began = real_ns();
-  chunk_began_ns_ = slice_began;
+  if ((signals & tick_due) != 0) {
+    tick();
+    bump(counts_.busy_ns, lane.time_since_last_look());
+  }
+  const std::int64_t slice_began = lane.now_ns;
   bool more = false;
   while (depth() > 0 && !blocked()) {
     std::size_t executed = 0;
@@ -70,11 +72,10 @@ bool BoltTask::slice(Lane& lane) {
       execute(Tuple::adopt(cell));
       ++executed;
     }
-    const std::int64_t now = real_ns();
-    if (executed > 0) note_chunk(executed, now - chunk_began_ns_);
+    const auto took_ns = lane.time_since_last_look();
+    if (executed > 0) note_chunk(executed, took_ns);
     lane.flush(*this);
-    chunk_began_ns_ = now;
-    if (lane.has_ready() || now - slice_began > slice_limit_ns) {
+    if (lane.has_ready() || lane.now_ns - slice_began > slice_limit_ns) {
       more = depth() > 0 && !blocked();
       break;
     }
@@ -83,10 +84,11 @@ bool BoltTask::slice(Lane& lane) {
   return more;
 }
 
-void BoltTask::note_chunk(std::size_t executed, std::int64_t took_ns) {
-  const std::int64_t each = took_ns / static_cast<std::int64_t>(executed);
+void BoltTask::note_chunk(std::size_t executed, std::uint64_t took_ns) {
+  const auto each = static_cast<std::int64_t>(took_ns / executed);
+  each_ns_.store(each, std::memory_order_relaxed);
   bump(counts_.executed, executed);
-  bump(counts_.busy_ns, static_cast<std::uint64_t>(took_ns));
+  bump(counts_.busy_ns, took_ns);
   execute_latency_.record_ns(each, executed);
   if (settled_in_chunk_ > 0) process_latency_.record_ns(each, std::exchange(settled_in_chunk_, 0));
   chunk_ = next_chunk(chunk_, executed, took_ns);
@@ -105,7 +107,7 @@ void BoltTask::execute(Tuple tuple) {
     if (current_settled_) {
       ++settled_in_chunk_;
     } else if (Delivery* delivery = cell->tracked() ? cell->open_delivery(this) : nullptr) {
-      delivery->executed_ns = chunk_began_ns_;
+      delivery->executed_ns = lane_->now_ns;
     }
   }
   current_ = nullptr;
@@ -193,6 +195,16 @@ void BoltTask::send(std::span<const Tuple> anchors, Values&& values) {
   const std::uint64_t ids = emitter_.send(*lane_, std::move(values), roots_, born);
   // The anchors are open, so these trees are; nobody has seen the new tuple before the lane is flushed.
   for (Tree* tree : roots_) tree->open.fetch_xor(ids, std::memory_order_acq_rel);
+}
+
+void BoltTask::ack(const Tuple& tuple) {
+  // The usual case: untracked, from within its own execute().
+  if (OwnCall::is_of(*this) && tuple.data() == current_ && current_ != nullptr && !current_->tracked()) {
+    if (std::exchange(current_settled_, true)) return;
+    bump(counts_.acked);
+    return;
+  }
+  answer(Answer::ack, tuple);
 }
 
 void BoltTask::answer(Answer answer, const Tuple& tuple) {

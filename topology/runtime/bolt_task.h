@@ -42,6 +42,9 @@ class BoltTask final : public Task, private OutputCollector {
   bool slice(Lane& lane) override;
   bool is_spout() const override { return false; }
   std::size_t depth() const override { return mailbox_.depth(); }
+  std::int64_t waiting_ns() const override {
+    return static_cast<std::int64_t>(depth()) * each_ns_.load(std::memory_order_relaxed);
+  }
   void close() override;
   void fill(TaskSnapshot& snapshot) const override;
   void collect(std::vector<config::Sample>& samples) const override;
@@ -52,7 +55,7 @@ class BoltTask final : public Task, private OutputCollector {
   enum class Answer : std::uint8_t { ack, fail, reset };
 
   void do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) override;
-  void ack(const Tuple& tuple) override { answer(Answer::ack, tuple); }
+  void ack(const Tuple& tuple) override;
   void fail(const Tuple& tuple) override { answer(Answer::fail, tuple); }
   void reset_timeout(const Tuple& tuple) override { answer(Answer::reset, tuple); }
   void report_error(const std::string& text) override { Task::report_error(text); }
@@ -65,7 +68,7 @@ class BoltTask final : public Task, private OutputCollector {
   void execute(Tuple tuple);
   bool late(const TupleCell& cell) const;
   void give_up_late(const Tuple& tuple);
-  void note_chunk(std::size_t executed, std::int64_t took_ns);
+  void note_chunk(std::size_t executed, std::uint64_t took_ns);
   std::int64_t birth_of_child(std::span<const Tuple> anchors) const;
 
   std::unique_ptr<Bolt> bolt_;
@@ -80,7 +83,6 @@ class BoltTask final : public Task, private OutputCollector {
   const TupleCell* current_ = nullptr;
   bool current_settled_ = false;
   std::size_t settled_in_chunk_ = 0;  ///< executed and answered before execute() returned
-  std::int64_t chunk_began_ns_ = 0;   ///< real_ns()
   std::vector<Tree*> roots_;          ///< scratch
 
   Mailbox mailbox_;

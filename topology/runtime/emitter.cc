@@ -10,29 +10,25 @@ namespace iotcloud::topology::internal {
 void Emitter::set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self) {
   tasks_ = tasks;
   self_ = self;
-  for (OutStream& stream : streams) streams_.push_back({std::move(stream), nullptr});
+  for (OutStream& stream : streams) streams_.push_back({std::move(stream), stream.info->fields.size(), nullptr});
   for (Stream& stream : streams_) {
     const auto& edges = stream.out.edges;
     if (!stream.out.direct && edges.size() == 1 && !edges.front().grouping) {
       stream.only = (*tasks)[static_cast<std::size_t>(edges.front().targets->front())];
     }
-    if (stream.out.info->stream == default_stream) default_ = &stream;
+    if (stream.only != nullptr && stream.out.info->stream == default_stream) to_one_ = &stream;
   }
 }
 
-Emitter::Stream& Emitter::find(std::string_view name) {
-  // The usual case without looking at the letters: this very constant.
-  if (name.data() == default_stream && default_ != nullptr) return *default_;
-  for (Stream& stream : streams_) {
-    if (stream.out.info->stream == name) return stream;
+void Emitter::choose_among(std::string_view name, const Values& values, int direct_task) {
+  const auto found =
+      std::find_if(streams_.begin(), streams_.end(), [&](const Stream& s) { return s.out.info->stream == name; });
+  if (found == streams_.end()) {
+    throw std::invalid_argument("emits to stream \"" + std::string(name) + "\", which it does not declare");
   }
-  throw std::invalid_argument("emits to stream \"" + std::string(name) + "\", which it does not declare");
-}
-
-void Emitter::choose(std::string_view name, const Values& values, int direct_task) {
-  Stream& stream = find(name);
+  Stream& stream = *found;
   const OutStream& out = stream.out;
-  if (out.info->fields.size() != values.size()) {
+  if (stream.arity != values.size()) {
     throw std::invalid_argument("emits " + std::to_string(values.size()) + " values to stream \"" + out.info->stream +
                                 "\", whose fields are " + out.info->fields.list());
   }

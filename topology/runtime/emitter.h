@@ -35,7 +35,15 @@ class Emitter {
 
   /// Checks, and chooses the receivers. \throws std::invalid_argument when stream, task or values do not fit.
   /// \param direct_task -1: by the groupings.
-  void choose(std::string_view stream, const Values& values, int direct_task);
+  void choose(std::string_view stream, const Values& values, int direct_task) {
+    // The usual case without looking at the letters: this very constant, and one task that gets it all.
+    if (stream.data() == default_stream && to_one_ != nullptr && direct_task < 0 && values.size() == to_one_->arity) {
+      stream_ = to_one_;
+      chosen_count_ = 1;
+    } else {
+      choose_among(stream, values, direct_task);
+    }
+  }
   std::size_t chosen() const { return chosen_count_; }
   bool is_sink() const { return streams_.empty(); }
   /// Makes the tuple for the receivers that choose() found; at least one. It is tracked when `trees` is not empty.
@@ -47,14 +55,15 @@ class Emitter {
  private:
   struct Stream {
     OutStream out;
+    std::size_t arity = 0;     ///< number of fields
     BoltTask* only = nullptr;  ///< whatever is emitted, this one task gets it
   };
-  Stream& find(std::string_view name);
+  void choose_among(std::string_view stream, const Values& values, int direct_task);
   void choose_by_groupings(Stream& stream, const Values& values);
   void choose_direct(const Stream& stream, int task);
 
   std::vector<Stream> streams_;
-  Stream* default_ = nullptr;
+  const Stream* to_one_ = nullptr;  ///< the default stream, if it has an `only`
   const std::vector<BoltTask*>* tasks_ = nullptr;
   const Task* self_ = nullptr;
   // Of the last choose():

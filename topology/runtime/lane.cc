@@ -48,14 +48,6 @@ Lane::Out& Lane::out_to(BoltTask& target) {
   return outs_[slot - 1];
 }
 
-void Lane::put(BoltTask& target, TupleCell* cell) {
-  if (last_out_ == nullptr || last_out_->target != &target) last_out_ = &out_to(target);
-  auto& cells = last_out_->cells;
-  cells.push_back(cell);
-  // Others may put as many: half of the room is ours.
-  if (2 * cells.size() >= last_out_->room) wants_flush_ = true;
-}
-
 void Lane::flush(Task& emitter) {
   for (std::size_t i = 0; i < outs_used_; ++i) {
     Out& out = outs_[i];
@@ -82,6 +74,13 @@ Task* Lane::pop() {
   Task* task = ready_.pop();
   ready_count_.store(ready_.size(), std::memory_order_relaxed);
   return task;
+}
+
+std::int64_t Lane::waiting_ns() {
+  const std::lock_guard lock(mutex_);
+  std::int64_t sum = 0;
+  for (const Task* task = ready_.first(); task != nullptr; task = task->next_ready) sum += task->waiting_ns();
+  return sum;
 }
 
 void Lane::take_all(ReadyList& into) {

@@ -3,8 +3,10 @@
 #include <atomic>
 #include <cstdint>
 #include <mutex>
+#include <utility>
 #include <vector>
 
+#include <iotcloud/topology/runtime/slice_clock.h>
 #include <iotcloud/topology/runtime/tracking.h>
 
 namespace iotcloud::topology::internal {
@@ -18,6 +20,7 @@ class ReadyList {
  public:
   bool empty() const { return first_ == nullptr; }
   std::size_t size() const { return size_; }
+  const Task* first() const { return first_; }
   void push(Task& task);
   Task* pop();
   void append(ReadyList& other);  ///< leaves `other` empty
@@ -37,9 +40,21 @@ class Lane {
   Scheduler& scheduler() { return scheduler_; }
   /// The task whose user code runs on this thread; set by OwnCall.
   const Task* current = nullptr;
+  /// real_ns() at the last look, which is when this slice or chunk began: a look costs as much as a quick call.
+  std::int64_t now_ns = 0;
+  std::uint64_t time_since_last_look() {
+    const std::int64_t before = std::exchange(now_ns, real_ns());
+    return static_cast<std::uint64_t>(now_ns - before);
+  }
 
   // What the running task emits.
-  void put(BoltTask& target, TupleCell* cell);
+  void put(BoltTask& target, TupleCell* cell) {
+    if (last_out_ == nullptr || last_out_->target != &target) last_out_ = &out_to(target);
+    auto& cells = last_out_->cells;
+    cells.push_back(cell);
+    // Others may put as many: half of the room is ours.
+    if (2 * cells.size() >= last_out_->room) wants_flush_ = true;
+  }
   /// Hands everything over and makes the receivers ready; `emitter` waits for those that are full.
   void flush(Task& emitter);
   bool wants_flush() const { return wants_flush_; }
@@ -58,6 +73,7 @@ class Lane {
   void take_all(ReadyList& into);
   std::size_t ready_count() const { return ready_count_.load(std::memory_order_relaxed); }
   bool has_ready() const { return ready_count() > 0; }
+  std::int64_t waiting_ns();  ///< about how long the tasks on the run list will take
   // For those who watch.
   std::atomic<std::int64_t> slice_began_ns{0};    ///< real_ns(); 0 = no slice runs
   std::atomic<Task*> running{nullptr};            ///< the task whose slice it is

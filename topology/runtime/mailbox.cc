@@ -7,6 +7,8 @@ namespace iotcloud::topology::internal {
 
 namespace {
 
+constexpr std::size_t ahead = 4;
+
 void append_bytes(std::string& key, const void* data, std::size_t size) {
   key.append(static_cast<const char*>(data), size);
 }
@@ -117,7 +119,14 @@ bool Mailbox::block_until_room(Task& emitter) {
 }
 
 TupleCell* Mailbox::next() {
-  if (next_ < batch_.size()) return batch_[next_++];
+  if (next_ < batch_.size()) {
+    if (next_ + ahead < batch_.size()) {
+      const auto* soon = reinterpret_cast<const char*>(batch_[next_ + ahead]);
+      __builtin_prefetch(soon, 1);
+      __builtin_prefetch(soon + 64, 1);
+    }
+    return batch_[next_++];
+  }
   if (conflater_) {
     const std::lock_guard lock(mutex_);
     return conflater_->take();

@@ -83,6 +83,7 @@ class Runtime::Impl {
         scheduler_(options_.threads, options_.caller_slice, count_tasks(), timers_) {
     name_tasks();
     for (const ComponentSpec& spec : topology_.components) make_tasks(spec);
+    for (const auto& task : tasks_) task->emitter().set_up(streams_of(*task), &bolts_, task.get());
     metrics_source_ = metrics_.add_source([this](std::vector<config::Sample>& samples) {
       for (const auto& task : tasks_) task->collect(samples);
     });
@@ -264,9 +265,7 @@ class Runtime::Impl {
         bolts_[static_cast<std::size_t>(task->id())] = task.get();
         tasks_.push_back(std::move(task));
       }
-      Task& made = *tasks_.back();
-      made.executors = &executors_.at(spec.id);
-      made.emitter().set_up(streams_of(made), &bolts_, &made);
+      tasks_.back()->executors = &executors_.at(spec.id);
     }
   }
 

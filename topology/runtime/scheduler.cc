@@ -9,6 +9,10 @@ namespace iotcloud::topology::internal {
 namespace {
 /// A pool thread shares its run list with one that sleeps after so long: waking costs some 5 us here and 50 us there.
 constexpr std::int64_t share_after_ns = 300'000;
+/// Work that is worth another thread. Quick calls on few tuples are not: what crosses from one core's cache to
+/// another's costs more than they do (a word count on two cores got slower by a fifth).
+constexpr std::int64_t worth_sharing_ns = 50'000;
+constexpr std::size_t many_tasks = 16;
 /// A pool thread lets the tasks that all threads share have a turn after so long.
 constexpr std::int64_t turn_ns = 1'000'000;
 /// A slice as long as this keeps others waiting. The time is looked at once a millisecond.
@@ -174,7 +178,7 @@ void Scheduler::run_until_idle() {
 }
 
 void Scheduler::run(Lane& lane, Kind kind) noexcept {
-  const std::int64_t began = real_ns();
+  const std::int64_t began = lane.now_ns = real_ns();
   lane.slice_began_ns.store(began, std::memory_order_relaxed);
   while (Task* task = lane.pop()) {
     lane.running.store(task);
@@ -182,9 +186,8 @@ void Scheduler::run(Lane& lane, Kind kind) noexcept {
     if (threads_ > 0 && lane.has_ready()) timers_.watch();
     run_slice(lane, *task);
     if (!lane.has_ready()) continue;
-    const std::int64_t now = real_ns();
-    lane.slice_began_ns.store(now, std::memory_order_relaxed);
-    if (share(lane, kind, now - began)) break;
+    lane.slice_began_ns.store(lane.now_ns, std::memory_order_relaxed);
+    if (share(lane, kind, lane.now_ns - began)) break;
   }
   lane.slice_began_ns.store(0, std::memory_order_relaxed);
   lane.running.store(nullptr);
@@ -226,8 +229,11 @@ bool Scheduler::share(Lane& lane, Kind kind, std::int64_t busy_ns) noexcept {
     hand_over(tasks);
     return true;
   }
-  if (busy_ns < share_after_ns || lane.ready_count() < 2 || sleeping_.load(std::memory_order_relaxed) == 0)
+  if (busy_ns < share_after_ns || lane.ready_count() < 2 || sleeping_.load(std::memory_order_relaxed) == 0) {
     return false;
+  }
+  const bool worth_it = lane.ready_count() > many_tasks || lane.waiting_ns() >= worth_sharing_ns;
+  if (!worth_it) return false;
   lane.take_all(tasks);
   if (Task* mine = tasks.pop()) lane.push(*mine);
   hand_over(tasks);

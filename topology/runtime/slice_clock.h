@@ -17,10 +17,10 @@ inline std::int64_t real_ns() {
 inline constexpr std::int64_t slice_limit_ns = 200'000;
 /// Calls between two looks at the clock: as many as fit in some microseconds, so that quick calls are timed as a batch
 /// (a look costs as much as the call) and slow ones singly.
-inline constexpr std::size_t chunk_limit = 64;
+inline constexpr std::size_t chunk_limit = 128;
 
-inline std::size_t next_chunk(std::size_t chunk, std::size_t calls, std::int64_t took_ns) {
-  if (took_ns > 20'000) return std::max<std::size_t>(1, calls * 10'000 / static_cast<std::size_t>(took_ns));
+inline std::size_t next_chunk(std::size_t chunk, std::size_t calls, std::uint64_t took_ns) {
+  if (took_ns > 20'000) return std::max<std::size_t>(1, calls * 10'000 / took_ns);
   if (calls == chunk && took_ns < 10'000 && chunk < chunk_limit) return 2 * chunk;
   return chunk;
 }

@@ -81,7 +81,7 @@ void SpoutTask::set_active(bool active) {
 bool SpoutTask::slice(Lane& lane) {
   lane_ = &lane;
   const OwnCall own(lane, *this);
-  now_ns_ = topology_ns();
+  now_ns_ = around_.clock_is_real ? lane.now_ns : topology_ns();
   const std::uint32_t signals = take_signals();
   if ((signals & activity_due) != 0) switch_activity();
   if ((signals & poll_due) != 0) poll_armed_ = false;
@@ -115,8 +115,7 @@ bool SpoutTask::may_ask() {
 
 /// \return true when the spout is to be asked again soon.
 bool SpoutTask::ask(Lane& lane) {
-  const std::int64_t slice_began = real_ns();
-  std::int64_t began = slice_began;
+  const std::int64_t slice_began = lane.now_ns;
   while (may_ask()) {
     woken_.store(false, std::memory_order_relaxed);
     bool more = true;
@@ -131,11 +130,11 @@ bool SpoutTask::ask(Lane& lane) {
       take_acked_at_once();
     }
     lane.flush(*this);
-    const std::int64_t now = real_ns();
-    now_ns_ = around_.clock_is_real ? now : topology_ns();
-    bump(counts_.busy_ns, static_cast<std::uint64_t>(now - began));
-    chunk_ = next_chunk(chunk_, calls, now - began);
-    began = now;
+    const std::uint64_t took_ns = lane.time_since_last_look();
+    now_ns_ = around_.clock_is_real ? lane.now_ns : topology_ns();
+    bump(counts_.busy_ns, took_ns);
+    each_ns_.store(static_cast<std::int64_t>(took_ns / std::max<std::size_t>(calls, 1)), std::memory_order_relaxed);
+    chunk_ = next_chunk(chunk_, calls, took_ns);
     if (!more && !woken_.load(std::memory_order_acquire)) {
       if (pause.count() > 0 && !poll_armed_) {
         poll_armed_ = true;
@@ -143,7 +142,7 @@ bool SpoutTask::ask(Lane& lane) {
       }
       return false;
     }
-    if (lane.has_ready() || now - slice_began > slice_limit_ns) return true;
+    if (lane.has_ready() || lane.now_ns - slice_began > slice_limit_ns) return true;
     take_posted();
   }
   return false;

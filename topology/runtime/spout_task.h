@@ -51,6 +51,7 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   bool slice(Lane& lane) override;
   bool is_spout() const override { return true; }
   std::size_t depth() const override { return 0; }
+  std::int64_t waiting_ns() const override { return each_ns_.load(std::memory_order_relaxed); }
   void close() override;
   void fill(TaskSnapshot& snapshot) const override;
   void collect(std::vector<config::Sample>& samples) const override;

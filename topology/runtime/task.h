@@ -58,6 +58,8 @@ class Task {
   virtual bool slice(Lane& lane) = 0;
   virtual bool is_spout() const = 0;
   virtual std::size_t depth() const = 0;  ///< tuples that wait
+  /// About how long what it has to do now will take.
+  virtual std::int64_t waiting_ns() const = 0;
   /// The end of its life; only when nothing else runs it.
   virtual void close() = 0;
   virtual void fill(TaskSnapshot& snapshot) const = 0;
@@ -117,7 +119,8 @@ class Task {
   Emitter emitter_;
   Taps taps_;
   Counts counts_;
-  std::size_t chunk_ = 1;  ///< calls between two looks at the clock; grows while they are quick
+  std::atomic<std::int64_t> each_ns_{0};  ///< one call, in the last chunk
+  std::size_t chunk_ = 1;                 ///< calls between two looks at the clock; grows while they are quick
 
  private:
   std::atomic<std::uint32_t> signals_{0};

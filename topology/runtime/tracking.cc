@@ -1,4 +1,3 @@
-#include <iotcloud/topology/runtime/pool.h>
 #include <iotcloud/topology/runtime/spout_task.h>
 #include <iotcloud/topology/runtime/tracking.h>
 
@@ -30,10 +29,6 @@ void Tree::close(std::uint64_t change, std::uint8_t flag) noexcept {
 
 void Tree::let_go() noexcept {
   if (holders.fetch_sub(1, std::memory_order_acq_rel) == 1) Pool<Tree>::give(this);
-}
-
-TupleCell* TupleCell::make() {
-  return Pool<TupleCell>::take();
 }
 
 void TupleCell::recycle() noexcept {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <iotcloud/topology/output_collector.h>
+#include <iotcloud/topology/runtime/pool.h>
 #include <iotcloud/topology/tuple.h>
 
 namespace iotcloud::topology::internal {
@@ -63,7 +64,7 @@ struct alignas(64) TupleCell final : public detail::TupleData {
   Delivery first;  ///< of the first receiver
   std::unique_ptr<More> more;
 
-  static TupleCell* make();
+  static TupleCell* make() { return Pool<TupleCell>::take(); }
   void recycle() noexcept override;
 
   bool tracked() const { return tree != nullptr; }
