@@ -72,6 +72,7 @@ void send(Engine& engine, Workload& work, std::atomic<std::int64_t>& brought_ns)
     brought_ns.store(now_ns(), std::memory_order_relaxed);
     engine.pump();
   }
+  engine.pump();
 }
 
 std::uint64_t arrived(const Workload& work) {

@@ -143,7 +143,7 @@ struct Workload {
   explicit Workload(const Options& o) : options(o), feed(o) {}
   const Options options;
   Feed feed;
-  Arrivals arrivals[2];  ///< tracked: the first one only, by acks
+  Arrivals arrivals[2];  ///< of the last tasks; of the source when items are acked there
   Sentences sentences;
   Payloads payloads;
   std::atomic<std::uint64_t> wrong{0};  ///< failed, or not the payload that was sent
@@ -154,7 +154,8 @@ class Engine {
  public:
   virtual ~Engine() = default;
   /// Sends what is due, on this thread or by telling its own threads. Returns when nothing is due, or when the engine's
-  /// own threads go on with it; not paced: at the latest when the feed is stopped.
+  /// own threads go on with it; not paced: at the latest when the feed is stopped. Paced: called a last time after
+  /// that.
   virtual void pump() = 0;
   /// Called once, after the feed is stopped and everything has arrived.
   virtual void stop() = 0;

@@ -82,11 +82,12 @@ function(iotcloud_test)
   endif()
 endfunction()
 
-# A program that measures; ./dev bench runs it. Not installed. SMOKE: arguments of a short run, which becomes a test.
+# A program that measures; the target `benchmarks` builds them all. Not installed. SMOKE: arguments of a short run, which becomes a test.
 function(iotcloud_benchmark)
   cmake_parse_arguments(arg "" "NAME" "SOURCES;USES;LIBRARIES;SMOKE" ${ARGN})
   add_executable(${arg_NAME} ${arg_SOURCES})
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
+  add_dependencies(benchmarks ${arg_NAME})
   if(arg_SMOKE)
     add_test(NAME ${arg_NAME}_runs COMMAND ${arg_NAME} ${arg_SMOKE})
     set_tests_properties(${arg_NAME}_runs PROPERTIES TIMEOUT 60)

@@ -1,0 +1,234 @@
+#!/usr/bin/python3
+"""Runs the benchmarks of the topology runtime, prints a table and writes build/bench/runtime.json.
+
+usage: report.py [--quick] [--build DIR] [--json FILE]   (./dev bench runtime builds what this needs)
+
+Everything here is measured: the engines take turns, round by round, a ratio is the median of the ratios of one round,
+and whether a target is met is computed.
+"""
+
+import argparse
+import json
+import os
+import platform
+import shlex
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+OURS, LIMIT, PEER = "iotcloud", "ring", "onetbb"
+BASELINES = {LIMIT: "bare SPSC rings", PEER: "oneTBB flow graph"}  # the limit, and a peer
+DAGS = {"chain": "chain of 3", "words": "word count", "fan": "fan 1-4-1", "payload": "60 KB chain"}
+LOADS = (1, 50, 90)  # percent of what the engine reached at most
+
+
+class Programs:
+    def __init__(self, folder):
+        self.folder = folder
+
+    def engines(self):
+        return [e for e in (OURS, LIMIT, PEER) if (self.folder / f"bench_runtime_{e}").exists()]
+
+    def run(self, name, *arguments):
+        """The lines of JSON that a program prints. A program that fails ends the benchmark: its figures mean nothing."""
+        command = [str(self.folder / f"bench_runtime_{name}"), *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+        if done.returncode != 0:
+            sys.exit(f"{shlex.join(command)} failed with status {done.returncode}:\n{done.stderr}{done.stdout}")
+        return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+class Report:
+    def __init__(self):
+        self.results = []
+
+    def compare(self, name, unit, by_engine, at_least=None, at_most=None):
+        """One figure: `by_engine` has a value of each round for ours, and beside it for each baseline that ran. One line
+        of the table, and a result for each baseline."""
+        values = by_engine[OURS]
+        value = statistics.median(values)
+        target, met = None, None
+        if at_least is not None:
+            target, met = f">= {at_least:g}", value >= at_least
+        if at_most is not None:
+            target, met = f"<= {at_most:g}", value <= at_most
+        beside = []
+        for baseline in [e for e in BASELINES if e in by_engine] or [None]:
+            theirs = by_engine.get(baseline, [])
+            ratios = [a / b for a, b in zip(values, theirs) if b]
+            beside.append(
+                {
+                    "name": name,
+                    "value": value,
+                    "unit": unit,
+                    "baseline": BASELINES.get(baseline),
+                    "baseline_value": statistics.median(theirs) if theirs else None,
+                    "ratio": statistics.median(ratios) if ratios else None,
+                    "target": target,
+                    "met": met,
+                    "rounds": len(values),
+                    "spread": (max(values) - min(values)) / value if value else 0.0,
+                }
+            )
+        self.results += beside
+        self.print_line(beside)
+
+    @staticmethod
+    def print_head():
+        beside = "".join(f" {name:>18} {'ratio':>7}" for name in BASELINES.values())
+        print(f"{'figure':<42} {'value':>9} {'unit':<11}{beside} {'target':>9} {'met':>4} {'n':>2} {'spread':>6}")
+
+    @staticmethod
+    def print_line(beside):
+        theirs = {r["baseline"]: r for r in beside}
+        columns = "".join(
+            f" {number(r.get('baseline_value')):>18} {number(r.get('ratio')):>7}"
+            for r in (theirs.get(name, {}) for name in BASELINES.values())
+        )
+        r = beside[0]
+        print(
+            f"{r['name']:<42} {number(r['value']):>9} {r['unit']:<11}{columns} {r['target'] or '':>9}"
+            f" {number(r['met']):>4} {r['rounds']:>2} {r['spread']:>6.0%}",
+            flush=True,
+        )
+
+    def verdict(self):
+        judged = {r["name"]: r["met"] for r in self.results if r["met"] is not None}
+        missed = [name for name, met in judged.items() if not met]
+        return f"{len(judged) - len(missed)} of {len(judged)} targets met" + "".join(f"; missed: {m}" for m in missed)
+
+
+def number(value):
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "NO"
+    if abs(value) >= 100:
+        return f"{value:,.0f}"
+    if abs(value) < 0.001 and value != 0:
+        return f"{value:.0e}"
+    return f"{value:.3g}"
+
+
+def title(dag, tracked):
+    return f"{DAGS[dag]}, {'tracked' if tracked else 'untracked'}"
+
+
+def saturation(programs, report, dag, tracked, rounds, seconds):
+    """As many results as possible. Returns {engine: results a second}."""
+    lines = {engine: [] for engine in programs.engines()}
+    for _ in range(rounds):
+        for engine in lines:
+            options = ["--dag", dag, "--warm-up", 0.5, "--seconds", seconds] + ["--tracked"] * tracked
+            lines[engine] += programs.run(engine, *options)
+    targets = {("chain", False): 15e6, ("chain", True): 5e6, ("words", False): 12e6}
+    target = targets.get((dag, tracked))
+    unit = "M words/s" if dag == "words" else "M tuples/s"
+    report.compare(
+        f"{title(dag, tracked)}: at most",
+        unit,
+        {engine: [line["per_second"] / 1e6 for line in runs] for engine, runs in lines.items()},
+        at_least=None if target is None else target / 1e6,
+    )
+    report.compare(
+        f"{title(dag, tracked)}: a hop",
+        "ns",
+        {engine: [line["ns_per_hop"] for line in runs] for engine, runs in lines.items()},
+    )
+    return {engine: statistics.median(line["per_second"] for line in runs) for engine, runs in lines.items()}
+
+
+def latency(programs, report, dag, tracked, most, load, rounds, seconds):
+    """At a part of what each engine reached: from the intended time of sending to the last task's execute (or ack)."""
+    lines = {engine: [] for engine in programs.engines()}
+    for _ in range(rounds):
+        for engine in lines:
+            rate = most[engine] * load / 100
+            options = ["--dag", dag, "--rate", f"{rate:.0f}", "--warm-up", 0.5, "--seconds", seconds]
+            lines[engine] += programs.run(engine, *options, *["--tracked"] * tracked)
+    for quantile in ("p50", "p99", "max"):
+        report.compare(
+            f"{title(dag, tracked)}: {quantile} at {load} % load",
+            "us",
+            {engine: [line["latency"][f"{quantile}_us"] for line in runs] for engine, runs in lines.items()},
+            at_most=100 if (quantile, load) == ("p99", 50) else None,
+        )
+
+
+def quiet(programs, report, rounds, seconds):
+    """The chain at 100 tuples a second: from the moment that the thread that brings a tuple has it."""
+    lines = {engine: [] for engine in programs.engines()}
+    for _ in range(rounds):
+        for engine in lines:
+            lines[engine] += programs.run(engine, "--rate", 100, "--warm-up", 0.5, "--seconds", seconds)
+    for quantile, target in (("p50", 3), ("p99", 20), ("max", None)):
+        report.compare(
+            f"{DAGS['chain']} at 100/s: {quantile}",
+            "us",
+            {engine: [line["service"][f"{quantile}_us"] for line in runs] for engine, runs in lines.items()},
+            at_most=target,
+        )
+    for key, unit in (("cpu_percent", "% of a core"), ("switches_per_second", "switches/s")):
+        report.compare(
+            f"{DAGS['chain']} at 100/s: {key.split('_')[0]}",
+            unit,
+            {engine: [line[key] for line in runs] for engine, runs in lines.items()},
+        )
+
+
+def machine():
+    with open("/proc/cpuinfo", encoding="ascii", errors="replace") as cpuinfo:
+        model = next((line.split(":", 1)[1].strip() for line in cpuinfo if line.startswith("model name")), "unknown")
+    return {
+        "cpu": model,
+        "cores": os.cpu_count(),
+        "memory_mb": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2**20,
+        "kernel": platform.release(),
+        "load_average_before": os.getloadavg()[0],
+    }
+
+
+def commit(root):
+    def git(*arguments):
+        return subprocess.run(["git", "-C", root, *arguments], capture_output=True, text=True).stdout.strip()
+
+    return git("rev-parse", "HEAD") + ("-modified" if git("status", "--porcelain") else "")
+
+
+def main():
+    root = Path(__file__).resolve().parent.parent
+    options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    options.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
+    options.add_argument("--build", type=Path, default=root / "build/release")
+    options.add_argument("--json", type=Path, default=root / "build/bench/runtime.json")
+    given = options.parse_args()
+
+    programs = Programs(given.build / "bin")
+    report = Report()
+    facts = machine()
+    rounds, seconds = (2, 0.5) if given.quick else (5, 1.0)
+    if PEER not in programs.engines():
+        print("oneTBB's program is not built (libtbb-dev was missing when CMake ran): the peer is left out")
+    print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}")
+    report.print_head()
+    began = time.monotonic()
+    quiet(programs, report, rounds, 2 if given.quick else 5)
+    for dag in DAGS:
+        for tracked in (False, True):
+            most = saturation(programs, report, dag, tracked, rounds, seconds)
+            if given.quick and dag not in ("chain", "words"):
+                continue
+            for load in LOADS:
+                latency(programs, report, dag, tracked, most, load, 1 if given.quick else 3, seconds)
+    facts["load_average_after"] = os.getloadavg()[0]
+    given.json.parent.mkdir(parents=True, exist_ok=True)
+    command = shlex.join(["./dev", "bench", "runtime", *sys.argv[1:]])
+    written = {"machine": facts, "commit": commit(root), "command": command, "results": report.results}
+    given.json.write_text(json.dumps(written, indent=1) + "\n")
+    print(f"{report.verdict()}\n{time.monotonic() - began:.0f} s; all figures are in {given.json}")
+
+
+if __name__ == "__main__":
+    main()
