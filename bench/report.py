@@ -21,6 +21,7 @@ from pathlib import Path
 OURS, LIMIT, PEER = "iotcloud", "ring", "onetbb"
 BASELINES = {LIMIT: "bare SPSC rings", PEER: "oneTBB flow graph"}  # the limit, and a peer
 DAGS = {"chain": "chain of 3", "words": "word count", "fan": "fan 1-4-1", "payload": "60 KB chain"}
+UNITS = {"cpu": "% of a core", "switches": "switches/s"}
 LOADS = (1, 50, 90)  # percent of what the engine reached at most
 
 
@@ -170,12 +171,28 @@ def quiet(programs, report, rounds, seconds):
             {engine: [line["service"][f"{quantile}_us"] for line in runs] for engine, runs in lines.items()},
             at_most=target,
         )
-    for key, unit in (("cpu_percent", "% of a core"), ("switches_per_second", "switches/s")):
+    for key in ("cpu_percent", "switches_per_second"):
+        figure = key.split("_")[0]
         report.compare(
-            f"{DAGS['chain']} at 100/s: {key.split('_')[0]}",
-            unit,
+            f"{DAGS['chain']} at 100/s: {figure}",
+            UNITS[figure],
             {engine: [line[key] for line in runs] for engine, runs in lines.items()},
         )
+
+
+def costs(programs, report, rounds, seconds):
+    """What only our runtime is asked: nothing runs beside it."""
+    runs = {}
+    for _ in range(rounds):
+        for line in programs.run("costs", seconds):
+            runs.setdefault(line["figure"], []).append(line["value"])
+    targets = {"idle: cpu": 0.5, "10 000 tasks: idle MB": 100}
+    for figure, values in runs.items():
+        kind = figure.split(":")[0]
+        unit = {"heap": "allocations", "copies": "copies"}.get(kind, figure.split()[-1])
+        # A sentence of the word count is longer than a string holds without the heap: no small tuple.
+        none = kind == "copies" or (kind == "heap" and "words" not in figure)
+        report.compare(figure, UNITS.get(unit, unit), {OURS: values}, at_most=0 if none else targets.get(figure))
 
 
 def machine():
@@ -214,6 +231,7 @@ def main():
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}")
     report.print_head()
     began = time.monotonic()
+    costs(programs, report, 1 if given.quick else 3, seconds)
     quiet(programs, report, rounds, 2 if given.quick else 5)
     for dag in DAGS:
         for tracked in (False, True):

@@ -1,5 +1,5 @@
 // The DAGs on IoTCloud's own runtime, written as a user of the SDK writes a topology.
-#include <iotcloud/bench/runtime/measure.h>
+#include <iotcloud/bench/runtime/iotcloud_engine.h>
 #include <iotcloud/topology/runtime/runtime.h>
 
 namespace iotcloud::bench {
@@ -178,10 +178,8 @@ class IotcloudEngine : public Engine {
 
 }  // namespace
 
-}  // namespace iotcloud::bench
-
-int main(int argc, char** argv) {
-  return iotcloud::bench::measure("iotcloud", argc, argv, [](iotcloud::bench::Workload& work) {
-    return std::make_unique<iotcloud::bench::IotcloudEngine>(work);
-  });
+std::unique_ptr<Engine> make_iotcloud_engine(Workload& work) {
+  return std::make_unique<IotcloudEngine>(work);
 }
+
+}  // namespace iotcloud::bench
