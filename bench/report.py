@@ -12,6 +12,7 @@ import json
 import os
 import platform
 import shlex
+import signal
 import statistics
 import subprocess
 import sys
@@ -215,6 +216,7 @@ def commit(root):
 
 
 def main():
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     root = Path(__file__).resolve().parent.parent
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     options.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
