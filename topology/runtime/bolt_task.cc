@@ -65,15 +65,15 @@ bool BoltTask::slice(Lane& lane) {
   const std::int64_t slice_began = lane.now_ns;
   bool more = false;
   while (depth() > 0 && !blocked()) {
-    std::size_t executed = 0;
-    while (executed < chunk_ && !lane.wants_flush()) {
+    std::size_t taken = 0;
+    while (taken < chunk_ && !lane.wants_flush()) {
       TupleCell* cell = mailbox_.next();
       if (cell == nullptr) break;
       execute(Tuple::adopt(cell));
-      ++executed;
+      ++taken;
     }
     const auto took_ns = lane.time_since_last_look();
-    if (executed > 0) note_chunk(executed, took_ns);
+    if (taken > 0) note_chunk(taken, took_ns);
     lane.flush(*this);
     if (lane.has_ready() || lane.now_ns - slice_began > slice_limit_ns) {
       more = depth() > 0 && !blocked();
@@ -84,15 +84,16 @@ bool BoltTask::slice(Lane& lane) {
   return more;
 }
 
-void BoltTask::note_chunk(std::size_t executed, std::uint64_t took_ns) {
-  const auto each = static_cast<std::int64_t>(took_ns / executed);
+void BoltTask::note_chunk(std::size_t taken, std::uint64_t took_ns) {
+  const auto each = static_cast<std::int64_t>(took_ns / taken);
+  const std::size_t executed = taken - std::exchange(late_in_chunk_, 0);
   each_ns_.store(each, std::memory_order_relaxed);
   bump(counts_.executed, executed);
   bump(counts_.busy_ns, took_ns);
-  execute_latency_.record_ns(each, executed);
+  if (executed > 0) execute_latency_.record_ns(each, executed);
   if (settled_in_chunk_ > 0) process_latency_.record_ns(each, std::exchange(settled_in_chunk_, 0));
-  chunk_ = next_chunk(chunk_, executed, took_ns);
-  mailbox_.done(executed);
+  chunk_ = next_chunk(chunk_, taken, took_ns);
+  mailbox_.done(taken);
 }
 
 void BoltTask::execute(Tuple tuple) {
@@ -123,6 +124,7 @@ bool BoltTask::late(const TupleCell& cell) const {
 
 void BoltTask::give_up_late(const Tuple& tuple) {
   bump(counts_.late);
+  ++late_in_chunk_;
   if (!intake_.late_stream.empty()) {
     guarded("emit to the late stream", [&] {
       do_emit(intake_.late_stream, {&tuple, 1}, Values(tuple.data()->values), no_task);

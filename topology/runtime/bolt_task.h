@@ -68,7 +68,7 @@ class BoltTask final : public Task, private OutputCollector {
   void execute(Tuple tuple);
   bool late(const TupleCell& cell) const;
   void give_up_late(const Tuple& tuple);
-  void note_chunk(std::size_t executed, std::uint64_t took_ns);
+  void note_chunk(std::size_t taken, std::uint64_t took_ns);
   std::int64_t birth_of_child(std::span<const Tuple> anchors) const;
 
   std::unique_ptr<Bolt> bolt_;
@@ -82,6 +82,7 @@ class BoltTask final : public Task, private OutputCollector {
   Lane* lane_ = nullptr;
   const TupleCell* current_ = nullptr;
   bool current_settled_ = false;
+  std::size_t late_in_chunk_ = 0;     ///< taken and not executed
   std::size_t settled_in_chunk_ = 0;  ///< executed and answered before execute() returned
   std::vector<Tree*> roots_;          ///< scratch
 

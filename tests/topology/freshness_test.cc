@@ -1,0 +1,242 @@
+// Deadlines and keep_last: what a robot needs.
+#include <map>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/tests/topology/workshop.h>
+
+namespace iotcloud::topology::workshop {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+/// Hands tuples on, each call of which takes `period`.
+BoltFactory slow_bolt(SimulatedClock& clock, std::chrono::milliseconds period) {
+  return bolt(
+      [&clock, period](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+        clock.advance(period);
+        out.emit(tuple, Values(tuple.at(0)));
+        out.ack(tuple);
+      },
+      {"value"});
+}
+
+TEST(Deadline, ALateTupleIsNotExecutedButCountedAndAcked) {
+  Bench bench;
+  auto source = std::make_shared<Source>();
+  auto sink = std::make_shared<Sink>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("slow", slow_bolt(bench.clock, 30ms)).shuffle_grouping("in");
+  builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("slow").deadline(50ms);
+  Runtime runtime(builder.build("late"), bench.options());
+  runtime.start();
+  for (int i = 1; i <= 4; ++i) source->lay(Values(i));
+  source->wake();
+  runtime.run_until_idle();
+  const auto out = runtime.snapshot().component("out");
+  EXPECT_GT(out.late, 0U) << "the slow bolt keeps the later ones for longer than 50 ms";
+  EXPECT_EQ(out.executed, sink->size());
+  EXPECT_EQ(out.late + out.executed, 4U);
+  EXPECT_EQ(source->acked().size(), 4U);
+  EXPECT_THAT(source->failed(), IsEmpty());
+}
+
+TEST(Deadline, AFreshTupleIsExecuted) {
+  Bench bench;
+  auto source = std::make_shared<Source>();
+  auto sink = std::make_shared<Sink>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("in").deadline(50ms);
+  Runtime runtime(builder.build("fresh"), bench.options());
+  runtime.start();
+  for (int i = 1; i <= 3; ++i) {
+    bench.clock.advance(10s);
+    source->put(Values(i));
+    runtime.run_until_idle();
+  }
+  EXPECT_THAT(sink->numbers(), ElementsAre(1, 2, 3));
+  EXPECT_EQ(runtime.snapshot().component("out").late, 0U);
+}
+
+TEST(Deadline, ALateTupleGoesToTheLateStreamWithItsValuesAndItsTree) {
+  Bench bench;
+  auto source = std::make_shared<Source>();
+  auto on_time = std::make_shared<Sink>(), late = std::make_shared<Sink>();
+  std::vector<Tuple> held;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("slow", slow_bolt(bench.clock, 100ms)).shuffle_grouping("in");
+  builder.set_bolt("out", sink_bolt(on_time)).shuffle_grouping("slow").deadline(50ms, "late");
+  builder
+      .set_bolt("archive", bolt([&](const Tuple& tuple, OutputCollector&, const TopologyContext& context) {
+                  late->add(tuple, context.task);
+                  held.push_back(tuple);
+                }))
+      .shuffle_grouping("out", "late");
+  Runtime runtime(builder.build("late"), bench.options());
+  runtime.start();
+  source->put(Values(7));
+  runtime.run_until_idle();
+  EXPECT_THAT(on_time->numbers(), IsEmpty());
+  EXPECT_THAT(late->numbers(), ElementsAre(7));
+  EXPECT_EQ(held.at(0).fields().list(), "value");
+  EXPECT_THAT(source->acked(), IsEmpty()) << "it is anchored: the archive has not acked";
+  held.clear();
+}
+
+TEST(Deadline, TheShorterOneOfInputAndComponentCounts) {
+  Bench bench;
+  auto source = std::make_shared<Source>();
+  auto strict = std::make_shared<Sink>(), mild = std::make_shared<Sink>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("slow", slow_bolt(bench.clock, 30ms)).shuffle_grouping("in");
+  builder.set_bolt("strict", sink_bolt(strict)).shuffle_grouping("slow").input_deadline(20ms).deadline(50ms);
+  builder.set_bolt("mild", sink_bolt(mild)).shuffle_grouping("slow").input_deadline(200ms);
+  Runtime runtime(builder.build("two"), bench.options());
+  runtime.start();
+  source->put(Values(1));
+  runtime.run_until_idle();
+  EXPECT_THAT(strict->numbers(), IsEmpty());
+  EXPECT_THAT(mild->numbers(), ElementsAre(1));
+}
+
+TEST(Deadline, CountsFromTheSpoutAlsoThroughABoltThatDoesNotAnchor) {
+  Bench bench;
+  auto source = std::make_shared<Source>();
+  auto sink = std::make_shared<Sink>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder
+      .set_bolt("slow", bolt(
+                            [&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                              bench.clock.advance(60ms);
+                              out.emit(Values(tuple.at(0)));
+                              out.ack(tuple);
+                            },
+                            {"value"}))
+      .shuffle_grouping("in");
+  builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("slow").deadline(50ms);
+  Runtime runtime(builder.build("unanchored"), bench.options());
+  runtime.start();
+  source->put(Values(1));
+  runtime.run_until_idle();
+  EXPECT_THAT(sink->numbers(), IsEmpty());
+}
+
+TEST(Deadline, ALateStreamNeedsInputsThatAgreeAndANameOfItsOwn) {
+  const auto message_of = [](const Fields& second, const std::string& name) -> std::string {
+    TopologyBuilder builder;
+    builder.set_spout("a", source_spout(std::make_shared<Source>(), {"value"}));
+    builder.set_spout("b", source_spout(std::make_shared<Source>(), second));
+    builder.set_bolt("out", pass_bolt()).shuffle_grouping("a").shuffle_grouping("b").deadline(1ms, name);
+    try {
+      builder.build("late");
+    } catch (const TopologyError& error) {
+      return error.what();
+    }
+    return "built";
+  };
+  EXPECT_EQ(message_of({"value"}, "late"), "built");
+  EXPECT_THAT(message_of({"other"}, "late"), HasSubstr("needs inputs of the same fields; b differs from a"));
+  EXPECT_THAT(message_of({"value"}, "default"), HasSubstr("a name of its own"));
+}
+
+/// in -> burst -> several that keep the newest: one call emits a1 b1 a2 c1 b2 a3, so that they reach a mailbox
+/// together.
+struct Burst {
+  Burst() {
+    builder.set_spout("in", source_spout(source));
+    builder
+        .set_bolt("burst", bolt(
+                               [](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                                 for (const char* text : {"a1", "b1", "a2", "c1", "b2", "a3"}) {
+                                   out.emit(tuple, Values(std::string(1, text[0]), text));
+                                 }
+                                 out.ack(tuple);
+                               },
+                               {"key", "text"}))
+        .shuffle_grouping("in");
+  }
+  /// A bolt that notes what it gets.
+  BoltDeclarer add(const std::string& id) {
+    return builder.set_bolt(id, bolt([this, id](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                              got[id].push_back(tuple.get<std::string>("text"));
+                              out.ack(tuple);
+                            }));
+  }
+  void run() {
+    runtime = std::make_unique<Runtime>(builder.build("burst"), bench.options());
+    runtime->start();
+    source->put(Values(1));
+    runtime->run_until_idle();
+  }
+  std::uint64_t superseded(const std::string& id) const { return runtime->snapshot().component(id).superseded; }
+
+  Bench bench;
+  std::shared_ptr<Source> source = std::make_shared<Source>();
+  TopologyBuilder builder;
+  std::map<std::string, std::vector<std::string>> got;
+  std::unique_ptr<Runtime> runtime;
+};
+
+TEST(KeepLast, ANewerTupleOfAKeyTakesThePlaceOfTheOneThatWaits) {
+  Burst burst;
+  burst.add("newest").shuffle_grouping("burst").keep_last(1, {"key"});
+  burst.run();
+  EXPECT_THAT(burst.got["newest"], ElementsAre("a3", "b2", "c1"));
+  EXPECT_EQ(burst.superseded("newest"), 3U);
+  EXPECT_THAT(burst.source->acked(), ElementsAre(1U)) << "superseded tuples do not hold their tree up";
+  EXPECT_EQ(burst.runtime->snapshot().component("newest").queue_depth, 0U);
+}
+
+TEST(KeepLast, KeepsAsManyAsWereAskedForInOrder) {
+  Burst burst;
+  burst.add("two").shuffle_grouping("burst").keep_last(2, {"key"});
+  burst.run();
+  EXPECT_THAT(burst.got["two"], ElementsAre("a2", "b1", "a3", "c1", "b2"));
+  EXPECT_EQ(burst.superseded("two"), 1U);
+}
+
+TEST(KeepLast, WithoutAKeyTheWholeInputIsOne) {
+  Burst burst;
+  burst.add("one").shuffle_grouping("burst").keep_last();
+  burst.run();
+  EXPECT_THAT(burst.got["one"], ElementsAre("a3"));
+}
+
+TEST(KeepLast, TheGroupingsKeyIsTheKeyUnlessAnotherIsNamed) {
+  Burst burst;
+  burst.add("grouped").fields_grouping("burst", {"key"}).keep_last();
+  burst.add("named").fields_grouping("burst", {"key"}).keep_last(1, {"text"});
+  burst.run();
+  EXPECT_THAT(burst.got["grouped"], ElementsAre("a3", "b2", "c1"));
+  EXPECT_THAT(burst.got["named"], ElementsAre("a1", "b1", "a2", "c1", "b2", "a3"));
+}
+
+TEST(KeepLast, LeavesOtherInputsAlone) {
+  Burst burst;
+  burst.builder.set_bolt("again", pass_bolt({"key", "text"})).shuffle_grouping("burst");
+  burst.add("mixed").shuffle_grouping("burst").shuffle_grouping("again").keep_last();
+  burst.run();
+  EXPECT_EQ(burst.got["mixed"].size() + burst.superseded("mixed"), 12U);
+  EXPECT_GE(burst.got["mixed"].size(), 7U) << "six of one, at least one of the other";
+}
+
+TEST(KeepLast, AKeyFieldThatIsNotThereIsRefused) {
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(std::make_shared<Source>(), {"key"}));
+  builder.set_bolt("out", pass_bolt()).shuffle_grouping("in").keep_last(1, {"colour"});
+  EXPECT_THROW(builder.build("conflated"), TopologyError);
+  TopologyBuilder without_input;
+  auto declarer = without_input.set_bolt("out", pass_bolt());
+  EXPECT_THROW(declarer.keep_last(), TopologyError);
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::workshop
