@@ -1,7 +1,8 @@
 #!/usr/bin/python3
-"""Runs the benchmarks of the topology runtime, prints a table and writes build/bench/runtime.json.
+"""Runs the benchmarks of the topology runtime, prints a table and writes build/bench/NAME.json.
 
-usage: report.py [--quick] [--build DIR] [--json FILE]   (./dev bench runtime builds what this needs)
+usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench builds what this needs)
+       report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
 
 Everything here is measured: the engines take turns, round by round, a ratio is the median of the ratios of one round,
 and whether a target is met is computed.
@@ -45,6 +46,7 @@ class Programs:
 class Report:
     def __init__(self):
         self.results = []
+        self.failed = False
 
     def compare(self, name, unit, by_engine, at_least=None, at_most=None):
         """One figure: `by_engine` has a value of each round for ours, and beside it for each baseline that ran. One line
@@ -215,24 +217,11 @@ def commit(root):
     return git("rev-parse", "HEAD") + ("-modified" if git("status", "--porcelain") else "")
 
 
-def main():
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    root = Path(__file__).resolve().parent.parent
-    options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    options.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
-    options.add_argument("--build", type=Path, default=root / "build/release")
-    options.add_argument("--json", type=Path, default=root / "build/bench/runtime.json")
-    given = options.parse_args()
-
-    programs = Programs(given.build / "bin")
-    report = Report()
-    facts = machine()
+def run_runtime(programs, report, given):
     rounds, seconds = (2, 0.5) if given.quick else (5, 1.0)
     if PEER not in programs.engines():
         print("oneTBB's program is not built (libtbb-dev was missing when CMake ran): the peer is left out")
-    print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}")
     report.print_head()
-    began = time.monotonic()
     costs(programs, report, 1 if given.quick else 3, seconds)
     quiet(programs, report, rounds, 2 if given.quick else 5)
     for dag in DAGS:
@@ -242,12 +231,52 @@ def main():
                 continue
             for load in LOADS:
                 latency(programs, report, dag, tracked, most, load, 1 if given.quick else 3, seconds)
+    return report.verdict()
+
+
+def run_soak(programs, report, given):
+    """One long run; what it says on the way is passed on. Returns the verdict."""
+    command = [str(programs.folder / "bench_runtime_soak"), "--minutes", str(given.minutes)]
+    if given.seed is not None:
+        command += ["--seed", str(given.seed)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    report.print_head()
+    for line in map(json.loads, done.stdout.splitlines()):
+        report.compare(line["figure"], line["unit"], {OURS: [line["value"]]}, at_most=line.get("at_most"))
+    if done.returncode != 0:
+        report.failed = True
+        return "VIOLATED, see above"
+    return "every tuple is accounted for, no key was out of order, memory stayed flat"
+
+
+def main():
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    root = Path(__file__).resolve().parent.parent
+    options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    commands = options.add_subparsers(dest="what", required=True)
+    runtime, soak = commands.add_parser("runtime"), commands.add_parser("soak")
+    for command in (runtime, soak):
+        command.add_argument("--build", type=Path, default=root / "build/release")
+        command.add_argument("--json", type=Path)
+    runtime.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
+    soak.add_argument("--minutes", type=float, default=10)
+    soak.add_argument("--seed", type=int, help="to disturb it in the same way again")
+    given = options.parse_args()
+    file = given.json or root / f"build/bench/{given.what}.json"
+
+    programs = Programs(given.build / "bin")
+    report = Report()
+    facts = machine()
+    print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}", flush=True)
+    began = time.monotonic()
+    verdict = (run_soak if given.what == "soak" else run_runtime)(programs, report, given)
     facts["load_average_after"] = os.getloadavg()[0]
-    given.json.parent.mkdir(parents=True, exist_ok=True)
-    command = shlex.join(["./dev", "bench", "runtime", *sys.argv[1:]])
+    file.parent.mkdir(parents=True, exist_ok=True)
+    command = shlex.join(["./dev", "bench", *sys.argv[1:]])
     written = {"machine": facts, "commit": commit(root), "command": command, "results": report.results}
-    given.json.write_text(json.dumps(written, indent=1) + "\n")
-    print(f"{report.verdict()}\n{time.monotonic() - began:.0f} s; all figures are in {given.json}")
+    file.write_text(json.dumps(written, indent=1) + "\n")
+    print(f"{verdict}\n{time.monotonic() - began:.0f} s; all figures are in {file}")
+    sys.exit(1 if report.failed else 0)
 
 
 if __name__ == "__main__":
