@@ -9,12 +9,10 @@ namespace {
 /// What all groupings here keep: the targets.
 class TargetedGrouping : public Grouping {
  public:
-  void prepare(const TopologyContext&, const Fields&, std::span<const int> targets) override {
-    targets_.assign(targets.begin(), targets.end());
-  }
+  void prepare(const TopologyContext&, const Fields&, std::span<const int> targets) override { targets_ = targets; }
 
  protected:
-  std::vector<int> targets_;
+  std::span<const int> targets_;
 };
 
 class ShuffleGrouping final : public TargetedGrouping {
@@ -64,11 +62,8 @@ class FieldsGrouping final : public KeyGrouping {
 class PartialKeyGrouping final : public KeyGrouping {
  public:
   using KeyGrouping::KeyGrouping;
-  void prepare(const TopologyContext& emitter, const Fields& fields, std::span<const int> targets) override {
-    KeyGrouping::prepare(emitter, fields, targets);
-    used_.assign(targets_.size(), 0);
-  }
   void choose(const Values& values, std::vector<int>& chosen) override {
+    used_.resize(targets_.size());  // at the first tuple: many tasks never emit
     const std::uint64_t hash = key_hash(values);
     const std::size_t first = hash % targets_.size();
     std::size_t second = (hash >> 32) % targets_.size();

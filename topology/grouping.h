@@ -16,7 +16,8 @@ namespace iotcloud::topology {
 class Grouping {
  public:
   virtual ~Grouping() = default;
-  /// \param targets the tasks of the receiving component, ascending, at least one; constant for the object's life.
+  /// \param targets the tasks of the receiving component, ascending, at least one; constant, and there,
+  /// for the object's life.
   virtual void prepare(const TopologyContext& emitter, const Fields& fields, std::span<const int> targets) = 0;
   /// Appends the chosen tasks to `chosen`.
   virtual void choose(const Values& values, std::vector<int>& chosen) = 0;

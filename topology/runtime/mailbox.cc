@@ -143,13 +143,13 @@ TupleCell* Mailbox::next() {
 void Mailbox::done(std::size_t executed) {
   const std::size_t left = depth_.fetch_sub(executed) - executed;
   if (left > capacity_ / 2 || !has_blocked_.load()) return;
-  std::vector<Task*> freed;
+  freed_.clear();
   {
     const std::lock_guard lock(mutex_);
-    freed.swap(blocked_);
+    freed_.swap(blocked_);
     has_blocked_.store(false);
   }
-  for (Task* emitter : freed) emitter->unblock();
+  for (Task* emitter : freed_) emitter->unblock();
 }
 
 void Mailbox::discard() {
