@@ -20,8 +20,8 @@ import sys
 import time
 from pathlib import Path
 
-OURS, LIMIT, PEER = "iotcloud", "ring", "onetbb"
-BASELINES = {LIMIT: "bare SPSC rings", PEER: "oneTBB flow graph"}  # the limit, and a peer
+OURS, CALLS, RING, PEER = "iotcloud", "calls", "ring", "onetbb"
+BASELINES = {CALLS: "plain calls", RING: "SPSC rings", PEER: "oneTBB"}  # two limits, and a peer
 DAGS = {"chain": "chain of 3", "words": "word count", "fan": "fan 1-4-1", "payload": "60 KB chain"}
 UNITS = {"cpu": "% of a core", "switches": "switches/s"}
 LOADS = (1, 50, 90)  # percent of what the engine reached at most
@@ -31,8 +31,9 @@ class Programs:
     def __init__(self, folder):
         self.folder = folder
 
-    def engines(self):
-        return [e for e in (OURS, LIMIT, PEER) if (self.folder / f"bench_runtime_{e}").exists()]
+    def engines(self, *without):
+        there = [e for e in (OURS, *BASELINES) if (self.folder / f"bench_runtime_{e}").exists()]
+        return [e for e in there if e not in without]
 
     def run(self, name, *arguments):
         """The lines of JSON that a program prints. A program that fails ends the benchmark: its figures mean nothing."""
@@ -81,14 +82,14 @@ class Report:
 
     @staticmethod
     def print_head():
-        beside = "".join(f" {name:>18} {'ratio':>7}" for name in BASELINES.values())
+        beside = "".join(f" {name:>12} {'ratio':>7}" for name in BASELINES.values())
         print(f"{'figure':<42} {'value':>9} {'unit':<11}{beside} {'target':>9} {'met':>4} {'n':>2} {'spread':>6}")
 
     @staticmethod
     def print_line(beside):
         theirs = {r["baseline"]: r for r in beside}
         columns = "".join(
-            f" {number(r.get('baseline_value')):>18} {number(r.get('ratio')):>7}"
+            f" {number(r.get('baseline_value')):>12} {number(r.get('ratio')):>7}"
             for r in (theirs.get(name, {}) for name in BASELINES.values())
         )
         r = beside[0]
@@ -146,7 +147,7 @@ def saturation(programs, report, dag, tracked, rounds, seconds):
 
 def latency(programs, report, dag, tracked, most, load, rounds, seconds):
     """At a part of what each engine reached: from the intended time of sending to the last task's execute (or ack)."""
-    lines = {engine: [] for engine in programs.engines()}
+    lines = {engine: [] for engine in programs.engines(CALLS)}
     for _ in range(rounds):
         for engine in lines:
             rate = most[engine] * load / 100

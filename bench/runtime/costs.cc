@@ -46,7 +46,7 @@ bool heap(const char* dag_name, Dag dag, bool tracked, double rate, double secon
       engine->pump();
     }
   });
-  pause(0.5);
+  pause(seconds / 2);
   const std::uint64_t allocated = allocations(), first = arrived();
   pause(seconds);
   const double results = static_cast<double>(arrived() - first);
