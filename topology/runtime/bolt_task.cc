@@ -87,7 +87,7 @@ bool BoltTask::slice(Lane& lane) {
 void BoltTask::note_chunk(std::size_t taken, std::uint64_t took_ns) {
   const auto each = static_cast<std::int64_t>(took_ns / taken);
   const std::size_t executed = taken - std::exchange(late_in_chunk_, 0);
-  each_ns_.store(each, std::memory_order_relaxed);
+  note_each(each);
   bump(counts_.executed, executed);
   bump(counts_.busy_ns, took_ns);
   if (executed > 0) execute_latency_.record_ns(each, executed);

@@ -16,17 +16,22 @@ void Emitter::set_up(std::vector<OutStream> streams, const std::vector<BoltTask*
     if (!stream.out.direct && edges.size() == 1 && !edges.front().grouping) {
       stream.only = (*tasks)[static_cast<std::size_t>(edges.front().targets->front())];
     }
-    if (stream.only != nullptr && stream.out.info->stream == default_stream) to_one_ = &stream;
+    if (stream.out.info->stream != default_stream) continue;
+    default_ = &stream;
+    if (stream.only != nullptr) to_one_ = &stream;
   }
 }
 
-void Emitter::choose_among(std::string_view name, const Values& values, int direct_task) {
-  const auto found =
-      std::find_if(streams_.begin(), streams_.end(), [&](const Stream& s) { return s.out.info->stream == name; });
-  if (found == streams_.end()) {
-    throw std::invalid_argument("emits to stream \"" + std::string(name) + "\", which it does not declare");
+Emitter::Stream& Emitter::find(std::string_view name) {
+  if (name.data() == default_stream && default_ != nullptr) return *default_;
+  for (Stream& stream : streams_) {
+    if (stream.out.info->stream == name) return stream;
   }
-  Stream& stream = *found;
+  throw std::invalid_argument("emits to stream \"" + std::string(name) + "\", which it does not declare");
+}
+
+void Emitter::choose_among(std::string_view name, const Values& values, int direct_task) {
+  Stream& stream = find(name);
   const OutStream& out = stream.out;
   if (stream.arity != values.size()) {
     throw std::invalid_argument("emits " + std::to_string(values.size()) + " values to stream \"" + out.info->stream +
@@ -68,6 +73,7 @@ void Emitter::choose_by_groupings(Stream& stream, const Values& values) {
     }
     const std::size_t before = chosen_.size();
     edge.grouping->choose(values, chosen_);
+    if (!edge.custom) continue;
     for (std::size_t i = before; i < chosen_.size(); ++i) {
       if (!std::binary_search(edge.targets->begin(), edge.targets->end(), chosen_[i])) {
         throw std::invalid_argument("the grouping of stream \"" + stream.out.info->stream + "\" chose task " +

@@ -18,6 +18,7 @@ class Lane;
 struct Edge {
   std::unique_ptr<Grouping> grouping;         ///< null: direct, or a single task that gets all
   const std::vector<int>* targets = nullptr;  ///< ascending task ids; outlives the edge
+  bool custom = false;                        ///< a user's grouping: what it chooses is checked
 };
 
 struct OutStream {
@@ -59,10 +60,12 @@ class Emitter {
     BoltTask* only = nullptr;  ///< whatever is emitted, this one task gets it
   };
   void choose_among(std::string_view stream, const Values& values, int direct_task);
+  Stream& find(std::string_view name);
   void choose_by_groupings(Stream& stream, const Values& values);
   void choose_direct(const Stream& stream, int task);
 
   std::vector<Stream> streams_;
+  Stream* default_ = nullptr;       ///< the default stream
   const Stream* to_one_ = nullptr;  ///< the default stream, if it has an `only`
   const std::vector<BoltTask*>* tasks_ = nullptr;
   const Task* self_ = nullptr;

@@ -76,7 +76,7 @@ class Mailbox {
   const std::size_t capacity_;
   std::vector<TupleCell*> batch_;
   std::vector<Task*> freed_;  ///< scratch, keeps its memory
-  std::size_t next_ = 0;  ///< in batch_
+  std::size_t next_ = 0;      ///< in batch_
 
   std::atomic<std::size_t> depth_{0};
   std::atomic<bool> has_blocked_{false};

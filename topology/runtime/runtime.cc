@@ -299,8 +299,8 @@ class Runtime::Impl {
       for (const ComponentSpec& reader : topology_.components) {
         for (const Subscription& input : reader.inputs) {
           if (input.from != component || input.stream != name) continue;
-          internal::Edge edge{nullptr, &tasks_of_->at(reader.id)};
-          const bool one_for_all = edge.targets->size() == 1 && input.grouping != "custom";
+          internal::Edge edge{nullptr, &tasks_of_->at(reader.id), input.grouping == "custom"};
+          const bool one_for_all = edge.targets->size() == 1 && !edge.custom;
           if (!spec.direct && !one_for_all) {
             set_up(reader.id, "its grouping on " + component, [&] {
               edge.grouping = input.factory();

@@ -133,7 +133,7 @@ bool SpoutTask::ask(Lane& lane) {
     const std::uint64_t took_ns = lane.time_since_last_look();
     now_ns_ = around_.clock_is_real ? lane.now_ns : topology_ns();
     bump(counts_.busy_ns, took_ns);
-    each_ns_.store(static_cast<std::int64_t>(took_ns / std::max<std::size_t>(calls, 1)), std::memory_order_relaxed);
+    note_each(static_cast<std::int64_t>(took_ns / std::max<std::size_t>(calls, 1)));
     chunk_ = next_chunk(chunk_, calls, took_ns);
     if (!more && !woken_.load(std::memory_order_acquire)) {
       if (pause.count() > 0 && !poll_armed_) {
