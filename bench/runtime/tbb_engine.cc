@@ -99,7 +99,6 @@ class ChainEngine final : public GraphEngine<T> {
     flow::make_edge(this->limiter_, pass_);
     flow::make_edge(pass_, sink_);
   }
-  ~ChainEngine() override { this->graph_.wait_for_all(); }
 
  private:
   flow::function_node<T, T> pass_;
@@ -125,7 +124,6 @@ class WordsEngine final : public GraphEngine<Item> {
     flow::make_edge(flow::output_port<0>(split_), count_[0]);
     flow::make_edge(flow::output_port<1>(split_), count_[1]);
   }
-  ~WordsEngine() override { graph_.wait_for_all(); }
 
  private:
   using Split = flow::multifunction_node<Item, std::tuple<Item, Item>>;
