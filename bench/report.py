@@ -142,6 +142,11 @@ def saturation(programs, report, dag, tracked, rounds, seconds):
         "ns",
         {engine: [line["ns_per_hop"] for line in runs] for engine, runs in lines.items()},
     )
+    report.compare(
+        f"{title(dag, tracked)}: cpu then",
+        UNITS["cpu"],
+        {engine: [line["cpu_percent"] for line in runs] for engine, runs in lines.items()},
+    )
     return {engine: statistics.median(line["per_second"] for line in runs) for engine, runs in lines.items()}
 
 
@@ -269,6 +274,8 @@ def main():
     report = Report()
     facts = machine()
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}", flush=True)
+    if facts["load_average_before"] > 0.5:
+        print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
     verdict = (run_soak if given.what == "soak" else run_runtime)(programs, report, given)
     facts["load_average_after"] = os.getloadavg()[0]
