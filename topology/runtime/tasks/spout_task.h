@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include <iotcloud/topology/runtime/task.h>
+#include <iotcloud/topology/runtime/tasks/task.h>
 #include <iotcloud/topology/spout.h>
 
 namespace iotcloud::topology::internal {

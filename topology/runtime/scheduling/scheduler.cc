@@ -1,8 +1,8 @@
 #include <random>
 
-#include <iotcloud/topology/runtime/scheduler.h>
-#include <iotcloud/topology/runtime/slice_clock.h>
-#include <iotcloud/topology/runtime/timers.h>
+#include <iotcloud/topology/runtime/scheduling/scheduler.h>
+#include <iotcloud/topology/runtime/scheduling/slice_clock.h>
+#include <iotcloud/topology/runtime/scheduling/timers.h>
 
 namespace iotcloud::topology::internal {
 

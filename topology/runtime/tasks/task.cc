@@ -1,9 +1,9 @@
 #include <algorithm>
 
 #include <iotcloud/config/log.h>
-#include <iotcloud/topology/runtime/scheduler.h>
-#include <iotcloud/topology/runtime/slice_clock.h>
-#include <iotcloud/topology/runtime/task.h>
+#include <iotcloud/topology/runtime/scheduling/scheduler.h>
+#include <iotcloud/topology/runtime/scheduling/slice_clock.h>
+#include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
 

@@ -1,7 +1,7 @@
 #include <cmath>
 
 #include <iotcloud/config/log.h>
-#include <iotcloud/topology/runtime/taps.h>
+#include <iotcloud/topology/runtime/tasks/taps.h>
 
 namespace iotcloud::topology::internal {
 

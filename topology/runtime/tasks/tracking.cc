@@ -1,5 +1,5 @@
-#include <iotcloud/topology/runtime/spout_task.h>
-#include <iotcloud/topology/runtime/tracking.h>
+#include <iotcloud/topology/runtime/tasks/spout_task.h>
+#include <iotcloud/topology/runtime/tasks/tracking.h>
 
 namespace iotcloud::topology::internal {
 

@@ -10,9 +10,9 @@
 #include <thread>
 #include <vector>
 
-#include <iotcloud/topology/runtime/executors.h>
-#include <iotcloud/topology/runtime/lane.h>
-#include <iotcloud/topology/runtime/task.h>
+#include <iotcloud/topology/runtime/scheduling/executors.h>
+#include <iotcloud/topology/runtime/scheduling/lane.h>
+#include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
 

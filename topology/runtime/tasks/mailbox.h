@@ -11,7 +11,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include <iotcloud/topology/runtime/tracking.h>
+#include <iotcloud/topology/runtime/tasks/tracking.h>
 
 namespace iotcloud::topology::internal {
 

@@ -6,8 +6,8 @@
 #include <utility>
 #include <vector>
 
-#include <iotcloud/topology/runtime/slice_clock.h>
-#include <iotcloud/topology/runtime/tracking.h>
+#include <iotcloud/topology/runtime/scheduling/slice_clock.h>
+#include <iotcloud/topology/runtime/tasks/tracking.h>
 
 namespace iotcloud::topology::internal {
 

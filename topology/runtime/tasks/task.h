@@ -7,9 +7,9 @@
 #include <vector>
 
 #include <iotcloud/config/metrics.h>
-#include <iotcloud/topology/runtime/emitter.h>
+#include <iotcloud/topology/runtime/tasks/emitter.h>
 #include <iotcloud/topology/runtime/runtime.h>
-#include <iotcloud/topology/runtime/taps.h>
+#include <iotcloud/topology/runtime/tasks/taps.h>
 #include <iotcloud/topology/topology_context.h>
 
 namespace iotcloud::topology::internal {

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include <iotcloud/topology/grouping.h>
-#include <iotcloud/topology/runtime/tracking.h>
+#include <iotcloud/topology/runtime/tasks/tracking.h>
 
 namespace iotcloud::topology::internal {
 

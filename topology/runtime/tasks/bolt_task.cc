@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include <iotcloud/topology/runtime/bolt_task.h>
-#include <iotcloud/topology/runtime/lane.h>
-#include <iotcloud/topology/runtime/scheduler.h>
-#include <iotcloud/topology/runtime/slice_clock.h>
+#include <iotcloud/topology/runtime/tasks/bolt_task.h>
+#include <iotcloud/topology/runtime/scheduling/lane.h>
+#include <iotcloud/topology/runtime/scheduling/scheduler.h>
+#include <iotcloud/topology/runtime/scheduling/slice_clock.h>
 
 namespace iotcloud::topology::internal {
 

@@ -1,4 +1,4 @@
-#include <iotcloud/topology/runtime/executors.h>
+#include <iotcloud/topology/runtime/scheduling/executors.h>
 
 namespace iotcloud::topology::internal {
 

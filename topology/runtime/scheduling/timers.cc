@@ -9,9 +9,9 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/topology/runtime/scheduler.h>
-#include <iotcloud/topology/runtime/task.h>
-#include <iotcloud/topology/runtime/timers.h>
+#include <iotcloud/topology/runtime/scheduling/scheduler.h>
+#include <iotcloud/topology/runtime/tasks/task.h>
+#include <iotcloud/topology/runtime/scheduling/timers.h>
 
 namespace iotcloud::topology::internal {
 

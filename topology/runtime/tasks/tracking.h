@@ -7,7 +7,7 @@
 #include <vector>
 
 #include <iotcloud/topology/output_collector.h>
-#include <iotcloud/topology/runtime/pool.h>
+#include <iotcloud/topology/runtime/scheduling/pool.h>
 #include <iotcloud/topology/tuple.h>
 
 namespace iotcloud::topology::internal {

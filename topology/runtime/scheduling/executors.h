@@ -3,7 +3,7 @@
 #include <atomic>
 #include <mutex>
 
-#include <iotcloud/topology/runtime/lane.h>
+#include <iotcloud/topology/runtime/scheduling/lane.h>
 
 namespace iotcloud::topology::internal {
 

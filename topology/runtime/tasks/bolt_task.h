@@ -8,8 +8,8 @@
 #include <vector>
 
 #include <iotcloud/topology/bolt.h>
-#include <iotcloud/topology/runtime/mailbox.h>
-#include <iotcloud/topology/runtime/task.h>
+#include <iotcloud/topology/runtime/tasks/mailbox.h>
+#include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
 

@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include <iotcloud/topology/runtime/scheduler.h>
-#include <iotcloud/topology/runtime/slice_clock.h>
-#include <iotcloud/topology/runtime/spout_task.h>
-#include <iotcloud/topology/runtime/timers.h>
+#include <iotcloud/topology/runtime/scheduling/scheduler.h>
+#include <iotcloud/topology/runtime/scheduling/slice_clock.h>
+#include <iotcloud/topology/runtime/tasks/spout_task.h>
+#include <iotcloud/topology/runtime/scheduling/timers.h>
 
 namespace iotcloud::topology::internal {
 

@@ -1,7 +1,7 @@
 #include <algorithm>
 
-#include <iotcloud/topology/runtime/mailbox.h>
-#include <iotcloud/topology/runtime/task.h>
+#include <iotcloud/topology/runtime/tasks/mailbox.h>
+#include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
 
