@@ -11,8 +11,8 @@
 
 namespace iotcloud::topology {
 
-/// Component classes by name, and optionally the application that puts the inner graph together (the paper's way: the
-/// outer layer in YAML, the algorithm in C++). Filled by a component library.
+/// Classes of components and groupings by name, and optionally the application that puts the inner graph together (the
+/// paper's way: the outer layer in YAML, the algorithm in C++). Filled by a component library.
 class ComponentRegistry {
  public:
   using Application = std::function<void(TopologyBuilder&, const Config&)>;
@@ -25,14 +25,21 @@ class ComponentRegistry {
   void add_bolt(const std::string& name) {
     bolts_[name] = [] { return make_bolt<T>(); };
   }
+  /// A Grouping, which YAML names as `grouping: custom, class: NAME`.
+  template <typename T>
+  void add_grouping(const std::string& name) {
+    groupings_[name] = [] { return std::make_unique<T>(); };
+  }
   void set_application(Application application) { application_ = std::move(application); }
 
   /// nullptr when there is none.
   const SpoutFactory* spout(const std::string& name) const { return find(spouts_, name); }
   const BoltFactory* bolt(const std::string& name) const { return find(bolts_, name); }
+  const GroupingFactory* grouping(const std::string& name) const { return find(groupings_, name); }
   const Application& application() const { return application_; }
   std::vector<std::string> spout_names() const { return names(spouts_); }
   std::vector<std::string> bolt_names() const { return names(bolts_); }
+  std::vector<std::string> grouping_names() const { return names(groupings_); }
 
  private:
   template <typename Factory>
@@ -48,11 +55,12 @@ class ComponentRegistry {
   }
   std::map<std::string, SpoutFactory> spouts_;
   std::map<std::string, BoltFactory> bolts_;
+  std::map<std::string, GroupingFactory> groupings_;
   Application application_;
 };
 
 /// Grows with every change that a library built before it cannot follow.
-inline constexpr std::uint32_t sdk_version = 1;
+inline constexpr std::uint32_t sdk_version = 2;
 
 #if defined(__GLIBCXX__) && _GLIBCXX_USE_CXX11_ABI
 inline constexpr const char* cxx_abi = "itanium;libstdc++;cxx11=1";

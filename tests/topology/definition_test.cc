@@ -3,6 +3,7 @@
 
 #include <iotcloud/topology/definition/assemble.h>
 #include <iotcloud/topology/definition/definition.h>
+#include <iotcloud/topology/definition/describe.h>
 
 namespace iotcloud::topology {
 namespace {
@@ -11,6 +12,7 @@ using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
 
@@ -86,7 +88,7 @@ topology.name: t
 topology.library: [a.so, b.so]
 brokers: {lab: "amqp://lab"}
 conf: {colour: red}
-runtime: {threads: 3, message_timeout: 5s, max_spout_pending: 7, mailbox_capacity: 9}
+runtime: {threads: 3, message_timeout: 5s, acking: false, max_spout_pending: 7, mailbox_capacity: 9}
 metrics: {address: "127.0.0.1:9100"}
 spouts:
   s:
@@ -97,14 +99,23 @@ spouts:
     builder: text
     stream: lines
     parallelism: 4
+    tasks: 6
+    max_spout_pending: 0
     properties: {ackMode: auto, prefetchCount: 17, requeue: false, maxTries: 5, keepLast: 1}
     conf: {size: 12}
 bolts:
   inner:
     class: some.Class
     parallelism: 2
+    tasks: 8
     tick: 250ms
-    inputs: [{from: s, stream: lines, grouping: fields, fields: [f]}]
+    deadline: 50ms
+    late_stream: late
+    scope: worker
+    inputs:
+      - {from: s, stream: lines, grouping: fields, fields: [f], deadline: 10ms, keep_last: 2, keep_key: [f]}
+      - {from: s, stream: lines, grouping: custom, class: my.Grouping}
+      - {from: s, stream: lines, grouping: direct, keep_last: 1}
   out:
     broker: lab
     driver: d
@@ -120,11 +131,14 @@ bolts:
   EXPECT_EQ(definition.conf.at("colour"), "red");
   EXPECT_EQ(definition.runtime.threads, 3);
   EXPECT_EQ(definition.runtime.message_timeout, std::chrono::seconds(5));
+  EXPECT_FALSE(definition.runtime.acking);
   EXPECT_EQ(definition.runtime.max_spout_pending, 7);
   EXPECT_EQ(definition.runtime.mailbox_capacity, 9);
   EXPECT_EQ(definition.metrics_address, "127.0.0.1:9100");
   const auto& spout = definition.spouts.at(0);
   EXPECT_EQ(spout.parallelism, 4);
+  EXPECT_EQ(spout.tasks, 6);
+  EXPECT_EQ(spout.max_spout_pending, 0U);
   EXPECT_EQ(spout.conf.at("size"), "12");
   EXPECT_EQ(spout.endpoint->stream, "lines");
   EXPECT_EQ(spout.endpoint->form, PayloadForm::text);
@@ -138,12 +152,38 @@ bolts:
   EXPECT_EQ(inner.tick, std::chrono::milliseconds(250));
   EXPECT_EQ(inner.inputs.at(0).stream, "lines");
   EXPECT_EQ(inner.inputs.at(0).fields, Fields({"f"}));
+  EXPECT_EQ(inner.inputs.at(0).deadline, std::chrono::milliseconds(10));
+  EXPECT_EQ(inner.inputs.at(0).keep_last, 2U);
+  EXPECT_EQ(inner.inputs.at(0).keep_key, Fields({"f"}));
+  EXPECT_EQ(inner.inputs.at(1).grouping, "custom");
+  EXPECT_EQ(inner.inputs.at(1).grouping_class, "my.Grouping");
+  EXPECT_EQ(inner.inputs.at(2).grouping, "direct");
+  EXPECT_EQ(inner.inputs.at(2).keep_last, 1U);
+  EXPECT_THAT(inner.inputs.at(2).keep_key, IsEmpty());
+  EXPECT_EQ(inner.parallelism, 2);
+  EXPECT_EQ(inner.tasks, 8);
+  EXPECT_EQ(inner.deadline, std::chrono::milliseconds(50));
+  EXPECT_EQ(inner.late_stream, "late");
+  EXPECT_TRUE(inner.worker_scope);
   const auto& out = definition.bolts.at(1);
   EXPECT_TRUE(out.endpoint->sending.keep_newest);
   EXPECT_EQ(out.endpoint->sending.capacity, 1);
   EXPECT_EQ(out.endpoint->sending.deadline, std::chrono::milliseconds(100));
   EXPECT_EQ(out.endpoint->sending.unknown_driver, UnknownDriver::fail);
   EXPECT_EQ(out.inputs.at(0).grouping, "shuffle");
+}
+
+TEST(TopologyDefinition, WithoutFurtherKeysHasAsManyTasksAsExecutorsAndNoDeadlines) {
+  const auto definition =
+      TopologyDefinition::parse(with_bolt("    class: x\n    parallelism: 3\n    inputs: {from: s}\n"), "t.yaml");
+  EXPECT_TRUE(definition.runtime.acking);
+  EXPECT_FALSE(definition.spouts.at(0).max_spout_pending.has_value());
+  const auto& bolt = definition.bolts.at(0);
+  EXPECT_EQ(bolt.tasks, 3);
+  EXPECT_EQ(bolt.deadline.count(), 0);
+  EXPECT_FALSE(bolt.worker_scope);
+  EXPECT_EQ(bolt.inputs.at(0).deadline.count(), 0);
+  EXPECT_EQ(bolt.inputs.at(0).keep_last, 0U);
 }
 
 struct Wrong {
@@ -216,6 +256,38 @@ INSTANTIATE_TEST_SUITE_P(
         Wrong{"a tick without unit", with_bolt("    class: x\n    tick: 5\n"), "t.yaml:12:5: bolts.b.tick", "unit"},
         Wrong{"parallelism of nothing", with_bolt("    class: x\n    parallelism: 0\n"),
               "t.yaml:12:5: bolts.b.parallelism", "from 1"},
+        Wrong{"less tasks than executors", with_bolt("    class: x\n    parallelism: 3\n    tasks: 2\n"),
+              "t.yaml:13:5: bolts.b.tasks", "as many tasks or more"},
+        Wrong{"a deadline without unit", with_bolt("    class: x\n    deadline: 50\n"), "t.yaml:12:5: bolts.b.deadline",
+              "50ms"},
+        Wrong{"a late stream without deadline", with_bolt("    class: x\n    late_stream: late\n"),
+              "t.yaml:12:5: bolts.b.late_stream", "add \"deadline"},
+        Wrong{"late tuples among the others", with_bolt("    class: x\n    deadline: 1s\n    late_stream: default\n"),
+              "t.yaml:13:5: bolts.b.late_stream", "stream of their own"},
+        Wrong{"a spout with a deadline", with_spout(good_spout + "    deadline: 1s\n"), "t.yaml:9:5: spouts.s.deadline",
+              "on the bolts"},
+        Wrong{"a spout with a tick", with_spout(good_spout + "    tick: 1s\n"), "t.yaml:9:5: spouts.s.tick",
+              "on the bolts"},
+        Wrong{"a limit that is no number", with_spout(good_spout + "    max_spout_pending: many\n"),
+              "t.yaml:9:5: spouts.s.max_spout_pending", "whole number"},
+        Wrong{"a limit of tuples under way on a bolt", with_bolt("    class: x\n    max_spout_pending: 1\n"),
+              "t.yaml:12:5: bolts.b.max_spout_pending", "unknown key"},
+        Wrong{"keeping less than nothing", with_bolt("    class: x\n    inputs: [{from: s, keep_last: -1}]\n"),
+              "t.yaml:12:24: bolts.b.inputs[0].keep_last", "from 0"},
+        Wrong{"a key of nothing that is kept", with_bolt("    class: x\n    inputs: [{from: s, keep_key: [f]}]\n"),
+              "t.yaml:12:24: bolts.b.inputs[0].keep_key", "keep_last: 1"},
+        Wrong{"a custom grouping without class", with_bolt("    class: x\n    inputs: [{from: s, grouping: custom}]\n"),
+              "t.yaml:12:24: bolts.b.inputs[0].grouping", "class: my.Grouping"},
+        Wrong{"a class of a grouping that has none", with_bolt("    class: x\n    inputs: [{from: s, class: my.G}]\n"),
+              "t.yaml:12:24: bolts.b.inputs[0].class", "grouping: custom"},
+        Wrong{"an unknown scope", with_bolt("    class: x\n    scope: workers\n"), "t.yaml:12:5: bolts.b.scope",
+              "did you mean \"worker\""},
+        Wrong{"a sending bolt with a tick",
+              with_bolt("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f, driverID]\n"
+                        "    tick: 1s\n"),
+              "t.yaml:15:5: bolts.b.tick", "by itself"},
+        Wrong{"acking of neither kind", "topology.name: t\nruntime: {acking: 0}\n", "t.yaml:2:11: runtime.acking",
+              "true or false"},
         Wrong{"unknown policy",
               with_bolt("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f]\n"
                         "    properties: {whenFull: drop}\n"),
@@ -242,11 +314,23 @@ class PassBolt final : public BasicBolt {
   void execute(const Tuple& tuple, BasicOutputCollector& collector) override { collector.emit(Values(tuple.at(0))); }
 };
 
+class FirstTask final : public Grouping {
+ public:
+  void prepare(const TopologyContext&, const Fields&, std::span<const int> targets) override {
+    first_ = targets.front();
+  }
+  void choose(const Values&, std::vector<int>& chosen) override { chosen.push_back(first_); }
+
+ private:
+  int first_ = 0;
+};
+
 class Assemble : public ::testing::Test {
  protected:
   Assemble() {
     components.add_bolt<PassBolt>("test.Pass");
     components.add_spout<EmptySpout>("test.Empty");
+    components.add_grouping<FirstTask>("test.FirstTask");
   }
   Topology assemble_text(const std::string& text) {
     const EndpointFactories endpoints{
@@ -275,6 +359,87 @@ TEST_F(Assemble, JoinsTheOuterLayerInYamlWithTheAlgorithmInCpp) {
   EXPECT_EQ(topology.components[0].id, "kinect_receive");
   EXPECT_EQ(topology.components[1].id, "count");
   EXPECT_EQ(topology.components[2].id, "count_send");
+}
+
+TEST_F(Assemble, HandsEveryKeyOnToTheGraph) {
+  const auto topology = assemble_text(
+      with_spout(good_spout + "    tasks: 2\n    max_spout_pending: 5\n") +
+      "bolts:\n  b:\n    class: test.Pass\n    parallelism: 2\n    tasks: 4\n    tick: 1s\n    deadline: 50ms\n"
+      "    late_stream: late\n    inputs:\n"
+      "      - {from: s, deadline: 20ms, keep_last: 3, keep_key: [f]}\n"
+      "      - {from: s, grouping: custom, class: test.FirstTask}\n"
+      "  late:\n    class: test.Pass\n    inputs: {from: b, stream: late}\n");
+  ASSERT_THAT(topology.components, SizeIs(3));
+  const auto& spout = topology.components[0];
+  EXPECT_EQ(spout.parallelism, 1);
+  EXPECT_EQ(spout.tasks, 2);
+  EXPECT_EQ(spout.max_spout_pending, 5U);
+  const auto& bolt = topology.components[1];
+  EXPECT_EQ(bolt.parallelism, 2);
+  EXPECT_EQ(bolt.tasks, 4);
+  EXPECT_EQ(bolt.tick, std::chrono::seconds(1));
+  EXPECT_EQ(bolt.deadline, std::chrono::milliseconds(50));
+  EXPECT_EQ(bolt.late_stream, "late");
+  EXPECT_EQ(bolt.inputs.at(0).deadline, std::chrono::milliseconds(20));
+  EXPECT_EQ(bolt.inputs.at(0).keep_last, 3U);
+  EXPECT_EQ(bolt.inputs.at(0).keep_key, Fields({"f"}));
+  EXPECT_EQ(bolt.inputs.at(1).deadline.count(), 0);
+  EXPECT_NE(dynamic_cast<FirstTask*>(bolt.inputs.at(1).factory().get()), nullptr);
+  EXPECT_EQ(topology.components[2].inputs.at(0).stream, "late");
+}
+
+TEST_F(Assemble, RefusesAnUnknownGroupingClassAtItsInput) {
+  EXPECT_THAT(refusal(with_bolt("    class: test.Pass\n"
+                                "    inputs: [{from: s, grouping: custom, class: test.FirstTusk}]\n")),
+              AllOf(StartsWith("t.yaml:12:42: bolts.b.inputs[0].class"), HasSubstr("did you mean \"test.FirstTask\"")));
+}
+
+TEST_F(Assemble, RefusesAKeyOfKeepLastThatTheSourceDoesNotDeclare) {
+  EXPECT_THAT(refusal(with_bolt("    class: test.Pass\n    inputs: {from: s, keep_last: 1, keep_key: [g]}\n")),
+              AllOf(StartsWith("t.yaml:10:3: bolts.b"), HasSubstr("\"g\""), HasSubstr("keep_last")));
+}
+
+TEST_F(Assemble, IsDescribedInTheOrderOfTheFlow) {
+  components.set_application([](TopologyBuilder& builder, const Config&) {
+    builder.set_bolt<PassBolt>("count", 2).shuffle_grouping("kinect_receive").keep_last(1);
+    builder.bolt("count_send").fields_grouping("count", Fields{"driverID"});
+  });
+  const std::string text =
+      std::string(paper_example) +
+      "    tasks: 3\n    deadline: 500us\n    inputs: {from: count, grouping: global, deadline: 2s}\n"
+      "  twice: {class: test.Pass, inputs: {from: kinect_receive, grouping: custom, class: test.FirstTask}}\n";
+  const auto definition = TopologyDefinition::parse(text, "t.yaml");
+  EXPECT_EQ(describe(definition, assemble_text(text)),
+            R"(topology wordcount: 4 components
+registry zookeeper://server1:2181, drivers below /iot/sensors
+
+spout kinect_receive: 1 executor, 1 task; reads channel "kinect" of driver "turtle", broker "rabbitmq"
+  -> f
+
+bolt twice: 1 executor, 1 task; class test.Pass
+  <- kinect_receive, custom test.FirstTask
+  -> control, driverID, time
+
+bolt count: 2 executors, 2 tasks; made by the application
+  <- kinect_receive, shuffle, keeps the last of all
+  -> control, driverID, time
+
+bolt count_send: 1 executor, 3 tasks; sends to channel "control" of driver "turtle", broker "rabbitmq"
+  <- count, fields (driverID)
+  <- count, global, deadline 2 s
+  deadline 500 us
+  ticks every 1 s
+  -> control, driverID, time
+
+These inputs reach across drivers, and each worker has only its own drivers' tuples; where that is meant, say "scope: worker":
+  count_send <- count, global
+)");
+}
+
+TEST_F(Assemble, IsDescribedWithoutAWarningWhereEachWorkerForItselfIsMeant) {
+  const std::string text = with_bolt("    class: test.Pass\n    scope: worker\n    inputs: {from: s, grouping: all}\n");
+  const std::string described = describe(TopologyDefinition::parse(text, "t.yaml"), assemble_text(text));
+  EXPECT_THAT(described, AllOf(HasSubstr("scope worker"), Not(HasSubstr("reach across drivers"))));
 }
 
 TEST_F(Assemble, RefusesABoltWithoutInputInTheMergedGraph) {

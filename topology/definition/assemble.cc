@@ -8,16 +8,16 @@ namespace {
 
 /// The factory of a class, or an error that names the classes there are.
 template <typename Factory>
-const Factory& find_class(const ComponentDefinition& component, const Factory* found,
+const Factory& find_class(const config::Section& section, const std::string& name, const Factory* found,
                           const std::vector<std::string>& known) {
   if (found != nullptr) return *found;
   std::string list;
-  for (const auto& name : known) list += (list.empty() ? "\"" : ", \"") + name + "\"";
-  const std::string guess = config::nearest(component.class_name, known);
-  throw component.section.error("class", "there is no class \"" + component.class_name + "\"",
-                                !guess.empty()  ? "did you mean \"" + guess + "\"?"
-                                : known.empty() ? "name the library that registers it as \"topology.library\""
-                                                : "the component libraries register " + list);
+  for (const auto& other : known) list += (list.empty() ? "\"" : ", \"") + other + "\"";
+  const std::string guess = config::nearest(name, known);
+  throw section.error("class", "there is no class \"" + name + "\"",
+                      !guess.empty()  ? "did you mean \"" + guess + "\"?"
+                      : known.empty() ? "name the library that registers it as \"topology.library\""
+                                      : "the component libraries register " + list);
 }
 
 /// The graph's complaint at the place where the file can mend it.
@@ -32,10 +32,41 @@ config::ConfigError at_its_place(const TopologyDefinition& definition, const Top
   return definition.root.error(application ? "topology.library" : "", error.what());
 }
 
-void connect_inputs(TopologyBuilder& builder, const ComponentDefinition& bolt) {
+void connect_inputs(TopologyBuilder& builder, const ComponentDefinition& bolt, const ComponentRegistry& components) {
+  auto declarer = builder.bolt(bolt.id);
   for (const auto& input : bolt.inputs) {
-    builder.bolt(bolt.id).grouping(input.grouping, input.from, input.fields, input.stream);
+    if (input.grouping == "custom") {
+      declarer.custom_grouping(input.from,
+                               find_class(input.section, input.grouping_class,
+                                          components.grouping(input.grouping_class), components.grouping_names()),
+                               input.stream);
+    } else {
+      declarer.grouping(input.grouping, input.from, input.fields, input.stream);
+    }
+    if (input.deadline.count() > 0) declarer.input_deadline(input.deadline);
+    if (input.keep_last > 0) declarer.keep_last(input.keep_last, input.keep_key);
   }
+}
+
+void add_spout(TopologyBuilder& builder, const ComponentDefinition& spout, const ComponentRegistry& components,
+               const EndpointFactories& endpoints) {
+  auto factory = spout.endpoint ? endpoints.spout(spout)
+                                : find_class(spout.section, spout.class_name, components.spout(spout.class_name),
+                                             components.spout_names());
+  auto declarer = builder.set_spout(spout.id, std::move(factory), spout.parallelism, spout.conf);
+  declarer.tasks(spout.tasks);
+  if (spout.max_spout_pending) declarer.max_pending(*spout.max_spout_pending);
+}
+
+void add_bolt(TopologyBuilder& builder, const ComponentDefinition& bolt, const ComponentRegistry& components,
+              const EndpointFactories& endpoints) {
+  auto factory = bolt.endpoint ? endpoints.bolt(bolt)
+                               : find_class(bolt.section, bolt.class_name, components.bolt(bolt.class_name),
+                                            components.bolt_names());
+  auto declarer = builder.set_bolt(bolt.id, std::move(factory), bolt.parallelism, bolt.conf);
+  declarer.tasks(bolt.tasks);
+  if (bolt.tick.count() > 0) declarer.tick(bolt.tick);
+  if (bolt.deadline.count() > 0 || !bolt.late_stream.empty()) declarer.deadline(bolt.deadline, bolt.late_stream);
 }
 
 /// The application's part of the graph. What it throws is as wrong as a wrong file.
@@ -96,23 +127,10 @@ Topology assemble(const TopologyDefinition& definition, const ComponentRegistry&
                   const EndpointFactories& endpoints) {
   TopologyBuilder builder;
   try {
-    for (const auto& spout : definition.spouts) {
-      builder.set_spout(spout.id,
-                        spout.endpoint
-                            ? endpoints.spout(spout)
-                            : find_class(spout, components.spout(spout.class_name), components.spout_names()),
-                        spout.parallelism, spout.conf);
-    }
-    for (const auto& bolt : definition.bolts) {
-      auto declarer =
-          builder.set_bolt(bolt.id,
-                           bolt.endpoint ? endpoints.bolt(bolt)
-                                         : find_class(bolt, components.bolt(bolt.class_name), components.bolt_names()),
-                           bolt.parallelism, bolt.conf);
-      if (bolt.tick.count() > 0) declarer.tick(bolt.tick);
-    }
+    for (const auto& spout : definition.spouts) add_spout(builder, spout, components, endpoints);
+    for (const auto& bolt : definition.bolts) add_bolt(builder, bolt, components, endpoints);
     if (components.application()) apply(components.application(), builder, definition);
-    for (const auto& bolt : definition.bolts) connect_inputs(builder, bolt);
+    for (const auto& bolt : definition.bolts) connect_inputs(builder, bolt, components);
     if (const auto* input = unknown_input(definition, builder)) refuse_unknown_source(definition, *input);
     auto topology = builder.build(definition.name, definition.conf);
     check_sent_fields(definition, topology);

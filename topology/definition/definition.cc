@@ -3,6 +3,7 @@
 
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/topology/definition/definition.h>
+#include <iotcloud/topology/definition/read_endpoint.h>
 #include <iotcloud/topology/grouping.h>
 
 namespace iotcloud::topology {
@@ -10,93 +11,23 @@ namespace iotcloud::topology {
 namespace {
 
 using config::Section;
+using internal::read_endpoint;
+using internal::read_reading_options;
+using internal::read_sending_options;
+using internal::require_name;
 
 constexpr int most_tasks = 10'000;
 
-/// A name that becomes part of registry paths and topics.
-std::string require_name(Section& section, const std::string& key) {
-  const std::string name = section.require_string(key);
-  const bool control = std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
-  if (control || name == "." || name == ".." || name.find('/') != std::string::npos || name.size() > 200) {
-    throw section.error(key, "\"" + name + "\" cannot be a name",
-                        "1 to 200 characters without slash and control characters are expected");
-  }
-  return name;
-}
-
-/// `driver`, or `sensor` as the original system says.
-std::string require_driver(Section& section) {
-  if (!section.has("driver") && section.has("sensor")) {
-    static_cast<void>(section.optional_string("driver"));
-    return require_name(section, "sensor");
-  }
-  if (section.has("sensor")) {
-    throw section.error("sensor", "both \"driver\" and the older \"sensor\" are given", "remove \"sensor\"");
-  }
-  static_cast<void>(section.optional_string("sensor"));
-  return require_name(section, "driver");
-}
-
-void read_fields(Section& section, EndpointDefinition& endpoint) {
-  const auto names = section.require_strings("fields");
-  std::set<std::string> seen;
-  std::set<FieldRole> roles;
-  for (const auto& name : names) {
-    const FieldRole role = name == "driverID" || name == "sensorID" ? FieldRole::driver_id
-                           : name == "time"                         ? FieldRole::time
-                                                                    : FieldRole::payload;
-    if (!seen.insert(name).second) throw section.error("fields", "the field \"" + name + "\" stands here twice");
-    if (!roles.insert(role).second) {
-      throw section.error("fields", "\"" + name + "\" is a second field of the same meaning",
-                          "one field takes the message's payload, driverID and time its metadata: "
-                          "[payload, driverID, time]");
-    }
-    endpoint.roles.push_back(role);
-  }
-  if (!roles.contains(FieldRole::payload)) {
-    throw section.error("fields", "no field takes the message's payload",
-                        "add one of any other name than driverID and time");
-  }
-  endpoint.fields = Fields(names);
-}
-
-void read_reading_options(Section& section, ReadingOptions& options) {
-  auto properties = section.optional_section("properties");
-  if (!properties) return;
-  options.automatic_ack = properties->choice_or("ackMode", "manual", {"auto", "manual"}) == "auto";
-  options.prefetch = static_cast<int>(properties->int_or("prefetchCount", options.prefetch, 1, 65535));
-  options.requeue = properties->bool_or("requeue", options.requeue);
-  options.max_tries = static_cast<int>(properties->int_or("maxTries", options.max_tries, 1, 1000));
-  options.keep_last = static_cast<int>(properties->int_or("keepLast", options.keep_last, 0, 1'000'000));
-  properties->finish();
-}
-
-void read_sending_options(Section& section, SendingOptions& options) {
-  auto properties = section.optional_section("properties");
-  if (!properties) return;
-  options.keep_newest = properties->choice_or("whenFull", "block", {"keep_newest", "block"}) == "keep_newest";
-  options.capacity = static_cast<int>(properties->int_or("capacity", options.capacity, 1, 1'000'000));
-  options.deadline =
-      std::chrono::duration_cast<std::chrono::milliseconds>(properties->duration_or("deadline", options.deadline));
-  const bool fail = properties->choice_or("unknownDriver", "ack", {"ack", "fail"}) == "fail";
-  options.unknown_driver = fail ? UnknownDriver::fail : UnknownDriver::ack;
-  properties->finish();
-}
-
-EndpointDefinition read_endpoint(Section& section, const std::vector<std::string>& brokers) {
-  EndpointDefinition endpoint;
-  endpoint.broker = section.require_choice("broker", brokers);
-  endpoint.driver = require_driver(section);
-  endpoint.channel = require_name(section, "channel");
-  endpoint.form =
-      section.choice_or("builder", "bytes", {"bytes", "text"}) == "text" ? PayloadForm::text : PayloadForm::bytes;
-  read_fields(section, endpoint);
-  return endpoint;
-}
-
 /// What spouts and bolts have in common.
 ComponentDefinition read_component(const std::string& id, Section section, const std::vector<std::string>& brokers) {
-  ComponentDefinition component{id, std::nullopt, "", 1, {}, std::chrono::microseconds{0}, {}, section};
+  ComponentDefinition component{.id = id,
+                                .endpoint = {},
+                                .class_name = {},
+                                .conf = {},
+                                .max_spout_pending = {},
+                                .late_stream = {},
+                                .inputs = {},
+                                .section = section};
   component.class_name = section.string_or("class", "");
   if (component.class_name.empty()) {
     if (!section.has("broker")) {
@@ -109,6 +40,13 @@ ComponentDefinition read_component(const std::string& id, Section section, const
     throw section.error("class", "a component that faces a broker has no class", "remove \"class\" or \"broker\"");
   }
   component.parallelism = static_cast<int>(section.int_or("parallelism", 1, 1, most_tasks));
+  component.tasks = static_cast<int>(section.int_or("tasks", component.parallelism, 1, most_tasks));
+  if (component.tasks < component.parallelism) {
+    throw section.error("tasks",
+                        std::to_string(component.tasks) + " tasks cannot keep the " +
+                            std::to_string(component.parallelism) + " executors of \"parallelism\" busy",
+                        "name as many tasks or more: parallelism can grow up to it while the topology runs");
+  }
   component.conf = section.string_map("conf");
   return component;
 }
@@ -119,8 +57,76 @@ ComponentDefinition read_spout(const std::string& id, Section section, const std
     read_reading_options(section, spout.endpoint->reading);
     spout.endpoint->stream = section.string_or("stream", default_stream);
   }
+  if (section.has("max_spout_pending")) {
+    spout.max_spout_pending = static_cast<std::size_t>(section.int_or("max_spout_pending", 0, 0, 1'000'000));
+  }
+  for (const char* key : {"tick", "deadline"}) {
+    if (!section.has(key)) continue;
+    throw section.error(key, "a spout has none: it executes no tuples", "set it on the bolts that its tuples go to");
+  }
   section.finish();
   return spout;
+}
+
+void read_grouping(Section& section, InputDefinition& input) {
+  auto names = grouping_names();
+  names.emplace_back("custom");
+  input.grouping = section.choice_or("grouping", "shuffle", names);
+  input.grouping_class = section.string_or("class", "");
+  if (input.grouping == "custom" && input.grouping_class.empty()) {
+    throw section.error("grouping", "a custom grouping is a class of a component library",
+                        "add \"class: my.Grouping\", with the name that the library registers it by");
+  }
+  if (input.grouping != "custom" && !input.grouping_class.empty()) {
+    throw section.error("class", "the grouping \"" + input.grouping + "\" has no class",
+                        "remove \"class\", or write \"grouping: custom\"");
+  }
+  input.fields = Fields(section.strings_or("fields", {}));
+  const bool keyed = input.grouping == "fields" || input.grouping == "partial_key";
+  if (keyed && input.fields.empty()) {
+    throw section.error("grouping", "the grouping \"" + input.grouping + "\" needs a key",
+                        "add \"fields: [driverID]\", say");
+  }
+  if (!keyed && !input.fields.empty()) {
+    throw section.error("fields", "the grouping \"" + input.grouping + "\" has no key",
+                        "remove \"fields\", or write \"grouping: fields\"");
+  }
+}
+
+InputDefinition read_input(Section section) {
+  InputDefinition input{.from = section.require_string("from"),
+                        .stream = section.string_or("stream", default_stream),
+                        .grouping = {},
+                        .grouping_class = {},
+                        .fields = {},
+                        .keep_key = {},
+                        .section = section};
+  read_grouping(section, input);
+  input.deadline = section.duration_or("deadline", input.deadline);
+  input.keep_last = static_cast<std::size_t>(section.int_or("keep_last", 0, 0, 1'000'000));
+  input.keep_key = Fields(section.strings_or("keep_key", {}));
+  if (!input.keep_key.empty() && input.keep_last == 0) {
+    throw section.error("keep_key", "this is the key of \"keep_last\", which is not given",
+                        "add \"keep_last: 1\", say, or remove \"keep_key\"");
+  }
+  section.finish();
+  return input;
+}
+
+/// \pre its inputs are read.
+void read_deadline(Section& section, ComponentDefinition& bolt) {
+  bolt.deadline = section.duration_or("deadline", bolt.deadline);
+  bolt.late_stream = section.string_or("late_stream", "");
+  if (bolt.late_stream.empty()) return;
+  if (bolt.late_stream == default_stream) {
+    throw section.error("late_stream", "late tuples need a stream of their own", "\"late_stream: late\", say");
+  }
+  const bool input_deadline = std::any_of(bolt.inputs.begin(), bolt.inputs.end(),
+                                          [](const InputDefinition& input) { return input.deadline.count() > 0; });
+  if (bolt.deadline.count() == 0 && !input_deadline) {
+    throw section.error("late_stream", "no tuple is late without a deadline",
+                        "add \"deadline: 50ms\", say, to the bolt or one of its inputs");
+  }
 }
 
 ComponentDefinition read_bolt(const std::string& id, Section section, const std::vector<std::string>& brokers) {
@@ -131,25 +137,15 @@ ComponentDefinition read_bolt(const std::string& id, Section section, const std:
     if (!std::count(bolt.endpoint->roles.begin(), bolt.endpoint->roles.end(), FieldRole::driver_id)) {
       throw section.error("fields", "no field says which driver a tuple is for", "add \"driverID\"");
     }
+    if (section.has("tick")) {
+      throw section.error("tick", "a bolt that sends to a broker ticks by itself", "remove \"tick\"");
+    }
   } else {
     bolt.tick = section.duration_or("tick", bolt.tick);
   }
-  for (auto& input : section.section_list("inputs")) {
-    InputDefinition definition{input.require_string("from"), input.string_or("stream", default_stream),
-                               input.choice_or("grouping", "shuffle", grouping_names()),
-                               Fields(input.strings_or("fields", {})), input};
-    const bool keyed = definition.grouping == "fields" || definition.grouping == "partial_key";
-    if (keyed && definition.fields.empty()) {
-      throw input.error("grouping", "the grouping \"" + definition.grouping + "\" needs a key",
-                        "add \"fields: [driverID]\", say");
-    }
-    if (!keyed && !definition.fields.empty()) {
-      throw input.error("fields", "the grouping \"" + definition.grouping + "\" has no key",
-                        "remove \"fields\", or write \"grouping: fields\"");
-    }
-    input.finish();
-    bolt.inputs.push_back(std::move(definition));
-  }
+  for (const auto& input : section.section_list("inputs")) bolt.inputs.push_back(read_input(input));
+  read_deadline(section, bolt);
+  bolt.worker_scope = section.choice_or("scope", "", {"worker"}) == "worker";
   section.finish();
   return bolt;
 }
@@ -177,6 +173,7 @@ RunSettings read_runtime(Section& root) {
   settings.threads = static_cast<int>(section->int_or("threads", settings.threads, 0, 1024));
   settings.message_timeout = std::chrono::duration_cast<std::chrono::milliseconds>(
       section->duration_or("message_timeout", settings.message_timeout));
+  settings.acking = section->bool_or("acking", settings.acking);
   settings.max_spout_pending =
       static_cast<int>(section->int_or("max_spout_pending", settings.max_spout_pending, 0, 1'000'000));
   settings.mailbox_capacity =

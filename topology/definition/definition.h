@@ -61,9 +61,13 @@ struct EndpointDefinition {
 struct InputDefinition {
   std::string from;
   std::string stream = default_stream;
-  std::string grouping;
-  Fields fields;
-  config::Section section;  ///< where it stands
+  std::string grouping;                   ///< one of grouping_names(), or "custom"
+  std::string grouping_class;             ///< custom: a Grouping of a component library
+  Fields fields;                          ///< key, of fields and partial_key
+  std::chrono::microseconds deadline{0};  ///< Subscription::deadline
+  std::size_t keep_last = 0;              ///< Subscription::keep_last
+  Fields keep_key;                        ///< Subscription::keep_key
+  config::Section section;                ///< where it stands
 };
 
 /// One entry of `spouts` or `bolts`: either an endpoint or a class of a component library.
@@ -72,16 +76,22 @@ struct ComponentDefinition {
   std::optional<EndpointDefinition> endpoint;
   std::string class_name;  ///< empty: an endpoint
   int parallelism = 1;
+  int tasks = 1;  ///< at least `parallelism`
   Config conf;
-  std::chrono::microseconds tick{0};    ///< bolts
-  std::vector<InputDefinition> inputs;  ///< bolts
-  config::Section section;              ///< where it stands
+  std::optional<std::size_t> max_spout_pending;  ///< spouts; 0 = no limit, none = RunSettings'
+  std::chrono::microseconds tick{0};             ///< bolts
+  std::chrono::microseconds deadline{0};         ///< bolts: ComponentSpec::deadline
+  std::string late_stream;                       ///< bolts, with a deadline
+  bool worker_scope = false;                     ///< bolts: `scope: worker`, each worker for itself is meant
+  std::vector<InputDefinition> inputs;           ///< bolts
+  config::Section section;                       ///< where it stands
 };
 
 /// Settings of the run (`runtime`).
 struct RunSettings {
   int threads = 0;  ///< 0: as many as the machine has
   std::chrono::milliseconds message_timeout{30000};
+  bool acking = true;         ///< false: Storm's "0 ackers", a tuple counts as done when it is emitted
   int max_spout_pending = 0;  ///< tuples under way for each task of a spout; 0: the runtime's default
   int mailbox_capacity = 0;   ///< tuples that wait for a task; 0: the runtime's default
 };

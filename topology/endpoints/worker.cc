@@ -57,6 +57,7 @@ RuntimeOptions runtime_options(const WorkerOptions& options) {
   if (settings.threads > 0) runtime.threads = static_cast<unsigned>(settings.threads);
   runtime.message_timeout = settings.message_timeout;
   if (settings.max_spout_pending > 0) runtime.max_spout_pending = static_cast<std::size_t>(settings.max_spout_pending);
+  runtime.acking = settings.acking;
   if (settings.mailbox_capacity > 0) runtime.mailbox_capacity = static_cast<std::size_t>(settings.mailbox_capacity);
   runtime.clock = options.clock;
   runtime.metrics = options.metrics;

@@ -1,0 +1,94 @@
+#include <algorithm>
+#include <set>
+
+#include <iotcloud/topology/definition/read_endpoint.h>
+
+namespace iotcloud::topology::internal {
+
+using config::Section;
+
+namespace {
+
+/// `driver`, or `sensor` as the original system says.
+std::string require_driver(Section& section) {
+  if (!section.has("driver") && section.has("sensor")) {
+    static_cast<void>(section.optional_string("driver"));
+    return require_name(section, "sensor");
+  }
+  if (section.has("sensor")) {
+    throw section.error("sensor", "both \"driver\" and the older \"sensor\" are given", "remove \"sensor\"");
+  }
+  static_cast<void>(section.optional_string("sensor"));
+  return require_name(section, "driver");
+}
+
+void read_fields(Section& section, EndpointDefinition& endpoint) {
+  const auto names = section.require_strings("fields");
+  std::set<std::string> seen;
+  std::set<FieldRole> roles;
+  for (const auto& name : names) {
+    const FieldRole role = name == "driverID" || name == "sensorID" ? FieldRole::driver_id
+                           : name == "time"                         ? FieldRole::time
+                                                                    : FieldRole::payload;
+    if (!seen.insert(name).second) throw section.error("fields", "the field \"" + name + "\" stands here twice");
+    if (!roles.insert(role).second) {
+      throw section.error("fields", "\"" + name + "\" is a second field of the same meaning",
+                          "one field takes the message's payload, driverID and time its metadata: "
+                          "[payload, driverID, time]");
+    }
+    endpoint.roles.push_back(role);
+  }
+  if (!roles.contains(FieldRole::payload)) {
+    throw section.error("fields", "no field takes the message's payload",
+                        "add one of any other name than driverID and time");
+  }
+  endpoint.fields = Fields(names);
+}
+
+}  // namespace
+
+std::string require_name(Section& section, const std::string& key) {
+  const std::string name = section.require_string(key);
+  const bool control = std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
+  if (control || name == "." || name == ".." || name.find('/') != std::string::npos || name.size() > 200) {
+    throw section.error(key, "\"" + name + "\" cannot be a name",
+                        "1 to 200 characters without slash and control characters are expected");
+  }
+  return name;
+}
+
+void read_reading_options(Section& section, ReadingOptions& options) {
+  auto properties = section.optional_section("properties");
+  if (!properties) return;
+  options.automatic_ack = properties->choice_or("ackMode", "manual", {"auto", "manual"}) == "auto";
+  options.prefetch = static_cast<int>(properties->int_or("prefetchCount", options.prefetch, 1, 65535));
+  options.requeue = properties->bool_or("requeue", options.requeue);
+  options.max_tries = static_cast<int>(properties->int_or("maxTries", options.max_tries, 1, 1000));
+  options.keep_last = static_cast<int>(properties->int_or("keepLast", options.keep_last, 0, 1'000'000));
+  properties->finish();
+}
+
+void read_sending_options(Section& section, SendingOptions& options) {
+  auto properties = section.optional_section("properties");
+  if (!properties) return;
+  options.keep_newest = properties->choice_or("whenFull", "block", {"keep_newest", "block"}) == "keep_newest";
+  options.capacity = static_cast<int>(properties->int_or("capacity", options.capacity, 1, 1'000'000));
+  options.deadline =
+      std::chrono::duration_cast<std::chrono::milliseconds>(properties->duration_or("deadline", options.deadline));
+  const bool fail = properties->choice_or("unknownDriver", "ack", {"ack", "fail"}) == "fail";
+  options.unknown_driver = fail ? UnknownDriver::fail : UnknownDriver::ack;
+  properties->finish();
+}
+
+EndpointDefinition read_endpoint(Section& section, const std::vector<std::string>& brokers) {
+  EndpointDefinition endpoint;
+  endpoint.broker = section.require_choice("broker", brokers);
+  endpoint.driver = require_driver(section);
+  endpoint.channel = require_name(section, "channel");
+  endpoint.form =
+      section.choice_or("builder", "bytes", {"bytes", "text"}) == "text" ? PayloadForm::text : PayloadForm::bytes;
+  read_fields(section, endpoint);
+  return endpoint;
+}
+
+}  // namespace iotcloud::topology::internal
