@@ -1,4 +1,3 @@
-#include <filesystem>
 #include <mutex>
 
 #include <fmt/format.h>
@@ -6,9 +5,9 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/topology/endpoints/check.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
 #include <iotcloud/topology/endpoints/worker.h>
-#include <iotcloud/topology/runtime/component_library.h>
 
 namespace iotcloud::topology {
 
@@ -23,32 +22,6 @@ std::string unique_name() {
   char host[256] = "host";
   static_cast<void>(gethostname(host, sizeof host - 1));
   return fmt::format("{}-{}-{}", host, getpid(), discovery::new_instance_id().substr(0, 8));
-}
-
-/// The library as given, beside the YAML file, or in one of the folders; as given when it is nowhere, so that the
-/// loader's message names it.
-std::string find_library(const std::string& name, const std::string& yaml_file,
-                         const std::vector<std::string>& folders) {
-  namespace fs = std::filesystem;
-  if (fs::path(name).is_absolute()) return name;
-  std::vector<fs::path> places{fs::path(yaml_file).parent_path() / name};
-  for (const auto& folder : folders) places.push_back(fs::path(folder) / name);
-  for (const auto& place : places) {
-    std::error_code ignored;
-    if (fs::exists(place, ignored)) return fs::absolute(place).string();
-  }
-  return name;
-}
-
-void load_libraries(WorkerOptions& options) {
-  for (const auto& name : options.definition.libraries) {
-    const std::string path = find_library(name, options.definition.file, options.library_folders);
-    try {
-      load_components(path, options.components);
-    } catch (const config::Error& error) {
-      throw options.definition.root.error("topology.library", error.what());
-    }
-  }
 }
 
 RuntimeOptions runtime_options(const WorkerOptions& options) {
@@ -69,7 +42,7 @@ RuntimeOptions runtime_options(const WorkerOptions& options) {
 struct Worker::Impl {
   explicit Impl(WorkerOptions given) : options(std::move(given)), services(std::make_shared<EndpointServices>()) {
     const TopologyDefinition& definition = options.definition;
-    load_libraries(options);
+    load_libraries(definition, options.library_folders, options.components);
     services->topology = definition.name;
     services->worker = unique_name();
     services->paths = discovery::Paths(definition.zk_root);

@@ -1,0 +1,110 @@
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <string>
+#include <utility>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <iotcloud/topology/endpoints/check.h>
+
+namespace iotcloud::topology {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+/// `iotcloud-topology --check`, and the same as a function.
+class Check : public testing::Test {
+ protected:
+  Check() { fs::create_directory(folder_); }
+  ~Check() override { fs::remove_all(folder_); }
+
+  std::string write(const std::string& text) const {
+    const std::string file = folder_ / "t.yaml";
+    std::ofstream(file) << text;
+    return file;
+  }
+  /// \return the exit status, and what it printed (to stdout and stderr).
+  static std::pair<int, std::string> run(const std::string& arguments) {
+    FILE* pipe = popen(("exec " WORKER_PROGRAM " " + arguments + " 2>&1").c_str(), "r");
+    if (pipe == nullptr) return {-1, "popen failed"};
+    std::string text;
+    char buffer[4096];
+    while (const std::size_t size = std::fread(buffer, 1, sizeof buffer, pipe)) text.append(buffer, size);
+    return {WEXITSTATUS(pclose(pipe)), text};
+  }
+  const fs::path folder_ = fs::temp_directory_path() / ("iotcloud-check-" + std::to_string(getpid()));
+};
+
+/// Its registry and broker are where nobody listens.
+const std::string good = R"(topology.name: t
+zk.servers: ["127.0.0.1:1"]
+topology.library: ")" GOOD_LIBRARY R"("
+brokers: {rabbitmq: "amqp://127.0.0.1:1"}
+spouts:
+  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID]}
+bolts:
+  echo: {class: good.Echo, parallelism: 2, tasks: 4, inputs: {from: in, grouping: fields, fields: [driverID]}}
+)";
+
+TEST_F(Check, PrintsTheGraphAndContactsNobody) {
+  const auto [status, text] = run("--check " + write(good));
+  EXPECT_EQ(status, 0);
+  EXPECT_EQ(text, R"(topology t: 2 components
+registry zookeeper://127.0.0.1:1, drivers below /iot/sensors
+
+spout in: 1 executor, 1 task; reads channel "up" of driver "d", broker "rabbitmq"
+  -> text, driverID
+
+bolt echo: 2 executors, 4 tasks; class good.Echo
+  <- in, fields (driverID)
+)");
+}
+
+TEST_F(Check, SaysWhatIsWrongAndWhereAndEndsWithTwo) {
+  std::string wrong = good;
+  wrong.replace(wrong.find("good.Echo"), 9, "good.Ecco");
+  const std::string file = write(wrong);
+  const auto [status, text] = run("--check " + file);
+  EXPECT_EQ(status, 2);
+  EXPECT_THAT(text, AllOf(StartsWith("iotcloud-topology: " + file + ":8:10: bolts.echo.class: "),
+                          HasSubstr("did you mean \"good.Echo\"?")));
+}
+
+TEST_F(Check, SaysThatALibraryIsMissing) {
+  std::string wrong = good;
+  wrong.replace(wrong.find(GOOD_LIBRARY), std::string(GOOD_LIBRARY).size(), "nowhere.so");
+  const auto [status, text] = run("--check " + write(wrong));
+  EXPECT_EQ(status, 2);
+  EXPECT_THAT(text, AllOf(HasSubstr("t.yaml:3:1: topology.library"), HasSubstr("nowhere.so")));
+}
+
+TEST_F(Check, TakesAFileForLocalModeThatNamesNoRegistry) {
+  std::string local = good;
+  local.erase(local.find("zk.servers"), local.find("topology.library") - local.find("zk.servers"));
+  EXPECT_THAT(check_topology(write(local), {}), HasSubstr("local mode only"));
+}
+
+TEST_F(Check, FindsALibraryBesideTheFileAndThenInTheFolders) {
+  const fs::path library = GOOD_LIBRARY;
+  std::string text = good;
+  text.replace(text.find(GOOD_LIBRARY), std::string(GOOD_LIBRARY).size(), library.filename());
+  const std::string file = write(text);
+  EXPECT_THROW(check_topology(file, {}), config::ConfigError);
+  EXPECT_THAT(check_topology(file, {library.parent_path()}), HasSubstr("good.Echo"));
+  fs::copy_file(library, folder_ / library.filename());
+  EXPECT_THAT(check_topology(file, {}), HasSubstr("good.Echo"));
+}
+
+TEST_F(Check, IsInTheHelp) {
+  EXPECT_THAT(run("--help").second, HasSubstr("--check FILE"));
+}
+
+}  // namespace
+}  // namespace iotcloud::topology

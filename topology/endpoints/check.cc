@@ -1,0 +1,53 @@
+#include <filesystem>
+
+#include <iotcloud/topology/definition/describe.h>
+#include <iotcloud/topology/endpoints/check.h>
+#include <iotcloud/topology/endpoints/endpoints.h>
+#include <iotcloud/topology/runtime/component_library.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+/// The library as given, beside the YAML file, or in one of the folders; as given when it is nowhere, so that the
+/// loader's message names it.
+std::string find_library(const std::string& name, const std::string& yaml_file,
+                         const std::vector<std::string>& folders) {
+  namespace fs = std::filesystem;
+  if (fs::path(name).is_absolute()) return name;
+  std::vector<fs::path> places{fs::path(yaml_file).parent_path() / name};
+  for (const auto& folder : folders) places.push_back(fs::path(folder) / name);
+  for (const auto& place : places) {
+    std::error_code ignored;
+    if (fs::exists(place, ignored)) return fs::absolute(place).string();
+  }
+  return name;
+}
+
+}  // namespace
+
+void load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
+                    ComponentRegistry& components) {
+  for (const auto& name : definition.libraries) {
+    const std::string path = find_library(name, definition.file, folders);
+    try {
+      load_components(path, components);
+    } catch (const config::Error& error) {
+      throw definition.root.error("topology.library", error.what());
+    }
+  }
+}
+
+std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
+                           ComponentRegistry components) {
+  const auto definition = TopologyDefinition::load(file);
+  load_libraries(definition, folders, components);
+  config::Metrics unused;
+  const auto services = std::make_shared<EndpointServices>();
+  services->topology = definition.name;
+  services->clock = &config::system_clock();
+  services->metrics = &unused;
+  return describe(definition, assemble(definition, components, endpoint_factories(services)));
+}
+
+}  // namespace iotcloud::topology
