@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <bit>
 #include <cmath>
@@ -12,13 +13,14 @@ namespace iotcloud::config {
 namespace {
 
 constexpr int sub_buckets = 16;  // for each power of two
-constexpr int bucket_count = 64 * sub_buckets;
+constexpr int octaves = 40;           // up to 18 minutes; longer ones count in the last bucket
+constexpr int bucket_count = (octaves - 3) * sub_buckets;
 
 int bucket_of(std::uint64_t ns) {
   if (ns < sub_buckets) return static_cast<int>(ns);
   const int octave = static_cast<int>(std::bit_width(ns)) - 1;  // >= 4
   const auto within = static_cast<int>((ns >> (octave - 4)) & (sub_buckets - 1));
-  return (octave - 3) * sub_buckets + within;
+  return std::min((octave - 3) * sub_buckets + within, bucket_count - 1);
 }
 
 /// The middle of a bucket, ns.

@@ -268,7 +268,7 @@ void Scheduler::report_hanging(std::chrono::milliseconds limit) {
     Task* task = lane->running.load();
     if (began == 0 || task == nullptr || now - began < std::chrono::nanoseconds(limit).count()) continue;
     if (lane->reported_hang_ns.exchange(began) == began) continue;
-    task->report_error("does not return from user code for " + std::to_string((now - began) / 1'000'000'000) + " s");
+    task->report_error("does not return from user code for " + std::to_string((now - began) / 1'000'000) + " ms");
   }
 }
 
