@@ -19,7 +19,7 @@ using topology::Tuple;
 using topology::Values;
 
 void print(const std::string& figure, double value) {
-  std::printf("{\"figure\":\"%s\",\"value\":%.9g}\n", figure.c_str(), value);
+  std::printf("{\"figure\":\"%s\",\"value\":%.15g}\n", figure.c_str(), value);
   std::fflush(stdout);
 }
 

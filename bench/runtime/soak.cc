@@ -48,7 +48,7 @@ double growth_mb(const std::vector<double>& samples) {
 
 /// \param at_most negative: whatever it is will do.
 void print(const char* figure, const char* unit, double value, double at_most = -1) {
-  std::printf("{\"figure\":\"%s\",\"unit\":\"%s\",\"value\":%.9g", figure, unit, value);
+  std::printf("{\"figure\":\"%s\",\"unit\":\"%s\",\"value\":%.15g", figure, unit, value);
   if (at_most >= 0) std::printf(",\"at_most\":%.9g", at_most);
   std::printf("}\n");
 }
