@@ -54,7 +54,9 @@ class FieldsGrouping final : public KeyGrouping {
  public:
   using KeyGrouping::KeyGrouping;
   void choose(const Values& values, std::vector<int>& chosen) override {
-    chosen.push_back(targets_[key_hash(values) % targets_.size()]);
+    const std::uint64_t hash = key_hash(values), count = targets_.size();
+    // A division costs as much as the hash of a word.
+    chosen.push_back(targets_[(count & (count - 1)) == 0 ? hash & (count - 1) : hash % count]);
   }
 };
 

@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include <iotcloud/topology/runtime/tasks/bolt_task.h>
 #include <iotcloud/topology/runtime/scheduling/lane.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
+#include <iotcloud/topology/runtime/tasks/bolt_task.h>
 
 namespace iotcloud::topology::internal {
 
@@ -36,13 +36,13 @@ void BoltTask::close() {
 void BoltTask::fill(TaskSnapshot& snapshot) const {
   snapshot.superseded = mailbox_.superseded();
   snapshot.execute_latency = execute_latency_.summary();
-  snapshot.process_latency = process_latency_.summary();
+  snapshot.process_latency = process_latency().summary();
 }
 
 void BoltTask::collect(std::vector<config::Sample>& samples) const {
   Task::collect(samples);
   add_sample(samples, "iotcloud_task_execute_seconds", "One call of execute()", execute_latency_);
-  add_sample(samples, "iotcloud_task_process_seconds", "From execute() to ack", process_latency_);
+  add_sample(samples, "iotcloud_task_process_seconds", "From execute() to ack or fail", process_latency());
 }
 
 void BoltTask::discard() {
@@ -91,7 +91,8 @@ void BoltTask::note_chunk(std::size_t taken, std::uint64_t took_ns) {
   bump(counts_.executed, executed);
   bump(counts_.busy_ns, took_ns);
   if (executed > 0) execute_latency_.record_ns(each, executed);
-  if (settled_in_chunk_ > 0) process_latency_.record_ns(each, std::exchange(settled_in_chunk_, 0));
+  const std::size_t settled = std::exchange(settled_in_chunk_, 0);
+  if (settled > 0 && answers_later_.load(std::memory_order_relaxed)) process_latency_.record_ns(each, settled);
   chunk_ = next_chunk(chunk_, taken, took_ns);
   mailbox_.done(taken);
 }
@@ -109,6 +110,7 @@ void BoltTask::execute(Tuple tuple) {
       ++settled_in_chunk_;
     } else if (Delivery* delivery = cell->tracked() ? cell->open_delivery(this) : nullptr) {
       delivery->executed_ns = lane_->now_ns;
+      answers_later_.store(true, std::memory_order_relaxed);
     }
   }
   current_ = nullptr;

@@ -68,6 +68,9 @@ class BoltTask final : public Task, private OutputCollector {
   void execute(Tuple tuple);
   bool late(const TupleCell& cell) const;
   void give_up_late(const Tuple& tuple);
+  const config::Histogram& process_latency() const {
+    return answers_later_.load(std::memory_order_relaxed) ? process_latency_ : execute_latency_;
+  }
   void note_chunk(std::size_t taken, std::uint64_t took_ns);
   std::int64_t birth_of_child(std::span<const Tuple> anchors) const;
 
@@ -76,7 +79,8 @@ class BoltTask final : public Task, private OutputCollector {
   const Intake intake_;
   bool prepared_ = false;
   config::Histogram execute_latency_;
-  config::Histogram process_latency_;
+  config::Histogram process_latency_;  ///< only used once a tuple was answered later; until then it is the other one
+  std::atomic<bool> answers_later_{false};
 
   // While in a slice.
   Lane* lane_ = nullptr;

@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include <iotcloud/topology/runtime/scheduling/lane.h>
 #include <iotcloud/topology/runtime/tasks/bolt_task.h>
 #include <iotcloud/topology/runtime/tasks/emitter.h>
-#include <iotcloud/topology/runtime/scheduling/lane.h>
 
 namespace iotcloud::topology::internal {
 

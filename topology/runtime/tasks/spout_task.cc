@@ -3,8 +3,8 @@
 
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
-#include <iotcloud/topology/runtime/tasks/spout_task.h>
 #include <iotcloud/topology/runtime/scheduling/timers.h>
+#include <iotcloud/topology/runtime/tasks/spout_task.h>
 
 namespace iotcloud::topology::internal {
 

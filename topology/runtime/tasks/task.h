@@ -7,8 +7,8 @@
 #include <vector>
 
 #include <iotcloud/config/metrics.h>
-#include <iotcloud/topology/runtime/tasks/emitter.h>
 #include <iotcloud/topology/runtime/runtime.h>
+#include <iotcloud/topology/runtime/tasks/emitter.h>
 #include <iotcloud/topology/runtime/tasks/taps.h>
 #include <iotcloud/topology/topology_context.h>
 
@@ -119,14 +119,14 @@ class Task {
   Emitter emitter_;
   Taps taps_;
   Counts counts_;
-  /// One call takes about so long: it falls at once and rises slowly, because a thread that had to wait for a core looks
-  /// as if its calls were long.
+  /// One call takes about so long: it falls at once and rises slowly, because a thread that had to wait for a core
+  /// looks as if its calls were long.
   std::atomic<std::int64_t> each_ns_{0};
   void note_each(std::int64_t ns) {
     const std::int64_t before = each_ns_.load(std::memory_order_relaxed);
     each_ns_.store(ns <= before ? ns : before + (ns - before + 7) / 8, std::memory_order_relaxed);
   }
-  std::size_t chunk_ = 1;                 ///< calls between two looks at the clock; grows while they are quick
+  std::size_t chunk_ = 1;  ///< calls between two looks at the clock; grows while they are quick
 
  private:
   std::atomic<std::uint32_t> signals_{0};
