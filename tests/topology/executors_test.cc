@@ -224,5 +224,42 @@ TEST(Executors, ATaskThatDoesNotReturnIsNamed) {
   EXPECT_THAT(runtime.snapshot().component("stuck").last_error, HasSubstr("does not return"));
 }
 
+TEST(Executors, ATaskThatIsInUserCodeWhenTheRuntimeStopsIsCleanedUpWhenItReturns) {
+  class Slow : public Bolt {
+   public:
+    Slow(std::latch& entered, std::latch& may_end, std::atomic<bool>& cleaned)
+        : entered_(entered), may_end_(may_end), cleaned_(cleaned) {}
+    void prepare(const Config&, const TopologyContext&, OutputCollector&) override {}
+    void execute(const Tuple&) override {
+      entered_.count_down();
+      may_end_.wait();
+    }
+    void cleanup() override { cleaned_ = true; }
+
+   private:
+    std::latch &entered_, &may_end_;
+    std::atomic<bool>& cleaned_;
+  };
+  auto source = std::make_shared<Source>();
+  std::latch entered(1), may_end(1);
+  std::atomic<bool> cleaned{false};
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("slow", [&] { return std::make_unique<Slow>(entered, may_end, cleaned); }).shuffle_grouping("in");
+  config::Metrics metrics;
+  RuntimeOptions options;
+  options.metrics = &metrics;
+  auto runtime = std::make_unique<Runtime>(builder.build("slow"), options);
+  runtime->start();
+  source->lay(Values(1));
+  std::jthread reader([&] { source->wake(); });
+  entered.wait();
+  EXPECT_FALSE(runtime->stop(0ms));
+  EXPECT_FALSE(cleaned);
+  may_end.count_down();
+  runtime.reset();
+  EXPECT_TRUE(cleaned);
+}
+
 }  // namespace
 }  // namespace iotcloud::topology::workshop

@@ -73,6 +73,7 @@ class Runtime::Impl {
     stop(std::chrono::milliseconds(0));
     timers_.stop();
     scheduler_.join();
+    for (const auto& task : graph_.tasks()) task->close();  // those that were in user code when it stopped
   }
 
   void start() {
@@ -109,7 +110,7 @@ class Runtime::Impl {
     for (const auto& task : graph_.tasks()) {
       if (!scheduler_.runs(*task)) {
         task->close();
-      } else {
+      } else if (limit.count() > 0) {
         logger.error("{}: component {}, task {} does not return from user code", topology_.name,
                      task->context().component, task->id());
       }

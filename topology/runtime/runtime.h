@@ -101,8 +101,8 @@ class Runtime {
   /// \throws TopologyError when a component throws in prepare() or open(): those already opened are closed again.
   void start();
   /// Stops asking spouts (deactivates them), waits until what is under way is done, then closes and cleans up.
-  /// \return false when `limit` passed first: what was left is in the snapshot; a task that hangs in user code is not
-  /// cleaned up. Once; later calls answer the same.
+  /// \return false when `limit` passed first: what was left is in the snapshot; a task that hangs in user code is
+  /// cleaned up by the destructor. Once; later calls answer the same.
   bool stop(std::chrono::milliseconds limit);
 
   /// Pause and go on: spouts are not asked while deactivated; what is under way goes on.

@@ -29,7 +29,7 @@ void BoltTask::prepare(const Config& config, Lane& lane) {
 }
 
 void BoltTask::close() {
-  if (!prepared_) return;
+  if (!std::exchange(prepared_, false)) return;
   guarded("cleanup()", [this] { bolt_->cleanup(); });
 }
 

@@ -51,7 +51,7 @@ void SpoutTask::open(const Config& config, Lane& lane) {
 }
 
 void SpoutTask::close() {
-  if (!opened_) return;
+  if (!std::exchange(opened_, false)) return;
   if (std::exchange(active_, false)) guarded("deactivate()", [this] { spout_->deactivate(); });
   guarded("close()", [this] { spout_->close(); });
 }

@@ -60,7 +60,7 @@ class Task {
   virtual std::size_t depth() const = 0;  ///< tuples that wait
   /// About how long what it has to do now will take.
   virtual std::int64_t waiting_ns() const = 0;
-  /// The end of its life; only when nothing else runs it.
+  /// The end of its life, once; only when nothing else runs it.
   virtual void close() = 0;
   virtual void fill(TaskSnapshot& snapshot) const = 0;
 
