@@ -73,6 +73,7 @@ class Runtime::Impl {
     stop(std::chrono::milliseconds(0));
     timers_.stop();
     scheduler_.join();
+    for (internal::SpoutTask* spout : graph_.spouts()) spout->gate().shut();  // nobody runs any task any more
     for (const auto& task : graph_.tasks()) task->close();  // those that were in user code when it stopped
   }
 

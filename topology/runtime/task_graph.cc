@@ -39,7 +39,6 @@ TaskGraph::TaskGraph(const Topology& topology, Surroundings around, config::Metr
 }
 
 TaskGraph::~TaskGraph() {
-  for (SpoutTask* spout : spouts_) spout->gate().shut();
   // Tuples that bolts keep may still tell the spouts' tasks of their end.
   for (BoltTask* bolt : bolts_) {
     if (bolt != nullptr) bolt->discard();
