@@ -163,15 +163,6 @@ bool Outcomes::each_once() const {
   return std::all_of(outcomes_.begin(), outcomes_.end(), [](const auto& entry) { return entry.second.size() == 1; });
 }
 
-bool eventually(const std::function<bool()>& condition, std::chrono::milliseconds limit) {
-  const auto end = std::chrono::steady_clock::now() + limit;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > end) return false;
-    std::this_thread::sleep_for(std::chrono::milliseconds(2));
-  }
-  return true;
-}
-
 Message text_message(const std::string& body) {
   Message message;
   message.payload = Payload::copy(body);

@@ -14,6 +14,7 @@
 
 #include "iotcloud/tests/servers/private_server.h"
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::brokers {
 
@@ -94,8 +95,7 @@ class Outcomes {
   std::map<std::uint64_t, std::vector<std::pair<Outcome, std::string>>> outcomes_;
 };
 
-/// Waits for a condition that other threads make true.
-bool eventually(const std::function<bool()>& condition, std::chrono::milliseconds limit = patience);
+using tests::eventually;
 
 Message text_message(const std::string& body);
 

@@ -15,6 +15,7 @@
 
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/tests/discovery/place.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::discovery::tests {
 
@@ -63,6 +64,8 @@ inline std::string text(const std::optional<std::vector<std::string>>& names) {
   return all;
 }
 
+using iotcloud::tests::eventually;
+
 class RegistryContract : public testing::TestWithParam<std::string> {
  protected:
   /// One more client of the same tree.
@@ -87,16 +90,6 @@ class RegistryContract : public testing::TestWithParam<std::string> {
       return error.code();
     }
     return std::nullopt;
-  }
-
-  /// Waits for a state that only asking tells.
-  [[nodiscard]] static bool eventually(const std::function<bool()>& condition) {
-    const auto limit = std::chrono::steady_clock::now() + patience;
-    while (!condition()) {
-      if (std::chrono::steady_clock::now() > limit) return false;
-      std::this_thread::yield();
-    }
-    return true;
   }
 
   const std::unique_ptr<Place> place_ = make_place(GetParam());

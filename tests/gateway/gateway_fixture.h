@@ -14,19 +14,12 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/gateway/gateway.h>
 #include <iotcloud/gateway/in_process_launcher.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/gateway/probe_driver.h>
 
 namespace iotcloud::gateway {
 
-/// Waits for a condition. \return false when it did not come in 20 s.
-inline bool eventually(const std::function<bool()>& condition) {
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds{20};
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline) return false;
-    std::this_thread::sleep_for(std::chrono::milliseconds{1});
-  }
-  return true;
-}
+using tests::eventually;
 
 /// A gateway "gw" on an embedded registry and broker of its own, and what a master does: gives orders, reads records.
 class GatewayFixture : public ::testing::Test {

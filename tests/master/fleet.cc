@@ -22,15 +22,6 @@ std::unique_ptr<discovery::Registry> open_registry(const std::string& url) {
   return discovery::make_registry(options);
 }
 
-bool eventually(const std::function<bool()>& condition) {
-  const auto deadline = std::chrono::steady_clock::now() + patience;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline) return false;
-    std::this_thread::sleep_for(std::chrono::milliseconds(1));
-  }
-  return true;
-}
-
 std::optional<FakeGateway::Report> FakeGateway::obey(const OrderRecord& order) {
   return Report{order.active ? DriverState::active : DriverState::inactive, ""};
 }

@@ -14,6 +14,7 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/master/master.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::master::test {
 
@@ -24,8 +25,7 @@ inline constexpr std::chrono::seconds patience{20};
 std::string fresh_registry_url();
 std::unique_ptr<discovery::Registry> open_registry(const std::string& url);
 
-/// Waits until `condition` holds. \return whether it did within `patience`.
-bool eventually(const std::function<bool()>& condition);
+using tests::eventually;
 
 /// A gateway that follows orders as a real one does, and reports what the test tells it to.
 class FakeGateway {

@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/topology/runtime/complete_topology.h>
 #include <iotcloud/topology/runtime/runtime.h>
 #include <iotcloud/topology/topology_builder.h>
@@ -21,16 +22,7 @@ namespace iotcloud::topology::workshop {
 
 using namespace std::chrono_literals;
 
-/// Waits until `condition` holds; looks at it once a millisecond, so that the locks it takes are free for the others.
-/// \return false when 20 s passed first.
-inline bool eventually(const std::function<bool()>& condition) {
-  const auto deadline = std::chrono::steady_clock::now() + 20s;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline) return false;
-    std::this_thread::sleep_for(1ms);
-  }
-  return true;
-}
+using tests::eventually;
 
 /// What a SourceSpout emits, put there from outside, and what it hears back.
 class Source {
