@@ -2,6 +2,7 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -40,8 +41,14 @@ std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths); 
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths);
 struct TopologyStatus {
   TopologyRecord record;
-  std::vector<std::string> workers;
+  std::optional<TopologyOrder> order;  ///< nullopt: nobody ordered anything
+  std::vector<WorkerRecord> workers;   ///< that live
 };
 std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths);
+std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const std::string& topology);
+
+/// Removes all that stands of a topology that nobody runs any more, its orders included.
+/// \return false, with nothing but end reports removed, while there are workers. \throws RegistryError.
+bool remove_topology(Registry& registry, const Paths& paths, const std::string& topology);
 
 }  // namespace iotcloud::discovery

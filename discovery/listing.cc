@@ -64,10 +64,48 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
   for_each_child(registry, paths.topologies, decode_topology, [&](const std::string& name, TopologyRecord record) {
     TopologyStatus status;
     status.record = std::move(record);
-    status.workers = registry.children(paths.workers(name)).value_or(std::vector<std::string>());
+    status.record.name = name;
+    status.workers = list_workers(registry, paths, name);
+    const std::string path = paths.topology_order(name);
+    try {
+      if (const auto node = registry.get(path)) status.order = decode_topology_order(node->data, path);
+    } catch (const config::Error& error) {
+      if (dynamic_cast<const RegistryError*>(&error) != nullptr) throw;
+      log.warn("skipped: {}", error.what());
+    }
     topologies.push_back(std::move(status));
   });
   return topologies;
+}
+
+std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const std::string& topology) {
+  std::vector<WorkerRecord> workers;
+  for (const std::string& name : registry.children(paths.workers(topology)).value_or(std::vector<std::string>())) {
+    const std::string path = paths.workers(topology) + "/" + name;
+    const auto node = registry.get(path);
+    if (!node) continue;
+    WorkerRecord record;
+    try {
+      record = decode_worker(node->data, path);
+    } catch (const config::Error& error) {
+      log.warn("only its name is known: {}", error.what());
+    }
+    record.name = name;
+    workers.push_back(std::move(record));
+  }
+  return workers;
+}
+
+bool remove_topology(Registry& registry, const Paths& paths, const std::string& topology) {
+  remove_tree(registry, paths.ended_workers(topology));
+  try {
+    registry.remove(paths.workers(topology));
+  } catch (const RegistryError& error) {
+    if (error.code() == RegistryErrorCode::not_empty) return false;
+    throw;
+  }
+  remove_tree(registry, paths.topology(topology));
+  return true;
 }
 
 }  // namespace iotcloud::discovery

@@ -89,4 +89,73 @@ TopologyRecord decode_topology(const std::string& bytes, const std::string& path
   return record;
 }
 
+std::string encode(const TopologyOrder& order) {
+  Json json{{"revision", order.revision},
+            {"epoch", order.epoch},
+            {"active", order.active},
+            {"parallelism", order.parallelism}};
+  if (order.kill) {
+    json["kill"] = {{"workers", order.kill->workers},
+                    {"drain_ms", order.kill->drain_ms},
+                    {"awaited_until_ms", order.kill->awaited_until_ms}};
+  }
+  return to_text(json);
+}
+
+TopologyOrder decode_topology_order(const std::string& bytes, const std::string& path) {
+  const Reader reader(bytes, path, "an order to a topology");
+  TopologyOrder order;
+  reader.required("revision", order.revision);
+  reader.optional("epoch", order.epoch);
+  reader.optional("active", order.active);
+  reader.optional("parallelism", order.parallelism);
+  Json kill;
+  reader.optional("kill", kill);
+  if (!kill.is_null()) {
+    const Reader detail(to_text(kill), path, "an order to kill a topology");
+    order.kill.emplace();
+    detail.required("workers", order.kill->workers);
+    detail.required("drain_ms", order.kill->drain_ms);
+    detail.optional("awaited_until_ms", order.kill->awaited_until_ms);
+  }
+  return order;
+}
+
+std::string encode(const WorkerRecord& record) {
+  Json components = Json::object();
+  for (const auto& [name, component] : record.components) {
+    components[name] = {{"parallelism", component.parallelism}, {"tasks", component.tasks}};
+  }
+  return to_text({{"name", record.name},
+                  {"host", record.host},
+                  {"pid", record.pid},
+                  {"http", record.http},
+                  {"state", record.state},
+                  {"revision", record.revision},
+                  {"error", record.error},
+                  {"since_ms", record.since_ms},
+                  {"components", components}});
+}
+
+WorkerRecord decode_worker(const std::string& bytes, const std::string& path) {
+  const Reader reader(bytes, path, "a worker");
+  WorkerRecord record;
+  reader.required("name", record.name);
+  reader.optional("host", record.host);
+  reader.optional("pid", record.pid);
+  reader.optional("http", record.http);
+  reader.optional("state", record.state);
+  reader.optional("revision", record.revision);
+  reader.optional("error", record.error);
+  reader.optional("since_ms", record.since_ms);
+  std::map<std::string, Json> components;
+  reader.optional("components", components);
+  for (const auto& [name, json] : components) {
+    const Reader detail(to_text(json), path + ", component " + name, "a worker's component");
+    detail.required("parallelism", record.components[name].parallelism);
+    detail.required("tasks", record.components[name].tasks);
+  }
+  return record;
+}
+
 }  // namespace iotcloud::discovery

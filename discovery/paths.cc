@@ -65,6 +65,12 @@ std::string Paths::topology(const std::string& name) const {
 std::string Paths::workers(const std::string& topology) const {
   return this->topology(topology) + "/workers";
 }
+std::string Paths::topology_order(const std::string& topology) const {
+  return this->topology(topology) + "/wanted";
+}
+std::string Paths::ended_workers(const std::string& topology) const {
+  return this->topology(topology) + "/ended";
+}
 
 std::string new_instance_id() {
   constexpr std::string_view digits = "0123456789abcdef";

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -75,6 +76,44 @@ struct TopologyRecord {
   friend bool operator==(const TopologyRecord&, const TopologyRecord&) = default;
 };
 
+/// What is wanted of a running topology: /iot/topologies/<name>/wanted, JSON, persistent. Every worker makes it so,
+/// those that start later too, and reports the revision in its WorkerRecord. No node: active, parallelism as in the
+/// YAML.
+struct TopologyOrder {
+  std::int64_t revision = 0;  ///< grows with every order
+  std::int64_t epoch = 0;     ///< fencing: the issuing master's
+  bool active = true;
+  std::map<std::string, int> parallelism;  ///< in each worker, by component; what is not named stays as declared
+  /// The end: these workers (and no others) drain, leave an end report, and end.
+  struct Kill {
+    std::vector<std::string> workers;
+    std::int64_t drain_ms = 0;          ///< what is under way is waited for so long at most
+    std::int64_t awaited_until_ms = 0;  ///< wall time until which a master waits for the end reports and clears up
+    friend bool operator==(const Kill&, const Kill&) = default;
+  };
+  std::optional<Kill> kill;
+  friend bool operator==(const TopologyOrder&, const TopologyOrder&) = default;
+};
+
+/// One worker, and what it does: ephemeral /iot/topologies/<name>/workers/<worker>, JSON.
+struct WorkerRecord {
+  struct Component {
+    int parallelism = 1;
+    int tasks = 1;
+    friend bool operator==(const Component&, const Component&) = default;
+  };
+  std::string name;  ///< unique for each process
+  std::string host;
+  std::int64_t pid = 0;
+  std::string http;           ///< host:port of its pages, on its own machine; empty: none
+  std::string state;          ///< "active", "inactive", "draining"
+  std::int64_t revision = 0;  ///< of the last order that was followed; 0: none
+  std::string error;          ///< what of that order could not be done; empty: all was
+  std::int64_t since_ms = 0;  ///< start of the process
+  std::map<std::string, Component> components;
+  friend bool operator==(const WorkerRecord&, const WorkerRecord&) = default;
+};
+
 /// Bytes as they stand in the registry: TSensor, TChannel and TSite in Thrift's binary protocol without framing.
 /// decode_* \throws config::Error naming `path` when the bytes are none (hostile sizes included).
 std::string encode(const DriverRecord& record);
@@ -82,11 +121,15 @@ std::string encode(const ChannelRecord& record);
 std::string encode(const GatewayRecord& record);
 std::string encode(const OrderRecord& record);
 std::string encode(const TopologyRecord& record);
+std::string encode(const TopologyOrder& order);
+std::string encode(const WorkerRecord& record);
 DriverRecord decode_driver(const std::string& bytes, const std::string& path);
 ChannelRecord decode_channel(const std::string& bytes, const std::string& path);
 GatewayRecord decode_gateway(const std::string& bytes, const std::string& path);
 OrderRecord decode_order(const std::string& bytes, const std::string& path);
 TopologyRecord decode_topology(const std::string& bytes, const std::string& path);
+TopologyOrder decode_topology_order(const std::string& bytes, const std::string& path);
+WorkerRecord decode_worker(const std::string& bytes, const std::string& path);
 
 /// Where records stand. `sensors_root` is the paper's zk.root; the other branches are its siblings.
 struct Paths {
@@ -101,6 +144,9 @@ struct Paths {
   std::string masters() const;                          ///< /iot/masters: the election's path
   std::string topology(const std::string& name) const;  ///< /iot/topologies/<name>
   std::string workers(const std::string& topology) const;
+  std::string topology_order(const std::string& topology) const;  ///< /iot/topologies/<name>/wanted
+  /// Below it each worker that was killed leaves a persistent node of its name: empty, or why it did not drain.
+  std::string ended_workers(const std::string& topology) const;
   std::string sensors, gateways, topologies;
 };
 

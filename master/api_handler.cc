@@ -142,6 +142,9 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   void stop(wire::TOrderResponse& out, const wire::TInstanceSelection& selection) override {
     order(out, [&] { return master_.stop(from_wire(selection)); });
   }
+  void orderTopology(wire::TTopologyResponse& out, const wire::TTopologyRequest& request) override {
+    order(out, [&] { return master_.order(from_wire(request)); });
+  }
 
  private:
   /// The original's reads have no field for an error: the client gets a TApplicationException with the text.
@@ -171,8 +174,8 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     response = open_ ? to_response(body()) : failure(closed_text);
   }
 
-  template <typename Body>
-  void order(wire::TOrderResponse& out, Body&& body) {
+  template <typename Response, typename Body>
+  void order(Response& out, Body&& body) {
     if (open_) {
       out = to_wire(body());
     } else {

@@ -10,6 +10,7 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/master/orders.h>
+#include <iotcloud/master/topology_orders.h>
 
 namespace iotcloud::master {
 
@@ -55,6 +56,8 @@ class Master {
   OrderResult undeploy(const InstanceSelection& selection);
   OrderResult start(const InstanceSelection& selection);
   OrderResult stop(const InstanceSelection& selection);
+  /// The same for a topology: answers when all of its workers that run now have followed, or ended.
+  TopologyResult order(const TopologyRequest& request);
 
   /// \throws discovery::RegistryError when the registry is away.
   std::vector<discovery::DriverRecord> drivers() const;

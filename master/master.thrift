@@ -32,7 +32,8 @@ enum TRefusal {
   BAD_REQUEST = 4,
   REGISTRY_AWAY = 5,
   // authenticate() first.
-  NOT_AUTHENTICATED = 6
+  NOT_AUTHENTICATED = 6,
+  UNKNOWN_TOPOLOGY = 7
 }
 
 // SUCCESS only when every outcome is DONE.
@@ -67,6 +68,28 @@ struct TInstanceSelection {
   3: i64 waitMs
 }
 
+// Of one worker.
+struct TComponentShape {
+  1: i32 parallelism
+  2: i32 tasks
+}
+
+struct TWorker {
+  1: string name
+  2: string host
+  3: i64 pid
+  // host:port of its pages, on its own machine; empty: none.
+  4: string http
+  // active, inactive, draining
+  5: string state
+  // Of the last order that it followed; 0: none.
+  6: i64 revision
+  // What of that order it could not do; empty: it did all.
+  7: string error
+  8: i64 sinceMs
+  9: map<string, TComponentShape> components
+}
+
 struct TTopology {
   1: string name
   // Wall time of its start, milliseconds since 1970 UTC.
@@ -74,6 +97,47 @@ struct TTopology {
   3: list<string> spouts
   4: list<string> bolts
   5: list<string> workers
+  // The same with what they say of themselves.
+  6: list<TWorker> workerRecords
+  // What is ordered: active, inactive, killed.
+  7: string wanted
+  // Of the last order; 0: none.
+  8: i64 revision
+}
+
+enum TTopologyChange {
+  ACTIVATE = 0,
+  DEACTIVATE = 1,
+  REBALANCE = 2,
+  KILL = 3
+}
+
+struct TTopologyRequest {
+  1: string topology
+  2: TTopologyChange change
+  // REBALANCE: in each worker, by component.
+  3: map<string, i32> parallelism
+  // KILL: what is under way is waited for so long at most, milliseconds.
+  4: i64 drainMs
+  5: i64 waitMs
+}
+
+struct TWorkerOutcome {
+  1: string worker
+  2: string host
+  3: TOutcome outcome
+  4: string reason
+}
+
+// SUCCESS only when every outcome is DONE.
+struct TTopologyResponse {
+  1: records.TResponse response
+  // Of each worker that ran.
+  2: list<TWorkerOutcome> outcomes
+  3: TRefusal refusal
+  4: optional string leader
+  // To be said besides the outcomes, for people.
+  5: string text
 }
 
 struct TMasterStatus {
@@ -120,6 +184,7 @@ service TMasterAPIService {
   TOrderResponse undeploy(1: TInstanceSelection selection)
   TOrderResponse start(1: TInstanceSelection selection)
   TOrderResponse stop(1: TInstanceSelection selection)
+  TTopologyResponse orderTopology(1: TTopologyRequest request)
 }
 
 // For gateways of the original system; port 12903. Gateways of this one write to the registry themselves.

@@ -115,6 +115,17 @@ struct Master::Impl {
   MaybeVerdict set_active(const Located& where, bool active);
   MaybeVerdict fenced(const discovery::OrderRecord& order) const;
 
+  // topology_orders.cc
+  TopologyResult order(const TopologyRequest& request);
+  std::optional<TopologyResult> refuse_unknown_topology(const std::string& name);
+  discovery::TopologyOrder changed_order(const std::optional<discovery::Node>& node, const TopologyRequest& request,
+                                         const std::vector<discovery::WorkerRecord>& workers,
+                                         std::chrono::milliseconds wait) const;
+  discovery::TopologyOrder write_order(const TopologyRequest& request,
+                                       const std::vector<discovery::WorkerRecord>& workers,
+                                       std::chrono::milliseconds wait);
+  void clear_killed(const std::string& topology, TopologyResult& result);
+
   // master.cc
   bool is_direct(const std::string& gateway) const { return options.direct && options.direct->has(gateway); }
   /// Waits for all outcomes, then logs and counts them.

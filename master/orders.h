@@ -38,6 +38,7 @@ enum class Refusal {
   unknown_instance,  ///< the text says which
   bad_request,       ///< a name that cannot be one, a count out of range
   registry_away,     ///< the registry did not answer
+  unknown_topology,  ///< the text lists the known ones
 };
 
 /// The answer to an order: refused as a whole, or an outcome for each instance.

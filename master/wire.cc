@@ -1,8 +1,10 @@
+#include <algorithm>
 #include <memory>
 
 #include <thrift/protocol/TBinaryProtocol.h>
 #include <thrift/transport/TBufferTransports.h>
 
+#include <iotcloud/config/error.h>
 #include <iotcloud/master/wire.h>
 
 namespace iotcloud::master {
@@ -31,6 +33,9 @@ std::string to_bytes(const Struct& value) {
   value.write(&protocol);
   return buffer->getBufferAsString();
 }
+
+/// As long as an answer is waited for at most.
+constexpr std::int64_t longest_drain_ms = 600'000;
 
 WaitLimit wait_limit(std::int64_t ms) {
   if (ms <= 0) return std::nullopt;
@@ -65,8 +70,29 @@ wire::TRefusal::type to_wire(Refusal refusal) {
       return wire::TRefusal::BAD_REQUEST;
     case Refusal::registry_away:
       return wire::TRefusal::REGISTRY_AWAY;
+    case Refusal::unknown_topology:
+      return wire::TRefusal::UNKNOWN_TOPOLOGY;
   }
   return wire::TRefusal::BAD_REQUEST;
+}
+
+wire::TWorker to_wire(const discovery::WorkerRecord& worker) {
+  wire::TWorker out;
+  out.__set_name(worker.name);
+  out.__set_host(worker.host);
+  out.__set_pid(worker.pid);
+  out.__set_http(worker.http);
+  out.__set_state(worker.state);
+  out.__set_revision(worker.revision);
+  out.__set_error(worker.error);
+  out.__set_sinceMs(worker.since_ms);
+  for (const auto& [name, component] : worker.components) {
+    wire::TComponentShape shape;
+    shape.__set_parallelism(component.parallelism);
+    shape.__set_tasks(component.tasks);
+    out.components[name] = shape;
+  }
+  return out;
 }
 
 }  // namespace
@@ -109,7 +135,31 @@ wire::TTopology to_wire(const discovery::TopologyStatus& topology) {
   out.__set_sinceMs(topology.record.since_ms);
   out.__set_spouts(topology.record.spouts);
   out.__set_bolts(topology.record.bolts);
-  out.__set_workers(topology.workers);
+  for (const auto& worker : topology.workers) {
+    out.workers.push_back(worker.name);
+    out.workerRecords.push_back(to_wire(worker));
+  }
+  const bool killed = topology.order && topology.order->kill;
+  const bool active = !topology.order || topology.order->active;
+  out.__set_wanted(killed ? "killed" : active ? "active" : "inactive");
+  out.__set_revision(topology.order ? topology.order->revision : 0);
+  return out;
+}
+
+wire::TTopologyResponse to_wire(const TopologyResult& result) {
+  wire::TTopologyResponse out;
+  out.__set_response(result.all_done() ? success(result.summary()) : failure(result.summary()));
+  out.__set_refusal(to_wire(result.refusal));
+  if (!result.leader.empty()) out.__set_leader(result.leader);
+  out.__set_text(result.text);
+  for (const auto& outcome : result.outcomes) {
+    wire::TWorkerOutcome one;
+    one.__set_worker(outcome.worker);
+    one.__set_host(outcome.host);
+    one.__set_outcome(to_wire(outcome.outcome));
+    one.__set_reason(outcome.reason);
+    out.outcomes.push_back(std::move(one));
+  }
   return out;
 }
 
@@ -143,6 +193,31 @@ DeployRequest from_wire(const wire::TDeployRequest& request) {
 
 InstanceSelection from_wire(const wire::TInstanceSelection& selection) {
   return {selection.instances, selection.gateways, wait_limit(selection.waitMs)};
+}
+
+TopologyRequest from_wire(const wire::TTopologyRequest& request) {
+  TopologyRequest out;
+  out.topology = request.topology;
+  if (request.change < wire::TTopologyChange::ACTIVATE || request.change > wire::TTopologyChange::KILL)
+    throw config::Error("this master does not know that change of a topology; it is older than the client");
+  switch (request.change) {
+    case wire::TTopologyChange::ACTIVATE:
+      out.change = TopologyChange::activate;
+      break;
+    case wire::TTopologyChange::DEACTIVATE:
+      out.change = TopologyChange::deactivate;
+      break;
+    case wire::TTopologyChange::REBALANCE:
+      out.change = TopologyChange::rebalance;
+      break;
+    case wire::TTopologyChange::KILL:
+      out.change = TopologyChange::kill;
+      break;
+  }
+  for (const auto& [component, parallelism] : request.parallelism) out.parallelism[component] = parallelism;
+  out.drain = std::chrono::milliseconds(std::clamp<std::int64_t>(request.drainMs, 0, longest_drain_ms));
+  out.wait = wait_limit(request.waitMs);
+  return out;
 }
 
 discovery::GatewayRecord from_wire(const discovery::wire::TSite& site) {

@@ -3,9 +3,13 @@
 #include <memory>
 #include <string>
 
+#include <iotcloud/config/exposition/http_server.h>
 #include <iotcloud/config/metrics.h>
 
 namespace iotcloud::config {
+
+/// The answer to a GET of /metrics: all of them in Prometheus' text format. \param metrics outlives the handler.
+HttpHandler metrics_page(const Metrics& metrics);
 
 /// Serves metrics over HTTP in Prometheus' text format at /metrics, from construction to destruction. A histogram is a
 /// summary in seconds with the quantiles 0.5 and 0.99, and a gauge `<name>_max`. Linked by daemons only. Thread safe.
@@ -14,11 +18,9 @@ class MetricsEndpoint {
   /// \param address "host:port", for example "127.0.0.1:9100". \throws Error when it cannot be bound.
   /// \param metrics must outlive this.
   MetricsEndpoint(const std::string& address, const Metrics& metrics);
-  ~MetricsEndpoint();
 
  private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
+  HttpServer server_;
 };
 
 }  // namespace iotcloud::config

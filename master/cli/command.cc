@@ -12,6 +12,7 @@
 #include <iotcloud/master/cli/command.h>
 #include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/master/cli/output.h>
+#include <iotcloud/master/cli/topology_command.h>
 
 namespace iotcloud::master::cli {
 
@@ -44,25 +45,6 @@ const std::string& state_of(const TSensor& driver) {
 
 const char* state_of(const TSite& gateway) {
   return gateway.alive ? "ready" : "lost";
-}
-
-const char* word(wire::TOutcome::type outcome) {
-  switch (outcome) {
-    case wire::TOutcome::DONE:
-      return "done";
-    case wire::TOutcome::FAILED:
-      return "failed";
-    case wire::TOutcome::PENDING:
-      return "pending";
-    case wire::TOutcome::UNKNOWN:
-      return "unknown";
-  }
-  return "unknown";
-}
-
-void print_data(std::ostream& out, Format format, const Json& json) {
-  if (format == Format::yaml) return print_yaml(out, json);
-  out << json.dump(2, ' ', false, Json::error_handler_t::replace) << '\n';
 }
 
 Json to_json(const TSensor& driver) {
@@ -152,15 +134,17 @@ int show_topologies(const Command& command, MasterClient& master, std::ostream& 
   if (command.format == Format::table) {
     Rows rows;
     for (const auto& topology : topologies)
-      rows.push_back({printable(topology.name), std::to_string(topology.workers.size()),
+      rows.push_back({printable(topology.name), topology_state(topology), std::to_string(topology.workers.size()),
                       age(topology.sinceMs, now_ms()), printable(fmt::format("{}", fmt::join(topology.spouts, ","))),
                       printable(fmt::format("{}", fmt::join(topology.bolts, ",")))});
-    print_table(out, {"TOPOLOGY", "WORKERS", "SINCE", "SPOUTS", "BOLTS"}, rows);
+    print_table(out, {"TOPOLOGY", "STATE", "WORKERS", "SINCE", "SPOUTS", "BOLTS"}, rows);
     return exit_ok;
   }
   Json json = Json::array();
   for (const auto& topology : topologies)
     json.push_back({{"topology", topology.name},
+                    {"state", topology_state(topology)},
+                    {"revision", topology.revision},
                     {"workers", topology.workers},
                     {"spouts", topology.spouts},
                     {"bolts", topology.bolts},
@@ -302,6 +286,7 @@ int order(const Command& command, MasterClient& master, std::ostream& out, std::
 
 int run(const Command& command, std::ostream& out, std::ostream& err) {
   try {
+    if (command.verb == Verb::topology_check) return check_topology(command, err);
     MasterClient master(command.masters, command.token, command.election_patience);
     switch (command.verb) {
       case Verb::gateways:
@@ -317,6 +302,15 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::start:
       case Verb::stop:
         return order(command, master, out, err);
+      case Verb::topology_show:
+      case Verb::topology_activate:
+      case Verb::topology_deactivate:
+      case Verb::topology_rebalance:
+      case Verb::topology_kill:
+      case Verb::topology_metrics:
+      case Verb::topology_tap:
+      case Verb::topology_check:
+        return run_topology(command, master, out, err);
     }
   } catch (const Ambiguous& e) {
     err << "iotcloud: " << e.what() << '\n';

@@ -9,7 +9,24 @@
 
 namespace iotcloud::master::cli {
 
-enum class Verb { gateways, drivers, topologies, status, deploy, undeploy, start, stop };
+enum class Verb {
+  gateways,
+  drivers,
+  topologies,
+  status,
+  deploy,
+  undeploy,
+  start,
+  stop,
+  topology_show,
+  topology_activate,
+  topology_deactivate,
+  topology_rebalance,
+  topology_kill,
+  topology_metrics,
+  topology_tap,
+  topology_check,
+};
 enum class Format { table, json, yaml };
 
 /// One call of the CLI, parsed.
@@ -27,6 +44,15 @@ struct Command {
   std::map<std::string, std::string> metadata;
   int count = 1;
   std::int64_t wait_ms = 0;  ///< 0: as long as the master thinks fit
+  std::string topology;
+  std::map<std::string, int> parallelism;  ///< rebalance: in each worker, by component
+  std::int64_t drain_ms = 10'000;          ///< kill
+  std::string component;                   ///< tap
+  std::string stream;                      ///< tap: only this one; empty: all
+  double rate = 10;                        ///< tap: samples a second of each task at most
+  std::int64_t samples = 0;                ///< tap: ends after so many; 0: when interrupted
+  double watch_s = 0;                      ///< metrics: again and again after so many seconds; 0: once
+  std::string file;                        ///< check
   /// How long an order is offered again while no master leads: longer than an election takes after a leader died.
   std::chrono::milliseconds election_patience{20'000};
 };
@@ -38,6 +64,9 @@ enum ExitStatus {
   exit_usage = 2,        ///< the command line is wrong, or the beginning of an id fits several
   exit_unreachable = 3,  ///< no master answers
 };
+
+/// Ends what goes on until it is interrupted (metrics --watch, tap), in order. For a signal handler.
+void interrupt();
 
 /// Does what the command says. Results go to `out`, complaints to `err`. \return the exit status
 int run(const Command& command, std::ostream& out, std::ostream& err);

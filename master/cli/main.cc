@@ -48,6 +48,8 @@ struct Words {
   std::string token_file;
   bool all = false;
   double wait_s = 0;
+  std::vector<std::string> parallelism;
+  double drain_s = 10;
 };
 
 void add_output(CLI::App& app, Command& command) {
@@ -116,12 +118,86 @@ void add_deploy(CLI::App& app, Command& command, Words& words) {
   add_wait(deploy, words);
 }
 
+void add_topology(CLI::App& app, Command& command, Words& words) {
+  auto& topology = *app.add_subcommand("topology", "See topologies that run, and change them");
+  topology.require_subcommand(1);
+  add(topology, command, Verb::topologies, "list", "List the topologies, and whether they are active",
+      "iotcloud topology list -o json");
+  const auto one = [&](Verb verb, const char* name, const char* what, const char* example) -> CLI::App& {
+    auto& sub = add(topology, command, verb, name, what, example);
+    sub.add_option("NAME", command.topology, "the topology")->required();
+    return sub;
+  };
+  const auto change = [&](Verb verb, const char* name, const char* what, const char* example) -> CLI::App& {
+    auto& sub = one(verb, name, what, example);
+    sub.add_option("--timeout", words.wait_s, "seconds to wait until all workers have followed")
+        ->check(CLI::Range(0.001, 600.0))
+        ->type_name("SECONDS");
+    return sub;
+  };
+  one(Verb::topology_show, "show", "Show one topology: its graph, workers, totals and errors",
+      "iotcloud topology show echo");
+  change(Verb::topology_activate, "activate", "Let the spouts of a topology go on", "iotcloud topology activate echo");
+  change(Verb::topology_deactivate, "deactivate",
+         "Let the spouts of a topology pause; what is under way goes on. It stays so, for workers that start later too",
+         "iotcloud topology deactivate echo");
+  change(Verb::topology_rebalance, "rebalance",
+         "Change how many tasks of a component may run at the same time, in each worker; for later workers too",
+         "iotcloud topology rebalance echo echo_send=2")
+      .add_option("COMPONENT=N", words.parallelism, "from 1 to the component's number of tasks")
+      ->required();
+  change(Verb::topology_kill, "kill",
+         "End a topology: its workers take nothing in, finish what is under way, and their processes end",
+         "iotcloud topology kill echo --drain 30")
+      .add_option("--drain", words.drain_s, "seconds that what is under way may take")
+      ->check(CLI::Range(0.0, 600.0))
+      ->default_str("10")
+      ->type_name("SECONDS");
+  one(Verb::topology_metrics, "metrics",
+      "Show what every component and task did. Of several tasks: sums; p50 of the one with the most samples, p99 and "
+      "max "
+      "of the worst",
+      "iotcloud topology metrics echo --watch")
+      .add_option("--watch", command.watch_s, "again every so many seconds until interrupted; 1 when none are given")
+      ->expected(0, 1)
+      ->default_str("1")
+      ->check(CLI::Range(0.1, 3600.0))
+      ->type_name("SECONDS");
+  auto& tap = one(Verb::topology_tap, "tap",
+                  "Show a sample of the tuples that a component emits, or, when it emits none, takes in",
+                  "iotcloud topology tap echo data_receive --count 5");
+  tap.add_option("COMPONENT", command.component, "the component")->required();
+  tap.add_option("-n,--count", command.samples, "end after so many; without it: when interrupted")
+      ->check(CLI::Range(std::int64_t{1}, std::int64_t{1'000'000'000}))
+      ->type_name("N");
+  tap.add_option("--rate", command.rate, "samples a second at most, of each task")
+      ->check(CLI::Range(0.01, 1000.0))
+      ->type_name("R");
+  tap.add_option("--stream", command.stream, "only of this stream")->type_name("STREAM");
+  auto& check =
+      add(topology, command, Verb::topology_check, "check",
+          "Check a topology's YAML file, and show its graph; asks no master", "iotcloud topology check follower.yaml");
+  check.add_option("FILE", command.file, "the file")->required();
+}
+
+/// "component=2" words. \throws CLI::ValidationError
+std::map<std::string, int> parallelism_of(const std::vector<std::string>& words) {
+  std::map<std::string, int> out;
+  for (const auto& [component, count] : pairs(words, "COMPONENT=N")) {
+    if (!CLI::detail::lexical_cast(count, out[component]) || out[component] < 1)
+      throw CLI::ValidationError("COMPONENT=N", component + "=" + count + ": N is a whole number from 1 on");
+  }
+  return out;
+}
+
 /// What the options cannot check one by one. \throws CLI::ParseError
 void finish(Command& command, const Words& words) {
   if (command.verb == Verb::deploy && command.gateways.empty() && !words.all)
     throw CLI::RequiredError("--gateway GATEWAY or --all");
   command.properties = pairs(words.properties, "--property");
   command.metadata = pairs(words.metadata, "--metadata");
+  command.parallelism = parallelism_of(words.parallelism);
+  command.drain_ms = static_cast<std::int64_t>(words.drain_s * 1000);
   if (!words.token_file.empty()) command.token = first_line(words.token_file);
   command.wait_ms = static_cast<std::int64_t>(words.wait_s * 1000);
 }
@@ -145,7 +221,7 @@ int main(int argc, char** argv) {
   Command command;
   Words words;
   command.masters = {"127.0.0.1:12904"};
-  CLI::App app{"Runs a fleet of IoTCloud gateways through their master.", "iotcloud"};
+  CLI::App app{"Runs a fleet of IoTCloud gateways, and topologies, through their master.", "iotcloud"};
   app.footer(footer);
   app.require_subcommand(1);
   app.fallthrough();
@@ -162,11 +238,14 @@ int main(int argc, char** argv) {
   add_reads(app, command);
   add_deploy(app, command, words);
   add_changes(app, command, words);
+  add_topology(app, command, words);
   try {
     app.parse(argc, argv);
     finish(command, words);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? iotcloud::master::cli::exit_ok : iotcloud::master::cli::exit_usage;
   }
+  if (command.verb == Verb::topology_tap || command.watch_s > 0)
+    std::signal(SIGINT, [](int) { iotcloud::master::cli::interrupt(); });
   return iotcloud::master::cli::run(command, std::cout, std::cerr);
 }

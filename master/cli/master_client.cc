@@ -106,21 +106,21 @@ struct MasterClient::Impl {
     }
   }
 
-  template <typename Give>
-  wire::TOrderResponse order(std::int64_t wait_ms, Give&& give) {
+  template <typename Answer = wire::TOrderResponse, typename Give>
+  Answer order(std::int64_t wait_ms, Give&& give) {
     const auto patience = std::chrono::steady_clock::now() + election_patience;
     connect_any();
     while (true) {
       const auto own_wait = wait_ms > 0 ? std::min<std::int64_t>(wait_ms, longest_own_wait_ms) : longest_own_wait_ms;
       socket->setRecvTimeout(static_cast<int>(own_wait) + order_margin_ms);
-      wire::TOrderResponse answer;
+      Answer answer;
       try {
         give(*client, answer);
       } catch (const TException& e) {
         client.reset();
         throw Failed(
             fmt::format("the answer of master {} was lost ({}): the order may have been taken; `iotcloud "
-                        "drivers` shows what is there",
+                        "drivers` and `iotcloud topology list` show what is there",
                         address, e.what()));
       }
       if (answer.refusal != wire::TRefusal::NOT_LEADING) return answer;
@@ -210,6 +210,11 @@ wire::TOrderResponse MasterClient::start(const wire::TInstanceSelection& selecti
 
 wire::TOrderResponse MasterClient::stop(const wire::TInstanceSelection& selection) {
   return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.stop(answer, selection); });
+}
+
+wire::TTopologyResponse MasterClient::order(const wire::TTopologyRequest& request) {
+  return impl_->order<wire::TTopologyResponse>(
+      request.waitMs, [&](auto& client, auto& answer) { client.orderTopology(answer, request); });
 }
 
 }  // namespace iotcloud::master::cli

@@ -48,6 +48,7 @@ class MasterClient {
   wire::TOrderResponse undeploy(const wire::TInstanceSelection& selection);
   wire::TOrderResponse start(const wire::TInstanceSelection& selection);
   wire::TOrderResponse stop(const wire::TInstanceSelection& selection);
+  wire::TTopologyResponse order(const wire::TTopologyRequest& request);
 
   /// The master that was spoken with last.
   const std::string& address() const;

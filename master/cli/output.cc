@@ -81,6 +81,11 @@ void print_yaml(std::ostream& out, const nlohmann::ordered_json& value) {
   print_block(out, value, 0, false);
 }
 
+void print_data(std::ostream& out, Format format, const nlohmann::ordered_json& json) {
+  if (format == Format::yaml) return print_yaml(out, json);
+  out << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << '\n';
+}
+
 std::string age(std::int64_t since_ms, std::int64_t now_ms) {
   if (since_ms <= 0) return "-";
   const auto seconds = std::max<std::int64_t>(0, (now_ms - since_ms) / 1000);

@@ -7,6 +7,8 @@
 
 #include <nlohmann/json_fwd.hpp>
 
+#include <iotcloud/master/cli/command.h>
+
 namespace iotcloud::master::cli {
 
 /// Columns as wide as their widest cell; the last one is not padded. Widths count UTF-8 characters.
@@ -15,6 +17,9 @@ void print_table(std::ostream& out, const std::vector<std::string>& head,
 
 /// Block style; strings that YAML could read as something else are quoted.
 void print_yaml(std::ostream& out, const nlohmann::ordered_json& value);
+
+/// As `format` says; not for tables.
+void print_data(std::ostream& out, Format format, const nlohmann::ordered_json& json);
 
 /// "12s", "5m", "3h", "2d" since `since_ms` (wall time); "-" when it is not known.
 std::string age(std::int64_t since_ms, std::int64_t now_ms);

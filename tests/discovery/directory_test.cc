@@ -191,11 +191,40 @@ TEST_F(Directory, ListsTopologiesAndTheirWorkers) {
   TopologyRecord record;
   record.name = "follower";
   put(*writer_, paths_.topology("follower"), encode(record));
-  const auto worker = writer_->hold(paths_.workers("follower") + "/w1", "");
-  const auto topologies = list_topologies(*registry_, paths_);
+  WorkerRecord worker;
+  worker.name = "w1";
+  worker.components["decode"] = {2, 4};
+  const auto held = writer_->hold(paths_.workers("follower") + "/w1", encode(worker));
+  const auto unreadable = writer_->hold(paths_.workers("follower") + "/w2", "");
+  auto topologies = list_topologies(*registry_, paths_);
   ASSERT_EQ(topologies.size(), 1U);
   EXPECT_EQ(topologies[0].record, record);
-  EXPECT_THAT(topologies[0].workers, ElementsAre("w1"));
+  EXPECT_FALSE(topologies[0].order);
+  ASSERT_EQ(topologies[0].workers.size(), 2U);
+  EXPECT_EQ(topologies[0].workers[0], worker);
+  EXPECT_EQ(topologies[0].workers[1].name, "w2");
+
+  TopologyOrder order;
+  order.revision = 3;
+  order.active = false;
+  put(*writer_, paths_.topology_order("follower"), encode(order));
+  topologies = list_topologies(*registry_, paths_);
+  EXPECT_EQ(topologies.at(0).order, order);
+}
+
+TEST_F(Directory, RemovesATopologyWithItsOrdersOnlyWhenNoWorkerIsLeft) {
+  TopologyRecord record;
+  record.name = "follower";
+  put(*writer_, paths_.topology("follower"), encode(record));
+  put(*writer_, paths_.topology_order("follower"), encode(TopologyOrder{}));
+  put(*writer_, paths_.ended_workers("follower") + "/w0", "");
+  auto held = writer_->hold(paths_.workers("follower") + "/w1", "");
+  EXPECT_FALSE(remove_topology(*registry_, paths_, "follower"));
+  EXPECT_TRUE(registry_->get(paths_.topology_order("follower")));
+  held.reset();
+  EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"));
+  EXPECT_FALSE(registry_->get(paths_.topology("follower")));
+  EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"));  // what is gone already is no error
 }
 
 }  // namespace

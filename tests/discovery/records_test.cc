@@ -9,6 +9,7 @@
 namespace iotcloud::discovery {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
 
 /// Thrift's binary protocol by hand: a field is its type, its id (two bytes, big endian) and its value.
@@ -250,6 +251,35 @@ TEST(Records, OrdersAndTopologiesAreJson) {
   topology.spouts = {"kinect"};
   topology.bolts = {"follow", "send"};
   EXPECT_EQ(decode_topology(encode(topology), "/t"), topology);
+}
+
+TEST(Records, OrdersToTopologiesAndWhatWorkersSayAreJson) {
+  TopologyOrder order;
+  order.revision = 7;
+  order.epoch = 9;
+  order.active = false;
+  order.parallelism = {{"decode", 3}};
+  EXPECT_EQ(decode_topology_order(encode(order), "/o"), order);
+  order.kill = {{"w1", "w2"}, 500, 1234567890123};
+  EXPECT_EQ(decode_topology_order(encode(order), "/o"), order);
+  EXPECT_THAT(refusal(decode_topology_order, R"({"active":true})"), HasSubstr("\"revision\" is missing"));
+  EXPECT_THAT(refusal(decode_topology_order, R"({"revision":1,"kill":{"drain_ms":1}})"),
+              HasSubstr("\"workers\" is missing"));
+  EXPECT_THAT(refusal(decode_topology_order, R"({"revision":1,"kill":true})"), HasSubstr("object"));
+
+  WorkerRecord worker;
+  worker.name = "w1";
+  worker.host = "h";
+  worker.pid = 42;
+  worker.http = "127.0.0.1:1234";
+  worker.state = "inactive";
+  worker.revision = 7;
+  worker.error = "no";
+  worker.since_ms = 5;
+  worker.components = {{"decode", {3, 4}}};
+  EXPECT_EQ(decode_worker(encode(worker), "/w"), worker);
+  EXPECT_THAT(refusal(decode_worker, R"({"name":"w","components":{"decode":{"tasks":1}}})"),
+              AllOf(HasSubstr("decode"), HasSubstr("\"parallelism\" is missing")));
 }
 
 TEST(Records, JsonThatIsNoOrderIsRefusedWithItsKey) {

@@ -1,3 +1,4 @@
+#include <atomic>
 #include <mutex>
 
 #include <fmt/format.h>
@@ -8,6 +9,7 @@
 #include <iotcloud/topology/endpoints/check.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
 #include <iotcloud/topology/endpoints/worker.h>
+#include <iotcloud/topology/endpoints/worker_control.h>
 
 namespace iotcloud::topology {
 
@@ -18,10 +20,17 @@ const config::Logger logger{"topology.worker"};
 /// Left for leaving the registry and closing brokers when a stop has a limit.
 constexpr std::chrono::milliseconds reserve{700};
 
-std::string unique_name() {
+/// For closing the topology after a kill's drain; what hangs in user code is left.
+constexpr std::chrono::milliseconds after_drain{3000};
+
+std::string host_name() {
   char host[256] = "host";
   static_cast<void>(gethostname(host, sizeof host - 1));
-  return fmt::format("{}-{}-{}", host, getpid(), discovery::new_instance_id().substr(0, 8));
+  return host;
+}
+
+std::string unique_name() {
+  return fmt::format("{}-{}-{}", host_name(), getpid(), discovery::new_instance_id().substr(0, 8));
 }
 
 RuntimeOptions runtime_options(const WorkerOptions& options) {
@@ -66,70 +75,65 @@ struct Worker::Impl {
     }
     services->registry = options.registry;
     runtime = std::make_unique<Runtime>(topology, runtime_options(options));
+    taps = std::make_unique<TapDesk>(*runtime, TapDesk::Options{.clock = options.clock});
+    runtime->deactivate();  // until the control knows that no order says so
     runtime->start();
-    appear();
+    running = true;
+    control = std::make_unique<WorkerControl>(control_options());
+    control->start();
     logger.info("topology {} runs as worker {}", topology.name, services->worker);
   }
 
-  /// Shows the topology and this worker in the registry, now or when it is there.
-  void appear() {
-    discovery::TopologyRecord record;
-    record.name = topology.name;
-    record.since_ms = services->clock->wall_ms();
+  WorkerControl::Options control_options() {
+    WorkerControl::Options control_options;
+    control_options.services = services;
+    control_options.runtime = runtime.get();
+    control_options.topology.name = topology.name;
+    control_options.topology.since_ms = services->clock->wall_ms();
     for (const auto& component : topology.components) {
-      (component.spout ? record.spouts : record.bolts).push_back(component.id);
+      auto& kind = component.spout ? control_options.topology.spouts : control_options.topology.bolts;
+      kind.push_back(component.id);
     }
-    membership = options.registry->hold_eventually(services->paths.workers(topology.name) + "/" + services->worker, "",
-                                                   false, [this, record](const std::string&) { write(record); });
-  }
-
-  void write(discovery::TopologyRecord record) {
-    const std::string path = services->paths.topology(topology.name);
-    try {
-      const auto others = options.registry->children(services->paths.workers(topology.name));
-      const auto before = options.registry->get(path);
-      if (others && others->size() > 1 && before && !before->data.empty()) {
-        record.since_ms = discovery::decode_topology(before->data, path).since_ms;  // it runs since the first worker
-      }
-      discovery::put(*options.registry, path, discovery::encode(record));
-    } catch (const config::Error& error) {
-      logger.warn("the record of topology {} could not be written: {}", topology.name, error.what());
-    }
+    control_options.worker.name = services->worker;
+    control_options.worker.host = host_name();
+    control_options.worker.pid = getpid();
+    control_options.worker.http = http_address;
+    control_options.worker.since_ms = control_options.topology.since_ms;
+    control_options.on_killed = [this] {
+      finish(after_drain);
+      if (options.on_killed) options.on_killed();
+    };
+    return control_options;
   }
 
   void stop(std::chrono::milliseconds limit) {
-    if (!runtime || std::exchange(stopped, true)) return;
+    if (!runtime) return;
+    if (control) control->end();
+    finish(limit);
+  }
+
+  /// The end of the topology and of its place in the registry; once.
+  void finish(std::chrono::milliseconds limit) {
+    const std::lock_guard lock(finish_mutex);
+    if (std::exchange(finished, true)) return;
     for (const auto& prepare : services->before_stop) prepare();
     const auto drain = std::max(limit - reserve, limit / 2);
     if (!runtime->stop(drain))
       logger.warn("topology {}: not everything was done within {} ms", topology.name, drain.count());
-    membership.reset();
-    disappear();
-  }
-
-  /// The last worker takes the topology's record away.
-  void disappear() {
-    if (options.registry->session() != discovery::SessionState::connected) return;
-    auto& registry = *options.registry;
-    const std::string path = services->paths.topology(topology.name);
-    try {
-      registry.remove(services->paths.workers(topology.name));
-      discovery::remove_tree(registry, path + "/readers");
-      registry.remove(path);
-    } catch (const discovery::RegistryError& error) {
-      if (error.code() != discovery::RegistryErrorCode::not_empty) {
-        logger.warn("the record of topology {} could not be removed: {}", topology.name, error.what());
-      }
-    }
+    if (control) control->leave();
   }
 
   WorkerOptions options;
   const EndpointServicesPtr services;
   Topology topology;
   std::unique_ptr<discovery::Registry> own_registry;
-  bool stopped = false;
+  std::string http_address;  ///< constant after start()
   std::unique_ptr<Runtime> runtime;
-  discovery::GuardPtr membership;
+  std::unique_ptr<TapDesk> taps;
+  std::atomic<bool> running{false};  ///< runtime and taps are there
+  std::mutex finish_mutex;
+  bool finished = false;                   ///< guarded by finish_mutex
+  std::unique_ptr<WorkerControl> control;  ///< goes first: it uses the runtime
 };
 
 Worker::Worker(WorkerOptions options) : impl_(std::make_unique<Impl>(std::move(options))) {}
@@ -150,8 +154,22 @@ void Worker::stop(std::chrono::milliseconds limit) {
   impl_->stop(limit);
 }
 
+void Worker::show_http_address(std::string address) {
+  impl_->http_address = std::move(address);
+}
+
 const std::string& Worker::name() const {
   return impl_->services->worker;
+}
+
+std::string Worker::describe() const {
+  if (!impl_->running) throw config::Error("the worker is starting; ask again in a moment");
+  return topology::describe(*impl_->runtime, impl_->services->worker);
+}
+
+TapDesk& Worker::taps() {
+  if (!impl_->running) throw config::Error("the worker is starting; ask again in a moment");
+  return *impl_->taps;
 }
 
 Snapshot Worker::snapshot() const {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -10,6 +11,7 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
+#include <iotcloud/topology/endpoints/worker_pages.h>
 #include <iotcloud/topology/plugin.h>
 #include <iotcloud/topology/runtime/runtime.h>
 
@@ -25,10 +27,13 @@ struct WorkerOptions {
   discovery::Registry* registry = nullptr;
   const config::Clock* clock = nullptr;  ///< nullptr: the system's
   config::Metrics* metrics = nullptr;    ///< nullptr: the process's
+  /// Called once, on a thread of the worker, when an order killed the topology: it has drained, stopped and left the
+  /// registry, and the process may end. May be empty.
+  std::function<void()> on_killed = {};
 };
 
-/// One process's part of a topology: reads and sends through brokers, runs the graph, and shares the channels with
-/// other workers of the same topology. Thread safe.
+/// One process's part of a topology: reads and sends through brokers, runs the graph, shares the channels with other
+/// workers of the same topology, and does what is ordered in the registry (worker_control.h). Thread safe.
 class Worker final : public config::Service {
  public:
   /// Loads the component libraries and checks the merged graph; connects nowhere.
@@ -43,8 +48,15 @@ class Worker final : public config::Service {
   /// Takes nothing in any more, lets what is under way finish, leaves the registry.
   void stop(std::chrono::milliseconds limit) override;
 
+  /// Before start(): where this worker's pages are, for its record. \param address "127.0.0.1:port"
+  void show_http_address(std::string address);
+
   const std::string& name() const;  ///< unique: below /iot/topologies/<topology>/workers
   Snapshot snapshot() const;        ///< empty before start()
+
+  /// This worker's pages (worker_pages.h), for the daemon to serve. \throws config::Error before start().
+  std::string describe() const;
+  TapDesk& taps();
 
  private:
   struct Impl;

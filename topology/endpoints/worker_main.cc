@@ -1,10 +1,15 @@
+#include <csignal>
 #include <cstdio>
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string_view>
 
+#include <unistd.h>
+
 #include <iotcloud/config/daemon.h>
+#include <iotcloud/config/exposition/http_server.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
 #include <iotcloud/topology/endpoints/check.h>
 #include <iotcloud/topology/endpoints/worker.h>
@@ -14,21 +19,57 @@ namespace {
 namespace config = iotcloud::config;
 namespace topology = iotcloud::topology;
 
-/// The worker, and its metrics page where the YAML asks for one.
+/// Where the pages are: on this machine only, as they show what flows through the topology, and ask for no token.
+std::string pages_address(const topology::TopologyDefinition& definition) {
+  const std::string& address = definition.metrics_address;
+  if (address.empty()) return "127.0.0.1:0";
+  if (config::is_loopback_address(address)) return address;
+  throw definition.root.error(
+      "metrics",
+      "the address " + address + " can be reached from other machines, where the pages would show the data to anybody",
+      "127.0.0.1:9406; from elsewhere use a tunnel, for example ssh -L 9406:127.0.0.1:9406 HOST");
+}
+
+/// The worker and its pages: /metrics for Prometheus, /topology and /tap for `iotcloud topology`.
 class WorkerService final : public config::Service {
  public:
   explicit WorkerService(topology::WorkerOptions options)
-      : metrics_address_(options.definition.metrics_address), worker_(std::move(options)) {}
+      : address_(pages_address(options.definition)), worker_(std::move(options)) {}
   void start() override {
-    if (!metrics_address_.empty()) metrics_.emplace(metrics_address_, config::process_metrics());
+    pages_.emplace(address_, std::map<std::string, config::HttpHandler>{
+                                 {"/metrics", config::metrics_page(config::process_metrics())},
+                                 {"/topology", [this](const auto&) { return describe(); }},
+                                 {"/tap", [this](const auto& request) { return tap(request); }}});
+    worker_.show_http_address(pages_->address());
     worker_.start();
   }
   void stop(std::chrono::milliseconds limit) override { worker_.stop(limit); }
 
  private:
-  const std::string metrics_address_;
-  std::optional<config::MetricsEndpoint> metrics_;
+  config::HttpAnswer describe() const { return {200, "application/json", worker_.describe()}; }
+
+  /// One poll of a tap: its id, and component, stream and rate for the first one; `end` for the last one.
+  config::HttpAnswer tap(const config::HttpRequest& request) {
+    const auto word = [&](const char* key) {
+      const auto found = request.query.find(key);
+      return found == request.query.end() ? std::string() : found->second;
+    };
+    try {
+      if (!word("end").empty()) {
+        worker_.taps().end(word("id"));
+        return {200, "application/json", "{}"};
+      }
+      const std::string rate = word("rate");
+      return {200, "application/json",
+              worker_.taps().poll(word("id"), word("component"), word("stream"), rate.empty() ? 10 : std::stod(rate))};
+    } catch (const std::logic_error& error) {
+      return {400, "text/plain", error.what()};
+    }
+  }
+
+  const std::string address_;
   topology::Worker worker_;
+  std::optional<config::HttpServer> pages_;  ///< goes first: it asks the worker
 };
 
 /// Where the build and the installation put component libraries.
@@ -43,7 +84,9 @@ std::unique_ptr<config::Service> build(const std::string& file) {
                                   .library_folders = library_folders(),
                                   .registry = nullptr,
                                   .clock = nullptr,
-                                  .metrics = nullptr};
+                                  .metrics = nullptr,
+                                  // run_daemon() waits for it: the process ends in order, with status 0.
+                                  .on_killed = [] { ::kill(getpid(), SIGTERM); }};
   return std::make_unique<WorkerService>(std::move(options));
 }
 

@@ -1,0 +1,210 @@
+#!/usr/bin/python3
+"""Two workers of a topology over real servers, driven by every command of `iotcloud topology`.
+
+usage: control_test.py BUILD_DIR
+"""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+from private_cluster import PrivateCluster, StartError  # noqa: E402
+
+TOPOLOGY = """
+zk.servers: ["{zookeeper}"]
+topology.name: "echo"
+spouts:
+  receive: {broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}
+bolts:
+  send:
+    broker: rabbitmq
+    driver: loadgen
+    channel: echo
+    fields: [data, driverID, time]
+    parallelism: 3
+    inputs: [{from: receive, grouping: fields, fields: [driverID]}]
+"""
+
+
+def require(condition, text):
+    if not condition:
+        sys.exit(f"wrong: {text}")
+
+
+def wait_for(what, condition, limit=30):
+    deadline = time.monotonic() + limit
+    while time.monotonic() < deadline:
+        if condition():
+            return
+        time.sleep(0.1)
+    sys.exit(f"not within {limit} s: {what}")
+
+
+class Control:
+    """`iotcloud topology` on a cluster."""
+
+    def __init__(self, cluster):
+        self.cluster = cluster
+
+    def command(self, *words):
+        return [str(self.cluster.bin / "iotcloud"), "--master", f"127.0.0.1:{self.cluster.api_port}", "topology", *words]
+
+    def json(self, *words):
+        return json.loads(self.cluster.cli("topology", *words, "-o", "json"))
+
+    def refusal(self, *words):
+        """(exit status, what it complained)"""
+        done = subprocess.run(self.command(*words), capture_output=True, text=True, timeout=60)
+        return done.returncode, done.stderr
+
+    def sums(self):
+        return {entry["component"]: entry["sum"] for entry in self.json("metrics", "echo")["components"]}
+
+    def quiet_sums(self):
+        """The sums when they do not change any more."""
+        before = self.sums()
+        while True:
+            time.sleep(0.5)
+            now = self.sums()
+            if now == before:
+                return now
+            before = now
+
+
+def check_pause(control):
+    wait_for("messages flow", lambda: control.sums()["send"]["executed"] > 0)
+    answer = control.json("deactivate", "echo")
+    require([o["outcome"] for o in answer["outcomes"]] == ["done", "done"], answer)
+    require(control.json("list")[0]["state"] == "inactive", control.json("list"))
+    paused = control.quiet_sums()
+    time.sleep(1)  # the drivers go on; nothing may come through
+    require(control.sums() == paused, "messages went through an inactive topology")
+    return paused
+
+
+def check_late_worker(control, cluster):
+    """A worker that starts while the topology is inactive obeys too."""
+    late = cluster.topology("worker-3", TOPOLOGY)
+    wait_for("a third worker is inactive", lambda: [w["state"] for w in control.json("show", "echo")["workers"]] ==
+             ["inactive"] * 3)
+    late.send_signal(signal.SIGTERM)
+    require(late.wait(10) == 0, "the third worker did not stop in order")
+    cluster.children = [entry for entry in cluster.children if entry[1] is not late]
+    wait_for("two workers are left", lambda: len(control.json("list")[0]["workers"]) == 2)
+
+
+def check_resume(control, paused):
+    control.json("activate", "echo")
+    wait_for("messages flow again", lambda: control.sums()["send"]["executed"] > paused["send"]["executed"])
+
+
+def check_rebalance(control):
+    control.json("rebalance", "echo", "send=1")
+    component = {c["id"]: c for c in control.json("show", "echo")["components"]}["send"]
+    require((component["parallelism"], component["tasks"]) == (2, 6), component)  # of both workers
+    status, complaint = control.refusal("rebalance", "echo", "send=4")
+    require(status == 1 and "1 to 3" in complaint, complaint)
+    status, complaint = control.refusal("rebalance", "echo", "sned=2")
+    require(status == 1 and "send (1 to 3)" in complaint, complaint)
+    status, complaint = control.refusal("activate", "ehco")
+    require(status == 1 and "there are echo" in complaint, complaint)
+    status, complaint = control.refusal("rebalance", "echo", "send=none")
+    require(status == 2, complaint)
+    before = control.sums()["send"]["executed"]
+    wait_for("messages flow with another parallelism", lambda: control.sums()["send"]["executed"] > before)
+
+
+def check_tap(control):
+    out = subprocess.run(control.command("tap", "echo", "receive", "--count", "3", "-o", "json"), capture_output=True,
+                         text=True, timeout=60)
+    samples = [json.loads(line) for line in out.stdout.splitlines()]
+    require(out.returncode == 0 and len(samples) == 3, out)
+    for sample in samples:
+        require(sample["source"] == "receive" and sample["stream"] == "default", sample)
+        require(sample["fields"]["data"]["bytes"] > 0 and sample["fields"]["driverID"], sample)
+    status, complaint = control.refusal("tap", "echo", "recieve")
+    require(status == 1 and "recieve" in complaint, complaint)
+
+    # At a sink what comes in is shown; Ctrl-C ends it in order.
+    tap = subprocess.Popen(control.command("tap", "echo", "send"), stdout=subprocess.PIPE, text=True)
+    line = tap.stdout.readline()
+    require("receive/default" in line and "driverID=" in line, line)
+    tap.send_signal(signal.SIGINT)
+    tap.communicate(timeout=20)
+    require(tap.returncode == 0, f"tap ended with {tap.returncode} at Ctrl-C")
+
+
+def check_counts(control, cluster, reports):
+    """When all drivers have everything back, every message was counted once at every place."""
+    wait_for("the drivers have everything back", lambda: all(
+        report.exists() and report.read_text().rstrip().endswith("}") for report in reports), 60)
+    sent = sum(json.loads(report.read_text())["sent"] for report in reports)
+    sums = control.quiet_sums()
+    for what in ("emitted", "acked"):
+        require(sums["receive"][what] == sent, f"{what} {sums['receive'][what]} of {sent}")
+    for what in ("executed", "acked"):
+        require(sums["send"][what] == sent, f"{what} {sums['send'][what]} of {sent}")
+    require(sums["send"]["execute"]["count"] > 0, sums["send"])
+    table = cluster.cli("topology", "metrics", "echo")
+    require("EXECUTE p50/p99/max" in table and str(sent) in table, table)
+
+
+def check_check(control, work):
+    good, bad = work / "worker-1.yaml", work / "bad.yaml"
+    bad.write_text(good.read_text().replace("driverID]}]", "driverId]}]"))
+    done = subprocess.run(control.command("check", good), capture_output=True, text=True, timeout=60)
+    require(done.returncode == 0 and "receive" in done.stdout, done)
+    status, complaint = control.refusal("check", bad)
+    require(status == 2 and "driverId" in complaint and "bad.yaml" in complaint, complaint)
+
+
+def check_kill(control, cluster, workers):
+    answer = control.json("kill", "echo", "--drain", "20")
+    require([o["outcome"] for o in answer["outcomes"]] == ["done", "done"], answer)
+    for worker in workers:
+        require(worker.wait(10) == 0, f"a killed worker ended with {worker.returncode}")
+    cluster.children = [entry for entry in cluster.children if entry[1] not in workers]
+    require(control.json("list") == [], control.json("list"))
+    again = cluster.topology("worker-again", TOPOLOGY)
+    wait_for("a later start is active", lambda: [t["state"] for t in control.json("list")] == ["active"])
+    require(again.poll() is None, "a later start was killed as well")
+
+
+def main():
+    build = Path(sys.argv[1]).resolve()
+    work = build / "control-test"
+    shutil.rmtree(work, ignore_errors=True)
+    with PrivateCluster(work, build / "bin", build / "plugins") as cluster:
+        cluster.start(gateways=1)
+        workers = [cluster.topology(f"worker-{number}", TOPOLOGY) for number in (1, 2)]
+        cluster.wait_until_ready()
+        control = Control(cluster)
+        wait_for("two workers are active", lambda: [w["state"] for w in control.json("show", "echo")["workers"]] ==
+                 ["active"] * 2)
+        reports = [work / f"report-{number}.json" for number in range(2)]
+        for report in reports:
+            cluster.deploy("loadgen.so", "gateway-1", {"count": 1500, "rate": 50, "report": report})
+        paused = check_pause(control)
+        check_late_worker(control, cluster)
+        check_resume(control, paused)
+        check_rebalance(control)
+        check_tap(control)
+        check_check(control, work)
+        check_counts(control, cluster, reports)
+        cluster.require_alive()
+        check_kill(control, cluster, workers)
+    print("list, show, activate, deactivate, rebalance, metrics, tap and kill did what they say")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except StartError as error:
+        sys.exit(str(error))

@@ -1,0 +1,304 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/topology/endpoints/worker_control.h>
+
+namespace iotcloud::topology {
+
+using discovery::Node;
+using discovery::RegistryError;
+using discovery::RegistryErrorCode;
+using discovery::SessionState;
+using discovery::TopologyOrder;
+using std::chrono::milliseconds;
+
+namespace {
+
+const config::Logger logger{"topology.control"};
+/// How often a drain looks whether it is done.
+constexpr milliseconds drain_pause{5};
+
+std::map<std::string, int> parallelism_of(const Topology& topology) {
+  std::map<std::string, int> parallelism;
+  for (const ComponentSpec& component : topology.components) parallelism[component.id] = component.parallelism;
+  return parallelism;
+}
+
+bool names(const TopologyOrder::Kill& kill, const std::string& worker) {
+  return std::find(kill.workers.begin(), kill.workers.end(), worker) != kill.workers.end();
+}
+
+}  // namespace
+
+WorkerControl::WorkerControl(Options options)
+    : options_(std::move(options)),
+      registry_(*options_.services->registry),
+      order_path_(options_.services->paths.topology_order(options_.topology.name)),
+      declared_(parallelism_of(options_.runtime->topology())),
+      record_(options_.worker) {
+  record_.state = "inactive";
+  for (const ComponentSpec& component : options_.runtime->topology().components) {
+    record_.components[component.id] = {component.parallelism, component.tasks};
+  }
+}
+
+void WorkerControl::start() {
+  const std::string path = options_.services->paths.workers(options_.topology.name) + "/" + record_.name;
+  membership_ = registry_.hold_eventually(path, discovery::encode(record_), false, [this](const std::string&) {
+    const std::lock_guard lock(mutex_);
+    show_due_ = report_due_ = true;
+    changed_.notify_all();
+  });
+  orders_ = registry_.watch_node(order_path_, [this](const std::optional<Node>& node) { on_order(node); });
+  sessions_ = registry_.on_session([this](SessionState state) {
+    if (state != SessionState::connected) return;
+    const std::lock_guard lock(mutex_);
+    report_due_ = true;  // whether the last report arrived may be unknown
+    changed_.notify_all();
+  });
+  thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
+}
+
+WorkerControl::~WorkerControl() {
+  end();
+  leave();
+}
+
+void WorkerControl::end() {
+  thread_.request_stop();
+  if (thread_.joinable()) thread_.join();
+}
+
+void WorkerControl::on_order(const std::optional<Node>& node) {
+  const std::lock_guard lock(mutex_);
+  news_ = node;
+  changed_.notify_all();
+}
+
+discovery::WorkerRecord WorkerControl::record() const {
+  const std::lock_guard lock(mutex_);
+  return record_;
+}
+
+void WorkerControl::run(const std::stop_token& stop) {
+  const auto patience = std::chrono::steady_clock::now() + options_.patience;
+  while (!stop.stop_requested()) {
+    std::optional<std::optional<Node>> news;
+    bool show = false;
+    bool tell = false;
+    {
+      std::unique_lock lock(mutex_);
+      const auto due = [this] { return news_ || show_due_ || report_due_; };
+      if (heard_) {
+        changed_.wait(lock, stop, due);
+      } else {
+        changed_.wait_until(lock, stop, patience, due);
+      }
+      news = std::exchange(news_, std::nullopt);
+      show = std::exchange(show_due_, false);
+      tell = std::exchange(report_due_, false);
+    }
+    if (stop.stop_requested()) return;
+    try {
+      if (news) {
+        follow(*news, stop);
+      } else if (!heard_ && std::chrono::steady_clock::now() >= patience) {
+        logger.warn("the registry is silent; topology {} runs as its YAML says", options_.topology.name);
+        follow(TopologyOrder{});
+        tell = true;
+      }
+      if (show) show_topology();
+      if (news || show || tell) report();
+    } catch (const std::exception& error) {
+      logger.error("topology {}: {}", options_.topology.name, error.what());
+    }
+  }
+}
+
+void WorkerControl::follow(const std::optional<Node>& node, const std::stop_token& stop) {
+  TopologyOrder order;
+  if (node) {
+    try {
+      order = discovery::decode_topology_order(node->data, order_path_);
+    } catch (const config::Error& error) {
+      logger.error("an order is not followed: {}", error.what());
+      if (!heard_) follow(TopologyOrder{});
+      const std::lock_guard lock(mutex_);
+      record_.error = error.what();
+      return;
+    }
+  }
+  if (!order.kill) return follow(order);
+  if (names(*order.kill, record().name)) return be_killed(order, stop);
+  // The end of those that were there before this worker: for it nothing is ordered.
+  forget_old_kill(order, node->version);
+  follow(TopologyOrder{});
+}
+
+void WorkerControl::follow(const TopologyOrder& order) {
+  heard_ = true;
+  if (record().state == "draining") return;
+  Runtime& runtime = *options_.runtime;
+  std::vector<std::string> errors;
+  const Snapshot before = runtime.snapshot();
+  for (const auto& [component, declared] : declared_) {
+    const auto wanted = order.parallelism.find(component);
+    const int parallelism = wanted == order.parallelism.end() ? declared : wanted->second;
+    const auto now = before.parallelism.find(component);
+    if (now != before.parallelism.end() && now->second == parallelism) continue;
+    try {
+      runtime.rebalance(component, parallelism);
+      logger.info("topology {}: component {} has parallelism {}", options_.topology.name, component, parallelism);
+    } catch (const std::invalid_argument& error) {
+      errors.emplace_back(error.what());
+    }
+  }
+  for (const auto& [component, parallelism] : order.parallelism) {
+    if (!declared_.contains(component)) errors.push_back(fmt::format("there is no component \"{}\" here", component));
+  }
+  if (order.active) {
+    runtime.activate();
+  } else {
+    runtime.deactivate();
+  }
+  const Snapshot after = runtime.snapshot();
+  const std::lock_guard lock(mutex_);
+  if (order.revision != record_.revision) {
+    logger.info("topology {} follows order {}: {}", options_.topology.name, order.revision,
+                order.active ? "active" : "inactive");
+  }
+  record_.state = order.active ? "active" : "inactive";
+  record_.revision = order.revision;
+  record_.error = fmt::format("{}", fmt::join(errors, "; "));
+  for (auto& [component, shape] : record_.components) {
+    const auto now = after.parallelism.find(component);
+    if (now != after.parallelism.end()) shape.parallelism = now->second;
+  }
+}
+
+void WorkerControl::be_killed(const TopologyOrder& order, const std::stop_token& stop) {
+  heard_ = true;
+  {
+    const std::lock_guard lock(mutex_);
+    if (killed_by_) return;
+    killed_by_ = order.kill;
+    record_.state = "draining";
+    record_.revision = order.revision;
+    record_.error.clear();
+  }
+  logger.info("topology {} is killed; what is under way has {} ms to finish", options_.topology.name,
+              order.kill->drain_ms);
+  report();
+  const std::string left = drain(milliseconds(order.kill->drain_ms), stop);
+  if (!left.empty()) logger.warn("topology {}: {}", options_.topology.name, left);
+  try {
+    discovery::put(registry_, options_.services->paths.ended_workers(options_.topology.name) + "/" + record().name,
+                   left);
+  } catch (const RegistryError& error) {
+    logger.warn("topology {}: its end could not be reported: {}", options_.topology.name, error.what());
+  }
+  if (options_.on_killed) options_.on_killed();
+}
+
+/// \return why not all was done; empty: it was.
+std::string WorkerControl::drain(milliseconds limit, const std::stop_token& stop) {
+  Runtime& runtime = *options_.runtime;
+  for (const auto& prepare : options_.services->before_stop) prepare();
+  runtime.deactivate();
+  const auto deadline = std::chrono::steady_clock::now() + limit;
+  while (true) {
+    const bool quiet = runtime.idle();
+    std::size_t left = 0;
+    for (const TaskSnapshot& task : runtime.snapshot().tasks) left += task.pending + task.queue_depth;
+    if (quiet && left == 0) return "";
+    if (stop.stop_requested()) {
+      return fmt::format("its process was told to stop while {} tuples were under way", left);
+    }
+    if (std::chrono::steady_clock::now() >= deadline) {
+      return fmt::format("after {} ms {} tuples were still under way", limit.count(), left);
+    }
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, stop, drain_pause, [] { return false; });
+  }
+}
+
+/// A kill whose workers are all gone, and whose master did not live to clear it away.
+void WorkerControl::forget_old_kill(const TopologyOrder& order, std::int64_t version) {
+  const auto& paths = options_.services->paths;
+  if (options_.services->clock->wall_ms() < order.kill->awaited_until_ms) return;
+  try {
+    const auto workers = registry_.children(paths.workers(options_.topology.name));
+    for (const std::string& worker : workers.value_or(std::vector<std::string>())) {
+      if (names(*order.kill, worker)) return;
+    }
+    registry_.remove(order_path_, version);
+    discovery::remove_tree(registry_, paths.ended_workers(options_.topology.name));
+  } catch (const RegistryError& error) {
+    logger.warn("the order to kill an earlier run of {} stays: {}", options_.topology.name, error.what());
+  }
+}
+
+void WorkerControl::show_topology() {
+  discovery::TopologyRecord record = options_.topology;
+  const auto& paths = options_.services->paths;
+  const std::string path = paths.topology(record.name);
+  try {
+    const auto others = registry_.children(paths.workers(record.name));
+    const auto before = registry_.get(path);
+    if (others && others->size() > 1 && before && !before->data.empty()) {
+      record.since_ms = discovery::decode_topology(before->data, path).since_ms;  // it runs since the first worker
+    }
+    discovery::put(registry_, path, discovery::encode(record));
+  } catch (const config::Error& error) {
+    logger.warn("the record of topology {} could not be written: {}", record.name, error.what());
+  }
+}
+
+void WorkerControl::report() {
+  const discovery::WorkerRecord record = this->record();
+  try {
+    registry_.set(options_.services->paths.workers(options_.topology.name) + "/" + record.name,
+                  discovery::encode(record));
+  } catch (const RegistryError& error) {
+    // Without a node there is nobody to tell: when it is made, or the registry is back, it is told then.
+    if (error.code() != RegistryErrorCode::no_node && error.code() != RegistryErrorCode::away) {
+      logger.warn("what worker {} does could not be reported: {}", record.name, error.what());
+    }
+  }
+}
+
+void WorkerControl::leave() {
+  if (!membership_) return;
+  orders_.reset();
+  sessions_.reset();
+  membership_.reset();
+  if (registry_.session() != SessionState::connected) return;
+  const auto& paths = options_.services->paths;
+  const std::string& name = options_.topology.name;
+  std::optional<TopologyOrder::Kill> kill;
+  {
+    const std::lock_guard lock(mutex_);
+    kill = killed_by_;
+  }
+  try {
+    if (kill) {  // its master clears up, unless it waits no longer
+      if (options_.services->clock->wall_ms() > kill->awaited_until_ms) {
+        discovery::remove_topology(registry_, paths, name);
+      }
+      return;
+    }
+    registry_.remove(paths.workers(name));
+    discovery::remove_tree(registry_, paths.topology(name) + "/readers");
+    registry_.remove(paths.topology(name));
+  } catch (const RegistryError& error) {
+    if (error.code() != RegistryErrorCode::not_empty) {
+      logger.warn("the record of topology {} could not be removed: {}", name, error.what());
+    }
+  }
+}
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,245 @@
+#include <algorithm>
+#include <limits>
+#include <stdexcept>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/topology/endpoints/worker_pages.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr std::size_t shown_bytes = 16;
+constexpr std::size_t shown_text = 200;
+constexpr std::chrono::seconds sweep_period{1};
+
+std::string to_text(const Json& json) {
+  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+Json to_json(const config::Histogram::Summary& summary) {
+  return {{"count", summary.count},
+          {"p50_us", summary.p50_ns / 1000},
+          {"p99_us", summary.p99_ns / 1000},
+          {"max_us", summary.max_ns / 1000}};
+}
+
+Json to_json(const Fields& fields) {
+  Json names = Json::array();
+  for (std::size_t i = 0; i < fields.size(); ++i) names.push_back(fields[i]);
+  return names;
+}
+
+Json to_json(const TaskSnapshot& task) {
+  return {{"component", task.component},
+          {"task", task.task_id},
+          {"emitted", task.emitted},
+          {"transferred", task.transferred},
+          {"executed", task.executed},
+          {"acked", task.acked},
+          {"failed", task.failed},
+          {"timed_out", task.timed_out},
+          {"late", task.late},
+          {"superseded", task.superseded},
+          {"errors", task.errors},
+          {"queue_depth", task.queue_depth},
+          {"pending", task.pending},
+          {"capacity", task.capacity},
+          {"execute", to_json(task.execute_latency)},
+          {"process", to_json(task.process_latency)},
+          {"complete", to_json(task.complete_latency)},
+          {"last_error", task.last_error}};
+}
+
+Json to_json(const ComponentSpec& component, const Topology& topology, const Snapshot& now) {
+  Json inputs = Json::array();
+  for (const Subscription& input : component.inputs) {
+    inputs.push_back({{"from", input.from},
+                      {"stream", input.stream},
+                      {"grouping", input.grouping},
+                      {"fields", to_json(input.fields)}});
+  }
+  Json streams = Json::object();
+  if (const auto declared = topology.streams.find(component.id); declared != topology.streams.end()) {
+    for (const auto& [name, stream] : declared->second) streams[name] = to_json(stream.fields);
+  }
+  const auto parallelism = now.parallelism.find(component.id);
+  return {{"id", component.id},
+          {"kind", component.spout ? "spout" : "bolt"},
+          {"parallelism", parallelism == now.parallelism.end() ? component.parallelism : parallelism->second},
+          {"tasks", component.tasks},
+          {"inputs", inputs},
+          {"streams", streams}};
+}
+
+Json to_json(const Value& value) {
+  struct Show {
+    Json operator()(std::monostate) const { return nullptr; }
+    Json operator()(bool is) const { return is; }
+    Json operator()(std::int64_t number) const { return number; }
+    Json operator()(double number) const { return number; }
+    Json operator()(const std::string& text) const {
+      if (text.size() <= shown_text) return text;
+      return text.substr(0, shown_text) + fmt::format("... ({} B)", text.size());
+    }
+    Json operator()(const Payload& payload) const {
+      const std::string_view bytes = payload.text();
+      std::string hex;
+      for (const char byte : bytes.substr(0, shown_bytes)) {
+        hex += fmt::format("{}{:02x}", hex.empty() ? "" : " ", static_cast<unsigned char>(byte));
+      }
+      return {{"bytes", bytes.size()}, {"hex", hex}};
+    }
+  };
+  return std::visit(Show{}, value);
+}
+
+}  // namespace
+
+std::string describe(const Runtime& runtime, const std::string& worker) {
+  const Snapshot now = runtime.snapshot();
+  Json components = Json::array();
+  for (const ComponentSpec& component : runtime.topology().components) {
+    components.push_back(to_json(component, runtime.topology(), now));
+  }
+  Json tasks = Json::array();
+  for (const TaskSnapshot& task : now.tasks) tasks.push_back(to_json(task));
+  return to_text({{"topology", now.topology},
+                  {"worker", worker},
+                  {"active", now.active},
+                  {"components", components},
+                  {"tasks", tasks}});
+}
+
+std::string describe(const Tuple& tuple, int task, std::int64_t wall_ms) {
+  Json fields = Json::object();
+  for (std::size_t i = 0; i < tuple.size(); ++i) {
+    fields[i < tuple.fields().size() ? tuple.fields()[i] : std::to_string(i)] = to_json(tuple.at(i));
+  }
+  return to_text({{"time_ms", wall_ms},
+                  {"task", task},
+                  {"source", tuple.source_component()},
+                  {"stream", tuple.source_stream()},
+                  {"fields", fields}});
+}
+
+/// One person's tap. The call and the polls share it; the tap goes first.
+struct TapDesk::Entry {
+  std::mutex mutex;
+  std::deque<std::string> samples;             ///< guarded by mutex
+  std::uint64_t missed = 0;                    ///< guarded by mutex
+  config::Clock::Instant last_poll{};          ///< guarded by the desk's mutex
+  std::map<int, config::Clock::Instant> next;  ///< guarded by mutex: when a task's next sample is due, with a stream
+  std::unique_ptr<Tap> tap;
+};
+
+TapDesk::TapDesk(Runtime& runtime, Options options)
+    : runtime_(runtime),
+      options_(options),
+      clock_(options.clock != nullptr ? *options.clock : config::system_clock()),
+      sweeper_([this](const std::stop_token& stop) {
+        while (!stop.stop_requested()) {
+          {
+            std::unique_lock lock(mutex_);
+            changed_.wait(lock, stop, [this] { return !taps_.empty(); });
+            changed_.wait_for(lock, stop, sweep_period, [] { return false; });
+          }
+          expire();
+        }
+      }) {}
+
+TapDesk::~TapDesk() {
+  sweeper_.request_stop();
+  sweeper_.join();
+}
+
+std::string TapDesk::poll(const std::string& id, const std::string& component, const std::string& stream,
+                          double per_second) {
+  const EntryPtr entry = find(id, component, stream, per_second);
+  std::deque<std::string> samples;
+  std::uint64_t missed = 0;
+  {
+    const std::lock_guard lock(entry->mutex);
+    samples.swap(entry->samples);
+    missed = std::exchange(entry->missed, 0);
+  }
+  return fmt::format("{{\"samples\":[{}],\"missed\":{}}}", fmt::join(samples, ","), missed);
+}
+
+TapDesk::EntryPtr TapDesk::find(const std::string& id, const std::string& component, const std::string& stream,
+                                double per_second) {
+  const std::lock_guard lock(mutex_);
+  EntryPtr& entry = taps_[id];
+  if (entry) {
+    entry->last_poll = clock_.now();
+    return entry;
+  }
+  try {
+    if (id.empty()) throw std::invalid_argument("a tap has an id");
+    if (!(per_second > 0)) throw std::invalid_argument("the rate of a tap is above 0");
+    if (taps_.size() > options_.most_taps)
+      throw std::invalid_argument(fmt::format("{} taps are open, which is the limit", options_.most_taps));
+    auto made = std::make_shared<Entry>();
+    made->last_poll = clock_.now();
+    const auto call = [this, to = made.get(), stream, per_second](const Tuple& tuple, int task) {
+      if (!stream.empty()) {
+        if (tuple.source_stream() != stream) return;
+        const auto now = clock_.now();
+        const std::lock_guard next_lock(to->mutex);
+        if (now < to->next[task]) return;
+        to->next[task] =
+            now + std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double>(1 / per_second));
+      }
+      std::string sample = describe(tuple, task, clock_.wall_ms());
+      const std::lock_guard sample_lock(to->mutex);
+      to->samples.push_back(std::move(sample));
+      if (to->samples.size() <= options_.most_samples) return;
+      to->samples.pop_front();
+      ++to->missed;
+    };
+    // Of one stream the rate is kept here: the other streams' tuples must not use it up.
+    const double rate = stream.empty() ? per_second : std::numeric_limits<double>::infinity();
+    made->tap = runtime_.tap(component, rate, call);
+    entry = std::move(made);
+  } catch (...) {
+    taps_.erase(id);
+    throw;
+  }
+  changed_.notify_all();
+  return entry;
+}
+
+void TapDesk::end(const std::string& id) {
+  EntryPtr ended;
+  const std::lock_guard lock(mutex_);
+  const auto found = taps_.find(id);
+  if (found == taps_.end()) return;
+  ended = std::move(found->second);
+  taps_.erase(found);
+}
+
+void TapDesk::expire() {
+  std::vector<EntryPtr> ended;  // they go without the lock
+  const std::lock_guard lock(mutex_);
+  const auto oldest = clock_.now() - options_.patience;
+  for (auto tap = taps_.begin(); tap != taps_.end();) {
+    if (tap->second->last_poll >= oldest) {
+      ++tap;
+      continue;
+    }
+    ended.push_back(std::move(tap->second));
+    tap = taps_.erase(tap);
+  }
+}
+
+std::size_t TapDesk::open() const {
+  const std::lock_guard lock(mutex_);
+  return taps_.size();
+}
+
+}  // namespace iotcloud::topology
