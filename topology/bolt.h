@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <memory>
 #include <type_traits>
 #include <utility>
@@ -21,6 +22,12 @@ class Bolt {
   /// Acks or fails the tuple, now or later. Ticks (Tuple::is_tick) come here too.
   virtual void execute(const Tuple& tuple) = 0;
   virtual void cleanup() {}
+  /// How often it wants a tick when the topology names no period (BoltDeclarer::tick); 0: never. Asked once, by
+  /// TopologyBuilder::build(). \param config as in prepare().
+  virtual std::chrono::microseconds tick_period(const Config& config) const {
+    (void)config;
+    return std::chrono::microseconds{0};
+  }
 };
 
 /// Emits on behalf of a BasicBolt: anchored by the tuple in hand.

@@ -25,6 +25,8 @@ class ComponentRegistry {
   void add_bolt(const std::string& name) {
     bolts_[name] = [] { return make_bolt<T>(); };
   }
+  /// A bolt that needs more than its class, such as make_windowed_bolt<T>(options).
+  void add_bolt(const std::string& name, BoltFactory factory) { bolts_[name] = std::move(factory); }
   /// A Grouping, which YAML names as `grouping: custom, class: NAME`.
   template <typename T>
   void add_grouping(const std::string& name) {
@@ -60,7 +62,7 @@ class ComponentRegistry {
 };
 
 /// Grows with every change that a library built before it cannot follow.
-inline constexpr std::uint32_t sdk_version = 2;
+inline constexpr std::uint32_t sdk_version = 3;
 
 #if defined(__GLIBCXX__) && _GLIBCXX_USE_CXX11_ABI
 inline constexpr const char* cxx_abi = "itanium;libstdc++;cxx11=1";

@@ -26,18 +26,24 @@ class Declarations final : public OutputFieldsDeclarer {
   std::string component_;
 };
 
-std::map<std::string, StreamSpec> ask_streams(const ComponentSpec& spec) {
+/// Its streams; and the ticks it wishes, unless the topology says.
+std::map<std::string, StreamSpec> ask(ComponentSpec& spec, const Config& topology_config) {
   Declarations declarations(spec.id);
   try {
     if (spec.spout) {
       spec.spout()->declare_output_fields(declarations);
     } else {
-      spec.bolt()->declare_output_fields(declarations);
+      const auto bolt = spec.bolt();
+      bolt->declare_output_fields(declarations);
+      Config config = spec.config;
+      config.insert(topology_config.begin(), topology_config.end());
+      const auto wished = bolt->tick_period(config);
+      if (spec.tick.count() == 0) spec.tick = wished;
     }
   } catch (const TopologyError&) {
     throw;
   } catch (const std::exception& e) {
-    throw TopologyError(spec.id, spec.id + " could not be made and asked for its fields: " + e.what());
+    throw TopologyError(spec.id, spec.id + " could not be made and asked for its fields and ticks: " + e.what());
   }
   return declarations.streams;
 }
@@ -279,8 +285,8 @@ Topology TopologyBuilder::build(const std::string& name, const Config& config) c
   topology.config = config;
   std::vector<ComponentSpec> components;
   for (const auto& component : components_) {
-    topology.streams[component->id] = ask_streams(*component);
     components.push_back(*component);
+    topology.streams[component->id] = ask(components.back(), config);
   }
   if (std::none_of(components.begin(), components.end(), [](const auto& c) { return bool(c.spout); })) {
     throw TopologyError("", "the topology \"" + name + "\" has no spout, so nothing would ever happen");

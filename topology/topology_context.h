@@ -4,6 +4,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/config/clock.h>
@@ -44,6 +45,8 @@ struct TopologyContext {
   int task_count = 1;
   /// The tasks of every component, ascending; shared by all contexts.
   std::shared_ptr<const std::map<std::string, std::vector<int>>> tasks_of;
+  std::vector<std::pair<std::string, std::string>>
+      inputs;  ///< bolts: the components and streams that feed it, each once
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
   SpoutWaker waker;  ///< spouts only

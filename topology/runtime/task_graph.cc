@@ -74,6 +74,12 @@ TopologyContext TaskGraph::context_of(const ComponentSpec& spec, std::size_t ind
   context.task_index = static_cast<int>(index);
   context.task_count = spec.tasks;
   context.tasks_of = tasks_of_;
+  for (const Subscription& input : spec.inputs) {
+    std::pair source(input.from, input.stream);
+    if (std::find(context.inputs.begin(), context.inputs.end(), source) == context.inputs.end()) {
+      context.inputs.push_back(std::move(source));
+    }
+  }
   context.clock = around_.clock;
   context.metrics = &metrics_;
   return context;

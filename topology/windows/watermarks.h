@@ -1,0 +1,55 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include <iotcloud/topology/tuple.h>
+
+namespace iotcloud::topology::internal {
+
+/// How late it is by the tuples: the least, over all tasks that feed the bolt (each stream by itself), of the latest
+/// time that came from it, minus the lag. Not known before every input was heard.
+class Watermarks {
+ public:
+  /// \param inputs streams that the bolt subscribes to. \param idle_ms a source silent for so long does not count; 0:
+  /// each does for ever. \param now_ms processing time, as in the calls below.
+  Watermarks(std::size_t inputs, std::int64_t lag_ms, std::int64_t idle_ms, std::int64_t now_ms)
+      : inputs_(inputs), lag_ms_(lag_ms), idle_ms_(idle_ms), began_ms_(now_ms) {}
+
+  void heard(const Tuple& tuple, std::int64_t time_ms, std::int64_t now_ms) {
+    const detail::StreamInfo* stream = tuple.data()->stream;
+    Source& source = sources_.try_emplace({stream, tuple.source_task()}, Source{time_ms, now_ms}).first->second;
+    if (source.latest_ms < time_ms) source.latest_ms = time_ms;
+    source.heard_ms = now_ms;
+    streams_.insert(stream);
+  }
+  /// Moves on, never back. \return nullopt: not known yet.
+  std::optional<std::int64_t> update(std::int64_t now_ms) {
+    const bool waiting = streams_.size() < inputs_ && (idle_ms_ == 0 || now_ms - began_ms_ < idle_ms_);
+    if (waiting) return watermark_;
+    std::optional<std::int64_t> least;
+    for (const auto& [key, source] : sources_) {
+      if (idle_ms_ != 0 && now_ms - source.heard_ms >= idle_ms_) continue;
+      if (!least || source.latest_ms < *least) least = source.latest_ms;
+    }
+    if (least && (!watermark_ || *watermark_ < *least - lag_ms_)) watermark_ = *least - lag_ms_;
+    return watermark_;
+  }
+  bool late(std::int64_t time_ms) const { return watermark_ && time_ms < *watermark_; }
+
+ private:
+  struct Source {
+    std::int64_t latest_ms;
+    std::int64_t heard_ms;
+  };
+  const std::size_t inputs_;
+  const std::int64_t lag_ms_, idle_ms_, began_ms_;
+  std::map<std::pair<const detail::StreamInfo*, int>, Source> sources_;
+  std::set<const detail::StreamInfo*> streams_;  ///< heard so far
+  std::optional<std::int64_t> watermark_;
+};
+
+}  // namespace iotcloud::topology::internal

@@ -1,0 +1,89 @@
+#include <charconv>
+#include <cmath>
+#include <optional>
+#include <stdexcept>
+#include <string_view>
+
+#include <iotcloud/topology/windows/window_options.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+[[noreturn]] void refuse(const std::string& key, const std::string& text, const std::string& remedy) {
+  throw std::invalid_argument(key + ": \"" + text + "\" cannot be read; " + remedy);
+}
+
+std::optional<std::chrono::milliseconds> parse_duration(const std::string& text) {
+  double number = 0;
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (status != std::errc{} || !(number >= 0) || number > 1e9) return std::nullopt;
+  const std::string_view unit(end, static_cast<std::size_t>(text.data() + text.size() - end));
+  double factor = 0;
+  if (unit == "ms") factor = 1;
+  if (unit == "s") factor = 1e3;
+  if (unit == "m") factor = 60e3;
+  if (unit == "h") factor = 3600e3;
+  if (factor == 0) return std::nullopt;
+  return std::chrono::milliseconds(std::llround(number * factor));
+}
+
+void read_duration(const Config& config, const std::string& key, std::chrono::milliseconds& value) {
+  const auto found = config.find(key);
+  if (found == config.end()) return;
+  const auto duration = parse_duration(found->second);
+  if (!duration) refuse(key, found->second, "write a number and a unit: 250ms, 2s, 5m or 1h");
+  value = *duration;
+}
+
+void read_extent(const Config& config, const std::string& key, WindowExtent& value) {
+  const auto found = config.find(key);
+  if (found == config.end()) return;
+  const std::string& text = found->second;
+  std::int64_t count = 0;
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), count);
+  if (status == std::errc{} && end == text.data() + text.size() && count > 0) {
+    value = WindowExtent(count);
+  } else if (const auto duration = parse_duration(text); duration && duration->count() > 0) {
+    value = WindowExtent(*duration);
+  } else {
+    refuse(key, text, "write a number of tuples (100) or a duration (250ms, 2s, 5m, 1h), more than zero");
+  }
+}
+
+}  // namespace
+
+WindowOptions configured(WindowOptions options, const Config& config) {
+  read_extent(config, "window.length", options.length);
+  read_extent(config, "window.slide", options.slide);
+  read_duration(config, "window.lag", options.lag);
+  read_duration(config, "window.watermark_interval", options.watermark_interval);
+  read_duration(config, "window.idle_source", options.idle_source);
+  if (const auto field = config.find("window.timestamp_field"); field != config.end()) {
+    options.timestamp_field = field->second;
+    options.timestamp = nullptr;
+  }
+  if (!options.length.said()) {
+    throw std::invalid_argument(
+        "a windowed bolt needs the length of its windows (WindowOptions::length, or conf "
+        "window.length): a number of tuples or a duration");
+  }
+  if (!options.slide.said()) options.slide = options.length;
+  for (const WindowExtent& extent : {options.length, options.slide}) {
+    if (extent.count < 0 || extent.duration.count() < 0) {
+      throw std::invalid_argument("length and slide of a window must be more than zero");
+    }
+  }
+  if (!options.timestamp_field.empty() && options.timestamp) {
+    throw std::invalid_argument("name either the timestamp's field (\"" + options.timestamp_field +
+                                "\") or a function that finds it, not both");
+  }
+  if (!options.event_time() && (options.lag.count() != 0 || !options.late_stream.empty())) {
+    throw std::invalid_argument(
+        "lag and late stream are of event time; name the field of the timestamp "
+        "(WindowOptions::timestamp_field, or conf window.timestamp_field)");
+  }
+  return options;
+}
+
+}  // namespace iotcloud::topology
