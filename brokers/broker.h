@@ -47,6 +47,9 @@ struct PublisherOptions {
   WhenFull when_full = WhenFull::block;
   std::size_t capacity = 1024;            ///< messages that may wait (not yet confirmed ones included)
   std::chrono::milliseconds deadline{0};  ///< older messages are worthless: dropped here, TTL at the broker. 0 = none
+  /// Also makes the topic's own queue `<topic>`, where what is sent waits for a reader that may come much later (dead
+  /// letters). Without a reader the queue of a topic that is not durable is gone after a minute.
+  bool own_queue = false;
   /// Called once for each accepted message with its publish number (1, 2, 3, ... for each publisher) and, for drops,
   /// the reason ("superseded", "deadline", "no_reader", ...). From any thread, never from inside publish(). May be
   /// empty.

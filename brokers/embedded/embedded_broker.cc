@@ -21,6 +21,7 @@ class EmbeddedPublisher final : public Publisher {
     const std::lock_guard lock(server_.mutex);
     producer_->route = server_.route(topic.name);
     connection_->producers.push_back(producer_.get());
+    if (options.own_queue) server_.make_own_queue(topic, connection_->clock.now());
   }
 
   ~EmbeddedPublisher() override {

@@ -48,7 +48,8 @@ struct Consumer {
 /// One queue with its readers. No locks: guarded by the server's mutex.
 class Queue {
  public:
-  Queue(std::string name, bool durable) : name_(std::move(name)), durable_(durable) {}
+  Queue(std::string name, bool durable, Instant made = {})
+      : name_(std::move(name)), durable_(durable), unused_since_(made) {}
 
   const std::string& name() const { return name_; }
   bool durable() const { return durable_; }

@@ -61,7 +61,10 @@ void ServerState::start(WakeList& wake) {
     for (const auto& consumer : connection->consumers) attach(consumer, connection->clock.now(), wake);
   }
   for (Connection* connection : connections_) {
-    for (Producer* producer : connection->producers) flush(*producer, connection->clock.now(), wake);
+    for (Producer* producer : connection->producers) {
+      if (producer->options.own_queue) make_own_queue(producer->topic, connection->clock.now());
+      flush(*producer, connection->clock.now(), wake);
+    }
   }
 }
 
@@ -151,20 +154,26 @@ void ServerState::flush_topics_of(const Queue& queue, Instant now, WakeList& wak
   }
 }
 
+/// Makes the queue unless it is there, and binds it to the topic.
+std::shared_ptr<Queue> ServerState::bound_queue(const std::string& name, const Topic& topic, Instant now) {
+  auto& queue = queues_[name];
+  if (!queue) queue = std::make_shared<Queue>(name, topic.durable, now);
+  auto& bound = route(topic.name)->queues;
+  if (std::find(bound.begin(), bound.end(), queue) == bound.end()) bound.push_back(queue);
+  return queue;
+}
+
+void ServerState::make_own_queue(const Topic& topic, Instant now) {
+  if (running_) bound_queue(topic.name, topic, now);
+}
+
 void ServerState::attach(const std::shared_ptr<Consumer>& consumer, Instant now, WakeList& wake) {
   if (!running_ || consumer->closed || consumer->queue) return;
   sweep(now);
-  const std::string name = queue_name(consumer->topic.name, consumer->options.group);
-  auto& queue = queues_[name];
-  if (!queue) queue = std::make_shared<Queue>(name, consumer->topic.durable);
-  consumer->queue = queue;
-  queue->attach(consumer);
-  const std::shared_ptr<Route> bound = route(consumer->topic.name);
-  if (std::find(bound->queues.begin(), bound->queues.end(), queue) == bound->queues.end()) {
-    bound->queues.push_back(queue);
-  }
+  consumer->queue = bound_queue(queue_name(consumer->topic.name, consumer->options.group), consumer->topic, now);
+  consumer->queue->attach(consumer);
   poke(consumer, wake);
-  flush_waiting(*bound, now, wake);
+  flush_waiting(*route(consumer->topic.name), now, wake);
 }
 
 void ServerState::detach(Consumer& consumer, Instant now, WakeList& wake) {

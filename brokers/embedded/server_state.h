@@ -84,6 +84,8 @@ class ServerState {
   void leave(Connection& connection) { std::erase(connections_, &connection); }
 
   std::shared_ptr<Route> route(const std::string& topic);
+  /// The queue of a publisher with PublisherOptions::own_queue, now or when the server starts.
+  void make_own_queue(const Topic& topic, Instant now);
   /// Gives one message to all queues bound to the route. \return false when there is none, one is full, or the server
   /// is away; the message is untouched then.
   bool deliver(Route& route, Message& message, const PublisherOptions& options, Instant accepted, Instant now,
@@ -107,6 +109,7 @@ class ServerState {
   void sweep(Instant now);
 
  private:
+  std::shared_ptr<Queue> bound_queue(const std::string& name, const Topic& topic, Instant now);
   void flush_waiting(Route& route, Instant now, WakeList& wake);
   void flush_topics_of(const Queue& queue, Instant now, WakeList& wake);
   void remove_idle(Route& route, Instant now);

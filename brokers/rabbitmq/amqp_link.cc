@@ -12,6 +12,8 @@
 #include <sys/ioctl.h>
 #include <sys/socket.h>
 
+#include "iotcloud/brokers/rabbitmq/publish_wire.h"
+
 namespace iotcloud::brokers::rabbitmq {
 namespace {
 
@@ -215,13 +217,31 @@ std::string AmqpLink::declare_exchange(amqp_channel_t channel, const std::string
   open_channel(channel);
   amqp_exchange_declare(state_.get(), channel, to_bytes(exchange), amqp_cstring_bytes("direct"), 0, durable ? 1 : 0, 0,
                         0, amqp_empty_table);
-  const amqp_rpc_reply_t reply = amqp_get_rpc_reply(state_.get());
-  if (reply.reply_type == AMQP_RESPONSE_NORMAL) {
-    check(amqp_channel_close(state_.get(), channel, AMQP_REPLY_SUCCESS), "close a channel");
-    return {};
+  std::string why = refusal_of(channel, "declare an exchange");
+  if (why.empty()) check(amqp_channel_close(state_.get(), channel, AMQP_REPLY_SUCCESS), "close a channel");
+  return why;
+}
+
+std::string AmqpLink::declare_queue(amqp_channel_t channel, const Topic& topic) {
+  open_channel(channel);
+  QueueArguments arguments(topic);
+  amqp_queue_declare(state_.get(), channel, to_bytes(topic.name), 0, topic.durable ? 1 : 0, 0, 0, arguments.table());
+  std::string why = refusal_of(channel, "declare a queue");
+  if (!why.empty()) open_channel(channel);  // it may be there with other properties
+  amqp_queue_bind(state_.get(), channel, to_bytes(topic.name), to_bytes(exchange_of(topic)), to_bytes(topic.name),
+                  amqp_empty_table);
+  if (const std::string unbound = refusal_of(channel, "bind a queue"); !unbound.empty()) {
+    return why.empty() ? unbound : why;
   }
+  check(amqp_channel_close(state_.get(), channel, AMQP_REPLY_SUCCESS), "close a channel");
+  return {};
+}
+
+std::string AmqpLink::refusal_of(amqp_channel_t channel, const char* doing) {
+  const amqp_rpc_reply_t reply = amqp_get_rpc_reply(state_.get());
+  if (reply.reply_type == AMQP_RESPONSE_NORMAL) return {};
   if (reply.reply_type != AMQP_RESPONSE_SERVER_EXCEPTION || reply.reply.id != AMQP_CHANNEL_CLOSE_METHOD) {
-    check(reply, "declare an exchange");
+    check(reply, doing);
   }
   std::string why = describe_reply(reply);
   send(channel, AMQP_CHANNEL_CLOSE_OK_METHOD, amqp_channel_close_ok_t{});

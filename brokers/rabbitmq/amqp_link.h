@@ -10,6 +10,7 @@
 #include <amqp.h>
 
 #include "iotcloud/brokers/broker_url.h"
+#include <iotcloud/brokers/broker.h>
 
 namespace iotcloud::brokers::rabbitmq {
 
@@ -67,6 +68,9 @@ class AmqpLink {
   /// Declares a direct exchange on a channel of its own that is opened for it. \return empty, or why the server
   /// refused.
   std::string declare_exchange(amqp_channel_t channel, const std::string& exchange, bool durable);
+  /// The topic's own queue, bound to its exchange; one that is there with other properties is used as it is.
+  /// \return empty, or why the server refused.
+  std::string declare_queue(amqp_channel_t channel, const Topic& topic);
   /// Ends channel and connection in order, so that the server keeps all that was sent. Waits at most the time-out.
   void close(amqp_channel_t channel) noexcept;
 
@@ -76,6 +80,8 @@ class AmqpLink {
   };
   void send_method(amqp_channel_t channel, amqp_method_number_t number, void* decoded);
   void check(const amqp_rpc_reply_t& reply, const char* doing) const;
+  /// Of the last request. \return empty when the server did it; otherwise why it did not, the channel being closed.
+  std::string refusal_of(amqp_channel_t channel, const char* doing);
 
   std::unique_ptr<amqp_connection_state_t_, Destroyer> state_;
   int descriptor_ = -1;

@@ -1,6 +1,5 @@
 // What the consuming link says to the server and makes of its answers.
 #include <algorithm>
-#include <array>
 #include <utility>
 
 #include "iotcloud/brokers/rabbitmq/consume_link.h"
@@ -12,8 +11,6 @@ namespace {
 
 const config::Logger logger{"brokers.rabbitmq"};
 
-// A queue that is not durable outlives a reader that reconnects, but not one that is gone for good.
-constexpr std::int32_t idle_queue_ms = 60'000;
 // Frames taken in a row before handlers run again.
 constexpr std::size_t frames_in_a_row = 1024;
 
@@ -175,15 +172,12 @@ void ConsumeLink::request_queue(const Inlet& inlet) {
     declare.passive = inlet.passive_exchange ? 1 : 0;
     wire_->send(inlet.channel, AMQP_EXCHANGE_DECLARE_METHOD, declare);
   }
-  std::array<amqp_table_entry_t, 1> arguments{};
-  arguments[0].key = amqp_cstring_bytes("x-expires");
-  arguments[0].value.kind = AMQP_FIELD_KIND_I32;
-  arguments[0].value.value.i32 = idle_queue_ms;
+  QueueArguments arguments(inlet.topic);
   amqp_queue_declare_t queue{};
   queue.queue = to_bytes(inlet.queue);
   queue.durable = inlet.topic.durable ? 1 : 0;
   queue.passive = inlet.passive_queue ? 1 : 0;
-  if (!inlet.topic.durable) queue.arguments = {static_cast<int>(arguments.size()), arguments.data()};
+  queue.arguments = arguments.table();
   wire_->send(inlet.channel, AMQP_QUEUE_DECLARE_METHOD, queue);
   amqp_queue_bind_t bind{};
   bind.queue = to_bytes(inlet.queue);

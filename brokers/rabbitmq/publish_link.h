@@ -67,7 +67,7 @@ class PublishLink {
   void on_channel_closed(const amqp_channel_close_t& closed);
   void settle(UnderWay& entry, bool good, Instant now);
 
-  void declare_exchanges(Lock& lock);
+  void declare_topics(Lock& lock);
   /// Sends what waits; the wire is the caller's. \param first_may_wait the socket said that it can be written
   void send_waiting(Lock& lock, std::size_t most, bool first_may_wait);
   void send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing);

@@ -87,7 +87,7 @@ void PublishLink::serve(bool readable, bool writable) {
     throw LinkError("a send failed");
   }
   try {
-    declare_exchanges(lock);
+    declare_topics(lock);
     lock.unlock();
     if (readable || wire_->has_buffered()) read_frames();
     lock.lock();
@@ -122,7 +122,7 @@ void PublishLink::lose(const std::string& reason) {
   release_wire();
 }
 
-void PublishLink::declare_exchanges(Lock& lock) {
+void PublishLink::declare_topics(Lock& lock) {
   while (!undeclared_.empty()) {
     const std::shared_ptr<Outbox> outbox = undeclared_.back();
     undeclared_.pop_back();
@@ -136,6 +136,15 @@ void PublishLink::declare_exchanges(Lock& lock) {
             "cannot declare the exchange {} ({}): {}; using it as it is. Delete it on the server, or set the "
             "channel's durability to what it was made with",
             exchange.first, exchange.second ? "durable" : "not durable", why);
+      }
+    }
+    if (outbox->options.own_queue) {
+      lock.unlock();
+      const std::string why = wire_->declare_queue(declare_channel, outbox->topic);
+      lock.lock();
+      if (!why.empty()) {
+        logger.error("cannot make the queue {} ({}): {}; what is sent waits here until it is there", outbox->topic.name,
+                     outbox->topic.durable ? "durable" : "not durable", why);
       }
     }
     outbox->ready = true;

@@ -18,6 +18,24 @@ inline const std::string& exchange_of(const Topic& topic) {
   return topic.exchange.empty() ? standard : topic.exchange;
 }
 
+/// What a topic's queues are declared with. Lives as long as the request that takes table() is being sent.
+class QueueArguments {
+ public:
+  explicit QueueArguments(const Topic& topic) : count_(topic.durable ? 0 : 1) {
+    entry_.key = amqp_cstring_bytes("x-expires");
+    entry_.value.kind = AMQP_FIELD_KIND_I32;
+    entry_.value.value.i32 = idle_ms;
+  }
+  QueueArguments(const QueueArguments&) = delete;
+  amqp_table_t table() { return {count_, count_ == 0 ? nullptr : &entry_}; }
+
+ private:
+  // A queue that is not durable outlives a reader that reconnects, but not one that is gone for good.
+  static constexpr std::int32_t idle_ms = 60'000;
+  int count_;
+  amqp_table_entry_t entry_{};
+};
+
 /// The server's own exchanges are there already and must not be declared.
 inline bool must_declare(const Topic& topic) {
   return !exchange_of(topic).starts_with("amq.");

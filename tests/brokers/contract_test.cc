@@ -448,6 +448,40 @@ TEST_P(BrokerContract, AMessageThatNobodyReadsWaitsForAReader) {
   EXPECT_EQ(publisher->pending(), 0U);
 }
 
+TEST_P(BrokerContract, ATopicsOwnQueueKeepsWhatIsSentForAReaderThatComesMuchLater) {
+  const auto broker = this->broker();
+  for (const bool durable : {false, true}) {
+    const Topic topic = this->topic(durable);
+    Outcomes outcomes;
+    PublisherOptions options;
+    options.own_queue = true;
+    options.on_outcome = outcomes.callback();
+    auto publisher = broker->publisher(topic, options);
+    publisher->publish(text_message("early"));
+    ASSERT_TRUE(outcomes.wait_for(1));
+    EXPECT_EQ(outcomes.of(1), Outcome::confirmed);
+    publisher.reset();
+    Inbox inbox;
+    const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+    ASSERT_TRUE(inbox.wait_for(1));
+    EXPECT_EQ(inbox.bodies().front(), "early");
+  }
+}
+
+TEST_P(BrokerContract, ATopicsOwnQueueThatIsThereWithOtherPropertiesIsUsedAsItIs) {
+  const auto broker = this->broker();
+  Topic topic = this->topic(false);
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  topic.durable = true;
+  PublisherOptions options;
+  options.own_queue = true;
+  const auto publisher = broker->publisher(topic, options);
+  publisher->publish(text_message("through"));
+  ASSERT_TRUE(inbox.wait_for(1));
+}
+
 TEST_P(BrokerContract, BlockSaysWouldBlockAndThenWritable) {
   const auto broker = this->broker();
   const Topic topic = this->topic();

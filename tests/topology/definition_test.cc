@@ -101,7 +101,7 @@ spouts:
     parallelism: 4
     tasks: 6
     max_spout_pending: 0
-    properties: {ackMode: auto, prefetchCount: 17, requeue: false, maxTries: 5, keepLast: 1}
+    properties: {ackMode: manual, prefetchCount: 17, requeue: false, maxTries: 5, keepLast: 1, deadLetter: lost}
     conf: {size: 12}
 bolts:
   inner:
@@ -142,7 +142,8 @@ bolts:
   EXPECT_EQ(spout.conf.at("size"), "12");
   EXPECT_EQ(spout.endpoint->stream, "lines");
   EXPECT_EQ(spout.endpoint->form, PayloadForm::text);
-  EXPECT_TRUE(spout.endpoint->reading.automatic_ack);
+  EXPECT_FALSE(spout.endpoint->reading.automatic_ack);
+  EXPECT_EQ(spout.endpoint->reading.dead_letter, "lost");
   EXPECT_EQ(spout.endpoint->reading.prefetch, 17);
   EXPECT_FALSE(spout.endpoint->reading.requeue);
   EXPECT_EQ(spout.endpoint->reading.max_tries, 5);
@@ -173,10 +174,17 @@ bolts:
   EXPECT_EQ(out.inputs.at(0).grouping, "shuffle");
 }
 
+TEST(TopologyDefinition, ReadsAutomaticAcknowledgement) {
+  const auto definition =
+      TopologyDefinition::parse(with_spout(good_spout + "    properties: {ackMode: auto}\n"), "t.yaml");
+  EXPECT_TRUE(definition.spouts.at(0).endpoint->reading.automatic_ack);
+}
+
 TEST(TopologyDefinition, WithoutFurtherKeysHasAsManyTasksAsExecutorsAndNoDeadlines) {
   const auto definition =
       TopologyDefinition::parse(with_bolt("    class: x\n    parallelism: 3\n    inputs: {from: s}\n"), "t.yaml");
   EXPECT_TRUE(definition.runtime.acking);
+  EXPECT_THAT(definition.spouts.at(0).endpoint->reading.dead_letter, IsEmpty());
   EXPECT_FALSE(definition.spouts.at(0).max_spout_pending.has_value());
   const auto& bolt = definition.bolts.at(0);
   EXPECT_EQ(bolt.tasks, 3);
@@ -239,6 +247,11 @@ INSTANTIATE_TEST_SUITE_P(
               "t.yaml:9:18: spouts.s.properties.ackMode", "manual"},
         Wrong{"prefetchCount out of range", with_spout(good_spout + "    properties: {prefetchCount: 0}\n"),
               "t.yaml:9:18: spouts.s.properties.prefetchCount", "from 1"},
+        Wrong{"dead letters of what nobody hears of",
+              with_spout(good_spout + "    properties: {ackMode: auto, deadLetter: lost}\n"),
+              "t.yaml:9:33: spouts.s.properties.deadLetter", "ackMode: manual"},
+        Wrong{"a dead-letter topic that cannot be", with_spout(good_spout + "    properties: {deadLetter: a/b}\n"),
+              "t.yaml:9:18: spouts.s.properties.deadLetter", "slash"},
         Wrong{"unknown property", with_spout(good_spout + "    properties: {prefetch: 5}\n"),
               "t.yaml:9:18: spouts.s.properties.prefetch", "prefetchCount"},
         Wrong{"inputs of a spout", with_spout(good_spout + "    inputs: []\n"), "t.yaml:9:5: spouts.s.inputs",

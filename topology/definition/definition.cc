@@ -57,7 +57,7 @@ ComponentDefinition read_spout(const std::string& id, Section section, const std
     read_reading_options(section, spout.endpoint->reading);
     spout.endpoint->stream = section.string_or("stream", default_stream);
   }
-  if (section.has("max_spout_pending")) {
+  if (section.optional_string("max_spout_pending")) {
     spout.max_spout_pending = static_cast<std::size_t>(section.int_or("max_spout_pending", 0, 0, 1'000'000));
   }
   for (const char* key : {"tick", "deadline"}) {

@@ -29,8 +29,9 @@ enum class PayloadForm {
 struct ReadingOptions {
   bool automatic_ack = false;  ///< ackMode: auto = done when taken, manual = done when the tuple tree completed
   int prefetch = 100;          ///< prefetchCount: unsettled messages under way for each channel
-  bool requeue = true;         ///< a failed tuple is tried again, maxTries times in all, then rejected
+  bool requeue = true;         ///< a failed tuple is tried again, maxTries times in all, then given up
   int max_tries = 3;           ///< maxTries
+  std::string dead_letter;     ///< deadLetter: the topic that takes what is given up; empty: it is rejected
   int keep_last = 0;           ///< keepLast: of what waits only the newest N are handed on; 0 = all
 };
 

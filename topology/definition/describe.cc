@@ -75,6 +75,9 @@ std::string describe_component(const ComponentSpec& spec, const ComponentDefinit
             (*spec.max_spout_pending == 0 ? "any number of tuples" : count_of(*spec.max_spout_pending, "tuple")) +
             " under way for each task\n";
   }
+  if (definition != nullptr && definition->endpoint && !definition->endpoint->reading.dead_letter.empty()) {
+    text += "  what fails for good goes to topic \"" + definition->endpoint->reading.dead_letter + "\"\n";
+  }
   if (definition != nullptr && definition->worker_scope) text += "  scope worker: each worker has its own\n";
   for (const auto& [name, stream] : streams) {
     text += "  -> " + (name == default_stream ? "" : "stream \"" + name + "\": ") + stream.fields.list() +

@@ -64,6 +64,11 @@ void read_reading_options(Section& section, ReadingOptions& options) {
   options.prefetch = static_cast<int>(properties->int_or("prefetchCount", options.prefetch, 1, 65535));
   options.requeue = properties->bool_or("requeue", options.requeue);
   options.max_tries = static_cast<int>(properties->int_or("maxTries", options.max_tries, 1, 1000));
+  if (properties->optional_string("deadLetter")) options.dead_letter = require_name(*properties, "deadLetter");
+  if (!options.dead_letter.empty() && options.automatic_ack) {
+    throw properties->error("deadLetter", "with \"ackMode: auto\" nobody hears of a tuple that failed",
+                            "remove \"deadLetter\", or write \"ackMode: manual\"");
+  }
   options.keep_last = static_cast<int>(properties->int_or("keepLast", options.keep_last, 0, 1'000'000));
   properties->finish();
 }

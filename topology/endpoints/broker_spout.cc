@@ -1,3 +1,7 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+
 #include <iotcloud/config/log.h>
 #include <iotcloud/topology/endpoints/broker_spout.h>
 
@@ -6,6 +10,11 @@ namespace iotcloud::topology {
 namespace {
 
 const config::Logger logger{"topology.endpoints"};
+
+/// How long a task that closes waits for the broker's answers to dead letters; what has none then is in both queues.
+constexpr std::chrono::milliseconds letters_limit{300};
+/// Between two lines in the log about messages that are given up.
+constexpr std::chrono::seconds quiet_time{10};
 
 }  // namespace
 
@@ -16,48 +25,103 @@ void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutpu
   received_ = &metrics.counter("iotcloud_spout_received_total", "Messages taken from brokers", labels);
   retried_ =
       &metrics.counter("iotcloud_spout_retried_total", "Messages whose tuple failed and was tried again", labels);
-  rejected_ = &metrics.counter("iotcloud_spout_rejected_total", "Messages given up after their last try", labels);
+  rejected_ = &metrics.counter("iotcloud_spout_rejected_total", rejected_help, labels);
+  waker_ = context.waker;
   inbox_ = std::make_shared<Inbox>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker);
   placement_->join(context.task_index, context.task_count, inbox_);
 }
 
 void BrokerSpout::close() {
+  if (dead_letters_) dead_letters_->drain(letters_limit);
   placement_->leave();  // first, or the broker would deliver again what the closed inbox gives back
   inbox_->close();
   slots_.clear();  // what is under way goes back to the broker
   free_.clear();
+  retries_.clear();
 }
 
 bool BrokerSpout::next_tuple() {
-  auto [arrival, more] = inbox_->pop();
-  if (!arrival) return false;
-  if (arrival->tries == 0) received_->add();
-  Values values = values_of(*arrival);
+  if (!retries_.empty()) {
+    while (auto arrival = retries_.next(services_->clock->now())) {
+      if (arrival->reader->closed()) {  // the broker delivers it again by itself
+        retries_.done(*arrival);
+        continue;
+      }
+      emit(std::move(*arrival));
+      return true;
+    }
+  }
+  for (;;) {
+    auto [arrival, more] = inbox_->pop();
+    if (!arrival) return false;
+    received_->add();
+    arrival->sequence = ++last_sequence_;
+    if (retries_.hold(*arrival)) continue;
+    emit(std::move(*arrival));
+    return more;
+  }
+}
+
+void BrokerSpout::emit(Arrival arrival) {
+  Values values = values_of(arrival);
   if (endpoint_.reading.automatic_ack) {
     collector_->emit_to(endpoint_.stream, std::move(values));
-  } else {
-    ++arrival->tries;
-    collector_->emit_to(endpoint_.stream, std::move(values), keep(std::move(*arrival)));
+    return;
   }
-  return more;
+  ++arrival.tries;
+  collector_->emit_to(endpoint_.stream, std::move(values), keep(std::move(arrival)));
+}
+
+std::chrono::microseconds BrokerSpout::poll_period() const {
+  const auto due = retries_.due();
+  if (!due) return std::chrono::microseconds{0};
+  const auto left = std::chrono::ceil<std::chrono::microseconds>(*due - services_->clock->now());
+  // A poll that was asked for cannot be moved forward, so a retry that comes to wait later must not wait for it long.
+  return std::clamp<std::chrono::microseconds>(left, std::chrono::milliseconds(1), Retries::pause_after(1));
 }
 
 void BrokerSpout::ack(MessageId id) {
-  if (auto arrival = take(id)) arrival->delivery.settle(brokers::Settlement::accept);
+  auto arrival = take(id);
+  if (!arrival) return;
+  arrival->delivery.settle(brokers::Settlement::accept);
+  if (!arrival->blocks) return;
+  retries_.done(*arrival);
+  waker_.wake();
 }
 
 void BrokerSpout::fail(MessageId id) {
   auto arrival = take(id);
-  if (!arrival || arrival->reader->closed()) return;  // closed: the broker delivers it again by itself
-  if (endpoint_.reading.requeue && arrival->tries < endpoint_.reading.max_tries) {
+  if (!arrival) return;
+  if (arrival->reader->closed()) {  // the broker delivers it again by itself
+    retries_.done(*arrival);
+  } else if (endpoint_.reading.requeue && arrival->tries < endpoint_.reading.max_tries) {
     retried_->add();
-    inbox_->push_front(std::move(*arrival));
+    retries_.add(std::move(*arrival), services_->clock->now());
+  } else {
+    retries_.done(*arrival);
+    give_up(std::move(*arrival));
+  }
+  waker_.wake();
+}
+
+void BrokerSpout::give_up(Arrival arrival) {
+  const auto now = services_->clock->now();
+  if (last_complaint_ && now - *last_complaint_ < quiet_time) {
+    ++given_up_silently_;
+  } else {
+    logger.warn("a message of driver {} is given up after {} {} and {}: its tuple failed or timed out{}",
+                arrival.delivery.message.driver_id, arrival.tries, arrival.tries == 1 ? "try" : "tries",
+                dead_letters_ ? "goes to " + endpoint_.reading.dead_letter : "is rejected",
+                given_up_silently_ == 0 ? "" : fmt::format("; {} more since the last such line", given_up_silently_));
+    given_up_silently_ = 0;
+    last_complaint_ = now;
+  }
+  if (dead_letters_) {
+    dead_letters_->send(std::move(arrival));
     return;
   }
   rejected_->add();
-  logger.warn("a message of driver {} is given up after {} {}; its tuple failed", arrival->delivery.message.driver_id,
-              arrival->tries, arrival->tries == 1 ? "try" : "tries");
-  arrival->delivery.settle(brokers::Settlement::reject);
+  arrival.delivery.settle(brokers::Settlement::reject);
 }
 
 Values BrokerSpout::values_of(const Arrival& arrival) const {

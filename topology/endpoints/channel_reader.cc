@@ -5,11 +5,12 @@ namespace iotcloud::topology {
 std::shared_ptr<ChannelReader> ChannelReader::open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
                                                    const brokers::SubscriptionOptions& options, std::string driver_id,
                                                    std::shared_ptr<Inbox> inbox) {
-  std::shared_ptr<ChannelReader> reader(new ChannelReader(std::move(driver_id), std::move(inbox)));
+  std::shared_ptr<ChannelReader> reader(
+      new ChannelReader(topic, broker->url(), std::move(driver_id), std::move(inbox)));
   const auto handler = [weak = std::weak_ptr(reader)](brokers::Delivery delivery) {
     if (auto self = weak.lock()) {
       Inbox& target = *self->inbox_;
-      target.push({std::move(delivery), std::move(self), 0});
+      target.push(Arrival(std::move(delivery), std::move(self)));
     }
   };
   auto subscription = broker->subscribe(topic, options, handler);

@@ -25,11 +25,18 @@ class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
   /// True while it reads; false while disconnected, or while another reader has the topic.
   bool active() const;
   const std::string& driver_id() const { return driver_id_; }
+  const brokers::Topic& topic() const { return topic_; }
+  const std::string& broker_url() const { return broker_url_; }
 
  private:
-  ChannelReader(std::string driver_id, std::shared_ptr<Inbox> inbox)
-      : driver_id_(std::move(driver_id)), inbox_(std::move(inbox)) {}
+  ChannelReader(brokers::Topic topic, std::string broker_url, std::string driver_id, std::shared_ptr<Inbox> inbox)
+      : topic_(std::move(topic)),
+        broker_url_(std::move(broker_url)),
+        driver_id_(std::move(driver_id)),
+        inbox_(std::move(inbox)) {}
 
+  const brokers::Topic topic_;
+  const std::string broker_url_;
   const std::string driver_id_;
   const std::shared_ptr<Inbox> inbox_;
   mutable std::mutex mutex_;

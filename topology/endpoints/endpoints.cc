@@ -8,8 +8,11 @@ EndpointFactories endpoint_factories(EndpointServicesPtr services) {
   EndpointFactories factories;
   factories.spout = [services](const ComponentDefinition& spout) -> SpoutFactory {
     auto placement = std::make_shared<SpoutPlacement>(services, spout.id, *spout.endpoint);
-    return [services, placement, endpoint = *spout.endpoint] {
-      return std::make_unique<BrokerSpout>(services, placement, endpoint);
+    std::shared_ptr<DeadLetters> dead_letters;
+    const std::string& topic = spout.endpoint->reading.dead_letter;
+    if (!topic.empty()) dead_letters = std::make_shared<DeadLetters>(services, spout.id, topic);
+    return [services, placement, dead_letters, endpoint = *spout.endpoint] {
+      return std::make_unique<BrokerSpout>(services, placement, dead_letters, endpoint);
     };
   };
   factories.bolt = [services](const ComponentDefinition& bolt) -> BoltFactory {

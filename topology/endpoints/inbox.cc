@@ -18,15 +18,6 @@ void Inbox::push(Arrival arrival) {
   waker_.wake();
 }
 
-void Inbox::push_front(Arrival arrival) {
-  {
-    const std::lock_guard lock(mutex_);
-    if (closed_) return;
-    waiting_.push_front(std::move(arrival));
-  }
-  waker_.wake();
-}
-
 Inbox::Taken Inbox::pop() {
   Taken taken;
   const std::lock_guard lock(mutex_);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <deque>
 #include <memory>
 #include <mutex>
@@ -8,17 +9,29 @@
 #include <vector>
 
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/clock.h>
 #include <iotcloud/topology/topology_context.h>
 
 namespace iotcloud::topology {
 
 class ChannelReader;
 
+/// The help text of iotcloud_spout_rejected_total, which is counted in two places.
+inline constexpr const char* rejected_help = "Messages given up after their last try, and rejected";
+
 /// A message on its way from a channel into the topology.
 struct Arrival {
+  Arrival(brokers::Delivery received, std::shared_ptr<ChannelReader> from)
+      : delivery(std::move(received)), reader(std::move(from)) {}
+
   brokers::Delivery delivery;
   std::shared_ptr<ChannelReader> reader;
   int tries = 0;  ///< how often it was emitted
+
+  // Of Retries:
+  std::uint64_t sequence = 0;  ///< its place among those of its task
+  config::Clock::Instant not_before{};
+  bool blocks = false;  ///< its driver's later messages wait for it
 };
 
 /// What waits for one spout task. Readers that bring more than `limit` are paused until half of it is gone, so that a
@@ -29,8 +42,6 @@ class Inbox {
 
   /// Called by a reader's handler: the tuple runs to completion on this thread when the spout is idle.
   void push(Arrival arrival);
-  /// Again, before everything that waits.
-  void push_front(Arrival arrival);
   struct Taken {
     std::optional<Arrival> arrival;
     bool more = false;
