@@ -24,6 +24,7 @@ OURS, CALLS, RING, PEER = "iotcloud", "calls", "ring", "onetbb"
 BASELINES = {CALLS: "plain calls", RING: "SPSC rings", PEER: "oneTBB"}  # two limits, and a peer
 DAGS = {"chain": "chain of 3", "words": "word count", "fan": "fan 1-4-1", "payload": "60 KB chain"}
 UNITS = {"cpu": "% of a core", "switches": "switches/s"}
+NO_ALLOCATION = 0.001  # for each tuple: pools may still grow by a few objects in all, when another thread takes part
 LOADS = (1, 50, 90)  # percent of what the engine reached at most
 
 
@@ -200,8 +201,11 @@ def costs(programs, report, rounds, seconds):
         kind = figure.split(":")[0]
         unit = {"heap": "allocations", "copies": "copies"}.get(kind, figure.split()[-1])
         # A sentence of the word count is longer than a string holds without the heap: no small tuple.
-        none = kind == "copies" or (kind == "heap" and "words" not in figure)
-        report.compare(figure, UNITS.get(unit, unit), {OURS: values}, at_most=0 if none else targets.get(figure))
+        if kind == "heap" and "words" not in figure:
+            targets[figure] = NO_ALLOCATION
+        if kind == "copies":
+            targets[figure] = 0
+        report.compare(figure, UNITS.get(unit, unit), {OURS: values}, at_most=targets.get(figure))
 
 
 def machine():

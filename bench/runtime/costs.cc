@@ -46,7 +46,7 @@ bool heap(const char* dag_name, Dag dag, bool tracked, double rate, double secon
       engine->pump();
     }
   });
-  pause(seconds / 2);
+  pause(seconds);
   const std::uint64_t allocated = allocations(), first = arrived();
   pause(seconds);
   const double results = static_cast<double>(arrived() - first);
@@ -55,7 +55,7 @@ bool heap(const char* dag_name, Dag dag, bool tracked, double rate, double secon
   source.join();
   while (arrived() < work.feed.sent() * results_of_item(dag) && work.wrong == 0) std::this_thread::yield();
   engine->stop();
-  const std::string how = std::string(tracked ? "tracked" : "untracked") + (rate > 0 ? ", 1000/s" : "");
+  const std::string how = std::string(tracked ? "tracked" : "untracked") + (rate > 0 ? ", 10 000/s" : "");
   print("heap: " + std::string(dag_name) + ", " + how, per_result);
   if (dag == Dag::payload) print("copies: " + how, static_cast<double>(work.wrong.load()));
   return arrived() == work.feed.sent() * results_of_item(dag);
@@ -161,7 +161,7 @@ int main(int argc, char** argv) {
   bool complete = true;
   for (const bool tracked : {false, true}) {
     complete &= heap("chain", Dag::chain, tracked, 0, seconds);
-    complete &= heap("chain", Dag::chain, tracked, 1000, seconds);
+    complete &= heap("chain", Dag::chain, tracked, 10'000, seconds);
     complete &= heap("fan", Dag::fan, tracked, 0, seconds);
     complete &= heap("payload", Dag::payload, tracked, 0, seconds);
     complete &= heap("words", Dag::words, tracked, 0, seconds);
