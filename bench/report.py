@@ -37,7 +37,7 @@ class Programs:
         return [e for e in there if e not in without]
 
     def run(self, name, *arguments):
-        """The lines of JSON that a program prints. A program that fails ends the benchmark: its figures mean nothing."""
+        """The lines of JSON that a program prints. One that fails ends the benchmark: its figures mean nothing."""
         command = [str(self.folder / f"bench_runtime_{name}"), *map(str, arguments)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=600)
         if done.returncode != 0:
@@ -51,8 +51,8 @@ class Report:
         self.failed = False
 
     def compare(self, name, unit, by_engine, at_least=None, at_most=None):
-        """One figure: `by_engine` has a value of each round for ours, and beside it for each baseline that ran. One line
-        of the table, and a result for each baseline."""
+        """One figure: `by_engine` has a value of each round for ours, and for each baseline that ran beside it. One
+        line of the table, and a result for each baseline."""
         values = by_engine[OURS]
         value = statistics.median(values)
         target, met = None, None

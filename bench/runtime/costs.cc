@@ -46,7 +46,7 @@ bool heap(const char* dag_name, Dag dag, bool tracked, double rate, double secon
       engine->pump();
     }
   });
-  pause(seconds);
+  pause(2 * seconds);
   const std::uint64_t allocated = allocations(), first = arrived();
   pause(seconds);
   const double results = static_cast<double>(arrived() - first);
