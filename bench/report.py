@@ -232,7 +232,7 @@ def run_runtime(programs, report, given):
     if PEER not in programs.engines():
         print("oneTBB's program is not built (libtbb-dev was missing when CMake ran): the peer is left out")
     report.print_head()
-    costs(programs, report, 1 if given.quick else 3, seconds)
+    costs(programs, report, 1 if given.quick else 3, 1.0)
     quiet(programs, report, rounds, 2 if given.quick else 5)
     for dag in DAGS:
         for tracked in (False, True):
