@@ -53,6 +53,96 @@ TEST(CompleteTopology, RunsFixedInputToTheEndInSimulatedTime) {
   EXPECT_EQ(result.snapshot.tasks.size(), 5U);
 }
 
+/// Sends numbers to one task of "sink" on a direct stream, and says so on another one that nobody reads.
+struct DirectBolt : Bolt {
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare_stream("to-one", {"number"}, true);
+    declarer.declare_stream("unread", {"number"});
+  }
+  void prepare(const Config&, const TopologyContext& context, OutputCollector& collector) override {
+    collector_ = &collector;
+    target_ = context.tasks_of->at("sink").back();
+  }
+  void execute(const Tuple& tuple) override {
+    collector_->emit_direct(target_, "to-one", {&tuple, 1}, Values(tuple.at(0)));
+    collector_->emit_to("unread", {&tuple, 1}, Values(tuple.at(0)));
+    collector_->ack(tuple);
+  }
+  OutputCollector* collector_ = nullptr;
+  int target_ = 0;
+};
+struct Sink : BasicBolt {
+  void execute(const Tuple&, BasicOutputCollector&) override {}
+};
+
+TEST(CompleteTopology, CollectsDirectStreamsAndThoseThatNobodyReads) {
+  TopologyBuilder builder;
+  builder.set_spout("numbers", source_spout(std::make_shared<Source>(), {"number"}));
+  builder.set_bolt<DirectBolt>("director").shuffle_grouping("numbers");
+  builder.set_bolt<Sink>("sink", 2).direct_grouping("director", "to-one");
+  CompleteOptions options;
+  options.inputs["numbers"] = {Values(1), Values(2)};
+  const CompletedTopology result = complete_topology(builder.build("t"), options);
+  const auto both = ElementsAre(ElementsAre(Value(std::int64_t{1})), ElementsAre(Value(std::int64_t{2})));
+  EXPECT_THAT(result.tuples("director", "to-one"), both);
+  EXPECT_THAT(result.tuples("director", "unread"), both);
+  EXPECT_EQ(result.emitted.size(), 6U);  // nothing of the sink
+  EXPECT_EQ(result.snapshot.component("sink").executed, 2U);
+  EXPECT_EQ(result.snapshot.component("numbers").acked, 2U);
+}
+
+TEST(CompleteTopology, EmitsTimedInputAtItsTimeBetweenTheSteps) {
+  TopologyBuilder builder;
+  builder.set_spout("words", source_spout(std::make_shared<Source>(), {"word"}));
+  builder.set_bolt<WordCount>("count").fields_grouping("words", {"word"}).tick(10ms);
+  CompleteOptions options;
+  options.timed_inputs["words"] = {{25ms, Values("c")}, {0ms, Values("a")}, {5ms + 300us, Values("b")}};
+  options.run_for = 5ms;
+  const CompletedTopology result = complete_topology(builder.build("t"), options);
+  std::vector<std::pair<std::string, std::chrono::nanoseconds>> seen;
+  for (const auto& tuple : result.emitted) {
+    seen.emplace_back(tuple.component + " " + std::get<std::string>(tuple.values[0]), tuple.at);
+  }
+  EXPECT_THAT(seen, ElementsAre(std::pair("words a", 0ms), std::pair("words b", 5ms + 300us),
+                                std::pair("count a", 10ms), std::pair("count b", 10ms), std::pair("count a", 20ms),
+                                std::pair("count b", 20ms), std::pair("words c", 25ms), std::pair("count a", 30ms),
+                                std::pair("count b", 30ms), std::pair("count c", 30ms)));
+}
+
+TEST(SimulatedTopology, IsFedAndMovedThroughTimeStepByStep) {
+  TopologyBuilder builder;
+  builder.set_spout("words", source_spout(std::make_shared<Source>(), {"word"}), 2);
+  builder.set_bolt<WordCount>("count").fields_grouping("words", {"word"}).tick(1s);
+  SimulatedTopology simulated(builder.build("t"), {.inputs = {"words"}, .message_timeout = 30s, .step = 100ms});
+  simulated.put("words", Values("a"));
+  EXPECT_EQ(simulated.snapshot().component("words").acked, 1U);
+  simulated.advance(999ms);
+  EXPECT_TRUE(simulated.tuples("count").empty());
+  simulated.put("words", Values("a"));
+  simulated.advance(1ms);
+  EXPECT_EQ(simulated.time(), 1s);
+  EXPECT_THAT(simulated.tuples("count"), ElementsAre(ElementsAre(Value("a"), Value(std::int64_t{2}))));
+  EXPECT_THROW(simulated.put("count", Values("a")), std::invalid_argument);
+}
+
+TEST(SimulatedTopology, FailsTreesThatTakeTooLong) {
+  struct Keeper : Bolt {
+    void prepare(const Config&, const TopologyContext&, OutputCollector&) override {}
+    void execute(const Tuple& tuple) override { kept_ = tuple; }
+    void cleanup() override { kept_ = {}; }
+    Tuple kept_;
+  };
+  TopologyBuilder builder;
+  builder.set_spout("words", source_spout(std::make_shared<Source>(), {"word"}));
+  builder.set_bolt<Keeper>("keep").shuffle_grouping("words");
+  SimulatedTopology simulated(builder.build("t"), {.inputs = {"words"}, .message_timeout = 10s, .step = 100ms});
+  simulated.put("words", Values("a"));
+  simulated.advance(9900ms);
+  EXPECT_EQ(simulated.snapshot().component("words").timed_out, 0U);
+  simulated.advance(1500ms);
+  EXPECT_EQ(simulated.snapshot().component("words").timed_out, 1U);
+}
+
 TEST(CompleteTopology, RefusesInputForWhatIsNoSpout) {
   TopologyBuilder builder;
   builder.set_spout("lines", source_spout(std::make_shared<Source>(), {"line"}));
