@@ -85,6 +85,8 @@ bool parse_whole(const std::string& text, Number& value) {
   return status == std::errc{} && end == text.data() + text.size();
 }
 
+}  // namespace
+
 std::optional<std::chrono::microseconds> parse_duration(const std::string& text) {
   double number = 0;
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
@@ -99,8 +101,6 @@ std::optional<std::chrono::microseconds> parse_duration(const std::string& text)
   if (factor == 0) return std::nullopt;
   return std::chrono::microseconds(std::llround(number * factor));
 }
-
-}  // namespace
 
 Section Section::parse(std::string_view text, const std::string& name) {
   auto impl = std::make_shared<Impl>();

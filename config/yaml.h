@@ -66,6 +66,9 @@ class Section {
   std::shared_ptr<Impl> impl_;
 };
 
+/// "250ms", "2s", "5m", "1h", "10us"; nullopt for anything else.
+std::optional<std::chrono::microseconds> parse_duration(const std::string& text);
+
 /// The candidate nearest to `word` by edit distance, when it is near enough to suggest; otherwise empty.
 std::string nearest(std::string_view word, const std::vector<std::string>& candidates);
 

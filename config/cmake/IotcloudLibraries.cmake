@@ -22,6 +22,9 @@ target_include_directories(zookeeper_mt SYSTEM INTERFACE ${ZOOKEEPER_INCLUDE_DIR
 target_compile_definitions(zookeeper_mt INTERFACE THREADED)
 target_link_libraries(zookeeper_mt INTERFACE ${ZOOKEEPER_LIBRARY} Threads::Threads)
 
+find_path(ROCKSDB_INCLUDE_DIR rocksdb/db.h REQUIRED)
+find_library(ROCKSDB_LIBRARY rocksdb REQUIRED)
+
 find_path(CONCURRENTQUEUE_INCLUDE_DIR concurrentqueue/moodycamel/concurrentqueue.h
           PATH_SUFFIXES include)
 add_library(concurrentqueue INTERFACE)

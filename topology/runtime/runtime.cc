@@ -102,9 +102,9 @@ class Runtime::Impl {
     stopped_in_time_ = true;
     if (!started_) return true;
     const auto deadline = std::chrono::steady_clock::now() + limit;
-    timers_.end_periodic();
     set_active(false);
-    const bool drained = drain(deadline);
+    const bool drained = drain(deadline);  // ticks go on: bolts that ack at a tick have to
+    timers_.end_periodic();
     scheduler_.halt();
     const bool quiet = scheduler_.wait_halted(deadline);
     // Sources before those they feed, as they were made.

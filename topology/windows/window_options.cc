@@ -1,9 +1,8 @@
 #include <charconv>
-#include <cmath>
 #include <optional>
 #include <stdexcept>
-#include <string_view>
 
+#include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/windows/window_options.h>
 
 namespace iotcloud::topology {
@@ -15,17 +14,9 @@ namespace {
 }
 
 std::optional<std::chrono::milliseconds> parse_duration(const std::string& text) {
-  double number = 0;
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (status != std::errc{} || !(number >= 0) || number > 1e9) return std::nullopt;
-  const std::string_view unit(end, static_cast<std::size_t>(text.data() + text.size() - end));
-  double factor = 0;
-  if (unit == "ms") factor = 1;
-  if (unit == "s") factor = 1e3;
-  if (unit == "m") factor = 60e3;
-  if (unit == "h") factor = 3600e3;
-  if (factor == 0) return std::nullopt;
-  return std::chrono::milliseconds(std::llround(number * factor));
+  const auto duration = config::parse_duration(text);
+  if (!duration) return std::nullopt;
+  return std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
 }
 
 void read_duration(const Config& config, const std::string& key, std::chrono::milliseconds& value) {

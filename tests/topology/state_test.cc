@@ -1,0 +1,434 @@
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <iotcloud/tests/topology/workshop.h>
+#include <iotcloud/topology/state/state_store.h>
+#include <iotcloud/topology/state/stateful_bolt.h>
+
+namespace iotcloud::topology::workshop {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Pair;
+using testing::UnorderedElementsAre;
+namespace fs = std::filesystem;
+
+/// A folder that is gone after the test.
+class Folder {
+ public:
+  Folder() {
+    std::string name = (fs::temp_directory_path() / "iotcloud-state-XXXXXX").string();
+    path_ = mkdtemp(name.data());
+  }
+  ~Folder() {
+    std::error_code ignored;
+    fs::remove_all(path_, ignored);
+  }
+  std::string url(const std::string& name = "db") const { return "rocksdb://" + path_ + "/" + name; }
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+};
+
+std::string problem_of(const std::function<void()>& call) {
+  try {
+    call();
+  } catch (const std::exception& e) {
+    return e.what();
+  }
+  return "";
+}
+
+/// The stores that must be alike: "memory" and "rocksdb".
+class StateStores : public testing::TestWithParam<const char*> {
+ protected:
+  std::string url() const {
+    if (GetParam() == std::string("rocksdb")) return folder_.url();
+    return "memory://" + folder_.path();  // a name of its own
+  }
+  KeyValueState open(const std::string& component = "count", int index = 0, int count = 2) const {
+    return {make_state_store(url()), StateOwner{"t", component, index, count}};
+  }
+
+ private:
+  Folder folder_;
+};
+INSTANTIATE_TEST_SUITE_P(All, StateStores, testing::Values("memory", "rocksdb"),
+                         [](const auto& each) { return std::string(each.param); });
+
+TEST_P(StateStores, ACheckpointIsFoundAgainAndWhatCameAfterItIsNot) {
+  {
+    KeyValueState state = open();
+    state.put("kept", "1");
+    state.put("erased", "2");
+    state.checkpoint();
+    state.put("kept", "3");
+    state.erase("erased");
+    state.put_int("number", -7);
+    state.checkpoint();
+    state.put("forgotten", "4");
+    EXPECT_TRUE(state.changed());
+  }
+  const KeyValueState state = open();
+  EXPECT_THAT(state.entries(), ElementsAre(Pair("kept", "3"), Pair("number", "-7")));
+  EXPECT_EQ(state.get_int("number"), -7);
+  EXPECT_EQ(state.version(), 2U);
+  EXPECT_FALSE(state.changed());
+}
+
+TEST_P(StateStores, KeysAndValuesMayBeAnyBytes) {
+  const std::string key("\0\xff k\0", 5), value("\0\0\xfe", 3);
+  {
+    KeyValueState state = open();
+    state.put(key, value);
+    state.put("", "the empty key");
+    state.checkpoint();
+  }
+  const KeyValueState state = open();
+  ASSERT_NE(state.find(key), nullptr);
+  EXPECT_EQ(*state.find(key), value);
+  EXPECT_EQ(state.get(""), "the empty key");
+}
+
+TEST_P(StateStores, TasksAndComponentsDoNotSeeEachOthersKeys) {
+  const auto put = [this](const std::string& component, int index) {
+    KeyValueState state = open(component, index);
+    state.put("who", component + std::to_string(index));
+    state.checkpoint();
+  };
+  put("a", 0);
+  put("a", 1);
+  put("ab", 0);
+  EXPECT_THAT(open("a", 0).entries(), ElementsAre(Pair("who", "a0")));
+  EXPECT_THAT(open("a", 1).entries(), ElementsAre(Pair("who", "a1")));
+  EXPECT_THAT(open("ab", 0).entries(), ElementsAre(Pair("who", "ab0")));
+  EXPECT_THAT(open("b", 0).entries(), IsEmpty());
+}
+
+TEST_P(StateStores, AnotherNumberOfTasksIsRefused) {
+  {
+    KeyValueState state = open("count", 0, 2);
+    state.put("a", "1");
+    state.checkpoint();
+  }
+  const std::string problem = problem_of([this] { open("count", 0, 3); });
+  EXPECT_THAT(problem, HasSubstr("written by 2 tasks, and now there are 3"));
+  EXPECT_EQ(open("other", 0, 3).size(), 0U) << "another component may have any number";
+}
+
+TEST(StateStore, OtherUrlsAreRefusedWithWhatWouldBeRight) {
+  for (const char* url : {"", "memory://", "rocksdb://", "rocksdb://relative", "redis://host", "/path"}) {
+    EXPECT_THAT(problem_of([url] { make_state_store(url); }), HasSubstr("rocksdb:///absolute/path")) << url;
+  }
+}
+
+TEST(StateStore, AFolderOfSomethingElseIsRefusedAndLeftAlone) {
+  const Folder folder;
+  std::ofstream(folder.path() + "/letter.txt") << "dear";
+  EXPECT_THAT(problem_of([&] { make_state_store("rocksdb://" + folder.path()); }), HasSubstr("is empty or not there"));
+  EXPECT_THAT(problem_of([&] { make_state_store("rocksdb://" + folder.path() + "/letter.txt"); }),
+              HasSubstr("is empty or not there"));
+  EXPECT_EQ(std::distance(fs::directory_iterator(folder.path()), fs::directory_iterator()), 1);
+}
+
+TEST(StateStore, ADamagedDatabaseIsRefused) {
+  const Folder folder;
+  {
+    KeyValueState state(make_state_store(folder.url()), {"t", "count", 0, 1});
+    state.put("a", std::string(1000, 'a'));
+    state.checkpoint();
+  }
+  std::ofstream(folder.path() + "/db/CURRENT") << "nonsense\n";
+  EXPECT_THAT(problem_of([&] { make_state_store(folder.url()); }), HasSubstr("cannot be opened"));
+}
+
+TEST(StateStore, ATornWriteIsDroppedAndWhatWasBeforeItIsThere) {
+  const Folder folder;
+  {
+    KeyValueState state(make_state_store(folder.url()), {"t", "count", 0, 1});
+    state.put("a", "1");
+    state.checkpoint();
+    state.put("a", "2");
+    state.put("b", "2");
+    state.checkpoint();
+  }
+  fs::path log;
+  for (const auto& file : fs::directory_iterator(folder.path() + "/db")) {
+    if (file.path().extension() == ".log" && file.file_size() > 0) log = file.path();
+  }
+  ASSERT_FALSE(log.empty());
+  fs::resize_file(log, fs::file_size(log) - 5);
+  const KeyValueState state(make_state_store(folder.url()), {"t", "count", 0, 1});
+  EXPECT_THAT(state.entries(), ElementsAre(Pair("a", "1")));
+  EXPECT_EQ(state.version(), 1U);
+}
+
+TEST(StateStore, AValueThatIsNoNumberSaysSo) {
+  KeyValueState state(make_state_store("memory://no number"), {"t", "count", 0, 1});
+  state.put("a", "12x");
+  EXPECT_THAT(problem_of([&] { static_cast<void>(state.get_int("a")); }), HasSubstr("\"12x\""));
+  EXPECT_EQ(state.get_int("b", 5), 5);
+}
+
+TEST(StateStore, AfterAKillInTheMiddleOfWritingEveryDurableCheckpointIsThereAndWhole) {
+  const Folder folder;
+  const std::string url = folder.url();
+  std::int64_t confirmed = 0;
+  for (int round = 0; round < 3; ++round) {
+    int ends[2];
+    ASSERT_EQ(pipe(ends), 0);
+    const pid_t child = fork();
+    if (child == 0) {
+      dup2(ends[1], STDOUT_FILENO);
+      close(ends[0]);
+      close(ends[1]);
+      execl(STATE_WRITER, STATE_WRITER, url.c_str(), nullptr);
+      _exit(127);
+    }
+    close(ends[1]);
+    std::int64_t said = 0;
+    for (int i = 0; i < 10 + round; ++i) ASSERT_EQ(read(ends[0], &said, sizeof said), ssize_t{sizeof said});
+    kill(child, SIGKILL);
+    while (read(ends[0], &said, sizeof said) == ssize_t{sizeof said}) continue;
+    close(ends[0]);
+    int status = 0;
+    ASSERT_EQ(waitpid(child, &status, 0), child);
+    EXPECT_TRUE(WIFSIGNALED(status));
+    confirmed += said;
+
+    KeyValueState state(make_state_store(folder.url()), {"t", "count", 0, 1});
+    const std::int64_t found = std::stoll(state.get("a"));
+    EXPECT_GE(found, said);
+    EXPECT_LE(found, said + 1) << "one that was under way at most";
+    EXPECT_EQ(state.get("b"), state.get("a")) << "all keys of one checkpoint or none";
+    EXPECT_EQ(state.get("c"), state.get("a"));
+    EXPECT_GE(state.version(), static_cast<std::uint64_t>(confirmed));
+    confirmed = static_cast<std::int64_t>(state.version());
+  }
+}
+
+// Bolts with state.
+
+/// Counts its words. "!" throws away nothing but fails; emits word and count.
+struct Count : StatefulBolt {
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare({"word", "count"}); }
+  void prepare(const Config&, const TopologyContext&, OutputCollector& collector) override { out_ = &collector; }
+  void init_state(KeyValueState& state) override { state_ = &state; }
+  void execute(const Tuple& tuple) override {
+    const auto& word = tuple.get<std::string>("value");
+    if (word == "!") {
+      out_->fail(tuple);
+      return;
+    }
+    state_->put_int(word, state_->get_int(word) + 1);
+    out_->emit(tuple, Values(word, state_->get_int(word)));
+    out_->ack(tuple);
+  }
+  OutputCollector* out_ = nullptr;
+  KeyValueState* state_ = nullptr;
+};
+
+struct Counting {
+  explicit Counting(BoltFactory bolt, const Config& config = {}, int tasks = 1) {
+    TopologyBuilder builder;
+    builder.set_spout("in", source_spout(source));
+    builder.set_bolt("count", std::move(bolt), tasks, config).fields_grouping("in", {"value"});
+    builder.set_bolt("sink", sink_bolt(sink)).global_grouping("count");
+    runtime.emplace(builder.build("t"), bench.options());
+    runtime->start();
+    runtime->run_until_idle();
+  }
+  void put(const std::string& word) {
+    source->put(Values(word));
+    runtime->run_until_idle();
+  }
+  void pass(std::chrono::milliseconds time) {
+    bench.clock.advance(time);
+    runtime->run_due_timers();
+    runtime->run_until_idle();
+  }
+  /// word=count of all that was emitted.
+  std::vector<std::string> seen() const {
+    std::vector<std::string> list;
+    for (const auto& item : sink->items) {
+      list.push_back(std::get<std::string>(item.values[0]) + "=" +
+                     std::to_string(std::get<std::int64_t>(item.values[1])));
+    }
+    return list;
+  }
+  Bench bench;
+  std::shared_ptr<Source> source = std::make_shared<Source>();
+  std::shared_ptr<Sink> sink = std::make_shared<Sink>();
+  std::optional<Runtime> runtime;
+};
+
+TEST(StatefulBolts, AcksAreHeldUntilTheCheckpointIsDurable) {
+  const Folder folder;
+  Counting counting(make_stateful_bolt<Count>({.store = folder.url(), .checkpoint = 100ms}));
+  counting.put("a");
+  counting.put("b");
+  EXPECT_THAT(counting.seen(), ElementsAre("a=1", "b=1")) << "emits are not held";
+  counting.pass(99ms);
+  EXPECT_THAT(counting.source->acked(), IsEmpty());
+  counting.pass(1ms);
+  EXPECT_THAT(counting.source->acked(), UnorderedElementsAre(1, 2));
+  counting.put("!");
+  EXPECT_THAT(counting.source->failed(), ElementsAre(3)) << "fails are not held";
+}
+
+TEST(StatefulBolts, ANewLifeBeginsWithTheLastCheckpointAndTheReplayOfTheRest) {
+  const Folder folder;
+  const auto factory = make_stateful_bolt<Count>({.store = folder.url(), .checkpoint = 100ms});
+  {
+    Counting counting(factory, {}, 2);
+    for (const char* word : {"a", "b", "a"}) counting.put(word);
+    counting.pass(100ms);
+    EXPECT_EQ(counting.source->acked().size(), 3U);
+    counting.put("a");
+    counting.put("b");
+    EXPECT_EQ(counting.source->acked().size(), 3U);
+  }
+  Counting counting(factory, {}, 2);
+  counting.put("a");  // the spout's replay
+  counting.put("b");
+  EXPECT_THAT(counting.seen(), ElementsAre("a=3", "b=2")) << "not acked, so not counted";
+}
+
+/// A store whose commits fail while `broken` is set, before or after they were written.
+class FailingStore final : public StateStore {
+ public:
+  StoredState load(const StateOwner&) override { return stored; }
+  void commit(const StateOwner&, const Checkpoint& checkpoint) override {
+    if (broken && !after) throw StateError("the disk is full");
+    stored.version = checkpoint.version;
+    for (const auto& [key, value] : checkpoint.changes) {
+      if (value) {
+        stored.entries[key] = *value;
+      } else {
+        stored.entries.erase(key);
+      }
+    }
+    if (broken) throw StateError("the disk went away");
+  }
+  bool broken = false, after = false;
+  StoredState stored;
+};
+
+TEST(StatefulBolts, AFailedCheckpointTakesTheStateBack) {
+  auto store = std::make_shared<FailingStore>();
+  KeyValueState state(store, {"t", "count", 0, 1});
+  state.put("changed", "1");
+  state.put("erased", "1");
+  state.checkpoint();
+  store->broken = true;
+  state.put("changed", "2");
+  state.put("changed", "3");
+  state.erase("erased");
+  state.put("new", "1");
+  EXPECT_THAT(problem_of([&] { state.checkpoint(); }), HasSubstr("disk is full"));
+  EXPECT_THAT(state.entries(), ElementsAre(Pair("changed", "1"), Pair("erased", "1")));
+  EXPECT_EQ(state.version(), 1U);
+}
+
+TEST(StatefulBolts, ACheckpointWhoseOutcomeIsUnknownIsPutRightByTheNext) {
+  auto store = std::make_shared<FailingStore>();
+  KeyValueState state(store, {"t", "count", 0, 1});
+  state.put("a", "1");
+  state.checkpoint();
+  store->broken = store->after = true;
+  state.put("a", "2");
+  state.put("b", "2");
+  EXPECT_THROW(state.checkpoint(), StateError);
+  EXPECT_THAT(store->stored.entries, ElementsAre(Pair("a", "2"), Pair("b", "2"))) << "it was written after all";
+  store->broken = false;
+  state.checkpoint();
+  EXPECT_THAT(store->stored.entries, ElementsAre(Pair("a", "1")));
+}
+
+/// Fails its next checkpoint when told.
+struct Fragile : Count {
+  explicit Fragile(std::shared_ptr<bool> broken) : broken_(std::move(broken)) {}
+  void pre_checkpoint() override {
+    if (*broken_) throw std::runtime_error("not now");
+  }
+  void rolled_back() override { *broken_ = false; }
+  std::shared_ptr<bool> broken_;
+};
+
+TEST(StatefulBolts, AFailedCheckpointFailsTheTuplesSinceTheLastOneAndTheirReplayCountsOnce) {
+  auto broken = std::make_shared<bool>(false);
+  Counting counting(make_stateful_bolt<Fragile>({.store = "memory://fragile", .checkpoint = 100ms}, broken));
+  counting.put("a");
+  counting.pass(100ms);
+  *broken = true;
+  counting.put("a");
+  counting.pass(100ms);
+  EXPECT_THAT(counting.source->acked(), ElementsAre(1));
+  EXPECT_THAT(counting.source->failed(), ElementsAre(2));
+  EXPECT_THAT(counting.runtime->snapshot().component("count").last_error, HasSubstr("not now"));
+  EXPECT_FALSE(*broken) << "the bolt was told";
+  counting.put("a");
+  counting.pass(100ms);
+  EXPECT_THAT(counting.seen(), ElementsAre("a=1", "a=2", "a=2"));
+  EXPECT_THAT(counting.source->acked(), ElementsAre(1, 3));
+}
+
+TEST(StatefulBolts, TheConfigurationNamesStoreAndPeriod) {
+  const Folder folder;
+  {
+    Counting counting(make_stateful_bolt<Count>(), {{"state.store", folder.url()}, {"state.checkpoint", "20ms"}});
+    counting.put("a");
+    counting.pass(20ms);
+    EXPECT_EQ(counting.source->acked().size(), 1U);
+  }
+  EXPECT_EQ(KeyValueState(make_state_store(folder.url()), {"t", "count", 0, 1}).get_int("a"), 1);
+}
+
+TEST(StatefulBolts, WithoutAStoreOrWithAPeriodThatIsNoneTheTopologyIsNotBuilt) {
+  EXPECT_THAT(problem_of([] { const Counting none(make_stateful_bolt<Count>()); }), HasSubstr("state.store"));
+  EXPECT_THAT(
+      problem_of([] {
+        const Counting none(make_stateful_bolt<Count>(), {{"state.store", "memory://x"}, {"state.checkpoint", "5"}});
+      }),
+      HasSubstr("\"5\" is no period"));
+}
+
+TEST(StatefulBolts, AChangedNumberOfTasksIsRefusedAtStart) {
+  const Folder folder;
+  const auto factory = make_stateful_bolt<Count>({.store = folder.url(), .checkpoint = 10ms});
+  {
+    Counting counting(factory, {}, 2);
+    counting.put("a");
+    counting.pass(10ms);
+  }
+  EXPECT_THAT(problem_of([&] { const Counting three(factory, {}, 3); }), HasSubstr("2 tasks, and now there are 3"));
+}
+
+TEST(StatefulBolts, AStopWaitsForTheCheckpointOfWhatIsUnderWay) {
+  auto source = std::make_shared<Source>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("count", make_stateful_bolt<Count>({.store = "memory://stop", .checkpoint = 20ms}))
+      .shuffle_grouping("in");
+  Runtime runtime(builder.build("t"), {});
+  runtime.start();
+  for (int i = 0; i < 100; ++i) source->put(Values("a"));
+  ASSERT_TRUE(eventually([&] { return source->waiting() == 0; }));
+  EXPECT_TRUE(runtime.stop(20s));
+  EXPECT_EQ(source->acked().size(), 100U);
+  EXPECT_EQ(KeyValueState(make_state_store("memory://stop"), {"t", "count", 0, 1}).get_int("a"), 100);
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::workshop

@@ -1,0 +1,141 @@
+#include <mutex>
+#include <optional>
+#include <stdexcept>
+#include <vector>
+
+#include <iotcloud/config/yaml.h>
+#include <iotcloud/topology/state/stateful_bolt.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+StateOptions configured(StateOptions options, const Config& config) {
+  if (const auto store = config.find("state.store"); store != config.end()) options.store = store->second;
+  if (const auto period = config.find("state.checkpoint"); period != config.end()) {
+    const auto duration = config::parse_duration(period->second);
+    if (!duration || *duration < std::chrono::milliseconds(1)) {
+      throw std::invalid_argument("state.checkpoint: \"" + period->second +
+                                  "\" is no period; write a number and a unit, 1ms or more: 500ms, 2s, 1m");
+    }
+    options.checkpoint = std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
+  }
+  if (options.store.empty()) {
+    throw std::invalid_argument(
+        "a stateful bolt needs a store (StateOptions::store, or conf state.store): "
+        "memory://NAME or rocksdb:///path");
+  }
+  if (options.checkpoint.count() <= 0) throw std::invalid_argument("the period of checkpoints must be more than zero");
+  return options;
+}
+
+/// Passes on all but acks.
+class HoldingCollector final : public OutputCollector {
+ public:
+  explicit HoldingCollector(OutputCollector& collector) : collector_(collector) {}
+  void ack(const Tuple& tuple) override {
+    const std::lock_guard lock(mutex_);
+    held_.push_back(tuple);
+  }
+  void fail(const Tuple& tuple) override { collector_.fail(tuple); }
+  void reset_timeout(const Tuple& tuple) override { collector_.reset_timeout(tuple); }
+  void report_error(const std::string& text) override { collector_.report_error(text); }
+  /// What was acked so far.
+  std::vector<Tuple> take() {
+    const std::lock_guard lock(mutex_);
+    return std::exchange(held_, {});
+  }
+
+ protected:
+  void do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) override {
+    if (task == no_task) {
+      collector_.emit_to(stream, anchors, std::move(values));
+    } else {
+      collector_.emit_direct(task, stream, anchors, std::move(values));
+    }
+  }
+
+ private:
+  OutputCollector& collector_;
+  std::mutex mutex_;
+  std::vector<Tuple> held_;  ///< guarded by mutex_
+};
+
+/// Storm's StatefulBoltExecutor.
+class StatefulBoltExecutor final : public Bolt {
+ public:
+  StatefulBoltExecutor(std::unique_ptr<StatefulBolt> bolt, StateOptions options)
+      : bolt_(std::move(bolt)), options_(std::move(options)) {}
+
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { bolt_->declare_output_fields(declarer); }
+  std::chrono::microseconds tick_period(const Config& config) const override {
+    return configured(options_, config).checkpoint;
+  }
+
+  void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) override {
+    const StateOptions options = configured(options_, config);
+    const config::Labels labels{
+        {"topology", context.topology}, {"component", context.component}, {"task", std::to_string(context.task)}};
+    checkpoints_ = &context.metrics->counter("iotcloud_task_checkpoints_total", "Checkpoints made durable", labels);
+    failures_ = &context.metrics->counter("iotcloud_task_checkpoint_failures_total", "Checkpoints that failed", labels);
+    collector_ = &collector;
+    holding_.emplace(collector);
+    state_.emplace(make_state_store(options.store),
+                   StateOwner{context.topology, context.component, context.task_index, context.task_count});
+    bolt_->prepare(config, context, *holding_);
+    bolt_->init_state(*state_);
+  }
+
+  void execute(const Tuple& tuple) override {
+    if (tuple.is_tick()) {
+      checkpoint();
+    } else {
+      bolt_->execute(tuple);
+    }
+  }
+
+  void cleanup() override { bolt_->cleanup(); }
+
+ private:
+  void checkpoint() {
+    // Of these the execute() is over; one that another thread acks from here on waits for the next checkpoint.
+    const std::vector<Tuple> held = holding_->take();
+    try {
+      bolt_->pre_checkpoint();
+      const bool changed = state_->changed();
+      state_->checkpoint();
+      if (changed) checkpoints_->add();
+    } catch (const std::exception& e) {
+      give_up(held, e.what());
+      return;
+    } catch (...) {
+      give_up(held, "something that is no std::exception");
+      return;
+    }
+    for (const Tuple& tuple : held) collector_->ack(tuple);
+  }
+
+  void give_up(const std::vector<Tuple>& held, const std::string& why) {
+    failures_->add();
+    state_->roll_back();
+    for (const Tuple& tuple : held) collector_->fail(tuple);
+    collector_->report_error("a checkpoint failed, and the tuples since the last one with it: " + why);
+    bolt_->rolled_back();
+  }
+
+  const std::unique_ptr<StatefulBolt> bolt_;
+  const StateOptions options_;
+  OutputCollector* collector_ = nullptr;
+  std::optional<HoldingCollector> holding_;
+  std::optional<KeyValueState> state_;
+  config::Counter* checkpoints_ = nullptr;
+  config::Counter* failures_ = nullptr;
+};
+
+}  // namespace
+
+std::unique_ptr<Bolt> run_stateful(std::unique_ptr<StatefulBolt> bolt, StateOptions options) {
+  return std::make_unique<StatefulBoltExecutor>(std::move(bolt), std::move(options));
+}
+
+}  // namespace iotcloud::topology
