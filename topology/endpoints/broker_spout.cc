@@ -75,9 +75,12 @@ void BrokerSpout::emit(Arrival arrival) {
 std::chrono::microseconds BrokerSpout::poll_period() const {
   const auto due = retries_.due();
   if (!due) return std::chrono::microseconds{0};
-  const auto left = std::chrono::ceil<std::chrono::microseconds>(*due - services_->clock->now());
+  constexpr std::chrono::microseconds least = std::chrono::milliseconds(1);
+  const auto now = services_->clock->now();
+  if (*due <= now) return least;
   // A poll that was asked for cannot be moved forward, so a retry that comes to wait later must not wait for it long.
-  return std::clamp<std::chrono::microseconds>(left, std::chrono::milliseconds(1), Retries::pause_after(1));
+  return std::clamp<std::chrono::microseconds>(std::chrono::ceil<std::chrono::microseconds>(*due - now), least,
+                                               Retries::pause_after(1));
 }
 
 void BrokerSpout::ack(MessageId id) {

@@ -33,7 +33,7 @@ class Retries {
   void done(const Arrival& arrival);
 
   bool empty() const { return groups_.empty() && released_.empty(); }
-  /// When next() has something; nullopt: not by the passing of time alone.
+  /// When next() has something (Instant::min(): now); nullopt: not by the passing of time alone.
   std::optional<Instant> due() const;
   /// Gives everything back to the broker.
   void clear();
