@@ -153,6 +153,8 @@ std::shared_ptr<StateStore> open_rocksdb(const std::string& path) {
   options.wal_recovery_mode = rocksdb::WALRecoveryMode::kTolerateCorruptedTailRecords;
   options.max_background_jobs = 1;
   options.keep_log_file_num = 2;
+  options.stats_dump_period_sec = 0;  // no thread of its own that wakes up for statistics
+  options.stats_persist_period_sec = 0;
   rocksdb::DB* db = nullptr;
   const rocksdb::Status status = rocksdb::DB::Open(options, path, &db);
   if (!status.ok()) {
