@@ -1,0 +1,285 @@
+#include <atomic>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/tests/topology/workshop.h>
+#include <iotcloud/topology/endpoints/worker_control.h>
+
+namespace iotcloud::topology::workshop {
+namespace {
+
+using discovery::TopologyOrder;
+using testing::Contains;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+
+/// in -> work (2 tasks) -> what the test says, and its place in an embedded registry.
+class WorkerControlTest : public testing::Test {
+ protected:
+  WorkerControlTest() {
+    static std::atomic<int> counter{0};
+    name_ = "control-test-" + std::to_string(getpid()) + "-" + std::to_string(++counter);
+    server_ = discovery::embedded::Server::named(name_);
+    registry_ = connect();
+    watcher_ = connect();
+  }
+
+  std::unique_ptr<discovery::Registry> connect() const {
+    discovery::RegistryOptions options;
+    options.url = "embedded://" + name_;
+    options.session_timeout = 500ms;
+    options.operation_timeout = 500ms;
+    return discovery::make_registry(options);
+  }
+
+  /// Starts the runtime as the worker does, and its control.
+  void start(std::chrono::milliseconds patience = 20s) {
+    TopologyBuilder builder;
+    builder.set_spout("in", source_spout(source_));
+    builder
+        .set_bolt("work", bolt([this](const Tuple& tuple, OutputCollector& collector, const TopologyContext&) {
+                    const std::lock_guard lock(mutex_);
+                    collector_ = &collector;
+                    if (keep_) return kept_.push_back(tuple);
+                    collector.ack(tuple);
+                  }),
+                  2)
+        .shuffle_grouping("in");
+    RuntimeOptions options;
+    options.threads = 1;
+    options.metrics = &metrics_;
+    runtime_ = std::make_unique<Runtime>(builder.build("t"), options);
+    runtime_->deactivate();
+    runtime_->start();
+    auto services = std::make_shared<EndpointServices>();
+    services->topology = "t";
+    services->worker = "w1";
+    services->registry = registry_.get();
+    services->clock = &config::system_clock();
+    services->metrics = &metrics_;
+    WorkerControl::Options control;
+    control.services = services;
+    control.runtime = runtime_.get();
+    control.topology.name = "t";
+    control.worker.name = "w1";
+    control.worker.http = "127.0.0.1:1";
+    control.patience = patience;
+    control.on_killed = [this] {
+      ++killed_;
+      control_->leave();
+    };
+    control_ = std::make_unique<WorkerControl>(std::move(control));
+    control_->start();
+  }
+  void TearDown() override {
+    control_.reset();
+    runtime_.reset();
+  }
+
+  void order(const TopologyOrder& order) {
+    discovery::put(*watcher_, paths_.topology_order("t"), discovery::encode(order));
+  }
+  static TopologyOrder numbered(std::int64_t revision, bool active = true) {
+    TopologyOrder order;
+    order.revision = revision;
+    order.active = active;
+    return order;
+  }
+  TopologyOrder kill_of(std::vector<std::string> workers, std::int64_t drain_ms = 20'000) const {
+    TopologyOrder order = numbered(5);
+    order.kill = {std::move(workers), drain_ms, config::system_clock().wall_ms() + 60'000};
+    return order;
+  }
+  /// What the worker says of itself in the registry.
+  discovery::WorkerRecord told() {
+    const auto workers = discovery::list_workers(*watcher_, paths_, "t");
+    return workers.empty() ? discovery::WorkerRecord{} : workers.front();
+  }
+  bool says(const std::string& state, std::int64_t revision) {
+    return eventually([&] {
+      const auto record = told();
+      return record.state == state && record.revision == revision;
+    });
+  }
+  std::optional<std::string> end_report() {
+    const auto node = watcher_->get(paths_.ended_workers("t") + "/w1");
+    return node ? std::optional(node->data) : std::nullopt;
+  }
+
+  std::string name_;
+  const discovery::Paths paths_;
+  config::Metrics metrics_;
+  std::shared_ptr<discovery::embedded::Server> server_;
+  std::unique_ptr<discovery::Registry> registry_, watcher_;
+  std::shared_ptr<Source> source_ = std::make_shared<Source>();
+  std::mutex mutex_;
+  bool keep_ = false;                     ///< guarded by mutex_: tuples are not acked
+  std::vector<Tuple> kept_;               ///< guarded by mutex_
+  OutputCollector* collector_ = nullptr;  ///< guarded by mutex_: of the task that ran last
+  std::atomic<int> killed_{0};
+  std::unique_ptr<Runtime> runtime_;
+  std::unique_ptr<WorkerControl> control_;
+};
+
+TEST_F(WorkerControlTest, ShowsTheWorkerAndLetsTheSpoutsGoWhenNothingIsOrdered) {
+  start();
+  ASSERT_TRUE(says("active", 0));
+  const auto record = told();
+  EXPECT_EQ(record.http, "127.0.0.1:1");
+  EXPECT_EQ(record.components.at("work"), (discovery::WorkerRecord::Component{2, 2}));
+  EXPECT_TRUE(eventually([&] { return runtime_->snapshot().active; }));
+  EXPECT_TRUE(eventually([&] { return discovery::list_topologies(*watcher_, paths_).size() == 1; }));
+}
+
+TEST_F(WorkerControlTest, StartsInactiveWhenThatIsOrderedAndGoesOnAtTheNextOrder) {
+  order(numbered(3, false));
+  source_->lay(Values(1));
+  start();
+  ASSERT_TRUE(says("inactive", 3));
+  EXPECT_EQ(source_->waiting(), 1U);
+  EXPECT_THAT(source_->calls(), Not(Contains("activate")));
+  order(numbered(4));
+  ASSERT_TRUE(says("active", 4));
+  EXPECT_TRUE(eventually([&] { return source_->acked().size() == 1; }));
+}
+
+TEST_F(WorkerControlTest, ChangesTheParallelismAndGoesBackToTheDeclaredOneWithoutTheOrder) {
+  start();
+  auto wanted = numbered(1);
+  wanted.parallelism = {{"work", 1}};
+  order(wanted);
+  ASSERT_TRUE(says("active", 1));
+  EXPECT_EQ(runtime_->snapshot().parallelism.at("work"), 1);
+  EXPECT_EQ(told().components.at("work").parallelism, 1);
+  watcher_->remove(paths_.topology_order("t"));
+  ASSERT_TRUE(says("active", 0));
+  EXPECT_EQ(runtime_->snapshot().parallelism.at("work"), 2);
+}
+
+TEST_F(WorkerControlTest, ReportsWhatItCannotDoAndDoesTheRest) {
+  start();
+  auto wanted = numbered(1, false);
+  wanted.parallelism = {{"work", 3}, {"wrok", 1}};
+  order(wanted);
+  ASSERT_TRUE(says("inactive", 1));
+  EXPECT_THAT(told().error, HasSubstr("work"));
+  EXPECT_THAT(told().error, HasSubstr("\"wrok\""));
+  EXPECT_FALSE(runtime_->snapshot().active);
+}
+
+TEST_F(WorkerControlTest, ReportsAnOrderThatCannotBeReadAndKeepsTheState) {
+  start();
+  order(numbered(1, false));
+  ASSERT_TRUE(says("inactive", 1));
+  discovery::put(*watcher_, paths_.topology_order("t"), "{");
+  EXPECT_TRUE(eventually([&] { return told().error.find("JSON") != std::string::npos; }));
+  EXPECT_EQ(told().state, "inactive");
+}
+
+TEST_F(WorkerControlTest, RunsAsDeclaredWhenTheRegistryIsSilentAndObeysWhenItSpeaks) {
+  order(numbered(2, false));
+  server_->stop();
+  start(20ms);
+  ASSERT_TRUE(eventually([&] { return runtime_->snapshot().active; }));
+  server_->start();
+  ASSERT_TRUE(says("inactive", 2));
+}
+
+TEST_F(WorkerControlTest, IsShownWithItsStateAgainAfterItsSessionExpired) {
+  start();
+  order(numbered(1, false));
+  ASSERT_TRUE(says("inactive", 1));
+  server_->expire(server_->sessions().front());
+  ASSERT_TRUE(says("inactive", 1));
+}
+
+TEST_F(WorkerControlTest, DrainsLeavesAReportAndTheRegistryWhenKilled) {
+  start();
+  ASSERT_TRUE(says("active", 0));
+  {
+    const std::lock_guard lock(mutex_);
+    keep_ = true;
+  }
+  source_->put(Values(1));
+  ASSERT_TRUE(eventually([&] {
+    const std::lock_guard lock(mutex_);
+    return kept_.size() == 1;
+  }));
+  order(kill_of({"w1"}));
+  ASSERT_TRUE(says("draining", 5));
+  EXPECT_EQ(killed_, 0);
+  EXPECT_FALSE(runtime_->snapshot().active);
+  {
+    const std::lock_guard lock(mutex_);
+    collector_->ack(kept_.front());
+    kept_.clear();
+  }
+  ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
+  EXPECT_EQ(end_report(), "");
+  EXPECT_EQ(source_->acked().size(), 1U);
+  EXPECT_TRUE(eventually([&] { return discovery::list_workers(*watcher_, paths_, "t").empty(); }));
+}
+
+TEST_F(WorkerControlTest, ReportsADrainThatDidNotEndInTime) {
+  start();
+  ASSERT_TRUE(says("active", 0));
+  {
+    const std::lock_guard lock(mutex_);
+    keep_ = true;
+  }
+  source_->put(Values(1));
+  ASSERT_TRUE(eventually([&] {
+    const std::lock_guard lock(mutex_);
+    return kept_.size() == 1;
+  }));
+  order(kill_of({"w1"}, 1));
+  ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
+  EXPECT_THAT(end_report().value_or(""), HasSubstr("1 tuples were still under way"));
+  EXPECT_TRUE(eventually([&] { return discovery::list_workers(*watcher_, paths_, "t").empty(); }));
+  EXPECT_TRUE(watcher_->get(paths_.topology_order("t"))) << "the master that waits clears it away";
+}
+
+TEST_F(WorkerControlTest, TheLastOneClearsAKillAwayThatNobodyWaitsFor) {
+  start();
+  ASSERT_TRUE(says("active", 0));
+  auto kill = kill_of({"w1"});
+  kill.kill->awaited_until_ms = 1;
+  order(kill);
+  ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
+  EXPECT_TRUE(eventually([&] { return !watcher_->get(paths_.topology("t")); }));
+}
+
+TEST_F(WorkerControlTest, IsNotKilledByAnOrderForThoseBeforeItAndClearsThatAway) {
+  auto kill = kill_of({"w0"});
+  kill.active = false;
+  kill.kill->awaited_until_ms = 1;
+  order(kill);
+  discovery::put(*watcher_, paths_.ended_workers("t") + "/w0", "");
+  start();
+  ASSERT_TRUE(says("active", 0));
+  EXPECT_TRUE(eventually([&] { return !watcher_->get(paths_.topology_order("t")); }));
+  EXPECT_EQ(killed_, 0);
+  EXPECT_TRUE(runtime_->snapshot().active);
+}
+
+TEST_F(WorkerControlTest, WhatIsOrderedOutlivesTheLastWorkerThatStops) {
+  start();
+  order(numbered(1, false));
+  ASSERT_TRUE(says("inactive", 1));
+  control_.reset();
+  EXPECT_THAT(discovery::list_workers(*watcher_, paths_, "t"), IsEmpty());
+  EXPECT_TRUE(watcher_->get(paths_.topology_order("t")));
+  watcher_->remove(paths_.topology_order("t"));
+  start();
+  ASSERT_TRUE(says("active", 0));
+  control_.reset();
+  EXPECT_FALSE(watcher_->get(paths_.topology("t"))) << "nothing was ordered: nothing stays";
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::workshop

@@ -1,0 +1,159 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/tests/topology/workshop.h>
+#include <iotcloud/topology/endpoints/worker_pages.h>
+
+namespace iotcloud::topology::workshop {
+namespace {
+
+using nlohmann::json;
+using testing::HasSubstr;
+using testing::SizeIs;
+
+/// in -> pass (of 2 tasks, 1 at a time) -> out, which fails what is negative.
+struct Paged {
+  Paged() {
+    TopologyBuilder builder;
+    builder.set_spout("in", source_spout(source, Fields{"value", "data"}));
+    builder.set_bolt("pass", pass_bolt(Fields{"value", "data"})).tasks(2).fields_grouping("in", Fields{"value"});
+    builder
+        .set_bolt("out", bolt([](const Tuple& tuple, OutputCollector& collector, const TopologyContext&) {
+                    if (tuple.get<std::int64_t>("value") < 0) throw std::runtime_error("no negative numbers");
+                    collector.ack(tuple);
+                  }))
+        .shuffle_grouping("pass");
+    runtime = std::make_unique<Runtime>(builder.build("paged"), bench.options());
+    runtime->start();
+    desk.emplace(*runtime, TapDesk::Options{.clock = &bench.clock, .most_taps = 2, .most_samples = 3});
+  }
+  void put(std::int64_t from, std::int64_t to) {
+    for (auto i = from; i <= to; ++i) source->lay(Values(i, Payload::copy("0123456789abcdefXYZ")));
+    source->wake();
+    runtime->run_until_idle();
+  }
+  json samples(const std::string& id, const std::string& component, const std::string& stream = "") {
+    return json::parse(desk->poll(id, component, stream, 1e9));
+  }
+  Bench bench;
+  std::shared_ptr<Source> source = std::make_shared<Source>();
+  std::unique_ptr<Runtime> runtime;
+  std::optional<TapDesk> desk;
+};
+
+json task_of(const json& page, const std::string& component) {
+  json sum;
+  for (const auto& task : page["tasks"]) {
+    if (task["component"] != component) continue;
+    for (const auto& [key, value] : task.items()) {
+      if (value.is_number_integer() && sum.contains(key)) {
+        sum[key] = sum[key].get<std::int64_t>() + value.get<std::int64_t>();
+      } else {
+        sum[key] = value;
+      }
+    }
+  }
+  return sum;
+}
+
+TEST(WorkerPages, DescribeTheGraphAndCountWhatWasDone) {
+  Paged paged;
+  paged.put(-1, 8);
+  const auto page = json::parse(describe(*paged.runtime, "w1"));
+  EXPECT_EQ(page["topology"], "paged");
+  EXPECT_EQ(page["worker"], "w1");
+  EXPECT_EQ(page["active"], true);
+  ASSERT_THAT(page["components"], SizeIs(3));
+  const auto& pass = page["components"][1];
+  EXPECT_EQ(pass["id"], "pass");
+  EXPECT_EQ(pass["kind"], "bolt");
+  EXPECT_EQ(pass["parallelism"], 1);
+  EXPECT_EQ(pass["tasks"], 2);
+  EXPECT_EQ(pass["inputs"][0],
+            (json{{"from", "in"}, {"stream", "default"}, {"grouping", "fields"}, {"fields", {"value"}}}));
+  EXPECT_EQ(pass["streams"]["default"], (json{"value", "data"}));
+  ASSERT_THAT(page["tasks"], SizeIs(4));
+  EXPECT_EQ(task_of(page, "in")["emitted"], 10);
+  EXPECT_EQ(task_of(page, "in")["acked"], 9);
+  EXPECT_EQ(task_of(page, "in")["failed"], 1);
+  EXPECT_EQ(task_of(page, "pass")["executed"], 10);
+  EXPECT_EQ(task_of(page, "out")["failed"], 1);
+  EXPECT_EQ(task_of(page, "out")["errors"], 1);
+  EXPECT_THAT(task_of(page, "out")["last_error"].get<std::string>(), HasSubstr("no negative numbers"));
+  EXPECT_EQ(task_of(page, "out")["execute"]["count"], 10);
+}
+
+TEST(WorkerPages, ShowTuplesReadablyWithPayloadsAsSizeAndFirstBytes) {
+  Paged paged;
+  paged.samples("a", "in");
+  paged.put(7, 7);
+  const auto page = paged.samples("a", "in");
+  ASSERT_THAT(page["samples"], SizeIs(1));
+  const auto& sample = page["samples"][0];
+  EXPECT_EQ(sample["task"], 1);
+  EXPECT_EQ(sample["source"], "in");
+  EXPECT_EQ(sample["stream"], "default");
+  EXPECT_EQ(sample["fields"]["value"], 7);
+  EXPECT_EQ(sample["fields"]["data"]["bytes"], 19);
+  EXPECT_EQ(sample["fields"]["data"]["hex"], "30 31 32 33 34 35 36 37 38 39 61 62 63 64 65 66");
+}
+
+TEST(WorkerTaps, GiveEachSampleOnceAndKeepTheNewestWhenNobodyFetches) {
+  Paged paged;
+  paged.samples("a", "pass");
+  for (int i = 1; i <= 5; ++i) {
+    paged.bench.clock.advance(1s);
+    paged.put(i, i);
+  }
+  const auto page = paged.samples("a", "pass");
+  ASSERT_THAT(page["samples"], SizeIs(3));
+  EXPECT_EQ(page["samples"][2]["fields"]["value"], 5);
+  EXPECT_EQ(page["missed"], 2);
+  EXPECT_THAT(paged.samples("a", "pass")["samples"], SizeIs(0));
+}
+
+TEST(WorkerTaps, ShowOnlyTheStreamThatWasAskedFor) {
+  Paged paged;
+  paged.samples("a", "in", "default");
+  paged.samples("b", "in", "other");
+  paged.put(1, 1);
+  EXPECT_THAT(paged.samples("a", "in")["samples"], SizeIs(1));
+  EXPECT_THAT(paged.samples("b", "in")["samples"], SizeIs(0));
+}
+
+TEST(WorkerTaps, EndWhenAskedToAndWhenNobodyPollsAnyMore) {
+  Paged paged;
+  paged.samples("a", "in");
+  paged.samples("b", "in");
+  paged.desk->end("a");
+  EXPECT_EQ(paged.desk->open(), 1U);
+  paged.bench.clock.advance(4s);
+  paged.desk->expire();
+  EXPECT_EQ(paged.desk->open(), 1U);
+  paged.samples("b", "in");  // still there
+  paged.bench.clock.advance(4s);
+  paged.desk->expire();
+  EXPECT_EQ(paged.desk->open(), 1U);
+  paged.bench.clock.advance(2s);
+  paged.desk->expire();
+  EXPECT_EQ(paged.desk->open(), 0U);
+}
+
+TEST(WorkerTaps, AreRefusedWithWhatIsPossible) {
+  Paged paged;
+  EXPECT_THROW(paged.desk->poll("a", "nowhere", "", 1), std::invalid_argument);
+  EXPECT_THROW(paged.desk->poll("a", "in", "", 0), std::invalid_argument);
+  EXPECT_EQ(paged.desk->open(), 0U);
+  paged.samples("a", "in");
+  paged.samples("b", "in");
+  try {
+    paged.samples("c", "in");
+    FAIL() << "a third one was opened";
+  } catch (const std::invalid_argument& error) {
+    EXPECT_THAT(error.what(), HasSubstr("2 taps are open"));
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::workshop
