@@ -310,6 +310,14 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
                                                 {"deploy", "turtle.so", "--all", "-p", "novalue"},
                                                 {"deploy", "turtle.so", "--all", "--gateway", "lab1"},
                                                 {"deploy", "turtle.so", "--all", "--count", "0"},
+                                                {"topology"},
+                                                {"topology", "kill"},
+                                                {"topology", "rebalance", "echo"},
+                                                {"topology", "rebalance", "echo", "in"},
+                                                {"topology", "rebalance", "echo", "in=0"},
+                                                {"topology", "rebalance", "echo", "in=1", "in=2"},
+                                                {"topology", "tap", "echo"},
+                                                {"topology", "tap", "echo", "in", "--rate", "0"},
                                                 {"--master", "nowhere", "status"}}) {
     const auto done = run(words);
     EXPECT_EQ(done.status, 2) << testing::PrintToString(words) << done.out << done.err;
@@ -323,7 +331,51 @@ TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
     EXPECT_EQ(done.status, 0) << command;
     EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud "))) << command;
   }
+  for (const char* command :
+       {"list", "show", "activate", "deactivate", "rebalance", "kill", "metrics", "tap", "check"}) {
+    const auto done = run({"topology", command, "--help"});
+    EXPECT_EQ(done.status, 0) << command;
+    EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud topology "))) << command;
+  }
   EXPECT_THAT(run({"--help"}).out, HasSubstr("Exit status"));
+}
+
+TEST_F(Cli, ATopologyIsListedWithItsStateAndOrderedToChange) {
+  const discovery::Paths paths;
+  auto& registry = master->registry();
+  discovery::TopologyRecord record;
+  record.name = "echo";
+  record.spouts = {"in"};
+  discovery::put(registry, paths.topology("echo"), encode(record));
+  discovery::WorkerRecord worker;
+  worker.name = "w1";
+  worker.state = "active";
+  worker.components = {{"in", {1, 2}}};
+  const auto path = paths.workers("echo") + "/w1";
+  const auto node = registry.hold(path, encode(worker));
+  const auto orders = registry.watch_node(paths.topology_order("echo"), [&](const auto& order) {
+    if (!order) return;
+    const auto wanted = discovery::decode_topology_order(order->data, "order");
+    worker.state = wanted.active ? "active" : "inactive";
+    worker.revision = wanted.revision;
+    registry.set(path, encode(worker));
+  });
+  EXPECT_EQ(run_json({"topology", "list"})[0]["state"], "active");
+  const auto answer = run_json({"topology", "deactivate", "echo"});
+  EXPECT_EQ(answer["ok"], true);
+  EXPECT_EQ(answer["outcomes"][0], (json{{"worker", "w1"}, {"host", ""}, {"outcome", "done"}, {"reason", ""}}));
+  EXPECT_EQ(run_json({"topologies"})[0]["state"], "inactive");
+  EXPECT_THAT(run({"topology", "rebalance", "echo", "in=2"}).out, AllOf(HasSubstr("w1"), HasSubstr("done")));
+
+  auto refused = run({"topology", "rebalance", "echo", "in=3"});
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_THAT(refused.err, HasSubstr("1 to 2"));
+  refused = run({"topology", "metrics", "ehco"});
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_THAT(refused.err, HasSubstr("there are echo"));
+  refused = run({"topology", "metrics", "echo"});
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_THAT(refused.err, HasSubstr("serves no pages"));
 }
 
 TEST_F(Cli, WhatOthersWroteCannotSteerTheTerminal) {
