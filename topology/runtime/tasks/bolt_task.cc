@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <functional>
 #include <stdexcept>
 
 #include <iotcloud/topology/runtime/scheduling/lane.h>
@@ -192,10 +193,10 @@ void BoltTask::send(std::span<const Tuple> anchors, Values&& values) {
   for (const Tuple& tuple : anchors) {
     TupleCell& anchor = *cell_of(tuple);
     if (!anchor.tracked() || anchor.open_delivery(this) == nullptr) continue;
-    anchor.for_each_tree([&](Tree* tree) {
-      if (std::find(roots_.begin(), roots_.end(), tree) == roots_.end()) roots_.push_back(tree);
-    });
+    anchor.for_each_tree([&](Tree* tree) { roots_.push_back(tree); });
   }
+  std::sort(roots_.begin(), roots_.end(), std::less<>());  // many in a window, and several of one tree
+  roots_.erase(std::unique(roots_.begin(), roots_.end()), roots_.end());
   const std::uint64_t ids = emitter_.send(*lane_, std::move(values), roots_, born);
   // The anchors are open, so these trees are; nobody has seen the new tuple before the lane is flushed.
   for (Tree* tree : roots_) tree->open.fetch_xor(ids, std::memory_order_acq_rel);
