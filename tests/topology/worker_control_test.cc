@@ -78,6 +78,10 @@ class WorkerControlTest : public testing::Test {
   }
   void TearDown() override {
     control_.reset();
+    {
+      const std::lock_guard lock(mutex_);
+      kept_.clear();  // a tuple does not outlive its runtime
+    }
     runtime_.reset();
   }
 
