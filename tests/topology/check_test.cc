@@ -9,7 +9,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <iotcloud/topology/endpoints/check.h>
+#include <iotcloud/topology/worker/check.h>
 
 namespace iotcloud::topology {
 namespace {

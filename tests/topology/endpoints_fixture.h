@@ -14,7 +14,7 @@
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/topology/endpoints/worker.h>
+#include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {
 

@@ -13,7 +13,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/tests/topology/endpoints_fixture.h>
 #include <iotcloud/topology/endpoints/fair_shares.h>
-#include <iotcloud/topology/endpoints/worker.h>
+#include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {
 namespace {

@@ -7,7 +7,7 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/topology/workshop.h>
-#include <iotcloud/topology/endpoints/worker_control.h>
+#include <iotcloud/topology/worker/control.h>
 
 namespace iotcloud::topology::workshop {
 namespace {

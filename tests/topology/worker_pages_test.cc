@@ -3,7 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/tests/topology/workshop.h>
-#include <iotcloud/topology/endpoints/worker_pages.h>
+#include <iotcloud/topology/worker/pages.h>
 
 namespace iotcloud::topology::workshop {
 namespace {

@@ -12,7 +12,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/master/master.h>
-#include <iotcloud/topology/endpoints/worker.h>
+#include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::local {
 

@@ -6,7 +6,7 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
-#include <iotcloud/topology/endpoints/worker_pages.h>
+#include <iotcloud/topology/worker/pages.h>
 
 namespace iotcloud::topology {
 

@@ -5,7 +5,7 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/directory.h>
-#include <iotcloud/topology/endpoints/worker_control.h>
+#include <iotcloud/topology/worker/control.h>
 
 namespace iotcloud::topology {
 

@@ -11,8 +11,8 @@
 #include <iotcloud/config/daemon.h>
 #include <iotcloud/config/exposition/http_server.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
-#include <iotcloud/topology/endpoints/check.h>
-#include <iotcloud/topology/endpoints/worker.h>
+#include <iotcloud/topology/worker/check.h>
+#include <iotcloud/topology/worker/worker.h>
 
 namespace {
 

@@ -1,9 +1,9 @@
 #include <filesystem>
 
 #include <iotcloud/topology/definition/describe.h>
-#include <iotcloud/topology/endpoints/check.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
 #include <iotcloud/topology/runtime/component_library.h>
+#include <iotcloud/topology/worker/check.h>
 
 namespace iotcloud::topology {
 

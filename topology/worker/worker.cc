@@ -6,10 +6,10 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/records.h>
-#include <iotcloud/topology/endpoints/check.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
-#include <iotcloud/topology/endpoints/worker.h>
-#include <iotcloud/topology/endpoints/worker_control.h>
+#include <iotcloud/topology/worker/check.h>
+#include <iotcloud/topology/worker/control.h>
+#include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {
 

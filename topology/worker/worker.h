@@ -11,9 +11,9 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
-#include <iotcloud/topology/endpoints/worker_pages.h>
 #include <iotcloud/topology/plugin.h>
 #include <iotcloud/topology/runtime/runtime.h>
+#include <iotcloud/topology/worker/pages.h>
 
 namespace iotcloud::topology {
 
