@@ -13,7 +13,7 @@ namespace iotcloud::config {
 namespace {
 
 constexpr int sub_buckets = 16;  // for each power of two
-constexpr int octaves = 40;           // up to 18 minutes; longer ones count in the last bucket
+constexpr int octaves = 40;      // up to 18 minutes; longer ones count in the last bucket
 constexpr int bucket_count = (octaves - 3) * sub_buckets;
 
 int bucket_of(std::uint64_t ns) {

@@ -1,6 +1,6 @@
-#include <iotcloud/topology/runtime/tasks/bolt_task.h>
 #include <iotcloud/topology/runtime/scheduling/lane.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
+#include <iotcloud/topology/runtime/tasks/bolt_task.h>
 
 namespace iotcloud::topology::internal {
 

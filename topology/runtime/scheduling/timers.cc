@@ -10,8 +10,8 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
-#include <iotcloud/topology/runtime/tasks/task.h>
 #include <iotcloud/topology/runtime/scheduling/timers.h>
+#include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
 
