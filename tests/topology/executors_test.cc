@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <condition_variable>
 #include <latch>
 #include <map>
 #include <random>
@@ -13,27 +14,43 @@ namespace {
 
 using testing::HasSubstr;
 
-/// Counts how many calls run at the same time.
-struct Crowd {
-  std::atomic<int> inside{0}, most{0};
-  void enter() {
-    const int now = ++inside;
-    int seen = most.load();
-    while (now > seen && !most.compare_exchange_weak(seen, now)) {
-    }
+/// Counts how many calls are inside at the same time.
+class Crowd {
+ public:
+  /// From now on a call stays inside until `count` have been there together, or 20 s have passed.
+  void expect(int count) {
+    const std::lock_guard lock(mutex_);
+    wanted_ = count;
+    most_ = 0;
   }
-  void leave() { --inside; }
+  void pass() {
+    std::unique_lock lock(mutex_);
+    most_ = std::max(most_, ++inside_);
+    changed_.notify_all();
+    changed_.wait_for(lock, 20s, [this] { return most_ >= wanted_; });
+    lock.unlock();
+    std::this_thread::yield();  // whoever must not come in has time to do so
+    lock.lock();
+    --inside_;
+  }
+  int most() const {
+    const std::lock_guard lock(mutex_);
+    return most_;
+  }
+
+ private:
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  int wanted_ = 1, inside_ = 0, most_ = 0;
 };
 
-/// in -> work (`tasks` tasks, `parallelism` executors), each call of which waits until `together` others are in it.
+/// in -> work (`tasks` tasks, `parallelism` executors).
 Topology crowded(std::shared_ptr<Source> source, Crowd& crowd, int parallelism, int tasks) {
   TopologyBuilder builder;
   builder.set_spout("in", source_spout(std::move(source)));
   builder
       .set_bolt("work", bolt([&crowd](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
-                  crowd.enter();
-                  std::this_thread::sleep_for(1ms);  // long enough for all who may to come in
-                  crowd.leave();
+                  crowd.pass();
                   out.ack(tuple);
                 }),
                 parallelism)
@@ -42,21 +59,31 @@ Topology crowded(std::shared_ptr<Source> source, Crowd& crowd, int parallelism, 
   return builder.build("crowded");
 }
 
-TEST(Executors, NoMoreTasksRunAtOnceThanThereAreExecutors) {
+RuntimeOptions four_threads(config::Metrics& metrics) {
+  RuntimeOptions options;
+  options.threads = 4;
+  options.metrics = &metrics;
+  return options;
+}
+
+/// Sends `tuples` through a crowded topology. \return how many calls were inside at the same time at most.
+int crowd_of(Source& source, Crowd& crowd, int expected, int tuples = 60) {
+  const std::size_t before = source.acked().size();
+  crowd.expect(expected);
+  for (int i = 0; i < tuples; ++i) source.lay(Values(i));
+  source.wake();
+  EXPECT_TRUE(eventually([&] { return source.acked().size() == before + static_cast<std::size_t>(tuples); }));
+  return crowd.most();
+}
+
+TEST(Executors, AsManyTasksRunAtOnceAsThereAreExecutorsAndNoMore) {
   for (const int parallelism : {1, 2, 4}) {
     auto source = std::make_shared<Source>();
     Crowd crowd;
     config::Metrics metrics;
-    RuntimeOptions options;
-    options.threads = 4;
-    options.metrics = &metrics;
-    Runtime runtime(crowded(source, crowd, parallelism, 4), options);
+    Runtime runtime(crowded(source, crowd, parallelism, 4), four_threads(metrics));
     runtime.start();
-    for (int i = 0; i < 60; ++i) source->lay(Values(i));
-    source->wake();
-    EXPECT_TRUE(eventually([&] { return source->acked().size() == 60; }));
-    EXPECT_LE(crowd.most, parallelism);
-    EXPECT_GT(crowd.most, parallelism == 1 ? 0 : 1) << "nothing keeps tasks on threads of their own apart";
+    EXPECT_EQ(crowd_of(*source, crowd, parallelism), parallelism);
     EXPECT_EQ(runtime.snapshot().parallelism.at("work"), parallelism);
   }
 }
@@ -65,28 +92,14 @@ TEST(Executors, ChangeWhileTheTopologyRuns) {
   auto source = std::make_shared<Source>();
   Crowd crowd;
   config::Metrics metrics;
-  RuntimeOptions options;
-  options.threads = 4;
-  options.metrics = &metrics;
-  Runtime runtime(crowded(source, crowd, 1, 4), options);
+  Runtime runtime(crowded(source, crowd, 1, 4), four_threads(metrics));
   runtime.start();
-  const auto crowd_of = [&](int tuples) {
-    const std::size_t before = source->acked().size();
-    crowd.most = 0;
-    for (int i = 0; i < tuples; ++i) source->lay(Values(i));
-    source->wake();
-    EXPECT_TRUE(eventually([&] { return source->acked().size() == before + static_cast<std::size_t>(tuples); }));
-    return crowd.most.load();
-  };
-  EXPECT_EQ(crowd_of(40), 1);
-  runtime.rebalance("work", 4);
-  EXPECT_GT(crowd_of(60), 1);
-  runtime.rebalance("work", 2);
-  ASSERT_TRUE(eventually([&] { return runtime.idle(); }));
-  EXPECT_LE(crowd_of(60), 2);
-  runtime.rebalance("work", 1);
-  ASSERT_TRUE(eventually([&] { return runtime.idle(); }));
-  EXPECT_EQ(crowd_of(40), 1);
+  EXPECT_EQ(crowd_of(*source, crowd, 1), 1);
+  for (const int parallelism : {4, 2, 1, 3}) {
+    ASSERT_TRUE(eventually([&] { return runtime.idle(); }));
+    runtime.rebalance("work", parallelism);
+    EXPECT_EQ(crowd_of(*source, crowd, parallelism), parallelism);
+  }
 }
 
 TEST(Executors, ARebalanceUnderLoadLosesNothingAndKeepsTheOrderOfEachKey) {
@@ -207,7 +220,8 @@ TEST(Executors, ATaskThatDoesNotReturnIsNamed) {
   options.hang_after = 20ms;
   options.on_error = [&](const std::string& component, int task, const std::string& text) {
     const std::lock_guard lock(mutex);
-    reports.push_back(component + "/" + std::to_string(task) + ": " + text);
+    // On a busy machine another task may wait for a core for as long.
+    if (component == "stuck") reports.push_back(component + "/" + std::to_string(task) + ": " + text);
   };
   Runtime runtime(builder.build("hanging"), options);
   runtime.start();
