@@ -103,7 +103,7 @@ class Report:
     def verdict(self):
         judged = {r["name"]: r["met"] for r in self.results if r["met"] is not None}
         missed = [name for name, met in judged.items() if not met]
-        return f"{len(judged) - len(missed)} of {len(judged)} targets met" + "".join(f"\n  missed: {m}" for m in missed)
+        return f"{len(judged) - len(missed)} of {len(judged)} targets met" + "".join(f"\n  missed: {m}" for m in missed) + ("\n  bench/README.md says why" if missed else "")
 
 
 def number(value):
