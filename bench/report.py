@@ -103,7 +103,9 @@ class Report:
     def verdict(self):
         judged = {r["name"]: r["met"] for r in self.results if r["met"] is not None}
         missed = [name for name, met in judged.items() if not met]
-        return f"{len(judged) - len(missed)} of {len(judged)} targets met" + "".join(f"\n  missed: {m}" for m in missed) + ("\n  bench/README.md says why" if missed else "")
+        lines = [f"{len(judged) - len(missed)} of {len(judged)} targets met"]
+        lines += [f"  missed: {name}" for name in missed]
+        return "\n".join(lines + ["  bench/README.md says why"] * bool(missed))
 
 
 def number(value):
