@@ -132,7 +132,9 @@ std::vector<OutStream> TaskGraph::streams_of(const Task& emitter) const {
   const std::string& component = emitter.context().component;
   const auto declared = topology_.streams.find(component);
   if (declared == topology_.streams.end()) return streams;
-  for (const auto& [name, spec] : declared->second) {
+  for (const auto& [stream, declaration] : declared->second) {
+    const std::string& name = stream;
+    const StreamSpec& spec = declaration;
     OutStream out{&stream_infos_.at({component, name}), spec.direct, {}};
     for (const ComponentSpec& reader : topology_.components) {
       for (const Subscription& input : reader.inputs) {

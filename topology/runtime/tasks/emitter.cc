@@ -10,7 +10,10 @@ namespace iotcloud::topology::internal {
 void Emitter::set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self) {
   tasks_ = tasks;
   self_ = self;
-  for (OutStream& stream : streams) streams_.push_back({std::move(stream), stream.info->fields.size(), nullptr});
+  for (OutStream& stream : streams) {
+    const std::size_t arity = stream.info->fields.size();
+    streams_.push_back({std::move(stream), arity, nullptr});
+  }
   for (Stream& stream : streams_) {
     const auto& edges = stream.out.edges;
     if (!stream.out.direct && edges.size() == 1 && !edges.front().grouping) {

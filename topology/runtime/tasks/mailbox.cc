@@ -32,8 +32,10 @@ void append_value(std::string& key, const Value& value) {
 // keep_last.
 
 std::string Conflater::key_of(const KeepLast& input, const TupleCell& cell) const {
+  // Two inputs may have equal keys: the stream's address tells them apart.
+  const auto stream = reinterpret_cast<std::uintptr_t>(input.stream);
   std::string key;
-  append_bytes(key, &input.stream, sizeof input.stream);
+  append_bytes(key, &stream, sizeof stream);
   for (const std::size_t position : input.key) append_value(key, cell.values[position]);
   return key;
 }
