@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <atomic>
 #include <future>
+#include <semaphore>
 #include <set>
 #include <string>
 #include <thread>
@@ -105,12 +106,14 @@ TEST_P(BrokerContract, LosesNothingWhenTheServerIsKilledInTheMiddleOfADurableStr
   PublisherOptions options;
   options.capacity = 500;
   options.on_outcome = outcomes.callback();
+  std::counting_semaphore<> writable(0);
+  options.on_writable = [&writable] { writable.release(); };
   const auto publisher = sender->publisher(topic, options);
   std::atomic<int> sent{0};
   std::jthread stream([&] {
     for (int i = 1; i <= total; ++i) {
       while (publisher->publish(text_message(std::to_string(i))) != PublishStatus::accepted) {
-        std::this_thread::sleep_for(std::chrono::milliseconds(1));
+        if (!writable.try_acquire_for(patience)) return;  // seen below: not everything was sent
       }
       sent = i;
     }
@@ -195,13 +198,13 @@ TEST_P(BrokerContract, ALongHandlerKeepsTheConnection) {
   const auto broker = this->broker();  // its heartbeat is 2 s: the server gives up after 4 s of silence
   const Topic topic = this->topic();
   std::atomic<int> calls{0};
-  std::atomic<bool> leave{false};
+  std::promise<void> leave;
   std::atomic<bool> redelivered{false};
   std::promise<void> second;
   const auto subscription = broker->subscribe(topic, {}, [&](Delivery delivery) {
     redelivered = redelivered || delivery.redelivered;
     if (++calls == 1) {
-      while (!leave) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+      leave.get_future().wait_for(patience);
     } else if (calls == 2) {
       second.set_value();
     }
@@ -212,7 +215,7 @@ TEST_P(BrokerContract, ALongHandlerKeepsTheConnection) {
   ASSERT_TRUE(eventually([&] { return calls == 1; }));
   publisher->publish(text_message("2"));
   EXPECT_FALSE(eventually([&] { return calls > 1 || !subscription->active(); }, std::chrono::seconds(10)));
-  leave = true;
+  leave.set_value();
   ASSERT_EQ(second.get_future().wait_for(patience), std::future_status::ready);
   EXPECT_FALSE(redelivered) << "the connection was lost meanwhile";
   EXPECT_TRUE(subscription->active());

@@ -163,6 +163,12 @@ bool Outcomes::each_once() const {
   return std::all_of(outcomes_.begin(), outcomes_.end(), [](const auto& entry) { return entry.second.size() == 1; });
 }
 
+std::vector<std::string> numbered(int from, int to) {
+  std::vector<std::string> bodies;
+  for (int i = from; i <= to; ++i) bodies.push_back(std::to_string(i));
+  return bodies;
+}
+
 Message text_message(const std::string& body) {
   Message message;
   message.payload = Payload::copy(body);

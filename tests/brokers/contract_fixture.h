@@ -97,6 +97,8 @@ class Outcomes {
 
 using tests::eventually;
 
+/// "1", "2", ... for messages' bodies; both ends included.
+std::vector<std::string> numbered(int from, int to);
 Message text_message(const std::string& body);
 
 /// Every test runs on each kind of broker; all tests of a kind share one server, which is up at a test's start.

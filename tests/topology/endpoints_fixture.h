@@ -14,9 +14,12 @@
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {
+
+using tests::eventually;
 
 /// What a topology sent to one topic, or a driver's stand-in.
 class Mailbox {
@@ -170,14 +173,6 @@ class Endpoints : public ::testing::Test {
       if (sample.name == name) sum += sample.value;
     }
     return sum;
-  }
-  bool eventually(const std::function<bool()>& condition) {
-    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
-    while (!condition()) {
-      if (std::chrono::steady_clock::now() > deadline) return false;
-      std::this_thread::sleep_for(std::chrono::milliseconds(1));
-    }
-    return true;
   }
 
   std::string url_;         ///< of the registry

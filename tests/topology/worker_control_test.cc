@@ -104,6 +104,18 @@ class WorkerControlTest : public testing::Test {
     const auto workers = discovery::list_workers(*watcher_, paths_, "t");
     return workers.empty() ? discovery::WorkerRecord{} : workers.front();
   }
+  /// Sends a tuple that stays unacked. \return whether it came.
+  bool keep_one() {
+    {
+      const std::lock_guard lock(mutex_);
+      keep_ = true;
+    }
+    source_->put(Values(1));
+    return eventually([&] {
+      const std::lock_guard lock(mutex_);
+      return kept_.size() == 1;
+    });
+  }
   bool says(const std::string& state, std::int64_t revision) {
     return eventually([&] {
       const auto record = told();
@@ -205,15 +217,7 @@ TEST_F(WorkerControlTest, IsShownWithItsStateAgainAfterItsSessionExpired) {
 TEST_F(WorkerControlTest, DrainsLeavesAReportAndTheRegistryWhenKilled) {
   start();
   ASSERT_TRUE(says("active", 0));
-  {
-    const std::lock_guard lock(mutex_);
-    keep_ = true;
-  }
-  source_->put(Values(1));
-  ASSERT_TRUE(eventually([&] {
-    const std::lock_guard lock(mutex_);
-    return kept_.size() == 1;
-  }));
+  ASSERT_TRUE(keep_one());
   order(kill_of({"w1"}));
   ASSERT_TRUE(says("draining", 5));
   EXPECT_EQ(killed_, 0);
@@ -232,15 +236,7 @@ TEST_F(WorkerControlTest, DrainsLeavesAReportAndTheRegistryWhenKilled) {
 TEST_F(WorkerControlTest, ReportsADrainThatDidNotEndInTime) {
   start();
   ASSERT_TRUE(says("active", 0));
-  {
-    const std::lock_guard lock(mutex_);
-    keep_ = true;
-  }
-  source_->put(Values(1));
-  ASSERT_TRUE(eventually([&] {
-    const std::lock_guard lock(mutex_);
-    return kept_.size() == 1;
-  }));
+  ASSERT_TRUE(keep_one());
   order(kill_of({"w1"}, 1));
   ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
   EXPECT_THAT(end_report().value_or(""), HasSubstr("1 tuples were still under way"));

@@ -1,0 +1,382 @@
+// How every broker's messages are read and settled.
+#include <algorithm>
+#include <atomic>
+#include <future>
+#include <map>
+#include <mutex>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+using testing::ElementsAre;
+
+TEST_P(BrokerContract, AnAcceptedMessageIsNotDeliveredAgain) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox first;
+  auto subscription = broker->subscribe(topic, {}, first.handler());
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 10)) publisher->publish(text_message(body));
+  ASSERT_TRUE(first.wait_for(10));
+  subscription.reset();
+  Inbox second;
+  subscription = broker->subscribe(topic, {}, second.handler());
+  publisher->publish(text_message("11"));
+  ASSERT_TRUE(second.wait_for(1));
+  EXPECT_THAT(second.bodies(), ElementsAre("11"));
+}
+
+TEST_P(BrokerContract, ARetriedMessageComesAgainBeforeWhatFollowsAndIsFlagged) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox([](const Inbox::Received& received) {
+    return received.body == "2" && !received.redelivered ? Settlement::retry : Settlement::accept;
+  });
+  SubscriptionOptions options;
+  options.prefetch = 1;
+  const auto subscription = broker->subscribe(topic, options, inbox.handler());
+  await_active(*subscription);
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 4)) publisher->publish(text_message(body));
+  ASSERT_TRUE(inbox.wait_for(5));
+  const auto all = inbox.all();
+  EXPECT_THAT(inbox.bodies(), ElementsAre("1", "2", "2", "3", "4"));
+  EXPECT_FALSE(all[0].redelivered);
+  EXPECT_FALSE(all[1].redelivered);
+  EXPECT_TRUE(all[2].redelivered);
+}
+
+TEST_P(BrokerContract, RetryKeepsTheOrderAlsoWithALargePrefetch) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox([](const Inbox::Received& received) {
+    return received.body == "3" && !received.redelivered ? Settlement::retry : Settlement::accept;
+  });
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  subscription->pause();
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 20)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  subscription->resume();
+  ASSERT_TRUE(inbox.wait_for(21));
+  std::vector<std::string> expected = numbered(1, 20);
+  expected.insert(expected.begin() + 2, "3");
+  EXPECT_EQ(inbox.bodies(), expected);
+}
+
+TEST_P(BrokerContract, NothingOvertakesARetriedMessageWhileOthersKeepComing) {
+  constexpr int total = 4000;
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  std::mutex mutex;
+  std::vector<int> accepted;
+  std::set<int> retried;
+  std::promise<void> done;
+  SubscriptionOptions reading;
+  reading.prefetch = 50;
+  const auto subscription = broker->subscribe(topic, reading, [&](Delivery delivery) {
+    const int number = std::stoi(std::string(delivery.message.payload.text()));
+    const std::lock_guard lock(mutex);
+    if (number % 500 == 0 && retried.insert(number).second) return;  // dropped unsettled: retry
+    delivery.settle(Settlement::accept);
+    accepted.push_back(number);
+    if (number == total) done.set_value();
+  });
+  await_active(*subscription);
+  PublisherOptions options;
+  options.capacity = total;
+  const auto publisher = broker->publisher(topic, options);
+  for (int i = 1; i <= total; ++i) publisher->publish(text_message(std::to_string(i)));
+  ASSERT_EQ(done.get_future().wait_for(patience), std::future_status::ready);
+  const std::lock_guard lock(mutex);
+  EXPECT_EQ(retried.size(), 8U);
+  EXPECT_EQ(accepted.size(), static_cast<std::size_t>(total));
+  for (const int number : retried) {
+    const auto place = std::find(accepted.begin(), accepted.end(), number);
+    EXPECT_TRUE(std::all_of(accepted.begin(), place, [&](int earlier) { return earlier < number; }))
+        << "something overtook " << number;
+  }
+}
+
+TEST_P(BrokerContract, ARejectedMessageNeverComesAgain) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox(
+      [](const Inbox::Received& received) { return received.body == "1" ? Settlement::reject : Settlement::accept; });
+  auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  const auto publisher = broker->publisher(topic, {});
+  publisher->publish(text_message("1"));
+  publisher->publish(text_message("2"));
+  ASSERT_TRUE(inbox.wait_for(2));
+  subscription.reset();
+  subscription = broker->subscribe(topic, {}, inbox.handler());
+  publisher->publish(text_message("3"));
+  ASSERT_TRUE(inbox.wait_for(3));
+  EXPECT_THAT(inbox.bodies(), ElementsAre("1", "2", "3"));
+}
+
+TEST_P(BrokerContract, AHandlerThatThrowsGetsTheMessageAgain) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  std::atomic<int> calls{0};
+  std::promise<bool> redelivered;
+  const auto subscription = broker->subscribe(topic, {}, [&](Delivery delivery) {
+    if (++calls == 1) throw std::runtime_error("the handler's own trouble");
+    if (calls == 2) redelivered.set_value(delivery.redelivered);
+    delivery.settle(Settlement::accept);
+  });
+  const auto publisher = broker->publisher(topic, {});
+  publisher->publish(text_message("x"));
+  auto second = redelivered.get_future();
+  ASSERT_EQ(second.wait_for(patience), std::future_status::ready);
+  EXPECT_TRUE(second.get());
+}
+
+TEST_P(BrokerContract, UnsettledMessagesOfASubscriptionThatEndsGoToTheNextOne) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Holder holder;
+  auto subscription = broker->subscribe(topic, {}, holder.handler());
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 4)) publisher->publish(text_message(body));
+  ASSERT_TRUE(holder.wait_for(4));
+  holder.settle(1, Settlement::accept);
+  subscription.reset();
+  Inbox inbox;
+  subscription = broker->subscribe(topic, {}, inbox.handler());
+  ASSERT_TRUE(inbox.wait_for(3));
+  EXPECT_THAT(inbox.bodies(), ElementsAre("1", "3", "4"));
+  for (const auto& received : inbox.all()) EXPECT_TRUE(received.redelivered);
+  holder.drop_all();  // too late: ignored
+  publisher->publish(text_message("5"));
+  ASSERT_TRUE(inbox.wait_for(4));
+  EXPECT_EQ(inbox.bodies().back(), "5");
+}
+
+TEST_P(BrokerContract, EveryGroupGetsEverything) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox own;
+  Inbox one;
+  Inbox two;
+  const auto own_subscription = broker->subscribe(topic, {}, own.handler());
+  SubscriptionOptions options;
+  options.group = "one";
+  const auto first = broker->subscribe(topic, options, one.handler());
+  options.group = "two";
+  const auto second = broker->subscribe(topic, options, two.handler());
+  await_active(*own_subscription);
+  await_active(*first);
+  await_active(*second);
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 50)) publisher->publish(text_message(body));
+  for (Inbox* inbox : {&own, &one, &two}) {
+    ASSERT_TRUE(inbox->wait_for(50));
+    EXPECT_EQ(inbox->bodies(), numbered(1, 50));
+  }
+}
+
+TEST_P(BrokerContract, AnExclusiveReadersStandbyTakesOverWhenItEnds) {
+  const auto broker = this->broker();
+  const auto other = this->broker();
+  const Topic topic = this->topic();
+  Inbox first_inbox;
+  Inbox second_inbox;
+  auto first = broker->subscribe(topic, {}, first_inbox.handler());
+  await_active(*first);
+  const auto second = other->subscribe(topic, {}, second_inbox.handler());
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 20)) publisher->publish(text_message(body));
+  ASSERT_TRUE(first_inbox.wait_for(20));
+  EXPECT_FALSE(second->active());
+  EXPECT_EQ(second_inbox.size(), 0U);
+  first.reset();
+  await_active(*second);
+  for (const auto& body : numbered(21, 30)) publisher->publish(text_message(body));
+  ASSERT_TRUE(second_inbox.wait_for(10));
+  EXPECT_EQ(second_inbox.bodies(), numbered(21, 30));
+}
+
+TEST_P(BrokerContract, ReadersThatAreNotExclusiveShareAQueue) {
+  const auto broker = this->broker();
+  const auto other = this->broker();
+  const Topic topic = this->topic();
+  SubscriptionOptions options;
+  options.exclusive = false;
+  options.prefetch = 1;
+  Holder one;
+  Holder two;
+  const auto first = broker->subscribe(topic, options, one.handler());
+  const auto second = other->subscribe(topic, options, two.handler());
+  await_active(*first);
+  await_active(*second);
+  const auto publisher = broker->publisher(topic, {});
+  publisher->publish(text_message("1"));
+  publisher->publish(text_message("2"));
+  EXPECT_TRUE(one.wait_for(1));
+  EXPECT_TRUE(two.wait_for(1));
+}
+
+TEST_P(BrokerContract, NeverHandsOutMoreThanThePrefetch) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Holder holder;
+  SubscriptionOptions options;
+  options.prefetch = 5;
+  const auto subscription = broker->subscribe(topic, options, holder.handler());
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 20)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(holder.wait_for(5));
+  EXPECT_FALSE(holder.wait_for(6, moment));
+  holder.settle(0, Settlement::accept);
+  holder.settle(1, Settlement::accept);
+  ASSERT_TRUE(holder.wait_for(7));
+  EXPECT_FALSE(holder.wait_for(8, moment));
+  holder.drop_all();
+}
+
+TEST_P(BrokerContract, SettlesOutOfOrderWithoutStalling) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Holder holder;
+  SubscriptionOptions options;
+  options.prefetch = 10;
+  const auto subscription = broker->subscribe(topic, options, holder.handler());
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 100)) publisher->publish(text_message(body));
+  // The first stays unsettled for ever: it must not keep the others from flowing.
+  for (std::size_t i = 1; i < 100; ++i) {
+    ASSERT_TRUE(holder.wait_for(i + 1)) << "stalled after " << i;
+    holder.settle(i, Settlement::accept);
+  }
+  holder.settle(0, Settlement::accept);
+}
+
+TEST_P(BrokerContract, AutomaticAcknowledgementNeedsNoSettlement) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Holder holder;
+  SubscriptionOptions options;
+  options.automatic_ack = true;
+  options.prefetch = 5;
+  auto subscription = broker->subscribe(topic, options, holder.handler());
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 50)) publisher->publish(text_message(body));
+  ASSERT_TRUE(holder.wait_for(50));
+  holder.drop_all();
+  subscription.reset();
+  Inbox inbox;
+  subscription = broker->subscribe(topic, options, inbox.handler());
+  publisher->publish(text_message("51"));
+  ASSERT_TRUE(inbox.wait_for(1));
+  EXPECT_THAT(inbox.bodies(), ElementsAre("51"));
+}
+
+TEST_P(BrokerContract, APausedSubscriptionTakesNothingAndGoesOnInOrder) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  const auto publisher = broker->publisher(topic, {});
+  publisher->publish(text_message("1"));
+  ASSERT_TRUE(inbox.wait_for(1));
+  subscription->pause();
+  for (const auto& body : numbered(2, 300)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_FALSE(inbox.wait_for(2, moment));
+  subscription->resume();
+  ASSERT_TRUE(inbox.wait_for(300));
+  EXPECT_EQ(inbox.bodies(), numbered(1, 300));
+}
+
+TEST_P(BrokerContract, KeepLastHandsOnOnlyTheNewestOfWhatWaits) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  SubscriptionOptions options;
+  options.keep_last = 3;
+  const auto subscription = broker->subscribe(topic, options, inbox.handler());
+  await_active(*subscription);
+  subscription->pause();
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 50)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  subscription->resume();
+  ASSERT_TRUE(inbox.wait_until([](const auto& received) { return !received.empty() && received.back().body == "50"; }));
+  const auto bodies = inbox.bodies();
+  EXPECT_LE(bodies.size(), 10U) << "nearly all of 50 were to be skipped";
+  EXPECT_EQ(std::vector<std::string>(bodies.end() - 3, bodies.end()), numbered(48, 50));
+}
+
+TEST_P(BrokerContract, TheDestructorOfASubscriptionWaitsForItsHandler) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  std::promise<void> entered;
+  std::atomic<bool> leave{false};
+  std::atomic<bool> left{false};
+  auto subscription = broker->subscribe(topic, {}, [&](Delivery delivery) {
+    entered.set_value();
+    while (!leave) std::this_thread::yield();
+    delivery.settle(Settlement::accept);
+    left = true;
+  });
+  const auto publisher = broker->publisher(topic, {});
+  publisher->publish(text_message("x"));
+  ASSERT_EQ(entered.get_future().wait_for(patience), std::future_status::ready);
+  auto ending = std::async(std::launch::async, [&] { subscription.reset(); });
+  EXPECT_EQ(ending.wait_for(std::chrono::milliseconds(50)), std::future_status::timeout);
+  leave = true;
+  ending.get();
+  EXPECT_TRUE(left);
+}
+
+TEST_P(BrokerContract, AHandlerMayEndItsOwnSubscription) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  std::unique_ptr<Subscription> subscription;
+  std::promise<void> ended;
+  std::mutex mutex;
+  {
+    const std::lock_guard lock(mutex);
+    subscription = broker->subscribe(topic, {}, [&](Delivery delivery) {
+      delivery.settle(Settlement::accept);
+      const std::lock_guard inner(mutex);
+      subscription.reset();
+      ended.set_value();
+    });
+  }
+  const auto publisher = broker->publisher(topic, {});
+  publisher->publish(text_message("x"));
+  ASSERT_EQ(ended.get_future().wait_for(patience), std::future_status::ready);
+}
+
+TEST_P(BrokerContract, AHandlerMayPublish) {
+  const auto broker = this->broker();
+  const Topic there = this->topic();
+  const Topic back = this->topic();
+  Inbox inbox;
+  const auto answers = broker->subscribe(back, {}, inbox.handler());
+  const auto reply = broker->publisher(back, {});
+  const auto echo = broker->subscribe(there, {}, [&](Delivery delivery) {
+    reply->publish(delivery.message);
+    delivery.settle(Settlement::accept);
+  });
+  const auto publisher = broker->publisher(there, {});
+  for (const auto& body : numbered(1, 200)) publisher->publish(text_message(body));
+  ASSERT_TRUE(inbox.wait_for(200));
+  EXPECT_EQ(inbox.bodies(), numbered(1, 200));
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers
