@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -43,6 +44,11 @@ enum class WhenFull {
   block,        ///< answer would_block: for readings, where lost is worse than late
 };
 
+/// Of a channel. Messages carry it where the broker knows priorities. From `urgent_priority` on (control channels) they
+/// also travel on connections of their own, so that they never wait behind bulk data.
+inline constexpr std::uint8_t normal_priority = 4;
+inline constexpr std::uint8_t urgent_priority = 5;
+
 struct PublisherOptions {
   WhenFull when_full = WhenFull::block;
   std::size_t capacity = 1024;            ///< messages that may wait (not yet confirmed ones included)
@@ -50,6 +56,7 @@ struct PublisherOptions {
   /// Also makes the topic's own queue `<topic>`, where what is sent waits for a reader that may come much later (dead
   /// letters). Without a reader the queue of a topic that is not durable is gone after a minute.
   bool own_queue = false;
+  std::uint8_t priority = normal_priority;  ///< 0 to 9, see normal_priority
   /// Called once for each accepted message with its publish number (1, 2, 3, ... for each publisher) and, for drops,
   /// the reason ("superseded", "deadline", "no_reader", ...). From any thread, never from inside publish(). May be
   /// empty.
@@ -74,7 +81,7 @@ class Publisher {
 enum class Settlement {
   accept,  ///< done with it
   retry,   ///< deliver it again, before what follows in the topic where the broker can
-  reject,  ///< never deliver it again (dead letter where the broker has one)
+  reject,  ///< never deliver it again: dead letter, see SubscriptionOptions::dead_letter
 };
 
 /// Where a delivery is settled; implemented by each broker. Thread safe, never throws; a late call (after reconnect or
@@ -97,6 +104,7 @@ class Delivery {
       settle(Settlement::retry);
       message = std::move(other.message);
       redelivered = other.redelivered;
+      tries = other.tries;
       settler_ = std::move(other.settler_);
       tag_ = other.tag_;
     }
@@ -110,6 +118,7 @@ class Delivery {
 
   Message message;
   bool redelivered = false;
+  std::uint32_t tries = 1;  ///< how often this reader has been handed it, this time included
 
  private:
   std::shared_ptr<Settler> settler_;  ///< null: nothing to settle (automatic acknowledgement, or done)
@@ -125,8 +134,15 @@ struct SubscriptionOptions {
                           ///< Empty: the topic's own queue `<topic>` (a driver's inbound channel, the original's way).
   bool exclusive = true;  ///< a second reader of the same queue gets nothing until this one is gone
   bool automatic_ack = false;
-  std::uint16_t prefetch = 100;  ///< unsettled deliveries under way at most
-  std::size_t keep_last = 0;     ///< conflate: of what waits only the newest N are handed on. 0 = keep all
+  std::uint16_t prefetch = 100;             ///< unsettled deliveries under way at most
+  std::size_t keep_last = 0;                ///< conflate: of what waits only the newest N are handed on. 0 = keep all
+  std::uint8_t priority = normal_priority;  ///< see normal_priority
+  /// A delivery that was handed on so often and is to be retried again is rejected instead. 0 = retried for ever.
+  std::uint32_t max_tries = 0;
+  /// The topic, durable and with a queue of its own, that rejected messages are moved to; the original is accepted when
+  /// the broker has confirmed the letter. Empty: on Kafka `<topic>.dlq`; others drop what is rejected, unless the queue
+  /// has a dead-letter exchange on the server.
+  std::string dead_letter;
 };
 
 /// Reads one topic until destroyed. The destructor returns when no handler runs any more (unless called from the
@@ -152,20 +168,41 @@ class Broker {
   virtual std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
                                                   Handler handler) = 0;
   virtual ConnectionState state() const = 0;
+  /// The preferred one of its URLs.
   virtual const std::string& url() const = 0;
 };
 
+/// How a connection is protected, for the schemes that end in "s" (amqps, kafkas, activemqs). Files in PEM form.
+struct Tls {
+  std::string ca_file;           ///< whom to trust; empty: the system's authorities
+  std::string certificate_file;  ///< the client's own; empty: none
+  std::string key_file;
+  friend bool operator==(const Tls&, const Tls&) = default;
+};
+
 struct BrokerOptions {
-  /// "embedded://NAME" (the in-process broker of that name), "amqp://user:password@host:port/vhost" (RabbitMQ).
-  std::string url;
+  /// The servers of one broker: the first is preferred; the others are used in turn while it is away.
+  /// "embedded://NAME" (the in-process broker of that name), "amqp://user:password@host:port/vhost" (RabbitMQ, with TLS
+  /// "amqps"), "kafka://host:port", "activemq://user:password@host:port".
+  std::vector<std::string> urls;
+  /// Goes before the user in the URL.
+  std::string user;
+  /// Where the password is, read at each attempt to connect: a file (its first line) or an environment variable. Both
+  /// empty: the URL's.
+  std::string password_file;
+  std::string password_variable;
+  Tls tls;
+  /// What only one kind of broker knows; each kind's README names them. An unknown one is an error.
+  std::map<std::string, std::string> properties;
   std::chrono::milliseconds heartbeat{4000};
   std::chrono::milliseconds rpc_timeout{5000};
   const config::Clock* clock = nullptr;  ///< nullptr: the system's
   config::Metrics* metrics = nullptr;    ///< nullptr: the process's
 };
 
-/// Makes the broker that the URL's scheme names. Returns at once, connecting in the background.
-/// \throws config::Error for a scheme that is none (the message lists those there are) or a URL that cannot be read.
+/// Makes the broker that the URLs' scheme names. Returns at once, connecting in the background.
+/// \throws config::Error for a scheme that is none (the message lists those there are), URLs of several kinds, or one
+/// that cannot be read.
 std::unique_ptr<Broker> make_broker(const BrokerOptions& options);
 
 /// The kinds of broker that configuration may name ("embedded", "rabbitmq").

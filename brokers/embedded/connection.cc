@@ -121,6 +121,7 @@ bool Connection::deliver_next(std::unique_lock<std::mutex>& lock) {
   for (; conflated > 0; --conflated) meters.conflated();
   if (!stored) return true;
   meters.received(stored->redelivered);
+  ++stored->tries;
   const std::uint64_t tag = ++reader->last_tag;
   if (!reader->options.automatic_ack) reader->unsettled.emplace(tag, *stored);
   {
@@ -140,7 +141,9 @@ void Connection::run_handler(const std::shared_ptr<Reader>& reader, Stored store
   std::shared_ptr<Settler> settler;
   if (!reader->options.automatic_ack) settler = reader;
   try {
-    reader->handler(Delivery(std::move(stored.message), stored.redelivered, std::move(settler), tag));
+    Delivery delivery(std::move(stored.message), stored.redelivered, std::move(settler), tag);
+    delivery.tries = stored.tries;
+    reader->handler(std::move(delivery));
   } catch (const std::exception& error) {
     logger.error("the handler of topic {} threw: {}; the message is delivered again", reader->topic.name, error.what());
   } catch (...) {

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "iotcloud/brokers/embedded/connection.h"
+#include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/limits.h"
 #include <iotcloud/brokers/embedded/server.h>
 
@@ -170,7 +171,7 @@ class EmbeddedSubscription final : public Subscription {
 class EmbeddedBroker final : public Broker {
  public:
   EmbeddedBroker(const BrokerOptions& options, const std::string& name)
-      : url_(options.url),
+      : url_(options.urls.front()),
         connection_(std::make_shared<Connection>(Server::named(name).state(),
                                                  options.clock != nullptr ? *options.clock : config::system_clock(),
                                                  Meters(options.metrics, "embedded"))) {
@@ -183,7 +184,8 @@ class EmbeddedBroker final : public Broker {
   }
   std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
                                           Handler handler) override {
-    return std::make_unique<EmbeddedSubscription>(connection_, topic, options, std::move(handler));
+    return std::make_unique<EmbeddedSubscription>(connection_, topic, options,
+                                                  dead_letters_.guard(topic, options, std::move(handler)));
   }
   ConnectionState state() const override {
     const std::lock_guard lock(connection_->server->mutex);
@@ -194,6 +196,7 @@ class EmbeddedBroker final : public Broker {
  private:
   const std::string url_;
   const std::shared_ptr<Connection> connection_;
+  DeadLetters dead_letters_{*this};  ///< its publishers die before the connection
 };
 
 }  // namespace

@@ -64,7 +64,10 @@ void Queue::attach(const std::shared_ptr<Consumer>& consumer) {
 void Queue::detach(Consumer& consumer, Instant now) {
   std::erase_if(readers_, [&](const auto& reader) { return reader.get() == &consumer; });
   consumer.active = false;
-  for (auto& [tag, stored] : consumer.unsettled) put_back(std::move(stored));
+  for (auto& [tag, stored] : consumer.unsettled) {
+    stored.tries = 0;
+    put_back(std::move(stored));
+  }
   consumer.unsettled.clear();
   if (readers_.empty()) unused_since_ = now;
   activate();

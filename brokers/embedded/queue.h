@@ -25,6 +25,7 @@ struct Stored {
   std::uint64_t sequence = 0;      ///< its place in the queue; kept when it comes back
   std::optional<Instant> expires;  ///< worthless from then on
   bool redelivered = false;
+  std::uint32_t tries = 0;  ///< how often the reader that has it was handed it
 };
 
 /// The server's side of one subscription. Guarded by the server's mutex, constants apart.

@@ -236,7 +236,9 @@ void ConsumeLink::hand_on(Lock& lock, std::size_t most) {
 void ConsumeLink::run_handler(const Inlet& inlet, Arrived arrived, std::shared_ptr<Settler> settler,
                               std::uint64_t tag) {
   try {
-    inlet.handler(Delivery(std::move(arrived.message), arrived.redelivered, std::move(settler), tag));
+    Delivery delivery(std::move(arrived.message), arrived.redelivered, std::move(settler), tag);
+    delivery.tries = arrived.tries;
+    inlet.handler(std::move(delivery));
   } catch (const std::exception& error) {
     logger.error("the handler of topic {} threw: {}; the message is delivered again", inlet.topic.name, error.what());
   } catch (...) {

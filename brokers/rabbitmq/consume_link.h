@@ -10,14 +10,17 @@
 #include <thread>
 #include <vector>
 
+#include "iotcloud/brokers/client/backoff.h"
+#include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/amqp_link.h"
-#include "iotcloud/brokers/rabbitmq/backoff.h"
-#include "iotcloud/brokers/rabbitmq/connection_log.h"
 #include "iotcloud/brokers/rabbitmq/inlet.h"
-#include "iotcloud/brokers/rabbitmq/wake_event.h"
 
 namespace iotcloud::brokers::rabbitmq {
+
+using client::ConnectionLog;
+using client::WakeEvent;
 
 /// The consuming connection of one broker object, with the one thread that reads it and runs the handlers.
 ///

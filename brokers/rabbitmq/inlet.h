@@ -7,12 +7,16 @@
 
 #include <amqp.h>
 
-#include "iotcloud/brokers/rabbitmq/ack_window.h"
-#include "iotcloud/brokers/rabbitmq/backoff.h"
+#include "iotcloud/brokers/client/ack_window.h"
+#include "iotcloud/brokers/client/backoff.h"
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/clock.h>
 
 namespace iotcloud::brokers::rabbitmq {
+
+using client::AckWindow;
+using client::Arrived;
+using client::Backoff;
 
 class ConsumeLink;
 

@@ -12,12 +12,9 @@
 
 #include "iotcloud/brokers/limits.h"
 #include "iotcloud/brokers/rabbitmq/publish_wire.h"
-#include <iotcloud/config/log.h>
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
-
-const config::Logger logger{"brokers.rabbitmq"};
 
 // A caller sends at most so many of others' messages beside its own.
 constexpr std::size_t helping = 16;
@@ -61,7 +58,7 @@ void PublishLink::remove(const std::shared_ptr<Outbox>& outbox) {
   std::erase(outboxes_, outbox);
   std::erase(undeclared_, outbox);
   if (outbox->reporting && std::this_thread::get_id() == thread_.get_id()) return;  // from inside its own callback
-  report(outbox, lock);
+  reporter_.report(outbox, lock);
 }
 
 PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Message message) {
@@ -73,12 +70,12 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     const Outgoing refused = outbox->accept(std::move(message), now);
     outbox->sent_directly();
     outbox->refused(refused.number, why_not);
-    note_report(outbox);
+    reporter_.note(outbox);
     wake(lock);
     return PublishStatus::accepted;
   }
   outbox->expire(now);
-  note_report(outbox);
+  reporter_.note(outbox);
   if (outbox->has_report()) wake(lock);
   if (!outbox->has_room()) {
     outbox->refuse_room();
@@ -91,7 +88,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   if (!direct) {
     const bool timed = outbox->idle() && outbox->options.deadline.count() > 0;
     outbox->add_waiting(std::move(outgoing));
-    note_report(outbox);
+    reporter_.note(outbox);
     make_runnable(outbox);
     // Whoever has the wire looks again before giving it back.
     if (timed || outbox->has_report() || (outbox->in_runnable && !wire_busy_)) wake(lock);
@@ -108,21 +105,13 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     wire_broken_ = true;
   }
   release_wire();
-  if (wire_broken_ || !runnable_.empty() || !to_report_.empty()) wake(lock);
+  if (wire_broken_ || !runnable_.empty() || reporter_.due()) wake(lock);
   return PublishStatus::accepted;
 }
 
 bool PublishLink::drain(const std::shared_ptr<Outbox>& outbox, std::chrono::milliseconds limit) {
-  const auto end = std::chrono::system_clock::now() + limit;
   Lock lock(mutex_);
-  while (outbox->pending() > 0) {
-    if (outbox->has_report() && !outbox->reporting) {
-      report(outbox, lock);
-    } else if (changed_.wait_until(lock, end) == std::cv_status::timeout) {
-      return outbox->pending() == 0;
-    }
-  }
-  return true;
+  return reporter_.drain(outbox, limit, lock);
 }
 
 std::size_t PublishLink::pending(const Outbox& outbox) const {
@@ -174,44 +163,6 @@ void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
   runnable_.push_back(outbox);
 }
 
-void PublishLink::note_report(const std::shared_ptr<Outbox>& outbox) {
-  if (outbox->in_report || !outbox->has_report()) return;
-  outbox->in_report = true;
-  to_report_.push_back(outbox);
-}
-
-void PublishLink::report(const std::shared_ptr<Outbox>& outbox, Lock& lock) {
-  changed_.wait(lock, [&] { return !outbox->reporting; });
-  if (std::exchange(outbox->in_report, false)) std::erase(to_report_, outbox);
-  bool writable = false;
-  const std::vector<Outbox::Event> events = outbox->take_events(writable);
-  if (events.empty() && !writable) return;
-  outbox->reporting = true;
-  lock.unlock();
-  for (const auto& event : events) meters_.outcome(event.outcome, event.reason);
-  try {
-    if (outbox->options.on_outcome) {
-      for (const auto& event : events) outbox->options.on_outcome(event.number, event.outcome, event.reason);
-    }
-    if (writable && outbox->options.on_writable) outbox->options.on_writable();
-  } catch (const std::exception& error) {
-    logger.error("a callback of the publisher of topic {} threw: {}", outbox->topic.name, error.what());
-  } catch (...) {
-    logger.error("a callback of the publisher of topic {} threw", outbox->topic.name);
-  }
-  lock.lock();
-  outbox->reporting = false;
-  outbox->reported(events.size());
-  changed_.notify_all();
-}
-
-void PublishLink::report_all(Lock& lock) {
-  while (!to_report_.empty()) {
-    const std::shared_ptr<Outbox> outbox = to_report_.front();
-    report(outbox, lock);
-  }
-}
-
 void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing) {
   MessageProperties::Delivery delivery;
   delivery.durable = outbox->topic.durable;
@@ -235,7 +186,7 @@ void PublishLink::send_waiting(Lock& lock, std::size_t most, bool first_may_wait
     if (one_by_one_ > 0 && !under_way_.empty()) return;
     const std::shared_ptr<Outbox> outbox = runnable_.front();
     outbox->expire(clock_.now());
-    note_report(outbox);
+    reporter_.note(outbox);
     if (outbox->idle() || !outbox->may_send()) {
       runnable_.pop_front();
       outbox->in_runnable = false;
@@ -255,7 +206,7 @@ void PublishLink::requeue_under_way() {
   for (UnderWay& entry : entries) {
     if (entry.answered || entry.outbox->closed) continue;
     entry.outbox->lost(std::move(entry.outgoing));
-    note_report(entry.outbox);
+    reporter_.note(entry.outbox);
   }
 }
 
@@ -269,7 +220,7 @@ void PublishLink::settle(UnderWay& entry, bool good, Instant now) {
   } else {
     entry.outbox->confirmed(entry.outgoing.number);
   }
-  note_report(entry.outbox);
+  reporter_.note(entry.outbox);
   make_runnable(entry.outbox);
 }
 
@@ -303,7 +254,7 @@ std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
       continue;
     }
     outbox->fire_timer(now);
-    note_report(outbox);
+    reporter_.note(outbox);
     if (connected_) make_runnable(outbox);
     limit = std::chrono::milliseconds(0);
   }

@@ -10,15 +10,22 @@
 #include <thread>
 #include <vector>
 
+#include "iotcloud/brokers/client/backoff.h"
+#include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/client/outcome_reporter.h"
+#include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/amqp_link.h"
-#include "iotcloud/brokers/rabbitmq/backoff.h"
-#include "iotcloud/brokers/rabbitmq/connection_log.h"
 #include "iotcloud/brokers/rabbitmq/headers.h"
-#include "iotcloud/brokers/rabbitmq/outbox.h"
-#include "iotcloud/brokers/rabbitmq/wake_event.h"
 
 namespace iotcloud::brokers::rabbitmq {
+
+using client::Backoff;
+using client::ConnectionLog;
+using client::Instant;
+using client::Outbox;
+using client::Outgoing;
+using client::WakeEvent;
 
 /// The publishing connection of one broker object.
 ///
@@ -72,9 +79,6 @@ class PublishLink {
   void send_waiting(Lock& lock, std::size_t most, bool first_may_wait);
   void send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing);
   void make_runnable(const std::shared_ptr<Outbox>& outbox);
-  void note_report(const std::shared_ptr<Outbox>& outbox);
-  void report(const std::shared_ptr<Outbox>& outbox, Lock& lock);
-  void report_all(Lock& lock);
   std::chrono::milliseconds time_to_sleep(Instant now);
   void wake(Lock& lock);
   void requeue_under_way();
@@ -94,6 +98,7 @@ class PublishLink {
   mutable std::mutex mutex_;
   std::condition_variable changed_;  ///< the wire became free, a callback ended
   // All below: guarded by mutex_.
+  client::OutcomeReporter reporter_{changed_, meters_};
   bool closing_ = false;
   bool connected_ = false;
   bool blocked_ = false;  ///< the server asked us to publish nothing (memory or disk alarm)
@@ -105,7 +110,6 @@ class PublishLink {
   std::vector<std::shared_ptr<Outbox>> outboxes_;
   std::vector<std::shared_ptr<Outbox>> undeclared_;
   std::deque<std::shared_ptr<Outbox>> runnable_;
-  std::deque<std::shared_ptr<Outbox>> to_report_;
   std::set<std::pair<std::string, bool>> declared_;  ///< exchanges on this connection
   std::deque<UnderWay> under_way_;                   ///< by publish tag, ascending
   std::uint64_t first_tag_ = 1;                      ///< of under_way_.front()

@@ -29,10 +29,10 @@ void PublishLink::run() {
       lose(error.what());
     }
     Lock lock(mutex_);
-    report_all(lock);
+    reporter_.report_all(lock);
     if (closing_) break;
     std::chrono::milliseconds limit = time_to_sleep(clock_.now());
-    if (!to_report_.empty() || wire_broken_) limit = std::chrono::milliseconds(0);
+    if (reporter_.due() || wire_broken_) limit = std::chrono::milliseconds(0);
     if (!connected_)
       limit = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(next_attempt_ - clock_.now()),
                          std::chrono::milliseconds(0), limit);
@@ -222,7 +222,7 @@ void PublishLink::on_channel_closed(const amqp_channel_close_t& closed) {
       // It is the one that the server does not want, and not for an exchange that we can declare again.
       under_way_.front().answered = true;
       under_way_.front().outbox->refused(under_way_.front().outgoing.number, why);
-      note_report(under_way_.front().outbox);
+      reporter_.note(under_way_.front().outbox);
     }
     logger.error("the server refused a message: {}", why);
     one_by_one_ = under_way_.size();

@@ -7,8 +7,9 @@
 
 #include <pthread.h>
 
+#include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"
-#include "iotcloud/brokers/rabbitmq/connection_log.h"
 #include "iotcloud/brokers/rabbitmq/consume_link.h"
 #include "iotcloud/brokers/rabbitmq/publish_link.h"
 #include <iotcloud/config/error.h>
@@ -87,13 +88,13 @@ class Keeper {
 
 class RabbitMqBroker final : public Broker {
  public:
-  RabbitMqBroker(const BrokerOptions& options, const BrokerUrl& url)
-      : url_(options.url),
+  RabbitMqBroker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls)
+      : url_(options.urls.front()),
         meters_(options.metrics, "rabbitmq"),
-        log_(printable_url(options.url)),
-        publishing_(link_options(options, url, "publishing"), meters_, clock_of(options), log_),
+        log_(printable_url(options.urls.front())),
+        publishing_(link_options(options, urls, "publishing"), meters_, clock_of(options), log_),
         consuming_(
-            std::make_shared<ConsumeLink>(link_options(options, url, "consuming"), meters_, clock_of(options), log_)),
+            std::make_shared<ConsumeLink>(link_options(options, urls, "consuming"), meters_, clock_of(options), log_)),
         keeper_(publishing_, *consuming_) {}
   ~RabbitMqBroker() override { consuming_->close(); }
 
@@ -106,7 +107,8 @@ class RabbitMqBroker final : public Broker {
                                           Handler handler) override {
     check_name(topic.name, "topic");
     check_name(options.group.empty() ? topic.name : topic.name + "." + options.group, "queue");
-    return std::make_unique<RabbitMqSubscription>(*consuming_, topic, options, std::move(handler));
+    return std::make_unique<RabbitMqSubscription>(*consuming_, topic, options,
+                                                  dead_letters_.guard(topic, options, std::move(handler)));
   }
 
   ConnectionState state() const override {
@@ -117,8 +119,9 @@ class RabbitMqBroker final : public Broker {
   const std::string& url() const override { return url_; }
 
  private:
-  static LinkOptions link_options(const BrokerOptions& options, const BrokerUrl& url, const char* purpose) {
-    return {url, options.heartbeat, options.rpc_timeout, purpose};
+  static LinkOptions link_options(const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
+                                  const char* purpose) {
+    return {urls.front(), options.heartbeat, options.rpc_timeout, purpose};
   }
   static const config::Clock& clock_of(const BrokerOptions& options) {
     return options.clock != nullptr ? *options.clock : config::system_clock();
@@ -130,12 +133,13 @@ class RabbitMqBroker final : public Broker {
   PublishLink publishing_;
   const std::shared_ptr<ConsumeLink> consuming_;
   Keeper keeper_;
+  DeadLetters dead_letters_{*this};  ///< its publishers die before the connections
 };
 
 }  // namespace
 
-std::unique_ptr<Broker> make_rabbitmq_broker(const BrokerOptions& options, const BrokerUrl& url) {
-  return std::make_unique<RabbitMqBroker>(options, url);
+std::unique_ptr<Broker> make_rabbitmq_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls) {
+  return std::make_unique<RabbitMqBroker>(options, urls);
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

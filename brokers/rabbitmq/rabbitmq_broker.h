@@ -7,7 +7,7 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// A broker that speaks AMQP 0-9-1 to a RabbitMQ server; `url` is options.url, parsed.
-std::unique_ptr<Broker> make_rabbitmq_broker(const BrokerOptions& options, const BrokerUrl& url);
+/// A broker that speaks AMQP 0-9-1 to a RabbitMQ server; `urls` are options.urls, parsed.
+std::unique_ptr<Broker> make_rabbitmq_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls);
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -28,7 +28,7 @@ std::shared_ptr<brokers::Broker> BrokerPool::get(const std::string& url) {
   auto& broker = brokers_[url];
   if (!broker) {
     brokers::BrokerOptions options;
-    options.url = url;
+    options.urls = {url};
     options.metrics = &metrics_;
     broker = brokers::make_broker(options);
   }

@@ -191,7 +191,7 @@ TestServer& BrokerContract::server() const {
 
 std::unique_ptr<Broker> BrokerContract::broker() const {
   BrokerOptions options;
-  options.url = server().url();
+  options.urls = {server().url()};
   options.heartbeat = std::chrono::seconds(2);
   return make_broker(options);
 }

@@ -125,6 +125,72 @@ TEST_P(BrokerContract, ARejectedMessageNeverComesAgain) {
   EXPECT_THAT(inbox.bodies(), ElementsAre("1", "2", "3"));
 }
 
+TEST_P(BrokerContract, CountsHowOftenItHandedAMessageOn) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  std::mutex mutex;
+  std::vector<std::uint32_t> tries;
+  std::promise<void> done;
+  const auto subscription = broker->subscribe(topic, {}, [&](Delivery delivery) {
+    const std::lock_guard lock(mutex);
+    tries.push_back(delivery.tries);
+    if (delivery.tries < 3) return;  // dropped unsettled: retry
+    delivery.settle(Settlement::accept);
+    done.set_value();
+  });
+  const auto publisher = broker->publisher(topic, {});
+  publisher->publish(text_message("x"));
+  ASSERT_EQ(done.get_future().wait_for(patience), std::future_status::ready);
+  const std::lock_guard lock(mutex);
+  EXPECT_THAT(tries, ElementsAre(1, 2, 3));
+}
+
+TEST_P(BrokerContract, WhatIsRetriedTooOftenGoesToTheDeadLetterTopicInItsTurn) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  const Topic dead{"", topic.name + ".dead", true};
+  Inbox inbox(
+      [](const Inbox::Received& received) { return received.body == "2" ? Settlement::retry : Settlement::accept; });
+  SubscriptionOptions options;
+  options.group = "readers";
+  options.max_tries = 3;
+  options.dead_letter = dead.name;
+  auto subscription = broker->subscribe(topic, options, inbox.handler());
+  await_active(*subscription);
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 3)) publisher->publish(text_message(body));
+  ASSERT_TRUE(inbox.wait_for(5));
+  EXPECT_THAT(inbox.bodies(), ElementsAre("1", "2", "2", "2", "3"));
+  Inbox letters;
+  const auto reader = broker->subscribe(dead, {}, letters.handler());
+  ASSERT_TRUE(letters.wait_for(1));
+  const Message letter = letters.all().front().message;
+  EXPECT_EQ(letter.payload.text(), "2");
+  EXPECT_EQ(letter.driver_id, "driver");
+  EXPECT_EQ(*letter.properties.find("dead-letter-reason"), "retried too often");
+  EXPECT_EQ(*letter.properties.find("dead-letter-tries"), "3");
+  EXPECT_EQ(*letter.properties.find("dead-letter-topic"), topic.name);
+}
+
+TEST_P(BrokerContract, WhatIsRejectedGoesToTheDeadLetterTopicAtOnce) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  const Topic dead{"", topic.name + ".dead", true};
+  Inbox inbox(
+      [](const Inbox::Received& received) { return received.body == "1" ? Settlement::reject : Settlement::accept; });
+  SubscriptionOptions options;
+  options.dead_letter = dead.name;
+  const auto subscription = broker->subscribe(topic, options, inbox.handler());
+  await_active(*subscription);
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 2)) publisher->publish(text_message(body));
+  Inbox letters;
+  const auto reader = broker->subscribe(dead, {}, letters.handler());
+  ASSERT_TRUE(letters.wait_for(1));
+  EXPECT_EQ(letters.bodies().front(), "1");
+  ASSERT_TRUE(inbox.wait_for(2));
+}
+
 TEST_P(BrokerContract, AHandlerThatThrowsGetsTheMessageAgain) {
   const auto broker = this->broker();
   const Topic topic = this->topic();

@@ -194,8 +194,8 @@ TEST_P(RabbitMqServer, TakesMessagesOfForeignProgramsWithOddHeaders) {
 
 TEST_P(RabbitMqServer, AWrongPasswordIsNoReasonToStop) {
   BrokerOptions options;
-  options.url = server().url();
-  options.url.replace(options.url.find("guest@"), 5, "wrong");
+  options.urls = {server().url()};
+  options.urls.front().replace(options.urls.front().find("guest@"), 5, "wrong");
   const auto broker = make_broker(options);
   const auto publisher = broker->publisher(topic(), {});
   EXPECT_EQ(publisher->publish(text_message("x")), PublishStatus::accepted);

@@ -63,7 +63,7 @@ TEST(PrintableUrlTest, HidesThePasswordOnly) {
 
 TEST(MakeBrokerTest, RefusesAnUnknownSchemeAndListsTheKnownOnes) {
   BrokerOptions options;
-  options.url = "mqtt://u:secret@host";
+  options.urls = {"mqtt://u:secret@host"};
   try {
     make_broker(options);
     FAIL() << "no error";

@@ -17,7 +17,7 @@ class MessageLog {
  public:
   MessageLog(const std::string& url, const brokers::Topic& topic) {
     brokers::BrokerOptions options;
-    options.url = url;
+    options.urls = {url};
     broker_ = brokers::make_broker(options);
     brokers::SubscriptionOptions subscription;
     subscription.group = "test";
@@ -51,7 +51,7 @@ class MessageSender {
  public:
   MessageSender(const std::string& url, const brokers::Topic& topic) {
     brokers::BrokerOptions options;
-    options.url = url;
+    options.urls = {url};
     broker_ = brokers::make_broker(options);
     publisher_ = broker_->publisher(topic, {});
   }

@@ -30,6 +30,8 @@ OUTSIDE = ("examples", "tests", "bench")  # users of the rooms
 IMPLEMENTATIONS = {
     "brokers/embedded": ["brokers/make_broker.cc", "topology/local/"],
     "brokers/rabbitmq": ["brokers/make_broker.cc"],
+    "brokers/kafka": ["brokers/make_broker.cc"],
+    "brokers/activemq": ["brokers/make_broker.cc"],
     "discovery/embedded": ["discovery/registry.cc", "topology/local/"],
     "discovery/zookeeper": ["discovery/registry.cc"],
 }

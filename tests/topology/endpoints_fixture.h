@@ -100,7 +100,7 @@ class Endpoints : public ::testing::Test {
     registry.session_timeout = std::chrono::milliseconds(300);
     registry_ = discovery::make_registry(registry);
     brokers::BrokerOptions broker;
-    broker.url = broker_url_;
+    broker.urls = {broker_url_};
     broker_ = brokers::make_broker(broker);
   }
 

@@ -1,70 +1,19 @@
-#include <limits>
-
-#include <iotcloud/config/log.h>
+#include <iotcloud/brokers/letter_box.h>
 #include <iotcloud/topology/endpoints/channel_reader.h>
 #include <iotcloud/topology/endpoints/dead_letters.h>
 
 namespace iotcloud::topology {
 
-namespace {
-
-const config::Logger logger{"topology.endpoints"};
-
-}  // namespace
-
 /// The letters of one broker.
-class DeadLetters::Sender {
- public:
-  Sender(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic, config::Counter& sent,
-         config::Counter& refused)
-      : topic_(topic.name), sent_(sent), refused_(refused), broker_(std::move(broker)) {
-    brokers::PublisherOptions options;
-    options.own_queue = true;
-    options.capacity = std::numeric_limits<int>::max();  // each holds an unsettled message, and prefetch limits those
-    options.on_outcome = [this](std::uint64_t number, brokers::Outcome outcome, const std::string& reason) {
-      on_outcome(number, outcome, reason);
-    };
-    publisher_ = broker_->publisher(topic, options);
-  }
-
-  void send(brokers::Message letter, Arrival arrival) {
-    const std::lock_guard lock(mutex_);  // the outcome waits until its number is known
-    if (publisher_->publish(std::move(letter)) != brokers::PublishStatus::accepted) return;  // it stays in the broker
-    under_way_.emplace(++last_number_, std::move(arrival));
-  }
-
-  void drain(std::chrono::milliseconds limit) { static_cast<void>(publisher_->drain(limit)); }
-
- private:
-  void on_outcome(std::uint64_t number, brokers::Outcome outcome, const std::string& reason) {
-    std::unique_lock lock(mutex_);
-    auto node = under_way_.extract(number);
-    lock.unlock();
-    if (node.empty()) return;
-    auto& delivery = node.mapped().delivery;
-    if (outcome == brokers::Outcome::confirmed) {
-      sent_.add();
-      delivery.settle(brokers::Settlement::accept);
-    } else if (outcome == brokers::Outcome::refused) {
-      refused_.add();
-      logger.error("the broker refused a dead letter for {}: {}; the message is rejected", topic_, reason);
-      delivery.settle(brokers::Settlement::reject);
-    }
-    // Otherwise nobody knows, and the message goes back to its queue.
-  }
-
-  const std::string topic_;
-  config::Counter& sent_;
-  config::Counter& refused_;
-  std::mutex mutex_;
-  std::uint64_t last_number_ = 0;               ///< guarded by mutex_
-  std::map<std::uint64_t, Arrival> under_way_;  ///< by publish number; guarded by mutex_
-  const std::shared_ptr<brokers::Broker> broker_;
-  std::unique_ptr<brokers::Publisher> publisher_;  ///< dies first: no callback runs after it
+struct DeadLetters::Sender {
+  Sender(std::shared_ptr<brokers::Broker> of, const std::string& topic, std::function<void(bool)> moved)
+      : broker(std::move(of)), box(*broker, topic, std::move(moved)) {}
+  const std::shared_ptr<brokers::Broker> broker;
+  brokers::LetterBox box;  ///< dies first
 };
 
 DeadLetters::DeadLetters(EndpointServicesPtr services, std::string component, std::string topic)
-    : services_(std::move(services)), component_(std::move(component)), topic_{"", std::move(topic), true} {}
+    : services_(std::move(services)), component_(std::move(component)), topic_(std::move(topic)) {}
 
 DeadLetters::~DeadLetters() = default;
 
@@ -82,15 +31,15 @@ void DeadLetters::send(Arrival arrival) {
     auto& known = senders_[arrival.reader->broker_url()];
     if (!known) {
       const config::Labels labels{{"topology", services_->topology}, {"component", component_}};
-      known = std::make_shared<Sender>(
-          services_->brokers->get(arrival.reader->broker_url()), topic_,
-          services_->metrics->counter("iotcloud_spout_dead_letters_total",
-                                      "Messages given up and moved to the dead-letter topic", labels),
-          services_->metrics->counter("iotcloud_spout_rejected_total", rejected_help, labels));
+      auto& sent = services_->metrics->counter("iotcloud_spout_dead_letters_total",
+                                               "Messages given up and moved to the dead-letter topic", labels);
+      auto& refused = services_->metrics->counter("iotcloud_spout_rejected_total", rejected_help, labels);
+      known = std::make_shared<Sender>(services_->brokers->get(arrival.reader->broker_url()), topic_,
+                                       [&](bool confirmed) { (confirmed ? sent : refused).add(); });
     }
     sender = known;
   }
-  sender->send(std::move(letter), std::move(arrival));
+  sender->box.send(std::move(letter), std::move(arrival.delivery), std::move(arrival.reader));
 }
 
 void DeadLetters::drain(std::chrono::milliseconds limit) {
@@ -99,7 +48,7 @@ void DeadLetters::drain(std::chrono::milliseconds limit) {
     const std::lock_guard lock(mutex_);
     senders = senders_;
   }
-  for (const auto& [url, sender] : senders) sender->drain(limit);
+  for (const auto& [url, sender] : senders) sender->box.drain(limit);
 }
 
 }  // namespace iotcloud::topology

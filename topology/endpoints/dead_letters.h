@@ -25,11 +25,11 @@ class DeadLetters {
   void drain(std::chrono::milliseconds limit);
 
  private:
-  class Sender;
+  struct Sender;
 
   const EndpointServicesPtr services_;
   const std::string component_;
-  const brokers::Topic topic_;
+  const std::string topic_;
   std::mutex mutex_;
   std::map<std::string, std::shared_ptr<Sender>> senders_;  ///< by the broker's URL; guarded by mutex_
 };

@@ -7,7 +7,7 @@ std::shared_ptr<brokers::Broker> BrokerPool::get(const std::string& url) {
   std::erase_if(brokers_, [](const auto& entry) { return entry.second.expired(); });
   if (auto broker = brokers_[url].lock()) return broker;
   brokers::BrokerOptions options;
-  options.url = url;
+  options.urls = {url};
   options.clock = clock_;
   options.metrics = metrics_;
   std::shared_ptr<brokers::Broker> broker = brokers::make_broker(options);

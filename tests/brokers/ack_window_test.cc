@@ -1,11 +1,11 @@
+#include "iotcloud/brokers/client/ack_window.h"
+
 #include <string>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "iotcloud/brokers/rabbitmq/ack_window.h"
-
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 namespace {
 
 using testing::ElementsAre;
@@ -110,4 +110,4 @@ TEST(AckWindowTest, StartsAfreshOnANewChannel) {
 }
 
 }  // namespace
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

@@ -1,14 +1,14 @@
-#include "iotcloud/brokers/rabbitmq/ack_window.h"
+#include "iotcloud/brokers/client/ack_window.h"
 
 #include <algorithm>
 #include <utility>
 
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 
 bool AckWindow::delivered(Arrived arrived) {
   if (arrived.tag != first_tag_ + entries_.size()) return false;
   waiting_.push_back(arrived.tag);
-  entries_.push_back({State::waits, arrived.redelivered, std::move(arrived.message)});
+  entries_.push_back({State::waits, arrived.redelivered, 0, std::move(arrived.message)});
   return true;
 }
 
@@ -17,7 +17,7 @@ Arrived AckWindow::next() {
   waiting_.pop_front();
   Entry& entry = entries_[tag - first_tag_];
   entry.state = State::handed_on;
-  return {entry.message, entry.redelivered, tag};
+  return {entry.message, entry.redelivered, tag, ++entry.tries};
 }
 
 bool AckWindow::settle(std::uint64_t tag, Settlement settlement) {
@@ -73,4 +73,4 @@ void AckWindow::clear() {
   settled_ = 0;
 }
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

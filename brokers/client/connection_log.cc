@@ -1,11 +1,11 @@
-#include "iotcloud/brokers/rabbitmq/connection_log.h"
+#include "iotcloud/brokers/client/connection_log.h"
 
 #include <iotcloud/config/log.h>
 
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 namespace {
 
-const config::Logger logger{"brokers.rabbitmq"};
+const config::Logger logger{"brokers"};
 
 }  // namespace
 
@@ -33,4 +33,4 @@ void ConnectionLog::connected() {
   logger.info("connected to {}", url_);
 }
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

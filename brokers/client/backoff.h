@@ -4,7 +4,7 @@
 #include <chrono>
 #include <random>
 
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 
 /// Waiting times that double up to a limit, each shortened by up to a half at random, so that many clients of a server
 /// that comes back do not all come at once. Not thread safe.
@@ -26,4 +26,4 @@ class Backoff {
   std::minstd_rand random_{std::random_device{}()};
 };
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

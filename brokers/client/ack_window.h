@@ -7,16 +7,17 @@
 
 #include <iotcloud/brokers/broker.h>
 
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 
 /// A received message.
 struct Arrived {
   Message message;
   bool redelivered = false;
-  std::uint64_t tag = 0;  ///< the channel's delivery tag
+  std::uint64_t tag = 0;    ///< the channel's delivery tag
+  std::uint32_t tries = 0;  ///< how often it was handed on, this time included
 };
 
-/// What one channel's consumer has from the server: keeps each message until it is settled, and turns settlements into
+/// What one consumer has from the server: keeps each message until it is settled, and turns settlements into
 /// as few acknowledgements as possible (`multiple` up to the first delivery that is unsettled). A retry stays here: the
 /// server is told nothing and the kept message is handed on again. Not thread safe.
 class AckWindow {
@@ -51,6 +52,7 @@ class AckWindow {
   struct Entry {
     State state = State::waits;
     bool redelivered = false;
+    std::uint32_t tries = 0;
     Message message;  ///< until it is settled
   };
   bool unsettled(const Entry& entry) const { return entry.state == State::waits || entry.state == State::handed_on; }
@@ -61,4 +63,4 @@ class AckWindow {
   std::size_t settled_ = 0;
 };
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

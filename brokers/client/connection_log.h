@@ -3,7 +3,7 @@
 #include <mutex>
 #include <string>
 
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 
 /// Says once that the broker cannot be reached, and once that it can: for both connections of a broker object together.
 /// Thread safe.
@@ -22,4 +22,4 @@ class ConnectionLog {
   bool said_connected_ = false;  ///< guarded by mutex_
 };
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

@@ -7,11 +7,11 @@
 #include <string>
 #include <vector>
 
-#include "iotcloud/brokers/rabbitmq/backoff.h"
+#include "iotcloud/brokers/client/backoff.h"
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/clock.h>
 
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 
 using Instant = config::Clock::Instant;
 
@@ -103,4 +103,4 @@ class Outbox {
   bool writable_due_ = false;
 };
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

@@ -1,11 +1,11 @@
-#include "iotcloud/brokers/rabbitmq/outbox.h"
+#include "iotcloud/brokers/client/outbox.h"
 
 #include <algorithm>
 #include <utility>
 
 #include "iotcloud/brokers/meters.h"
 
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 namespace {
 
 // A message that nobody reads goes to the server and back for every try: often at first, so that a reader that starts
@@ -149,4 +149,4 @@ std::vector<Outbox::Event> Outbox::take_events(bool& writable) {
   return std::exchange(events_, {});
 }
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

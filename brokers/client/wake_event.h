@@ -8,7 +8,7 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 
 /// Lets a thread sleep on a socket and be woken by others. signal() is thread safe; wait() is its one thread's.
 class WakeEvent {
@@ -45,4 +45,4 @@ class WakeEvent {
   int event_;
 };
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

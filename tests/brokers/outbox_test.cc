@@ -1,11 +1,11 @@
+#include "iotcloud/brokers/client/outbox.h"
+
 #include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
 
-#include "iotcloud/brokers/rabbitmq/outbox.h"
-
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 namespace {
 
 using std::chrono::milliseconds;
@@ -184,4 +184,4 @@ TEST(BackoffTest, DoublesUpToItsLimitWithinHalf) {
 }
 
 }  // namespace
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

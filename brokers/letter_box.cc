@@ -1,0 +1,105 @@
+#include "iotcloud/brokers/letter_box.h"
+
+#include <atomic>
+#include <limits>
+#include <utility>
+
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers {
+namespace {
+
+const config::Logger logger{"brokers"};
+
+}  // namespace
+
+LetterBox::LetterBox(Broker& broker, std::string topic, std::function<void(bool)> moved)
+    : topic_(std::move(topic)), moved_(std::move(moved)) {
+  PublisherOptions options;
+  options.own_queue = true;
+  options.capacity = std::numeric_limits<int>::max();  // each holds an unsettled message, and prefetch limits those
+  options.on_outcome = [this](std::uint64_t number, Outcome outcome, const std::string& reason) {
+    on_outcome(number, outcome, reason);
+  };
+  publisher_ = broker.publisher(Topic{"", topic_, true}, options);
+}
+
+void LetterBox::send(Message letter, Delivery original, std::shared_ptr<const void> owner) {
+  const std::lock_guard lock(mutex_);  // the outcome waits until its number is known
+  if (publisher_->publish(std::move(letter)) != PublishStatus::accepted) return;  // it stays in the broker
+  under_way_.emplace(++last_number_, UnderWay{std::move(owner), std::move(original)});
+}
+
+void LetterBox::on_outcome(std::uint64_t number, Outcome outcome, const std::string& reason) {
+  std::unique_lock lock(mutex_);
+  auto node = under_way_.extract(number);
+  lock.unlock();
+  if (node.empty()) return;
+  Delivery& original = node.mapped().original;
+  if (outcome == Outcome::confirmed) {
+    moved_(true);
+    original.settle(Settlement::accept);
+  } else if (outcome == Outcome::refused) {
+    moved_(false);
+    logger.error("the broker refused a dead letter for {}: {}; the message is rejected", topic_, reason);
+    original.settle(Settlement::reject);
+  }
+  // Otherwise nobody knows, and the message goes back to its queue.
+}
+
+/// Stands between a delivery and who handles it.
+class DeadLetters::Guard final : public Settler {
+ public:
+  Guard(DeadLetters& owner, const Topic& topic, const SubscriptionOptions& options, Delivery original)
+      : owner_(owner), topic_(topic), options_(options), original_(std::move(original)) {}
+
+  void settle(std::uint64_t, Settlement settlement) noexcept override {
+    if (settled_.exchange(true)) return;
+    const bool given_up =
+        settlement == Settlement::reject ||
+        (settlement == Settlement::retry && options_.max_tries > 0 && original_.tries >= options_.max_tries);
+    if (!given_up) {
+      original_.settle(settlement);
+      return;
+    }
+    if (options_.dead_letter.empty()) {
+      original_.settle(Settlement::reject);
+      return;
+    }
+    Message letter = original_.message;
+    letter.properties.set("dead-letter-reason", settlement == Settlement::reject ? "rejected" : "retried too often");
+    letter.properties.set("dead-letter-tries", std::to_string(original_.tries));
+    letter.properties.set("dead-letter-topic", topic_.name);
+    letter.properties.set("dead-letter-group", options_.group);
+    owner_.box(options_.dead_letter).send(std::move(letter), std::move(original_));
+  }
+
+ private:
+  DeadLetters& owner_;
+  const Topic topic_;
+  const SubscriptionOptions options_;
+  std::atomic<bool> settled_{false};
+  Delivery original_;
+};
+
+Handler DeadLetters::guard(const Topic& topic, const SubscriptionOptions& options, Handler handler) {
+  if (options.max_tries == 0 && options.dead_letter.empty()) return handler;
+  return [this, topic, options, handler = std::move(handler)](Delivery original) {
+    Message message = original.message;
+    const bool redelivered = original.redelivered;
+    const std::uint32_t tries = original.tries;
+    Delivery guarded(std::move(message), redelivered,
+                     std::make_shared<Guard>(*this, topic, options, std::move(original)), 0);
+    guarded.tries = tries;
+    handler(std::move(guarded));
+  };
+}
+
+LetterBox& DeadLetters::box(const std::string& topic) {
+  const std::lock_guard lock(mutex_);
+  auto& box = boxes_[topic];
+  if (!box) box = std::make_unique<LetterBox>(broker_, topic, [](bool) {});
+  return *box;
+}
+
+}  // namespace iotcloud::brokers
