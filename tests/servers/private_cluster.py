@@ -49,7 +49,7 @@ class Children:
         return child
 
     def server(self, kind):
-        """Starts a private server, "rabbitmq" or "zookeeper", and returns its URL."""
+        """Starts a private server ("rabbitmq", "zookeeper", ...) and returns its URL."""
         child = self.spawn(kind, ["/usr/bin/python3", HERE / f"{kind}.py", "--dir", self.out / kind],
                            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         answer = child.stdout.readline().split()

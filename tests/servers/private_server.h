@@ -5,6 +5,9 @@
 #include <chrono>
 #include <cstdlib>
 #include <filesystem>
+#include <iostream>
+#include <iterator>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -16,16 +19,20 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <gtest/gtest.h>
+
 #ifndef IOTCLOUD_TEST_SERVERS
 #error "iotcloud_test() defines IOTCLOUD_TEST_SERVERS, the folder of the scripts: declare this program with it"
 #endif
 
 namespace iotcloud::tests {
 
-/// A real server of its own for a test process: runs a script of this folder (rabbitmq.py, zookeeper.py), which starts
+/// A real server of its own for a test process: runs a script of this folder (rabbitmq.py, kafka.py, ...), which starts
 /// the server on free loopback ports and obeys one-line commands. The server ends with this object, and also when the
 /// test process dies (the script sees the end of its stdin). Not thread safe.
 /// Every call waits for the script's answer and throws std::runtime_error with what it said when something failed.
+/// A server that cannot be had on this machine now (its jars cannot be fetched) ends the test program with the status
+/// that iotcloud_test() tells ctest to report as "skipped"; with CI=true the constructor throws instead.
 class PrivateServer {
  public:
   /// \param script a file of this folder. \param arguments passed on. The data stand in a folder of their own below the
@@ -48,6 +55,11 @@ class PrivateServer {
 
   /// Where the server listens, in the form that configuration takes ("amqp://guest:guest@127.0.0.1:5672/").
   const std::string& url() const { return url_; }
+  /// One for each node of a cluster.
+  std::vector<std::string> urls() const {
+    std::istringstream words(url_);
+    return {std::istream_iterator<std::string>(words), {}};
+  }
   /// Data and logs of the server.
   const std::filesystem::path& folder() const { return folder_; }
 
@@ -102,8 +114,17 @@ class PrivateServer {
 
   std::string address(const std::string& answer) const {
     const std::string ready = "READY ";
+    if (answer.starts_with("SKIP ")) skip(answer);
     if (!answer.starts_with(ready)) throw std::runtime_error(script_ + ": " + answer);
     return answer.substr(ready.size());
+  }
+
+  /// What has failed before stays failed.
+  [[noreturn]] void skip(const std::string& reason) const {
+    std::cout << script_ << ": " << reason << std::endl;
+    std::error_code ignored;
+    std::filesystem::remove_all(folder_, ignored);
+    std::_Exit(testing::UnitTest::GetInstance()->Failed() ? EXIT_FAILURE : IOTCLOUD_TEST_SKIPPED);
   }
 
   std::string read_line() {

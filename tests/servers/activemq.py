@@ -1,0 +1,94 @@
+#!/usr/bin/python3
+"""A private ActiveMQ Classic for tests and benchmarks, on loopback only, that leaves nothing behind.
+
+    activemq.py --dir DIR [--port N]
+
+Runs one broker that speaks AMQP 1.0, with its data and log below DIR, on a free port. Its jars come from Maven Central
+(maven_jars.py). When it takes connections it prints one line on stdout:
+
+    READY activemq://127.0.0.1:PORT
+
+(or `SKIP text` when the jars cannot be fetched; with CI=true that is an `ERROR text`). Then it obeys one command for each
+line of stdin and answers with one line on stdout:
+
+    kill    SIGKILL to the broker                  KILLED
+    start   starts it again, same port and data    READY activemq://...
+    pause   SIGSTOP to the broker: it hangs        PAUSED
+    resume  SIGCONT                                RESUMED
+    stop    ends everything                        STOPPED
+
+The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
+Data of an earlier run in DIR are kept: a confirmed durable message is on the disk. A client that is silent for 4 s is
+cut off.
+"""
+import socket
+import xml.sax.saxutils
+
+import maven_jars
+import private_server
+
+GREETING = b"AMQP\x03\x01\x00\x00"  # with SASL: it refuses the other kind
+
+CONFIGURATION = """\
+<beans xmlns="http://www.springframework.org/schema/beans" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"
+    xsi:schemaLocation="
+      http://www.springframework.org/schema/beans http://www.springframework.org/schema/beans/spring-beans.xsd
+      http://activemq.apache.org/schema/core http://activemq.apache.org/schema/core/activemq-core.xsd">
+  <broker xmlns="http://activemq.apache.org/schema/core" brokerName="iotcloud" useJmx="false" dataDirectory={data}>
+    <persistenceAdapter>
+      <!-- Synchronous: with less a broker that is killed loses what it has confirmed. -->
+      <kahaDB directory={data} journalMaxFileLength="32mb" journalDiskSyncStrategy="always"/>
+    </persistenceAdapter>
+    <systemUsage>
+      <systemUsage>
+        <memoryUsage><memoryUsage limit="192 mb"/></memoryUsage>
+        <storeUsage><storeUsage limit="4 gb"/></storeUsage>
+        <tempUsage><tempUsage limit="1 gb"/></tempUsage>
+      </systemUsage>
+    </systemUsage>
+    <transportConnectors>
+      <transportConnector name="amqp" uri={connector}/>
+    </transportConnectors>
+  </broker>
+</beans>
+"""
+
+
+class ActiveMq(private_server.Server):
+    name = "ActiveMQ"
+
+    def __init__(self, folder, port):
+        super().__init__(folder)
+        self.class_path = maven_jars.fetch("activemq")
+        self.port = port or private_server.free_ports(1)[0]
+        connector = "amqp://127.0.0.1:%d?wireFormat.maxFrameSize=67108864&wireFormat.idleTimeout=4000" % self.port
+        quoted = xml.sax.saxutils.quoteattr
+        self.config = self.write("activemq.xml", CONFIGURATION.format(
+            data=quoted(self.path("data")), connector=quoted(connector)).splitlines())
+
+    def command(self):
+        return ["java", "-Xms64m", "-Xmx512m", *private_server.JVM_OPTIONS, "-cp", self.class_path,
+                "org.apache.activemq.console.command.ShellCommand", "start", "xbean:file:" + self.config]
+
+    def environment(self):
+        return private_server.java_environment()
+
+    def url(self):
+        return "activemq://127.0.0.1:%d" % self.port
+
+    def answers(self):
+        with socket.create_connection(("127.0.0.1", self.port), timeout=1) as probe:
+            probe.settimeout(2)
+            probe.sendall(GREETING)
+            return probe.recv(len(GREETING), socket.MSG_WAITALL) == GREETING
+
+
+def main():
+    parser = private_server.options("A private ActiveMQ")
+    parser.add_argument("--port", type=int, default=0, help="AMQP 1.0 port; default: a free one")
+    given = parser.parse_args()
+    private_server.run(lambda: ActiveMq(given.dir, given.port))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+#!/usr/bin/python3
+"""A private Kafka for tests and benchmarks, on loopback only, that leaves nothing behind.
+
+    kafka.py --dir DIR [--port N] [--partitions N]
+
+Runs one node (KRaft: broker and controller in one JVM) with its data and log below DIR, on free ports. Its jars come
+from Maven Central (maven_jars.py). Topics are made when they are first used, with --partitions partitions (default 4).
+When the node takes requests it prints one line on stdout:
+
+    READY kafka://127.0.0.1:PORT
+
+(or `SKIP text` when the jars cannot be fetched; with CI=true that is an `ERROR text`). Then it obeys one command for each
+line of stdin and answers with one line on stdout:
+
+    kill    SIGKILL to the node                    KILLED
+    start   starts it again, same port and data    READY kafka://...
+    pause   SIGSTOP to the node: it hangs          PAUSED
+    resume  SIGCONT                                RESUMED
+    stop    ends everything                        STOPPED
+
+The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
+Data of an earlier run in DIR are kept. What was confirmed survives `kill`: the log's pages are the kernel's by then.
+"""
+import os
+import socket
+import struct
+import subprocess
+
+import maven_jars
+import private_server
+
+METADATA = 3
+
+
+class Kafka(private_server.Server):
+    name = "Kafka"
+
+    def __init__(self, folder, port, partitions):
+        super().__init__(folder)
+        self.class_path = maven_jars.fetch("kafka")
+        ports = private_server.free_ports(2)
+        self.port, self.controller_port = port or ports[0], ports[1]
+        self.config = self.write("server.properties", [
+            "process.roles=broker,controller", "node.id=1",
+            "controller.quorum.voters=1@127.0.0.1:%d" % self.controller_port,
+            "controller.listener.names=CONTROLLER", "inter.broker.listener.name=CLIENT",
+            "listener.security.protocol.map=CONTROLLER:PLAINTEXT,CLIENT:PLAINTEXT",
+            "listeners=CLIENT://127.0.0.1:%d,CONTROLLER://127.0.0.1:%d" % (self.port, self.controller_port),
+            "advertised.listeners=CLIENT://127.0.0.1:%d" % self.port,
+            "log.dirs=" + self.path("data"), "num.partitions=%d" % partitions, "auto.create.topics.enable=true",
+            # Bodies of 8 MB and more, with their envelope and headers.
+            "message.max.bytes=16777216", "replica.fetch.max.bytes=16777216", "socket.request.max.bytes=33554432",
+            # One node, and groups that form at once: a test waits for each of them.
+            "default.replication.factor=1", "offsets.topic.replication.factor=1", "offsets.topic.num.partitions=4",
+            "transaction.state.log.replication.factor=1", "transaction.state.log.min.isr=1",
+            "transaction.state.log.num.partitions=4", "share.coordinator.state.topic.replication.factor=1",
+            "share.coordinator.state.topic.min.isr=1",
+            "group.initial.rebalance.delay.ms=0", "group.min.session.timeout.ms=1000",
+            "controlled.shutdown.enable=false", "broker.heartbeat.interval.ms=500",
+            # A killed node that comes back is let in at once: its earlier life holds the registration no longer.
+            "broker.session.timeout.ms=1500",
+            "num.network.threads=2", "num.io.threads=2", "background.threads=2", "log.cleaner.enable=false",
+            "log.segment.bytes=67108864", "log.index.size.max.bytes=1048576", "auto.include.jmx.reporter=false",
+            "metadata.max.idle.interval.ms=0"])
+
+    def java(self, main, *arguments):
+        return ["java", "-Xms64m", "-Xmx384m", *private_server.JVM_OPTIONS,
+                "-Dorg.slf4j.simpleLogger.log.org.apache.kafka.common.config=warn",
+                "-Dorg.slf4j.simpleLogger.log.kafka.server.KafkaConfig=warn",
+                "-cp", self.class_path, main, *arguments]
+
+    def command(self):
+        return self.java("kafka.Kafka", self.config)
+
+    def environment(self):
+        return private_server.java_environment()
+
+    def start(self):
+        if not os.path.exists(self.path("data", "meta.properties")):
+            with open(self.log(), "ab") as log:
+                subprocess.run(self.java("kafka.tools.StorageTool", "format", "--config", self.config,
+                                         "--cluster-id", "aW90Y2xvdWQtdGVzdHMtMQ"),
+                               env=self.environment(), cwd=self.folder, stdin=subprocess.DEVNULL, stdout=log,
+                               stderr=log, check=True, timeout=private_server.START_LIMIT_S,
+                               preexec_fn=private_server.become_child)
+        return super().start()
+
+    def url(self):
+        return "kafka://127.0.0.1:%d" % self.port
+
+    def answers(self):
+        """The port opens early; the node serves once its metadata name itself as a living broker."""
+        with socket.create_connection(("127.0.0.1", self.port), timeout=1) as probe:
+            probe.settimeout(2)
+            # Metadata v1 of no topic: size, key, version, correlation id, client id, no topics.
+            client = b"probe"
+            body = struct.pack(">hhih", METADATA, 1, 1, len(client)) + client + struct.pack(">i", 0)
+            probe.sendall(struct.pack(">i", len(body)) + body)
+            answer = probe.recv(12, socket.MSG_WAITALL)
+            return len(answer) == 12 and struct.unpack(">iii", answer)[2] == 1  # one broker
+
+
+def main():
+    parser = private_server.options("A private Kafka")
+    parser.add_argument("--port", type=int, default=0, help="port for clients; default: a free one")
+    parser.add_argument("--partitions", type=int, default=4, help="of a topic that is made by its first use")
+    given = parser.parse_args()
+    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,220 @@
+"""What the scripts of this folder share: a server below a private folder, on loopback only, that obeys commands on stdin.
+
+A script makes a subclass of `Server` and hands it to `run`. The first line on stdout is what `start` answers ("READY
+url"), "SKIP text" when the server itself cannot be had (its jars cannot be fetched), or "ERROR text". Then each line of
+stdin is a command and has one line of answer. The end of stdin means `stop`: nothing outlives who started the script.
+"""
+import argparse
+import ctypes
+import inspect
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+START_LIMIT_S = 90
+PR_SET_PDEATHSIG = 1
+LIBC = ctypes.CDLL("libc.so.6", use_errno=True)
+PASSING = (RuntimeError, OSError, subprocess.SubprocessError)  # what is answered as "ERROR text"
+
+
+# A small JVM that starts quickly; its log (slf4j-simple) goes to stderr.
+JVM_OPTIONS = ["-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1", "-Xshare:auto", "-XX:-UsePerfData",
+               "-Dorg.slf4j.simpleLogger.defaultLogLevel=info", "-Dorg.slf4j.simpleLogger.showDateTime=true",
+               "-Dorg.slf4j.simpleLogger.dateTimeFormat=yyyy-MM-dd HH:mm:ss.SSS"]
+
+
+class Unavailable(Exception):
+    """The server cannot be had on this machine now, for a reason outside of this project."""
+
+
+def become_child():
+    """In a child before exec: an own process group, and death with the parent."""
+    os.setpgid(0, 0)
+    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def free_ports(count):
+    """Ports that are free now, below the range from which the kernel takes ports for outgoing connections: while the
+    server is down between `kill` and `start` no client's socket can take its port."""
+    with open("/proc/sys/net/ipv4/ip_local_port_range", encoding="ascii") as file:
+        first_ephemeral = int(file.read().split()[0])
+    found = []
+    choose = random.Random(os.getpid() ^ time.time_ns())
+    while len(found) < count:
+        port = choose.randrange(10000, max(10500, first_ephemeral))
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        if port not in found:
+            found.append(port)
+    return found
+
+
+def java_environment():
+    """Without what would change a JVM from outside."""
+    return {key: value for key, value in os.environ.items()
+            if key not in ("JAVA_TOOL_OPTIONS", "_JAVA_OPTIONS", "CLASSPATH")}
+
+
+class Server:
+    """One process in its own group. A subclass gives `name`, `command()` and `answers()`, and `url()`."""
+
+    name = "the server"
+    grace_s = 0  # how long `stop` lets it write its data; 0: it writes ahead, so it is ended hard
+
+    def __init__(self, folder):
+        self.folder = os.path.abspath(folder)
+        os.makedirs(self.folder, exist_ok=True)
+        self.process = None
+
+    def path(self, *parts):
+        return os.path.join(self.folder, *parts)
+
+    def write(self, name, lines):
+        """A file below the folder, one line for each of `lines`; returns its path."""
+        with open(self.path(name), "w", encoding="utf-8") as file:
+            file.writelines(line + "\n" for line in lines)
+        return self.path(name)
+
+    def command(self):
+        raise NotImplementedError
+
+    def environment(self):
+        return dict(os.environ)
+
+    def answers(self):
+        """True once requests are served; may raise OSError before that."""
+        raise NotImplementedError
+
+    def url(self):
+        raise NotImplementedError
+
+    def log(self):
+        return self.path("server.log")
+
+    def spawn(self, command, environment, log):
+        with open(log, "ab") as out:
+            return subprocess.Popen(command, cwd=self.folder, env=environment, stdin=subprocess.DEVNULL, stdout=out,
+                                    stderr=out, preexec_fn=become_child)
+
+    def start(self):
+        if self.process and self.process.poll() is None:
+            raise RuntimeError("%s runs already" % self.name)
+        self.process = self.spawn(self.command(), self.environment(), self.log())
+        self.wait_for(self.name, self.process, self.answers, self.log())
+        return "READY " + self.url()
+
+    @staticmethod
+    def wait_for(what, process, ready, log):
+        limit = time.monotonic() + START_LIMIT_S
+        while True:
+            try:
+                if ready():
+                    return
+            except OSError:
+                pass
+            if process.poll() is not None:
+                raise RuntimeError("%s ended with status %d; see %s" % (what, process.returncode, log))
+            if time.monotonic() > limit:
+                raise RuntimeError("%s was not ready within %d s; see %s" % (what, START_LIMIT_S, log))
+            time.sleep(0.02)
+
+    def signal(self, number):
+        """To the process and its helpers: they share its process group."""
+        if not self.process or self.process.poll() is not None:
+            raise RuntimeError("%s does not run" % self.name)
+        os.killpg(self.process.pid, number)
+
+    def kill(self):
+        self.signal(signal.SIGKILL)
+        self.process.wait()
+        return "KILLED"
+
+    def pause(self):
+        self.signal(signal.SIGSTOP)
+        return "PAUSED"
+
+    def resume(self):
+        self.signal(signal.SIGCONT)
+        return "RESUMED"
+
+    def stop(self):
+        if self.process and self.process.poll() is None:
+            if self.grace_s:
+                self.signal(signal.SIGCONT)
+                self.signal(signal.SIGTERM)
+                try:
+                    self.process.wait(timeout=self.grace_s)
+                    return "STOPPED"
+                except subprocess.TimeoutExpired:
+                    pass
+            self.kill()
+        return "STOPPED"
+
+    def commands(self):
+        return {"kill": self.kill, "start": self.start, "pause": self.pause, "resume": self.resume}
+
+
+def options(description):
+    """What every script takes; a script may add its own before `run`."""
+    parser = argparse.ArgumentParser(description="%s on loopback; commands come on stdin." % description)
+    parser.add_argument("--dir", required=True, help="folder for configuration, data and logs")
+    return parser
+
+
+def say(line):
+    try:
+        print(" ".join(line.split()), flush=True)
+    except OSError:
+        pass  # whoever listened is gone; the end of stdin follows
+
+
+def serve(server):
+    say(server.start())
+    commands = server.commands()
+    for line in sys.stdin:
+        words = line.split()
+        if words == ["stop"]:
+            return
+        if not words or words[0] not in commands:
+            say("ERROR no such command: %s; there are: %s stop" % (line.strip(), " ".join(commands)))
+            continue
+        try:
+            inspect.signature(commands[words[0]]).bind(*words[1:])
+        except TypeError as error:
+            say("ERROR %s: %s" % (line.strip(), error))
+            continue
+        try:
+            say(commands[words[0]](*words[1:]))
+        except PASSING as error:
+            say("ERROR %s" % error)
+
+
+def run(make):
+    """Serves what `make()` returns until stdin ends, and ends the script with its status."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the starter too, which closes stdin
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    server, status = None, 0
+    try:
+        server = make()
+        serve(server)
+    except Unavailable as reason:
+        # Where everything must be there, a suite that cannot run has failed.
+        required = os.environ.get("CI") == "true"
+        say("%s %s" % ("ERROR" if required else "SKIP", reason))
+        status = 1 if required else 0
+    except PASSING as error:
+        say("ERROR %s" % error)
+        status = 1
+    finally:
+        stopped = server.stop() if server else None
+    if stopped and not status:
+        say(stopped)
+    sys.exit(status)
