@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private ActiveMQ Classic for tests and benchmarks, on loopback only, that leaves nothing behind.
 
-    activemq.py --dir DIR [--port N]
+    activemq.py --dir DIR [--port N] [--tls]
 
 Runs one broker that speaks AMQP 1.0, with its data and log below DIR, on a free port. Its jars come from Maven Central
 (maven_jars.py). When it takes connections it prints one line on stdout:
@@ -20,10 +20,13 @@ line of stdin and answers with one line on stdout:
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
 Data of an earlier run in DIR are kept: a confirmed durable message is on the disk. A client that is silent for 4 s is
 cut off.
-"""
-import socket
-import xml.sax.saxutils
 
+With --tls the URL is activemqs://localhost:PORT: the server wants a client certificate, and user and password (certificates.py;
+the files are in DIR).
+"""
+from xml.sax.saxutils import quoteattr as quoted
+
+import certificates
 import maven_jars
 import private_server
 
@@ -38,7 +41,7 @@ CONFIGURATION = """\
     <persistenceAdapter>
       <!-- Synchronous: with less a broker that is killed loses what it has confirmed. -->
       <kahaDB directory={data} journalMaxFileLength="32mb" journalDiskSyncStrategy="always"/>
-    </persistenceAdapter>
+    </persistenceAdapter>{security}
     <systemUsage>
       <systemUsage>
         <memoryUsage><memoryUsage limit="192 mb"/></memoryUsage>
@@ -54,17 +57,39 @@ CONFIGURATION = """\
 """
 
 
+SECURITY = """
+    <plugins>
+      <simpleAuthenticationPlugin anonymousAccessAllowed="false">
+        <users><authenticationUser username={user} password={password} groups="users"/></users>
+      </simpleAuthenticationPlugin>
+    </plugins>
+    <sslContext>
+      <sslContext keyStore={key_store} keyStorePassword={store_password} keyStoreType="PKCS12"
+          trustStore={trust_store} trustStorePassword={store_password} trustStoreType="PKCS12"/>
+    </sslContext>"""
+
+
 class ActiveMq(private_server.Server):
     name = "ActiveMQ"
 
-    def __init__(self, folder, port):
+    def __init__(self, folder, port, tls):
         super().__init__(folder)
         self.class_path = maven_jars.fetch("activemq")
         self.port = port or private_server.free_ports(1)[0]
         connector = "amqp://127.0.0.1:%d?wireFormat.maxFrameSize=67108864&wireFormat.idleTimeout=4000" % self.port
-        quoted = xml.sax.saxutils.quoteattr
+        if tls:
+            self.certificates = certificates.Certificates(self.folder)
+            connector = connector.replace("amqp:", "amqp+ssl:") + "&transport.needClientAuth=true"
         self.config = self.write("activemq.xml", CONFIGURATION.format(
-            data=quoted(self.path("data")), connector=quoted(connector)).splitlines())
+            data=quoted(self.path("data")), connector=quoted(connector),
+            security=self.security() if tls else "").splitlines())
+
+    def security(self):
+        return SECURITY.format(
+            user=quoted(certificates.USER), password=quoted(certificates.PASSWORD),
+            key_store=quoted("file:" + self.certificates.key_store()),
+            trust_store=quoted("file:" + self.certificates.trust_store()),
+            store_password=quoted(certificates.STORE_PASSWORD))
 
     def command(self):
         return ["java", "-Xms64m", "-Xmx512m", *private_server.JVM_OPTIONS, "-cp", self.class_path,
@@ -74,20 +99,20 @@ class ActiveMq(private_server.Server):
         return private_server.java_environment()
 
     def url(self):
-        return "activemq://127.0.0.1:%d" % self.port
+        return ("activemqs://localhost:%d" if self.certificates else "activemq://127.0.0.1:%d") % self.port
 
     def answers(self):
-        with socket.create_connection(("127.0.0.1", self.port), timeout=1) as probe:
+        with self.connect(self.port) as probe:
             probe.settimeout(2)
             probe.sendall(GREETING)
-            return probe.recv(len(GREETING), socket.MSG_WAITALL) == GREETING
+            return probe.makefile("rb").read(len(GREETING)) == GREETING
 
 
 def main():
     parser = private_server.options("A private ActiveMQ")
-    parser.add_argument("--port", type=int, default=0, help="AMQP 1.0 port; default: a free one")
+    private_server.add_client_options(parser)
     given = parser.parse_args()
-    private_server.run(lambda: ActiveMq(given.dir, given.port))
+    private_server.run(lambda: ActiveMq(given.dir, given.port, given.tls))
 
 
 if __name__ == "__main__":

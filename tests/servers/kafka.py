@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private Kafka for tests and benchmarks, on loopback only, that leaves nothing behind.
 
-    kafka.py --dir DIR [--port N] [--partitions N]
+    kafka.py --dir DIR [--port N] [--partitions N] [--tls]
 
 Runs one node (KRaft: broker and controller in one JVM) with its data and log below DIR, on free ports. Its jars come
 from Maven Central (maven_jars.py). Topics are made when they are first used, with --partitions partitions (default 4).
@@ -20,33 +20,38 @@ line of stdin and answers with one line on stdout:
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
 Data of an earlier run in DIR are kept. What was confirmed survives `kill`: the log's pages are the kernel's by then.
+
+With --tls the URL is kafkas://localhost:PORT: the server wants a client certificate, and user and password (SASL PLAIN; certificates.py;
+the files are in DIR).
 """
 import os
-import socket
 import struct
 import subprocess
 
+import certificates
 import maven_jars
 import private_server
 
-METADATA = 3
+METADATA, SASL_HANDSHAKE, SASL_AUTHENTICATE = 3, 17, 36  # requests of Kafka's protocol
 
 
 class Kafka(private_server.Server):
     name = "Kafka"
 
-    def __init__(self, folder, port, partitions):
+    def __init__(self, folder, port, partitions, tls):
         super().__init__(folder)
         self.class_path = maven_jars.fetch("kafka")
         ports = private_server.free_ports(2)
         self.port, self.controller_port = port or ports[0], ports[1]
+        if tls:
+            self.certificates = certificates.Certificates(self.folder)
         self.config = self.write("server.properties", [
             "process.roles=broker,controller", "node.id=1",
             "controller.quorum.voters=1@127.0.0.1:%d" % self.controller_port,
             "controller.listener.names=CONTROLLER", "inter.broker.listener.name=CLIENT",
-            "listener.security.protocol.map=CONTROLLER:PLAINTEXT,CLIENT:PLAINTEXT",
+            "listener.security.protocol.map=CONTROLLER:PLAINTEXT,CLIENT:%s" % ("SASL_SSL" if tls else "PLAINTEXT"),
             "listeners=CLIENT://127.0.0.1:%d,CONTROLLER://127.0.0.1:%d" % (self.port, self.controller_port),
-            "advertised.listeners=CLIENT://127.0.0.1:%d" % self.port,
+            "advertised.listeners=CLIENT://%s:%d" % (self.host(), self.port),
             "log.dirs=" + self.path("data"), "num.partitions=%d" % partitions, "auto.create.topics.enable=true",
             # Bodies of 8 MB and more, with their envelope and headers.
             "message.max.bytes=16777216", "replica.fetch.max.bytes=16777216", "socket.request.max.bytes=33554432",
@@ -61,7 +66,19 @@ class Kafka(private_server.Server):
             "broker.session.timeout.ms=1500",
             "num.network.threads=2", "num.io.threads=2", "background.threads=2", "log.cleaner.enable=false",
             "log.segment.bytes=67108864", "log.index.size.max.bytes=1048576", "auto.include.jmx.reporter=false",
-            "metadata.max.idle.interval.ms=0"])
+            "metadata.max.idle.interval.ms=0"] + (self.security() if tls else []))
+
+    def security(self):
+        user = {"user": certificates.USER, "password": certificates.PASSWORD}
+        return ["ssl.keystore.type=PEM", "ssl.keystore.location=" + self.certificates.server_chain(),
+                "ssl.truststore.type=PEM", "ssl.truststore.location=" + self.certificates.path("ca.pem"),
+                "ssl.client.auth=required", "sasl.enabled.mechanisms=PLAIN",
+                "sasl.mechanism.inter.broker.protocol=PLAIN",
+                "listener.name.client.plain.sasl.jaas.config=org.apache.kafka.common.security.plain.PlainLoginModule "
+                'required username="{user}" password="{password}" user_{user}="{password}";'.format(**user)]
+
+    def host(self):
+        return "localhost" if self.certificates else "127.0.0.1"
 
     def java(self, main, *arguments):
         return ["java", "-Xms64m", "-Xmx384m", *private_server.JVM_OPTIONS,
@@ -86,26 +103,43 @@ class Kafka(private_server.Server):
         return super().start()
 
     def url(self):
-        return "kafka://127.0.0.1:%d" % self.port
+        return "%s://%s:%d" % ("kafkas" if self.certificates else "kafka", self.host(), self.port)
 
     def answers(self):
         """The port opens early; the node serves once its metadata name itself as a living broker."""
-        with socket.create_connection(("127.0.0.1", self.port), timeout=1) as probe:
+        with self.connect(self.port) as probe:
             probe.settimeout(2)
-            # Metadata v1 of no topic: size, key, version, correlation id, client id, no topics.
-            client = b"probe"
-            body = struct.pack(">hhih", METADATA, 1, 1, len(client)) + client + struct.pack(">i", 0)
-            probe.sendall(struct.pack(">i", len(body)) + body)
-            answer = probe.recv(12, socket.MSG_WAITALL)
-            return len(answer) == 12 and struct.unpack(">iii", answer)[2] == 1  # one broker
+            if self.certificates:
+                # SaslHandshake v1, SaslAuthenticate v0
+                self.ask(probe, SASL_HANDSHAKE, 1, text("PLAIN"))
+                token = "\0%s\0%s" % (certificates.USER, certificates.PASSWORD)
+                self.ask(probe, SASL_AUTHENTICATE, 0, struct.pack(">i", len(token)) + token.encode())
+            brokers = self.ask(probe, METADATA, 1, struct.pack(">i", 0))  # of no topic
+            return struct.unpack_from(">i", brokers)[0] == 1
+
+    @staticmethod
+    def ask(connection, request, version, body):
+        """One request of Kafka's protocol, and the body of its answer."""
+        words = struct.pack(">hhi", request, version, 1) + text("probe") + body
+        connection.sendall(struct.pack(">i", len(words)) + words)
+        answers = connection.makefile("rb")
+        head = answers.read(4)
+        if len(head) < 4:
+            raise ConnectionError("the node closed the connection")
+        return answers.read(struct.unpack(">i", head)[0])[4:]
+
+
+def text(value):
+    """A string of Kafka's protocol."""
+    return struct.pack(">h", len(value)) + value.encode()
 
 
 def main():
     parser = private_server.options("A private Kafka")
-    parser.add_argument("--port", type=int, default=0, help="port for clients; default: a free one")
+    private_server.add_client_options(parser)
     parser.add_argument("--partitions", type=int, default=4, help="of a topic that is made by its first use")
     given = parser.parse_args()
-    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions))
+    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions, given.tls))
 
 
 if __name__ == "__main__":

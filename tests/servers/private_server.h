@@ -13,19 +13,23 @@
 #include <vector>
 
 #include <fcntl.h>
+#include <gtest/gtest.h>
 #include <poll.h>
 #include <signal.h>
 #include <spawn.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <gtest/gtest.h>
-
 #ifndef IOTCLOUD_TEST_SERVERS
 #error "iotcloud_test() defines IOTCLOUD_TEST_SERVERS, the folder of the scripts: declare this program with it"
 #endif
 
 namespace iotcloud::tests {
+
+/// Whom a server with "--tls" lets in, beside a client certificate of its authority: `ca.pem`, `client.pem` and
+/// `client.key` in PrivateServer::folder().
+inline constexpr const char* server_user = "iotcloud";
+inline constexpr const char* server_password = "secret with %: chars";
 
 /// A real server of its own for a test process: runs a script of this folder (rabbitmq.py, kafka.py, ...), which starts
 /// the server on free loopback ports and obeys one-line commands. The server ends with this object, and also when the

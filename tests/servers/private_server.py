@@ -73,6 +73,7 @@ class Server:
         self.folder = os.path.abspath(folder)
         os.makedirs(self.folder, exist_ok=True)
         self.process = None
+        self.certificates = None  # set: it speaks TLS, to clients with a certificate of this authority
 
     def path(self, *parts):
         return os.path.join(self.folder, *parts)
@@ -95,6 +96,17 @@ class Server:
 
     def url(self):
         raise NotImplementedError
+
+    def connect(self, port):
+        """A connection to the server, as a client has it."""
+        plain = socket.create_connection(("127.0.0.1", port), timeout=5)
+        if not self.certificates:
+            return plain
+        try:
+            return self.certificates.client_context().wrap_socket(plain, server_hostname="localhost")
+        except OSError:
+            plain.close()
+            raise
 
     def log(self):
         return self.path("server.log")
@@ -167,6 +179,13 @@ def options(description):
     parser = argparse.ArgumentParser(description="%s on loopback; commands come on stdin." % description)
     parser.add_argument("--dir", required=True, help="folder for configuration, data and logs")
     return parser
+
+
+def add_client_options(parser):
+    """For servers that clients of the project connect to: --port, --tls."""
+    parser.add_argument("--port", type=int, default=0, help="port for clients; default: a free one")
+    parser.add_argument("--tls", action="store_true", help="TLS, client certificates, user and password; see "
+                        "certificates.py")
 
 
 def say(line):

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private RabbitMQ for tests and demos, on loopback only, that leaves nothing behind.
 
-    rabbitmq.py --dir DIR [--port N]
+    rabbitmq.py --dir DIR [--port N] [--tls]
 
 Runs one node with its data, logs and Erlang cookie below DIR, with its own port mapper (epmd), on free ports. When the
 node takes connections it prints one line on stdout:
@@ -20,11 +20,15 @@ Then it obeys one command for each line of stdin and answers with one line on st
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
 Data of an earlier run in DIR are kept: durable queues come back.
+
+With --tls the URL is amqps://localhost:PORT/: the server wants a client certificate, and user and password (certificates.py;
+the files are in DIR).
 """
 import os
 import socket
 import subprocess
 
+import certificates
 import private_server
 
 PROGRAMS = "/usr/lib/rabbitmq/bin"  # those in /usr/sbin change the user, which fails for private folders
@@ -34,18 +38,29 @@ class RabbitMq(private_server.Server):
     name = "RabbitMQ"
     grace_s = 10
 
-    def __init__(self, folder, port):
+    def __init__(self, folder, port, tls):
         super().__init__(folder)
         ports = private_server.free_ports(3)
         self.port = port or ports[0]
         self.distribution_port, self.epmd_port = ports[1:]
         self.node_name = "iotcloud%d@localhost" % self.port
         self.epmd = None
+        if tls:
+            self.certificates = certificates.Certificates(self.folder)
         self.write("rabbitmq.conf", [
-            "listeners.tcp.1 = 127.0.0.1:%d" % self.port, "num_acceptors.tcp = 2", "log.file.level = info",
+            "num_acceptors.tcp = 2", "num_acceptors.ssl = 2", "log.file.level = info",
             # A test's disk may be nearly full; an alarm would block every publisher.
-            "disk_free_limit.absolute = 50MB"])
+            "disk_free_limit.absolute = 50MB",
+            *(self.security() if tls else ["listeners.tcp.1 = 127.0.0.1:%d" % self.port])])
         self.write("enabled_plugins", ["[]."])
+
+    def security(self):
+        path = self.certificates.path
+        return ["listeners.tcp = none", "listeners.ssl.1 = 127.0.0.1:%d" % self.port,
+                "ssl_options.cacertfile = " + path("ca.pem"), "ssl_options.certfile = " + path("server.pem"),
+                "ssl_options.keyfile = " + path("server.key"), "ssl_options.verify = verify_peer",
+                "ssl_options.fail_if_no_peer_cert = true",
+                "default_user = " + certificates.USER, "default_pass = " + certificates.PASSWORD]
 
     def environment(self):
         env = {key: value for key, value in os.environ.items()
@@ -80,7 +95,7 @@ class RabbitMq(private_server.Server):
         return self.path("log", "console.log")
 
     def url(self):
-        return "amqp://guest:guest@127.0.0.1:%d/" % self.port
+        return ("amqps://localhost:%d/" if self.certificates else "amqp://guest:guest@127.0.0.1:%d/") % self.port
 
     def start(self):
         os.makedirs(self.path("log"), exist_ok=True)
@@ -95,8 +110,7 @@ class RabbitMq(private_server.Server):
 
     def answers(self):
         """The node opens its port last of all, and greets when it is ready."""
-        with socket.create_connection(("127.0.0.1", self.port), timeout=1) as probe:
-            probe.settimeout(5)
+        with self.connect(self.port) as probe:
             probe.sendall(b"AMQP\x00\x00\x09\x01")
             return probe.recv(1) == b"\x01"  # a method frame: connection.start
 
@@ -126,9 +140,9 @@ class RabbitMq(private_server.Server):
 
 def main():
     parser = private_server.options("A private RabbitMQ")
-    parser.add_argument("--port", type=int, default=0, help="AMQP port; default: a free one")
+    private_server.add_client_options(parser)
     given = parser.parse_args()
-    private_server.run(lambda: RabbitMq(given.dir, given.port))
+    private_server.run(lambda: RabbitMq(given.dir, given.port, given.tls))
 
 
 if __name__ == "__main__":
