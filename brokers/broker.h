@@ -198,6 +198,7 @@ struct BrokerOptions {
   std::chrono::milliseconds rpc_timeout{5000};
   const config::Clock* clock = nullptr;  ///< nullptr: the system's
   config::Metrics* metrics = nullptr;    ///< nullptr: the process's
+  friend bool operator==(const BrokerOptions&, const BrokerOptions&) = default;
 };
 
 /// Makes the broker that the URLs' scheme names. Returns at once, connecting in the background.
@@ -205,7 +206,10 @@ struct BrokerOptions {
 /// that cannot be read.
 std::unique_ptr<Broker> make_broker(const BrokerOptions& options);
 
-/// The kinds of broker that configuration may name ("embedded", "rabbitmq").
+/// The kind of broker that a URL's scheme names. \throws config::Error as make_broker().
+std::string broker_kind(const std::string& url);
+
+/// The kinds of broker that configuration may name ("embedded", "rabbitmq", ...).
 const std::vector<std::string>& broker_kinds();
 
 /// The URL without its password, for logs and messages.

@@ -290,6 +290,17 @@ std::map<std::string, std::string> Section::string_map(const std::string& key) {
   return map;
 }
 
+std::vector<std::string> Section::names() const {
+  std::vector<std::string> names;
+  for (const auto& entry : impl_->node) names.push_back(entry.first.Scalar());
+  return names;
+}
+
+bool Section::is_mapping(const std::string& key) const {
+  const YAML::Node value = lookup(impl_->node, key);
+  return value.IsDefined() && value.IsMap();
+}
+
 std::vector<std::pair<std::string, Section>> Section::sections(const std::string& key) {
   impl_->asked.insert(key);
   const YAML::Node value = lookup(impl_->node, key);

@@ -44,6 +44,10 @@ class Section {
   std::vector<std::string> require_strings(const std::string& key);
   /// A mapping of any keys to scalar values.
   std::map<std::string, std::string> string_map(const std::string& key);
+  /// The names in this mapping, in file order.
+  std::vector<std::string> names() const;
+  /// Whether the key holds a mapping.
+  bool is_mapping(const std::string& key) const;
   /// A mapping of mappings, in file order (spouts, bolts, brokers). Missing: empty.
   std::vector<std::pair<std::string, Section>> sections(const std::string& key);
   /// A sequence of mappings (inputs). Missing: empty. A single mapping counts as a sequence of one.

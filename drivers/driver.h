@@ -28,7 +28,7 @@ enum class WhenFull {
 };
 
 /// One channel that a driver wants. The gateway's configuration and `deploy --property` may override the quality of
-/// service: "channel.<name>.capacity", ".when_full", ".deadline_ms", ".durable", ".broker", ".shared".
+/// service: "channel.<name>.capacity", ".when_full", ".deadline_ms", ".durable", ".broker", ".shared", ".priority".
 struct ChannelSpec {
   std::string name;
   Direction direction = Direction::out;
@@ -38,7 +38,10 @@ struct ChannelSpec {
   WhenFull when_full = WhenFull::block;
   std::size_t capacity = 1024;            ///< messages that may wait
   std::chrono::milliseconds deadline{0};  ///< older messages are dropped; 0 = none
-  std::size_t keep_last = 0;              ///< in: hand on only the newest N of what waits; 0 = all
+  /// 0 to 9, 4 is usual. From 5 on (control channels) its messages have connections of their own and never wait behind
+  /// bulk data.
+  std::uint8_t priority = 4;
+  std::size_t keep_last = 0;  ///< in: hand on only the newest N of what waits; 0 = all
   /// REFERENCE.md 3: "exchange", "routingKey", "queueName" (RabbitMQ), "topic" (Kafka). Missing ones are made from
   /// names.
   PropertyMap properties;

@@ -121,7 +121,7 @@ struct Gateway::Impl {
 Gateway::Gateway(GatewayOptions options) {
   check_name("gateway id", options.id);
   for (const auto& broker : options.brokers) {
-    if (broker.urls.empty()) {
+    if (broker.options.urls.empty()) {
       throw config::Error(fmt::format("the broker \"{}\" has no urls; give at least one", broker.name));
     }
   }

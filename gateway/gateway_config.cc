@@ -1,6 +1,6 @@
 #include <filesystem>
 
-#include <iotcloud/brokers/broker.h>
+#include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/host/plugin.h>
@@ -12,18 +12,25 @@ using std::chrono::milliseconds;
 
 namespace {
 
-std::vector<BrokerSetting> read_brokers(config::Section& file) {
-  std::vector<BrokerSetting> brokers;
+std::vector<brokers::BrokerSetting> read_brokers(config::Section& file, milliseconds session_timeout) {
+  std::vector<brokers::BrokerSetting> brokers;
   for (auto& [name, section] : file.sections("brokers")) {
-    BrokerSetting broker;
+    brokers::BrokerSetting broker;
     broker.name = name;
     broker.type = section.choice_or("type", name, brokers::broker_kinds());
-    broker.urls = section.require_strings("urls");
+    broker.options = brokers::read_broker_options(section, session_timeout);
     section.finish();
-    if (broker.urls.empty()) throw section.error("urls", "there is none", "give the broker's URL");
+    if (broker.options.urls.empty()) throw section.error("urls", "there is none", "give the broker's URL");
     if (broker.type == "embedded") {
       throw section.error("type", "the embedded broker is inside one process, and driver hosts are others",
                           "use a broker that is a server, or local mode");
+    }
+    for (const std::string& url : broker.options.urls) {
+      if (const std::string kind = brokers::broker_kind(url); kind != broker.type) {
+        throw section.error("urls",
+                            "\"" + brokers::printable_url(url) + "\" is a URL of " + kind + ", not of " + broker.type,
+                            "give a URL of the broker's type, or another type");
+      }
     }
     brokers.push_back(std::move(broker));
   }
@@ -67,7 +74,7 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   config.registry.operation_timeout = milliseconds{3000};
   gateway.session_timeout = config.registry.session_timeout;
   gateway.paths = discovery::Paths(file.string_or("zk.root", "/iot/sensors"));
-  gateway.brokers = read_brokers(file);
+  gateway.brokers = read_brokers(file, gateway.session_timeout);
   read_thrift(file, config.thrift);
   gateway.host = config.thrift.host;
   gateway.port = config.thrift.port;

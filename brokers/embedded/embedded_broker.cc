@@ -201,8 +201,8 @@ class EmbeddedBroker final : public Broker {
 
 }  // namespace
 
-std::unique_ptr<Broker> make_embedded_broker(const BrokerOptions& options, const std::string& name) {
-  return std::make_unique<EmbeddedBroker>(options, name);
+std::unique_ptr<Broker> make_embedded_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls) {
+  return std::make_unique<EmbeddedBroker>(options, urls.front().host);
 }
 
 }  // namespace iotcloud::brokers::embedded

@@ -39,6 +39,7 @@ std::vector<ChannelSpec> TurtleDriver::channels(const PropertyMap& properties) {
   control.direction = Direction::in;
   control.broker = options.broker;
   control.keep_last = 1;
+  control.priority = 9;  // a command never waits behind frames
   return {frames, control};
 }
 

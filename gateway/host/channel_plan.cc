@@ -16,15 +16,16 @@ namespace {
 using drivers::ChannelSpec;
 
 const std::vector<std::string> options = {"capacity", "when_full", "deadline_ms", "durable",
-                                          "broker",   "shared",    "keep_last"};
+                                          "broker",   "shared",    "keep_last",   "priority"};
 constexpr std::string_view prefix = "channel.";
 
-std::size_t whole_number(const std::string& property, const std::string& text, std::size_t min) {
+std::size_t whole_number(const std::string& property, const std::string& text, std::size_t min,
+                         std::size_t max = 1'000'000'000) {
   std::size_t value = 0;
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (status != std::errc{} || end != text.data() + text.size() || value < min || value > 1'000'000'000) {
+  if (status != std::errc{} || end != text.data() + text.size() || value < min || value > max) {
     throw config::Error(
-        fmt::format("property \"{}\" is \"{}\"; it must be a whole number from {} on", property, text, min));
+        fmt::format("property \"{}\" is \"{}\"; it must be a whole number from {} to {}", property, text, min, max));
   }
   return value;
 }
@@ -42,6 +43,8 @@ void apply(ChannelSpec& spec, const std::string& option, const std::string& prop
     spec.deadline = std::chrono::milliseconds(whole_number(property, value, 0));
   } else if (option == "keep_last") {
     spec.keep_last = whole_number(property, value, 0);
+  } else if (option == "priority") {
+    spec.priority = static_cast<std::uint8_t>(whole_number(property, value, 0, 9));
   } else if (option == "durable") {
     spec.durable = yes_or_no(property, value);
   } else if (option == "shared") {
@@ -127,7 +130,13 @@ PlannedChannel plan(const std::string& gateway, const std::string& driver, const
   record.name = spec.name;
   record.transport = broker.name;
   record.direction = spec.direction == drivers::Direction::in ? discovery::Direction::in : discovery::Direction::out;
-  record.broker_url = spec.shared ? broker.shared_url : broker.exclusive_url;
+  channel.broker = broker.options;
+  channel.address = {broker.name, spec.shared ? broker.shared_urls : broker.exclusive_urls};
+  const auto& urls = channel.address.urls;
+  if (urls.empty()) throw config::Error(fmt::format("the broker \"{}\" has no URL", broker.name));
+  record.broker_url = urls.front();
+  if (urls.size() > 1) record.properties["urls"] = fmt::format("{}", fmt::join(urls, " "));
+  if (spec.priority != brokers::normal_priority) record.properties["priority"] = std::to_string(spec.priority);
   record.gateway = gateway;
   record.driver = driver;
   record.instance = instance.order.instance;

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include <iotcloud/brokers/broker.h>
+#include <iotcloud/brokers/broker_pool.h>
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 
@@ -13,6 +13,8 @@ namespace iotcloud::gateway {
 struct PlannedChannel {
   drivers::ChannelSpec spec;
   brokers::Topic topic;
+  brokers::BrokerAddress address;
+  brokers::BrokerOptions broker;    ///< how to connect to it
   discovery::ChannelRecord record;  ///< as it goes into the registry
 };
 

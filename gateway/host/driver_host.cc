@@ -32,7 +32,7 @@ struct DriverHost::Impl {
     environment->plugin = std::move(plugin);
     environment->clock = options.clock != nullptr ? options.clock : &config::system_clock();
     environment->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
-    environment->brokers = std::make_unique<BrokerPool>(*environment->metrics);
+    environment->brokers = std::make_unique<brokers::BrokerPool>(nullptr, environment->metrics);
     environment->shared_inboxes = std::make_unique<SharedInboxes>(*environment->clock, *environment->metrics);
     environment->closing = std::make_shared<EventLoop>("close");
     shared_loop = std::make_shared<EventLoop>(environment->plugin->name());

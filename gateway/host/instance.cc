@@ -23,18 +23,6 @@ struct Instance::Incoming {
   std::unique_ptr<brokers::Subscription> subscription;  ///< null: shared with other instances
 };
 
-std::shared_ptr<brokers::Broker> BrokerPool::get(const std::string& url) {
-  const std::lock_guard lock(mutex_);
-  auto& broker = brokers_[url];
-  if (!broker) {
-    brokers::BrokerOptions options;
-    options.urls = {url};
-    options.metrics = &metrics_;
-    broker = brokers::make_broker(options);
-  }
-  return broker;
-}
-
 Instance::Instance(std::shared_ptr<HostEnvironment> environment, InstanceSpec spec, std::shared_ptr<EventLoop> loop)
     : environment_(std::move(environment)),
       id_(spec.order.instance),
@@ -148,7 +136,7 @@ void Instance::open_incoming(const PlannedChannel& channel) {
   };
   auto incoming = std::make_unique<Incoming>();
   incoming->plan = channel;
-  incoming->broker = environment_->brokers->get(channel.record.broker_url);
+  incoming->broker = environment_->brokers->get(channel.address, channel.broker);
   config::Counter& received = counter("iotcloud_driver_received_total", "Messages handed to drivers");
   incoming->inbox = std::make_shared<Inbox>(
       loop_, channel.spec.keep_last,
@@ -171,6 +159,7 @@ void Instance::open_incoming(const PlannedChannel& channel) {
     return;
   }
   brokers::SubscriptionOptions options;
+  options.priority = channel.spec.priority;
   options.keep_last = channel.spec.keep_last;
   kept.subscription = kept.broker->subscribe(
       channel.topic, options, [inbox = kept.inbox](brokers::Delivery delivery) { inbox->push(std::move(delivery)); });

@@ -11,25 +11,13 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/brokers/broker_pool.h>
 #include <iotcloud/gateway/host/channel_plan.h>
 #include <iotcloud/gateway/host/event_loop.h>
 #include <iotcloud/gateway/host/inbox.h>
 #include <iotcloud/gateway/host/plugin.h>
 
 namespace iotcloud::gateway {
-
-/// The brokers of one host, one object for each URL, so that its instances share connections. Thread safe.
-class BrokerPool {
- public:
-  explicit BrokerPool(config::Metrics& metrics) : metrics_(metrics) {}
-  /// \throws config::Error for a URL that cannot be read.
-  std::shared_ptr<brokers::Broker> get(const std::string& url);
-
- private:
-  config::Metrics& metrics_;
-  std::mutex mutex_;
-  std::map<std::string, std::shared_ptr<brokers::Broker>> brokers_;  ///< by URL; guarded by mutex_
-};
 
 /// What all instances of a host share. Shared with the instances, so that one that hangs may outlive the host.
 struct HostEnvironment {
@@ -39,7 +27,7 @@ struct HostEnvironment {
   std::shared_ptr<const Plugin> plugin;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
-  std::unique_ptr<BrokerPool> brokers;
+  std::unique_ptr<brokers::BrokerPool> brokers;
   std::unique_ptr<SharedInboxes> shared_inboxes;
   std::shared_ptr<EventLoop> closing;  ///< where publishers are drained, off the event threads
   std::function<void(const InstanceStatus&)> report;

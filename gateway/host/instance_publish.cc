@@ -62,12 +62,13 @@ struct Instance::Outgoing {
 void Instance::open_outgoing(const PlannedChannel& channel) {
   auto outgoing = std::make_shared<Outgoing>();
   outgoing->counters = std::make_shared<OutcomeCounters>(*environment_->metrics, channel.record);
-  outgoing->broker = environment_->brokers->get(channel.record.broker_url);
+  outgoing->broker = environment_->brokers->get(channel.address, channel.broker);
   brokers::PublisherOptions options;
   options.when_full =
       channel.spec.when_full == drivers::WhenFull::block ? brokers::WhenFull::block : brokers::WhenFull::keep_newest;
   options.capacity = channel.spec.capacity;
   options.deadline = channel.spec.deadline;
+  options.priority = channel.spec.priority;
   options.on_outcome = [counters = outgoing->counters](std::uint64_t, brokers::Outcome outcome,
                                                        const std::string& reason) { counters->count(outcome, reason); };
   options.on_writable = [weak = weak_from_this(), name = channel.spec.name] {

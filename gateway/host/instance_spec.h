@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/brokers/broker.h>
 #include <iotcloud/discovery/records.h>
 
 namespace iotcloud::gateway {
@@ -11,10 +12,11 @@ namespace iotcloud::gateway {
 /// A logical broker of the gateway as one instance sees it: the gateway has already picked the server for each channel
 /// group, so all hosts together spread their groups round robin (REFERENCE.md 3).
 struct BrokerPlan {
-  std::string name;           ///< logical ("rabbitmq"): ChannelSpec::broker, ChannelRecord::transport
-  std::string type;           ///< kind of broker ("embedded", "rabbitmq")
-  std::string exclusive_url;  ///< for this instance's own channels
-  std::string shared_url;     ///< for the channels that all instances of the driver share
+  std::string name;                         ///< logical ("rabbitmq"): ChannelSpec::broker, ChannelRecord::transport
+  std::string type;                         ///< kind of broker ("embedded", "rabbitmq")
+  brokers::BrokerOptions options;           ///< how to connect: without URLs, clock and metrics
+  std::vector<std::string> exclusive_urls;  ///< for this instance's own channels, the preferred server first
+  std::vector<std::string> shared_urls;     ///< for the channels that all instances of the driver share
   friend bool operator==(const BrokerPlan&, const BrokerPlan&) = default;
 };
 

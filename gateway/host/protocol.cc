@@ -27,7 +27,18 @@ Kind parse_kind(const json& body, const Names& names) {
 json to_json(const InstanceSpec& spec) {
   json brokers = json::array();
   for (const auto& b : spec.brokers) {
-    brokers.push_back({{"name", b.name}, {"type", b.type}, {"own", b.exclusive_url}, {"shared", b.shared_url}});
+    brokers.push_back({{"name", b.name},
+                       {"type", b.type},
+                       {"user", b.options.user},
+                       {"password_file", b.options.password_file},
+                       {"password_variable", b.options.password_variable},
+                       {"ca", b.options.tls.ca_file},
+                       {"certificate", b.options.tls.certificate_file},
+                       {"key", b.options.tls.key_file},
+                       {"properties", b.options.properties},
+                       {"heartbeat_ms", b.options.heartbeat.count()},
+                       {"own", b.exclusive_urls},
+                       {"shared", b.shared_urls}});
   }
   // The order travels as it stands in the registry.
   return {{"order", discovery::encode(spec.order)}, {"brokers", brokers}};
@@ -36,8 +47,16 @@ json to_json(const InstanceSpec& spec) {
 InstanceSpec to_spec(const json& body) {
   InstanceSpec spec;
   spec.order = discovery::decode_order(body.at("order").get<std::string>(), "an order to a driver host");
-  for (const auto& b : body.at("brokers"))
-    spec.brokers.push_back({b.at("name"), b.at("type"), b.at("own"), b.at("shared")});
+  for (const auto& b : body.at("brokers")) {
+    BrokerPlan plan{b.at("name"), b.at("type"), {}, b.at("own"), b.at("shared")};
+    plan.options.user = b.at("user");
+    plan.options.password_file = b.at("password_file");
+    plan.options.password_variable = b.at("password_variable");
+    plan.options.tls = {b.at("ca"), b.at("certificate"), b.at("key")};
+    plan.options.properties = b.at("properties").get<std::map<std::string, std::string>>();
+    plan.options.heartbeat = std::chrono::milliseconds(b.at("heartbeat_ms").get<std::int64_t>());
+    spec.brokers.push_back(std::move(plan));
+  }
   return spec;
 }
 

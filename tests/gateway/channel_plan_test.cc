@@ -13,8 +13,8 @@ InstanceSpec instance(std::map<std::string, std::string> properties = {}) {
   InstanceSpec spec;
   spec.order.instance = "0a1b";
   spec.order.properties = std::move(properties);
-  spec.brokers = {{"rabbitmq", "rabbitmq", "amqp://own", "amqp://shared"},
-                  {"kafka", "kafka", "kafka://own", "kafka://s"}};
+  spec.brokers = {{"rabbitmq", "rabbitmq", {}, {"amqp://own"}, {"amqp://shared"}},
+                  {"kafka", "kafka", {}, {"kafka://own"}, {"kafka://s"}}};
   return spec;
 }
 
@@ -54,6 +54,25 @@ TEST(ChannelPlan, ASharedChannelIsNamedAfterGatewayAndDriverOnTheGroupsServer) {
   EXPECT_EQ(planned.topic.name, "gw1.turtle.kinect");
   EXPECT_EQ(planned.record.broker_url, "amqp://shared");
   EXPECT_TRUE(planned.record.shared);
+}
+
+TEST(ChannelPlan, TheOtherServersOfAClusterStandInTheRecordToo) {
+  auto spec = instance();
+  spec.brokers.front().exclusive_urls = {"amqp://b/", "amqp://c/", "amqp://a/"};
+  spec.brokers.front().options.user = "gateway";
+  const auto planned = plan_channels("gw1", "turtle", spec, {channel("kinect")}).at(0);
+  EXPECT_EQ(planned.address, (brokers::BrokerAddress{"rabbitmq", spec.brokers.front().exclusive_urls}));
+  EXPECT_EQ(planned.broker.user, "gateway");
+  EXPECT_EQ(planned.record.broker_url, "amqp://b/");
+  EXPECT_EQ(planned.record.properties.at("urls"), "amqp://b/ amqp://c/ amqp://a/");
+}
+
+TEST(ChannelPlan, AnUnusualPriorityStandsInTheRecord) {
+  const auto planned =
+      plan_channels("gw1", "turtle", instance({{"channel.kinect.priority", "9"}}), {channel("kinect")}).at(0);
+  EXPECT_EQ(planned.spec.priority, 9);
+  EXPECT_EQ(planned.record.properties.at("priority"), "9");
+  EXPECT_THAT(error_of(instance({{"channel.kinect.priority", "10"}}), {channel("kinect")}), HasSubstr("from 0 to 9"));
 }
 
 TEST(ChannelPlan, NamesThatTheDriverGivesFollowThePrefix) {
@@ -96,7 +115,7 @@ TEST(ChannelPlan, AnOverrideThatCannotBeIsNamedWithWhatWouldBeRight) {
               AllOf(HasSubstr("channel.kinect.capasity"), HasSubstr("did you mean \"capacity\"?")));
   EXPECT_THAT(error_of(instance({{"channel.camera.capacity", "2"}}), {channel("kinect")}),
               AllOf(HasSubstr("no channel \"camera\""), HasSubstr("kinect")));
-  EXPECT_THAT(error_of(instance({{"channel.kinect.capacity", "0"}}), {channel("kinect")}), HasSubstr("from 1 on"));
+  EXPECT_THAT(error_of(instance({{"channel.kinect.capacity", "0"}}), {channel("kinect")}), HasSubstr("from 1 to"));
   EXPECT_THAT(error_of(instance({{"channel.kinect.capacity", "x"}}), {channel("kinect")}), HasSubstr("\"x\""));
   EXPECT_THAT(error_of(instance({{"channel.kinect.when_full", "spool"}}), {channel("kinect")}),
               HasSubstr("keep_newest or block"));

@@ -45,7 +45,7 @@ class DriverHostTest : public ::testing::Test {
     spec.order.instance = id;
     spec.order.plugin = "probe.so";
     spec.order.properties = std::move(properties);
-    spec.brokers = {{"local", "embedded", url_, url_}};
+    spec.brokers = {{"local", "embedded", {}, {url_}, {url_}}};
     return spec;
   }
 

@@ -57,7 +57,7 @@ TEST_F(GatewayConfigTest, AGoodFileIsRead) {
   EXPECT_EQ(config.gateway.id, "gw");
   EXPECT_EQ(config.gateway.port, 4000);
   EXPECT_EQ(config.gateway.brokers.at(0).type, "rabbitmq");
-  EXPECT_EQ(config.gateway.brokers.at(0).urls.size(), 2u);
+  EXPECT_EQ(config.gateway.brokers.at(0).options.urls.size(), 2u);
   EXPECT_EQ(config.gateway.paths.sensors, "/iot/sensors");
 }
 

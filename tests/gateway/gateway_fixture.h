@@ -43,7 +43,8 @@ class GatewayFixture : public ::testing::Test {
     GatewayOptions options;
     options.id = "gw";
     options.port = 12905;
-    options.brokers = {{"local", "embedded", {broker_url_}}};
+    options.brokers.push_back({"local", "embedded", {}});
+    options.brokers.back().options.urls = {broker_url_};
     options.registry = registry_.get();
     options.launcher = new_launcher();
     options.restart.first = std::chrono::milliseconds{1};

@@ -239,7 +239,7 @@ TEST_F(GatewayTest, IsolatedInstancesHaveHostsOfTheirOwn) {
 
 TEST_F(GatewayTest, ABrokerWithoutServersIsRefused) {
   auto without = options();
-  without.brokers.at(0).urls.clear();
+  without.brokers.at(0).options.urls.clear();
   EXPECT_THROW(Gateway{std::move(without)}, config::Error);
 }
 

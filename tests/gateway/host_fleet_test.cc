@@ -8,6 +8,12 @@
 namespace iotcloud::gateway {
 namespace {
 
+brokers::BrokerSetting setting(const std::string& name, const std::string& type, std::vector<std::string> urls) {
+  brokers::BrokerSetting setting{name, type, {}};
+  setting.options.urls = std::move(urls);
+  return setting;
+}
+
 using discovery::DriverState;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
@@ -53,7 +59,7 @@ class HostFleetTest : public ::testing::Test {
     options.gateway = "gw";
     options.restart = {1ms, 4ms, 1h};
     options.clock = &config::system_clock();
-    fleet_.emplace(loop_, launcher_, Placement({{"b", "embedded", {"embedded://x"}}}), options,
+    fleet_.emplace(loop_, launcher_, Placement({setting("b", "embedded", {"embedded://x"})}), options,
                    [this](const auto& status) { log_.add(status); });
   }
   ~HostFleetTest() override { loop_.stop(); }
@@ -203,22 +209,23 @@ TEST_F(HostFleetTest, ShuttingDownEndsEveryHost) {
 }
 
 TEST(Placement, GroupsOfBothKindsTakeTurnsOverTheServers) {
-  Placement placement({{"r", "rabbitmq", {"u1", "u2"}}});
+  Placement placement({setting("r", "rabbitmq", {"u1", "u2"})});
   const auto first = placement.place("turtle").at(0);
   const auto second = placement.place("turtle").at(0);
   const auto third = placement.place("lamp").at(0);
-  EXPECT_EQ(first.exclusive_url, "u1");
-  EXPECT_EQ(second.exclusive_url, "u2");
-  EXPECT_EQ(third.exclusive_url, "u1");
-  EXPECT_EQ(first.shared_url, "u1");
-  EXPECT_EQ(second.shared_url, "u1") << "the shared group stays in one place";
-  EXPECT_EQ(third.shared_url, "u2");
+  EXPECT_EQ(first.exclusive_urls.front(), "u1");
+  EXPECT_EQ(second.exclusive_urls.front(), "u2");
+  EXPECT_EQ(third.exclusive_urls.front(), "u1");
+  EXPECT_EQ(first.shared_urls.front(), "u1");
+  EXPECT_EQ(second.shared_urls.front(), "u1") << "the shared group stays in one place";
+  EXPECT_EQ(third.shared_urls.front(), "u2");
+  EXPECT_EQ(second.exclusive_urls, (std::vector<std::string>{"u2", "u1"})) << "the others follow, for fail-over";
 }
 
 TEST(Placement, TheSharedGroupOfAnAdoptedInstanceStaysWhereItIs) {
-  Placement placement({{"r", "rabbitmq", {"u1", "u2"}}});
-  placement.learn("turtle", {{"r", "rabbitmq", "u1", "u2"}});
-  EXPECT_EQ(placement.place("turtle").at(0).shared_url, "u2");
+  Placement placement({setting("r", "rabbitmq", {"u1", "u2"})});
+  placement.learn("turtle", {{"r", "rabbitmq", {}, {"u1", "u2"}, {"u2", "u1"}}});
+  EXPECT_EQ(placement.place("turtle").at(0).shared_urls.front(), "u2");
 }
 
 }  // namespace

@@ -172,7 +172,7 @@ TEST_F(ProcessTest, AHostOutlivesItsLinkAndIsAdoptedWithItsInstances) {
         launcher->launch({"probe.so", "gw", false}, {[&](const auto& s) { first_life.add(s); }, [](const auto&) {}});
     InstanceSpec spec;
     spec.order = quiet("a");
-    spec.brokers = {{"local", "embedded", "embedded://x", "embedded://x"}};
+    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
     link->create(spec);
     ASSERT_TRUE(first_life.wait_for("a", DriverState::active));
   }
@@ -212,7 +212,7 @@ TEST_F(ProcessTest, TheHostOfAnotherGatewayInTheFolderIsEnded) {
         launcher->launch({"probe.so", "another", false}, {[&](const auto& s) { log.add(s); }, [](const auto&) {}});
     InstanceSpec spec;
     spec.order = quiet("a");
-    spec.brokers = {{"local", "embedded", "embedded://x", "embedded://x"}};
+    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
     link->create(spec);
     ASSERT_TRUE(log.wait_for("a", DriverState::active));
   }

@@ -127,7 +127,7 @@ bolts:
                                                     "t.yaml");
   EXPECT_EQ(definition.registry_url, "embedded://here");
   EXPECT_THAT(definition.libraries, ElementsAre("a.so", "b.so"));
-  EXPECT_EQ(definition.brokers.at("lab"), "amqp://lab");
+  EXPECT_EQ(definition.brokers.at("lab").urls, std::vector<std::string>{"amqp://lab"});
   EXPECT_EQ(definition.conf.at("colour"), "red");
   EXPECT_EQ(definition.runtime.threads, 3);
   EXPECT_EQ(definition.runtime.message_timeout, std::chrono::seconds(5));

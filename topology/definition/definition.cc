@@ -1,7 +1,8 @@
 #include <algorithm>
 #include <set>
 
-#include <iotcloud/brokers/broker.h>
+#include <iotcloud/brokers/broker_setting.h>
+#include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/definition/read_endpoint.h>
 #include <iotcloud/topology/grouping.h>
@@ -182,12 +183,32 @@ RunSettings read_runtime(Section& root) {
   return settings;
 }
 
+/// By logical name: a URL, or a mapping of what connecting takes. Both may leave the URL to the channels' records.
+std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root) {
+  std::map<std::string, brokers::BrokerOptions> brokers;
+  auto section = root.optional_section("brokers");
+  if (!section) return brokers;
+  const auto session_timeout = discovery::RegistryOptions().session_timeout;
+  for (const std::string& name : section->names()) {
+    auto& options = brokers[name];
+    if (section->is_mapping(name)) {
+      Section broker = section->require_section(name);
+      options = brokers::read_broker_options(broker, session_timeout);
+      broker.finish();
+    } else if (const std::string url = section->string_or(name, ""); !url.empty()) {
+      options.urls = {url};
+    }
+  }
+  section->finish();
+  return brokers;
+}
+
 /// The logical broker names that a topology may use: the kinds there are, the paper's own name (whatever serves it),
 /// and those that `brokers` names.
-std::vector<std::string> broker_names(const std::map<std::string, std::string>& brokers) {
+std::vector<std::string> broker_names(const std::map<std::string, brokers::BrokerOptions>& brokers) {
   std::set<std::string> names(brokers::broker_kinds().begin(), brokers::broker_kinds().end());
   names.insert("rabbitmq");
-  for (const auto& [name, url] : brokers) names.insert(name);
+  for (const auto& [name, options] : brokers) names.insert(name);
   return {names.begin(), names.end()};
 }
 
@@ -224,7 +245,7 @@ TopologyDefinition read(Section root, const std::string& file) {
     throw root.error("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
   }
   definition.libraries = root.strings_or("topology.library", {});
-  definition.brokers = root.string_map("brokers");
+  definition.brokers = read_brokers(root);
   definition.conf = root.string_map("conf");
   definition.runtime = read_runtime(root);
   if (auto metrics = root.optional_section("metrics")) {

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/fields.h>
 #include <iotcloud/topology/topology_context.h>
@@ -110,7 +111,7 @@ struct TopologyDefinition {
   std::string registry_url;  ///< `registry`, or made of zk.servers; empty: none given
   std::string zk_root;       ///< zk.root
   std::vector<std::string> libraries;
-  std::map<std::string, std::string> brokers;  ///< by logical name: the URL to use instead of the gateways'
+  std::map<std::string, brokers::BrokerOptions> brokers;  ///< by logical name; URLs: instead of the gateways'
   Config conf;
   RunSettings runtime;
   std::string metrics_address;  ///< host:port of the metrics page; empty: none

@@ -2,11 +2,11 @@
 
 namespace iotcloud::topology {
 
-std::shared_ptr<ChannelReader> ChannelReader::open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
+std::shared_ptr<ChannelReader> ChannelReader::open(std::shared_ptr<brokers::Broker> broker,
+                                                   const brokers::BrokerAddress& address, const brokers::Topic& topic,
                                                    const brokers::SubscriptionOptions& options, std::string driver_id,
                                                    std::shared_ptr<Inbox> inbox) {
-  std::shared_ptr<ChannelReader> reader(
-      new ChannelReader(topic, broker->url(), std::move(driver_id), std::move(inbox)));
+  std::shared_ptr<ChannelReader> reader(new ChannelReader(topic, address, std::move(driver_id), std::move(inbox)));
   const auto handler = [weak = std::weak_ptr(reader)](brokers::Delivery delivery) {
     if (auto self = weak.lock()) {
       Inbox& target = *self->inbox_;

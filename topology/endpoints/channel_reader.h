@@ -4,7 +4,7 @@
 #include <mutex>
 #include <string>
 
-#include <iotcloud/brokers/broker.h>
+#include <iotcloud/brokers/broker_pool.h>
 #include <iotcloud/topology/endpoints/inbox.h>
 
 namespace iotcloud::topology {
@@ -13,7 +13,8 @@ namespace iotcloud::topology {
 class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
  public:
   /// \param driver_id whose messages these are when they do not say so themselves; empty for a shared channel.
-  static std::shared_ptr<ChannelReader> open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
+  static std::shared_ptr<ChannelReader> open(std::shared_ptr<brokers::Broker> broker,
+                                             const brokers::BrokerAddress& address, const brokers::Topic& topic,
                                              const brokers::SubscriptionOptions& options, std::string driver_id,
                                              std::shared_ptr<Inbox> inbox);
 
@@ -26,17 +27,18 @@ class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
   bool active() const;
   const std::string& driver_id() const { return driver_id_; }
   const brokers::Topic& topic() const { return topic_; }
-  const std::string& broker_url() const { return broker_url_; }
+  const brokers::BrokerAddress& address() const { return address_; }
 
  private:
-  ChannelReader(brokers::Topic topic, std::string broker_url, std::string driver_id, std::shared_ptr<Inbox> inbox)
+  ChannelReader(brokers::Topic topic, brokers::BrokerAddress address, std::string driver_id,
+                std::shared_ptr<Inbox> inbox)
       : topic_(std::move(topic)),
-        broker_url_(std::move(broker_url)),
+        address_(std::move(address)),
         driver_id_(std::move(driver_id)),
         inbox_(std::move(inbox)) {}
 
   const brokers::Topic topic_;
-  const std::string broker_url_;
+  const brokers::BrokerAddress address_;
   const std::string driver_id_;
   const std::shared_ptr<Inbox> inbox_;
   mutable std::mutex mutex_;

@@ -28,13 +28,13 @@ void DeadLetters::send(Arrival arrival) {
   std::shared_ptr<Sender> sender;
   {
     const std::lock_guard lock(mutex_);
-    auto& known = senders_[arrival.reader->broker_url()];
+    auto& known = senders_[arrival.reader->address()];
     if (!known) {
       const config::Labels labels{{"topology", services_->topology}, {"component", component_}};
       auto& sent = services_->metrics->counter("iotcloud_spout_dead_letters_total",
                                                "Messages given up and moved to the dead-letter topic", labels);
       auto& refused = services_->metrics->counter("iotcloud_spout_rejected_total", rejected_help, labels);
-      known = std::make_shared<Sender>(services_->brokers->get(arrival.reader->broker_url()), topic_,
+      known = std::make_shared<Sender>(broker_at(arrival.reader->address(), *services_), topic_,
                                        [&](bool confirmed) { (confirmed ? sent : refused).add(); });
     }
     sender = known;
@@ -43,12 +43,12 @@ void DeadLetters::send(Arrival arrival) {
 }
 
 void DeadLetters::drain(std::chrono::milliseconds limit) {
-  std::map<std::string, std::shared_ptr<Sender>> senders;
+  std::map<brokers::BrokerAddress, std::shared_ptr<Sender>> senders;
   {
     const std::lock_guard lock(mutex_);
     senders = senders_;
   }
-  for (const auto& [url, sender] : senders) sender->box.drain(limit);
+  for (const auto& [address, sender] : senders) sender->box.drain(limit);
 }
 
 }  // namespace iotcloud::topology

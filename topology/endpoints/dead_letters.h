@@ -31,7 +31,7 @@ class DeadLetters {
   const std::string component_;
   const std::string topic_;
   std::mutex mutex_;
-  std::map<std::string, std::shared_ptr<Sender>> senders_;  ///< by the broker's URL; guarded by mutex_
+  std::map<brokers::BrokerAddress, std::shared_ptr<Sender>> senders_;  ///< guarded by mutex_
 };
 
 }  // namespace iotcloud::topology

@@ -237,7 +237,7 @@ void RouteTable::on_channel_gone(const discovery::ChannelRecord& channel) {
 
 /// The topic's sender; a new one when there is none yet. Null, which is said once, when its broker cannot be used.
 std::shared_ptr<ChannelSender> RouteTable::sender_for(const discovery::ChannelRecord& channel) {
-  const SenderKey key(url_of(channel, *services_), topic_of(channel));
+  const SenderKey key(address_of(channel, *services_), topic_of(channel));
   std::shared_ptr<SenderMeters> meters;
   {
     const std::lock_guard lock(mutex_);
@@ -252,14 +252,15 @@ std::shared_ptr<ChannelSender> RouteTable::sender_for(const discovery::ChannelRe
   options.when_full = endpoint_.sending.keep_newest ? brokers::WhenFull::keep_newest : brokers::WhenFull::block;
   options.capacity = static_cast<std::size_t>(endpoint_.sending.capacity);
   options.deadline = endpoint_.sending.deadline;
+  options.priority = priority_of(channel);
   try {
-    auto sender = ChannelSender::open(services_->brokers->get(key.first), key.second, options, std::move(meters));
+    auto sender = ChannelSender::open(broker_at(key.first, *services_), key.second, options, std::move(meters));
     const std::lock_guard lock(mutex_);
     senders_[key] = sender;
     return sender;
   } catch (const config::Error& error) {
     const std::lock_guard lock(mutex_);
-    if (complained_.insert(key.first).second) {
+    if (complained_.insert(key.first.urls.front()).second) {
       logger.error("{}: nothing can be sent to {}: {}", component_, key.second.name, error.what());
     }
     return nullptr;

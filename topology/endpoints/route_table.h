@@ -47,7 +47,7 @@ class RouteTable {
   static constexpr std::size_t most_waiting = 1024;
 
  private:
-  using SenderKey = std::pair<std::string, brokers::Topic>;  ///< URL and topic
+  using SenderKey = std::pair<brokers::BrokerAddress, brokers::Topic>;
   struct Route {
     std::shared_ptr<ChannelSender> sender;
     std::string gateway;

@@ -1,33 +1,45 @@
+#include <sstream>
+
 #include <iotcloud/topology/endpoints/services.h>
 
 namespace iotcloud::topology {
 
-std::shared_ptr<brokers::Broker> BrokerPool::get(const std::string& url) {
-  const std::lock_guard lock(mutex_);
-  std::erase_if(brokers_, [](const auto& entry) { return entry.second.expired(); });
-  if (auto broker = brokers_[url].lock()) return broker;
-  brokers::BrokerOptions options;
-  options.urls = {url};
-  options.clock = clock_;
-  options.metrics = metrics_;
-  std::shared_ptr<brokers::Broker> broker = brokers::make_broker(options);
-  brokers_[url] = broker;
-  return broker;
+namespace {
+
+std::string property(const discovery::ChannelRecord& channel, const char* key) {
+  const auto found = channel.properties.find(key);
+  return found == channel.properties.end() ? std::string() : found->second;
 }
+
+}  // namespace
 
 brokers::Topic topic_of(const discovery::ChannelRecord& channel) {
-  const auto property = [&](const char* key) {
-    const auto found = channel.properties.find(key);
-    return found == channel.properties.end() ? std::string() : found->second;
-  };
-  std::string name = property("routingKey");
-  if (name.empty()) name = property("topic");
-  return {property("exchange"), std::move(name), property("durable") == "true"};
+  std::string name = property(channel, "routingKey");
+  if (name.empty()) name = property(channel, "topic");
+  return {property(channel, "exchange"), std::move(name), property(channel, "durable") == "true"};
 }
 
-std::string url_of(const discovery::ChannelRecord& channel, const EndpointServices& services) {
-  const auto found = services.broker_urls.find(channel.transport);
-  return found == services.broker_urls.end() || found->second.empty() ? channel.broker_url : found->second;
+brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const EndpointServices& services) {
+  brokers::BrokerAddress address{channel.transport, {}};
+  const auto options = services.broker_options.find(channel.transport);
+  if (options != services.broker_options.end()) address.urls = options->second.urls;
+  if (!address.urls.empty()) return address;
+  std::istringstream urls(property(channel, "urls"));
+  for (std::string url; urls >> url;) address.urls.push_back(url);
+  if (address.urls.empty()) address.urls.push_back(channel.broker_url);
+  return address;
+}
+
+std::uint8_t priority_of(const discovery::ChannelRecord& channel) {
+  const std::string text = property(channel, "priority");
+  const bool digit = text.size() == 1 && text[0] >= '0' && text[0] <= '9';
+  return digit ? static_cast<std::uint8_t>(text[0] - '0') : brokers::normal_priority;
+}
+
+std::shared_ptr<brokers::Broker> broker_at(const brokers::BrokerAddress& address, const EndpointServices& services) {
+  const auto options = services.broker_options.find(address.broker);
+  return services.brokers->get(address,
+                               options == services.broker_options.end() ? brokers::BrokerOptions{} : options->second);
 }
 
 }  // namespace iotcloud::topology

@@ -217,7 +217,7 @@ void SpoutPlacement::stop_reading(Unit& unit) {
 void SpoutPlacement::read(Unit& unit) {
   std::map<ReaderKey, const discovery::ChannelRecord*> wanted;
   for (const auto& [instance, channel] : unit.channels) {
-    wanted.emplace(ReaderKey(url_of(channel, *services_), topic_of(channel)), &channel);
+    wanted.emplace(ReaderKey(address_of(channel, *services_), topic_of(channel)), &channel);
   }
   for (auto place = unit.readers.begin(); place != unit.readers.end();) {
     if (wanted.contains(place->first)) {
@@ -240,11 +240,12 @@ std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::Chan
   options.automatic_ack = endpoint_.reading.automatic_ack;
   options.prefetch = static_cast<std::uint16_t>(endpoint_.reading.prefetch);
   options.keep_last = static_cast<std::size_t>(endpoint_.reading.keep_last);
+  options.priority = priority_of(channel);
   try {
-    return ChannelReader::open(services_->brokers->get(key.first), key.second, options,
+    return ChannelReader::open(broker_at(key.first, *services_), key.first, key.second, options,
                                channel.shared ? "" : channel.instance, inboxes_.at(task));
   } catch (const config::Error& error) {
-    if (complained_.insert(key.first).second) {
+    if (complained_.insert(key.first.urls.front()).second) {
       logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());
     }
     return nullptr;

@@ -33,7 +33,7 @@ class SpoutPlacement {
   void leave();
 
  private:
-  using ReaderKey = std::pair<std::string, brokers::Topic>;  ///< URL and topic
+  using ReaderKey = std::pair<brokers::BrokerAddress, brokers::Topic>;
   struct Unit {
     std::map<std::string, discovery::ChannelRecord> channels;  ///< by driver instance
     std::unique_ptr<discovery::Election> election;             ///< null: another worker's share

@@ -14,12 +14,6 @@ namespace {
 using Clock = std::chrono::steady_clock;
 const config::Logger logger{"local"};
 
-/// "amqp://..." is served by the kind "rabbitmq"; the other kinds have schemes of their own name.
-std::string kind_of(const std::string& url) {
-  const std::string scheme = url.substr(0, url.find("://"));
-  return scheme == "amqp" || scheme == "amqps" ? "rabbitmq" : scheme;
-}
-
 std::unique_ptr<discovery::Registry> connect(const LocalOptions& options) {
   discovery::RegistryOptions registry;
   registry.url = options.registry_url.empty() ? "embedded://" + options.name : options.registry_url;
@@ -59,11 +53,13 @@ struct LocalCluster::Impl {
     return settings;
   }
 
-  std::vector<gateway::BrokerSetting> brokers() const {
-    std::vector<gateway::BrokerSetting> settings;
+  std::vector<brokers::BrokerSetting> brokers() const {
+    std::vector<brokers::BrokerSetting> settings;
     for (const auto& [name, given] : options.brokers) {
       const std::string url = given.empty() ? "embedded://" + options.name : given;
-      settings.push_back({name, kind_of(url), {url}});
+      brokers::BrokerOptions how;
+      how.urls = {url};
+      settings.push_back({name, brokers::broker_kind(url), std::move(how)});
     }
     return settings;
   }

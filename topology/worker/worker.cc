@@ -55,10 +55,10 @@ struct Worker::Impl {
     services->topology = definition.name;
     services->worker = unique_name();
     services->paths = discovery::Paths(definition.zk_root);
-    services->broker_urls = definition.brokers;
+    services->broker_options = definition.brokers;
     services->clock = options.clock != nullptr ? options.clock : &config::system_clock();
     services->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
-    services->brokers = std::make_shared<BrokerPool>(options.clock, services->metrics);
+    services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
     topology = assemble(definition, options.components, endpoint_factories(services));
     if (options.registry == nullptr && definition.registry_url.empty()) {
       throw definition.root.error("", "the key \"zk.servers\" is missing",

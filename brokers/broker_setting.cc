@@ -1,0 +1,62 @@
+#include "iotcloud/brokers/broker_setting.h"
+
+#include <algorithm>
+#include <filesystem>
+
+namespace iotcloud::brokers {
+namespace {
+
+std::string file_of(config::Section& section, const std::string& key) {
+  std::string file = section.string_or(key, "");
+  if (!file.empty() && !std::filesystem::exists(file)) {
+    throw section.error(key, "the file \"" + file + "\" is not there", "make it, or name another");
+  }
+  return file;
+}
+
+Tls read_tls(config::Section section) {
+  Tls tls;
+  tls.ca_file = file_of(section, "ca");
+  tls.certificate_file = file_of(section, "certificate");
+  tls.key_file = file_of(section, "key");
+  if (tls.certificate_file.empty() != tls.key_file.empty()) {
+    throw section.error("", "a client certificate needs both \"certificate\" and \"key\"", "give both, or none");
+  }
+  section.finish();
+  return tls;
+}
+
+}  // namespace
+
+BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout) {
+  using std::chrono::milliseconds;
+  BrokerOptions options;
+  options.urls = section.strings_or("urls", {});
+  for (const std::string& url : options.urls) {
+    try {
+      static_cast<void>(broker_kind(url));
+    } catch (const config::Error& error) {
+      throw section.error("urls", error.what());
+    }
+  }
+  options.user = section.string_or("user", "");
+  options.password_file = file_of(section, "password_file");
+  options.password_variable = section.string_or("password_variable", "");
+  if (!options.password_file.empty() && !options.password_variable.empty()) {
+    throw section.error("password_variable", "the password is in \"password_file\" already", "remove one of the two");
+  }
+  if (auto tls = section.optional_section("tls")) options.tls = read_tls(*tls);
+  const milliseconds most = session_timeout / 2;
+  const milliseconds usual = std::min(options.heartbeat, most);
+  options.heartbeat = std::chrono::duration_cast<milliseconds>(section.duration_or("heartbeat", usual));
+  if (options.heartbeat > most || options.heartbeat < milliseconds(100)) {
+    throw section.error("heartbeat",
+                        "it must be from 100 ms to half of the registry's session time-out, " +
+                            std::to_string(most.count()) + " ms, so that a reader that froze is cut off in time",
+                        "leave it out, or lengthen registry.session_timeout");
+  }
+  options.properties = section.string_map("properties");
+  return options;
+}
+
+}  // namespace iotcloud::brokers

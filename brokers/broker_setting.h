@@ -1,0 +1,25 @@
+#pragma once
+
+#include <string>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/yaml.h>
+
+namespace iotcloud::brokers {
+
+/// A logical broker of a configuration file.
+struct BrokerSetting {
+  std::string name;       ///< "rabbitmq": what drivers, channel records and topologies call it
+  std::string type;       ///< a kind of broker (broker_kinds()); empty: what its URLs say
+  BrokerOptions options;  ///< without clock and metrics
+};
+
+/// Reads what connecting to a broker takes from a section of YAML: `urls`, `user`, `password_file`,
+/// `password_variable`, `tls: {ca, certificate, key}`, `heartbeat`, `properties`. The caller reads its own keys beside
+/// them and finishes the section. `urls` may be missing.
+/// \param session_timeout of the registry: the broker must notice a dead reader before the registry names another one,
+///   so the heartbeat is at most half of it.
+/// \throws config::ConfigError for values that cannot be, with file, line and remedy.
+BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout);
+
+}  // namespace iotcloud::brokers
