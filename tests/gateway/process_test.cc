@@ -5,6 +5,7 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <iotcloud/drivers/plugin.h>
 #include <iotcloud/gateway/host/unix_socket.h>
 #include <iotcloud/gateway/process_launcher.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
@@ -148,7 +149,9 @@ TEST_F(ProcessTest, APluginOfAnotherSdkIsRefusedInItsRecordNamingBothSides) {
   give(quiet("a", "future_sdk.so"));
   give(quiet("b"));
   ASSERT_TRUE(comes_to("a", DriverState::failed, "future_sdk"));
-  EXPECT_THAT(record("a", "future_sdk")->reason, AllOf(HasSubstr("4711"), HasSubstr("this driver host has version 1")));
+  EXPECT_THAT(
+      record("a", "future_sdk")->reason,
+      AllOf(HasSubstr("4711"), HasSubstr("this driver host has version " + std::to_string(drivers::sdk_version))));
   EXPECT_TRUE(comes_to("b", DriverState::active));
 }
 
