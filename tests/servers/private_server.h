@@ -71,6 +71,11 @@ class PrivateServer {
   void start() { url_ = address(ask("start")); }  ///< after kill(): the same port, the same data
   void pause() { command("pause", "PAUSED"); }    ///< SIGSTOP: it hangs, its connections stay open
   void resume() { command("resume", "RESUMED"); }
+  /// The same for one node of a cluster (rabbitmq_cluster.py): 1, 2, ...
+  void kill(int node) { command("kill " + std::to_string(node), "KILLED"); }
+  void start(int node) { url_ = address(ask("start " + std::to_string(node))); }
+  void pause(int node) { command("pause " + std::to_string(node), "PAUSED"); }
+  void resume(int node) { command("resume " + std::to_string(node), "RESUMED"); }
   /// A command that only this kind of server knows; throws when the answer is another one.
   void command(const std::string& text, const std::string& expected) {
     if (const std::string answer = ask(text); answer != expected) {

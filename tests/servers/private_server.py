@@ -116,31 +116,37 @@ class Server:
             return subprocess.Popen(command, cwd=self.folder, env=environment, stdin=subprocess.DEVNULL, stdout=out,
                                     stderr=out, preexec_fn=become_child)
 
+    def runs(self):
+        return self.process is not None and self.process.poll() is None
+
     def start(self):
-        if self.process and self.process.poll() is None:
-            raise RuntimeError("%s runs already" % self.name)
-        self.process = self.spawn(self.command(), self.environment(), self.log())
-        self.wait_for(self.name, self.process, self.answers, self.log())
+        self.launch()
+        self.wait_until_ready()
         return "READY " + self.url()
 
-    @staticmethod
-    def wait_for(what, process, ready, log):
+    def launch(self):
+        if self.runs():
+            raise RuntimeError("%s runs already" % self.name)
+        self.process = self.spawn(self.command(), self.environment(), self.log())
+
+    def wait_until_ready(self):
         limit = time.monotonic() + START_LIMIT_S
         while True:
             try:
-                if ready():
+                if self.answers():
                     return
             except OSError:
                 pass
-            if process.poll() is not None:
-                raise RuntimeError("%s ended with status %d; see %s" % (what, process.returncode, log))
+            if not self.runs():
+                raise RuntimeError("%s ended with status %d; see %s" % (self.name, self.process.returncode,
+                                                                        self.log()))
             if time.monotonic() > limit:
-                raise RuntimeError("%s was not ready within %d s; see %s" % (what, START_LIMIT_S, log))
+                raise RuntimeError("%s was not ready within %d s; see %s" % (self.name, START_LIMIT_S, self.log()))
             time.sleep(0.02)
 
     def signal(self, number):
         """To the process and its helpers: they share its process group."""
-        if not self.process or self.process.poll() is not None:
+        if not self.runs():
             raise RuntimeError("%s does not run" % self.name)
         os.killpg(self.process.pid, number)
 
@@ -158,7 +164,7 @@ class Server:
         return "RESUMED"
 
     def stop(self):
-        if self.process and self.process.poll() is None:
+        if self.runs():
             if self.grace_s:
                 self.signal(signal.SIGCONT)
                 self.signal(signal.SIGTERM)

@@ -25,7 +25,6 @@ With --tls the URL is amqps://localhost:PORT/: the server wants a client certifi
 the files are in DIR).
 """
 import os
-import socket
 import subprocess
 
 import certificates
@@ -34,25 +33,59 @@ import private_server
 PROGRAMS = "/usr/lib/rabbitmq/bin"  # those in /usr/sbin change the user, which fails for private folders
 
 
+class PortMapper(private_server.Server):
+    """epmd, which Erlang's nodes ask for one another's ports."""
+
+    name = "the port mapper"
+
+    def __init__(self, folder):
+        super().__init__(folder)
+        self.port = private_server.free_ports(1)[0]
+
+    def command(self):
+        return ["epmd", "-address", "127.0.0.1", "-port", str(self.port)]
+
+    def log(self):
+        return self.path("epmd.log")
+
+    def url(self):
+        return "epmd://127.0.0.1:%d" % self.port
+
+    def answers(self):
+        with self.connect(self.port):
+            return True
+
+
 class RabbitMq(private_server.Server):
+    """A node. In a cluster the nodes share a port mapper and `home`, the folder with the Erlang cookie, and each knows
+    the names of all, `peers`."""
+
     name = "RabbitMQ"
     grace_s = 10
 
-    def __init__(self, folder, port, tls):
+    def __init__(self, folder, port=0, tls=False, mapper=None, home=None):
         super().__init__(folder)
-        ports = private_server.free_ports(3)
-        self.port = port or ports[0]
-        self.distribution_port, self.epmd_port = ports[1:]
+        free_port, self.distribution_port = private_server.free_ports(2)
+        self.port = port or free_port
         self.node_name = "iotcloud%d@localhost" % self.port
-        self.epmd = None
+        self.mapper = mapper or PortMapper(folder)
+        self.home = home or self.folder
+        self.peers = []
         if tls:
             self.certificates = certificates.Certificates(self.folder)
+        self.write("enabled_plugins", ["[]."])
+
+    def configure(self):
+        listeners = self.security() if self.certificates else ["listeners.tcp.1 = 127.0.0.1:%d" % self.port]
+        cluster = ["cluster_formation.classic_config.nodes.%d = %s" % pair for pair in enumerate(self.peers, 1)]
+        if cluster:
+            cluster += ["cluster_formation.peer_discovery_backend = classic_config",
+                        # A node that hung is cut off, and comes back by itself.
+                        "cluster_partition_handling = pause_minority"]
         self.write("rabbitmq.conf", [
             "num_acceptors.tcp = 2", "num_acceptors.ssl = 2", "log.file.level = info",
             # A test's disk may be nearly full; an alarm would block every publisher.
-            "disk_free_limit.absolute = 50MB",
-            *(self.security() if tls else ["listeners.tcp.1 = 127.0.0.1:%d" % self.port])])
-        self.write("enabled_plugins", ["[]."])
+            "disk_free_limit.absolute = 50MB", *listeners, *cluster])
 
     def security(self):
         path = self.certificates.path
@@ -66,10 +99,10 @@ class RabbitMq(private_server.Server):
         env = {key: value for key, value in os.environ.items()
                if not key.startswith(("RABBITMQ_", "ERL_", "ELIXIR_")) and key != "NOTIFY_SOCKET"}
         env.update({
-            "HOME": self.folder,  # the Erlang cookie
+            "HOME": self.home,  # the Erlang cookie
             "LC_ALL": "C.UTF-8",
             "ERL_EPMD_ADDRESS": "127.0.0.1",
-            "ERL_EPMD_PORT": str(self.epmd_port),
+            "ERL_EPMD_PORT": str(self.mapper.port),
             "ERL_CRASH_DUMP": self.path("erl_crash.dump"),
             "RABBITMQ_ALLOW_INPUT": "1",  # the script becomes the node: no shell between it and its process id
             "RABBITMQ_NODENAME": self.node_name,
@@ -84,7 +117,7 @@ class RabbitMq(private_server.Server):
             "RABBITMQ_ADVANCED_CONFIG_FILE": self.path("advanced.config"),
             "RABBITMQ_ENABLED_PLUGINS_FILE": self.path("enabled_plugins"),
             "RABBITMQ_SERVER_ADDITIONAL_ERL_ARGS":
-                "-noinput +S 2:2 +A 8 -start_epmd false -kernel inet_dist_use_interface {127,0,0,1}",
+                "-noinput +S 2:2 +A 8 -start_epmd false -kernel inet_dist_use_interface {127,0,0,1} net_ticktime 8",
         })
         return env
 
@@ -97,16 +130,12 @@ class RabbitMq(private_server.Server):
     def url(self):
         return ("amqps://localhost:%d/" if self.certificates else "amqp://guest:guest@127.0.0.1:%d/") % self.port
 
-    def start(self):
+    def launch(self):
         os.makedirs(self.path("log"), exist_ok=True)
-        if not self.epmd or self.epmd.poll() is not None:
-            self.epmd = self.spawn(["epmd", "-address", "127.0.0.1", "-port", str(self.epmd_port)], None, os.devnull)
-            self.wait_for("the port mapper", self.epmd, self.epmd_answers, "its port %d" % self.epmd_port)
-        return super().start()
-
-    def epmd_answers(self):
-        with socket.create_connection(("127.0.0.1", self.epmd_port), timeout=1):
-            return True
+        self.configure()
+        if not self.mapper.runs():
+            self.mapper.start()
+        super().launch()
 
     def answers(self):
         """The node opens its port last of all, and greets when it is ready."""
@@ -129,9 +158,7 @@ class RabbitMq(private_server.Server):
 
     def stop(self):
         answer = super().stop()
-        if self.epmd and self.epmd.poll() is None:
-            self.epmd.kill()
-            self.epmd.wait()
+        self.mapper.stop()
         return answer
 
     def commands(self):

@@ -1,0 +1,132 @@
+#!/usr/bin/python3
+"""Every private server starts, obeys its commands, and leaves nothing behind."""
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+SKIPPED = 77  # what ctest reports as skipped
+
+
+class Script:
+    def __init__(self, name, folder, *options, **environment):
+        self.folder = folder
+        self.process = subprocess.Popen(["/usr/bin/python3", HERE / name, "--dir", folder, *options], text=True,
+                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **environment})
+        self.greeting = self.answer()
+
+    def answer(self):
+        return self.process.stdout.readline().strip()
+
+    def ask(self, command):
+        self.process.stdin.write(command + "\n")
+        self.process.stdin.flush()
+        return self.answer()
+
+    def end(self):
+        self.process.stdin.close()
+        last = self.process.stdout.read().strip()
+        self.process.stdout.close()
+        return last, self.process.wait()
+
+    def left_behind(self):
+        """Processes that know the folder, by their arguments or environment."""
+        found = []
+        for entry in Path("/proc").iterdir():
+            if entry.name.isdigit() and int(entry.name) != os.getpid():
+                try:
+                    known = (entry / "cmdline").read_bytes() + (entry / "environ").read_bytes()
+                except OSError:
+                    continue  # it ended meanwhile, or belongs to somebody else
+                if self.folder.encode() in known:
+                    found.append(entry.name)
+        return found
+
+
+class ServersTest(unittest.TestCase):
+    def obeys(self, script, *options):
+        with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder:
+            server = Script(script, folder, *options)
+            if server.greeting.startswith("SKIP"):
+                server.end()
+                self.skipTest(server.greeting)
+            self.assertRegex(server.greeting, "^READY [a-z]+://")
+            self.assertEqual(server.ask("kill"), "KILLED")
+            self.assertRegex(server.ask("pause"), "^ERROR .* does not run")
+            self.assertEqual(server.ask("start"), server.greeting)
+            self.assertEqual(server.ask("pause"), "PAUSED")
+            self.assertEqual(server.ask("resume"), "RESUMED")
+            self.assertRegex(server.ask("dance"), "^ERROR no such command")
+            self.assertEqual(server.end(), ("STOPPED", 0))
+            self.assertEqual(server.left_behind(), [])
+
+    def test_rabbitmq(self):
+        self.obeys("rabbitmq.py")
+
+    def test_rabbitmq_with_tls(self):
+        self.obeys("rabbitmq.py", "--tls")
+
+    def test_a_rabbitmq_cluster(self):
+        self.obeys("rabbitmq_cluster.py")
+
+    def test_zookeeper(self):
+        self.obeys("zookeeper.py")
+
+    def test_kafka(self):
+        self.obeys("kafka.py")
+
+    def test_kafka_with_tls(self):
+        self.obeys("kafka.py", "--tls")
+
+    def test_activemq(self):
+        self.obeys("activemq.py")
+
+    def test_activemq_with_tls(self):
+        self.obeys("activemq.py", "--tls")
+
+    def test_a_server_dies_with_who_started_it(self):
+        with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder:
+            server = Script("zookeeper.py", folder)
+            server.process.kill()
+            server.end()
+            while left := server.left_behind():  # the kernel ends it; ctest's limit ends this wait
+                os.sched_yield()
+            self.assertEqual(left, [])
+
+
+class FetchTest(unittest.TestCase):
+    """What maven_jars.py makes of Maven's complaints, with a program in Maven's place."""
+
+    def fetch(self, said, ci):
+        with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder:
+            maven = Path(folder) / "mvn"
+            maven.write_text(f"#!/bin/sh\necho '[ERROR] {said}'\nexit 1\n")
+            maven.chmod(0o755)
+            code = (f"import sys; sys.path.insert(0, {str(HERE)!r}); import maven_jars, private_server\n"
+                    f"maven_jars.FETCHED = {folder!r}\nprivate_server.run(lambda: maven_jars.fetch('kafka'))")
+            done = subprocess.run(["/usr/bin/python3", "-c", code], stdin=subprocess.DEVNULL, capture_output=True,
+                                  text=True, env={**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "CI": ci})
+            return done.stdout.strip(), done.returncode
+
+    def test_a_registry_that_cannot_be_reached_skips(self):
+        answer, status = self.fetch("Could not transfer artifact: Connection refused", "")
+        self.assertRegex(answer, "^SKIP .*kafka.*Connection refused")
+        self.assertEqual(status, 0)
+
+    def test_with_ci_it_is_an_error(self):
+        answer, status = self.fetch("Could not transfer artifact: Connection refused", "true")
+        self.assertRegex(answer, "^ERROR ")
+        self.assertEqual(status, 1)
+
+    def test_a_broken_pom_is_an_error_everywhere(self):
+        answer, status = self.fetch("Non-parseable POM", "")
+        self.assertRegex(answer, "^ERROR ")
+        self.assertEqual(status, 1)
+
+
+if __name__ == "__main__":
+    result = unittest.main(exit=False, verbosity=2).result
+    sys.exit(1 if not result.wasSuccessful() else SKIPPED if result.skipped else 0)
