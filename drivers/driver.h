@@ -28,7 +28,8 @@ enum class WhenFull {
 };
 
 /// One channel that a driver wants. The gateway's configuration and `deploy --property` may override the quality of
-/// service: "channel.<name>.capacity", ".when_full", ".deadline_ms", ".durable", ".broker", ".shared", ".priority".
+/// service: "channel.<name>.capacity", ".when_full", ".deadline_ms", ".durable", ".broker", ".shared", ".priority",
+/// ".interop".
 struct ChannelSpec {
   std::string name;
   Direction direction = Direction::out;

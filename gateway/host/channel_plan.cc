@@ -15,8 +15,8 @@ namespace {
 
 using drivers::ChannelSpec;
 
-const std::vector<std::string> options = {"capacity", "when_full", "deadline_ms", "durable",
-                                          "broker",   "shared",    "keep_last",   "priority"};
+const std::vector<std::string> options = {"capacity", "when_full", "deadline_ms", "durable", "broker",
+                                          "shared",   "keep_last", "priority",    "interop"};
 constexpr std::string_view prefix = "channel.";
 
 std::size_t whole_number(const std::string& property, const std::string& text, std::size_t min,
@@ -43,6 +43,9 @@ void apply(ChannelSpec& spec, const std::string& option, const std::string& prop
     spec.deadline = std::chrono::milliseconds(whole_number(property, value, 0));
   } else if (option == "keep_last") {
     spec.keep_last = whole_number(property, value, 0);
+  } else if (option == "interop") {
+    if (value != "java") throw config::Error(fmt::format("property \"{}\" is \"{}\"; it can be java", property, value));
+    spec.properties["interop"] = value;
   } else if (option == "priority") {
     spec.priority = static_cast<std::uint8_t>(whole_number(property, value, 0, 9));
   } else if (option == "durable") {
@@ -126,6 +129,7 @@ PlannedChannel plan(const std::string& gateway, const std::string& driver, const
     record.properties["routingKey"] = channel.topic.name;
     record.properties["queueName"] = group + given("queueName", given("routingKey", spec.name));
   }
+  channel.own_queue = given("interop", "") == "java";
   record.properties["durable"] = spec.durable ? "true" : "false";
   record.name = spec.name;
   record.transport = broker.name;

@@ -14,6 +14,7 @@ struct PlannedChannel {
   drivers::ChannelSpec spec;
   brokers::Topic topic;
   brokers::BrokerAddress address;
+  bool own_queue = false;           ///< out: also into the topic's own queue, which topologies of the original read
   brokers::BrokerOptions broker;    ///< how to connect to it
   discovery::ChannelRecord record;  ///< as it goes into the registry
 };

@@ -69,6 +69,7 @@ void Instance::open_outgoing(const PlannedChannel& channel) {
   options.capacity = channel.spec.capacity;
   options.deadline = channel.spec.deadline;
   options.priority = channel.spec.priority;
+  options.own_queue = channel.own_queue;
   options.on_outcome = [counters = outgoing->counters](std::uint64_t, brokers::Outcome outcome,
                                                        const std::string& reason) { counters->count(outcome, reason); };
   options.on_writable = [weak = weak_from_this(), name = channel.spec.name] {

@@ -67,6 +67,14 @@ TEST(ChannelPlan, TheOtherServersOfAClusterStandInTheRecordToo) {
   EXPECT_EQ(planned.record.properties.at("urls"), "amqp://b/ amqp://c/ amqp://a/");
 }
 
+TEST(ChannelPlan, ForTopologiesOfTheOriginalTheTopicHasAQueueOfItsOwn) {
+  EXPECT_FALSE(plan_channels("gw1", "turtle", instance(), {channel("kinect")}).at(0).own_queue);
+  EXPECT_TRUE(plan_channels("gw1", "turtle", instance({{"channel.kinect.interop", "java"}}), {channel("kinect")})
+                  .at(0)
+                  .own_queue);
+  EXPECT_THAT(error_of(instance({{"channel.kinect.interop", "go"}}), {channel("kinect")}), HasSubstr("it can be java"));
+}
+
 TEST(ChannelPlan, AnUnusualPriorityStandsInTheRecord) {
   const auto planned =
       plan_channels("gw1", "turtle", instance({{"channel.kinect.priority", "9"}}), {channel("kinect")}).at(0);
