@@ -1,4 +1,7 @@
 #include <cstdio>
+#include <fstream>
+#include <iterator>
+#include <string>
 
 #include <sys/prctl.h>
 #include <sys/resource.h>
@@ -33,6 +36,43 @@ double Usage::cpu_percent_since(const Usage& before) const {
 
 double Usage::switches_per_second_since(const Usage& before) const {
   return static_cast<double>(switches - before.switches) / (static_cast<double>(at_ns - before.at_ns) * 1e-9);
+}
+
+namespace {
+
+/// The text of a file below /proc; empty when it cannot be read.
+std::string read_text(const std::string& path) {
+  std::ifstream file(path);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+double ticks_to_seconds(double ticks) {
+  static const double a_second = static_cast<double>(sysconf(_SC_CLK_TCK));
+  return ticks / a_second;
+}
+
+}  // namespace
+
+double cpu_seconds_of(pid_t process) {
+  const std::string text = read_text("/proc/" + std::to_string(process) + "/stat");
+  const std::size_t name_end = text.rfind(')');
+  if (name_end == std::string::npos) return 0;
+  unsigned long user = 0, system = 0;
+  if (std::sscanf(text.c_str() + name_end + 1, " %*c %*d %*d %*d %*d %*d %*u %*u %*u %*u %*u %lu %lu", &user,
+                  &system) != 2) {
+    return 0;
+  }
+  return ticks_to_seconds(static_cast<double>(user + system));
+}
+
+double machine_cpu_seconds() {
+  const std::string text = read_text("/proc/stat");
+  unsigned long user = 0, nice = 0, system = 0, interrupts = 0, soft = 0, stolen = 0;
+  if (std::sscanf(text.c_str(), "cpu %lu %lu %lu %*u %*u %lu %lu %lu", &user, &nice, &system, &interrupts, &soft,
+                  &stolen) != 6) {
+    return 0;
+  }
+  return ticks_to_seconds(static_cast<double>(user + nice + system + interrupts + soft + stolen));
 }
 
 std::size_t resident_bytes() {

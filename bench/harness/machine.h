@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <ctime>
 
+#include <sys/types.h>
+
 /// What the programs of bench/ measure with.
 namespace iotcloud::bench {
 
@@ -27,6 +29,11 @@ struct Usage {
   double cpu_percent_since(const Usage& before) const;
   double switches_per_second_since(const Usage& before) const;
 };
+
+/// CPU seconds, user and system, that a process has used since it began; in steps of 10 ms. 0: it is gone.
+double cpu_seconds_of(pid_t process);
+/// CPU seconds that all of this machine has used since it booted, interrupts and what a hypervisor took included.
+double machine_cpu_seconds();
 
 /// Resident memory of this process, bytes.
 std::size_t resident_bytes();
