@@ -39,7 +39,8 @@ class End {
     if (amqp_socket_open(socket, server.host, server.port) != AMQP_STATUS_OK) {
       throw std::runtime_error("cannot connect to " + options.url);
     }
-    check(amqp_login(connection_, server.vhost, 0, frame_max, 0, AMQP_SASL_METHOD_PLAIN, server.user, server.password));
+    const char* virtual_host = *server.vhost != 0 ? server.vhost : "/";
+    check(amqp_login(connection_, virtual_host, 0, frame_max, 0, AMQP_SASL_METHOD_PLAIN, server.user, server.password));
     for (const amqp_channel_t channel : {reading, writing}) {
       amqp_channel_open(connection_, channel);
       check(amqp_get_rpc_reply(connection_));

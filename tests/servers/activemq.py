@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private ActiveMQ Classic for tests and benchmarks, on loopback only, that leaves nothing behind.
 
-    activemq.py --dir DIR [--port N] [--tls]
+    activemq.py --dir DIR [--port N] [--tls] [--throughput]
 
 Runs one broker that speaks AMQP 1.0, with its data and log below DIR, on a free port. Its jars come from Maven Central
 (maven_jars.py). When it takes connections it prints one line on stdout:
@@ -72,8 +72,9 @@ SECURITY = """
 class ActiveMq(private_server.Server):
     name = "ActiveMQ"
 
-    def __init__(self, folder, port, tls):
+    def __init__(self, folder, port, tls, jvm=private_server.QUICK_START):
         super().__init__(folder)
+        self.jvm = jvm
         self.class_path = maven_jars.fetch("activemq")
         self.port = port or private_server.free_ports(1)[0]
         connector = "amqp://127.0.0.1:%d?wireFormat.maxFrameSize=67108864&wireFormat.idleTimeout=4000" % self.port
@@ -92,7 +93,7 @@ class ActiveMq(private_server.Server):
             store_password=quoted(certificates.STORE_PASSWORD))
 
     def command(self):
-        return ["java", "-Xms64m", "-Xmx512m", *private_server.JVM_OPTIONS, "-cp", self.class_path,
+        return ["java", *self.jvm, *private_server.JVM_OPTIONS, "-cp", self.class_path,
                 "org.apache.activemq.console.command.ShellCommand", "start", "xbean:file:" + self.config]
 
     def environment(self):
@@ -111,8 +112,9 @@ class ActiveMq(private_server.Server):
 def main():
     parser = private_server.options("A private ActiveMQ")
     private_server.add_client_options(parser)
+    private_server.add_jvm_options(parser)
     given = parser.parse_args()
-    private_server.run(lambda: ActiveMq(given.dir, given.port, given.tls))
+    private_server.run(lambda: ActiveMq(given.dir, given.port, given.tls, given.jvm))
 
 
 if __name__ == "__main__":

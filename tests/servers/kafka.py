@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private Kafka for tests and benchmarks, on loopback only, that leaves nothing behind.
 
-    kafka.py --dir DIR [--port N] [--partitions N] [--tls]
+    kafka.py --dir DIR [--port N] [--partitions N] [--tls] [--throughput]
 
 Runs one node (KRaft: broker and controller in one JVM) with its data and log below DIR, on free ports. Its jars come
 from Maven Central (maven_jars.py). Topics are made when they are first used, with --partitions partitions (default 4).
@@ -38,8 +38,9 @@ METADATA, SASL_HANDSHAKE, SASL_AUTHENTICATE = 3, 17, 36  # requests of Kafka's p
 class Kafka(private_server.Server):
     name = "Kafka"
 
-    def __init__(self, folder, port, partitions, tls):
+    def __init__(self, folder, port, partitions, tls, jvm=private_server.QUICK_START):
         super().__init__(folder)
+        self.jvm = jvm
         self.class_path = maven_jars.fetch("kafka")
         ports = private_server.free_ports(2)
         self.port, self.controller_port = port or ports[0], ports[1]
@@ -81,7 +82,7 @@ class Kafka(private_server.Server):
         return "localhost" if self.certificates else "127.0.0.1"
 
     def java(self, main, *arguments):
-        return ["java", "-Xms64m", "-Xmx384m", *private_server.JVM_OPTIONS,
+        return ["java", *self.jvm, *private_server.JVM_OPTIONS,
                 "-Dorg.slf4j.simpleLogger.log.org.apache.kafka.common.config=warn",
                 "-Dorg.slf4j.simpleLogger.log.kafka.server.KafkaConfig=warn",
                 "-cp", self.class_path, main, *arguments]
@@ -137,9 +138,10 @@ def text(value):
 def main():
     parser = private_server.options("A private Kafka")
     private_server.add_client_options(parser)
+    private_server.add_jvm_options(parser)
     parser.add_argument("--partitions", type=int, default=4, help="of a topic that is made by its first use")
     given = parser.parse_args()
-    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions, given.tls))
+    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions, given.tls, given.jvm))
 
 
 if __name__ == "__main__":

@@ -48,14 +48,22 @@ class Children:
         self.children.append((name, child))
         return child
 
-    def server(self, kind):
-        """Starts a private server ("rabbitmq", "zookeeper", ...) and returns its URL."""
-        child = self.spawn(kind, ["/usr/bin/python3", HERE / f"{kind}.py", "--dir", self.out / kind],
+    def server(self, kind, *options):
+        """Starts a private server ("rabbitmq", "kafka", ...: a script of this folder) and returns its URL."""
+        child = self.spawn(kind, ["/usr/bin/python3", HERE / f"{kind}.py", "--dir", self.out / kind, *options],
                            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        answer = child.stdout.readline().split()
-        if len(answer) != 2 or answer[0] != "READY":
-            raise StartError(f"{kind} did not start; see {self.log(kind)}")
-        return answer[1]
+        answer = child.stdout.readline().strip()
+        if not answer.startswith("READY "):
+            raise StartError(f"{kind} did not start: {answer or 'no answer'}; see {self.log(kind)}")
+        return answer.removeprefix("READY ")
+
+    def descendants(self):
+        """Ids of the children's processes, their children and so on."""
+        found = [child.pid for _, child in self.children]
+        for process in found:
+            for children in Path(f"/proc/{process}/task").glob("*/children"):
+                found += map(int, children.read_text().split())
+        return found
 
     def dead(self):
         """Name of a child that ended although nobody stopped it; None when all live."""

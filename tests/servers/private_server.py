@@ -21,10 +21,15 @@ LIBC = ctypes.CDLL("libc.so.6", use_errno=True)
 PASSING = (RuntimeError, OSError, subprocess.SubprocessError)  # what is answered as "ERROR text"
 
 
-# A small JVM that starts quickly; its log (slf4j-simple) goes to stderr.
-JVM_OPTIONS = ["-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1", "-Xshare:auto", "-XX:-UsePerfData",
+# A small JVM; its log (slf4j-simple) goes to stderr.
+JVM_OPTIONS = ["-XX:+UseSerialGC", "-Xshare:auto", "-XX:-UsePerfData",
                "-Dorg.slf4j.simpleLogger.defaultLogLevel=info", "-Dorg.slf4j.simpleLogger.showDateTime=true",
                "-Dorg.slf4j.simpleLogger.dateTimeFormat=yyyy-MM-dd HH:mm:ss.SSS"]
+
+
+# How it is used: for a test it starts quickly, for a benchmark it has a server's compiler and memory.
+QUICK_START = ["-Xms64m", "-Xmx512m", "-XX:TieredStopAtLevel=1"]
+THROUGHPUT = ["-Xms1g", "-Xmx1g"]
 
 
 class Unavailable(Exception):
@@ -192,6 +197,11 @@ def add_client_options(parser):
     parser.add_argument("--port", type=int, default=0, help="port for clients; default: a free one")
     parser.add_argument("--tls", action="store_true", help="TLS, client certificates, user and password; see "
                         "certificates.py")
+
+
+def add_jvm_options(parser):
+    parser.add_argument("--throughput", dest="jvm", action="store_const", const=THROUGHPUT, default=QUICK_START,
+                        help="for benchmarks: more memory and a better compiler instead of a quick start")
 
 
 def say(line):

@@ -1,0 +1,252 @@
+"""The figures of `./dev bench brokers`: the round trip through each broker, ours beside a bare client."""
+
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from figures import Programs, Verdict, number
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "servers"))
+from private_cluster import Children, StartError  # noqa: E402
+
+OURS = "iotcloud"
+BROKERS = {"rabbitmq": "librabbitmq", "kafka": "librdkafka", "activemq": "qpid-proton"}  # and the bare client's library
+SIZES = {"100 B": 100, "1 KB": 1000, "10 KB": 10_000, "60 KB": 60_000, "200 KB": 200_000, "1 MB": 1_000_000}
+RATES = (10, 50, 100)  # messages a second of each of 4 drivers
+MOST = {"100 B": 1000, "60 KB": 64}  # under way when as much as possible is sent
+JVM = {"kafka": ["--throughput"], "activemq": ["--throughput"]}
+NOISE = 0.2  # CPUs that other processes may take in a round
+
+
+class Report(Verdict):
+    """One line for each figure; its ratio is the median of the ratios of one round."""
+
+    def __init__(self):
+        super().__init__()
+        self.thrown_away = 0
+
+    @staticmethod
+    def print_head():
+        print(f"{'figure':<46} {'ours':>8} {'unit':<8} {'beside':<18} {'theirs':>8} {'ratio':>6} {'of rounds':>12} "
+              f"{'target':>8} {'met':>4} {'n':>2}")
+
+    def compare(self, name, unit, ours, beside=None, theirs=(), ratio_at_least=None, ratio_at_most=None, at_most=None):
+        """`ours` and `theirs`: a value of each round. The target is for the ratio, or (at_most) for our value."""
+        if not ours:
+            print(f"{name:<46} no round was quiet, or none could be sustained", flush=True)
+            return
+        value, ratios = statistics.median(ours), [a / b for a, b in zip(ours, theirs) if b]
+        ratio = statistics.median(ratios) if ratios else None
+        target = met = None
+        if at_most is not None:
+            target, met = f"<= {at_most:g}", value <= at_most
+        if ratio is not None and ratio_at_least is not None:
+            target, met = f">= {ratio_at_least:g} x", ratio >= ratio_at_least
+        if ratio is not None and ratio_at_most is not None:
+            target, met = f"<= {ratio_at_most:g} x", ratio <= ratio_at_most
+        self.results.append({
+            "name": name, "value": value, "unit": unit, "baseline": beside,
+            "baseline_value": statistics.median(theirs) if theirs else None, "ratio": ratio,
+            "ratio_spread": [min(ratios), max(ratios)] if ratios else None, "target": target, "met": met,
+            "rounds": len(ours), "spread": (max(ours) - min(ours)) / value if value else 0.0})
+        of_rounds = f"{number(min(ratios))}..{number(max(ratios))}" if ratios else ""
+        print(f"{name:<46} {number(value):>8} {unit:<8} {beside or '':<18} "
+              f"{number(statistics.median(theirs) if theirs else None):>8} {number(ratio):>6} {of_rounds:>12} "
+              f"{target or '':>8} {number(met):>4} {len(ours):>2}", flush=True)
+
+
+class Progress:
+    """What is under way and how long the rest will take, on a terminal."""
+
+    def __init__(self):
+        self.began, self.seconds_done, self.seconds_all = time.monotonic(), 0.0, 0.0
+
+    def say(self, text):
+        if not sys.stderr.isatty():
+            return
+        left = ""
+        if self.seconds_done:
+            spent = time.monotonic() - self.began
+            minutes = spent / self.seconds_done * (self.seconds_all - self.seconds_done) / 60
+            left = f", about {minutes:.0f} min left"
+        print(f"\r\033[K{text}{left}\r", end="", file=sys.stderr, flush=True)
+
+
+class Bench:
+    """One broker's private server, and the clients that take turns on it."""
+
+    def __init__(self, kind, url, processes, programs, report, progress, given):
+        self.kind, self.url, self.report, self.progress, self.given = kind, url, report, progress, given
+        self.programs = programs
+        self.processes = [word for process in processes for word in ("--server", process)]
+        self.rounds = given.rounds or (3 if given.quick else 7)
+        self.bare = BROKERS[kind]
+
+    def run(self, engine, options, seconds):
+        """One run. `options` are the program's, without its dashes."""
+        words = ["--name", f"bench-{engine}-{'shared' if options.get('shared') else 'own'}"]
+        for name, value in options.items():
+            words += [f"--{name.replace('_', '-')}"] + ([] if value is True else [value])
+        return self.programs.run(engine, "--url", self.url, *words, "--seconds", seconds, *self.processes)[0]
+
+    def turns(self, title, variants, seconds):
+        """Rounds in which each of `variants` ({name: (engine, options)}) runs once. Returns {name: [a line of each
+        round]}, without the rounds that had company or that could not be sustained."""
+        kept, thrown = {name: [] for name in variants}, 0
+        for attempt in range(2 * self.rounds):
+            if len(next(iter(kept.values()))) == self.rounds:
+                break
+            self.progress.say(f"{self.kind}, {title}, round {attempt + 1}")
+            order = list(variants) if attempt % 2 == 0 else list(reversed(variants))
+            lines = {name: self.run(*variants[name], seconds) for name in order}
+            self.progress.seconds_done += seconds * len(variants)
+            if not all(line["sustained"] for line in lines.values()):
+                for name, line in lines.items():
+                    if not line["sustained"]:
+                        print(f"{self.kind}, {title}: {name} does not keep up", flush=True)
+                return {name: [] for name in variants}
+            if not self.given.keep_noisy and max(line["others_cpu"] for line in lines.values()) > NOISE:
+                thrown += 1
+                continue
+            for name, line in lines.items():
+                kept[name].append(line)
+        self.report.thrown_away += thrown
+        return kept
+
+    def pair(self, title, options, seconds):
+        """Ours and the bare client with the same options."""
+        runs = self.turns(title, {OURS: (OURS, options), self.bare: (self.kind, options)}, seconds)
+        return runs[OURS], runs[self.bare]
+
+    def compare(self, figure, unit, of, ours, theirs, beside=None, **target):
+        self.report.compare(f"{self.kind}, {figure}", unit, [of(line) for line in ours], beside or self.bare,
+                            [of(line) for line in theirs], **target)
+
+    def cpu(self, title, ours, theirs):
+        self.compare(f"{title}: client CPU", "s/10 000", client_cpu, ours, theirs, ratio_at_most=1.3)
+        self.compare(f"{title}: broker CPU", "s/10 000", broker_cpu, ours, theirs)
+
+
+def p50(line):
+    return line["p50_us"] / 1000
+
+
+def p99(line):
+    return line["p99_us"] / 1000
+
+
+def per_second(line):
+    return line["per_second"]
+
+
+def client_cpu(line):
+    return line["cpu_seconds"] / line["count"] * 10_000
+
+
+def broker_cpu(line):
+    return line["server_cpu_seconds"] / line["count"] * 10_000
+
+
+def idle(bench, layout):
+    ours, theirs = bench.pair("idle", {**layout, "idle": True}, 2)
+    bench.compare("connected and idle: client CPU", "%", lambda line: 100 * line["cpu_seconds"] / line["seconds"],
+                  ours, theirs, at_most=0.5)
+
+
+def closed_loop(bench, layout):
+    """The gate: 8 messages under way."""
+    for size in ("100 B", "60 KB"):
+        options = {**layout, "size": SIZES[size], "under_way": 8}
+        variants = {OURS: (OURS, options), bench.bare: (bench.kind, options)}
+        without = f"{bench.bare} unsafe"
+        if bench.kind == "rabbitmq":
+            variants[without] = (bench.kind, {**options, "no_confirms": True, "no_acknowledgements": True})
+        title = f"{size}, 8 under way"
+        runs = bench.turns(title, variants, 2)
+        gate = {"ratio_at_least": 0.9} if bench.kind == "rabbitmq" else {}
+        bench.compare(f"{title}: rate", "/s", per_second, runs[OURS], runs[bench.bare], **gate)
+        if without in runs:
+            bench.compare(f"{title}: rate", "/s", per_second, runs[OURS], runs[without], without)
+        bench.cpu(title, runs[OURS], runs[bench.bare])
+
+
+def most(bench, layout):
+    for size, under_way in MOST.items():
+        title = f"{size}, {under_way} under way"
+        ours, theirs = bench.pair(title, {**layout, "size": SIZES[size], "under_way": under_way}, 2)
+        bench.compare(f"{title}: rate", "/s", per_second, ours, theirs)
+        bench.cpu(title, ours, theirs)
+
+
+def paced(bench, layout, sizes, rates):
+    for size in sizes:
+        for rate in rates:
+            title = f"{size}, 4 x {rate}/s"
+            ours, theirs = bench.pair(title, {**layout, "size": SIZES[size], "rate": rate}, 3 if rate < 50 else 2)
+            small = SIZES[size] <= 200_000
+            half = {"ratio_at_most": 1.15} if bench.kind == "kafka" or (bench.kind == "rabbitmq" and small) else {}
+            tail = {"ratio_at_most": 1.3} if bench.kind == "rabbitmq" and small else {}
+            bench.compare(f"{title}: p50", "ms", p50, ours, theirs, **half)
+            bench.compare(f"{title}: p99", "ms", p99, ours, theirs, **tail)
+            if rate == max(rates):
+                bench.cpu(title, ours, theirs)
+
+
+def many_drivers(bench, layouts):
+    """1000 drivers in one process, beside 4 of them and beside the bare client."""
+    for layout in layouts:
+        many = {**layout, "drivers": 1000, "rate": 5, "warm_up": 2}
+        few = {**layout, "drivers": 4, "rate": 100}
+        kind = "shared" if layout else "exclusive"
+        title = f"1000 x 5/s, {kind}"
+        runs = bench.turns(title, {OURS: (OURS, many), bench.bare: (bench.kind, many), "4 x 100/s": (OURS, few)}, 3)
+        bench.compare(f"{title}: p50", "ms", p50, runs[OURS], runs[bench.bare])
+        bench.compare(f"{title}: p99", "ms", p99, runs[OURS], runs[bench.bare])
+        bench.compare(f"{title}: p99", "ms", p99, runs[OURS], runs["4 x 100/s"], "ours, 4 x 100/s", ratio_at_most=1.5)
+        bench.cpu(title, runs[OURS], runs[bench.bare])
+
+
+def figures(bench, quick):
+    # A Kafka topic is never exclusive.
+    layout = {"shared": True} if bench.kind == "kafka" else {}
+    layouts = [{"shared": True}] if bench.kind == "kafka" else [{"shared": True}, {}]
+    for engine in (OURS, bench.kind):  # a JVM compiles what is used often
+        bench.run(engine, {**layout, "under_way": 100}, 2 if bench.kind == "rabbitmq" else 6)
+    idle(bench, layout)
+    closed_loop(bench, layout)
+    paced(bench, layout, ("100 B", "60 KB") if quick else SIZES, (100,) if quick else RATES)
+    most(bench, layout)
+    many_drivers(bench, layouts[:1] if quick else layouts)
+
+
+def seconds_of_one(kind, rounds, quick):
+    """About: for the time that is left."""
+    pairs = 6 if quick else 23
+    return rounds * 2.2 * (2 * pairs + (12 if kind == "rabbitmq" else 9) * (1 if quick else 2))
+
+
+def run_brokers(given):
+    programs, report, progress = Programs(given.build / "bin", "brokers"), Report(), Progress()
+    kinds = [kind for kind in BROKERS if not given.only or kind in given.only]
+    progress.seconds_all = sum(seconds_of_one(kind, given.rounds or (3 if given.quick else 7), given.quick)
+                               for kind in kinds if programs.has(kind))
+    report.print_head()
+    for kind in kinds:
+        if not programs.has(kind):
+            print(f"{kind}: left out, its bare client is not built")
+            continue
+        with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder, Children(folder) as servers:
+            try:
+                url = servers.server(kind, *JVM.get(kind, []))
+            except StartError as error:
+                print(f"{kind}: left out, {error}")
+                continue
+            bench = Bench(kind, url, servers.descendants(), programs, report, progress, given)
+            figures(bench, given.quick)
+    if report.thrown_away:
+        print(f"{report.thrown_away} rounds were thrown away: other processes took more than {NOISE} of a CPU")
+    if given.keep_noisy:
+        print("--keep-noisy: rounds with company count as well")
+    return report, report.verdict()
