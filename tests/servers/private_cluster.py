@@ -19,6 +19,10 @@ class StartError(Exception):
     """Something did not start; the text names its log."""
 
 
+class Unavailable(Exception):
+    """A server cannot be had on this machine now; what needs it is skipped."""
+
+
 def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -49,10 +53,12 @@ class Children:
         return child
 
     def server(self, kind, *options):
-        """Starts a private server ("rabbitmq", "kafka", ...: a script of this folder) and returns its URL."""
+        """Starts a private server ("rabbitmq", "kafka", ...: a script of this folder) and returns its URL. Its files are in out/kind."""
         child = self.spawn(kind, ["/usr/bin/python3", HERE / f"{kind}.py", "--dir", self.out / kind, *options],
                            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         answer = child.stdout.readline().strip()
+        if answer.startswith("SKIP "):
+            raise Unavailable(f"{kind}: {answer.removeprefix('SKIP ')}")
         if not answer.startswith("READY "):
             raise StartError(f"{kind} did not start: {answer or 'no answer'}; see {self.log(kind)}")
         return answer.removeprefix("READY ")
@@ -101,8 +107,13 @@ class PrivateCluster(Children):
         super().__init__(out)
         self.bin, self.plugins = Path(bin_dir).resolve(), Path(plugin_dir).resolve()
 
-    def start(self, gateways=2):
-        self.rabbitmq, self.zookeeper = self.server("rabbitmq"), self.server("zookeeper")
+    def start(self, gateways=2, brokers=None):
+        """`brokers`: lines of YAML below that key of the gateways' configuration; None: a private RabbitMQ."""
+        self.zookeeper = self.server("zookeeper")
+        if brokers is None:
+            self.rabbitmq = self.server("rabbitmq")
+            brokers = [f'rabbitmq: {{type: rabbitmq, urls: ["{self.rabbitmq}"]}}']
+        listed = "\n".join("  " + line for line in brokers)
         self.api_port = free_port()
         self.daemon("iotcloud-master", "master", f"""
 id: private-master
@@ -119,7 +130,7 @@ thrift: {{host: 127.0.0.1, port: {free_port()}}}
 plugins: "{self.plugins}"
 state: "{self.out / 'state' / name}"
 brokers:
-  rabbitmq: {{type: rabbitmq, urls: ["{self.rabbitmq}"]}}
+{listed}
 """)
         self.gateways = gateways
 

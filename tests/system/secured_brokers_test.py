@@ -1,0 +1,101 @@
+#!/usr/bin/python3
+"""One gateway with every kind of broker at once, each behind TLS, client certificate, user and password.
+
+usage: secured_brokers_test.py BUILD_DIR
+
+A load generator on each broker gets everything back, once and in order, and nobody has written the password anywhere.
+Exit status 77: skipped, because a server cannot be had.
+"""
+
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+import certificates  # noqa: E402
+from private_cluster import PrivateCluster, Unavailable  # noqa: E402
+
+COUNT, RATE = 500, 100
+SKIPPED = 77
+KINDS = ["rabbitmq", "kafka", "activemq"]
+TOPOLOGY = """
+zk.servers: ["{{zookeeper}}"]
+topology.name: "echo_{name}"
+brokers:
+{brokers}
+spouts:
+  receive: {{broker: {name}, driver: loadgen, channel: data, fields: [data, driverID, time]}}
+bolts:
+  send: {{broker: {name}, driver: loadgen, channel: echo, fields: [data, driverID, time], inputs: {{from: receive}}}}
+"""
+
+
+def broker_lines(cluster, kind, password_file):
+    """YAML of one logical broker, `my_<kind>`."""
+    url = cluster.server(kind, "--tls")
+    files = cluster.out / kind
+    return [f"my_{kind}:", f"  type: {kind}", f'  urls: ["{url}"]', f"  user: {certificates.USER}",
+            f"  password_file: {password_file}",
+            f"  tls: {{ca: {files / 'ca.pem'}, certificate: {files / 'client.pem'}, key: {files / 'client.key'}}}"]
+
+
+def result_of(report):
+    """The driver's report, None until it is written (when everything is back)."""
+    text = report.read_text() if report.exists() else ""
+    return json.loads(text) if text.rstrip().endswith("}") else None
+
+
+def wait_for(what, condition, limit):
+    deadline = time.monotonic() + limit
+    while not condition():
+        if time.monotonic() > deadline:
+            sys.exit(f"not within {limit} s: {what}")
+        time.sleep(0.1)
+
+
+def run(work, build):
+    with PrivateCluster(work, build / "bin", build / "plugins") as cluster:
+        password_file = work / "password"
+        password_file.write_text(certificates.PASSWORD + "\n")
+        brokers = {kind: broker_lines(cluster, kind, password_file) for kind in KINDS}
+        cluster.start(gateways=1, brokers=[line for lines in brokers.values() for line in lines])
+        for kind, lines in brokers.items():
+            # The worker takes the URL from the channel's record, and has its own way of proving who it is.
+            own = "\n".join("  " + line for line in lines if "type:" not in line and "urls:" not in line)
+            cluster.topology(f"worker-{kind}", TOPOLOGY.format(name=f"my_{kind}", brokers=own))
+        cluster.wait_until_ready()
+        reports = {kind: work / f"report-{kind}.json" for kind in KINDS}
+        for kind, report in reports.items():
+            cluster.deploy("loadgen.so", "gateway-1", {
+                "count": COUNT, "rate": RATE, "report": report, "broker": f"my_{kind}", "shared": str(kind == "kafka").lower()})
+        wait_for("every driver has everything back", lambda: all(map(result_of, reports.values())), 90)
+        cluster.require_alive()
+        for kind, report in reports.items():
+            result = result_of(report)
+            wrong = {key: result[key] for key in ("lost", "duplicated", "out_of_order", "damaged", "foreign") if result[key]}
+            if wrong or result["sent"] != COUNT:
+                sys.exit(f"over {kind}: {wrong or result}")
+        described = cluster.cli("drivers", "-o", "json")
+    for name, text in [(file.name, file.read_text(errors="replace")) for file in work.glob("**/*.log")] + [("drivers", described)]:
+        if certificates.PASSWORD in text:
+            sys.exit(f"the password stands in {name}")
+    print(f"{len(KINDS)} brokers x {COUNT} messages behind TLS, all back in order")
+
+
+def main():
+    build = Path(sys.argv[1]).resolve()
+    work = build / "secured-brokers"
+    shutil.rmtree(work, ignore_errors=True)
+    try:
+        run(work, build)
+    except Unavailable as reason:
+        print(reason)
+        sys.exit(SKIPPED)
+
+
+if __name__ == "__main__":
+    main()
