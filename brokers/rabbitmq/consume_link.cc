@@ -15,6 +15,8 @@ const config::Logger logger{"brokers.rabbitmq"};
 
 // After so many handlers the socket is looked at again and settlements are sent.
 constexpr std::size_t batch = 64;
+// Acknowledgements may gather for so long: then one tells the server of many messages.
+constexpr std::chrono::milliseconds gathering_time{2};
 // A connection that lasted so long was a good one: after it the waiting times start small again.
 constexpr std::chrono::seconds steady_connection{2};
 
@@ -42,7 +44,7 @@ std::shared_ptr<Inlet> ConsumeLink::add(const Topic& topic, const SubscriptionOp
   auto inlet = std::make_shared<Inlet>(shared_from_this(), topic, options, std::move(handler));
   const Lock lock(mutex_);
   inlets_.push_back(inlet);
-  inlet->retry_at = clock_.now();
+  set_timer(*inlet, clock_.now());
   if (!std::exchange(started_, true)) {
     thread_ = std::thread([this] { run(); });
     pthread_setname_np(thread_.native_handle(), "amqp-consume");
@@ -125,7 +127,12 @@ void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t publ
       std::this_thread::get_id() == thread_.get_id() || (!sleeping_ && inlet->window.settled() <= inlet->patience());
   if (!wire_ || broken_) return;
   try {
-    if (!waits_for_others) send_all_settlements();
+    if (waits_for_others) return;
+    if (settlements_due()) {
+      send_all_settlements();
+    } else {
+      wake();  // to sleep until they are due
+    }
   } catch (const std::exception&) {
     broken_ = true;
     wake();
@@ -143,7 +150,7 @@ void ConsumeLink::run() {
         check_timers();
         if (look || wire_->has_buffered()) read_frames();
         hand_on(lock, batch);
-        if (wire_ && !broken_) send_all_settlements();
+        if (wire_ && !broken_ && settlements_due()) send_all_settlements();
       }
     } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
       lose(error.what());
@@ -158,6 +165,11 @@ void ConsumeLink::run() {
     lock.lock();
     sleeping_ = false;
     look = woken.readable || !more;  // after a time-out too: heartbeats
+  }
+  try {
+    if (wire_) send_all_settlements();
+  } catch (const std::exception& error) {  // it broke: what was settled last is delivered again
+    log_.lost(error.what());
   }
   std::unique_ptr<AmqpLink> wire = std::move(wire_);
   lock.unlock();
@@ -180,7 +192,7 @@ void ConsumeLink::connect(Lock& lock) {
   broken_ = false;
   wire_ = std::move(wire);
   if (!wire_) return;
-  for (const auto& inlet : inlets_) inlet->retry_at = clock_.now();
+  for (const auto& inlet : inlets_) set_timer(*inlet, clock_.now());
 }
 
 void ConsumeLink::lose(const std::string& reason) {
@@ -246,6 +258,13 @@ void ConsumeLink::run_handler(const Inlet& inlet, Arrived arrived, std::shared_p
   }
 }
 
+bool ConsumeLink::settlements_due() const {
+  if (dirty_.empty()) return false;
+  if (clock_.now() - settled_at_ >= gathering_time) return true;
+  return std::any_of(dirty_.begin(), dirty_.end(),
+                     [](const auto& inlet) { return inlet->window.settled() > inlet->patience(); });
+}
+
 void ConsumeLink::attend() {
   const Lock lock(mutex_);
   if (!handling_ || !wire_ || broken_) return;
@@ -265,9 +284,8 @@ std::chrono::milliseconds ConsumeLink::time_to_sleep() const {
   };
   if (!wire_) return until(next_attempt_);
   std::chrono::milliseconds limit = std::chrono::milliseconds(wire_->heartbeat()) / 2;
-  for (const auto& inlet : inlets_) {
-    if (inlet->retry_at) limit = std::min(limit, until(*inlet->retry_at));
-  }
+  if (next_timer_) limit = std::min(limit, until(*next_timer_));
+  if (!dirty_.empty()) limit = std::min(limit, until(settled_at_ + gathering_time));
   return limit;
 }
 

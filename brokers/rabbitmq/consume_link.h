@@ -6,6 +6,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -71,7 +72,9 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   void close_channel(Inlet& inlet);
   void check_timers();
   void send_settlements(Inlet& inlet, std::size_t patience);
+  bool settlements_due() const;
   void send_all_settlements();
+  void set_timer(Inlet& inlet, config::Clock::Instant at);
 
   void make_ready(const std::shared_ptr<Inlet>& inlet);
   void retry_later(Inlet& inlet);
@@ -97,6 +100,8 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   amqp_channel_t last_channel_ = 0;
   std::deque<std::shared_ptr<Inlet>> ready_;
   std::vector<std::shared_ptr<Inlet>> dirty_;
+  config::Clock::Instant settled_at_{};               ///< when settlements were sent last
+  std::optional<config::Clock::Instant> next_timer_;  ///< no inlet's retry_at is earlier
 
   // The link's thread's.
   Backoff backoff_{std::chrono::milliseconds(50), std::chrono::milliseconds(2000)};

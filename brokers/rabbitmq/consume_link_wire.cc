@@ -96,7 +96,7 @@ void ConsumeLink::on_method(const amqp_method_t& method, amqp_channel_t channel)
 }
 
 void ConsumeLink::retry_later(Inlet& inlet) {
-  inlet.retry_at = clock_.now() + inlet.backoff.next();
+  set_timer(inlet, clock_.now() + inlet.backoff.next());
 }
 
 void ConsumeLink::on_channel_closed(const std::shared_ptr<Inlet>& inlet, const amqp_channel_close_t& closed) {
@@ -149,7 +149,7 @@ void ConsumeLink::open(const std::shared_ptr<Inlet>& inlet) {
   } while (channels_.contains(last_channel_));
   inlet->channel = last_channel_;
   inlet->phase = Inlet::Phase::opening;
-  inlet->retry_at = clock_.now() + options_.rpc_timeout;
+  set_timer(*inlet, clock_.now() + options_.rpc_timeout);
   channels_[inlet->channel] = inlet;
   wire_->send(inlet->channel, AMQP_CHANNEL_OPEN_METHOD, amqp_channel_open_t{});
   request_queue(*inlet);
@@ -186,10 +186,23 @@ void ConsumeLink::request_queue(const Inlet& inlet) {
   wire_->send(inlet.channel, AMQP_QUEUE_BIND_METHOD, bind);
 }
 
+void ConsumeLink::set_timer(Inlet& inlet, config::Clock::Instant at) {
+  inlet.retry_at = at;
+  if (!next_timer_ || at < *next_timer_) next_timer_ = at;
+}
+
 void ConsumeLink::check_timers() {
+  if (!next_timer_) return;
   const config::Clock::Instant now = clock_.now();
+  if (*next_timer_ > now) return;
+  next_timer_.reset();
   for (const auto& inlet : inlets_) {
-    if (!inlet->retry_at || *inlet->retry_at > now) continue;
+    if (!inlet->retry_at) continue;
+    const config::Clock::Instant at = *inlet->retry_at;
+    if (at > now) {
+      set_timer(*inlet, at);
+      continue;
+    }
     if (inlet->phase == Inlet::Phase::opening) throw LinkError("no answer to the request to read " + inlet->queue);
     inlet->retry_at.reset();
     if (inlet->phase == Inlet::Phase::idle) open(inlet);
@@ -213,6 +226,8 @@ void ConsumeLink::send_settlements(Inlet& inlet, std::size_t patience) {
 }
 
 void ConsumeLink::send_all_settlements() {
+  if (dirty_.empty()) return;
+  settled_at_ = clock_.now();
   const std::vector<std::shared_ptr<Inlet>> dirty = std::exchange(dirty_, {});
   for (const auto& inlet : dirty) inlet->in_dirty = false;
   for (const auto& inlet : dirty) {

@@ -79,6 +79,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   if (outbox->has_report()) wake(lock);
   if (!outbox->has_room()) {
     outbox->refuse_room();
+    want_answers(lock);
     return PublishStatus::would_block;
   }
   Outgoing outgoing = outbox->accept(std::move(message), now);
@@ -90,6 +91,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     outbox->add_waiting(std::move(outgoing));
     reporter_.note(outbox);
     make_runnable(outbox);
+    if (!outbox->in_runnable) want_answers(lock);
     // Whoever has the wire looks again before giving it back.
     if (timed || outbox->has_report() || (outbox->in_runnable && !wire_busy_)) wake(lock);
     return PublishStatus::accepted;
@@ -105,12 +107,13 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     wire_broken_ = true;
   }
   release_wire();
-  if (wire_broken_ || !runnable_.empty() || reporter_.due()) wake(lock);
+  if (wire_broken_ || !runnable_.empty() || reporter_.due() || under_way_.size() >= most_gathered) wake(lock);
   return PublishStatus::accepted;
 }
 
 bool PublishLink::drain(const std::shared_ptr<Outbox>& outbox, std::chrono::milliseconds limit) {
   Lock lock(mutex_);
+  want_answers(lock);
   return reporter_.drain(outbox, limit, lock);
 }
 
@@ -144,6 +147,11 @@ void PublishLink::wake(Lock& lock) {
   if (!sleeping_ || !lock.owns_lock()) return;
   sleeping_ = false;
   wake_event_.signal();
+}
+
+void PublishLink::want_answers(Lock& lock) {
+  if (under_way_.empty() || std::exchange(answers_wanted_, true)) return;
+  wake(lock);
 }
 
 void PublishLink::acquire_wire(Lock& lock) {

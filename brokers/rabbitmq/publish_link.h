@@ -81,6 +81,9 @@ class PublishLink {
   void make_runnable(const std::shared_ptr<Outbox>& outbox);
   std::chrono::milliseconds time_to_sleep(Instant now);
   void wake(Lock& lock);
+  /// Somebody waits for the answers: they are read as they come, until none is under way.
+  void want_answers(Lock& lock);
+  static constexpr std::size_t most_gathered = 256;  ///< answers under way that nobody waits for
   void requeue_under_way();
 
   const LinkOptions options_;
@@ -105,6 +108,9 @@ class PublishLink {
   bool wire_busy_ = false;
   bool wire_broken_ = false;  ///< a caller saw it fail; the link's thread cleans up
   bool sleeping_ = false;     ///< the link's thread polls
+  /// Somebody waits for answers to what is under way. Otherwise the link's thread lets some gather before it reads
+  /// them: being woken for each would cost more than sending did.
+  bool answers_wanted_ = false;
   std::chrono::steady_clock::time_point busy_since_;
   std::uint64_t acknowledged_bytes_ = 0;  ///< by the peer's TCP at the last look of watch()
   std::vector<std::shared_ptr<Outbox>> outboxes_;

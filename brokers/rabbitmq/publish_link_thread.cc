@@ -13,6 +13,8 @@ namespace {
 const config::Logger logger{"brokers.rabbitmq"};
 
 constexpr std::size_t batch = 256;
+// How long answers that nobody waits for may gather before they are read.
+constexpr std::chrono::milliseconds gathering_time{2};
 // A connection that lasted so long was a good one: after it the waiting times start small again.
 constexpr std::chrono::seconds steady_connection{2};
 
@@ -37,7 +39,11 @@ void PublishLink::run() {
       limit = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(next_attempt_ - clock_.now()),
                          std::chrono::milliseconds(0), limit);
     const bool want_write = connected_ && !blocked_ && !runnable_.empty() && (one_by_one_ == 0 || under_way_.empty());
-    const int descriptor = connected_ ? wire_->descriptor() : -1;
+    if (under_way_.empty()) answers_wanted_ = false;
+    const bool gathering =
+        connected_ && !under_way_.empty() && under_way_.size() < most_gathered && !answers_wanted_ && runnable_.empty();
+    if (gathering) limit = std::min(limit, gathering_time);
+    const int descriptor = connected_ && !gathering ? wire_->descriptor() : -1;
     sleeping_ = true;
     lock.unlock();
     const WakeEvent::Result woken = wake_event_.wait(descriptor, want_write, limit);
