@@ -6,6 +6,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/brokers/message.h>
@@ -65,6 +66,12 @@ struct PublisherOptions {
   std::function<void()> on_writable;
 };
 
+/// What a message went through before this publisher gets it.
+struct Past {
+  bool possibly_sent = false;        ///< an earlier process may have sent it: the receiver sees `redelivered`
+  std::chrono::milliseconds age{0};  ///< the deadline counts from so long ago
+};
+
 /// Sends to one topic, in order. Thread safe. What it has accepted it sends again after a reconnect until the broker
 /// has confirmed it (duplicates are possible, loss is not, order is kept).
 class Publisher {
@@ -72,6 +79,11 @@ class Publisher {
   virtual ~Publisher() = default;  ///< closes without draining
   /// Sends on the caller's thread when that cannot block, otherwise the connection's writer does, in order.
   virtual PublishStatus publish(Message message) = 0;
+  /// publish() for a message with a past (from a spool). A broker that cannot carry the past sends it as a new one.
+  virtual PublishStatus publish_again(Message message, const Past& past) {
+    static_cast<void>(past);
+    return publish(std::move(message));
+  }
   /// Waits until everything accepted has an outcome. \return false when `limit` passed first.
   virtual bool drain(std::chrono::milliseconds limit) = 0;
   /// Accepted messages without an outcome.

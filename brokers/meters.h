@@ -14,6 +14,11 @@ inline constexpr const char* superseded = "superseded";  ///< a newer one came w
 inline constexpr const char* deadline = "deadline";      ///< it grew too old
 inline constexpr const char* no_reader = "no_reader";    ///< superseded while nobody read the topic
 inline constexpr const char* closed = "closed";          ///< the publisher was closed first
+// Of a spool (spool/spooled_publisher.h):
+inline constexpr const char* spool_full = "spool_full";        ///< the oldest gave way (drop_oldest)
+inline constexpr const char* spool_failed = "spool_failed";    ///< the disk is full or broken (drop_oldest)
+inline constexpr const char* spool_damaged = "spool_damaged";  ///< it could not be read any more
+inline constexpr const char* spooled = "spooled";              ///< closed first: it is kept, and sent by the next one
 }  // namespace reason
 
 /// What a broker of one kind counts. The counters are the process's, not one broker object's. Thread safe.

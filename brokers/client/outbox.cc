@@ -27,9 +27,9 @@ bool Outbox::has_room() const {
   return options.when_full == WhenFull::keep_newest || waiting_.size() + under_way_ < options.capacity;
 }
 
-Outgoing Outbox::accept(Message message, Instant now) {
+Outgoing Outbox::accept(Message message, Instant now, const Past& past) {
   ++pending_;
-  return {std::move(message), ++last_number_, now, false};
+  return {std::move(message), ++last_number_, now - past.age, false, past.possibly_sent};
 }
 
 void Outbox::add_waiting(Outgoing outgoing) {

@@ -21,6 +21,7 @@ struct Outgoing {
   std::uint64_t number = 0;  ///< of its publisher
   Instant accepted;
   bool resent = false;  ///< was sent on a connection that was lost before the answer
+  bool old = false;     ///< an earlier process may have sent it
 };
 
 /// One publisher's messages: what waits, what is under way, and which outcomes are still to be reported.
@@ -43,7 +44,7 @@ class Outbox {
 
   /// Numbers the message. Null: would_block. Otherwise it is the caller's to send or to add_waiting().
   bool has_room() const;
-  Outgoing accept(Message message, Instant now);
+  Outgoing accept(Message message, Instant now, const Past& past = {});
   void refuse_room() { wants_writable_ = true; }
   /// Adds to what waits; keep_newest may drop the oldest.
   void add_waiting(Outgoing outgoing);

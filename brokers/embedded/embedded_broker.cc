@@ -40,7 +40,9 @@ class EmbeddedPublisher final : public Publisher {
     std::erase(connection_->timed, producer_.get());
   }
 
-  PublishStatus publish(Message message) override {
+  PublishStatus publish(Message message) override { return publish_again(std::move(message), {}); }
+
+  PublishStatus publish_again(Message message, const Past& past) override {
     WakeList wake;
     const std::lock_guard lock(server_.mutex);
     if (producer_->closed) return PublishStatus::closed;
@@ -51,12 +53,13 @@ class EmbeddedPublisher final : public Publisher {
       server_.settle(*producer_, producer_->last_number, Outcome::refused, why, wake);
       return PublishStatus::accepted;
     }
-    if (producer_->waiting.empty() && server_.deliver(*producer_->route, message, producer_->options, now, now, wake)) {
+    Producer::Waiting waiting{std::move(message), producer_->last_number + 1, now - past.age, past.possibly_sent};
+    if (producer_->waiting.empty() && server_.deliver(*producer_->route, waiting, producer_->options, now, wake)) {
       accept();
       server_.settle(*producer_, producer_->last_number, Outcome::confirmed, "", wake);
       return PublishStatus::accepted;
     }
-    return wait(std::move(message), now, wake);
+    return wait(std::move(waiting), wake);
   }
 
   bool drain(std::chrono::milliseconds limit) override {
@@ -84,7 +87,7 @@ class EmbeddedPublisher final : public Publisher {
   }
 
   /// The server cannot take it now: it waits here, under the channel's own policy.
-  PublishStatus wait(Message message, Instant now, WakeList& wake) {
+  PublishStatus wait(Producer::Waiting waiting, WakeList& wake) {
     if (producer_->waiting.size() >= producer_->options.capacity) {
       if (producer_->options.when_full == WhenFull::block) {
         producer_->wants_writable = true;
@@ -96,9 +99,8 @@ class EmbeddedPublisher final : public Publisher {
       producer_->waiting.pop_front();
     }
     if (producer_->waiting.empty()) {
-      auto& waiting = producer_->route->waiting;
-      if (std::find(waiting.begin(), waiting.end(), producer_.get()) == waiting.end())
-        waiting.push_back(producer_.get());
+      auto& all = producer_->route->waiting;
+      if (std::find(all.begin(), all.end(), producer_.get()) == all.end()) all.push_back(producer_.get());
       if (producer_->options.deadline.count() > 0 && !producer_->timed) {
         producer_->timed = true;
         connection_->timed.push_back(producer_.get());
@@ -106,7 +108,7 @@ class EmbeddedPublisher final : public Publisher {
       }
     }
     accept();
-    producer_->waiting.push_back({std::move(message), producer_->last_number, now});
+    producer_->waiting.push_back(std::move(waiting));
     return PublishStatus::accepted;
   }
 

@@ -17,8 +17,8 @@ bool Consumer::can_take() const {
          (options.automatic_ack || unsettled.size() < std::max<std::size_t>(options.prefetch, 1));
 }
 
-void Queue::push(Message message, std::optional<Instant> expires) {
-  items_.push_back(Stored{std::move(message), ++last_sequence_, expires, false});
+void Queue::push(Message message, std::optional<Instant> expires, bool possibly_redelivered) {
+  items_.push_back(Stored{std::move(message), ++last_sequence_, expires, possibly_redelivered});
   bytes_ += cost(items_.back());
 }
 

@@ -62,7 +62,7 @@ class Queue {
   const std::vector<std::shared_ptr<Consumer>>& readers() const { return readers_; }
 
   /// Appends a message.
-  void push(Message message, std::optional<Instant> expires);
+  void push(Message message, std::optional<Instant> expires, bool possibly_redelivered = false);
   /// Puts a message back in its old place.
   void put_back(Stored stored);
   /// The oldest that is still worth something; nullopt when there is none.

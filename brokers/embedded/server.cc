@@ -85,8 +85,8 @@ void ServerState::sweep(Instant now) {
   });
 }
 
-bool ServerState::deliver(Route& route, Message& message, const PublisherOptions& options, Instant accepted,
-                          Instant now, WakeList& wake) {
+bool ServerState::deliver(Route& route, Producer::Waiting& waiting, const PublisherOptions& options, Instant now,
+                          WakeList& wake) {
   if (!running_) return false;
   remove_idle(route, now);
   if (route.queues.empty()) return false;
@@ -94,9 +94,10 @@ bool ServerState::deliver(Route& route, Message& message, const PublisherOptions
     if (queue->bytes() > queue_bytes_limit) return false;
   }
   std::optional<Instant> expires;
-  if (options.deadline.count() > 0) expires = accepted + options.deadline;
-  for (std::size_t i = 0; i + 1 < route.queues.size(); ++i) route.queues[i]->push(message, expires);
-  route.queues.back()->push(std::move(message), expires);
+  if (options.deadline.count() > 0) expires = waiting.accepted + options.deadline;
+  for (std::size_t i = 0; i + 1 < route.queues.size(); ++i)
+    route.queues[i]->push(waiting.message, expires, waiting.old);
+  route.queues.back()->push(std::move(waiting.message), expires, waiting.old);
   for (const auto& queue : route.queues) poke(*queue, wake);
   return true;
 }
@@ -113,7 +114,7 @@ void ServerState::flush(Producer& producer, Instant now, WakeList& wake) {
   expire(producer, now, wake);
   while (!producer.waiting.empty()) {
     auto& first = producer.waiting.front();
-    if (!deliver(*producer.route, first.message, producer.options, first.accepted, now, wake)) break;
+    if (!deliver(*producer.route, first, producer.options, now, wake)) break;
     settle(producer, first.number, Outcome::confirmed, "", wake);
     producer.waiting.pop_front();
   }

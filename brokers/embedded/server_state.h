@@ -31,6 +31,7 @@ struct Producer : std::enable_shared_from_this<Producer> {
     Message message;
     std::uint64_t number = 0;
     Instant accepted;
+    bool old = false;  ///< an earlier process may have sent it
   };
   struct Event {
     std::uint64_t number = 0;
@@ -88,8 +89,7 @@ class ServerState {
   void make_own_queue(const Topic& topic, Instant now);
   /// Gives one message to all queues bound to the route. \return false when there is none, one is full, or the server
   /// is away; the message is untouched then.
-  bool deliver(Route& route, Message& message, const PublisherOptions& options, Instant accepted, Instant now,
-               WakeList& wake);
+  bool deliver(Route& route, Producer::Waiting& waiting, const PublisherOptions& options, Instant now, WakeList& wake);
   /// Hands over what waits at this producer, as far as it goes.
   void flush(Producer& producer, Instant now, WakeList& wake);
   /// Drops what waits at this producer beyond its deadline.

@@ -61,7 +61,7 @@ void PublishLink::remove(const std::shared_ptr<Outbox>& outbox) {
   reporter_.report(outbox, lock);
 }
 
-PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Message message) {
+PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Message message, const Past& past) {
   const char* why_not = refusal(message);
   Lock lock(mutex_);
   if (outbox->closed) return PublishStatus::closed;
@@ -82,7 +82,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     want_answers(lock);
     return PublishStatus::would_block;
   }
-  Outgoing outgoing = outbox->accept(std::move(message), now);
+  Outgoing outgoing = outbox->accept(std::move(message), now, past);
   const bool direct = connected_ && !blocked_ && !wire_busy_ && !wire_broken_ && one_by_one_ == 0 &&
                       runnable_.empty() && outbox->idle() && outbox->may_send() &&
                       wire_->room_for(outgoing.message.payload.size());
@@ -174,7 +174,7 @@ void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
 void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing) {
   MessageProperties::Delivery delivery;
   delivery.durable = outbox->topic.durable;
-  delivery.resent = outgoing.resent;
+  delivery.resent = outgoing.resent || outgoing.old;
   delivery.publish_tag = first_tag_ + under_way_.size();
   if (outbox->options.deadline.count() > 0) {
     const auto left = outgoing.accepted + outbox->options.deadline - clock_.now();

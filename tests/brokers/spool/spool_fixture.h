@@ -1,0 +1,92 @@
+#pragma once
+
+#include <atomic>
+#include <cerrno>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <stdlib.h>
+
+#include "iotcloud/brokers/spool/disk.h"
+#include <iotcloud/brokers/message.h>
+
+namespace iotcloud::brokers::spool {
+
+/// A folder that is gone when the test is over.
+class TemporaryFolder {
+ public:
+  TemporaryFolder() {
+    std::string name = (std::filesystem::temp_directory_path() / "iotcloud-spool-XXXXXX").string();
+    if (mkdtemp(name.data()) == nullptr)
+      throw std::filesystem::filesystem_error(name, std::error_code(errno, std::generic_category()));
+    path_ = name;
+  }
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  ~TemporaryFolder() {
+    std::error_code ignored;
+    std::filesystem::remove_all(path_, ignored);
+  }
+  std::string operator/(const std::string& name) const { return path_ + "/" + name; }
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+};
+
+/// A disk that can be full, and counts. Thread safe.
+class TestDisk : public Disk {
+ public:
+  int write(int descriptor, iovec* parts, int count, std::uint64_t offset) override {
+    if (error != 0) {
+      // A part arrives, as on a disk that becomes full in the middle.
+      if (parts->iov_len > 1) {
+        iovec half{parts->iov_base, parts->iov_len / 2};
+        Disk::write(descriptor, &half, 1, offset);
+      }
+      return error;
+    }
+    return Disk::write(descriptor, parts, count, offset);
+  }
+  int sync(int descriptor) override {
+    ++syncs;
+    return sync_error != 0 ? sync_error.load() : Disk::sync(descriptor);
+  }
+  std::atomic<int> error{0};  ///< of writes
+  std::atomic<int> sync_error{0};
+  std::atomic<int> syncs{0};
+};
+
+inline Message sample(const std::string& body, const std::string& driver = "d1") {
+  Message message;
+  message.payload = Payload::copy(body);
+  message.driver_id = driver;
+  message.time_ms = 17;
+  return message;
+}
+
+/// The files whose names end so, in order.
+inline std::vector<std::string> files(const std::string& folder, const std::string& ending) {
+  std::vector<std::string> found;
+  if (!std::filesystem::exists(folder)) return found;
+  for (const auto& file : std::filesystem::directory_iterator(folder)) {
+    if (file.path().string().ends_with(ending)) found.push_back(file.path().string());
+  }
+  std::sort(found.begin(), found.end());
+  return found;
+}
+
+inline std::string read_all(const std::string& path) {
+  std::ifstream in(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+inline void write_all(const std::string& path, const std::string& bytes) {
+  std::ofstream(path, std::ios::binary | std::ios::trunc) << bytes;
+}
+
+}  // namespace iotcloud::brokers::spool
