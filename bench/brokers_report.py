@@ -6,7 +6,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from figures import Programs, Verdict, number
+from figures import ProgramFailed, Programs, Verdict, number
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "servers"))
 from private_cluster import Children, StartError  # noqa: E402
@@ -244,9 +244,13 @@ def run_brokers(given):
                 print(f"{kind}: left out, {error}")
                 continue
             bench = Bench(kind, url, servers.descendants(), programs, report, progress, given)
-            figures(bench, given.quick)
+            try:
+                figures(bench, given.quick)
+            except ProgramFailed as failure:  # what the other brokers can do is still worth knowing
+                print(f"{kind}: GIVEN UP: {failure}", flush=True)
+                report.failed = True
     if report.thrown_away:
         print(f"{report.thrown_away} rounds were thrown away: other processes took more than {NOISE} of a CPU")
     if given.keep_noisy:
         print("--keep-noisy: rounds with company count as well")
-    return report, report.verdict()
+    return report, report.verdict() + ("\n  FAILED, see above" if report.failed else "")

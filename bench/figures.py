@@ -5,7 +5,10 @@ import os
 import platform
 import shlex
 import subprocess
-import sys
+
+
+class ProgramFailed(Exception):
+    """A program that measures found something wrong; the text has all that it said."""
 
 
 class Programs:
@@ -18,11 +21,13 @@ class Programs:
         return (self.folder / f"bench_{self.prefix}_{name}").exists()
 
     def run(self, name, *arguments):
-        """The lines of JSON that a program prints. One that fails ends the benchmark: its figures mean nothing."""
+        """The lines of JSON that a program prints. Raises ProgramFailed: its figures would mean nothing."""
         command = [str(self.folder / f"bench_{self.prefix}_{name}"), *map(str, arguments)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=600)
         if done.returncode != 0:
-            sys.exit(f"{shlex.join(command)} failed with status {done.returncode}:\n{done.stderr}{done.stdout}")
+            raise ProgramFailed(
+                f"{shlex.join(command)} failed with status {done.returncode}:\n{done.stderr}{done.stdout}"
+            )
         return [json.loads(line) for line in done.stdout.splitlines()]
 
 

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 from brokers_report import BROKERS, run_brokers
-from figures import commit, machine
+from figures import ProgramFailed, commit, machine
 from runtime_report import run_runtime, run_soak
 
 
@@ -47,7 +47,10 @@ def main():
     if facts["load_average_before"] > 0.5:
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
-    report, verdict = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers}[given.what](given)
+    try:
+        report, verdict = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers}[given.what](given)
+    except ProgramFailed as failure:
+        sys.exit(str(failure))
     facts["load_average_after"] = os.getloadavg()[0]
     file.parent.mkdir(parents=True, exist_ok=True)
     command = shlex.join(["./dev", "bench", *sys.argv[1:]])
