@@ -17,6 +17,7 @@ Arrived AckWindow::next() {
   waiting_.pop_front();
   Entry& entry = entries_[tag - first_tag_];
   entry.state = State::handed_on;
+  ++handed_on_;
   return {entry.message, entry.redelivered, tag, ++entry.tries};
 }
 
@@ -24,6 +25,7 @@ bool AckWindow::settle(std::uint64_t tag, Settlement settlement) {
   if (tag < first_tag_ || tag >= first_tag_ + entries_.size()) return false;
   Entry& entry = entries_[tag - first_tag_];
   if (entry.state != State::handed_on) return false;
+  --handed_on_;
   if (settlement == Settlement::retry) {
     entry.state = State::waits;
     entry.redelivered = true;
@@ -70,7 +72,7 @@ void AckWindow::clear() {
   entries_.clear();
   waiting_.clear();
   first_tag_ = 1;
-  settled_ = 0;
+  settled_ = handed_on_ = 0;
 }
 
 }  // namespace iotcloud::brokers::client

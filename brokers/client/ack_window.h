@@ -42,6 +42,8 @@ class AckWindow {
   /// What to send now. Settled deliveries behind an unsettled one wait for it, accepted ones until there are more than
   /// `patience` of them (so that one slow delivery does not eat up the whole prefetch); 0 = send everything.
   std::vector<Action> take(std::size_t patience);
+  /// Deliveries that somebody has and has not settled.
+  std::size_t handed_on() const { return handed_on_; }
   /// Deliveries that are settled and not told to the server yet.
   std::size_t settled() const { return settled_; }
   /// Forgets everything: the channel is gone.
@@ -61,6 +63,7 @@ class AckWindow {
   std::deque<std::uint64_t> waiting_;  ///< tags, ascending
   std::uint64_t first_tag_ = 1;
   std::size_t settled_ = 0;
+  std::size_t handed_on_ = 0;
 };
 
 }  // namespace iotcloud::brokers::client

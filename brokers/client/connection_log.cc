@@ -7,30 +7,37 @@ namespace {
 
 const config::Logger logger{"brokers"};
 
+// More reasons than that in a row are noise.
+constexpr std::size_t most_reasons = 8;
+
 }  // namespace
 
-void ConnectionLog::failed(const std::string& reason) {
-  const std::lock_guard lock(mutex_);
-  if (said_away_) return;
-  said_away_ = true;
-  said_connected_ = false;
-  logger.warn("cannot connect to {}: {}; trying again", url_, reason);
+bool ConnectionLog::first(std::set<std::string>& said, const std::string& text) {
+  return said.size() < most_reasons && said.insert(text).second;
 }
 
-void ConnectionLog::lost(const std::string& reason) {
+void ConnectionLog::failed(const std::string& server, const std::string& reason) {
   const std::lock_guard lock(mutex_);
-  if (said_away_) return;
-  said_away_ = true;
-  said_connected_ = false;
-  logger.warn("lost the connection to {}: {}; connecting again", url_, reason);
+  if (!first(said_failures_, server + reason)) return;
+  said_connected_.clear();
+  logger.warn("cannot connect to {}: {}; trying again", server, reason);
 }
 
-void ConnectionLog::connected() {
+void ConnectionLog::lost(const std::string& server, const std::string& reason) {
   const std::lock_guard lock(mutex_);
-  if (said_connected_) return;
-  said_connected_ = true;
-  said_away_ = false;
-  logger.info("connected to {}", url_);
+  if (said_lost_) return;
+  said_lost_ = true;
+  said_connected_.clear();
+  said_failures_.clear();
+  logger.warn("lost the connection to {}: {}; connecting again", server, reason);
+}
+
+void ConnectionLog::connected(const std::string& server) {
+  const std::lock_guard lock(mutex_);
+  if (!first(said_connected_, server)) return;
+  said_lost_ = false;
+  said_failures_.clear();
+  logger.info("connected to {}", server);
 }
 
 }  // namespace iotcloud::brokers::client

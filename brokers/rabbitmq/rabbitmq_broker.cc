@@ -1,17 +1,11 @@
 #include "iotcloud/brokers/rabbitmq/rabbitmq_broker.h"
 
-#include <condition_variable>
-#include <mutex>
-#include <thread>
 #include <utility>
 
-#include <pthread.h>
-
-#include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"
-#include "iotcloud/brokers/rabbitmq/consume_link.h"
-#include "iotcloud/brokers/rabbitmq/publish_link.h"
+#include "iotcloud/brokers/rabbitmq/cluster.h"
+#include "iotcloud/brokers/rabbitmq/connections.h"
 #include <iotcloud/config/error.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -44,98 +38,56 @@ class RabbitMqPublisher final : public Publisher {
 
 class RabbitMqSubscription final : public Subscription {
  public:
-  RabbitMqSubscription(ConsumeLink& link, const Topic& topic, const SubscriptionOptions& options, Handler handler)
-      : link_(link), inlet_(link.add(topic, options, std::move(handler))) {}
-  ~RabbitMqSubscription() override { link_.remove(inlet_); }
-  void pause() override { link_.pause(*inlet_); }
-  void resume() override { link_.resume(inlet_); }
-  bool active() const override { return link_.active(*inlet_); }
-
- private:
-  ConsumeLink& link_;
-  const std::shared_ptr<Inlet> inlet_;
-};
-
-/// The third thread of a broker object: looks after connections whose own threads may be stuck in a handler or a send.
-class Keeper {
- public:
-  Keeper(PublishLink& publishing, ConsumeLink& consuming) {
-    thread_ = std::thread([this, &publishing, &consuming] {
-      std::unique_lock lock(mutex_);
-      // By the system's clock: the other kind of wait is not known to the thread sanitizer.
-      while (!stop_.wait_until(lock, std::chrono::system_clock::now() + period, [this] { return stopping_; })) {
-        publishing.watch();
-        consuming.attend();
-      }
-    });
-    pthread_setname_np(thread_.native_handle(), "amqp-keeper");
-  }
-  ~Keeper() {
-    {
-      const std::lock_guard lock(mutex_);
-      stopping_ = true;
+  explicit RabbitMqSubscription(std::shared_ptr<Inlet> inlet) : inlet_(std::move(inlet)) {}
+  // It may move to another connection between the question where it is and what is asked of it there.
+  ~RabbitMqSubscription() override {
+    while (!inlet_->home()->remove(inlet_)) {
     }
-    stop_.notify_all();
-    thread_.join();
   }
-  Keeper(const Keeper&) = delete;
-  Keeper& operator=(const Keeper&) = delete;
+  void pause() override {
+    while (!inlet_->home()->pause(*inlet_)) {
+    }
+  }
+  void resume() override {
+    while (!inlet_->home()->resume(inlet_)) {
+    }
+  }
+  bool active() const override { return inlet_->home()->active(*inlet_); }
 
  private:
-  static constexpr std::chrono::milliseconds period{250};
-  std::mutex mutex_;
-  std::condition_variable stop_;
-  bool stopping_ = false;  ///< guarded by mutex_
-  std::thread thread_;
+  const std::shared_ptr<Inlet> inlet_;
 };
 
 class RabbitMqBroker final : public Broker {
  public:
   RabbitMqBroker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls)
       : url_(options.urls.front()),
+        cluster_(options, urls),
         meters_(options.metrics, "rabbitmq"),
-        log_(printable_url(options.urls.front())),
-        publishing_(link_options(options, urls, "publishing"), meters_, clock_of(options), log_),
-        consuming_(
-            std::make_shared<ConsumeLink>(link_options(options, urls, "consuming"), meters_, clock_of(options), log_)),
-        keeper_(publishing_, *consuming_) {}
-  ~RabbitMqBroker() override { consuming_->close(); }
+        connections_(cluster_, meters_, options.clock != nullptr ? *options.clock : config::system_clock()) {}
+  ~RabbitMqBroker() override { connections_.stop_reading(); }  // its dead letters die next
 
   std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
     check_name(topic.name, "topic");
-    return std::make_unique<RabbitMqPublisher>(publishing_, topic, options);
+    return std::make_unique<RabbitMqPublisher>(connections_.publishing(options.priority), topic, options);
   }
 
   std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
                                           Handler handler) override {
     check_name(topic.name, "topic");
     check_name(options.group.empty() ? topic.name : topic.name + "." + options.group, "queue");
-    return std::make_unique<RabbitMqSubscription>(*consuming_, topic, options,
-                                                  dead_letters_.guard(topic, options, std::move(handler)));
+    return std::make_unique<RabbitMqSubscription>(
+        connections_.subscribe(topic, options, dead_letters_.guard(topic, options, std::move(handler))));
   }
 
-  ConnectionState state() const override {
-    const ConnectionState reading = consuming_->state();
-    return reading == ConnectionState::connected ? publishing_.state() : reading;
-  }
-
+  ConnectionState state() const override { return connections_.state(); }
   const std::string& url() const override { return url_; }
 
  private:
-  static LinkOptions link_options(const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
-                                  const char* purpose) {
-    return {urls.front(), options.heartbeat, options.rpc_timeout, purpose};
-  }
-  static const config::Clock& clock_of(const BrokerOptions& options) {
-    return options.clock != nullptr ? *options.clock : config::system_clock();
-  }
-
   const std::string url_;
+  const Cluster cluster_;
   Meters meters_;
-  ConnectionLog log_;
-  PublishLink publishing_;
-  const std::shared_ptr<ConsumeLink> consuming_;
-  Keeper keeper_;
+  Connections connections_;
   DeadLetters dead_letters_{*this};  ///< its publishers die before the connections
 };
 

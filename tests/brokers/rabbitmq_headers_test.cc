@@ -4,7 +4,7 @@
 
 #include <gtest/gtest.h>
 
-#include "iotcloud/brokers/rabbitmq/headers.h"
+#include "iotcloud/brokers/rabbitmq/wire/headers.h"
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {

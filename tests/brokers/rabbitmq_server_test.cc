@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "iotcloud/brokers/broker_url.h"
-#include "iotcloud/brokers/rabbitmq/amqp_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/tests/brokers/contract_fixture.h"
 
 namespace iotcloud::brokers {

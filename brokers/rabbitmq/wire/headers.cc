@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/rabbitmq/headers.h"
+#include "iotcloud/brokers/rabbitmq/wire/headers.h"
 
 #include <charconv>
 #include <optional>
@@ -101,6 +101,10 @@ const amqp_basic_properties_t& MessageProperties::encode(const Message& message,
   publish_tag_ = fmt::format("{}", delivery.publish_tag);
   properties_.message_id = view(publish_tag_);
   properties_._flags = AMQP_BASIC_HEADERS_FLAG | AMQP_BASIC_DELIVERY_MODE_FLAG | AMQP_BASIC_MESSAGE_ID_FLAG;
+  if (delivery.priority != normal_priority) {
+    properties_.priority = delivery.priority;
+    properties_._flags |= AMQP_BASIC_PRIORITY_FLAG;
+  }
   if (delivery.expires_in.count() > 0) {
     expiration_ = fmt::format("{}", delivery.expires_in.count());
     properties_.expiration = view(expiration_);

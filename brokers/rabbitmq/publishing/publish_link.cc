@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/rabbitmq/publish_link.h"
+#include "iotcloud/brokers/rabbitmq/publishing/publish_link.h"
 
 #include <algorithm>
 #include <cstddef>
@@ -11,7 +11,7 @@
 #include <sys/socket.h>
 
 #include "iotcloud/brokers/limits.h"
-#include "iotcloud/brokers/rabbitmq/publish_wire.h"
+#include "iotcloud/brokers/rabbitmq/wire/declarations.h"
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
@@ -21,8 +21,9 @@ constexpr std::size_t helping = 16;
 
 }  // namespace
 
-PublishLink::PublishLink(LinkOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log)
-    : options_(std::move(options)), meters_(meters), clock_(clock), log_(log) {
+PublishLink::PublishLink(const Cluster& cluster, const char* purpose, Meters& meters, const config::Clock& clock,
+                         ConnectionLog& log)
+    : cluster_(cluster), purpose_(purpose), meters_(meters), clock_(clock), log_(log), servers_(cluster.size()) {
   thread_ = std::thread([this] { run(); });
   pthread_setname_np(thread_.native_handle(), "amqp-publish");
 }
@@ -83,7 +84,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     return PublishStatus::would_block;
   }
   Outgoing outgoing = outbox->accept(std::move(message), now, past);
-  const bool direct = connected_ && !blocked_ && !wire_busy_ && !wire_broken_ && one_by_one_ == 0 &&
+  const bool direct = connected_ && !blocked_ && !moving_since_ && !wire_busy_ && !wire_broken_ && one_by_one_ == 0 &&
                       runnable_.empty() && outbox->idle() && outbox->may_send() &&
                       wire_->room_for(outgoing.message.payload.size());
   if (!direct) {
@@ -131,7 +132,7 @@ ConnectionState PublishLink::state() const {
 
 void PublishLink::watch() {
   const Lock lock(mutex_);
-  if (!wire_busy_ || !wire_ || std::chrono::steady_clock::now() - busy_since_ < options_.rpc_timeout) return;
+  if (!wire_busy_ || !wire_ || std::chrono::steady_clock::now() - busy_since_ < cluster_.rpc_timeout()) return;
   tcp_info info{};
   socklen_t length = sizeof(info);
   if (::getsockopt(wire_->descriptor(), IPPROTO_TCP, TCP_INFO, &info, &length) == 0 &&
@@ -141,6 +142,17 @@ void PublishLink::watch() {
     return;
   }
   ::shutdown(wire_->descriptor(), SHUT_RDWR);  // the send that stands still fails now
+}
+
+bool PublishLink::must_ask_preferred() const {
+  const Lock lock(mutex_);
+  return servers_.must_ask(clock_.now());
+}
+
+void PublishLink::preferred_answered(bool answers) {
+  Lock lock(mutex_);
+  servers_.asked(answers, clock_.now());
+  if (servers_.must_move_back(clock_.now())) wake(lock);
 }
 
 void PublishLink::wake(Lock& lock) {
@@ -175,6 +187,7 @@ void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoi
   MessageProperties::Delivery delivery;
   delivery.durable = outbox->topic.durable;
   delivery.resent = outgoing.resent || outgoing.old;
+  delivery.priority = outbox->options.priority;
   delivery.publish_tag = first_tag_ + under_way_.size();
   if (outbox->options.deadline.count() > 0) {
     const auto left = outgoing.accepted + outbox->options.deadline - clock_.now();
@@ -190,7 +203,7 @@ void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoi
 }
 
 void PublishLink::send_waiting(Lock& lock, std::size_t most, bool first_may_wait) {
-  for (std::size_t sent = 0; sent < most && !runnable_.empty() && !blocked_; ++sent) {
+  for (std::size_t sent = 0; sent < most && !runnable_.empty() && !blocked_ && !moving_since_; ++sent) {
     if (one_by_one_ > 0 && !under_way_.empty()) return;
     const std::shared_ptr<Outbox> outbox = runnable_.front();
     outbox->expire(clock_.now());

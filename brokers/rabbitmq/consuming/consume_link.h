@@ -11,19 +11,20 @@
 #include <thread>
 #include <vector>
 
-#include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/meters.h"
-#include "iotcloud/brokers/rabbitmq/amqp_link.h"
-#include "iotcloud/brokers/rabbitmq/inlet.h"
+#include "iotcloud/brokers/rabbitmq/cluster.h"
+#include "iotcloud/brokers/rabbitmq/consuming/inlet.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 
 namespace iotcloud::brokers::rabbitmq {
 
 using client::ConnectionLog;
 using client::WakeEvent;
 
-/// The consuming connection of one broker object, with the one thread that reads it and runs the handlers.
+/// A consuming connection of a broker object, with the one thread that reads it and runs the handlers.
 ///
 /// Each subscription has a channel of its own, because a refusal (another reader is exclusive) closes the channel.
 /// Nothing here waits for the server's answers: requests are sent one after the other and the answers taken as they
@@ -32,7 +33,9 @@ using client::WakeEvent;
 /// settlements.
 class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
  public:
-  ConsumeLink(LinkOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log);
+  /// \param purpose shown by RabbitMQ's tools. The others outlive close().
+  ConsumeLink(const Cluster& cluster, const char* purpose, Meters& meters, const config::Clock& clock,
+              ConnectionLog& log);
   ~ConsumeLink() = default;
   ConsumeLink(const ConsumeLink&) = delete;
   ConsumeLink& operator=(const ConsumeLink&) = delete;
@@ -42,14 +45,22 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   /// The first one starts the thread, which connects.
   std::shared_ptr<Inlet> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
   /// Ends a subscription; returns when its handler does not run any more, unless called from it.
-  void remove(const std::shared_ptr<Inlet>& inlet);
-  void pause(Inlet& inlet);
-  void resume(const std::shared_ptr<Inlet>& inlet);
+  /// These are false, and nothing is done, when the subscription has moved to another link: ask its home().
+  bool remove(const std::shared_ptr<Inlet>& inlet);
+  bool pause(Inlet& inlet);
+  bool resume(const std::shared_ptr<Inlet>& inlet);
   bool active(const Inlet& inlet) const;
   void settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t public_tag, Settlement settlement) noexcept;
   ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection
   /// Called now and then by the broker's keeper.
   void attend();
+  bool has_room() const;  ///< for one more subscription
+  bool crowded() const;   ///< it has more than its server allows channels
+  /// Gives what it cannot read itself to another link, as much as that one takes.
+  void share(ConsumeLink& other);
+  /// Whether it is time to find out if the preferred server answers, and what came of it: the connection moves back.
+  bool must_ask_preferred() const;
+  void preferred_answered(bool answers);
 
  private:
   using Lock = std::unique_lock<std::mutex>;
@@ -57,6 +68,11 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   void run();
   void connect(Lock& lock);
   void lose(const std::string& reason);
+  /// Ends the connection for the preferred server's sake when nothing is handed on any more, or it has taken too long.
+  void move_back(Lock& lock);
+  void forget_connection();
+  bool at_home(const Inlet& inlet) const { return inlet.home().get() == this; }
+  void start();
   void hand_on(Lock& lock, std::size_t most);
   void run_handler(const Inlet& inlet, Arrived arrived, std::shared_ptr<Settler> settler, std::uint64_t tag);
   void wake();
@@ -80,7 +96,8 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   void retry_later(Inlet& inlet);
   std::chrono::milliseconds time_to_sleep() const;
 
-  const LinkOptions options_;
+  const Cluster& cluster_;
+  const char* const purpose_;
   Meters& meters_;
   const config::Clock& clock_;
   ConnectionLog& log_;
@@ -103,10 +120,10 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   config::Clock::Instant settled_at_{};               ///< when settlements were sent last
   std::optional<config::Clock::Instant> next_timer_;  ///< no inlet's retry_at is earlier
 
-  // The link's thread's.
-  Backoff backoff_{std::chrono::milliseconds(50), std::chrono::milliseconds(2000)};
-  config::Clock::Instant next_attempt_{};
-  config::Clock::Instant connected_at_{};
+  std::size_t channel_limit_;  ///< what we ask for, then what the server allows
+  client::ServerList servers_;
+  std::optional<config::Clock::Instant> moving_since_;  ///< nothing is handed on: the connection is to move
+
   std::thread thread_;
 };
 

@@ -1,10 +1,9 @@
-#include "iotcloud/brokers/rabbitmq/amqp_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 
 #include <algorithm>
 #include <array>
 #include <cstdint>
 
-#include <amqp_tcp_socket.h>
 #include <fmt/core.h>
 #include <linux/sockios.h>
 #include <netinet/in.h>
@@ -12,15 +11,14 @@
 #include <sys/ioctl.h>
 #include <sys/socket.h>
 
-#include "iotcloud/brokers/rabbitmq/publish_wire.h"
+#include "iotcloud/brokers/rabbitmq/wire/declarations.h"
+#include "iotcloud/brokers/rabbitmq/wire/socket.h"
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
 
-constexpr int wanted_channels = 2047;      // RabbitMQ's own default limit
 constexpr int wanted_frame = 131072;       // RabbitMQ's own default
 constexpr std::size_t frame_overhead = 8;  // of a body frame: 7 bytes in front, 1 behind
-constexpr int default_port = 5672;
 
 timeval to_timeval(std::chrono::milliseconds duration) {
   timeval value{};
@@ -35,23 +33,6 @@ amqp_table_entry_t flag(const char* name) {
   entry.value.kind = AMQP_FIELD_KIND_BOOLEAN;
   entry.value.value.boolean = 1;
   return entry;
-}
-
-const char* explain(int status) {
-  switch (status) {
-    case AMQP_STATUS_SOCKET_ERROR:
-    case AMQP_STATUS_TCP_ERROR:
-      return "the connection broke";
-    case AMQP_STATUS_CONNECTION_CLOSED:
-    case AMQP_STATUS_SOCKET_CLOSED:
-      return "the server closed the connection";
-    case AMQP_STATUS_HEARTBEAT_TIMEOUT:
-      return "no sign of life from the server";
-    case AMQP_STATUS_TIMEOUT:
-      return "no answer in time";
-    default:
-      return amqp_error_string2(status);
-  }
 }
 
 std::string describe_reply(const amqp_rpc_reply_t& reply) {
@@ -90,18 +71,11 @@ std::string describe(const amqp_connection_close_t& closed) {
 
 AmqpLink::AmqpLink(const LinkOptions& options) : state_(amqp_new_connection()) {
   if (!state_) throw LinkError("out of memory");
-  amqp_socket_t* socket = amqp_tcp_socket_new(state_.get());
-  if (socket == nullptr) throw LinkError("out of memory");
+  amqp_socket_t* socket = make_socket(state_.get(), options.url, options.tls);
   const timeval limit = to_timeval(options.rpc_timeout);
   amqp_set_handshake_timeout(state_.get(), &limit);
   amqp_set_rpc_timeout(state_.get(), &limit);
-  const int port = options.url.port != 0 ? options.url.port : default_port;
-  if (const int status = amqp_socket_open_noblock(socket, options.url.host.c_str(), port, &limit);
-      status != AMQP_STATUS_OK) {
-    throw LinkError(status == AMQP_STATUS_SOCKET_ERROR
-                        ? fmt::format("nobody listens at {} port {}, or it cannot be reached", options.url.host, port)
-                        : explain(status));
-  }
+  open_socket(socket, options.url, options.rpc_timeout);
   descriptor_ = amqp_get_sockfd(state_.get());
 
   std::array capabilities{flag("connection.blocked"), flag("consumer_cancel_notify"), flag("publisher_confirms"),
@@ -117,9 +91,9 @@ AmqpLink::AmqpLink(const LinkOptions& options) : state_(amqp_new_connection()) {
   const amqp_table_t table{static_cast<int>(properties.size()), properties.data()};
   const std::string host = options.url.path.empty() ? "/" : options.url.path;
   const std::string user = options.url.user.empty() ? "guest" : options.url.user;
-  const std::string password = options.url.user.empty() ? "guest" : options.url.password;
+  const std::string password = options.url.password.empty() ? "guest" : options.url.password;
   const int heartbeat = std::max(1, static_cast<int>(options.heartbeat.count() / 1000));
-  check(amqp_login_with_properties(state_.get(), host.c_str(), wanted_channels, wanted_frame, heartbeat, &table,
+  check(amqp_login_with_properties(state_.get(), host.c_str(), options.channels, wanted_frame, heartbeat, &table,
                                    AMQP_SASL_METHOD_PLAIN, user.c_str(), password.c_str()),
         "log in");
 }
@@ -222,9 +196,9 @@ std::string AmqpLink::declare_exchange(amqp_channel_t channel, const std::string
   return why;
 }
 
-std::string AmqpLink::declare_queue(amqp_channel_t channel, const Topic& topic) {
+std::string AmqpLink::declare_queue(amqp_channel_t channel, const Topic& topic, QueueType type) {
   open_channel(channel);
-  QueueArguments arguments(topic);
+  QueueArguments arguments(topic, type);
   amqp_queue_declare(state_.get(), channel, to_bytes(topic.name), 0, topic.durable ? 1 : 0, 0, 0, arguments.table());
   std::string why = refusal_of(channel, "declare a queue");
   if (!why.empty()) open_channel(channel);  // it may be there with other properties

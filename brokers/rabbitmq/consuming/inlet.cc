@@ -1,12 +1,12 @@
-#include "iotcloud/brokers/rabbitmq/inlet.h"
+#include "iotcloud/brokers/rabbitmq/consuming/inlet.h"
 
 #include <algorithm>
 #include <cstring>
 #include <utility>
 
-#include "iotcloud/brokers/rabbitmq/amqp_link.h"
-#include "iotcloud/brokers/rabbitmq/consume_link.h"
-#include "iotcloud/brokers/rabbitmq/headers.h"
+#include "iotcloud/brokers/rabbitmq/consuming/consume_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/headers.h"
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
@@ -58,10 +58,20 @@ Inlet::Inlet(std::shared_ptr<ConsumeLink> link, Topic to, SubscriptionOptions ho
       options(std::move(how)),
       handler(std::move(what)),
       queue(options.group.empty() ? topic.name : topic.name + "." + options.group),
-      link_(std::move(link)) {}
+      home_(std::move(link)) {}
 
 void Inlet::settle(std::uint64_t tag, Settlement settlement) noexcept {
-  link_->settle(shared_from_this(), tag, settlement);
+  home()->settle(shared_from_this(), tag, settlement);
+}
+
+std::shared_ptr<ConsumeLink> Inlet::home() const {
+  const std::lock_guard lock(home_mutex_);
+  return home_;
+}
+
+void Inlet::move_to(std::shared_ptr<ConsumeLink> link) {
+  const std::lock_guard lock(home_mutex_);
+  home_ = std::move(link);
 }
 
 void Inlet::forget_channel() {

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 
@@ -39,7 +40,7 @@ class Assembly {
   std::size_t filled_ = 0;
 };
 
-/// One subscription as its connection sees it. Guarded by the link's mutex, constants apart.
+/// One subscription as its connection sees it. Guarded by the mutex of its home, constants apart.
 class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
  public:
   enum class Phase {
@@ -50,6 +51,9 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
 
   Inlet(std::shared_ptr<ConsumeLink> link, Topic to, SubscriptionOptions how, Handler what);
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
+  /// The link it reads through; another one when its server has no channel left for it. Thread safe.
+  std::shared_ptr<ConsumeLink> home() const;
+  void move_to(std::shared_ptr<ConsumeLink> link);
 
   const Topic topic;
   const SubscriptionOptions options;
@@ -83,7 +87,8 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
   void forget_channel();
 
  private:
-  const std::shared_ptr<ConsumeLink> link_;
+  mutable std::mutex home_mutex_;
+  std::shared_ptr<ConsumeLink> home_;  ///< guarded by home_mutex_; changed with the mutexes of both links held too
 };
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -7,7 +7,7 @@
 
 #include <amqp.h>
 
-#include <iotcloud/brokers/message.h>
+#include <iotcloud/brokers/broker.h>
 
 namespace iotcloud::brokers::rabbitmq {
 
@@ -19,7 +19,8 @@ class MessageProperties {
     bool durable = false;
     bool resent = false;                      ///< sent before, to a connection that was lost: possibly a duplicate
     std::chrono::milliseconds expires_in{0};  ///< 0 = never
-    std::uint64_t publish_tag = 0;            ///< finds the message again when the server returns it
+    std::uint8_t priority = normal_priority;
+    std::uint64_t publish_tag = 0;  ///< finds the message again when the server returns it
   };
   const amqp_basic_properties_t& encode(const Message& message, const Delivery& delivery);
 

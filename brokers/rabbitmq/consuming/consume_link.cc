@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/rabbitmq/consume_link.h"
+#include "iotcloud/brokers/rabbitmq/consuming/consume_link.h"
 
 #include <algorithm>
 #include <exception>
@@ -17,19 +17,26 @@ const config::Logger logger{"brokers.rabbitmq"};
 constexpr std::size_t batch = 64;
 // Acknowledgements may gather for so long: then one tells the server of many messages.
 constexpr std::chrono::milliseconds gathering_time{2};
-// A connection that lasted so long was a good one: after it the waiting times start small again.
-constexpr std::chrono::seconds steady_connection{2};
+// So long what was handed on may be settled before the connection moves to the preferred server.
+constexpr std::chrono::seconds moving_patience{2};
+constexpr std::chrono::milliseconds moving_period{50};
 
 }  // namespace
 
-ConsumeLink::ConsumeLink(LinkOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log)
-    : options_(std::move(options)), meters_(meters), clock_(clock), log_(log) {}
+ConsumeLink::ConsumeLink(const Cluster& cluster, const char* purpose, Meters& meters, const config::Clock& clock,
+                         ConnectionLog& log)
+    : cluster_(cluster),
+      purpose_(purpose),
+      meters_(meters),
+      clock_(clock),
+      log_(log),
+      channel_limit_(static_cast<std::size_t>(cluster.channels())),
+      servers_(cluster.size()) {}
 
 void ConsumeLink::close() {
   {
     const Lock lock(mutex_);
-    closing_ = true;
-    if (!started_) return;
+    if (std::exchange(closing_, true) || !started_) return;
   }
   wake_event_.signal();
   thread_.join();
@@ -45,16 +52,60 @@ std::shared_ptr<Inlet> ConsumeLink::add(const Topic& topic, const SubscriptionOp
   const Lock lock(mutex_);
   inlets_.push_back(inlet);
   set_timer(*inlet, clock_.now());
+  start();
+  return inlet;
+}
+
+void ConsumeLink::start() {
+  if (closing_) return;
   if (!std::exchange(started_, true)) {
     thread_ = std::thread([this] { run(); });
     pthread_setname_np(thread_.native_handle(), "amqp-consume");
   }
   wake();
-  return inlet;
 }
 
-void ConsumeLink::remove(const std::shared_ptr<Inlet>& inlet) {
+bool ConsumeLink::has_room() const {
+  const Lock lock(mutex_);
+  return inlets_.size() < channel_limit_;
+}
+
+bool ConsumeLink::crowded() const {
+  const Lock lock(mutex_);
+  return inlets_.size() > channel_limit_;
+}
+
+void ConsumeLink::share(ConsumeLink& other) {
+  const std::scoped_lock lock(mutex_, other.mutex_);
+  for (auto i = inlets_.size(); i-- > 0 && inlets_.size() > channel_limit_;) {
+    if (other.inlets_.size() >= other.channel_limit_) break;
+    const std::shared_ptr<Inlet> inlet = inlets_[i];
+    if (inlet->phase != Inlet::Phase::idle || inlet->running) continue;
+    inlets_.erase(inlets_.begin() + static_cast<std::ptrdiff_t>(i));
+    std::erase(ready_, inlet);
+    std::erase(dirty_, inlet);
+    inlet->in_ready = inlet->in_dirty = false;
+    other.set_timer(*inlet, clock_.now());
+    inlet->move_to(other.shared_from_this());
+    other.inlets_.push_back(inlet);
+  }
+  other.start();
+}
+
+bool ConsumeLink::must_ask_preferred() const {
+  const Lock lock(mutex_);
+  return servers_.must_ask(clock_.now());
+}
+
+void ConsumeLink::preferred_answered(bool answers) {
+  const Lock lock(mutex_);
+  servers_.asked(answers, clock_.now());
+  if (servers_.must_move_back(clock_.now())) wake();
+}
+
+bool ConsumeLink::remove(const std::shared_ptr<Inlet>& inlet) {
   Lock lock(mutex_);
+  if (!at_home(*inlet)) return false;
   inlet->closed = true;
   std::erase(inlets_, inlet);
   if (wire_ && inlet->channel != 0) {
@@ -67,25 +118,31 @@ void ConsumeLink::remove(const std::shared_ptr<Inlet>& inlet) {
     }
   }
   if (inlet->phase != Inlet::Phase::idle) inlet->forget_channel();
-  if (std::this_thread::get_id() == thread_.get_id()) return;
-  handler_ended_.wait(lock, [&] { return !inlet->running; });
+  if (std::this_thread::get_id() != thread_.get_id()) {
+    handler_ended_.wait(lock, [&] { return !inlet->running; });
+  }
+  return true;
 }
 
-void ConsumeLink::pause(Inlet& inlet) {
+bool ConsumeLink::pause(Inlet& inlet) {
   const Lock lock(mutex_);
+  if (!at_home(inlet)) return false;
   inlet.paused = true;
+  return true;
 }
 
-void ConsumeLink::resume(const std::shared_ptr<Inlet>& inlet) {
+bool ConsumeLink::resume(const std::shared_ptr<Inlet>& inlet) {
   const Lock lock(mutex_);
+  if (!at_home(*inlet)) return false;
   inlet->paused = false;
   make_ready(inlet);
   wake();
+  return true;
 }
 
 bool ConsumeLink::active(const Inlet& inlet) const {
   const Lock lock(mutex_);
-  return inlet.phase == Inlet::Phase::active;
+  return at_home(inlet) && inlet.phase == Inlet::Phase::active;
 }
 
 ConnectionState ConsumeLink::state() const {
@@ -111,6 +168,7 @@ void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t publ
   const Lock lock(mutex_);
   constexpr std::uint64_t tag_mask = (std::uint64_t{1} << 48U) - 1;
   const std::uint64_t tag = public_tag & tag_mask;
+  if (!at_home(*inlet)) return;  // it moved, so this is late
   if (inlet->closed || public_tag != inlet->public_tag(tag) || !inlet->window.settle(tag, settlement)) return;
   if (settlement == Settlement::retry) {
     make_ready(inlet);
@@ -151,12 +209,13 @@ void ConsumeLink::run() {
         if (look || wire_->has_buffered()) read_frames();
         hand_on(lock, batch);
         if (wire_ && !broken_ && settlements_due()) send_all_settlements();
+        if (wire_ && !broken_) move_back(lock);
       }
     } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
       lose(error.what());
     }
     if (closing_) break;
-    const bool more = !ready_.empty() || broken_ || (wire_ && wire_->has_buffered());
+    const bool more = (!ready_.empty() && !moving_since_) || broken_ || (wire_ && wire_->has_buffered());
     const std::chrono::milliseconds limit = more ? std::chrono::milliseconds(0) : time_to_sleep();
     const int descriptor = wire_ ? wire_->descriptor() : -1;
     sleeping_ = !more;
@@ -177,30 +236,38 @@ void ConsumeLink::run() {
 }
 
 void ConsumeLink::connect(Lock& lock) {
-  if (clock_.now() < next_attempt_) return;
+  const std::optional<std::size_t> server = servers_.due(clock_.now());
+  if (!server) return;
   lock.unlock();
   std::unique_ptr<AmqpLink> wire;
   try {
-    wire = std::make_unique<AmqpLink>(options_);
-    log_.connected();
-    connected_at_ = clock_.now();
+    wire = cluster_.connect(*server, purpose_);
+    log_.connected(cluster_.name(*server));
   } catch (const LinkError& error) {
-    log_.failed(error.what());
-    next_attempt_ = clock_.now() + backoff_.next();
+    log_.failed(cluster_.name(*server), error.what());
   }
   lock.lock();
   broken_ = false;
   wire_ = std::move(wire);
-  if (!wire_) return;
+  if (!wire_) {
+    servers_.failed(*server, clock_.now());
+    return;
+  }
+  servers_.connected(*server, clock_.now());
+  channel_limit_ = static_cast<std::size_t>(wire_->channel_limit());
   for (const auto& inlet : inlets_) set_timer(*inlet, clock_.now());
 }
 
 void ConsumeLink::lose(const std::string& reason) {
-  log_.lost(reason);
-  if (clock_.now() - connected_at_ > steady_connection) backoff_.reset();
-  next_attempt_ = clock_.now() + backoff_.next();
+  if (servers_.current()) log_.lost(cluster_.name(*servers_.current()), reason);
+  servers_.lost(clock_.now());
   wire_.reset();
+  forget_connection();
+}
+
+void ConsumeLink::forget_connection() {
   broken_ = false;
+  moving_since_.reset();
   channels_.clear();
   last_channel_ = 0;
   for (const auto& inlet : ready_) inlet->in_ready = false;
@@ -213,8 +280,28 @@ void ConsumeLink::lose(const std::string& reason) {
   }
 }
 
+void ConsumeLink::move_back(Lock& lock) {
+  const config::Clock::Instant now = clock_.now();
+  if (!moving_since_) {
+    if (!servers_.must_move_back(now)) return;
+    moving_since_ = now;
+  }
+  const bool idle =
+      std::all_of(inlets_.begin(), inlets_.end(), [](const auto& inlet) { return inlet->window.handed_on() == 0; });
+  if (!idle && now - *moving_since_ < moving_patience) return;
+  for (const auto& inlet : inlets_) {
+    if (inlet->channel != 0) send_settlements(*inlet, 0);
+  }
+  const std::unique_ptr<AmqpLink> wire = std::move(wire_);
+  servers_.left();
+  forget_connection();
+  lock.unlock();
+  wire->close(0);
+  lock.lock();
+}
+
 void ConsumeLink::hand_on(Lock& lock, std::size_t most) {
-  for (std::size_t i = 0; i < most && !ready_.empty() && !closing_; ++i) {
+  for (std::size_t i = 0; i < most && !ready_.empty() && !closing_ && !moving_since_; ++i) {
     const std::shared_ptr<Inlet> inlet = std::move(ready_.front());
     ready_.pop_front();
     inlet->in_ready = false;
@@ -282,8 +369,9 @@ std::chrono::milliseconds ConsumeLink::time_to_sleep() const {
   const auto until = [&](config::Clock::Instant instant) {
     return std::max(std::chrono::milliseconds(0), std::chrono::ceil<std::chrono::milliseconds>(instant - now));
   };
-  if (!wire_) return until(next_attempt_);
+  if (!wire_) return until(servers_.next_attempt());
   std::chrono::milliseconds limit = std::chrono::milliseconds(wire_->heartbeat()) / 2;
+  if (moving_since_) limit = std::min(limit, moving_period);
   if (next_timer_) limit = std::min(limit, until(*next_timer_));
   if (!dirty_.empty()) limit = std::min(limit, until(settled_at_ + gathering_time));
   return limit;

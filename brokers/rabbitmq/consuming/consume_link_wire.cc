@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <utility>
 
-#include "iotcloud/brokers/rabbitmq/consume_link.h"
-#include "iotcloud/brokers/rabbitmq/publish_wire.h"
+#include "iotcloud/brokers/rabbitmq/consuming/consume_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/declarations.h"
 #include <iotcloud/config/log.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -139,9 +139,7 @@ void ConsumeLink::close_channel(Inlet& inlet) {
 void ConsumeLink::open(const std::shared_ptr<Inlet>& inlet) {
   const auto limit = static_cast<amqp_channel_t>(wire_->channel_limit());
   if (channels_.size() >= limit) {
-    const std::string complaint = "has no channel left on this connection; the server allows " + std::to_string(limit);
-    if (std::exchange(inlet->complaint, complaint) != complaint) logger.error("queue {} {}", inlet->queue, complaint);
-    retry_later(*inlet);
+    retry_later(*inlet);  // a channel that is being closed becomes free, or the keeper finds another connection
     return;
   }
   do {
@@ -149,7 +147,7 @@ void ConsumeLink::open(const std::shared_ptr<Inlet>& inlet) {
   } while (channels_.contains(last_channel_));
   inlet->channel = last_channel_;
   inlet->phase = Inlet::Phase::opening;
-  set_timer(*inlet, clock_.now() + options_.rpc_timeout);
+  set_timer(*inlet, clock_.now() + cluster_.rpc_timeout());
   channels_[inlet->channel] = inlet;
   wire_->send(inlet->channel, AMQP_CHANNEL_OPEN_METHOD, amqp_channel_open_t{});
   request_queue(*inlet);
@@ -172,7 +170,7 @@ void ConsumeLink::request_queue(const Inlet& inlet) {
     declare.passive = inlet.passive_exchange ? 1 : 0;
     wire_->send(inlet.channel, AMQP_EXCHANGE_DECLARE_METHOD, declare);
   }
-  QueueArguments arguments(inlet.topic);
+  QueueArguments arguments(inlet.topic, cluster_.queue_type());
   amqp_queue_declare_t queue{};
   queue.queue = to_bytes(inlet.queue);
   queue.durable = inlet.topic.durable ? 1 : 0;

@@ -5,29 +5,30 @@
 #include <deque>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <string>
 #include <thread>
 #include <vector>
 
-#include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/client/outcome_reporter.h"
+#include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/meters.h"
-#include "iotcloud/brokers/rabbitmq/amqp_link.h"
-#include "iotcloud/brokers/rabbitmq/headers.h"
+#include "iotcloud/brokers/rabbitmq/cluster.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/headers.h"
 
 namespace iotcloud::brokers::rabbitmq {
 
-using client::Backoff;
 using client::ConnectionLog;
 using client::Instant;
 using client::Outbox;
 using client::Outgoing;
 using client::WakeEvent;
 
-/// The publishing connection of one broker object.
+/// A publishing connection of a broker object.
 ///
 /// Threads: callers of publish(), and one thread of the link's own. The *wire* (the AmqpLink) belongs to one thread at
 /// a time, noted in `wire_busy_` under the mutex; the mutex itself is never held while bytes move. A caller takes the
@@ -36,7 +37,9 @@ using client::WakeEvent;
 /// thread's.
 class PublishLink {
  public:
-  PublishLink(LinkOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log);
+  /// \param purpose shown by RabbitMQ's tools. The others outlive it.
+  PublishLink(const Cluster& cluster, const char* purpose, Meters& meters, const config::Clock& clock,
+              ConnectionLog& log);
   ~PublishLink();
   PublishLink(const PublishLink&) = delete;
   PublishLink& operator=(const PublishLink&) = delete;
@@ -51,6 +54,9 @@ class PublishLink {
   /// Called now and then by the broker's keeper: breaks a connection on which a send has stood still for too long
   /// (a server under a memory alarm takes nothing, for ever, and no time-out of the library helps).
   void watch();
+  /// Whether it is time to find out if the preferred server answers, and what came of it: the connection moves back.
+  bool must_ask_preferred() const;
+  void preferred_answered(bool answers);
 
  private:
   using Lock = std::unique_lock<std::mutex>;
@@ -65,6 +71,11 @@ class PublishLink {
   void connect();
   void serve(bool readable, bool writable);
   void lose(const std::string& reason);
+  /// Ends the connection for the preferred server's sake when nothing is under way any more, or it has taken too long.
+  void move_back();
+  /// What was sent waits again, nothing is declared; the wire is gone or goes now, and is the caller's.
+  void forget_connection();
+  std::unique_ptr<AmqpLink> give_up_wire(Lock& lock);
   void acquire_wire(Lock& lock);
   void release_wire();
 
@@ -86,7 +97,8 @@ class PublishLink {
   static constexpr std::size_t most_gathered = 256;  ///< answers under way that nobody waits for
   void requeue_under_way();
 
-  const LinkOptions options_;
+  const Cluster& cluster_;
+  const char* const purpose_;
   Meters& meters_;
   const config::Clock& clock_;
   ConnectionLog& log_;
@@ -121,10 +133,9 @@ class PublishLink {
   std::uint64_t first_tag_ = 1;                      ///< of under_way_.front()
   std::size_t one_by_one_ = 0;  ///< so many messages still go alone: one of them made the server close the channel
 
-  // The link's thread's.
-  Backoff backoff_{std::chrono::milliseconds(50), std::chrono::milliseconds(2000)};
-  Instant next_attempt_{};
-  Instant connected_at_{};
+  client::ServerList servers_;
+  std::optional<Instant> moving_since_;  ///< nothing new is sent: the connection is to move to the preferred server
+
   std::thread thread_;
 };
 

@@ -3,8 +3,8 @@
 #include <exception>
 #include <utility>
 
-#include "iotcloud/brokers/rabbitmq/publish_link.h"
-#include "iotcloud/brokers/rabbitmq/publish_wire.h"
+#include "iotcloud/brokers/rabbitmq/publishing/publish_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/declarations.h"
 #include <iotcloud/config/log.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -15,8 +15,9 @@ const config::Logger logger{"brokers.rabbitmq"};
 constexpr std::size_t batch = 256;
 // How long answers that nobody waits for may gather before they are read.
 constexpr std::chrono::milliseconds gathering_time{2};
-// A connection that lasted so long was a good one: after it the waiting times start small again.
-constexpr std::chrono::seconds steady_connection{2};
+// Answers to what was sent are awaited so long before the connection moves to the preferred server.
+constexpr std::chrono::seconds moving_patience{2};
+constexpr std::chrono::milliseconds moving_period{50};
 
 }  // namespace
 
@@ -27,6 +28,7 @@ void PublishLink::run() {
     try {
       if (!wire_) connect();
       if (wire_) serve(readable, writable);
+      if (wire_) move_back();
     } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
       lose(error.what());
     }
@@ -36,9 +38,11 @@ void PublishLink::run() {
     std::chrono::milliseconds limit = time_to_sleep(clock_.now());
     if (reporter_.due() || wire_broken_) limit = std::chrono::milliseconds(0);
     if (!connected_)
-      limit = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(next_attempt_ - clock_.now()),
+      limit = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(servers_.next_attempt() - clock_.now()),
                          std::chrono::milliseconds(0), limit);
-    const bool want_write = connected_ && !blocked_ && !runnable_.empty() && (one_by_one_ == 0 || under_way_.empty());
+    if (moving_since_) limit = std::min(limit, moving_period);
+    const bool want_write =
+        connected_ && !blocked_ && !moving_since_ && !runnable_.empty() && (one_by_one_ == 0 || under_way_.empty());
     if (under_way_.empty()) answers_wanted_ = false;
     const bool gathering =
         connected_ && !under_way_.empty() && under_way_.size() < most_gathered && !answers_wanted_ && runnable_.empty();
@@ -53,29 +57,30 @@ void PublishLink::run() {
     readable = woken.readable || !woken.writable;  // after a time-out too: heartbeats
   }
   Lock lock(mutex_);
-  acquire_wire(lock);
-  std::unique_ptr<AmqpLink> wire = std::move(wire_);
-  connected_ = false;
-  release_wire();
+  const std::unique_ptr<AmqpLink> wire = give_up_wire(lock);
   lock.unlock();
   if (wire) wire->close(publish_channel);
 }
 
 void PublishLink::connect() {
-  if (clock_.now() < next_attempt_) return;
+  Lock lock(mutex_);
+  const std::optional<std::size_t> server = servers_.due(clock_.now());
+  if (!server) return;
+  lock.unlock();
   std::unique_ptr<AmqpLink> wire;
   try {
-    wire = std::make_unique<AmqpLink>(options_);
+    wire = cluster_.connect(*server, purpose_);
     wire->open_channel(publish_channel);
     wire->select_confirms(publish_channel);
   } catch (const LinkError& error) {
-    log_.failed(error.what());
-    next_attempt_ = clock_.now() + backoff_.next();
+    log_.failed(cluster_.name(*server), error.what());
+    lock.lock();
+    servers_.failed(*server, clock_.now());
     return;
   }
-  log_.connected();
-  connected_at_ = clock_.now();
-  const Lock lock(mutex_);
+  log_.connected(cluster_.name(*server));
+  lock.lock();
+  servers_.connected(*server, clock_.now());
   wire_ = std::move(wire);
   connected_ = true;
   blocked_ = wire_broken_ = false;
@@ -111,21 +116,46 @@ void PublishLink::serve(bool readable, bool writable) {
   release_wire();
 }
 
-void PublishLink::lose(const std::string& reason) {
-  log_.lost(reason);
-  if (clock_.now() - connected_at_ > steady_connection) backoff_.reset();
-  next_attempt_ = clock_.now() + backoff_.next();
-  Lock lock(mutex_);
+std::unique_ptr<AmqpLink> PublishLink::give_up_wire(Lock& lock) {
   acquire_wire(lock);
-  wire_.reset();
+  std::unique_ptr<AmqpLink> wire = std::move(wire_);
   connected_ = blocked_ = wire_broken_ = false;
+  release_wire();
+  return wire;
+}
+
+void PublishLink::forget_connection() {
+  moving_since_.reset();
   requeue_under_way();
   one_by_one_ = 0;
   for (const auto& outbox : runnable_) outbox->in_runnable = false;
   runnable_.clear();
   undeclared_.clear();
   for (const auto& outbox : outboxes_) outbox->disconnected();
-  release_wire();
+}
+
+void PublishLink::lose(const std::string& reason) {
+  Lock lock(mutex_);
+  if (servers_.current()) log_.lost(cluster_.name(*servers_.current()), reason);
+  servers_.lost(clock_.now());
+  give_up_wire(lock).reset();
+  forget_connection();
+}
+
+void PublishLink::move_back() {
+  Lock lock(mutex_);
+  const Instant now = clock_.now();
+  if (!moving_since_) {
+    if (!servers_.must_move_back(now)) return;
+    moving_since_ = now;
+  }
+  if (!under_way_.empty() && now - *moving_since_ < moving_patience) return;
+  logger.info("{} answers again: going back to it", cluster_.name(client::ServerList::preferred));
+  const std::unique_ptr<AmqpLink> wire = give_up_wire(lock);
+  servers_.left();
+  forget_connection();
+  lock.unlock();
+  if (wire) wire->close(publish_channel);
 }
 
 void PublishLink::declare_topics(Lock& lock) {
@@ -146,7 +176,7 @@ void PublishLink::declare_topics(Lock& lock) {
     }
     if (outbox->options.own_queue) {
       lock.unlock();
-      const std::string why = wire_->declare_queue(declare_channel, outbox->topic);
+      const std::string why = wire_->declare_queue(declare_channel, outbox->topic, cluster_.queue_type());
       lock.lock();
       if (!why.empty()) {
         logger.error("cannot make the queue {} ({}): {}; what is sent waits here until it is there", outbox->topic.name,

@@ -10,6 +10,7 @@
 #include <amqp.h>
 
 #include "iotcloud/brokers/broker_url.h"
+#include "iotcloud/brokers/rabbitmq/wire/declarations.h"
 #include <iotcloud/brokers/broker.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -21,10 +22,12 @@ class LinkError : public std::runtime_error {
 };
 
 struct LinkOptions {
-  BrokerUrl url;
+  BrokerUrl url;  ///< with the user and password that count
+  Tls tls;        ///< when the URL's scheme is "amqps"
   std::chrono::milliseconds heartbeat{4000};
   std::chrono::milliseconds rpc_timeout{5000};  ///< also for connecting and logging in
   std::string purpose;                          ///< shown by RabbitMQ's tools: "publishing", "consuming"
+  int channels = 2047;                          ///< at most; RabbitMQ's own default limit. The server may allow fewer
 };
 
 /// One open connection to RabbitMQ: librabbitmq's state behind an owning wrapper that keeps clear of its traps.
@@ -46,7 +49,8 @@ class AmqpLink {
   /// The next frame that is there, without waiting; reads the socket, sends a heartbeat when one is due and throws when
   /// the server's are overdue. What it points to dies with release(). After it, go on while has_buffered().
   std::optional<amqp_frame_t> next_frame();
-  /// Frames or parts of them that the library holds already: poll() would not tell.
+  /// Frames or parts of them that the library holds already: poll() would not tell. (Under TLS there is no third place:
+  /// the library takes whole records, which are smaller than its buffer, so OpenSSL keeps none.)
   bool has_buffered() const;
   /// Gives back the memory of the frames of a channel.
   void release(amqp_channel_t channel);
@@ -70,7 +74,7 @@ class AmqpLink {
   std::string declare_exchange(amqp_channel_t channel, const std::string& exchange, bool durable);
   /// The topic's own queue, bound to its exchange; one that is there with other properties is used as it is.
   /// \return empty, or why the server refused.
-  std::string declare_queue(amqp_channel_t channel, const Topic& topic);
+  std::string declare_queue(amqp_channel_t channel, const Topic& topic, QueueType type);
   /// Ends channel and connection in order, so that the server keeps all that was sent. Waits at most the time-out.
   void close(amqp_channel_t channel) noexcept;
 

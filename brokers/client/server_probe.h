@@ -1,0 +1,44 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include <iotcloud/config/clock.h>
+
+namespace iotcloud::brokers::client {
+
+/// Finds out whether a server answers, without waiting for it: opens a TCP connection, says the first words of the
+/// protocol, and takes any byte for an answer (a server that hangs accepts connections too). One question at a time.
+/// Not thread safe. start() may wait for the resolution of the host's name.
+class ServerProbe {
+ public:
+  /// \param greeting what a client of the protocol says first; empty: the TCP connection alone is an answer
+  ServerProbe(std::string host, std::uint16_t port, std::string greeting, const config::Clock& clock);
+  ~ServerProbe();
+  ServerProbe(const ServerProbe&) = delete;
+  ServerProbe& operator=(const ServerProbe&) = delete;
+
+  bool under_way() const { return under_way_; }
+  void start();
+  /// Looks whether there is an answer: true, or false when it is sure that there will be none within the limit.
+  /// Nothing while it is not known yet, or nothing was asked.
+  std::optional<bool> poll();
+
+ private:
+  enum class Step { connecting, greeting };
+  bool finish(bool answer);
+
+  static constexpr std::chrono::seconds limit_{2};
+  const std::string host_;
+  const std::uint16_t port_;
+  const std::string greeting_;
+  const config::Clock& clock_;
+  bool under_way_ = false;
+  Step step_ = Step::connecting;
+  int socket_ = -1;
+  config::Clock::Instant started_{};
+};
+
+}  // namespace iotcloud::brokers::client

@@ -1,0 +1,69 @@
+#include "iotcloud/brokers/rabbitmq/cluster.h"
+
+#include <charconv>
+#include <utility>
+
+#include <fmt/core.h>
+
+#include "iotcloud/brokers/credentials.h"
+#include <iotcloud/config/error.h>
+
+namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+constexpr int fewest_channels = 8;  // a publishing connection needs two
+constexpr int most_channels = 65535;
+
+QueueType read_queue_type(const std::string& text) {
+  if (text == "classic") return QueueType::classic;
+  if (text == "quorum") return QueueType::quorum;
+  throw config::Error(fmt::format(R"(RabbitMQ's property queue_type is "{}"; it must be "classic" or "quorum")", text));
+}
+
+int read_channels(const std::string& text) {
+  int number = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (error == std::errc() && end == text.data() + text.size() && number >= fewest_channels &&
+      number <= most_channels) {
+    return number;
+  }
+  throw config::Error(fmt::format("RabbitMQ's property channels_per_connection is \"{}\"; it must be {} to {}", text,
+                                  fewest_channels, most_channels));
+}
+
+}  // namespace
+
+Cluster::Cluster(const BrokerOptions& options, std::vector<BrokerUrl> urls)
+    : options_(options), urls_(std::move(urls)) {
+  for (const std::string& url : options.urls) names_.push_back(printable_url(url));
+  for (const auto& [name, value] : options.properties) {
+    if (name == "queue_type") {
+      queue_type_ = read_queue_type(value);
+    } else if (name == "channels_per_connection") {
+      channels_ = read_channels(value);
+    } else {
+      throw config::Error(
+          fmt::format("RabbitMQ knows no property \"{}\"; there are: channels_per_connection, queue_type", name));
+    }
+  }
+}
+
+std::unique_ptr<AmqpLink> Cluster::connect(std::size_t server, const char* purpose) const {
+  LinkOptions link;
+  link.url = urls_.at(server);
+  try {
+    Credentials credentials = credentials_for(options_, link.url);
+    link.url.user = std::move(credentials.user);
+    link.url.password = std::move(credentials.password);
+  } catch (const config::Error& error) {
+    throw LinkError(error.what());
+  }
+  link.tls = options_.tls;
+  link.heartbeat = options_.heartbeat;
+  link.rpc_timeout = options_.rpc_timeout;
+  link.purpose = purpose;
+  link.channels = channels_;
+  return std::make_unique<AmqpLink>(link);
+}
+
+}  // namespace iotcloud::brokers::rabbitmq

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "iotcloud/brokers/broker_url.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include <iotcloud/brokers/broker.h>
+
+namespace iotcloud::brokers::rabbitmq {
+
+/// The servers of one broker, the way into each of them, and what queues are made of there. Thread safe: immutable.
+class Cluster {
+ public:
+  /// \throws config::Error for a property that RabbitMQ does not know, or a value that it cannot have.
+  Cluster(const BrokerOptions& options, std::vector<BrokerUrl> urls);
+
+  std::size_t size() const { return urls_.size(); }
+  /// For logs: the URL without its password.
+  const std::string& name(std::size_t server) const { return names_.at(server); }
+  const BrokerUrl& url(std::size_t server) const { return urls_.at(server); }
+  /// Connects and logs in; the password is read now. \param purpose shown by RabbitMQ's tools. \throws LinkError
+  std::unique_ptr<AmqpLink> connect(std::size_t server, const char* purpose) const;
+
+  std::chrono::milliseconds rpc_timeout() const { return options_.rpc_timeout; }
+  QueueType queue_type() const { return queue_type_; }
+  /// How many channels a connection asks for.
+  int channels() const { return channels_; }
+
+ private:
+  const BrokerOptions options_;
+  const std::vector<BrokerUrl> urls_;
+  std::vector<std::string> names_;
+  QueueType queue_type_ = QueueType::classic;
+  int channels_ = 2047;
+};
+
+}  // namespace iotcloud::brokers::rabbitmq
