@@ -35,8 +35,7 @@ class Report(Verdict):
     def compare(self, name, unit, ours, beside=None, theirs=(), ratio_at_least=None, ratio_at_most=None, at_most=None):
         """`ours` and `theirs`: a value of each round. The target is for the ratio, or (at_most) for our value."""
         if not ours:
-            print(f"{name:<46} no round was quiet, or none could be sustained", flush=True)
-            return
+            return  # the reason was printed
         value, ratios = statistics.median(ours), [a / b for a, b in zip(ours, theirs) if b]
         ratio = statistics.median(ratios) if ratios else None
         target = met = None
@@ -93,26 +92,28 @@ class Bench:
 
     def turns(self, title, variants, seconds):
         """Rounds in which each of `variants` ({name: (engine, options)}) runs once. Returns {name: [a line of each
-        round]}, without the rounds that had company or that could not be sustained."""
+        round]}, without the rounds that had company; nothing when the load is more than one of them can sustain."""
         kept, thrown = {name: [] for name in variants}, 0
         for attempt in range(2 * self.rounds):
-            if len(next(iter(kept.values()))) == self.rounds:
+            if len(kept[OURS]) == self.rounds:
                 break
             self.progress.say(f"{self.kind}, {title}, round {attempt + 1}")
             order = list(variants) if attempt % 2 == 0 else list(reversed(variants))
             lines = {name: self.run(*variants[name], seconds) for name in order}
             self.progress.seconds_done += seconds * len(variants)
-            if not all(line["sustained"] for line in lines.values()):
-                for name, line in lines.items():
-                    if not line["sustained"]:
-                        print(f"{self.kind}, {title}: {name} does not keep up", flush=True)
-                return {name: [] for name in variants}
             if not self.given.keep_noisy and max(line["others_cpu"] for line in lines.values()) > NOISE:
                 thrown += 1
                 continue
+            late = [name for name, line in lines.items() if not line["sustained"]]
+            if late:
+                print(f"{self.kind}, {title}: more than {' and '.join(late)} can send through it", flush=True)
+                kept = {name: [] for name in variants}
+                break
             for name, line in lines.items():
                 kept[name].append(line)
         self.report.thrown_away += thrown
+        if thrown and not kept[OURS]:
+            print(f"{self.kind}, {title}: no round was quiet", flush=True)
         return kept
 
     def pair(self, title, options, seconds):

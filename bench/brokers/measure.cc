@@ -12,7 +12,7 @@ constexpr std::int64_t second_ns = 1'000'000'000;
 constexpr std::int64_t look_every_ns = second_ns / 20;
 constexpr std::int64_t patience_ns = 20 * second_ns;
 /// A load that the broker cannot keep up with is given up before the broker's memory is full.
-constexpr std::uint64_t most_bytes_under_way = 96 << 20;
+constexpr std::uint64_t most_bytes_under_way = 256 << 20;
 constexpr std::uint64_t most_under_way = 50'000;
 
 struct Snapshot {
