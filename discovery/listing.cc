@@ -1,6 +1,7 @@
 #include <utility>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/discovery/client/path.h>
 #include <iotcloud/discovery/directory.h>
 
 namespace iotcloud::discovery {
@@ -8,54 +9,80 @@ namespace {
 
 const config::Logger log{"discovery.listing"};
 
-/// What stands below `path`, each name with its record; what went meanwhile or cannot be read is left out.
+/// The record that stands at `path`; nothing when it went meanwhile, is no record or cannot be read.
+template <typename Record>
+std::optional<Record> record_of(const std::optional<Node>& node, const std::string& path,
+                                Record (*decode)(const std::string&, const std::string&)) {
+  if (!node || node->ephemeral) return std::nullopt;
+  try {
+    return decode(node->data, path);
+  } catch (const config::Error& error) {
+    log.warn("skipped: {}", error.what());
+    return std::nullopt;
+  }
+}
+
+/// The paths of all that stands below each of `parents`, in their order.
+std::vector<std::string> below(Registry& registry, const std::vector<std::string>& parents) {
+  std::vector<std::string> paths;
+  const auto lists = registry.children_of_all(parents);
+  for (std::size_t i = 0; i < parents.size(); ++i) {
+    for (const std::string& name : lists[i].value_or(std::vector<std::string>())) {
+      paths.push_back(child_of(parents[i], name));
+    }
+  }
+  return paths;
+}
+
+/// What stands below `path`, each name with its record.
 template <typename Record, typename Use>
 void for_each_child(Registry& registry, const std::string& path,
                     Record (*decode)(const std::string&, const std::string&), const Use& use) {
-  const auto names = registry.children(path);
-  if (!names) return;
-  for (const std::string& name : *names) {
-    const std::string child = path + "/" + name;
-    const auto node = registry.get(child);
-    if (!node || node->ephemeral) continue;
-    std::optional<Record> record;
-    try {
-      record = decode(node->data, child);
-    } catch (const config::Error& error) {
-      log.warn("skipped: {}", error.what());
-      continue;
-    }
-    use(name, std::move(*record));
+  const auto paths = below(registry, {path});
+  const auto nodes = registry.get_all(paths);
+  for (std::size_t i = 0; i < paths.size(); ++i) {
+    if (auto record = record_of(nodes[i], paths[i], decode)) use(name_of(paths[i]), std::move(*record));
   }
 }
 
 }  // namespace
 
+/// Four rounds, whatever there is: names of drivers, names of instances, their records and names of channels, their
+/// records.
 std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths) {
   std::vector<DriverRecord> drivers;
-  const auto names = registry.children(paths.sensors);
-  if (!names) return drivers;
-  for (const std::string& name : *names) {
-    for_each_child(registry, paths.driver(name), decode_driver, [&](const std::string& id, DriverRecord record) {
-      if (record.instance.empty()) record.instance = id;
-      std::vector<ChannelRecord> channels;
-      for_each_child(registry, paths.instance(name, id), decode_channel,
-                     [&](const std::string&, ChannelRecord channel) { channels.push_back(std::move(channel)); });
-      if (!channels.empty()) record.channels = std::move(channels);
-      drivers.push_back(std::move(record));
-    });
+  const auto instances = below(registry, below(registry, {paths.sensors}));
+  const auto nodes = registry.get_all(instances);
+  const auto channels = below(registry, instances);
+  const auto channel_nodes = registry.get_all(channels);
+  std::size_t channel = 0;
+  for (std::size_t i = 0; i < instances.size(); ++i) {
+    std::vector<ChannelRecord> own;
+    for (; channel < channels.size() && parent_of(channels[channel]) == instances[i]; ++channel) {
+      if (auto record = record_of(channel_nodes[channel], channels[channel], decode_channel)) {
+        own.push_back(std::move(*record));
+      }
+    }
+    auto driver = record_of(nodes[i], instances[i], decode_driver);
+    if (!driver) continue;
+    if (driver->instance.empty()) driver->instance = name_of(instances[i]);
+    if (!own.empty()) driver->channels = std::move(own);
+    drivers.push_back(std::move(*driver));
   }
   return drivers;
 }
 
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths) {
   std::vector<GatewayStatus> gateways;
+  std::vector<std::string> alive;
   for_each_child(registry, paths.gateways, decode_gateway, [&](const std::string& id, GatewayRecord record) {
     GatewayStatus status;
     status.record = std::move(record);
-    status.alive = registry.get(paths.gateway_alive(id)).has_value();
+    alive.push_back(paths.gateway_alive(id));
     gateways.push_back(std::move(status));
   });
+  const auto nodes = registry.get_all(alive);
+  for (std::size_t i = 0; i < gateways.size(); ++i) gateways[i].alive = nodes[i].has_value();
   return gateways;
 }
 
@@ -80,17 +107,17 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
 
 std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const std::string& topology) {
   std::vector<WorkerRecord> workers;
-  for (const std::string& name : registry.children(paths.workers(topology)).value_or(std::vector<std::string>())) {
-    const std::string path = paths.workers(topology) + "/" + name;
-    const auto node = registry.get(path);
-    if (!node) continue;
+  const auto members = below(registry, {paths.workers(topology)});
+  const auto nodes = registry.get_all(members);
+  for (std::size_t i = 0; i < members.size(); ++i) {
+    if (!nodes[i]) continue;
     WorkerRecord record;
     try {
-      record = decode_worker(node->data, path);
+      record = decode_worker(nodes[i]->data, members[i]);
     } catch (const config::Error& error) {
       log.warn("only its name is known: {}", error.what());
     }
-    record.name = name;
+    record.name = name_of(members[i]);
     workers.push_back(std::move(record));
   }
   return workers;

@@ -1,3 +1,5 @@
+#include <utility>
+
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/client/registry_client.h>
 #include <iotcloud/discovery/embedded/server.h>
@@ -13,7 +15,12 @@ std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
     return make_client(embedded::make_connection(std::move(server), options.session_timeout), options);
   }
   if (options.url.starts_with("zookeeper://")) {
-    return make_client(zookeeper::make_connection(zookeeper::parse_url(options.url), options.session_timeout), options);
+    zookeeper::Settings settings;
+    settings.url = zookeeper::parse_url(options.url);
+    settings.session_timeout = options.session_timeout;
+    if (!options.user.empty()) settings.identity = options.user + ":" + options.password;
+    settings.others_may_read = options.others_may_read;
+    return make_client(zookeeper::make_connection(std::move(settings)), options);
   }
   throw config::Error("registry URL \"" + options.url +
                       "\": unknown scheme; there are embedded://NAME and zookeeper://host:port,host:port/chroot");

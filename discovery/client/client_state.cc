@@ -77,7 +77,12 @@ void ClientState::open() {
   };
   events.disconnected = [this] { worker_.post([this, when = Clock::now()] { on_disconnected(when); }); };
   events.expired = [this] { worker_.post([this] { on_expired(); }); };
-  events.changed = [this](const std::string& path) { worker_.post([this, path] { watches_.changed(path); }); };
+  events.changed = [this](const std::string& path) {
+    worker_.post([this, path] {
+      watches_.changed(path);
+      holds_.changed(path);
+    });
+  };
   worker_.post([this, events = std::move(events)]() mutable {
     if (!connection_->open(std::move(events))) renew_later();
   });
@@ -103,6 +108,7 @@ void ClientState::on_connected(std::int64_t session, milliseconds timeout) {
   timeout_ = timeout;
   ++link_changes_;
   if (!std::exchange(linked_, true)) metrics().connected.add(1);
+  renewed_in_vain_ = false;
   log.info("connected to the registry {}", options_.url);
   enter(SessionState::connected);
   holds_.connected(session);
@@ -133,7 +139,8 @@ void ClientState::on_expired() {
   holds_.disconnected();
   watches_.disconnected();
   enter(SessionState::expired);
-  if (!connection_->renew()) renew_later();
+  // A session that never began and is over already will fare no better at once.
+  if (std::exchange(renewed_in_vain_, true) || !connection_->renew()) renew_later();
 }
 
 void ClientState::renew_later() {

@@ -82,6 +82,7 @@ class ClientState : public std::enable_shared_from_this<ClientState> {
   SerialThread worker_;
   // The worker's own:
   bool linked_ = false;
+  bool renewed_in_vain_ = false;  ///< no connection since the last renewal
   std::uint64_t link_changes_ = 0;
   std::chrono::milliseconds timeout_{0};
   std::list<std::shared_ptr<SessionCallback>> listeners_;

@@ -19,6 +19,7 @@ enum class Status {
   not_empty,
   bad_version,
   bad_path,  ///< a child of an ephemeral node, or a path that the server refuses
+  denied,    ///< the node belongs to others
   away,      ///< the connection or the session went: whether a write took effect is unknown
 };
 
@@ -51,7 +52,7 @@ class Connection {
   /// Starts to connect, for ever. \return false when not even that is possible now (the host's name is not known, say);
   /// call renew() later.
   virtual bool open(Events events) = 0;
-  /// After `expired`: starts a new session. May take seconds. \return as open().
+  /// After `expired`: starts a new session. May take seconds (a host's name is looked up). \return as open().
   virtual bool renew() = 0;
   /// How long after `disconnected` the session is certain to live still, when the server hears nothing.
   virtual std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const = 0;

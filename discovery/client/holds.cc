@@ -10,8 +10,8 @@ namespace {
 
 const config::Logger log{"discovery"};
 constexpr std::chrono::milliseconds retry_pause{50};
-/// While another session's node stands in the way (that of a process which died a moment ago, say).
-constexpr std::chrono::milliseconds refused_pause{200};
+/// While the registry refuses, for a reason that only people can mend.
+constexpr std::chrono::milliseconds refused_pause{1000};
 
 }  // namespace
 
@@ -22,12 +22,16 @@ void Holds::add(HoldPtr hold) {
 
 void Holds::release(const HoldPtr& hold) {
   hold->released = true;
+  const auto [begin, end] = waiting_.equal_range(hold->path);
+  const auto place = std::find_if(begin, end, [&](const auto& entry) { return entry.second == hold; });
+  if (place != end) waiting_.erase(place);
   step(hold);
 }
 
 void Holds::connected(std::int64_t session) {
   connected_ = true;
   session_ = session;
+  waiting_.clear();  // all are tried anew
   const std::vector<HoldPtr> all(holds_.begin(), holds_.end());
   for (const HoldPtr& hold : all) step(hold);
 }
@@ -132,10 +136,40 @@ void Holds::refused(const HoldPtr& hold, Status status) {
     return;
   }
   if (!std::exchange(hold->complained, true)) {
-    log.warn("{} cannot be created for now: {}; trying on", hold->path,
-             status == Status::exists ? "another session's node stands there" : "the registry refuses");
+    log.warn("{} cannot be created for now: {}", hold->path,
+             status == Status::exists   ? "another session's node stands there; waiting for it to go"
+             : status == Status::denied ? "what stands above it belongs to another user of the registry; trying on"
+                                        : "the registry refuses; trying on");
   }
-  step_later(hold, refused_pause);
+  if (status == Status::exists) {
+    wait_for_place(hold);
+  } else {
+    step_later(hold, refused_pause);
+  }
+}
+
+/// Another session's node stands there (that of a process which died a moment ago, say): its end is watched. In a new
+/// session of ours everything begins anew.
+void Holds::wait_for_place(const HoldPtr& hold) {
+  hold->busy = true;
+  connection_.get(hold->path, true, on_worker([this, hold, session = session_](const Reply& reply) {
+                    hold->busy = false;
+                    if (reply.status == Status::ok && session == session_ && !hold->released) {
+                      waiting_.emplace(hold->path, hold);
+                    } else if (reply.status == Status::away) {
+                      step_later(hold, retry_pause);
+                    } else {
+                      step(hold);
+                    }
+                  }));
+}
+
+void Holds::changed(const std::string& path) {
+  const auto [begin, end] = waiting_.equal_range(path);
+  std::vector<HoldPtr> woken;
+  for (auto place = begin; place != end; ++place) woken.push_back(place->second);
+  waiting_.erase(begin, end);
+  for (const HoldPtr& hold : woken) step(hold);
 }
 
 void Holds::remove(const HoldPtr& hold) {

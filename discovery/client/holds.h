@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <set>
 #include <string>
@@ -45,6 +46,8 @@ class Holds {
   void add(std::shared_ptr<Hold> hold);
   void release(const std::shared_ptr<Hold>& hold);
   void connected(std::int64_t session);
+  /// A watch fired: the node that stood in somebody's way may be gone.
+  void changed(const std::string& path);
   void disconnected() { connected_ = false; }
 
  private:
@@ -55,6 +58,7 @@ class Holds {
   void created(const HoldPtr& hold, const Reply& reply);
   void settle(const HoldPtr& hold, const std::string& real_path);
   void refused(const HoldPtr& hold, Status status);
+  void wait_for_place(const HoldPtr& hold);
   void remove(const HoldPtr& hold);
   void resolve_doubt(const HoldPtr& hold);
   void look_at(const HoldPtr& hold, std::vector<std::string> candidates);
@@ -69,6 +73,7 @@ class Holds {
   bool connected_ = false;
   std::int64_t session_ = 0;
   std::set<HoldPtr> holds_;
+  std::multimap<std::string, HoldPtr> waiting_;  ///< by path, for the node that stands there to go
 };
 
 }  // namespace iotcloud::discovery

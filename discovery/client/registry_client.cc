@@ -1,5 +1,8 @@
+#include <algorithm>
+#include <span>
 #include <utility>
 
+#include <iotcloud/discovery/client/batch.h>
 #include <iotcloud/discovery/client/client_state.h>
 #include <iotcloud/discovery/client/path.h>
 #include <iotcloud/discovery/client/registry_client.h>
@@ -36,6 +39,11 @@ RegistryError refusal(const std::string& what, Status status) {
       return RegistryError(RegistryErrorCode::bad_path, what +
                                                             ": no such path is possible (an ephemeral node cannot "
                                                             "have children, and the root cannot be removed)");
+    case Status::denied:
+      return RegistryError(RegistryErrorCode::denied,
+                           what +
+                               ": it belongs to another user of the registry; are registry.user and "
+                               "registry.password_file those of the process that created it?");
     case Status::ok:
     case Status::away:
       break;
@@ -115,6 +123,42 @@ class RegistryClient : public Registry {
     return std::move(reply.names);
   }
 
+  std::vector<std::optional<Node>> get_all(const std::vector<std::string>& paths) override {
+    std::vector<std::optional<Node>> nodes;
+    nodes.reserve(paths.size());
+    const auto read = [](Connection& connection, const std::string& path, Done done) {
+      connection.get(path, false, std::move(done));
+    };
+    for_each_answer("get ", paths, read, [&](const std::string& path, Reply& reply) {
+      if (reply.status == Status::no_node) {
+        nodes.emplace_back();
+      } else if (reply.status == Status::ok) {
+        nodes.emplace_back(std::move(reply.node));
+      } else {
+        throw refusal("get " + path, reply.status);
+      }
+    });
+    return nodes;
+  }
+
+  std::vector<std::optional<std::vector<std::string>>> children_of_all(const std::vector<std::string>& paths) override {
+    std::vector<std::optional<std::vector<std::string>>> lists;
+    lists.reserve(paths.size());
+    const auto read = [](Connection& connection, const std::string& path, Done done) {
+      connection.children(path, false, std::move(done));
+    };
+    for_each_answer("children of ", paths, read, [&](const std::string& path, Reply& reply) {
+      if (reply.status == Status::no_node) {
+        lists.emplace_back();
+      } else if (reply.status == Status::ok) {
+        lists.emplace_back(std::move(reply.names));
+      } else {
+        throw refusal("children of " + path, reply.status);
+      }
+    });
+    return lists;
+  }
+
   GuardPtr hold(const std::string& path, const std::string& data, bool sequential,
                 std::function<void(const std::string&)> on_created) override {
     return start_hold(path, data, sequential, std::move(on_created), true);
@@ -155,6 +199,21 @@ class RegistryClient : public Registry {
     } catch (const RegistryError& error) {
       if (error.code() == RegistryErrorCode::exists) return;
       if (error.code() != RegistryErrorCode::away || !get(path)) throw;  // in doubt, and there all the same
+    }
+  }
+
+  /// Reads in batches, each of which has the operation time-out to itself.
+  void for_each_answer(const std::string& what, const std::vector<std::string>& paths, const Batch::Read& read,
+                       const std::function<void(const std::string&, Reply&)>& use) {
+    for (const std::string& path : paths) check_path(path);
+    for (std::size_t begin = 0; begin < paths.size(); begin += Batch::size) {
+      const std::span<const std::string> part(paths.data() + begin, std::min(Batch::size, paths.size() - begin));
+      std::shared_ptr<Batch> batch;
+      core_->call(
+          what + part.front() + (part.size() > 1 ? " and others" : ""),
+          [&](Connection& connection, Done done) { batch = Batch::start(connection, part, read, std::move(done)); },
+          nullptr);
+      for (std::size_t i = 0; i < part.size(); ++i) use(part[i], batch->replies()[i]);
     }
   }
 

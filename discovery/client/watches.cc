@@ -1,14 +1,17 @@
 #include <utility>
 
+#include <iotcloud/config/log.h>
 #include <iotcloud/discovery/client/watches.h>
 
 namespace iotcloud::discovery {
 namespace {
 
+const config::Logger log{"discovery"};
 constexpr std::chrono::milliseconds read_pause{2};
 /// A long list of children is sent whole at each change: 10 000 names, some 360 KB, are read every 50 ms at most.
 constexpr std::chrono::microseconds read_pause_per_name{5};
 constexpr std::chrono::milliseconds retry_pause{50};
+constexpr std::chrono::milliseconds denied_pause{2000};
 
 bool same(const Reply& a, const Reply& b) {
   return a.status == b.status && a.node.version == b.node.version && a.node.created == b.node.created &&
@@ -97,7 +100,16 @@ void Watches::answered(const WatchPtr& watch, Reply reply) {
   const bool again = std::exchange(watch->again, false);
   if (reply.status != Status::ok && reply.status != Status::no_node) {
     // The next `connected` reads again; should the connection stand all the same, this does.
-    if (!watch->scheduled) schedule(watch, std::chrono::steady_clock::now() + retry_pause);
+    const bool denied = reply.status == Status::denied;
+    if (denied && !std::exchange(watch->complained, true)) {
+      log.warn(
+          "{} cannot be watched: it belongs to another user of the registry; are registry.user and "
+          "registry.password_file those of the process that created it?",
+          watch->path);
+    }
+    if (!watch->scheduled) {
+      schedule(watch, std::chrono::steady_clock::now() + (denied ? denied_pause : retry_pause));
+    }
     return;
   }
   report(*watch, std::move(reply));

@@ -30,6 +30,7 @@ struct Watch {
   bool reading = false;    ///< an answer is under way
   bool again = false;      ///< something changed meanwhile
   bool scheduled = false;  ///< a read is due at a later time
+  bool complained = false;
   SerialThread::Instant last_read = SerialThread::Instant::min();
   std::optional<Reply> reported;
 };

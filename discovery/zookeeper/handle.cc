@@ -1,0 +1,248 @@
+#include <algorithm>
+#include <array>
+#include <utility>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/zookeeper/closing.h>
+#include <iotcloud/discovery/zookeeper/handle.h>
+
+namespace iotcloud::discovery::zookeeper {
+namespace {
+
+const config::Logger log{"discovery.zookeeper"};
+
+Reply with_status(int code) {
+  Reply reply;
+  reply.status = to_status(code);
+  return reply;
+}
+
+Node to_node(const char* data, int size, const Stat& stat) {
+  Node node;
+  if (data != nullptr && size > 0) node.data.assign(data, static_cast<std::size_t>(size));
+  node.version = stat.version;
+  node.created = stat.czxid;
+  node.ephemeral = stat.ephemeralOwner != 0;
+  node.owner_session = stat.ephemeralOwner;
+  return node;
+}
+
+/// The library's messages are for its maintainers; what users need to know the registry client says.
+void library_log(const char* message) {
+  log.debug("{}", message);
+}
+
+}  // namespace
+
+Status to_status(int code) {
+  switch (code) {
+    case ZOK:
+      return Status::ok;
+    case ZNONODE:
+      return Status::no_node;
+    case ZNODEEXISTS:
+      return Status::exists;
+    case ZNOTEMPTY:
+      return Status::not_empty;
+    case ZBADVERSION:
+      return Status::bad_version;
+    case ZNOCHILDRENFOREPHEMERALS:
+    case ZBADARGUMENTS:
+      return Status::bad_path;
+    case ZNOAUTH:
+    case ZINVALIDACL:
+      return Status::denied;
+    default:
+      return Status::away;  // connection or session lost, or on its way there
+  }
+}
+
+std::shared_ptr<Handle> Handle::open(const Settings& settings, const Connection::Events& events) {
+  static std::once_flag once;
+  std::call_once(once, [] { zoo_set_debug_level(ZOO_LOG_LEVEL_WARN); });
+  auto self = std::make_shared<Handle>(settings, events);
+  const std::unique_lock lock(self->open_mutex_);  // no callback calls before the handle is known
+  self->handle_ =
+      zookeeper_init2(settings.url.hosts.c_str(), &Handle::on_event, static_cast<int>(settings.session_timeout.count()),
+                      nullptr, self.get(), ZOO_NO_LOG_CLIENTENV, &library_log);
+  if (self->handle_ == nullptr) return nullptr;
+  if (const std::string& identity = settings.identity; !identity.empty()) {
+    // The library tells every server that it connects to, before anything else.
+    zoo_add_auth(self->handle_, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
+  }
+  return self;
+}
+
+void Handle::shut(std::chrono::milliseconds patience) {
+  {
+    const std::unique_lock lock(callback_mutex_);
+    shut_ = true;
+  }
+  zhandle_t* handle = nullptr;
+  {
+    const std::unique_lock lock(open_mutex_);
+    handle = std::exchange(handle_, nullptr);
+  }
+  std::vector<Done> unanswered;
+  {
+    const std::lock_guard lock(requests_mutex_);
+    for (const auto& [key, request] : requests_) {
+      if (request->done) unanswered.push_back(std::exchange(request->done, nullptr));
+    }
+  }
+  for (const Done& done : unanswered) done(with_status(ZCLOSING));
+  if (handle == nullptr) return;
+  close_elsewhere([self = shared_from_this(), handle] { zookeeper_close(handle); }, patience);
+}
+
+/// Makes one asynchronous call; `done` is called by the library's thread, or here when it refuses.
+template <typename Call>
+void Handle::start(Done done, const Call& call) {
+  auto request = std::make_unique<Request>(Request{this, std::move(done)});
+  const void* key = request.get();
+  int code = ZINVALIDSTATE;
+  {
+    const std::shared_lock lock(open_mutex_);  // shut() cannot come in between
+    {
+      const std::lock_guard requests_lock(requests_mutex_);
+      requests_.emplace(key, std::move(request));
+    }
+    if (handle_ != nullptr) code = call(handle_, key);
+    if (code == ZOK) return;
+  }
+  if (const Done refused = taken(key)) refused(with_status(code));
+}
+
+Done Handle::taken(const void* key) {
+  const std::lock_guard lock(requests_mutex_);
+  const auto node = requests_.extract(key);
+  return std::move(node.mapped()->done);
+}
+
+void Handle::finish(const void* key, Reply reply) {
+  Handle& self = *static_cast<const Request*>(key)->handle;
+  const std::shared_lock lock(self.callback_mutex_);
+  if (const Done done = self.taken(key)) done(std::move(reply));
+}
+
+void Handle::create(const std::string& path, const std::string& data, int mode, Done done) {
+  start(std::move(done), [&](zhandle_t* handle, const void* request) {
+    return zoo_acreate(handle, full(path).c_str(), data.data(), static_cast<int>(data.size()), new_nodes_acl(), mode,
+                       &Handle::on_created, request);
+  });
+}
+
+void Handle::set(const std::string& path, const std::string& data, int expected_version, Done done) {
+  start(std::move(done), [&](zhandle_t* handle, const void* request) {
+    return zoo_aset(handle, full(path).c_str(), data.data(), static_cast<int>(data.size()), expected_version,
+                    &Handle::on_stat, request);
+  });
+}
+
+void Handle::remove(const std::string& path, int expected_version, Done done) {
+  start(std::move(done), [&](zhandle_t* handle, const void* request) {
+    return zoo_adelete(handle, full(path).c_str(), expected_version, &Handle::on_removed, request);
+  });
+}
+
+void Handle::get(const std::string& path, bool watch, Done done) {
+  start(std::move(done), [&](zhandle_t* handle, const void* request) {
+    return zoo_aget(handle, full(path).c_str(), watch ? 1 : 0, &Handle::on_data, request);
+  });
+}
+
+void Handle::children(const std::string& path, bool watch, Done done) {
+  start(std::move(done), [&](zhandle_t* handle, const void* request) {
+    return zoo_aget_children(handle, full(path).c_str(), watch ? 1 : 0, &Handle::on_names, request);
+  });
+}
+
+void Handle::exists_watched(const std::string& path, Done done) {
+  start(std::move(done), [&](zhandle_t* handle, const void* request) {
+    return zoo_aexists(handle, full(path).c_str(), 1, &Handle::on_stat, request);
+  });
+}
+
+void Handle::on_created(int code, const char* path, const void* request) {
+  Reply reply = with_status(code);
+  if (code == ZOK && path != nullptr) reply.path = static_cast<const Request*>(request)->handle->stripped(path);
+  finish(request, std::move(reply));
+}
+
+void Handle::on_stat(int code, const Stat* /*stat*/, const void* request) {
+  finish(request, with_status(code));
+}
+
+void Handle::on_removed(int code, const void* request) {
+  finish(request, with_status(code));
+}
+
+void Handle::on_data(int code, const char* data, int size, const Stat* stat, const void* request) {
+  Reply reply = with_status(code);
+  if (code == ZOK && stat != nullptr) reply.node = to_node(data, size, *stat);
+  finish(request, std::move(reply));
+}
+
+void Handle::on_names(int code, const String_vector* names, const void* request) {
+  Reply reply = with_status(code);
+  if (code == ZOK && names != nullptr) {
+    reply.names.assign(names->data, names->data + names->count);
+    std::sort(reply.names.begin(), reply.names.end());
+  }
+  finish(request, std::move(reply));
+}
+
+void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, void* context) {
+  auto& self = *static_cast<Handle*>(context);
+  const std::shared_lock lock(self.callback_mutex_);
+  if (self.shut_) return;
+  if (type != ZOO_SESSION_EVENT) {
+    if (path != nullptr) self.events_.changed(self.stripped(path));
+    return;
+  }
+  if (state == ZOO_CONNECTED_STATE) {
+    self.make_chroot(handle);
+    self.events_.connected(zoo_client_id(handle)->client_id, std::chrono::milliseconds(zoo_recv_timeout(handle)));
+  } else if (state == ZOO_EXPIRED_SESSION_STATE) {
+    self.events_.expired();
+  } else if (state == ZOO_AUTH_FAILED_STATE) {
+    log.error("{} refuses the way in which this process says who it is; does it know digest authentication?",
+              self.settings_.url.hosts);
+    self.events_.expired();
+  } else {
+    self.events_.disconnected();
+  }
+}
+
+/// Under way before any other call of this session, so it takes effect first.
+void Handle::make_chroot(zhandle_t* handle) const {
+  const std::string& chroot = settings_.url.chroot;
+  const auto ignore = [](int /*code*/, const char* /*path*/, const void* /*request*/) {};
+  for (std::size_t end = 1; end < chroot.size();) {
+    end = std::min(chroot.find('/', end + 1), chroot.size());
+    zoo_acreate(handle, chroot.substr(0, end).c_str(), "", 0, new_nodes_acl(), ZOO_PERSISTENT, ignore, nullptr);
+  }
+}
+
+/// With an identity a node is its creator's, and nobody else's or everybody's to read; without, it is everybody's.
+const ACL_vector* Handle::new_nodes_acl() const {
+  static char auth[] = "auth", world[] = "world", anyone[] = "anyone", nothing[] = "";
+  static std::array<ACL, 2> rights{ACL{ZOO_PERM_ALL, Id{auth, nothing}}, ACL{ZOO_PERM_READ, Id{world, anyone}}};
+  static const ACL_vector creators_only{1, rights.data()};
+  static const ACL_vector others_may_read{2, rights.data()};
+  if (settings_.identity.empty()) return &ZOO_OPEN_ACL_UNSAFE;
+  return settings_.others_may_read ? &others_may_read : &creators_only;
+}
+
+std::string Handle::full(const std::string& path) const {
+  const std::string& chroot = settings_.url.chroot;
+  if (chroot.empty()) return path;
+  return path == "/" ? chroot : chroot + path;
+}
+
+std::string Handle::stripped(const std::string& path) const {
+  const std::size_t prefix = settings_.url.chroot.size();
+  return path.size() == prefix ? "/" : path.substr(prefix);
+}
+
+}  // namespace iotcloud::discovery::zookeeper
