@@ -102,6 +102,10 @@ class Registry {
   virtual SessionState session() const = 0;
   /// Calls back with the state soon, and after every change.
   virtual GuardPtr on_session(std::function<void(SessionState)> callback) = 0;
+
+  /// Calls back once, no sooner than after `pause`, behind the callbacks that wait already: for work that is done once
+  /// for many of them.
+  virtual GuardPtr after(std::chrono::milliseconds pause, std::function<void()> callback) = 0;
 };
 
 struct RegistryOptions {

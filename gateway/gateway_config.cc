@@ -2,6 +2,7 @@
 
 #include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/host/plugin.h>
 
@@ -67,9 +68,8 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   auto& gateway = config.gateway;
   gateway.id = file.require_string("id");
   checked(file, "id", [&] { check_name("gateway id", gateway.id); });
+  config.registry = discovery::read_registry_options(file);
   config.registry.url = file.require_string("registry");
-  config.registry.session_timeout =
-      duration_cast<milliseconds>(file.duration_or("registry.session_timeout", config.registry.session_timeout));
   // A call that waits for the registry must not hold up the stop.
   config.registry.operation_timeout = milliseconds{3000};
   gateway.session_timeout = config.registry.session_timeout;

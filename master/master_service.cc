@@ -10,7 +10,7 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/records.h>
-#include <iotcloud/discovery/registry.h>
+#include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/master/api_handler.h>
 #include <iotcloud/master/gateway_handler.h>
 #include <iotcloud/master/master.h>
@@ -54,7 +54,7 @@ class MasterService final : public config::Service {
   explicit MasterService(MasterDaemonConfig config) : config_(std::move(config)) {}
 
   void start() override {
-    registry_ = discovery::make_registry({config_.registry_url, config_.session_timeout, registry_timeout});
+    registry_ = discovery::make_registry(config_.registry);
     OriginalGatewaysOptions original_options;
     original_options.paths = discovery::Paths(config_.sensors_root);
     original_ = std::make_unique<OriginalGateways>(*registry_, original_options);
@@ -78,7 +78,7 @@ class MasterService final : public config::Service {
         gateways, serve_original_gateways(*original_, [this] { return master_->status(); }));
     if (!config_.metrics_address.empty())
       metrics_ = std::make_unique<config::MetricsEndpoint>(config_.metrics_address, config::process_metrics());
-    logger.info("{}: API on {}:{}, registry {}", config_.id, api.host, api_->port(), config_.registry_url);
+    logger.info("{}: API on {}:{}, registry {}", config_.id, api.host, api_->port(), config_.registry.url);
   }
 
   void stop(milliseconds) override { end(); }
@@ -111,10 +111,10 @@ MasterDaemonConfig load_master_config(const std::string& file) {
   auto top = config::Section::load_file(file);
   MasterDaemonConfig config;
   config.id = top.string_or("id", "master");
-  config.registry_url = top.require_string("registry");
+  config.registry = discovery::read_registry_options(top);
+  config.registry.url = top.require_string("registry");
+  config.registry.operation_timeout = registry_timeout;
   config.sensors_root = top.string_or("zk.root", "/iot/sensors");
-  config.session_timeout =
-      std::chrono::duration_cast<milliseconds>(top.duration_or("registry.session_timeout", config.session_timeout));
   if (auto api = top.optional_section("api")) {
     read_address(*api, config.api);
     config.advertise = api->string_or("advertise", "");

@@ -5,6 +5,7 @@
 #include <string>
 
 #include <iotcloud/config/daemon.h>
+#include <iotcloud/discovery/registry.h>
 
 namespace iotcloud::master {
 
@@ -17,9 +18,8 @@ struct ListenAddress {
 /// config/master.yaml, read and checked.
 struct MasterDaemonConfig {
   std::string id;
-  std::string registry_url;
+  discovery::RegistryOptions registry;
   std::string sensors_root;  ///< zk.root
-  std::chrono::milliseconds session_timeout{10'000};
   ListenAddress api{"127.0.0.1", 12904};
   ListenAddress gateways{"127.0.0.1", 12903};
   std::string token;            ///< api.token_file's first line; empty: none is asked for

@@ -58,16 +58,23 @@ struct ClientState::HoldGuard : Guard {
 };
 
 struct ClientState::ListenerGuard : Guard {
-  ListenerGuard(std::weak_ptr<ClientState> c, std::shared_ptr<SessionCallback> l)
-      : state(std::move(c)), listener(std::move(l)) {}
+  ListenerGuard(std::weak_ptr<ClientState> c, std::shared_ptr<SessionCallback> l, std::uint64_t n)
+      : state(std::move(c)), listener(std::move(l)), number(n) {}
   ~ListenerGuard() override {
     listener->shut();
     if (const auto alive = state.lock()) {
-      alive->worker_.post([state = alive.get(), listener = listener] { state->listeners_.remove(listener); });
+      alive->worker_.post([state = alive.get(), number = number] { state->listeners_.erase(number); });
     }
   }
   std::weak_ptr<ClientState> state;
   std::shared_ptr<SessionCallback> listener;
+  const std::uint64_t number;
+};
+
+struct ClientState::TimerGuard : Guard {
+  explicit TimerGuard(std::shared_ptr<SessionCallback> c) : callback(std::move(c)) {}
+  ~TimerGuard() override { callback->shut(); }
+  std::shared_ptr<SessionCallback> callback;
 };
 
 void ClientState::open() {
@@ -156,7 +163,7 @@ void ClientState::enter(SessionState state) {
     state_ = state;
     changed_.notify_all();
   }
-  for (const auto& listener : listeners_) listener->deliver_each(dispatcher_, state);
+  for (const auto& [number, listener] : listeners_) listener->deliver_each(dispatcher_, state);
 }
 
 Reply ClientState::call(const std::string& what, const std::function<void(Connection&, Done)>& operation,
@@ -236,11 +243,18 @@ GuardPtr ClientState::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& re
 
 GuardPtr ClientState::add_listener(std::function<void(SessionState)> callback) {
   auto listener = std::make_shared<SessionCallback>(std::move(callback));
-  worker_.post([this, listener] {
-    listeners_.push_back(listener);
+  const std::uint64_t number = ++last_listener_;
+  worker_.post([this, listener, number] {
+    listeners_.emplace(number, listener);
     listener->deliver_each(dispatcher_, session());
   });
-  return std::make_unique<ListenerGuard>(weak_from_this(), std::move(listener));
+  return std::make_unique<ListenerGuard>(weak_from_this(), std::move(listener), number);
+}
+
+GuardPtr ClientState::add_timer(milliseconds pause, std::function<void()> callback) {
+  auto once = std::make_shared<SessionCallback>([callback = std::move(callback)](SessionState) { callback(); });
+  worker_.post_at(Clock::now() + pause, [this, once] { once->deliver_each(dispatcher_, session()); });
+  return std::make_unique<TimerGuard>(std::move(once));
 }
 
 }  // namespace iotcloud::discovery

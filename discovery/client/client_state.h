@@ -1,10 +1,11 @@
 #pragma once
 
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
-#include <list>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -49,6 +50,7 @@ class ClientState : public std::enable_shared_from_this<ClientState> {
   /// \param wait for the first creation. \return null, with the reason in `refusal`, when it is refused.
   GuardPtr add_hold(std::shared_ptr<Hold> hold, bool wait, Status& refusal);
   GuardPtr add_listener(std::function<void(SessionState)> callback);
+  GuardPtr add_timer(std::chrono::milliseconds pause, std::function<void()> callback);
   SessionState session() const {
     const std::lock_guard lock(mutex_);
     return state_;
@@ -61,6 +63,7 @@ class ClientState : public std::enable_shared_from_this<ClientState> {
   struct WatchGuard;
   struct HoldGuard;
   struct ListenerGuard;
+  struct TimerGuard;
 
   void on_connected(std::int64_t session, std::chrono::milliseconds timeout);
   void on_disconnected(std::chrono::steady_clock::time_point when);
@@ -85,9 +88,11 @@ class ClientState : public std::enable_shared_from_this<ClientState> {
   bool renewed_in_vain_ = false;  ///< no connection since the last renewal
   std::uint64_t link_changes_ = 0;
   std::chrono::milliseconds timeout_{0};
-  std::list<std::shared_ptr<SessionCallback>> listeners_;
+  std::map<std::uint64_t, std::shared_ptr<SessionCallback>> listeners_;  ///< by number, in the order of their coming
   Watches watches_;
   Holds holds_;
+
+  std::atomic<std::uint64_t> last_listener_{0};
 };
 
 }  // namespace iotcloud::discovery

@@ -30,7 +30,7 @@ void Holds::release(const HoldPtr& hold) {
 
 void Holds::connected(std::int64_t session) {
   connected_ = true;
-  session_ = session;
+  if (std::exchange(session_, session) != session) taken_.clear();
   waiting_.clear();  // all are tried anew
   const std::vector<HoldPtr> all(holds_.begin(), holds_.end());
   for (const HoldPtr& hold : all) step(hold);
@@ -40,7 +40,7 @@ void Holds::connected(std::int64_t session) {
 void Holds::step(const HoldPtr& hold) {
   if (hold->busy) return;
   if (hold->session != session_) {  // that session's nodes are gone
-    hold->real_path.clear();
+    forget_node(hold);
     hold->in_doubt = false;
   }
   const bool exists = !hold->real_path.empty();
@@ -121,6 +121,7 @@ void Holds::settle(const HoldPtr& hold, const std::string& real_path) {
   hold->in_doubt = false;
   hold->complained = false;
   hold->real_path = real_path;
+  taken_.insert(real_path);
   if (hold->released) {
     step(hold);
     return;
@@ -179,15 +180,15 @@ void Holds::remove(const HoldPtr& hold) {
                        if (reply.status == Status::away) {
                          step_later(hold, retry_pause);
                        } else {
-                         hold->real_path.clear();
+                         forget_node(hold);
                          step(hold);
                        }
                      }));
 }
 
-bool Holds::taken(const std::string& real_path) const {
-  return std::any_of(holds_.begin(), holds_.end(),
-                     [&](const HoldPtr& hold) { return hold->session == session_ && hold->real_path == real_path; });
+void Holds::forget_node(const HoldPtr& hold) {
+  if (hold->session == session_) taken_.erase(hold->real_path);
+  hold->real_path.clear();
 }
 
 /// Looks for a node that a creation without answer has left.

@@ -63,7 +63,8 @@ class Holds {
   void resolve_doubt(const HoldPtr& hold);
   void look_at(const HoldPtr& hold, std::vector<std::string> candidates);
   void make_parents(const std::string& path, std::function<void(Status)> next);
-  bool taken(const std::string& real_path) const;
+  bool taken(const std::string& real_path) const { return taken_.contains(real_path); }
+  void forget_node(const HoldPtr& hold);
   /// Brings the answer to the worker.
   Done on_worker(std::function<void(Reply)> next);
 
@@ -73,6 +74,7 @@ class Holds {
   bool connected_ = false;
   std::int64_t session_ = 0;
   std::set<HoldPtr> holds_;
+  std::set<std::string> taken_;                  ///< real paths of this session's nodes that holds have for their own
   std::multimap<std::string, HoldPtr> waiting_;  ///< by path, for the node that stands there to go
 };
 

@@ -190,6 +190,9 @@ class RegistryClient : public Registry {
   GuardPtr on_session(std::function<void(SessionState)> callback) override {
     return core_->add_listener(std::move(callback));
   }
+  GuardPtr after(std::chrono::milliseconds pause, std::function<void()> callback) override {
+    return core_->add_timer(pause, std::move(callback));
+  }
 
  private:
   /// A persistent, empty node and its parents, whoever makes them.

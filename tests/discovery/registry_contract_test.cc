@@ -102,6 +102,26 @@ TEST_P(RegistryContract, ListsChildrenSorted) {
   EXPECT_THAT(other_->children("/list/a").value(), IsEmpty());
 }
 
+TEST_P(RegistryContract, ReadsThousandsOfNodesAtOnceInTheOrderAsked) {
+  constexpr int count = 1200;  // several batches
+  std::vector<std::string> paths;
+  for (int i = 0; i < count; ++i) {
+    paths.push_back("/many/n" + std::to_string(i));
+    if (i % 3 != 0) registry_->create(paths.back(), std::to_string(i));
+  }
+  const auto nodes = other_->get_all(paths);
+  const auto lists = other_->children_of_all(paths);
+  ASSERT_EQ(nodes.size(), paths.size());
+  ASSERT_EQ(lists.size(), paths.size());
+  for (std::size_t i = 0; i < count; ++i) {
+    ASSERT_EQ(text(nodes[i]), i % 3 != 0 ? std::to_string(i) : "(none)");
+    ASSERT_EQ(text(lists[i]), i % 3 != 0 ? "" : "(none)");
+  }
+  EXPECT_TRUE(other_->get_all({}).empty());
+  EXPECT_EQ(text(other_->children_of_all({"/many"}).front()), text(other_->children("/many")));
+  EXPECT_EQ(code_of([&] { other_->get_all({"/many", "none"}); }), Code::bad_path);
+}
+
 TEST_P(RegistryContract, PutsAndRemovesWholeTrees) {
   put(*registry_, "/t/a/b", "1");
   put(*registry_, "/t/a/b", "2");

@@ -75,7 +75,7 @@ TEST(MasterConfig, ATokenFileThatCannotBeReadIsAnError) {
 TEST(MasterService, StartsAndStopsAndMayBeStartedAnew) {
   MasterDaemonConfig config;
   config.id = "m1";
-  config.registry_url = "embedded://master-service-" + std::to_string(getpid());
+  config.registry.url = "embedded://master-service-" + std::to_string(getpid());
   config.sensors_root = "/iot/sensors";
   config.api.port = 0;
   config.gateways.port = 0;
@@ -88,7 +88,7 @@ TEST(MasterService, StartsAndStopsAndMayBeStartedAnew) {
 
 TEST(MasterService, APortInUseStopsTheStartCleanly) {
   MasterDaemonConfig config;
-  config.registry_url = "embedded://master-service-" + std::to_string(getpid());
+  config.registry.url = "embedded://master-service-" + std::to_string(getpid());
   config.sensors_root = "/iot/sensors";
   config.api.port = 0;
   config.gateways.port = test::free_port();

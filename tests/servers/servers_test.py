@@ -75,6 +75,20 @@ class ServersTest(unittest.TestCase):
     def test_zookeeper(self):
         self.obeys("zookeeper.py")
 
+    def test_a_zookeeper_ensemble(self):
+        self.obeys("zookeeper_cluster.py")
+
+    def test_a_zookeeper_ensemble_that_loses_its_leader_has_another(self):
+        with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder:
+            cluster = Script("zookeeper_cluster.py", folder)
+            self.assertRegex(cluster.answer(), "^READY zookeeper://.*,.*,.*$")
+            first = cluster.ask("leader")
+            self.assertRegex(first, "^LEADER [123]$")
+            self.assertEqual(cluster.ask("kill leader"), "KILLED")
+            self.assertRegex(cluster.ask("leader"), "^LEADER [123]$")
+            self.assertNotEqual(cluster.ask("leader"), first)
+            self.assertEqual(cluster.end(), ("STOPPED", 0))
+
     def test_kafka(self):
         self.obeys("kafka.py")
 

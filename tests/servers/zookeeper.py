@@ -33,7 +33,8 @@ CLASS_PATH = ["zookeeper", "zookeeper-jute", "slf4j-api", "slf4j-simple", "metri
 class ZooKeeper(private_server.Server):
     name = "ZooKeeper"  # it writes its log ahead: nothing is lost by ending it hard
 
-    def __init__(self, folder, port):
+    def __init__(self, folder, port=None, ensemble_settings=()):
+        """ensemble_settings: lines of the configuration, for a server of an ensemble."""
         super().__init__(folder)
         self.port = port or private_server.free_ports(1)[0]
         os.makedirs(self.path("data"), exist_ok=True)
@@ -41,7 +42,7 @@ class ZooKeeper(private_server.Server):
             # Sessions expire in steps of tickTime.
             "tickTime=200", "initLimit=50", "syncLimit=25", "minSessionTimeout=400", "maxSessionTimeout=60000",
             "dataDir=" + self.path("data"), "clientPortAddress=127.0.0.1", "clientPort=%d" % self.port,
-            "maxClientCnxns=0", "admin.enableServer=false", "4lw.commands.whitelist=srvr"])
+            "maxClientCnxns=0", "admin.enableServer=false", "4lw.commands.whitelist=srvr", *ensemble_settings])
 
     def command(self):
         jars = [os.path.join(JARS, name + ".jar") for name in CLASS_PATH]
@@ -58,8 +59,9 @@ class ZooKeeper(private_server.Server):
     def url(self):
         return "zookeeper://127.0.0.1:%d" % self.port
 
-    def answers(self):
-        """`srvr` tells the mode only once requests are served; `ruok` says imok long before."""
+    def mode(self):
+        """"standalone", "leader" or "follower"; empty while it serves nobody. `srvr` tells the mode only once requests
+        are served; `ruok` says imok long before."""
         with socket.create_connection(("127.0.0.1", self.port), timeout=1) as probe:
             probe.settimeout(0.3)  # asked too early it may never answer
             probe.sendall(b"srvr")
@@ -67,8 +69,13 @@ class ZooKeeper(private_server.Server):
             while True:
                 chunk = probe.recv(4096)
                 if not chunk:
-                    return b"Mode:" in answer
+                    break
                 answer += chunk
+        words = [line.split(b": ")[1] for line in answer.splitlines() if line.startswith(b"Mode: ")]
+        return words[0].decode() if words else ""
+
+    def answers(self):
+        return self.mode() != ""
 
 
 def main():

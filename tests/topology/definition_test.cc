@@ -57,7 +57,7 @@ TEST(TopologyDefinition, ReadsThePapersExampleWordForWord) {
   const auto definition = TopologyDefinition::parse(paper_example, "paper.yaml");
 
   EXPECT_EQ(definition.name, "wordcount");
-  EXPECT_EQ(definition.registry_url, "zookeeper://server1:2181");
+  EXPECT_EQ(definition.registry.url, "zookeeper://server1:2181");
   EXPECT_EQ(definition.zk_root, "/iot/sensors");
   ASSERT_THAT(definition.spouts, SizeIs(1));
   const auto& spout = definition.spouts[0];
@@ -125,7 +125,7 @@ bolts:
     inputs: {from: inner}
 )",
                                                     "t.yaml");
-  EXPECT_EQ(definition.registry_url, "embedded://here");
+  EXPECT_EQ(definition.registry.url, "embedded://here");
   EXPECT_THAT(definition.libraries, ElementsAre("a.so", "b.so"));
   EXPECT_EQ(definition.brokers.at("lab").urls, std::vector<std::string>{"amqp://lab"});
   EXPECT_EQ(definition.conf.at("colour"), "red");

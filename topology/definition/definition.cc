@@ -2,7 +2,7 @@
 #include <set>
 
 #include <iotcloud/brokers/broker_setting.h>
-#include <iotcloud/discovery/registry.h>
+#include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/definition/read_endpoint.h>
 #include <iotcloud/topology/grouping.h>
@@ -152,7 +152,7 @@ ComponentDefinition read_bolt(const std::string& id, Section section, const std:
 }
 
 /// zk.servers as a registry's URL; `registry` goes before it.
-std::string read_registry(Section& root) {
+std::string read_registry_url(Section& root) {
   const auto servers = root.strings_or("zk.servers", {});
   const auto registry = root.string_or("registry", "");
   if (!registry.empty() || servers.empty()) return registry;
@@ -184,11 +184,10 @@ RunSettings read_runtime(Section& root) {
 }
 
 /// By logical name: a URL, or a mapping of what connecting takes. Both may leave the URL to the channels' records.
-std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root) {
+std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root, std::chrono::milliseconds session_timeout) {
   std::map<std::string, brokers::BrokerOptions> brokers;
   auto section = root.optional_section("brokers");
   if (!section) return brokers;
-  const auto session_timeout = discovery::RegistryOptions().session_timeout;
   for (const std::string& name : section->names()) {
     auto& options = brokers[name];
     if (section->is_mapping(name)) {
@@ -228,7 +227,7 @@ void refuse_double_readers(const std::vector<ComponentDefinition>& spouts) {
 TopologyDefinition read(Section root, const std::string& file) {
   TopologyDefinition definition{.file = file,
                                 .name = {},
-                                .registry_url = {},
+                                .registry = {},
                                 .zk_root = {},
                                 .libraries = {},
                                 .brokers = {},
@@ -239,13 +238,14 @@ TopologyDefinition read(Section root, const std::string& file) {
                                 .bolts = {},
                                 .root = root};
   definition.name = require_name(root, "topology.name");
-  definition.registry_url = read_registry(root);
+  definition.registry = discovery::read_registry_options(root);
+  definition.registry.url = read_registry_url(root);
   definition.zk_root = root.string_or("zk.root", "/iot/sensors");
   if (definition.zk_root.size() < 2 || definition.zk_root.front() != '/' || definition.zk_root.back() == '/') {
     throw root.error("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
   }
   definition.libraries = root.strings_or("topology.library", {});
-  definition.brokers = read_brokers(root);
+  definition.brokers = read_brokers(root, definition.registry.session_timeout);
   definition.conf = root.string_map("conf");
   definition.runtime = read_runtime(root);
   if (auto metrics = root.optional_section("metrics")) {

@@ -8,6 +8,7 @@
 
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/fields.h>
 #include <iotcloud/topology/topology_context.h>
 
@@ -108,8 +109,8 @@ struct TopologyDefinition {
 
   std::string file;
   std::string name;
-  std::string registry_url;  ///< `registry`, or made of zk.servers; empty: none given
-  std::string zk_root;       ///< zk.root
+  discovery::RegistryOptions registry;  ///< URL of `registry`, or made of zk.servers; empty: none given
+  std::string zk_root;                  ///< zk.root
   std::vector<std::string> libraries;
   std::map<std::string, brokers::BrokerOptions> brokers;  ///< by logical name; URLs: instead of the gateways'
   Config conf;

@@ -114,9 +114,9 @@ std::string describe_crossings(const TopologyDefinition& definition, const Topol
 
 std::string describe(const TopologyDefinition& definition, const Topology& topology) {
   std::string text = "topology " + topology.name + ": " + count_of(topology.components.size(), "component") + "\n";
-  text += definition.registry_url.empty()
+  text += definition.registry.url.empty()
               ? "no registry is named: it runs in local mode only; \"zk.servers\" is for workers\n"
-              : "registry " + brokers::printable_url(definition.registry_url) + ", drivers below " +
+              : "registry " + brokers::printable_url(definition.registry.url) + ", drivers below " +
                     definition.zk_root + "\n";
   if (!definition.runtime.acking) text += "acking is off: what fails is lost\n";
   for (const auto& component : topology.components) {

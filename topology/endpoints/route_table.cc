@@ -58,15 +58,24 @@ void RouteTable::leave(const OutputCollector& collector) {
     const std::lock_guard lock(mutex_);
     routes_.clear();
     senders_.clear();
+    uses_.clear();
   }
   for (const auto& sender : last) sender->close();
 }
 
-std::set<std::shared_ptr<ChannelSender>> RouteTable::senders() const {
-  std::set<std::shared_ptr<ChannelSender>> all;
+std::vector<std::shared_ptr<ChannelSender>> RouteTable::senders() const {
+  std::vector<std::shared_ptr<ChannelSender>> all;
   const std::lock_guard lock(mutex_);
-  for (const auto& [id, route] : routes_) all.insert(route.sender);
+  for (const auto& [sender, count] : uses_) all.push_back(sender);
   return all;
+}
+
+/// A route uses it no longer. \return it, when no other route does. With mutex_ held.
+std::shared_ptr<ChannelSender> RouteTable::drop(std::shared_ptr<ChannelSender> sender) {
+  const auto use = uses_.find(sender);
+  if (use == uses_.end() || --use->second > 0) return nullptr;
+  uses_.erase(use);
+  return sender;
 }
 
 void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollector& collector) {
@@ -207,12 +216,12 @@ void RouteTable::on_channel(const discovery::ChannelRecord& channel) {
   {
     const std::lock_guard lock(mutex_);
     Route& route = routes_[channel.instance];
-    if (route.sender != sender) replaced = std::exchange(route.sender, sender);
+    if (route.sender != sender) {
+      ++uses_[sender];
+      replaced = drop(std::exchange(route.sender, sender));
+    }
     route.gateway = channel.gateway;
     departed_.erase(channel.instance);
-    for (const auto& [id, other] : routes_) {
-      if (other.sender == replaced) replaced = nullptr;  // others still use it
-    }
   }
   if (replaced) replaced->close();
   send_waiting(channel.instance);
@@ -224,15 +233,12 @@ void RouteTable::on_channel_gone(const discovery::ChannelRecord& channel) {
     const std::lock_guard lock(mutex_);
     const auto found = routes_.find(channel.instance);
     if (found == routes_.end()) return;
-    unused = std::move(found->second.sender);
+    unused = drop(std::move(found->second.sender));
     routes_.erase(found);
     if (departed_.size() >= most_departed) departed_.erase(departed_.begin());
     departed_.insert(channel.instance);
-    for (const auto& [id, other] : routes_) {
-      if (other.sender == unused) return;
-    }
   }
-  unused->close();
+  if (unused) unused->close();
 }
 
 /// The topic's sender; a new one when there is none yet. Null, which is said once, when its broker cannot be used.
@@ -241,7 +247,10 @@ std::shared_ptr<ChannelSender> RouteTable::sender_for(const discovery::ChannelRe
   std::shared_ptr<SenderMeters> meters;
   {
     const std::lock_guard lock(mutex_);
-    std::erase_if(senders_, [](const auto& entry) { return entry.second.expired(); });
+    if (senders_.size() > most_senders_) {
+      std::erase_if(senders_, [](const auto& entry) { return entry.second.expired(); });
+      most_senders_ = std::max<std::size_t>(64, 2 * senders_.size());
+    }
     const auto found = senders_.find(key);
     if (found != senders_.end()) {
       if (auto sender = found->second.lock()) return sender;

@@ -10,6 +10,7 @@
 #include <set>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/topology/definition/definition.h>
@@ -66,7 +67,8 @@ class RouteTable {
   void send_waiting(const std::string& driver_id);
   void give_up(const std::deque<Waiting>& late);
   void unknown(const std::string& driver_id, const Tuple& tuple, OutputCollector& collector);
-  std::set<std::shared_ptr<ChannelSender>> senders() const;
+  std::vector<std::shared_ptr<ChannelSender>> senders() const;
+  std::shared_ptr<ChannelSender> drop(std::shared_ptr<ChannelSender> sender);
 
   const EndpointServicesPtr services_;
   const std::string component_;
@@ -78,17 +80,19 @@ class RouteTable {
 
   mutable std::mutex mutex_;
   std::condition_variable sent_;
-  std::shared_ptr<SenderMeters> meters_;                       ///< guarded by mutex_
-  config::Counter* unknown_ = nullptr;                         ///< guarded by mutex_
-  std::map<std::string, Route> routes_;                        ///< by driver instance; guarded by mutex_
-  std::set<std::string> departed_;                             ///< instances seen and gone; guarded by mutex_
-  std::map<SenderKey, std::weak_ptr<ChannelSender>> senders_;  ///< guarded by mutex_
-  std::set<std::string> complained_;                           ///< guarded by mutex_
-  std::map<std::string, std::deque<Waiting>> waiting_;         ///< by driver instance, in order; guarded by mutex_
-  std::size_t waiting_count_ = 0;                              ///< guarded by mutex_
-  OutputCollector* sending_ = nullptr;                         ///< guarded by mutex_; whose waiting tuple is being sent
-  bool no_grace_ = false;                                      ///< guarded by mutex_
-  std::optional<config::Clock::Instant> last_unknown_;         ///< guarded by mutex_
+  std::shared_ptr<SenderMeters> meters_;                        ///< guarded by mutex_
+  config::Counter* unknown_ = nullptr;                          ///< guarded by mutex_
+  std::map<std::string, Route> routes_;                         ///< by driver instance; guarded by mutex_
+  std::set<std::string> departed_;                              ///< instances seen and gone; guarded by mutex_
+  std::map<SenderKey, std::weak_ptr<ChannelSender>> senders_;   ///< guarded by mutex_
+  std::size_t most_senders_ = 64;                               ///< before dead ones are swept out; guarded by mutex_
+  std::map<std::shared_ptr<ChannelSender>, std::size_t> uses_;  ///< by how many routes; guarded by mutex_
+  std::set<std::string> complained_;                            ///< guarded by mutex_
+  std::map<std::string, std::deque<Waiting>> waiting_;          ///< by driver instance, in order; guarded by mutex_
+  std::size_t waiting_count_ = 0;                               ///< guarded by mutex_
+  OutputCollector* sending_ = nullptr;                  ///< guarded by mutex_; whose waiting tuple is being sent
+  bool no_grace_ = false;                               ///< guarded by mutex_
+  std::optional<config::Clock::Instant> last_unknown_;  ///< guarded by mutex_
 };
 
 }  // namespace iotcloud::topology

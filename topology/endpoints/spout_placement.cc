@@ -10,6 +10,9 @@ namespace {
 
 const config::Logger logger{"topology.endpoints"};
 
+/// Units that come or go within so short a time are shared out together.
+constexpr std::chrono::milliseconds gathering{5};
+
 /// A driver instance for an exclusive channel, a gateway for a shared one.
 std::string unit_of(const discovery::ChannelRecord& channel) {
   return channel.shared ? "gateway-" + channel.gateway : "instance-" + channel.instance;
@@ -34,6 +37,7 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
     inboxes_[task_index] = std::move(inbox);
     if (inboxes_.size() < static_cast<std::size_t>(task_count)) return;
     workers_ = {services_->worker};
+    loads_.assign(inboxes_.size(), 0);
   }
   // Callbacks come on the dispatcher and wait for mutex_: it is not held here, nor in leave() while the watches die.
   auto& registry = *services_->registry;
@@ -54,13 +58,16 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
 
 void SpoutPlacement::leave() {
   std::map<std::string, Unit> units;
+  discovery::GuardPtr sharing;
   {
     const std::lock_guard lock(mutex_);
     if (std::exchange(over_, true)) return;
     units.swap(units_);
+    sharing.swap(sharing_);
     inboxes_.clear();
   }
   search_.reset();
+  sharing.reset();
   for (auto& [name, unit] : units) {
     stop_reading(unit);
     unit.election.reset();
@@ -103,7 +110,8 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
   const bool fresh = !units_.contains(name);
   Unit& unit = units_[name];
   unit.channels[channel.instance] = channel;
-  if (fresh) share_out();
+  if (fresh && workers_.size() == 1) stand(name, unit);
+  if (fresh && workers_.size() > 1) share_out_soon();
   if (unit.task >= 0) read(unit);
   report();
 }
@@ -116,8 +124,7 @@ void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
   } else {
     release(found->second);
     units_.erase(found);
-    share_out();
-    balance();
+    share_out_soon();
   }
   report();
 }
@@ -131,6 +138,18 @@ void SpoutPlacement::on_workers(const std::vector<std::string>& workers) {
   share_out();
   balance();
   report();
+}
+
+void SpoutPlacement::share_out_soon() {
+  if (std::exchange(sharing_soon_, true)) return;
+  sharing_ = services_->registry->after(gathering, [this] {
+    in_turn([&] {
+      sharing_soon_ = false;
+      share_out();
+      balance();
+      report();
+    });
+  });
 }
 
 void SpoutPlacement::share_out() {
@@ -167,8 +186,8 @@ void SpoutPlacement::on_elected(const std::string& name) {
   unit.leads = true;
   unit.frozen = false;
   if (unit.task < 0) {
-    const auto loads = units_by_task();
-    unit.task = static_cast<int>(std::min_element(loads.begin(), loads.end()) - loads.begin());
+    unit.task = static_cast<int>(std::min_element(loads_.begin(), loads_.end()) - loads_.begin());
+    ++loads_[static_cast<std::size_t>(unit.task)];
   }
   read(unit);
   report();
@@ -209,7 +228,9 @@ void SpoutPlacement::release(Unit& unit) {
 
 void SpoutPlacement::stop_reading(Unit& unit) {
   for (const auto& [key, reader] : unit.readers) reader->close();
+  reader_count_ -= unit.readers.size();
   unit.readers.clear();
+  if (unit.task >= 0) --loads_[static_cast<std::size_t>(unit.task)];
   unit.task = -1;
 }
 
@@ -226,10 +247,14 @@ void SpoutPlacement::read(Unit& unit) {
     }
     place->second->close();
     place = unit.readers.erase(place);
+    --reader_count_;
   }
   for (const auto& [key, channel] : wanted) {
     if (unit.readers.contains(key)) continue;
-    if (auto reader = open_reader(*channel, key, unit.task)) unit.readers[key] = std::move(reader);
+    if (auto reader = open_reader(*channel, key, unit.task)) {
+      unit.readers[key] = std::move(reader);
+      ++reader_count_;
+    }
   }
 }
 
@@ -252,36 +277,27 @@ std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::Chan
   }
 }
 
-std::vector<int> SpoutPlacement::units_by_task() const {
-  std::vector<int> loads(inboxes_.size(), 0);
-  for (const auto& [name, unit] : units_) {
-    if (unit.task >= 0) ++loads[static_cast<std::size_t>(unit.task)];
-  }
-  return loads;
-}
-
 /// Moves units from the busiest task to the idlest while they differ by more than one.
 void SpoutPlacement::balance() {
   for (;;) {
-    const auto loads = units_by_task();
-    const auto [least, most] = std::minmax_element(loads.begin(), loads.end());
+    const auto [least, most] = std::minmax_element(loads_.begin(), loads_.end());
     if (*most - *least <= 1) return;
-    const int from = static_cast<int>(most - loads.begin());
+    const int from = static_cast<int>(most - loads_.begin());
+    const int to = static_cast<int>(least - loads_.begin());
     const auto moved =
         std::find_if(units_.begin(), units_.end(), [&](const auto& entry) { return entry.second.task == from; });
     stop_reading(moved->second);
-    moved->second.task = static_cast<int>(least - loads.begin());
+    moved->second.task = to;
+    ++loads_[static_cast<std::size_t>(to)];
     read(moved->second);
   }
 }
 
 void SpoutPlacement::report() {
-  std::size_t readers = 0;
-  for (const auto& [name, unit] : units_) readers += unit.readers.size();
   services_->metrics
       ->gauge("iotcloud_spout_channels", "Channels that this worker reads",
               {{"topology", services_->topology}, {"component", component_}})
-      .set(static_cast<std::int64_t>(readers));
+      .set(static_cast<std::int64_t>(reader_count_));
 }
 
 }  // namespace iotcloud::topology

@@ -56,13 +56,13 @@ class SpoutPlacement {
   void on_lost(const std::string& unit);
   void on_session(discovery::SessionState state);
   bool fits(const discovery::ChannelRecord& channel);
+  void share_out_soon();
   void share_out();
   void stand(const std::string& name, Unit& unit);
   void release(Unit& unit);
   void stop_reading(Unit& unit);
   void read(Unit& unit);
   void balance();
-  std::vector<int> units_by_task() const;
   std::shared_ptr<ChannelReader> open_reader(const discovery::ChannelRecord& channel, const ReaderKey& key, int task);
   void report();
 
@@ -76,7 +76,11 @@ class SpoutPlacement {
   std::vector<std::string> workers_;                            ///< guarded by mutex_
   std::map<std::string, Unit> units_;                           ///< guarded by mutex_
   std::set<std::string> complained_;                            ///< guarded by mutex_
+  std::vector<int> loads_;                                      ///< units that each task reads; guarded by mutex_
+  std::size_t reader_count_ = 0;                                ///< guarded by mutex_
   std::vector<std::unique_ptr<discovery::Election>> resigned_;  ///< of released units; guarded by mutex_
+  bool sharing_soon_ = false;                                   ///< share_out() will be called; guarded by mutex_
+  discovery::GuardPtr sharing_;                                 ///< that call; guarded by mutex_
   std::unique_ptr<Search> search_;                              ///< set by the last join(), taken by the first leave()
 };
 

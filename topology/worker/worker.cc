@@ -60,7 +60,7 @@ struct Worker::Impl {
     services->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
     services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
     topology = assemble(definition, options.components, endpoint_factories(services));
-    if (options.registry == nullptr && definition.registry_url.empty()) {
+    if (options.registry == nullptr && definition.registry.url.empty()) {
       throw definition.root.error("", "the key \"zk.servers\" is missing",
                                   "add \"zk.servers: [\\\"host:2181\\\"]\", or \"registry: embedded://NAME\"");
     }
@@ -68,9 +68,7 @@ struct Worker::Impl {
 
   void start() {
     if (options.registry == nullptr) {
-      discovery::RegistryOptions registry;
-      registry.url = options.definition.registry_url;
-      own_registry = discovery::make_registry(registry);
+      own_registry = discovery::make_registry(options.definition.registry);
       options.registry = own_registry.get();
     }
     services->registry = options.registry;

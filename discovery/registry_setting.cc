@@ -1,0 +1,64 @@
+#include <cstdlib>
+#include <fstream>
+
+#include <iotcloud/discovery/registry_setting.h>
+
+namespace iotcloud::discovery {
+namespace {
+
+using std::chrono::milliseconds;
+
+std::string read_password(config::Section& top) {
+  const auto file = top.optional_string("registry.password_file");
+  const auto variable = top.optional_string("registry.password_variable");
+  if (file && variable) {
+    throw top.error("registry.password_variable", "the password is in \"registry.password_file\" already",
+                    "remove one of the two");
+  }
+  if (file) {
+    std::ifstream in(*file);
+    std::string password;
+    std::getline(in, password);
+    if (password.ends_with('\r')) password.pop_back();
+    if (!password.empty()) return password;
+    throw top.error("registry.password_file", "the file \"" + *file + "\" cannot be read, or its first line is empty",
+                    "a file that this process may read, with the registry's password as its first line");
+  }
+  if (variable) {
+    const char* value = std::getenv(variable->c_str());
+    if (value != nullptr && *value != '\0') return value;
+    throw top.error("registry.password_variable", "the environment variable " + *variable + " is not set",
+                    "set it to the registry's password");
+  }
+  return {};
+}
+
+}  // namespace
+
+RegistryOptions read_registry_options(config::Section& top) {
+  RegistryOptions options;
+  const std::string timeout_key = "registry.session_timeout";
+  options.session_timeout =
+      std::chrono::duration_cast<milliseconds>(top.duration_or(timeout_key, options.session_timeout));
+  if (options.session_timeout < milliseconds(400) || options.session_timeout > std::chrono::minutes(10)) {
+    throw top.error(timeout_key, "it must be from 400 ms to 10 min", "10s is usual");
+  }
+  options.user = top.string_or("registry.user", "");
+  options.password = read_password(top);
+  options.others_may_read = top.bool_or("registry.others_may_read", false);
+  if (options.user.empty() != options.password.empty()) {
+    throw top.error(options.user.empty() ? "" : "registry.user",
+                    "a user of the registry and a password belong together",
+                    "give both \"registry.user\" and \"registry.password_file\", or neither");
+  }
+  if (options.user.find(':') != std::string::npos) {
+    throw top.error("registry.user", "a user's name cannot have a colon", "choose another name");
+  }
+  if (options.others_may_read && options.user.empty()) {
+    throw top.error("registry.others_may_read", "without a user everybody may read and write anyway",
+                    "add \"registry.user\", or remove this");
+  }
+  return options;
+}
+
+}  // namespace iotcloud::discovery

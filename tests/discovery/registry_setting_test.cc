@@ -1,0 +1,72 @@
+#include <fstream>
+
+#include <gmock/gmock.h>
+
+#include <iotcloud/discovery/registry_setting.h>
+
+namespace iotcloud::discovery::tests {
+namespace {
+
+using testing::HasSubstr;
+
+RegistryOptions read(const std::string& text) {
+  auto top = config::Section::parse(text, "r.yaml");
+  auto options = read_registry_options(top);
+  top.finish();
+  return options;
+}
+
+std::string error_of(const std::string& text) {
+  try {
+    read(text);
+  } catch (const config::Error& error) {
+    return error.what();
+  }
+  return "";
+}
+
+std::string file_with(const std::string& name, const std::string& text) {
+  const std::string path = testing::TempDir() + name;
+  std::ofstream(path) << text;
+  return path;
+}
+
+TEST(RegistrySetting, NothingIsNeeded) {
+  const auto options = read("{}");
+  EXPECT_EQ(options.session_timeout, std::chrono::seconds(10));
+  EXPECT_TRUE(options.user.empty());
+  EXPECT_FALSE(options.others_may_read);
+}
+
+TEST(RegistrySetting, ReadsUserAndTheFirstLineOfThePasswordFile) {
+  const auto options = read(
+      "registry.session_timeout: 4s\nregistry.user: fleet\nregistry.others_may_read: true\n"
+      "registry.password_file: " +
+      file_with("registry.password", "se:cret\r\nsecond line\n") + "\n");
+  EXPECT_EQ(options.session_timeout, std::chrono::seconds(4));
+  EXPECT_EQ(options.user, "fleet");
+  EXPECT_EQ(options.password, "se:cret");
+  EXPECT_TRUE(options.others_may_read);
+}
+
+TEST(RegistrySetting, ReadsThePasswordFromTheEnvironment) {
+  ::setenv("IOTCLOUD_TEST_REGISTRY_PASSWORD", "from outside", 1);
+  EXPECT_EQ(read("registry.user: fleet\nregistry.password_variable: IOTCLOUD_TEST_REGISTRY_PASSWORD").password,
+            "from outside");
+}
+
+TEST(RegistrySetting, WhatCannotBeIsRefusedWithARemedy) {
+  EXPECT_THAT(error_of("registry.user: fleet"), HasSubstr("registry.password_file"));
+  EXPECT_THAT(error_of("registry.user: a:b\nregistry.password_variable: HOME"), HasSubstr("colon"));
+  EXPECT_THAT(error_of("registry.user: u\nregistry.password_file: /nonexistent/p"), HasSubstr("/nonexistent/p"));
+  EXPECT_THAT(error_of("registry.user: u\nregistry.password_file: " + file_with("empty.password", "\n")),
+              HasSubstr("first line"));
+  EXPECT_THAT(error_of("registry.user: u\nregistry.password_variable: IOTCLOUD_NO_SUCH_VARIABLE"),
+              HasSubstr("IOTCLOUD_NO_SUCH_VARIABLE"));
+  EXPECT_THAT(error_of("registry.password_file: /a\nregistry.password_variable: B"), HasSubstr("remove one"));
+  EXPECT_THAT(error_of("registry.others_may_read: true"), HasSubstr("registry.user"));
+  EXPECT_THAT(error_of("registry.session_timeout: 1ms"), HasSubstr("10s is usual"));
+}
+
+}  // namespace
+}  // namespace iotcloud::discovery::tests
