@@ -26,6 +26,7 @@ class Report(Verdict):
     def __init__(self):
         super().__init__()
         self.thrown_away = 0
+        self.missing = 0  # figures
 
     @staticmethod
     def print_head():
@@ -35,7 +36,8 @@ class Report(Verdict):
     def compare(self, name, unit, ours, beside=None, theirs=(), ratio_at_least=None, ratio_at_most=None, at_most=None):
         """`ours` and `theirs`: a value of each round. The target is for the ratio, or (at_most) for our value."""
         if not ours:
-            return  # the reason was printed
+            self.missing += 1  # the reason was printed
+            return
         value, ratios = statistics.median(ours), [a / b for a, b in zip(ours, theirs) if b]
         ratio = statistics.median(ratios) if ratios else None
         target = met = None
@@ -68,23 +70,52 @@ class Progress:
         left = ""
         if self.seconds_done:
             spent = time.monotonic() - self.began
-            minutes = spent / self.seconds_done * (self.seconds_all - self.seconds_done) / 60
+            minutes = spent / self.seconds_done * max(0, self.seconds_all - self.seconds_done) / 60
             left = f", about {minutes:.0f} min left"
         print(f"\r\033[K{text}{left}\r", end="", file=sys.stderr, flush=True)
 
 
-class Bench:
+class Plan:
+    """Which runs one broker's figures take: asked for them like a Bench it only adds up their seconds."""
+
+    def __init__(self, kind, given):
+        self.kind, self.bare, self.given = kind, BROKERS[kind], given
+        self.rounds = given.rounds or (3 if given.quick else 7)
+        self.shorter = 0.6 if given.quick else 1.0
+        self.seconds = 0.0
+
+    def run(self, _engine, _options, seconds):
+        self.seconds += seconds
+
+    def turns(self, _title, variants, seconds):
+        self.seconds += self.rounds * seconds * self.shorter * len(variants)
+        return {name: [] for name in variants}
+
+    def pair(self, title, options, seconds):
+        """Ours and the bare client with the same options."""
+        runs = self.turns(title, {OURS: (OURS, options), self.bare: (self.kind, options)}, seconds)
+        return runs[OURS], runs[self.bare]
+
+    def compare(self, *_, **__):
+        pass
+
+    def cpu(self, title, ours, theirs):
+        self.compare(f"{title}: client CPU", "s/10 000", client_cpu, ours, theirs, ratio_at_most=1.3)
+        self.compare(f"{title}: broker CPU", "s/10 000", broker_cpu, ours, theirs)
+
+
+class Bench(Plan):
     """One broker's private server, and the clients that take turns on it."""
 
     def __init__(self, kind, url, processes, programs, report, progress, given):
-        self.kind, self.url, self.report, self.progress, self.given = kind, url, report, progress, given
-        self.programs = programs
+        super().__init__(kind, given)
+        self.url, self.programs, self.report, self.progress = url, programs, report, progress
         self.processes = [word for process in processes for word in ("--server", process)]
-        self.rounds = given.rounds or (3 if given.quick else 7)
-        self.bare = BROKERS[kind]
 
     def run(self, engine, options, seconds):
         """One run. `options` are the program's, without its dashes."""
+        self.progress.seconds_done += seconds
+        options = {"warm_up": 0.5 * self.shorter, **options}
         words = ["--name", f"bench-{engine}-{'shared' if options.get('shared') else 'own'}"]
         for name, value in options.items():
             words += [f"--{name.replace('_', '-')}"] + ([] if value is True else [value])
@@ -99,8 +130,7 @@ class Bench:
                 break
             self.progress.say(f"{self.kind}, {title}, round {attempt + 1}")
             order = list(variants) if attempt % 2 == 0 else list(reversed(variants))
-            lines = {name: self.run(*variants[name], seconds) for name in order}
-            self.progress.seconds_done += seconds * len(variants)
+            lines = {name: self.run(*variants[name], seconds * self.shorter) for name in order}
             if not self.given.keep_noisy and max(line["others_cpu"] for line in lines.values()) > NOISE:
                 thrown += 1
                 continue
@@ -116,18 +146,9 @@ class Bench:
             print(f"{self.kind}, {title}: no round was quiet", flush=True)
         return kept
 
-    def pair(self, title, options, seconds):
-        """Ours and the bare client with the same options."""
-        runs = self.turns(title, {OURS: (OURS, options), self.bare: (self.kind, options)}, seconds)
-        return runs[OURS], runs[self.bare]
-
     def compare(self, figure, unit, of, ours, theirs, beside=None, **target):
         self.report.compare(f"{self.kind}, {figure}", unit, [of(line) for line in ours], beside or self.bare,
                             [of(line) for line in theirs], **target)
-
-    def cpu(self, title, ours, theirs):
-        self.compare(f"{title}: client CPU", "s/10 000", client_cpu, ours, theirs, ratio_at_most=1.3)
-        self.compare(f"{title}: broker CPU", "s/10 000", broker_cpu, ours, theirs)
 
 
 def p50(line):
@@ -222,17 +243,13 @@ def figures(bench, quick):
     many_drivers(bench, layouts[:1] if quick else layouts)
 
 
-def seconds_of_one(kind, rounds, quick):
-    """About: for the time that is left."""
-    pairs = 6 if quick else 23
-    return rounds * 2.2 * (2 * pairs + (12 if kind == "rabbitmq" else 9) * (1 if quick else 2))
-
-
 def run_brokers(given):
     programs, report, progress = Programs(given.build / "bin", "brokers"), Report(), Progress()
     kinds = [kind for kind in BROKERS if not given.only or kind in given.only]
-    progress.seconds_all = sum(seconds_of_one(kind, given.rounds or (3 if given.quick else 7), given.quick)
-                               for kind in kinds if programs.has(kind))
+    for kind in filter(programs.has, kinds):
+        plan = Plan(kind, given)
+        figures(plan, given.quick)
+        progress.seconds_all += plan.seconds
     report.print_head()
     for kind in kinds:
         if not programs.has(kind):
@@ -252,6 +269,8 @@ def run_brokers(given):
                 report.failed = True
     if report.thrown_away:
         print(f"{report.thrown_away} rounds were thrown away: other processes took more than {NOISE} of a CPU")
+    if report.missing:
+        print(f"{report.missing} figures are missing: no round was quiet, or the load was too much")
     if given.keep_noisy:
         print("--keep-noisy: rounds with company count as well")
     return report, report.verdict() + ("\n  FAILED, see above" if report.failed else "")
