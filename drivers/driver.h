@@ -25,11 +25,30 @@ enum class Direction { in, out };  ///< seen from the driver: out = to the cloud
 enum class WhenFull {
   keep_newest,  ///< drop the oldest that waits (frames: stale is worse than none)
   block,        ///< publish() answers would_block (readings: lost is worse than late)
+  spool,        ///< write it to disk first, see Spool (readings that must survive the device's own restart too)
+};
+
+/// The bounded log on disk of a channel with WhenFull::spool. What publish() accepted is in it until the broker has it,
+/// whatever happens to driver host, gateway or broker meanwhile; a later life of the instance sends it first.
+struct Spool {
+  /// When it is on the disk for good; needed against a loss of power only.
+  enum class Fsync {
+    never,     ///< when the operating system does it
+    interval,  ///< ten times a second
+    always,    ///< before publish() returns, which therefore waits for the disk
+  };
+  enum class Full {
+    block,        ///< publish() answers would_block
+    drop_oldest,  ///< the oldest give way, and are counted
+  };
+  std::uint64_t bytes = std::uint64_t{256} << 20;  ///< at most, on disk
+  Fsync fsync = Fsync::interval;
+  Full full = Full::block;
 };
 
 /// One channel that a driver wants. The gateway's configuration and `deploy --property` may override the quality of
 /// service: "channel.<name>.capacity", ".when_full", ".deadline_ms", ".durable", ".broker", ".shared", ".priority",
-/// ".interop".
+/// ".interop", ".spool_bytes", ".spool_fsync", ".spool_full".
 struct ChannelSpec {
   std::string name;
   Direction direction = Direction::out;
@@ -37,7 +56,8 @@ struct ChannelSpec {
   bool shared = false;  ///< one topic for all instances of this driver on the gateway (REFERENCE.md 3)
   bool durable = false;
   WhenFull when_full = WhenFull::block;
-  std::size_t capacity = 1024;            ///< messages that may wait
+  Spool spool;                            ///< with WhenFull::spool only
+  std::size_t capacity = 1024;            ///< messages that may wait (in memory)
   std::chrono::milliseconds deadline{0};  ///< older messages are dropped; 0 = none
   /// 0 to 9, 4 is usual. From 5 on (control channels) its messages have connections of their own and never wait behind
   /// bulk data.

@@ -49,6 +49,7 @@ std::unique_ptr<HostLink> InProcessLauncher::launch(const HostOrder& order, Host
   DriverHost::Options host;
   host.gateway = order.gateway;
   host.isolated = order.isolated;
+  host.state_folder = options_.state_dir;
   host.clock = options_.clock;
   host.metrics = options_.metrics;
   return std::make_unique<InProcessLink>(std::move(host), std::move(plugin), std::move(events));

@@ -15,6 +15,7 @@ class InProcessLauncher final : public HostLauncher {
     /// Drivers that are linked in, by the name that orders give as their plugin. Looked up first; they outlive the
     /// launcher.
     std::map<std::string, const drivers::Descriptor*> linked_in;
+    std::string state_dir;                 ///< for channels that are spooled to disk; empty: there can be none
     const config::Clock* clock = nullptr;  ///< nullptr: the system's
     config::Metrics* metrics = nullptr;    ///< nullptr: the process's
   };

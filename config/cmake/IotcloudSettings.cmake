@@ -29,7 +29,8 @@ add_library(iotcloud_warnings INTERFACE)
 target_compile_options(iotcloud_warnings INTERFACE
   -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Woverloaded-virtual -Wold-style-cast -Wcast-qual
   -Wconversion -Wno-sign-conversion -Wimplicit-fallthrough -Werror
-  -Wno-restrict)  # GCC 12 warns wrongly of std::string operator+ (its bug 105651)
+  # GCC 12 warns wrongly of std::string operator+ (its bug 105651).
+  $<$<CXX_COMPILER_ID:GNU>:-Wno-restrict>)
 
 # The include path equals the path on disk, in the tree and installed: <iotcloud/brokers/message.h>.
 file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/include)

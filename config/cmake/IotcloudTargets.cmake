@@ -87,6 +87,15 @@ function(iotcloud_test)
   endif()
 endfunction()
 
+# A libFuzzer target, with the preset `fuzz` only; the target `fuzzers` builds them all.
+function(iotcloud_fuzzer)
+  cmake_parse_arguments(arg "" "NAME" "SOURCES;USES;LIBRARIES" ${ARGN})
+  add_executable(${arg_NAME} ${arg_SOURCES})
+  _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
+  target_link_options(${arg_NAME} PRIVATE -fsanitize=fuzzer)
+  add_dependencies(fuzzers ${arg_NAME})
+endfunction()
+
 # A program that measures; the target `benchmarks` builds them all. Not installed. SMOKE: arguments of a short run, which becomes a test.
 function(iotcloud_benchmark)
   cmake_parse_arguments(arg "" "NAME" "SOURCES;USES;LIBRARIES;SMOKE" ${ARGN})

@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <charconv>
+#include <initializer_list>
 #include <set>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -15,8 +17,9 @@ namespace {
 
 using drivers::ChannelSpec;
 
-const std::vector<std::string> options = {"capacity", "when_full", "deadline_ms", "durable", "broker",
-                                          "shared",   "keep_last", "priority",    "interop"};
+const std::vector<std::string> options = {"capacity", "when_full",   "deadline_ms", "durable",
+                                          "broker",   "shared",      "keep_last",   "priority",
+                                          "interop",  "spool_bytes", "spool_fsync", "spool_full"};
 constexpr std::string_view prefix = "channel.";
 
 std::size_t whole_number(const std::string& property, const std::string& text, std::size_t min,
@@ -34,6 +37,34 @@ bool yes_or_no(const std::string& property, const std::string& text) {
   if (text == "true") return true;
   if (text == "false") return false;
   throw config::Error(fmt::format("property \"{}\" is \"{}\"; it must be true or false", property, text));
+}
+
+/// The value of an option that is one of a few words. \throws config::Error listing them.
+template <typename Value>
+Value one_of(const std::string& property, const std::string& text,
+             std::initializer_list<std::pair<const char*, Value>> words) {
+  std::vector<std::string> names;
+  for (const auto& [name, value] : words) {
+    if (text == name) return value;
+    names.emplace_back(name);
+  }
+  throw config::Error(
+      fmt::format("property \"{}\" is \"{}\"; it must be one of: {}", property, text, fmt::join(names, ", ")));
+}
+
+void apply_spool(drivers::Spool& spool, const std::string& option, const std::string& property,
+                 const std::string& value) {
+  using drivers::Spool;
+  if (option == "spool_bytes") {
+    spool.bytes = whole_number(property, value, 65'536, std::size_t{1} << 50);
+  } else if (option == "spool_fsync") {
+    spool.fsync = one_of<Spool::Fsync>(
+        property, value,
+        {{"never", Spool::Fsync::never}, {"interval", Spool::Fsync::interval}, {"always", Spool::Fsync::always}});
+  } else {
+    spool.full = one_of<Spool::Full>(property, value,
+                                     {{"block", Spool::Full::block}, {"drop_oldest", Spool::Full::drop_oldest}});
+  }
 }
 
 void apply(ChannelSpec& spec, const std::string& option, const std::string& property, const std::string& value) {
@@ -54,10 +85,26 @@ void apply(ChannelSpec& spec, const std::string& option, const std::string& prop
     spec.shared = yes_or_no(property, value);
   } else if (option == "broker") {
     spec.broker = value;
-  } else if (value == "keep_newest" || value == "block") {
-    spec.when_full = value == "block" ? drivers::WhenFull::block : drivers::WhenFull::keep_newest;
+  } else if (option == "when_full") {
+    spec.when_full = one_of<drivers::WhenFull>(property, value,
+                                               {{"keep_newest", drivers::WhenFull::keep_newest},
+                                                {"block", drivers::WhenFull::block},
+                                                {"spool", drivers::WhenFull::spool}});
   } else {
-    throw config::Error(fmt::format("property \"{}\" is \"{}\"; it must be keep_newest or block", property, value));
+    apply_spool(spec.spool, option, property, value);
+  }
+}
+
+/// An option of a spool that there is none for is a mistake.
+void check_spool_options(const drivers::PropertyMap& properties, const ChannelSpec& spec) {
+  if (spec.when_full == drivers::WhenFull::spool) return;
+  for (const char* option : {"spool_bytes", "spool_fsync", "spool_full"}) {
+    const std::string property = fmt::format("{}{}.{}", prefix, spec.name, option);
+    if (!properties.contains(property)) continue;
+    throw config::Error(
+        fmt::format("property \"{}\" says how the channel is spooled, but it is not: set {}{}.when_full "
+                    "to spool as well",
+                    property, prefix, spec.name));
   }
 }
 
@@ -83,6 +130,7 @@ void apply_overrides(const drivers::PropertyMap& properties, std::vector<Channel
     }
     apply(*spec, option, property, value);
   }
+  for (const auto& spec : specs) check_spool_options(properties, spec);
 }
 
 const BrokerPlan& broker_of(const ChannelSpec& spec, const std::vector<BrokerPlan>& brokers) {

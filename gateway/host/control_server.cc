@@ -31,6 +31,7 @@ struct ControlServer::Impl {
       DriverHost::Options host_options;
       host_options.gateway = options.order.gateway;
       host_options.isolated = options.order.isolated;
+      host_options.state_folder = options.folder;
       host.emplace(host_options, Plugin::load(options.plugin_path), [this](const InstanceStatus& status) {
         Event event;
         event.kind = Event::Kind::status;

@@ -29,6 +29,7 @@ struct DriverHost::Impl {
     environment->gateway = options.gateway;
     environment->isolated = options.isolated;
     environment->drain_limit = options.drain_limit;
+    environment->state_folder = options.state_folder;
     environment->plugin = std::move(plugin);
     environment->clock = options.clock != nullptr ? options.clock : &config::system_clock();
     environment->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();

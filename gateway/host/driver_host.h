@@ -22,8 +22,11 @@ class DriverHost {
     std::string gateway;                          ///< id: part of the wire names
     bool isolated = false;                        ///< for one instance only (`isolation: instance`)
     std::chrono::milliseconds drain_limit{1000};  ///< for messages under way when an instance is removed
-    const config::Clock* clock = nullptr;         ///< nullptr: the system's
-    config::Metrics* metrics = nullptr;           ///< nullptr: the process's
+    /// Where channels with WhenFull::spool keep their messages: <state_folder>/spool/<instance>/<channel>. Empty: such
+    /// a channel cannot be.
+    std::string state_folder;
+    const config::Clock* clock = nullptr;  ///< nullptr: the system's
+    config::Metrics* metrics = nullptr;    ///< nullptr: the process's
   };
   /// Called after every change of an instance's state, from the host's threads. Must not call back into the host.
   using Listener = std::function<void(const InstanceStatus&)>;

@@ -24,6 +24,7 @@ struct HostEnvironment {
   std::string gateway;
   bool isolated = false;  ///< this host runs one instance only; others of the driver are in other hosts
   std::chrono::milliseconds drain_limit{1000};
+  std::string state_folder;  ///< spools are below it; empty: there are none
   std::shared_ptr<const Plugin> plugin;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
@@ -69,12 +70,15 @@ class Instance final : public drivers::HostInterface, public std::enable_shared_
   void open_now();
   void open_channels(const std::string& driver);
   void open_outgoing(const PlannedChannel& channel);
+  /// Where the channel's messages are kept on disk. \throws config::Error when there is no place for them.
+  std::string spool_folder(const std::string& channel) const;
   void open_incoming(const PlannedChannel& channel);
   void activate_now();
   void deactivate_now();
   void close_now(discovery::DriverState final_state, const std::string& reason);
   void close_driver();
   void close_incoming();
+  void close_outgoing(const std::string& name, Outgoing& outgoing);
   void drain_then_report(discovery::DriverState final_state, const std::string& reason);
   bool deliver(const std::string& channel, drivers::Message message);
   /// Runs a call into the driver; an error fails the instance. \return whether it went well.

@@ -1,7 +1,11 @@
 // The outgoing side of an instance.
 #include <algorithm>
 #include <exception>
+#include <filesystem>
 
+#include <fmt/format.h>
+
+#include <iotcloud/brokers/spool/spooled_publisher.h>
 #include <iotcloud/config/log.h>
 #include <iotcloud/gateway/host/instance.h>
 
@@ -51,9 +55,29 @@ class OutcomeCounters {
   config::Counter& would_block_;
 };
 
+brokers::SpoolOptions spool_options(const drivers::Spool& spool) {
+  brokers::SpoolOptions options;
+  options.max_bytes = spool.bytes;
+  options.when_full =
+      spool.full == drivers::Spool::Full::block ? brokers::SpoolFull::block : brokers::SpoolFull::drop_oldest;
+  switch (spool.fsync) {
+    case drivers::Spool::Fsync::never:
+      options.sync = brokers::SpoolSync::never;
+      break;
+    case drivers::Spool::Fsync::interval:
+      options.sync = brokers::SpoolSync::interval;
+      break;
+    case drivers::Spool::Fsync::always:
+      options.sync = brokers::SpoolSync::always;
+      break;
+  }
+  return options;
+}
+
 }  // namespace
 
 struct Instance::Outgoing {
+  std::string spool_folder;  ///< empty: it has none
   std::shared_ptr<OutcomeCounters> counters;
   std::shared_ptr<brokers::Broker> broker;        ///< before what uses it
   std::unique_ptr<brokers::Publisher> publisher;  ///< last: dies first
@@ -64,8 +88,8 @@ void Instance::open_outgoing(const PlannedChannel& channel) {
   outgoing->counters = std::make_shared<OutcomeCounters>(*environment_->metrics, channel.record);
   outgoing->broker = environment_->brokers->get(channel.address, channel.broker);
   brokers::PublisherOptions options;
-  options.when_full =
-      channel.spec.when_full == drivers::WhenFull::block ? brokers::WhenFull::block : brokers::WhenFull::keep_newest;
+  options.when_full = channel.spec.when_full == drivers::WhenFull::keep_newest ? brokers::WhenFull::keep_newest
+                                                                               : brokers::WhenFull::block;
   options.capacity = channel.spec.capacity;
   options.deadline = channel.spec.deadline;
   options.priority = channel.spec.priority;
@@ -80,9 +104,48 @@ void Instance::open_outgoing(const PlannedChannel& channel) {
       self->call("on_writable", [&](std::string& error) { self->shell_->on_writable(name, error); });
     });
   };
-  outgoing->publisher = outgoing->broker->publisher(channel.topic, options);
+  if (channel.spec.when_full == drivers::WhenFull::spool) {
+    brokers::SpoolOptions spool = spool_options(channel.spec.spool);
+    spool.folder = outgoing->spool_folder = spool_folder(channel.spec.name);
+    spool.labels = {{"driver", channel.record.driver}, {"channel", channel.spec.name}};
+    spool.clock = environment_->clock;
+    spool.metrics = environment_->metrics;
+    outgoing->publisher = brokers::make_spooled_publisher(*outgoing->broker, channel.topic, options, spool);
+  } else {
+    outgoing->publisher = outgoing->broker->publisher(channel.topic, options);
+  }
   const std::unique_lock lock(channels_mutex_);
   outgoing_.emplace(channel.spec.name, std::move(outgoing));
+}
+
+std::string Instance::spool_folder(const std::string& channel) const {
+  if (environment_->state_folder.empty()) {
+    throw config::Error(
+        fmt::format("channel \"{}\" is to be spooled to disk, but this driver host has no state folder to keep it in; "
+                    "set channel.{}.when_full to block or keep_newest, or run the driver under a gateway",
+                    channel, channel));
+  }
+  check_name("the instance id of a spool", id_);
+  return fmt::format("{}/spool/{}/{}", environment_->state_folder, id_, channel);
+}
+
+/// Closes a channel's publisher. What its spool still has stays there for a later life of the instance.
+void Instance::close_outgoing(const std::string& name, Outgoing& outgoing) {
+  const std::size_t left = outgoing.publisher->pending();
+  outgoing.publisher.reset();
+  if (outgoing.spool_folder.empty()) {
+    if (left > 0)
+      log_to.warn("{}: channel {} closed with {} message(s) that the broker has not confirmed", id_, name, left);
+    return;
+  }
+  if (left > 0) {
+    log_to.warn(
+        "{}: channel {} closed with {} message(s) that the broker has not confirmed; they are kept in {} and sent "
+        "when an instance of this id has the channel again; delete the folder if that is not to be",
+        id_, name, left, outgoing.spool_folder);
+  }
+  std::error_code not_empty;
+  std::filesystem::remove(std::filesystem::path(outgoing.spool_folder).parent_path(), not_empty);
 }
 
 drivers::PublishStatus Instance::publish(std::string_view channel, drivers::Message message) noexcept try {
@@ -116,16 +179,20 @@ void Instance::drain_then_report(discovery::DriverState final_state, const std::
   }
   // A failure is told at once; the end of an instance when its messages are out.
   const bool failed = final_state == discovery::DriverState::failed;
-  if (failed) report(final_state, reason);
+  if (failed) {
+    // Its successor opens the spools as soon as it knows; what is in them is not lost.
+    for (auto& [name, outgoing] : *closing) {
+      if (!outgoing->spool_folder.empty()) close_outgoing(name, *outgoing);
+    }
+    report(final_state, reason);
+  }
   const auto deadline = environment_->clock->now() + environment_->drain_limit;
   environment_->closing->post([self = shared_from_this(), closing, deadline, failed, final_state, reason] {
     for (auto& [name, outgoing] : *closing) {
+      if (!outgoing->publisher) continue;
       const auto left = std::max(deadline - self->environment_->clock->now(), config::Clock::Instant::duration::zero());
-      if (!outgoing->publisher->drain(std::chrono::duration_cast<std::chrono::milliseconds>(left))) {
-        log_to.warn("{}: channel {} closed with {} message(s) that the broker has not confirmed", self->id_, name,
-                    outgoing->publisher->pending());
-      }
-      outgoing->publisher.reset();
+      outgoing->publisher->drain(std::chrono::duration_cast<std::chrono::milliseconds>(left));
+      self->close_outgoing(name, *outgoing);
     }
     closing->clear();
     if (!failed) self->report(final_state, reason);

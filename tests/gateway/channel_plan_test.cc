@@ -125,9 +125,36 @@ TEST(ChannelPlan, AnOverrideThatCannotBeIsNamedWithWhatWouldBeRight) {
               AllOf(HasSubstr("no channel \"camera\""), HasSubstr("kinect")));
   EXPECT_THAT(error_of(instance({{"channel.kinect.capacity", "0"}}), {channel("kinect")}), HasSubstr("from 1 to"));
   EXPECT_THAT(error_of(instance({{"channel.kinect.capacity", "x"}}), {channel("kinect")}), HasSubstr("\"x\""));
-  EXPECT_THAT(error_of(instance({{"channel.kinect.when_full", "spool"}}), {channel("kinect")}),
-              HasSubstr("keep_newest or block"));
+  EXPECT_THAT(error_of(instance({{"channel.kinect.when_full", "keep"}}), {channel("kinect")}),
+              HasSubstr("keep_newest, block, spool"));
   EXPECT_THAT(error_of(instance({{"channel.capacity", "1"}}), {channel("kinect")}), HasSubstr("channel.capacity"));
+}
+
+TEST(ChannelPlan, AChannelMayBeSpooledToDisk) {
+  const auto planned = plan_channels("gw1", "meter",
+                                     instance({{"channel.readings.when_full", "spool"},
+                                               {"channel.readings.spool_bytes", "1000000"},
+                                               {"channel.readings.spool_fsync", "always"},
+                                               {"channel.readings.spool_full", "drop_oldest"}}),
+                                     {channel("readings")})
+                           .at(0);
+  EXPECT_EQ(planned.spec.when_full, drivers::WhenFull::spool);
+  EXPECT_EQ(planned.spec.spool.bytes, 1'000'000u);
+  EXPECT_EQ(planned.spec.spool.fsync, drivers::Spool::Fsync::always);
+  EXPECT_EQ(planned.spec.spool.full, drivers::Spool::Full::drop_oldest);
+}
+
+TEST(ChannelPlan, OptionsOfASpoolThatCannotBeAreErrors) {
+  const auto error = [](std::map<std::string, std::string> more) {
+    more["channel.c.when_full"] = "spool";
+    return error_of(instance(std::move(more)), {channel("c")});
+  };
+  EXPECT_EQ(error({}), "");
+  EXPECT_THAT(error({{"channel.c.spool_bytes", "10"}}), HasSubstr("from 65536"));
+  EXPECT_THAT(error({{"channel.c.spool_fsync", "yes"}}), HasSubstr("never, interval, always"));
+  EXPECT_THAT(error({{"channel.c.spool_full", "keep_newest"}}), HasSubstr("block, drop_oldest"));
+  EXPECT_THAT(error_of(instance({{"channel.c.spool_bytes", "100000"}}), {channel("c")}),
+              HasSubstr("set channel.c.when_full to spool"));
 }
 
 TEST(ChannelPlan, AnUnknownBrokerIsAnErrorThatListsThoseThereAre) {

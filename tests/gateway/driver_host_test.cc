@@ -1,7 +1,11 @@
 #include <atomic>
+#include <filesystem>
 #include <future>
+#include <stdexcept>
+#include <utility>
 
 #include <gmock/gmock.h>
+#include <stdlib.h>
 
 #include <iotcloud/gateway/host/driver_host.h>
 #include <iotcloud/tests/gateway/message_log.h>
@@ -37,6 +41,7 @@ class DriverHostTest : public ::testing::Test {
     options.gateway = "gw";
     options.metrics = &metrics_;
     options.drain_limit = 50ms;  // nobody reads most of what these drivers send
+    options.state_folder = state_folder_;
     host_.emplace(options, Plugin::wrap(descriptor, "linked in"), [this](const auto& status) { log_.add(status); });
   }
 
@@ -57,6 +62,7 @@ class DriverHostTest : public ::testing::Test {
     return static_cast<std::uint64_t>(sum);
   }
 
+  std::string state_folder_;
   static inline std::atomic<int> next_broker_{0};
   const std::string url_ = "embedded://driver-host-test-" + std::to_string(next_broker_++);
   const drivers::Descriptor probe_ = drivers::describe<ProbeDriver>("probe", "1");
@@ -140,6 +146,65 @@ TEST_F(DriverHostTest, AMessageOnASharedChannelReachesTheInstanceThatItNames) {
   EXPECT_EQ(second->payload.text(), "to a");
   EXPECT_EQ(second->driver_id, "a");
   EXPECT_EQ(count("iotcloud_host_messages_for_unknown_instance_total"), 1u);
+}
+
+class SpooledChannelTest : public DriverHostTest {
+ protected:
+  SpooledChannelTest() {
+    std::string name = (std::filesystem::temp_directory_path() / "iotcloud-state-XXXXXX").string();
+    if (mkdtemp(name.data()) == nullptr) throw std::runtime_error("cannot make " + name);
+    state_folder_ = name;
+  }
+  ~SpooledChannelTest() override {
+    host_.reset();
+    std::filesystem::remove_all(state_folder_);
+  }
+  InstanceSpec spooled(const std::string& id, std::map<std::string, std::string> more = {}) {
+    more["channel.readings.when_full"] = "spool";
+    return spec(id, std::move(more));
+  }
+};
+
+TEST_F(SpooledChannelTest, WhatNobodyHasReadWhenAnInstanceEndsIsSentByItsNextLife) {
+  start_host(probe_);
+  host_->create(spooled("a"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  host_->remove("a");
+  ASSERT_TRUE(log_.wait_for("a", DriverState::undeployed));
+  EXPECT_TRUE(std::filesystem::exists(state_folder_ + "/spool/a/readings"));
+  host_->create(spooled("a"));
+  MessageLog reader(url_, {"probe", "gw.probe.a.readings", false});
+  const auto first = reader.next();
+  const auto second = reader.next();
+  ASSERT_TRUE(first && second);
+  EXPECT_EQ(first->payload.text(), "up");
+  EXPECT_EQ(second->payload.text(), "up");
+  EXPECT_LE(first->time_ms, second->time_ms);
+  host_->remove("a");
+  host_.reset();
+  EXPECT_FALSE(std::filesystem::exists(state_folder_ + "/spool/a")) << "nothing is left when all was sent";
+}
+
+TEST_F(SpooledChannelTest, AnInstanceThatFailedGoesOnWithItsSpoolAtOnce) {
+  start_host(probe_);
+  host_->create(spooled("a", {{"throw_in", "message"}}));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  MessageSender(url_, {"probe", "gw.probe.a.control", false}).send("throw", "a");
+  ASSERT_TRUE(log_.wait_for("a", DriverState::failed));
+  host_->create(spooled("a"));
+  MessageLog reader(url_, {"probe", "gw.probe.a.readings", false});
+  ASSERT_TRUE(reader.next());
+  ASSERT_TRUE(reader.next());
+}
+
+TEST_F(SpooledChannelTest, WithoutAStateFolderASpooledChannelIsRefusedWithWhatToDo) {
+  const std::string folder = std::exchange(state_folder_, "");
+  start_host(probe_);
+  host_->create(spooled("a"));
+  const auto failed = log_.wait_for("a", DriverState::failed);
+  ASSERT_TRUE(failed);
+  EXPECT_THAT(failed->reason, HasSubstr("no state folder"));
+  state_folder_ = folder;
 }
 
 TEST_F(DriverHostTest, ASharedIncomingChannelNeedsAllInstancesInOneHost) {

@@ -1,0 +1,101 @@
+// Writes the first inputs of the fuzzers, made by the encoders themselves: seeds FOLDER
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+#include <amqp.h>
+#include <amqp_framing.h>
+
+#include "iotcloud/brokers/rabbitmq/headers.h"
+#include "iotcloud/brokers/spool/bytes.h"
+#include "iotcloud/brokers/spool/record.h"
+
+namespace {
+
+using namespace iotcloud;
+
+brokers::Message sample(int number) {
+  brokers::Message message;
+  message.payload = brokers::Payload::copy("reading " + std::to_string(number));
+  message.driver_id = "0a1b2c";
+  message.gateway_id = "gateway-1";
+  message.time_ms = 1'700'000'000'000 + number;
+  for (int i = 0; i < number; ++i) message.properties.set("property" + std::to_string(i), "value");
+  return message;
+}
+
+std::string record(std::uint64_t sequence) {
+  const brokers::Message message = sample(static_cast<int>(sequence));
+  std::string bytes;
+  brokers::spool::encode_head(sequence, message.time_ms, message, bytes);
+  return bytes + std::string(message.payload.text());
+}
+
+std::string file_start() {
+  std::string start = "IOTSPOOL";
+  brokers::spool::put_number(start, std::uint32_t{1});
+  brokers::spool::put_number(start, brokers::spool::checksum(std::as_bytes(std::span(start))));
+  return start;
+}
+
+std::string mark(std::uint64_t value) {
+  std::string bytes;
+  brokers::spool::put_number(bytes, value);
+  brokers::spool::put_number(bytes, brokers::spool::checksum(std::as_bytes(std::span(bytes))));
+  return bytes;
+}
+
+std::string part(const std::string& bytes) {
+  std::string all;
+  brokers::spool::put_number(all, static_cast<std::uint16_t>(bytes.size()));
+  return all + bytes;
+}
+
+std::string amqp_properties(int number) {
+  const brokers::Message message = sample(number);
+  brokers::rabbitmq::MessageProperties encoder;
+  brokers::rabbitmq::MessageProperties::Delivery delivery;
+  delivery.resent = number % 2 == 1;
+  delivery.expires_in = std::chrono::milliseconds(number);
+  amqp_basic_properties_t properties = encoder.encode(message, delivery);
+  std::string bytes(4096, '\0');
+  const int size = amqp_encode_properties(AMQP_BASIC_CLASS, &properties, {bytes.size(), bytes.data()});
+  bytes.resize(static_cast<std::size_t>(size));
+  return bytes;
+}
+
+/// Headers that are tables within tables.
+std::string nested_tables(int depth) {
+  std::string table = "\1tV";  // an entry "t" without a value
+  for (int i = 0; i < depth; ++i) {
+    std::string length;
+    for (int shift = 24; shift >= 0; shift -= 8) length.push_back(static_cast<char>(table.size() >> shift));
+    table = (i + 1 < depth ? "\1tF" : "") + length + table;
+  }
+  return std::string("\x20\0", 2) + table;  // the flag of headers
+}
+
+void write(const std::filesystem::path& folder, const std::string& name, const std::string& bytes) {
+  std::filesystem::create_directories(folder);
+  std::ofstream(folder / name, std::ios::binary) << bytes;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc != 2) return 2;
+  const std::filesystem::path folder = argv[1];
+  for (int i = 0; i < 4; ++i) {
+    const std::string name = std::to_string(i);
+    write(folder / "spool_record_fuzzer", name, record(static_cast<std::uint64_t>(i)));
+    write(folder / "spool_record_fuzzer", "body" + name, record(static_cast<std::uint64_t>(i)).substr(12));
+    write(folder / "amqp_headers_fuzzer", name, amqp_properties(i));
+    write(folder / "amqp_headers_fuzzer", "nested" + name, nested_tables(i * 5 + 1));
+  }
+  const std::string first = file_start() + record(1) + record(2);
+  const std::string second = file_start() + record(3) + record(4);
+  write(folder / "spool_folder_fuzzer", "good", part(mark(2)) + part(first) + second);
+  write(folder / "spool_folder_fuzzer", "torn", part("") + part(first) + second.substr(0, second.size() - 5));
+  write(folder / "spool_folder_fuzzer", "gap",
+        part(mark(1)) + part(file_start() + record(2)) + file_start() + record(4));
+}
