@@ -36,7 +36,7 @@ MarkFile::MarkFile(std::string path, Disk& disk) : path_(std::move(path)), disk_
     const std::span<const std::byte> bytes(content);
     if (get_number<std::uint32_t>(bytes.subspan(8)) != checksum(bytes.first(8))) continue;
     const auto mark = get_number<std::uint64_t>(bytes);
-    if (mark < mark_) continue;
+    if (mark < mark_ || mark > std::uint64_t{1} << 62) continue;
     mark_ = mark;
     next_place_ = (place + 1) % places;
   }

@@ -16,7 +16,10 @@ using Bytes = std::span<const std::byte>;
 constexpr std::string_view record_mark = "\xF5rec";
 // No body is longer: what says so is damaged. The fixed part and the lengths of the properties are small beside it.
 constexpr std::size_t max_body = max_payload + 8 * max_metadata;
-constexpr std::size_t fixed_part = 8 + 8 + 8 + 4;  // sequence, accepted, time, number of properties
+constexpr std::size_t fixed_part =
+    8 + 8 + 8 + 4 + 4 + 4;  // sequence, accepted, time, lengths of the ids, number of properties
+// More messages than anybody sends, and far from where counting on would begin again at 0.
+constexpr std::uint64_t last_sequence = std::uint64_t{1} << 62;
 // More do not pass refusal(), which counts 16 bytes for each.
 constexpr std::uint32_t max_properties = max_metadata / 16;
 
@@ -55,8 +58,8 @@ bool decode_body(Bytes body, Record& record) {
   std::uint32_t properties = 0;
   Message& message = record.message;
   if (!fields.number(record.sequence) || !fields.number(record.accepted_ms) || !fields.number(message.time_ms) ||
-      !fields.text(message.driver_id) || !fields.text(message.gateway_id) || !fields.number(properties) ||
-      properties > max_properties) {
+      record.sequence == 0 || record.sequence > last_sequence || !fields.text(message.driver_id) ||
+      !fields.text(message.gateway_id) || !fields.number(properties) || properties > max_properties) {
     return false;
   }
   std::string name;
@@ -72,6 +75,7 @@ bool decode_body(Bytes body, Record& record) {
 }  // namespace
 
 std::uint32_t checksum(Bytes bytes, std::uint32_t so_far) {
+  if (bytes.empty()) return so_far;  // zlib would begin anew when there is no address
   return static_cast<std::uint32_t>(
       crc32_z(so_far, reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size()));
 }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
@@ -69,7 +70,7 @@ class SegmentReader {
   /// Bytes so far that were no records and had good ones behind them.
   std::uint64_t skipped() const { return skipped_; }
   /// Bytes at the end that are no record.
-  std::uint64_t bad_tail() const { return segment_->size() - good_end_; }
+  std::uint64_t bad_tail() const { return std::max(segment_->size(), good_end_) - good_end_; }
   /// Whether they are the beginning of one. Ask when next() has found no more.
   bool tail_is_torn();
   const std::shared_ptr<Segment>& segment() const { return segment_; }

@@ -114,7 +114,7 @@ void SpoolStore::repair_last() {
   SegmentReader reader(last, 0);
   next_ = last->first();
   while (const auto record = reader.next()) next_ = record->sequence + 1;
-  const std::uint64_t bad = last->size() > Segment::file_start ? reader.bad_tail() : 0;
+  const std::uint64_t bad = reader.bad_tail();
   if (bad > 0) {
     (reader.tail_is_torn() ? found_.torn_bytes : found_.damaged_bytes) = bad;
     std::error_code ignored;

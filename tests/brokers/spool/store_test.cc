@@ -81,6 +81,22 @@ TEST_F(SpoolStoreTest, AMessageComesBackWithAllItsMetadataWhateverItsBytes) {
   EXPECT_FALSE(reader.next());
 }
 
+TEST_F(SpoolStoreTest, AMessageWithoutAPayloadComesBackToo) {
+  Message empty;
+  empty.driver_id = "d1";
+  Position where;
+  SpoolStore store(options());
+  ASSERT_EQ(store.append(1, empty, where), SpoolStore::Append::stored);
+  ASSERT_EQ(store.append(1, {}, where), SpoolStore::Append::stored);
+  SpoolReader reader(store);
+  for (const char* driver : {"d1", ""}) {
+    const auto record = reader.next();
+    ASSERT_TRUE(record);
+    EXPECT_TRUE(record->message.payload.empty());
+    EXPECT_EQ(record->message.driver_id, driver);
+  }
+}
+
 TEST_F(SpoolStoreTest, ReadsInOrderOverManySegmentsAndSeveralLives) {
   std::vector<std::string> expected;
   for (int life = 0; life < 3; ++life) {
