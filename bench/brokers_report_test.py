@@ -18,8 +18,8 @@ class Programs:
     def run(self, engine, *options):
         self.order.append(engine)
         self.options.append(options)
-        line = {"sustained": True, "count": 1000, "per_second": 500.0, "p50_us": 400.0, "p99_us": 900.0, "max_us": 2000.0,
-                "cpu_seconds": 0.1, "server_cpu_seconds": 0.3, "others_cpu": 0.0, "switches": 10, "seconds": 2.0}
+        line = {"sustained": True, "count": 1000, "per_second": 500.0, "p50_us": 400.0, "p99_us": 900.0,
+                "max_us": 2000.0, "cpu_seconds": 0.1, "server_cpu_seconds": 0.3, "others_cpu": 0.0, "switches": 10, "seconds": 2.0}
         return [{**line, **self.answer(engine, self.order.count(engine))}]
 
 
@@ -37,8 +37,9 @@ class BrokersReportTest(unittest.TestCase):
         bench = self.bench()
         bench.pair("x", {"size": 100}, 2)
         self.assertEqual(bench.programs.order, [OURS, "rabbitmq", "rabbitmq", OURS, OURS, "rabbitmq"])
-        self.assertEqual(bench.programs.options[0], ("--url", "amqp://host/", "--name", "bench-iotcloud-own", "--warm-up",
-                                                     0.5, "--size", 100, "--seconds", 2.0, "--server", 7))
+        self.assertEqual(bench.programs.options[0], (
+            "--url", "amqp://host/", "--name", "bench-iotcloud-own", "--warm-up", 0.5, "--size", 100, "--seconds", 2.0,
+            "--server", 7))
 
     def test_a_round_with_company_is_thrown_away_and_taken_again(self):
         bench = self.bench(lambda engine, turn: {"others_cpu": 0.3} if (engine, turn) == ("rabbitmq", 2) else {})

@@ -8,8 +8,8 @@ Runs one broker that speaks AMQP 1.0, with its data and log below DIR, on a free
 
     READY activemq://127.0.0.1:PORT
 
-(or `SKIP text` when the jars cannot be fetched; with CI=true that is an `ERROR text`). Then it obeys one command for each
-line of stdin and answers with one line on stdout:
+(or `SKIP text` when the jars cannot be fetched; with CI=true that is an `ERROR text`). Then it obeys one command for
+each line of stdin and answers with one line on stdout:
 
     kill    SIGKILL to the broker                  KILLED
     start   starts it again, same port and data    READY activemq://...
@@ -21,8 +21,8 @@ The end of stdin means `stop`, so the server ends with whoever started it. A com
 Data of an earlier run in DIR are kept: a confirmed durable message is on the disk. A client that is silent for 4 s is
 cut off.
 
-With --tls the URL is activemqs://localhost:PORT: the server wants a client certificate, and user and password (certificates.py;
-the files are in DIR).
+With --tls the URL is activemqs://localhost:PORT: the server wants a client certificate, and user and password
+(certificates.py; the files are in DIR).
 """
 from xml.sax.saxutils import quoteattr as quoted
 

@@ -1,7 +1,7 @@
 """A throw-away certificate authority for one private server, and whom the server lets in.
 
-The server's certificate is for `localhost` (and 127.0.0.1): clients must connect to the name, because host name checks of
-some libraries know no addresses.
+The server's certificate is for `localhost` (and 127.0.0.1): clients must connect to the name, because host name checks
+of some libraries know no addresses.
 """
 import os
 import ssl

@@ -9,8 +9,8 @@ When the node takes requests it prints one line on stdout:
 
     READY kafka://127.0.0.1:PORT
 
-(or `SKIP text` when the jars cannot be fetched; with CI=true that is an `ERROR text`). Then it obeys one command for each
-line of stdin and answers with one line on stdout:
+(or `SKIP text` when the jars cannot be fetched; with CI=true that is an `ERROR text`). Then it obeys one command for
+each line of stdin and answers with one line on stdout:
 
     kill    SIGKILL to the node                    KILLED
     start   starts it again, same port and data    READY kafka://...
@@ -21,8 +21,8 @@ line of stdin and answers with one line on stdout:
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
 Data of an earlier run in DIR are kept. What was confirmed survives `kill`: the log's pages are the kernel's by then.
 
-With --tls the URL is kafkas://localhost:PORT: the server wants a client certificate, and user and password (SASL PLAIN; certificates.py;
-the files are in DIR).
+With --tls the URL is kafkas://localhost:PORT: the server wants a client certificate, and user and password (SASL PLAIN;
+certificates.py; the files are in DIR).
 """
 import os
 import struct

@@ -3,8 +3,8 @@
 
     maven_jars.py kafka activemq
 
-`./dev test` calls it while it builds, so that no test's time-out pays for the download; a server's script calls it again
-and finds them there. Several callers at once wait for one another.
+`./dev test` calls it while it builds, so that no test's time-out pays for the download; a server's script calls it
+again and finds them there. Several callers at once wait for one another.
 """
 import fcntl
 import hashlib

@@ -1,4 +1,4 @@
-"""What the scripts of this folder share: a server below a private folder, on loopback only, that obeys commands on stdin.
+"""What the scripts of this folder share: a server below a private folder, on loopback only, that obeys commands.
 
 A script makes a subclass of `Server` and hands it to `run`. The first line on stdout is what `start` answers ("READY
 url"), "SKIP text" when the server itself cannot be had (its jars cannot be fetched), or "ERROR text". Then each line of
