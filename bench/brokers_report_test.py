@@ -19,7 +19,8 @@ class Programs:
         self.order.append(engine)
         self.options.append(options)
         line = {"sustained": True, "count": 1000, "per_second": 500.0, "p50_us": 400.0, "p99_us": 900.0,
-                "max_us": 2000.0, "cpu_seconds": 0.1, "server_cpu_seconds": 0.3, "others_cpu": 0.0, "switches": 10, "seconds": 2.0}
+                "max_us": 2000.0, "cpu_seconds": 0.1, "server_cpu_seconds": 0.3, "others_cpu": 0.0, "switches": 10,
+                "seconds": 2.0}
         return [{**line, **self.answer(engine, self.order.count(engine))}]
 
 

@@ -21,8 +21,8 @@ Then it obeys one command for each line of stdin and answers with one line on st
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
 Data of an earlier run in DIR are kept: durable queues come back.
 
-With --tls the URL is amqps://localhost:PORT/: the server wants a client certificate, and user and password (certificates.py;
-the files are in DIR).
+With --tls the URL is amqps://localhost:PORT/: the server wants a client certificate, and user and password
+(certificates.py; the files are in DIR).
 """
 import os
 import subprocess

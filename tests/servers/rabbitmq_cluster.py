@@ -3,8 +3,8 @@
 
     rabbitmq_cluster.py --dir DIR [--nodes N]
 
-Runs N nodes (3) as rabbitmq.py runs one, each with a folder of its own below DIR, and prints their URLs in one line when
-all of them take connections and are one cluster:
+Runs N nodes (3) as rabbitmq.py runs one, each with a folder of its own below DIR, and prints their URLs in one line
+when all of them take connections and are one cluster:
 
     READY amqp://guest:guest@127.0.0.1:PORT1/ amqp://guest:guest@127.0.0.1:PORT2/ ...
 
@@ -17,9 +17,9 @@ command means all nodes (`start`: those that do not run).
     resume [NODE]  SIGCONT                          RESUMED
     stop           ends everything                  STOPPED
 
-The end of stdin means `stop`. A command that fails answers `ERROR text`. A minority of nodes takes no clients: it waits for
-the others (`pause_minority`), and a node that hung for longer than 8 s is taken for dead. Which queues are replicated is
-the client's choice: `x-queue-type: quorum`.
+The end of stdin means `stop`. A command that fails answers `ERROR text`. A minority of nodes takes no clients: it waits
+for the others (`pause_minority`), and a node that hung for longer than 8 s is taken for dead. Which queues are
+replicated is the client's choice: `x-queue-type: quorum`.
 """
 import os
 

@@ -15,7 +15,8 @@ class Script:
     def __init__(self, name, folder, *options, **environment):
         self.folder = folder
         self.process = subprocess.Popen(["/usr/bin/python3", HERE / name, "--dir", folder, *options], text=True,
-                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **environment})
+                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                                        env={**os.environ, **environment})
         self.greeting = self.answer()
 
     def answer(self):
