@@ -12,6 +12,7 @@
 #include <iotcloud/config/daemon.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/memory.h>
 #include <iotcloud/config/version.h>
 
 namespace iotcloud::config {
@@ -70,6 +71,7 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   const sigset_t signals = stop_signals();
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   signal(SIGPIPE, SIG_IGN);
+  keep_freed_memory();
 
   CLI::App app{options.description, options.name};
   std::string file, level = "info";

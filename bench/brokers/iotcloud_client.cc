@@ -6,6 +6,7 @@
 #include <iotcloud/bench/brokers/client.h>
 #include <iotcloud/bench/harness/machine.h>
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/memory.h>
 
 namespace iotcloud::bench {
 
@@ -162,6 +163,7 @@ class IotcloudClient final : public Client {
 
 int main(int argc, char** argv) {
   using namespace iotcloud::bench;
+  iotcloud::config::keep_freed_memory();  // as our daemons
   return measure_client("iotcloud", argc, argv, [](const BrokerOptions& options, Load& load) {
     return std::make_unique<IotcloudClient>(options, load);
   });

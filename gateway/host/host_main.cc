@@ -10,6 +10,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/memory.h>
 #include <iotcloud/gateway/host/control_server.h>
 
 namespace {
@@ -28,6 +29,7 @@ int signal_descriptor() {
 }  // namespace
 
 int main(int argc, char** argv) {
+  iotcloud::config::keep_freed_memory();
   iotcloud::gateway::ControlServer::Options options;
   CLI::App app{"Runs the instances of one driver plugin for an IoTCloud gateway, which starts it.",
                "iotcloud-driver-host"};
