@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private RabbitMQ for tests and demos, on loopback only, that leaves nothing behind.
 
-    rabbitmq.py --dir DIR [--port N] [--tls]
+    rabbitmq.py --dir DIR [--port N] [--tls] [--channel-max N]
 
 Runs one node with its data, logs and Erlang cookie below DIR, with its own port mapper (epmd), on free ports. When the
 node takes connections it prints one line on stdout:
@@ -22,7 +22,8 @@ The end of stdin means `stop`, so the server ends with whoever started it. A com
 Data of an earlier run in DIR are kept: durable queues come back.
 
 With --tls the URL is amqps://localhost:PORT/: the server wants a client certificate, and user and password
-(certificates.py; the files are in DIR).
+(certificates.py; the files are in DIR). --channel-max limits the channels of a
+connection.
 """
 import os
 import subprocess
@@ -63,7 +64,7 @@ class RabbitMq(private_server.Server):
     name = "RabbitMQ"
     grace_s = 10
 
-    def __init__(self, folder, port=0, tls=False, mapper=None, home=None):
+    def __init__(self, folder, port=0, tls=False, mapper=None, home=None, channel_max=None):
         super().__init__(folder)
         free_port, self.distribution_port = private_server.free_ports(2)
         self.port = port or free_port
@@ -71,6 +72,7 @@ class RabbitMq(private_server.Server):
         self.mapper = mapper or PortMapper(folder)
         self.home = home or self.folder
         self.peers = []
+        self.channel_max = channel_max
         if tls:
             self.certificates = certificates.Certificates(self.folder)
         self.write("enabled_plugins", ["[]."])
@@ -82,10 +84,11 @@ class RabbitMq(private_server.Server):
             cluster += ["cluster_formation.peer_discovery_backend = classic_config",
                         # A node that hung is cut off, and comes back by itself.
                         "cluster_partition_handling = pause_minority"]
+        channels = ["channel_max = %d" % self.channel_max] if self.channel_max else []
         self.write("rabbitmq.conf", [
             "num_acceptors.tcp = 2", "num_acceptors.ssl = 2", "log.file.level = info",
             # A test's disk may be nearly full; an alarm would block every publisher.
-            "disk_free_limit.absolute = 50MB", *listeners, *cluster])
+            "disk_free_limit.absolute = 50MB", *listeners, *cluster, *channels])
 
     def security(self):
         path = self.certificates.path
@@ -168,8 +171,9 @@ class RabbitMq(private_server.Server):
 def main():
     parser = private_server.options("A private RabbitMQ")
     private_server.add_client_options(parser)
+    parser.add_argument("--channel-max", type=int, help="channels of a connection; default: the server's")
     given = parser.parse_args()
-    private_server.run(lambda: RabbitMq(given.dir, given.port, given.tls))
+    private_server.run(lambda: RabbitMq(given.dir, given.port, given.tls, channel_max=given.channel_max))
 
 
 if __name__ == "__main__":
