@@ -95,6 +95,15 @@ void Outbox::returned(Outgoing outgoing, Instant now) {
   trim();
 }
 
+void Outbox::put_off(Outgoing outgoing, Instant now) {
+  --under_way_;
+  if (!retry_at_) retry_at_ = now + backoff_.next();
+  proven_ = false;
+  outgoing.resent = true;
+  insert(std::move(outgoing));
+  trim();
+}
+
 void Outbox::lost(Outgoing outgoing) {
   --under_way_;
   outgoing.resent = true;

@@ -61,6 +61,9 @@ class Outbox {
   void refused(std::uint64_t number, const std::string& reason);
   /// Came back unread: it waits again and is tried after a while.
   void returned(Outgoing outgoing, Instant now);
+  /// The server could not store it now (a queue without its leader, one that is full): tried again after a while, marked
+  /// as sent before, because another queue may have it.
+  void put_off(Outgoing outgoing, Instant now);
   /// The connection was lost before the answer.
   void lost(Outgoing outgoing);
   /// A new connection: everything has to be proven again.

@@ -70,6 +70,22 @@ TEST_F(OutboxTest, TriesAReturnedMessageAgainAfterAWhileBeforeTheOthers) {
   EXPECT_TRUE(events().empty());
 }
 
+TEST_F(OutboxTest, TriesWhatTheServerCouldNotStoreAgainAfterAWhileAndMarksIt) {
+  Outbox& outbox = make(WhenFull::block, 10);
+  prove();
+  add(3);
+  for (Outgoing& outgoing : send()) outbox.put_off(std::move(outgoing), now_);
+  EXPECT_FALSE(outbox.may_send());
+  ASSERT_TRUE(outbox.next_timer());
+  now_ = *outbox.next_timer();
+  outbox.fire_timer(now_);
+  const std::vector<Outgoing> again = send();
+  ASSERT_EQ(again.size(), 1U) << "alone, until it got through";
+  EXPECT_TRUE(again[0].resent) << "another queue may have stored it";
+  outbox.confirmed(again[0].number);
+  EXPECT_EQ(send().size(), 2U);
+}
+
 TEST_F(OutboxTest, PutsWhatWasLostBackInOrderAndMarksIt) {
   Outbox& outbox = make(WhenFull::block, 10);
   prove();

@@ -235,7 +235,7 @@ void PublishLink::settle(UnderWay& entry, bool good, Instant now) {
   entry.answered = true;
   if (entry.outbox->closed) return;
   if (!good) {
-    entry.outbox->refused(entry.outgoing.number, "the server could not store it (nack)");
+    entry.outbox->put_off(std::move(entry.outgoing), now);
   } else if (entry.returned) {
     entry.outbox->returned(std::move(entry.outgoing), now);
   } else {
