@@ -75,6 +75,7 @@ void Outbox::confirmed(std::uint64_t number) {
   --under_way_;
   proven_ = true;
   unread_ = false;
+  put_off_in_row_ = 0;
   retry_at_.reset();
   backoff_.reset();
   settle(number, Outcome::confirmed, "");
@@ -99,6 +100,7 @@ void Outbox::put_off(Outgoing outgoing, Instant now) {
   --under_way_;
   if (!retry_at_) retry_at_ = now + backoff_.next();
   proven_ = false;
+  ++put_off_in_row_;
   outgoing.resent = true;
   insert(std::move(outgoing));
   trim();
@@ -112,6 +114,7 @@ void Outbox::lost(Outgoing outgoing) {
 }
 
 void Outbox::disconnected() {
+  put_off_in_row_ = 0;
   ready = false;
   proven_ = false;
   unread_ = false;

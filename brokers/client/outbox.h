@@ -61,9 +61,11 @@ class Outbox {
   void refused(std::uint64_t number, const std::string& reason);
   /// Came back unread: it waits again and is tried after a while.
   void returned(Outgoing outgoing, Instant now);
-  /// The server could not store it now (a queue without its leader, one that is full): tried again after a while, marked
-  /// as sent before, because another queue may have it.
+  /// The server could not store it now (a queue without its leader, one that is full): tried again after a while,
+  /// marked as sent before, because another queue may have it.
   void put_off(Outgoing outgoing, Instant now);
+  /// So often in a row.
+  std::size_t put_off_in_row() const { return put_off_in_row_; }
   /// The connection was lost before the answer.
   void lost(Outgoing outgoing);
   /// A new connection: everything has to be proven again.
@@ -99,6 +101,7 @@ class Outbox {
   std::uint64_t last_number_ = 0;
   std::size_t pending_ = 0;    ///< accepted, outcome not reported yet
   std::size_t under_way_ = 0;  ///< sent, no answer yet
+  std::size_t put_off_in_row_ = 0;
   bool proven_ = false;
   bool unread_ = false;  ///< the last answer was: nobody reads it
   std::optional<Instant> retry_at_;

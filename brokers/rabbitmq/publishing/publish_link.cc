@@ -18,6 +18,9 @@ namespace {
 
 // A caller sends at most so many of others' messages beside its own.
 constexpr std::size_t helping = 16;
+// After so many refusals in a row to store one publisher's messages the connection is made anew.
+constexpr std::size_t nacks_of_stale_channel = 4;
+constexpr std::chrono::minutes long_ago{1};
 
 }  // namespace
 
@@ -236,6 +239,12 @@ void PublishLink::settle(UnderWay& entry, bool good, Instant now) {
   if (entry.outbox->closed) return;
   if (!good) {
     entry.outbox->put_off(std::move(entry.outgoing), now);
+    // A channel that published while a quorum queue had no leader may never learn of the new one.
+    if (entry.outbox->put_off_in_row() >= nacks_of_stale_channel && now >= next_renewal_) {
+      if (now > next_renewal_ + long_ago) renewals_.reset();
+      next_renewal_ = now + renewals_.next();
+      stale_ = true;
+    }
   } else if (entry.returned) {
     entry.outbox->returned(std::move(entry.outgoing), now);
   } else {
@@ -261,6 +270,7 @@ void PublishLink::on_answer(std::uint64_t tag, bool multiple, bool good) {
     under_way_.pop_front();
     ++first_tag_;
   }
+  if (std::exchange(stale_, false)) throw LinkError("it stores no messages in a queue (nack) on this connection");
 }
 
 std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {

@@ -11,6 +11,7 @@
 #include <thread>
 #include <vector>
 
+#include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/client/outcome_reporter.h"
 #include "iotcloud/brokers/client/server_list.h"
@@ -133,6 +134,9 @@ class PublishLink {
   std::uint64_t first_tag_ = 1;                      ///< of under_way_.front()
   std::size_t one_by_one_ = 0;  ///< so many messages still go alone: one of them made the server close the channel
 
+  bool stale_ = false;  ///< this connection knows only the dead leader of some queue; another one would do better
+  Instant next_renewal_{};
+  client::Backoff renewals_{std::chrono::milliseconds(1000), std::chrono::milliseconds(30'000)};
   client::ServerList servers_;
   std::optional<Instant> moving_since_;  ///< nothing new is sent: the connection is to move to the preferred server
 
