@@ -8,7 +8,7 @@
 #include <amqp_framing.h>
 
 #include "iotcloud/brokers/limits.h"
-#include "iotcloud/brokers/rabbitmq/headers.h"
+#include "iotcloud/brokers/rabbitmq/wire/headers.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 
 namespace {

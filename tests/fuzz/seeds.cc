@@ -6,7 +6,7 @@
 #include <amqp.h>
 #include <amqp_framing.h>
 
-#include "iotcloud/brokers/rabbitmq/headers.h"
+#include "iotcloud/brokers/rabbitmq/wire/headers.h"
 #include "iotcloud/brokers/spool/bytes.h"
 #include "iotcloud/brokers/spool/record.h"
 
