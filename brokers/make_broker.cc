@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <array>
 
+#include "iotcloud/brokers/activemq/activemq_broker.h"
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/embedded/embedded_broker.h"
 #include "iotcloud/brokers/rabbitmq/rabbitmq_broker.h"
@@ -22,6 +23,8 @@ constexpr std::array schemes{
     Scheme{"embedded", "embedded", embedded::make_embedded_broker},
     Scheme{"amqp", "rabbitmq", rabbitmq::make_rabbitmq_broker},
     Scheme{"amqps", "rabbitmq", rabbitmq::make_rabbitmq_broker},
+    Scheme{"activemq", "activemq", activemq::make_activemq_broker},
+    Scheme{"activemqs", "activemq", activemq::make_activemq_broker},
 };
 
 const Scheme& scheme_of(const std::string& url) {

@@ -23,6 +23,10 @@ target_include_directories(zookeeper_mt SYSTEM INTERFACE ${ZOOKEEPER_INCLUDE_DIR
 target_compile_definitions(zookeeper_mt INTERFACE THREADED)
 target_link_libraries(zookeeper_mt INTERFACE ${ZOOKEEPER_LIBRARY} Threads::Threads)
 
+# Linked as qpid-proton-cpp: its .pc file is incomplete.
+find_path(QPID_PROTON_CPP_INCLUDE_DIR proton/messaging_handler.hpp REQUIRED)
+find_library(QPID_PROTON_CPP_LIBRARY qpid-proton-cpp REQUIRED)
+
 find_path(ROCKSDB_INCLUDE_DIR rocksdb/db.h REQUIRED)
 find_library(ROCKSDB_LIBRARY rocksdb REQUIRED)
 

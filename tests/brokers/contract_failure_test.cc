@@ -15,7 +15,7 @@
 
 namespace iotcloud::brokers {
 
-INSTANTIATE_TEST_SUITE_P(On, BrokerContract, testing::Values("embedded", "rabbitmq"),
+INSTANTIATE_TEST_SUITE_P(On, BrokerContract, testing::Values("embedded", "rabbitmq", "activemq"),
                          [](const auto& kind) { return kind.param; });
 
 namespace {

@@ -20,20 +20,22 @@ class EmbeddedTestServer final : public TestServer {
   embedded::Server server_ = embedded::Server::named("contract");
 };
 
-class RabbitMqTestServer final : public TestServer {
+class PrivateTestServer final : public TestServer {
  public:
+  explicit PrivateTestServer(const std::string& script) : server_(script) {}
   std::string url() const override { return server_.url(); }
   void kill() override { server_.kill(); }
   void start() override { server_.start(); }
   tests::PrivateServer* process() override { return &server_; }
 
  private:
-  tests::PrivateServer server_{"rabbitmq.py"};
+  tests::PrivateServer server_;
 };
 
 std::unique_ptr<TestServer> make_server(const std::string& kind) {
   if (kind == "embedded") return std::make_unique<EmbeddedTestServer>();
-  if (kind == "rabbitmq") return std::make_unique<RabbitMqTestServer>();
+  if (kind == "rabbitmq") return std::make_unique<PrivateTestServer>("rabbitmq.py");
+  if (kind == "activemq") return std::make_unique<PrivateTestServer>("activemq.py");
   throw std::runtime_error("no test server of kind " + kind);
 }
 

@@ -41,7 +41,11 @@ CONFIGURATION = """\
     <persistenceAdapter>
       <!-- Synchronous: with less a broker that is killed loses what it has confirmed. -->
       <kahaDB directory={data} journalMaxFileLength="32mb" journalDiskSyncStrategy="always"/>
-    </persistenceAdapter>{security}
+    </persistenceAdapter>
+    <plugins>
+      <!-- Our clients ask it which queues there are. -->
+      <statisticsBrokerPlugin/>{users}
+    </plugins>{security}
     <systemUsage>
       <systemUsage>
         <memoryUsage><memoryUsage limit="192 mb"/></memoryUsage>
@@ -57,12 +61,12 @@ CONFIGURATION = """\
 """
 
 
-SECURITY = """
-    <plugins>
+USERS = """
       <simpleAuthenticationPlugin anonymousAccessAllowed="false">
         <users><authenticationUser username={user} password={password} groups="users"/></users>
-      </simpleAuthenticationPlugin>
-    </plugins>
+      </simpleAuthenticationPlugin>"""
+
+SECURITY = """
     <sslContext>
       <sslContext keyStore={key_store} keyStorePassword={store_password} keyStoreType="PKCS12"
           trustStore={trust_store} trustStorePassword={store_password} trustStoreType="PKCS12"/>
@@ -83,11 +87,14 @@ class ActiveMq(private_server.Server):
             connector = connector.replace("amqp:", "amqp+ssl:") + "&transport.needClientAuth=true"
         self.config = self.write("activemq.xml", CONFIGURATION.format(
             data=quoted(self.path("data")), connector=quoted(connector),
-            security=self.security() if tls else "").splitlines())
+            users=self.users() if tls else "", security=self.security() if tls else "").splitlines())
+
+    @staticmethod
+    def users():
+        return USERS.format(user=quoted(certificates.USER), password=quoted(certificates.PASSWORD))
 
     def security(self):
         return SECURITY.format(
-            user=quoted(certificates.USER), password=quoted(certificates.PASSWORD),
             key_store=quoted("file:" + self.certificates.key_store()),
             trust_store=quoted("file:" + self.certificates.trust_store()),
             store_password=quoted(certificates.STORE_PASSWORD))

@@ -1,0 +1,14 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "iotcloud/brokers/broker_url.h"
+#include <iotcloud/brokers/broker.h>
+
+namespace iotcloud::brokers::activemq {
+
+/// A broker that speaks AMQP 1.0 to ActiveMQ (Classic) servers; `urls` are options.urls, parsed.
+std::unique_ptr<Broker> make_activemq_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls);
+
+}  // namespace iotcloud::brokers::activemq
