@@ -99,21 +99,12 @@ void ServerLink::start() {
 void ServerLink::close() {
   Lock lock(mutex_);
   closing_ = true;
-  if (!started_) return;
-  lock.unlock();
-  post([this] { guarded([this] { finish(); }); });
-  lock.lock();
-  const auto end = std::chrono::system_clock::now() + goodbye;
-  changed_.wait_until(lock, end, [this] { return finished_; });
+  if (!connection_) return;
+  connection_.wake();  // finish() follows
+  changed_.wait_until(lock, std::chrono::system_clock::now() + goodbye, [this] { return !connection_; });
 }
 
 void ServerLink::finish() {
-  if (phase_ == Phase::away) {
-    const Lock lock(mutex_);
-    finished_ = true;
-    changed_.notify_all();
-    return;
-  }
   if (phase_ == Phase::up) say_goodbye();
   connection_.close();  // on_transport_close follows
 }
@@ -132,7 +123,8 @@ void ServerLink::wake() {
 }
 
 void ServerLink::arm(Instant when) {
-  if (when >= armed_) return;
+  // Later ones are seen by tick() in time; the container does not stop before its timers ran off.
+  if (when >= armed_ || when > now() + tick_period) return;
   armed_ = when;
   const auto wait = std::chrono::ceil<std::chrono::milliseconds>(when - now());
   container_.schedule(to_proton(wait), proton::work(std::function<void()>([this] {
@@ -238,6 +230,7 @@ void ServerLink::attempt(std::size_t server) {
     proton::connection connection = container_.connect(proton_url(urls_[server]), options);
     const Lock lock(mutex_);
     connection_ = connection;
+    if (closing_) connection_.close();
   } catch (const std::exception& error) {  // a password file that is not there, a certificate that cannot be read
     log_.failed(error.what());
     servers_.failed(server, now());
@@ -364,7 +357,17 @@ void ServerLink::on_sender_error(proton::sender& sender) {
 void ServerLink::on_error(const proton::error_condition&) {}  // by default it throws through the I/O thread
 
 void ServerLink::on_connection_wake(proton::connection& connection) {
-  if (connection == connection_) run_serve();
+  if (connection != connection_) return;
+  bool closing = false;
+  {
+    const Lock lock(mutex_);
+    closing = closing_;
+  }
+  if (closing) {
+    guarded([this] { finish(); });
+  } else {
+    run_serve();
+  }
 }
 
 void ServerLink::lost(const std::string& why) {
@@ -381,7 +384,6 @@ void ServerLink::lost(const std::string& why) {
     connected_ = false;
     woken_ = false;
     closing = closing_;
-    if (closing) finished_ = true;
     changed_.notify_all();
   }
   if (closing) return;

@@ -35,7 +35,7 @@ using Instant = config::Clock::Instant;
 ///
 /// Everything of proton's is used on the container's one thread only (the I/O thread); the virtual functions are called
 /// there, without the mutex. A derived class has its own state, guarded by `mutex_`, and calls wake() to have serve()
-/// called soon. It must call close() before it dies, while the container runs.
+/// called soon. close() comes before the container stops, and that before its end.
 class ServerLink : protected proton::messaging_handler {
  public:
   /// \param purpose for the server's list of connections. All references outlive this.
@@ -48,7 +48,7 @@ class ServerLink : protected proton::messaging_handler {
   /// Connects for the first time; further calls do nothing. Thread safe.
   void start();
   /// Sends what is to be sent, closes the connection, and returns when the server agreed or did not within a second.
-  /// No virtual function is called after that. Not from the I/O thread.
+  /// Nothing is done any more after that. Not from the I/O thread.
   void close();
 
  protected:
@@ -143,7 +143,6 @@ class ServerLink : protected proton::messaging_handler {
 
   bool connected_ = false;         ///< guarded by mutex_
   bool woken_ = false;             ///< guarded by mutex_
-  bool finished_ = false;          ///< guarded by mutex_
   proton::connection connection_;  ///< changed on the I/O thread, with the mutex held
 
   // The I/O thread's.
