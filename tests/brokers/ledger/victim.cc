@@ -1,0 +1,70 @@
+#include <atomic>
+#include <stdexcept>
+
+#include "iotcloud/tests/brokers/ledger/ledger.h"
+#include "iotcloud/tests/servers/private_server.h"
+#include <iotcloud/brokers/embedded/server.h>
+
+namespace iotcloud::brokers {
+namespace {
+
+Victim embedded_victim() {
+  auto server = std::make_shared<embedded::Server>(embedded::Server::named("ledger"));
+  Victim victim;
+  victim.options.urls = {"embedded://ledger"};
+  victim.kill = [server] { server->stop(); };
+  victim.start = [server] { server->start(); };
+  victim.server = server;
+  return victim;
+}
+
+Victim process_victim(const std::string& script) {
+  auto server = std::make_shared<tests::PrivateServer>(script);
+  Victim victim;
+  victim.options.urls = {server->url()};
+  victim.kill = [server] { server->kill(); };
+  victim.start = [server] { server->start(); };
+  victim.pause = [server] { server->pause(); };
+  victim.resume = [server] { server->resume(); };
+  victim.server = server;
+  return victim;
+}
+
+/// One node of three at a time, the first one first: that is where the clients are.
+Victim cluster_victim() {
+  auto server = std::make_shared<tests::PrivateServer>("rabbitmq_cluster.py");
+  auto next = std::make_shared<std::atomic<int>>(0);
+  const auto node = [next] { return *next % 3 + 1; };
+  Victim victim;
+  victim.options.urls = server->urls();
+  victim.options.properties = {{"queue_type", "quorum"}};
+  victim.kill = [server, node] { server->kill(node()); };
+  victim.start = [server, node, next] {
+    server->start(node());
+    ++*next;
+  };
+  victim.pause = [server, node] { server->pause(node()); };
+  victim.resume = [server, node, next] {
+    server->resume(node());
+    ++*next;
+  };
+  victim.server = server;
+  return victim;
+}
+
+}  // namespace
+
+Victim make_victim(const std::string& kind) {
+  Victim victim;
+  if (kind == "embedded") {
+    victim = embedded_victim();
+  } else if (kind == "cluster") {
+    victim = cluster_victim();
+  } else {
+    victim = process_victim(kind + ".py");
+  }
+  victim.options.heartbeat = std::chrono::seconds(2);
+  return victim;
+}
+
+}  // namespace iotcloud::brokers
