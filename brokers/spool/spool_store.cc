@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstring>
 #include <filesystem>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -69,6 +71,7 @@ SpoolStore::~SpoolStore() {
 void SpoolStore::lock_folder() {
   const std::string& folder = options_.folder;
   const std::string lock_file = folder + "/lock";
+  const auto give_up = std::chrono::steady_clock::now() + options_.lock_limit;
   for (;;) {
     std::error_code error;
     std::filesystem::create_directories(folder, error);
@@ -78,6 +81,9 @@ void SpoolStore::lock_folder() {
     if (lock_ < 0) {
       throw config::Error(
           fmt::format("the spool's folder {} cannot be used: {}: {}", folder, lock_file, std::strerror(errno)));
+    }
+    while (::flock(lock_, LOCK_EX | LOCK_NB) != 0 && std::chrono::steady_clock::now() < give_up) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
     }
     if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) {
       throw config::Error(fmt::format(

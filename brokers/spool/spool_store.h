@@ -36,6 +36,8 @@ class SpoolStore {
     std::string folder;                                  ///< made when it is missing
     std::uint64_t max_bytes = std::uint64_t{256} << 20;  ///< of all segments together
     Sync sync = Sync::interval;
+    /// A process that was killed may hold the folder a moment longer.
+    std::chrono::milliseconds lock_limit{500};
     Disk* disk = nullptr;  ///< nullptr: the real one
   };
   /// What was found when the folder was opened.

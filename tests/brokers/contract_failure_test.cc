@@ -167,6 +167,45 @@ TEST_P(BrokerContract, ALateSettlementAfterTheServersDeathIsIgnored) {
   holder.drop_all();
 }
 
+TEST_P(BrokerContract, AMessageWithAPastIsMarkedAndNoNewOneIs) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.deadline = std::chrono::minutes(10);
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic, options);
+  Past past;
+  past.possibly_sent = true;
+  past.age = std::chrono::minutes(9);
+  ASSERT_EQ(publisher->publish_again(text_message("old"), past), PublishStatus::accepted);
+  ASSERT_EQ(publisher->publish(text_message("new")), PublishStatus::accepted);
+  ASSERT_TRUE(inbox.wait_for(2));
+  EXPECT_THAT(inbox.bodies(), testing::ElementsAre("old", "new"));
+  EXPECT_TRUE(inbox.all()[0].redelivered);
+  EXPECT_FALSE(inbox.all()[1].redelivered);
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 2u);
+}
+
+TEST_P(BrokerContract, TheDeadlineOfAMessageWithAPastCountsFromItsBeginning) {
+  Outage outage(server());
+  const auto broker = this->broker();
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.deadline = std::chrono::minutes(10);
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic(), options);
+  Past past;
+  past.age = std::chrono::minutes(10) - std::chrono::milliseconds(50);
+  ASSERT_EQ(publisher->publish_again(text_message("old"), past), PublishStatus::accepted);
+  ASSERT_TRUE(outcomes.wait_for(1));
+  EXPECT_EQ(outcomes.reason(1), "deadline");
+}
+
 TEST_P(BrokerContract, KeepNewestWhileTheServerIsAway) {
   const auto broker = this->broker();
   const Topic topic = this->topic();

@@ -117,6 +117,27 @@ TEST_F(ProcessTest, ACrashIsToldAndTheInstancesRunAgainWhileOtherPluginsNoticeNo
   EXPECT_EQ(record("b", "other"), untouched);
 }
 
+TEST_F(ProcessTest, WhatAHostHadSpooledWhenItCrashedIsThereForTheNext) {
+  start_gateway();
+  const std::string crash_file = folder_ / "crash";
+  give(order("a", {{"channel.readings.when_full", "spool"}, {"crash_file", crash_file}}));
+  const auto segments = [&] {
+    std::size_t count = 0;
+    std::error_code error;
+    for (const auto& file : fs::directory_iterator(state_ / "spool/a/readings", error)) {
+      count += file.path().extension() == ".segment" && fs::file_size(file.path(), error) > 50 ? 1 : 0;
+    }
+    return count;
+  };
+  // Nobody reads what the driver says when it is activated.
+  ASSERT_TRUE(eventually([&] { return segments() == 1; }));
+  std::ofstream{crash_file};
+  EXPECT_TRUE(eventually([&] { return segments() == 2; })) << "one of each life";
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return !record("a"); }));
+  EXPECT_EQ(segments(), 2u) << "an undeployed instance's messages are not thrown away";
+}
+
 TEST_F(ProcessTest, AHostThatCrashesAtOnceAgainIsToldWithItsSignal) {
   auto slow = options();
   slow.restart.first = 1h;  // the state stays to be seen

@@ -1,7 +1,11 @@
 // The log on disk: what is in it comes back, in order, whatever happened to the files.
 #include <algorithm>
+#include <chrono>
 #include <cstdint>
+#include <future>
+#include <memory>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -291,6 +295,21 @@ TEST_F(SpoolStoreTest, AFolderThatIsInUseIsRefused) {
     EXPECT_THAT(error.what(), HasSubstr(folder_ / "spool"));
     EXPECT_THAT(error.what(), HasSubstr("in use"));
   }
+}
+
+TEST_F(SpoolStoreTest, AFolderThatIsJustBeingGivenUpIsWaitedFor) {
+  auto first = std::make_unique<SpoolStore>(options());
+  append(*first, "1");
+  std::promise<void> opening;
+  std::jthread closing([&] {
+    opening.get_future().wait();
+    first.reset();
+  });
+  SpoolStore::Options patient = options();
+  patient.lock_limit = std::chrono::seconds(60);
+  opening.set_value();
+  const SpoolStore second(patient);
+  EXPECT_THAT(bodies(second), ElementsAre("1"));
 }
 
 TEST_F(SpoolStoreTest, AFolderThatCannotBeMadeIsRefused) {
