@@ -95,6 +95,15 @@ Handler DeadLetters::guard(const Topic& topic, const SubscriptionOptions& option
   };
 }
 
+void DeadLetters::drain(const std::string& dead_letter, std::chrono::milliseconds limit) {
+  LetterBox* box = nullptr;
+  {
+    const std::lock_guard lock(mutex_);
+    if (const auto found = boxes_.find(dead_letter); found != boxes_.end()) box = found->second.get();
+  }
+  if (box != nullptr) box->drain(limit);
+}
+
 LetterBox& DeadLetters::box(const std::string& topic) {
   const std::lock_guard lock(mutex_);
   auto& box = boxes_[topic];

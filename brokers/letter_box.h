@@ -49,6 +49,8 @@ class DeadLetters {
   /// A handler that keeps the subscription's rules and calls `handler`; `handler` itself when there are none.
   /// The result must not be called after this object's end.
   Handler guard(const Topic& topic, const SubscriptionOptions& options, Handler handler);
+  /// Waits until what is on its way to a dead-letter topic is there and its originals are settled, `limit` at most.
+  void drain(const std::string& dead_letter, std::chrono::milliseconds limit);
 
  private:
   class Guard;

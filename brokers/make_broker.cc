@@ -4,6 +4,7 @@
 #include "iotcloud/brokers/activemq/activemq_broker.h"
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/embedded/embedded_broker.h"
+#include "iotcloud/brokers/kafka/kafka_broker.h"
 #include "iotcloud/brokers/rabbitmq/rabbitmq_broker.h"
 #include "iotcloud/config/error.h"
 #include <iotcloud/brokers/broker.h>
@@ -23,6 +24,8 @@ constexpr std::array schemes{
     Scheme{"embedded", "embedded", embedded::make_embedded_broker},
     Scheme{"amqp", "rabbitmq", rabbitmq::make_rabbitmq_broker},
     Scheme{"amqps", "rabbitmq", rabbitmq::make_rabbitmq_broker},
+    Scheme{"kafka", "kafka", kafka::make_kafka_broker},
+    Scheme{"kafkas", "kafka", kafka::make_kafka_broker},
     Scheme{"activemq", "activemq", activemq::make_activemq_broker},
     Scheme{"activemqs", "activemq", activemq::make_activemq_broker},
 };

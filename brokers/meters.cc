@@ -54,4 +54,11 @@ void Meters::conflated() {
   conflated_.add();
 }
 
+void Meters::skipped(const std::string& reason) {
+  metrics_
+      .counter("iotcloud_broker_skipped_total", "Received records that no handler got",
+               {{"broker", kind_}, {"reason", reason}})
+      .add();
+}
+
 }  // namespace iotcloud::brokers

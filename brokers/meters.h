@@ -13,7 +13,8 @@ namespace reason {
 inline constexpr const char* superseded = "superseded";  ///< a newer one came while it waited (keep_newest, keep_last)
 inline constexpr const char* deadline = "deadline";      ///< it grew too old
 inline constexpr const char* no_reader = "no_reader";    ///< superseded while nobody read the topic
-inline constexpr const char* closed = "closed";          ///< the publisher was closed first
+inline constexpr const char* undecodable = "undecodable";  ///< received bytes that make no message
+inline constexpr const char* closed = "closed";            ///< the publisher was closed first
 // Of a spool (spool/spooled_publisher.h):
 inline constexpr const char* spool_full = "spool_full";        ///< the oldest gave way (drop_oldest)
 inline constexpr const char* spool_failed = "spool_failed";    ///< the disk is full or broken (drop_oldest)
@@ -29,6 +30,8 @@ class Meters {
   void outcome(Outcome outcome, const std::string& reason);
   void received(bool redelivered);
   void conflated();  ///< a delivery that keep_last skipped
+  /// A record that no handler got: undecodable, or beyond its deadline where the server knows none.
+  void skipped(const std::string& reason);
 
  private:
   config::Metrics& metrics_;

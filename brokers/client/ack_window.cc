@@ -12,6 +12,11 @@ bool AckWindow::delivered(Arrived arrived) {
   return true;
 }
 
+void AckWindow::skipped() {
+  entries_.push_back({State::accept, false, 0, {}});
+  ++settled_;
+}
+
 Arrived AckWindow::next() {
   const std::uint64_t tag = waiting_.front();
   waiting_.pop_front();
@@ -66,6 +71,25 @@ std::vector<AckWindow::Action> AckWindow::take(std::size_t patience) {
     --settled_;
   }
   return actions;
+}
+
+std::uint64_t AckWindow::advance() {
+  while (!entries_.empty() && !unsettled(entries_.front())) {
+    if (entries_.front().state != State::told) --settled_;
+    entries_.pop_front();
+    ++first_tag_;
+  }
+  return first_tag_;
+}
+
+bool AckWindow::is_settled(std::uint64_t tag) const {
+  return tag < first_tag_ || (tag < first_tag_ + entries_.size() && !unsettled(entries_[tag - first_tag_]));
+}
+
+void AckWindow::return_all() {
+  for (std::size_t i = 0; i < entries_.size(); ++i) {
+    if (entries_[i].state == State::handed_on) settle(first_tag_ + i, Settlement::retry);
+  }
 }
 
 void AckWindow::clear() {

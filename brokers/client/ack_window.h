@@ -33,6 +33,8 @@ class AckWindow {
   /// Notes a delivery; the server counts tags up from 1 on each channel. \return false when the tag is not the next
   /// one.
   bool delivered(Arrived arrived);
+  /// Notes a delivery, the next one, that needs no handling: it counts as accepted.
+  void skipped();
   /// The oldest message that waits to be handed on, marked as redelivered when it was before. `waiting() > 0`.
   Arrived next();
   std::size_t waiting() const { return waiting_.size(); }
@@ -44,8 +46,16 @@ class AckWindow {
   std::vector<Action> take(std::size_t patience);
   /// Deliveries that somebody has and has not settled.
   std::size_t handed_on() const { return handed_on_; }
+  /// For servers that are told how far a reader has come, instead of take(): forgets the settled deliveries in front.
+  /// \return the tag of the first that is unsettled, or is still to come
+  std::uint64_t advance();
+  bool is_settled(std::uint64_t tag) const;
+  /// Makes all that is handed on and unsettled wait again: nobody can settle it any more.
+  void return_all();
   /// Deliveries that are settled and not told to the server yet.
   std::size_t settled() const { return settled_; }
+  /// All deliveries that are kept, settled ones behind an unsettled one included.
+  std::size_t size() const { return entries_.size(); }
   /// Forgets everything: the channel is gone.
   void clear();
 

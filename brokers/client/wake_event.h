@@ -20,6 +20,9 @@ class WakeEvent {
   WakeEvent(const WakeEvent&) = delete;
   WakeEvent& operator=(const WakeEvent&) = delete;
 
+  /// For a library that signals by itself: it writes eight bytes, a number above 0.
+  int descriptor() const { return event_; }
+
   void signal() {
     const std::uint64_t one = 1;
     [[maybe_unused]] const auto written = ::write(event_, &one, sizeof(one));  // full: it is signalled already

@@ -15,26 +15,10 @@
 
 namespace iotcloud::brokers {
 
-INSTANTIATE_TEST_SUITE_P(On, BrokerContract, testing::Values("embedded", "rabbitmq", "activemq"),
+INSTANTIATE_TEST_SUITE_P(On, BrokerContract, testing::Values("embedded", "rabbitmq", "kafka", "activemq"),
                          [](const auto& kind) { return kind.param; });
 
 namespace {
-
-/// Takes the server away and brings it back at the end in any case: other tests share it.
-class Outage {
- public:
-  explicit Outage(TestServer& server) : server_(server) { server_.kill(); }
-  Outage(const Outage&) = delete;
-  Outage& operator=(const Outage&) = delete;
-  ~Outage() { end(); }
-  void end() {
-    if (!std::exchange(ended_, true)) server_.start();
-  }
-
- private:
-  TestServer& server_;
-  bool ended_ = false;
-};
 
 TEST_P(BrokerContract, ConnectsWhenTheServerComesAfterTheClients) {
   Outage outage(server());

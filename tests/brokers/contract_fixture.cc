@@ -20,7 +20,7 @@ class EmbeddedTestServer final : public TestServer {
   embedded::Server server_ = embedded::Server::named("contract");
 };
 
-class PrivateTestServer final : public TestServer {
+class PrivateTestServer : public TestServer {
  public:
   explicit PrivateTestServer(const std::string& script) : server_(script) {}
   std::string url() const override { return server_.url(); }
@@ -32,9 +32,17 @@ class PrivateTestServer final : public TestServer {
   tests::PrivateServer server_;
 };
 
+class KafkaTestServer final : public PrivateTestServer {
+ public:
+  KafkaTestServer() : PrivateTestServer("kafka.py") {}
+  bool keeps_unread() const override { return true; }
+  std::map<std::string, std::string> sharing_properties() const override { return {{"partitions", "2"}}; }
+};
+
 std::unique_ptr<TestServer> make_server(const std::string& kind) {
   if (kind == "embedded") return std::make_unique<EmbeddedTestServer>();
   if (kind == "rabbitmq") return std::make_unique<PrivateTestServer>("rabbitmq.py");
+  if (kind == "kafka") return std::make_unique<KafkaTestServer>();
   if (kind == "activemq") return std::make_unique<PrivateTestServer>("activemq.py");
   throw std::runtime_error("no test server of kind " + kind);
 }
@@ -191,11 +199,19 @@ TestServer& BrokerContract::server() const {
   return *servers().at(GetParam());
 }
 
-std::unique_ptr<Broker> BrokerContract::broker() const {
+std::unique_ptr<Broker> BrokerContract::broker(std::map<std::string, std::string> properties) const {
   BrokerOptions options;
+  options.properties = std::move(properties);
   options.urls = {server().url()};
   options.heartbeat = std::chrono::seconds(2);
   return make_broker(options);
+}
+
+std::unique_ptr<Outage> BrokerContract::hold_up(const Broker& broker) const {
+  if (!server().keeps_unread()) return nullptr;
+  auto outage = std::make_unique<Outage>(server());
+  EXPECT_TRUE(eventually([&] { return broker.state() == ConnectionState::connecting; }));
+  return outage;
 }
 
 Topic BrokerContract::topic(bool durable) const {

@@ -8,6 +8,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -30,8 +31,28 @@ class TestServer {
   virtual std::string url() const = 0;
   virtual void kill() = 0;
   virtual void start() = 0;
+  /// Whether it confirms and keeps what nobody reads yet; otherwise that waits at the publisher.
+  virtual bool keeps_unread() const { return false; }
+  /// What a broker object needs so that several readers can share a topic; they share it by key.
+  virtual std::map<std::string, std::string> sharing_properties() const { return {}; }
   /// The private server behind it; null for one in process.
   virtual tests::PrivateServer* process() { return nullptr; }
+};
+
+/// Takes the server away and brings it back at the end in any case: other tests share it.
+class Outage {
+ public:
+  explicit Outage(TestServer& server) : server_(server) { server_.kill(); }
+  Outage(const Outage&) = delete;
+  Outage& operator=(const Outage&) = delete;
+  ~Outage() { end(); }
+  void end() {
+    if (!std::exchange(ended_, true)) server_.start();
+  }
+
+ private:
+  TestServer& server_;
+  bool ended_ = false;
 };
 
 /// Collects deliveries; the handler accepts each unless told otherwise. Thread safe.
@@ -108,7 +129,10 @@ class BrokerContract : public testing::TestWithParam<std::string> {
   static void TearDownTestSuite();
 
   TestServer& server() const;
-  std::unique_ptr<Broker> broker() const;
+  std::unique_ptr<Broker> broker(std::map<std::string, std::string> properties = {}) const;
+  /// From here on what is published waits at its publisher, until a reader subscribes and the result ends: a server
+  /// that keeps what nobody reads is away meanwhile.
+  std::unique_ptr<Outage> hold_up(const Broker& broker) const;
   /// A topic that no other test uses.
   Topic topic(bool durable = false) const;
   /// Waits until a subscription reads.

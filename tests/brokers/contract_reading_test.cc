@@ -274,8 +274,9 @@ TEST_P(BrokerContract, AnExclusiveReadersStandbyTakesOverWhenItEnds) {
 }
 
 TEST_P(BrokerContract, ReadersThatAreNotExclusiveShareAQueue) {
-  const auto broker = this->broker();
-  const auto other = this->broker();
+  const auto properties = server().sharing_properties();
+  const auto broker = this->broker(properties);
+  const auto other = this->broker(properties);
   const Topic topic = this->topic();
   SubscriptionOptions options;
   options.exclusive = false;
@@ -287,8 +288,13 @@ TEST_P(BrokerContract, ReadersThatAreNotExclusiveShareAQueue) {
   await_active(*first);
   await_active(*second);
   const auto publisher = broker->publisher(topic, {});
-  publisher->publish(text_message("1"));
-  publisher->publish(text_message("2"));
+  // Shared by key, two messages may go to one reader; of so many keys each gets some.
+  const int messages = properties.empty() ? 2 : 20;
+  for (int i = 1; i <= messages; ++i) {
+    Message message = text_message(std::to_string(i));
+    message.driver_id = "driver " + std::to_string(i);
+    publisher->publish(message);
+  }
   EXPECT_TRUE(one.wait_for(1));
   EXPECT_TRUE(two.wait_for(1));
 }

@@ -1,0 +1,245 @@
+#include "iotcloud/brokers/kafka/client.h"
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+
+#include <fmt/core.h>
+
+#include "iotcloud/brokers/credentials.h"
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers::kafka {
+namespace {
+
+const config::Logger logger{"brokers.kafka"};
+
+constexpr int default_port = 9092;
+
+int number_of(const std::string& name, const std::string& value, int smallest, int largest) {
+  int number = 0;
+  const auto [end, error] = std::from_chars(value.data(), value.data() + value.size(), number);
+  if (error == std::errc() && end == value.data() + value.size() && number >= smallest && number <= largest) {
+    return number;
+  }
+  throw config::Error(fmt::format("the property \"{}\" of a Kafka broker must be a number from {} to {}, not \"{}\"",
+                                  name, smallest, largest, value));
+}
+
+bool is_secured(const KafkaOptions& options) {
+  return options.urls.front().scheme == "kafkas";
+}
+
+std::string servers(const KafkaOptions& options) {
+  std::string list;
+  for (const BrokerUrl& url : options.urls) {
+    if (!list.empty()) list += ',';
+    const bool ip6 = url.host.find(':') != std::string::npos;
+    list += fmt::format("{}{}{}:{}", ip6 ? "[" : "", url.host, ip6 ? "]" : "", url.port != 0 ? url.port : default_port);
+  }
+  return list;
+}
+
+Settings common_settings(const KafkaOptions& options) {
+  const auto ms = [](std::chrono::milliseconds duration, std::int64_t smallest) {
+    return std::to_string(std::max<std::int64_t>(duration.count(), smallest));
+  };
+  Settings settings{
+      {"bootstrap.servers", servers(options)},
+      {"client.id", "iotcloud"},
+      {"socket.nagle.disable", "true"},
+      {"socket.keepalive.enable", "true"},
+      {"log.connection.close", "false"},
+      {"socket.timeout.ms", ms(options.broker.rpc_timeout, 1000)},
+      {"socket.connection.setup.timeout.ms", ms(options.broker.rpc_timeout, 1000)},
+      {"reconnect.backoff.ms", "50"},
+      {"reconnect.backoff.max.ms", "1000"},
+      {"message.max.bytes", std::to_string(options.max_message_bytes)},
+      {"receive.message.max.bytes", std::to_string(std::max(100'000'000, 2 * options.max_message_bytes))},
+      {"topic.metadata.refresh.fast.interval.ms", "100"},
+      // A topic or partition that is made later is seen within so long.
+      {"topic.metadata.refresh.interval.ms", "5000"},
+  };
+  const Credentials credentials = credentials_for(options.broker, options.urls.front());
+  const bool tls = is_secured(options);
+  if (!credentials.user.empty()) {
+    settings["sasl.mechanisms"] = "PLAIN";
+    settings["sasl.username"] = credentials.user;
+    settings["sasl.password"] = credentials.password;
+  }
+  settings["security.protocol"] =
+      credentials.user.empty() ? (tls ? "ssl" : "plaintext") : (tls ? "sasl_ssl" : "sasl_plaintext");
+  if (!tls) return settings;
+  const Tls& files = options.broker.tls;
+  if (!files.ca_file.empty()) settings["ssl.ca.location"] = files.ca_file;
+  if (!files.certificate_file.empty()) settings["ssl.certificate.location"] = files.certificate_file;
+  if (!files.key_file.empty()) settings["ssl.key.location"] = files.key_file;
+  return settings;
+}
+
+/// What the library says itself is for debugging: the links say what users need to know, once.
+void on_log(const rd_kafka_t*, int, const char* facility, const char* text) {
+  logger.debug("{}: {}", facility, text);
+}
+
+struct ConfDestroyer {
+  void operator()(rd_kafka_conf_t* conf) const { rd_kafka_conf_destroy(conf); }
+};
+using Conf = std::unique_ptr<rd_kafka_conf_t, ConfDestroyer>;
+
+}  // namespace
+
+KafkaOptions kafka_options(const BrokerOptions& options, const std::vector<BrokerUrl>& urls) {
+  KafkaOptions read{options, urls};
+  for (const auto& [name, value] : options.properties) {
+    if (name == "envelope") {
+      if (value != "thrift" && value != "headers") {
+        throw config::Error("the property \"envelope\" of a Kafka broker must be thrift or headers, not \"" + value +
+                            "\"");
+      }
+      read.native_headers = value == "headers";
+    } else if (name == "partitions") {
+      read.partitions = number_of(name, value, 1, 100'000);
+    } else if (name == "replication") {
+      read.replication = number_of(name, value, 1, 100);
+    } else if (name == "max_message_bytes") {
+      read.max_message_bytes = number_of(name, value, 1000, 1'000'000'000);
+    } else {
+      throw config::Error("a Kafka broker has no property \"" + name +
+                          "\"; there are: envelope, partitions, replication, max_message_bytes");
+    }
+  }
+  return read;
+}
+
+Client::Client(rd_kafka_type_t type, const KafkaOptions& options, const Settings& settings, int events) {
+  Conf conf(rd_kafka_conf_new());
+  std::array<char, 512> problem{};
+  Settings all = common_settings(options);
+  for (const auto& [name, value] : settings) all[name] = value;
+  for (const auto& [name, value] : all) {
+    if (rd_kafka_conf_set(conf.get(), name.c_str(), value.c_str(), problem.data(), problem.size()) !=
+        RD_KAFKA_CONF_OK) {
+      // The library's own words could hold the value.
+      throw ClientError("librdkafka does not take the setting " + name);
+    }
+  }
+  rd_kafka_conf_set_log_cb(conf.get(), on_log);
+  rd_kafka_conf_set_events(conf.get(), events);
+  handle_ = rd_kafka_new(type, conf.get(), problem.data(), problem.size());
+  if (handle_ == nullptr) throw ClientError(problem.data());
+  static_cast<void>(conf.release());  // it is the handle's now
+}
+
+Client::~Client() {
+  // A consumer was closed by its group, or is to vanish as it is.
+  rd_kafka_destroy_flags(handle_, RD_KAFKA_DESTROY_F_NO_CONSUMER_CLOSE);
+}
+
+bool Client::reachable(std::chrono::milliseconds limit) const {
+  const rd_kafka_metadata_t* metadata = nullptr;
+  const rd_kafka_resp_err_t error = rd_kafka_metadata(handle_, 0, nullptr, &metadata, static_cast<int>(limit.count()));
+  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) return false;
+  const bool answered = metadata->broker_cnt > 0;
+  rd_kafka_metadata_destroy(metadata);
+  return answered;
+}
+
+bool Client::knows(const std::string& topic, std::chrono::milliseconds limit) const {
+  rd_kafka_topic_t* handle = rd_kafka_topic_new(handle_, topic.c_str(), nullptr);
+  if (handle == nullptr) return false;
+  const rd_kafka_metadata_t* metadata = nullptr;
+  const rd_kafka_resp_err_t error = rd_kafka_metadata(handle_, 0, handle, &metadata, static_cast<int>(limit.count()));
+  rd_kafka_topic_destroy(handle);
+  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) return false;
+  const bool known = metadata->topic_cnt == 1 && metadata->topics[0].err == RD_KAFKA_RESP_ERR_NO_ERROR &&
+                     metadata->topics[0].partition_cnt > 0;
+  rd_kafka_metadata_destroy(metadata);
+  return known;
+}
+
+void Client::refresh_credentials(const KafkaOptions& options) const {
+  try {
+    const Credentials credentials = credentials_for(options.broker, options.urls.front());
+    if (credentials.user.empty()) return;
+    if (rd_kafka_error_t* error =
+            rd_kafka_sasl_set_credentials(handle_, credentials.user.c_str(), credentials.password.c_str())) {
+      rd_kafka_error_destroy(error);  // the old ones go on being tried
+    }
+  } catch (const config::Error& error) {
+    logger.warn("{}", error.what());
+  }
+}
+
+bool is_about_connection(rd_kafka_resp_err_t error) {
+  switch (error) {
+    case RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN:
+    case RD_KAFKA_RESP_ERR__TRANSPORT:
+    case RD_KAFKA_RESP_ERR__RESOLVE:
+    case RD_KAFKA_RESP_ERR__AUTHENTICATION:
+    case RD_KAFKA_RESP_ERR__SSL:
+    case RD_KAFKA_RESP_ERR_SASL_AUTHENTICATION_FAILED:
+      return true;
+    default:
+      return false;
+  }
+}
+
+void request_topics(const Client& client, rd_kafka_queue_t* queue, const std::vector<std::string>& names,
+                    const KafkaOptions& options) {
+  struct TopicDestroyer {
+    void operator()(rd_kafka_NewTopic_t* topic) const { rd_kafka_NewTopic_destroy(topic); }
+  };
+  struct OptionsDestroyer {
+    void operator()(rd_kafka_AdminOptions_t* admin) const { rd_kafka_AdminOptions_destroy(admin); }
+  };
+  std::vector<std::unique_ptr<rd_kafka_NewTopic_t, TopicDestroyer>> topics;
+  std::vector<rd_kafka_NewTopic_t*> pointers;
+  for (const std::string& name : names) {
+    topics.emplace_back(rd_kafka_NewTopic_new(name.c_str(), options.partitions, options.replication, nullptr, 0));
+    if (!topics.back()) continue;
+    rd_kafka_NewTopic_set_config(topics.back().get(), "max.message.bytes",
+                                 std::to_string(options.max_message_bytes).c_str());
+    pointers.push_back(topics.back().get());
+  }
+  const std::unique_ptr<rd_kafka_AdminOptions_t, OptionsDestroyer> admin(
+      rd_kafka_AdminOptions_new(client.get(), RD_KAFKA_ADMIN_OP_CREATETOPICS));
+  const int limit = static_cast<int>(std::max<std::int64_t>(options.broker.rpc_timeout.count(), 1000));
+  rd_kafka_AdminOptions_set_request_timeout(admin.get(), limit, nullptr, 0);
+  rd_kafka_AdminOptions_set_operation_timeout(admin.get(), limit, nullptr, 0);
+  rd_kafka_CreateTopics(client.get(), pointers.data(), pointers.size(), admin.get(), queue);
+}
+
+std::vector<MadeTopic> made_topics(rd_kafka_event_t* event, const std::vector<std::string>& asked) {
+  const auto judge = [](std::string name, rd_kafka_resp_err_t error, const char* text) {
+    switch (error) {
+      case RD_KAFKA_RESP_ERR_NO_ERROR:
+      case RD_KAFKA_RESP_ERR_TOPIC_ALREADY_EXISTS:
+        return MadeTopic{std::move(name), true, {}};
+      case RD_KAFKA_RESP_ERR_TOPIC_AUTHORIZATION_FAILED:
+      case RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED:
+      case RD_KAFKA_RESP_ERR_POLICY_VIOLATION:
+      case RD_KAFKA_RESP_ERR__UNSUPPORTED_FEATURE:
+        // Others make topics here: it may be there already.
+        return MadeTopic{std::move(name), true, text != nullptr ? text : rd_kafka_err2str(error)};
+      default:
+        return MadeTopic{std::move(name), false, text != nullptr ? text : rd_kafka_err2str(error)};
+    }
+  };
+  std::vector<MadeTopic> made;
+  if (const rd_kafka_resp_err_t error = rd_kafka_event_error(event); error != RD_KAFKA_RESP_ERR_NO_ERROR) {
+    for (const std::string& name : asked) made.push_back(judge(name, error, rd_kafka_event_error_string(event)));
+    return made;
+  }
+  std::size_t count = 0;
+  const rd_kafka_topic_result_t** results =
+      rd_kafka_CreateTopics_result_topics(rd_kafka_event_CreateTopics_result(event), &count);
+  for (std::size_t i = 0; i < count; ++i) {
+    made.push_back(judge(rd_kafka_topic_result_name(results[i]), rd_kafka_topic_result_error(results[i]),
+                         rd_kafka_topic_result_error_string(results[i])));
+  }
+  return made;
+}
+
+}  // namespace iotcloud::brokers::kafka

@@ -1,0 +1,143 @@
+#include "iotcloud/brokers/kafka/kafka_broker.h"
+
+#include <algorithm>
+#include <cctype>
+#include <functional>
+#include <mutex>
+#include <utility>
+
+#include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/kafka/client.h"
+#include "iotcloud/brokers/kafka/publish_link.h"
+#include "iotcloud/brokers/kafka/reading/consume_link.h"
+#include "iotcloud/brokers/letter_box.h"
+#include "iotcloud/brokers/meters.h"
+#include <iotcloud/config/error.h>
+
+namespace iotcloud::brokers::kafka {
+namespace {
+
+constexpr std::size_t longest_name = 249;
+constexpr std::string_view dead_letters_suffix = ".dlq";
+
+void check_topic(const std::string& name) {
+  const bool legal = std::all_of(name.begin(), name.end(), [](unsigned char c) {
+    return std::isalnum(c) != 0 || c == '.' || c == '_' || c == '-';
+  });
+  if (!name.empty() && name.size() <= longest_name && legal && name != "." && name != "..") return;
+  throw config::Error("the topic \"" + name +
+                      "\" must have 1 to 249 of the letters, digits, dots, underscores and hyphens that Kafka allows; "
+                      "give the gateway, the driver and the channel such names");
+}
+
+class KafkaPublisher final : public Publisher {
+ public:
+  KafkaPublisher(PublishLink& link, const Topic& topic, const PublisherOptions& options)
+      : link_(link), outbox_(link.add(topic, options)) {}
+  ~KafkaPublisher() override { link_.remove(outbox_); }
+  PublishStatus publish(Message message) override { return link_.publish(outbox_, std::move(message)); }
+  bool drain(std::chrono::milliseconds limit) override { return link_.drain(outbox_, limit); }
+  std::size_t pending() const override { return link_.pending(*outbox_); }
+
+ private:
+  PublishLink& link_;
+  const std::shared_ptr<Outbox> outbox_;
+};
+
+class KafkaSubscription final : public Subscription {
+ public:
+  /// \param leave called before the end
+  KafkaSubscription(ConsumeLink& link, const Topic& topic, const SubscriptionOptions& options, Handler handler,
+                    std::function<void()> leave)
+      : link_(link), inlet_(link.add(topic, options, std::move(handler))), leave_(std::move(leave)) {}
+  ~KafkaSubscription() override {
+    leave_();
+    link_.remove(inlet_);
+  }
+  void pause() override { link_.reader().pause(*inlet_); }
+  void resume() override { link_.reader().resume(*inlet_); }
+  bool active() const override { return link_.reader().active(*inlet_); }
+
+ private:
+  ConsumeLink& link_;
+  const std::shared_ptr<Inlet> inlet_;
+  const std::function<void()> leave_;
+};
+
+class KafkaBroker final : public Broker {
+ public:
+  KafkaBroker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls)
+      : url_(options.urls.front()),
+        options_(kafka_options(options, urls)),
+        meters_(options.metrics, "kafka"),
+        clock_(options.clock != nullptr ? *options.clock : config::system_clock()),
+        log_(printable_url(options.urls.front())),
+        normal_(*this) {}
+  ~KafkaBroker() override = default;
+
+  std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
+    check_topic(topic.name);
+    return std::make_unique<KafkaPublisher>(lane(options.priority).publishing, topic, options);
+  }
+
+  std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
+                                          Handler handler) override {
+    check_topic(topic.name);
+    SubscriptionOptions all = options;
+    // Kafka itself keeps nothing aside for a reader that rejects a message.
+    if (all.dead_letter.empty() && !topic.name.ends_with(dead_letters_suffix)) {
+      all.dead_letter = topic.name.substr(0, longest_name - dead_letters_suffix.size());
+      all.dead_letter += dead_letters_suffix;
+    }
+    if (!all.automatic_ack) handler = dead_letters_.guard(topic, all, std::move(handler));
+    return std::make_unique<KafkaSubscription>(lane(options.priority).consuming, topic, all, std::move(handler),
+                                               [this, dead_letter = all.dead_letter] {
+                                                 // What was rejected is settled once its letter is there: otherwise the
+                                                 // next reader would get it too.
+                                                 if (state() == ConnectionState::connected)
+                                                   dead_letters_.drain(dead_letter, options_.broker.rpc_timeout);
+                                               });
+  }
+
+  ConnectionState state() const override {
+    const ConnectionState reading = normal_.consuming.state();
+    return reading == ConnectionState::connected ? normal_.publishing.state() : reading;
+  }
+
+  const std::string& url() const override { return url_; }
+
+ private:
+  /// Connections of their own.
+  struct Lane {
+    explicit Lane(KafkaBroker& broker)
+        : publishing(broker.options_, broker.meters_, broker.clock_, broker.log_),
+          consuming(broker.options_, broker.meters_, broker.clock_, broker.log_) {}
+    PublishLink publishing;
+    ConsumeLink consuming;
+  };
+
+  Lane& lane(std::uint8_t priority) {
+    if (priority < urgent_priority) return normal_;
+    const std::lock_guard lock(mutex_);
+    if (!urgent_) urgent_ = std::make_unique<Lane>(*this);
+    return *urgent_;
+  }
+
+  const std::string url_;
+  const KafkaOptions options_;
+  Meters meters_;
+  const config::Clock& clock_;
+  ConnectionLog log_;
+  Lane normal_;
+  std::mutex mutex_;
+  std::unique_ptr<Lane> urgent_;     ///< made when it is first needed; guarded by mutex_, in its making
+  DeadLetters dead_letters_{*this};  ///< its publishers die before the connections
+};
+
+}  // namespace
+
+std::unique_ptr<Broker> make_kafka_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls) {
+  return std::make_unique<KafkaBroker>(options, urls);
+}
+
+}  // namespace iotcloud::brokers::kafka

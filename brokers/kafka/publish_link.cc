@@ -1,0 +1,238 @@
+#include "iotcloud/brokers/kafka/publish_link.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <pthread.h>
+
+#include "iotcloud/brokers/kafka/record.h"
+#include "iotcloud/brokers/limits.h"
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers::kafka {
+namespace {
+
+const config::Logger logger{"brokers.kafka"};
+
+/// Errors that the same message would meet again, whenever it is sent.
+bool is_refusal(rd_kafka_resp_err_t error) {
+  switch (error) {
+    case RD_KAFKA_RESP_ERR_MSG_SIZE_TOO_LARGE:
+    case RD_KAFKA_RESP_ERR_RECORD_LIST_TOO_LARGE:
+    case RD_KAFKA_RESP_ERR_INVALID_MSG:
+    case RD_KAFKA_RESP_ERR_INVALID_MSG_SIZE:
+    case RD_KAFKA_RESP_ERR_INVALID_RECORD:
+    case RD_KAFKA_RESP_ERR_INVALID_TIMESTAMP:
+    case RD_KAFKA_RESP_ERR_POLICY_VIOLATION:
+    case RD_KAFKA_RESP_ERR_TOPIC_EXCEPTION:
+    case RD_KAFKA_RESP_ERR_TOPIC_AUTHORIZATION_FAILED:
+    case RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED:
+    case RD_KAFKA_RESP_ERR__INVALID_ARG:
+      return true;
+    default:
+      return false;
+  }
+}
+
+bool is_missing_topic(rd_kafka_resp_err_t error) {
+  return error == RD_KAFKA_RESP_ERR__UNKNOWN_TOPIC || error == RD_KAFKA_RESP_ERR__UNKNOWN_PARTITION ||
+         error == RD_KAFKA_RESP_ERR_UNKNOWN_TOPIC_OR_PART;
+}
+
+}  // namespace
+
+PublishLink::PublishLink(KafkaOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log)
+    : options_(std::move(options)), meters_(meters), clock_(clock), log_(log) {
+  thread_ = std::thread([this] { run(); });
+  pthread_setname_np(thread_.native_handle(), "kafka-publish");
+}
+
+PublishLink::~PublishLink() {
+  {
+    const Lock lock(mutex_);
+    closing_ = true;
+  }
+  wake_event_.signal();
+  thread_.join();
+}
+
+std::shared_ptr<Outbox> PublishLink::add(const Topic& topic, const PublisherOptions& options) {
+  auto outbox = std::make_shared<Outbox>(topic, options);
+  const Lock lock(mutex_);
+  outboxes_.push_back(outbox);
+  outbox->ready = routes_[topic.name].topic != nullptr;
+  if (!outbox->ready) wake();
+  return outbox;
+}
+
+void PublishLink::remove(const std::shared_ptr<Outbox>& outbox) {
+  Lock lock(mutex_);
+  std::vector<std::uint64_t> numbers;
+  for (const UnderWay& entry : under_way_) {
+    if (entry.outbox == outbox) numbers.push_back(entry.outgoing.number);
+  }
+  outbox->close(numbers);
+  std::erase(outboxes_, outbox);
+  if (outbox->reporting && std::this_thread::get_id() == thread_.get_id()) return;  // from inside its own callback
+  reporter_.report(outbox, lock);
+}
+
+PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Message message) {
+  const char* why_not = refusal(message);
+  const Lock lock(mutex_);
+  if (outbox->closed) return PublishStatus::closed;
+  const Instant now = clock_.now();
+  if (why_not != nullptr) {
+    const Outgoing refused = outbox->accept(std::move(message), now);
+    outbox->sent_directly();
+    outbox->refused(refused.number, why_not);
+    reporter_.note(outbox);
+    wake();
+    return PublishStatus::accepted;
+  }
+  outbox->expire(now);
+  reporter_.note(outbox);
+  if (outbox->has_report()) wake();
+  if (!outbox->has_room()) {
+    outbox->refuse_room();
+    return PublishStatus::would_block;
+  }
+  Outgoing outgoing = outbox->accept(std::move(message), now);
+  if (outbox->idle() && may_send(*outbox)) {
+    outbox->sent_directly();
+    send(outbox, std::move(outgoing));
+    if (reporter_.due()) wake();
+    return PublishStatus::accepted;
+  }
+  const bool timed = outbox->idle() && outbox->options.deadline.count() > 0;
+  outbox->add_waiting(std::move(outgoing));
+  reporter_.note(outbox);
+  make_runnable(outbox);
+  if (timed || outbox->has_report() || outbox->in_runnable) wake();
+  return PublishStatus::accepted;
+}
+
+bool PublishLink::drain(const std::shared_ptr<Outbox>& outbox, std::chrono::milliseconds limit) {
+  Lock lock(mutex_);
+  return reporter_.drain(outbox, limit, lock);
+}
+
+std::size_t PublishLink::pending(const Outbox& outbox) const {
+  const Lock lock(mutex_);
+  return outbox.pending();
+}
+
+ConnectionState PublishLink::state() const {
+  const Lock lock(mutex_);
+  if (closing_) return ConnectionState::closed;
+  return connected_ ? ConnectionState::connected : ConnectionState::connecting;
+}
+
+void PublishLink::wake() {
+  if (!std::exchange(sleeping_, false)) return;
+  wake_event_.signal();
+}
+
+bool PublishLink::may_send(const Outbox& outbox) const {
+  return connected_ && !broken_ && !full_ && outbox.may_send() && send_again_at_ == Instant{};
+}
+
+void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
+  if (outbox->in_runnable || outbox->idle() || !outbox->may_send()) return;
+  outbox->in_runnable = true;
+  runnable_.push_back(outbox);
+}
+
+void PublishLink::send(const std::shared_ptr<Outbox>& outbox, Outgoing outgoing) {
+  RecordMarks marks;
+  marks.resent = outgoing.resent;
+  const std::int64_t now_ms = clock_.wall_ms();
+  if (outbox->options.deadline.count() > 0) {
+    const auto left = outgoing.accepted + outbox->options.deadline - clock_.now();
+    marks.expires_ms = now_ms + std::max<std::int64_t>(1, std::chrono::ceil<std::chrono::milliseconds>(left).count());
+  }
+  UnderWay& entry = under_way_.emplace_back(UnderWay{outbox, std::move(outgoing), {}, {}});
+  entry.self = std::prev(under_way_.end());
+  const rd_kafka_resp_err_t error =
+      produce(client_->get(), routes_[outbox->topic.name].topic.get(), entry.outgoing.message, marks,
+              options_.native_headers, now_ms, entry.envelope, &entry);
+  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) settle(entry, error);
+}
+
+void PublishLink::send_waiting() {
+  while (!runnable_.empty()) {
+    const std::shared_ptr<Outbox> outbox = std::move(runnable_.front());
+    runnable_.pop_front();
+    outbox->in_runnable = false;
+    outbox->expire(clock_.now());
+    reporter_.note(outbox);
+    if (outbox->idle() || !outbox->may_send()) continue;
+    if (!may_send(*outbox)) {
+      make_runnable(outbox);
+      return;
+    }
+    Outgoing next = outbox->take_next();
+    send(outbox, std::move(next));
+    make_runnable(outbox);  // in turn with the others
+  }
+}
+
+void PublishLink::settle(UnderWay& entry, rd_kafka_resp_err_t error) {
+  const std::shared_ptr<Outbox> outbox = std::move(entry.outbox);
+  Outgoing outgoing = std::move(entry.outgoing);
+  under_way_.erase(entry.self);
+  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) send_backoff_.reset();
+  if (outbox->closed) return;
+  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
+    outbox->confirmed(outgoing.number);
+  } else if (is_refusal(error)) {
+    logger.error("a message for topic {} was refused: {}", outbox->topic.name, rd_kafka_err2str(error));
+    outbox->refused(outgoing.number, rd_kafka_err2name(error));
+  } else if (error == RD_KAFKA_RESP_ERR__QUEUE_FULL) {
+    full_ = true;
+    outbox->lost(std::move(outgoing));
+  } else {
+    Route& route = routes_[outbox->topic.name];
+    if (is_missing_topic(error)) {
+      route.made = false;
+      route.topic.reset();
+      for (const auto& other : outboxes_) {
+        if (other->topic.name == outbox->topic.name) other->ready = false;
+      }
+    }
+    outbox->disconnected();  // what is under way behind it ends first, so that nothing overtakes
+    outbox->ready = route.topic != nullptr;
+    outbox->lost(std::move(outgoing));
+    if (!broken_ && send_again_at_ == Instant{}) send_again_at_ = clock_.now() + send_backoff_.next();
+  }
+  reporter_.note(outbox);
+  make_runnable(outbox);
+}
+
+std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
+  std::chrono::milliseconds limit{connected_ ? 1000 : 100};
+  const auto until = [&](Instant instant) {
+    limit =
+        std::clamp(std::chrono::ceil<std::chrono::milliseconds>(instant - now), std::chrono::milliseconds(0), limit);
+  };
+  if (send_again_at_ != Instant{}) until(send_again_at_);
+  if (!asked_.empty() || !connected_) {
+    // The answer wakes us.
+  } else if (std::any_of(routes_.begin(), routes_.end(), [](const auto& route) { return !route.second.topic; })) {
+    until(ask_topics_at_);
+  }
+  for (const auto& outbox : outboxes_) {
+    const std::optional<Instant> next = outbox->next_timer();
+    if (!next) continue;
+    if (*next > now) {
+      until(*next);
+      continue;
+    }
+    outbox->fire_timer(now);
+    reporter_.note(outbox);
+    limit = std::chrono::milliseconds(0);
+  }
+  return limit;
+}
+
+}  // namespace iotcloud::brokers::kafka

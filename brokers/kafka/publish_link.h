@@ -1,0 +1,125 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <list>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "iotcloud/brokers/client/backoff.h"
+#include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/client/outcome_reporter.h"
+#include "iotcloud/brokers/client/wake_event.h"
+#include "iotcloud/brokers/envelope.h"
+#include "iotcloud/brokers/kafka/client.h"
+#include "iotcloud/brokers/meters.h"
+
+namespace iotcloud::brokers::kafka {
+
+using client::Backoff;
+using client::ConnectionLog;
+using client::Instant;
+using client::Outbox;
+using client::Outgoing;
+using client::WakeEvent;
+
+/// One producer of librdkafka, idempotent, for many publishers, and the one thread that serves it.
+///
+/// While a server is there, publish() gives the message to the library on the caller's thread (that never blocks);
+/// while none is, messages wait in their Outbox, under the channel's own policy. What the library has when the
+/// connection breaks stays there: it sends it again itself, without duplicates and in order.
+class PublishLink {
+ public:
+  PublishLink(KafkaOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log);
+  ~PublishLink();
+  PublishLink(const PublishLink&) = delete;
+  PublishLink& operator=(const PublishLink&) = delete;
+
+  std::shared_ptr<Outbox> add(const Topic& topic, const PublisherOptions& options);
+  /// Closes the publisher: reports what has no outcome as unknown, waits for callbacks that run.
+  void remove(const std::shared_ptr<Outbox>& outbox);
+  PublishStatus publish(const std::shared_ptr<Outbox>& outbox, Message message);
+  bool drain(const std::shared_ptr<Outbox>& outbox, std::chrono::milliseconds limit);
+  std::size_t pending(const Outbox& outbox) const;
+  ConnectionState state() const;
+
+ private:
+  using Lock = std::unique_lock<std::mutex>;
+  /// With the library until its delivery report.
+  struct UnderWay {
+    std::shared_ptr<Outbox> outbox;
+    Outgoing outgoing;
+    EnvelopeBytes envelope;
+    std::list<UnderWay>::iterator self;
+  };
+  struct TopicDestroyer {
+    void operator()(rd_kafka_topic_t* topic) const { rd_kafka_topic_destroy(topic); }
+  };
+  struct Route {
+    bool made = false;                                        ///< it was asked for with success
+    std::unique_ptr<rd_kafka_topic_t, TopicDestroyer> topic;  ///< null: not known to be there yet
+    std::string complaint;                                    ///< the last that was logged
+  };
+
+  void run();
+  void start_client();
+  void end_client(const std::string& reason);
+  void look_for_servers();
+  void serve_events(Lock& lock);
+  void on_event(rd_kafka_event_t* event);
+  void on_report(const rd_kafka_message_t& report);
+  void on_error(rd_kafka_event_t* event);
+  void on_topics(rd_kafka_event_t* event);
+  void ask_for_topics(Instant now);
+  void look_for_topics(Lock& lock);
+  void settle(UnderWay& entry, rd_kafka_resp_err_t error);
+  void lose_connection();
+
+  void send(const std::shared_ptr<Outbox>& outbox, Outgoing outgoing);
+  void send_waiting();
+  void make_runnable(const std::shared_ptr<Outbox>& outbox);
+  bool may_send(const Outbox& outbox) const;
+  std::chrono::milliseconds time_to_sleep(Instant now);
+  void wake();
+
+  const KafkaOptions options_;
+  Meters& meters_;
+  const config::Clock& clock_;
+  ConnectionLog& log_;
+  WakeEvent wake_event_;
+
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;  ///< a callback ended
+  // All below: guarded by mutex_. The client is replaced by the link's thread only, so that one may use it unlocked.
+  client::OutcomeReporter reporter_{changed_, meters_};
+  std::shared_ptr<Client> client_;
+  Queue events_;
+  std::map<std::string, Route> routes_;
+  std::vector<std::string> asked_;  ///< topics of the one request that is under way
+  std::list<UnderWay> under_way_;
+  std::vector<std::shared_ptr<Outbox>> outboxes_;
+  std::deque<std::shared_ptr<Outbox>> runnable_;
+  bool closing_ = false;
+  bool connected_ = false;
+  bool doubted_ = false;  ///< connected, but some connection failed: ask
+  bool broken_ = false;   ///< the client said that it is of no use any more
+  bool full_ = false;     ///< the library takes no more before the next delivery report
+  bool sleeping_ = false;
+  Instant send_again_at_{};  ///< a message was turned down for a reason that may pass
+  Instant ask_topics_at_{};
+  Backoff send_backoff_{std::chrono::milliseconds(20), std::chrono::milliseconds(1000)};
+  Backoff topic_backoff_{std::chrono::milliseconds(20), std::chrono::milliseconds(2000)};
+  std::string last_error_;  ///< what the library said of its connections
+
+  // The link's thread's.
+  Instant next_attempt_{};
+  Backoff backoff_{std::chrono::milliseconds(50), std::chrono::milliseconds(2000)};
+  std::thread thread_;
+};
+
+}  // namespace iotcloud::brokers::kafka

@@ -1,0 +1,344 @@
+#include "iotcloud/brokers/kafka/reading/group.h"
+
+#include <algorithm>
+#include <exception>
+#include <iterator>
+#include <span>
+#include <string_view>
+#include <utility>
+
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers::kafka {
+namespace {
+
+const config::Logger logger{"brokers.kafka"};
+
+constexpr std::chrono::milliseconds probe_limit{100};
+constexpr std::chrono::milliseconds committed_limit{3000};
+constexpr std::chrono::milliseconds handler_limit{1000};  // for handlers of partitions that leave
+constexpr std::chrono::milliseconds commit_period{100};
+constexpr std::chrono::milliseconds usual_session{6000};  // the shortest that servers allow unless told otherwise
+
+Settings consumer_settings(const std::string& group, std::chrono::milliseconds session) {
+  return {
+      {"group.id", group},
+      {"enable.auto.commit", "false"},
+      {"enable.auto.offset.store", "false"},
+      {"auto.offset.reset", "earliest"},
+      {"partition.assignment.strategy", "cooperative-sticky"},
+      {"session.timeout.ms", std::to_string(session.count())},
+      {"heartbeat.interval.ms", std::to_string(session.count() / 4)},
+      // Also how long others wait for us in a rebalance. The thread of the groups calls often.
+      {"max.poll.interval.ms", std::to_string(std::max<std::int64_t>(60'000, 2 * session.count()))},
+      {"fetch.wait.max.ms", "500"},
+      {"queued.min.messages", "10000"},
+      {"queued.max.messages.kbytes", "32768"},
+  };
+}
+
+PartitionList list_of(const std::vector<CommitOf>& commits) {
+  PartitionList list(rd_kafka_topic_partition_list_new(static_cast<int>(commits.size())));
+  for (const CommitOf& commit : commits) {
+    rd_kafka_topic_partition_t* entry =
+        rd_kafka_topic_partition_list_add(list.get(), commit.key.first.c_str(), commit.key.second);
+    entry->offset = commit.committed.offset;
+    entry->metadata = rd_kafka_mem_malloc(nullptr, commit.committed.metadata.size());
+    entry->metadata_size = commit.committed.metadata.size();
+    std::copy(commit.committed.metadata.begin(), commit.committed.metadata.end(), static_cast<char*>(entry->metadata));
+  }
+  return list;
+}
+
+std::span<const rd_kafka_topic_partition_t> entries(const rd_kafka_topic_partition_list_t& list) {
+  return {list.elems, static_cast<std::size_t>(list.cnt)};
+}
+
+void check(rd_kafka_error_t* error, const char* doing) {
+  if (error == nullptr) return;
+  logger.warn("cannot {}: {}", doing, rd_kafka_error_string(error));
+  rd_kafka_error_destroy(error);
+}
+
+}  // namespace
+
+Group::Group(const KafkaOptions& options, std::shared_ptr<Reader> reader, std::shared_ptr<Member> member,
+             const config::Clock& clock, ConnectionLog& log, client::WakeEvent& wake)
+    : options_(options),
+      reader_(std::move(reader)),
+      member_(std::move(member)),
+      clock_(clock),
+      log_(log),
+      wake_(wake),
+      session_(2 * options.broker.heartbeat) {}
+
+Group::~Group() {
+  end_client();
+}
+
+std::chrono::milliseconds Group::serve() {
+  if (closing_ && !client_) return std::chrono::milliseconds(1000);
+  try {
+    if (!client_) start_client();
+  } catch (const std::exception& error) {  // ClientError, config::Error: no client for now
+    log_.failed(error.what());
+    start_at_ = clock_.now() + std::chrono::seconds(1);
+  }
+  if (!client_) return std::chrono::milliseconds(1000);
+  look_for_servers();
+  while (const Event event{rd_kafka_queue_poll(events_.get(), 0)}) on_event(event.get());
+  if (broken_ || closed()) {
+    end_client();
+    return std::chrono::milliseconds(0);
+  }
+  const Instant now = clock_.now();
+  if (closing_) return std::chrono::milliseconds(20);
+  follow_subscriptions(now);
+  commit_settled(now);
+  return time_to_sleep(now);
+}
+
+std::chrono::milliseconds Group::time_to_sleep(Instant now) const {
+  if (!connected_ || doubted_) return std::chrono::milliseconds(doubted_ ? 0 : 50);
+  std::chrono::milliseconds limit{1000};
+  const auto until = [&](Instant instant) {
+    limit =
+        std::clamp(std::chrono::ceil<std::chrono::milliseconds>(instant - now), std::chrono::milliseconds(0), limit);
+  };
+  if (now < ask_topics_at_) until(ask_topics_at_);
+  if (reader_->dirty(*member_)) until(commit_at_);
+  return limit;
+}
+
+void Group::start_client() {
+  if (clock_.now() < start_at_) return;
+  client_ = std::make_shared<Client>(RD_KAFKA_CONSUMER, options_, consumer_settings(member_->name, session_),
+                                     RD_KAFKA_EVENT_REBALANCE | RD_KAFKA_EVENT_OFFSET_COMMIT | RD_KAFKA_EVENT_ERROR);
+  rd_kafka_poll_set_consumer(client_->get());
+  events_.reset(rd_kafka_queue_get_consumer(client_->get()));
+  watch(events_);
+  connected_ = doubted_ = broken_ = false;
+}
+
+void Group::end_client() {
+  if (!client_) return;
+  leave(assigned_, false);
+  reader_->set_connected(*member_, false);
+  connected_ = false;
+  subscribed_.clear();
+  asked_.clear();
+  rd_kafka_queue_io_event_enable(events_.get(), -1, nullptr, 0);
+  events_.reset();
+  client_.reset();
+}
+
+void Group::watch(const Queue& queue) const {
+  constexpr std::uint64_t one = 1;
+  rd_kafka_queue_io_event_enable(queue.get(), wake_.descriptor(), &one, sizeof(one));
+}
+
+void Group::close() {
+  closing_ = true;
+  if (!client_) return;
+  // The library hands on its last events by way of a queue that is not its own.
+  Queue last(rd_kafka_queue_new(client_->get()));
+  watch(last);
+  check(rd_kafka_consumer_close_queue(client_->get(), last.get()), "leave the group");
+  events_ = std::move(last);
+}
+
+bool Group::closed() const {
+  return closing_ && (!client_ || rd_kafka_consumer_closed(client_->get()) != 0);
+}
+
+bool Group::cooperative() const {
+  return std::string_view(rd_kafka_rebalance_protocol(client_->get())) == "COOPERATIVE";
+}
+
+void Group::look_for_servers() {
+  if ((connected_ && !doubted_) || closing_) return;
+  const bool reachable = client_->reachable(probe_limit);
+  doubted_ = false;
+  if (reachable == connected_) {
+    if (!reachable && !last_error_.empty()) log_.failed(last_error_);
+    return;
+  }
+  connected_ = reachable;
+  if (reachable) {
+    last_error_.clear();
+    log_.connected();
+  } else {
+    log_.lost(last_error_);
+  }
+  reader_->set_connected(*member_, connected_);
+}
+
+void Group::on_event(rd_kafka_event_t* event) {
+  switch (rd_kafka_event_type(event)) {
+    case RD_KAFKA_EVENT_REBALANCE: {
+      const rd_kafka_topic_partition_list_t* partitions = rd_kafka_event_topic_partition_list(event);
+      if (rd_kafka_event_error(event) == RD_KAFKA_RESP_ERR__ASSIGN_PARTITIONS) {
+        on_assign(*partitions);
+      } else {
+        on_revoke(*partitions);
+      }
+      return;
+    }
+    case RD_KAFKA_EVENT_OFFSET_COMMIT:
+      if (rd_kafka_event_error(event) == RD_KAFKA_RESP_ERR_NO_ERROR) return;
+      for (const auto& entry : entries(*rd_kafka_event_topic_partition_list(event))) {
+        reader_->commit_failed(*member_, {entry.topic, entry.partition});
+      }
+      return;
+    case RD_KAFKA_EVENT_CREATETOPICS_RESULT:
+      on_topics(event);
+      return;
+    case RD_KAFKA_EVENT_ERROR:
+      on_error(event);
+      return;
+    default:
+      return;
+  }
+}
+
+void Group::on_error(rd_kafka_event_t* event) {
+  const rd_kafka_resp_err_t error = rd_kafka_event_error(event);
+  const std::string text = rd_kafka_event_error_string(event);
+  if (rd_kafka_event_error_is_fatal(event) != 0) {
+    logger.error("the reader of group {} cannot go on: {}; starting another", member_->name, text);
+    broken_ = true;
+  } else if (error == RD_KAFKA_RESP_ERR_INVALID_SESSION_TIMEOUT && session_ < usual_session) {
+    logger.warn(
+        "the server of group {} does not allow a session time-out of {} ms; taking {} ms. Lower its "
+        "group.min.session.timeout.ms, or make the broker's heartbeat longer",
+        member_->name, session_.count(), usual_session.count());
+    session_ = usual_session;
+    broken_ = true;
+  } else if (error == RD_KAFKA_RESP_ERR_UNKNOWN_TOPIC_OR_PART || error == RD_KAFKA_RESP_ERR__UNKNOWN_TOPIC) {
+    // Just made and not known everywhere yet, or deleted: ask again, and tell the group again.
+    made_.clear();
+    there_.clear();
+    subscribed_.clear();
+    ask_topics_at_ = clock_.now() + topic_backoff_.next();
+  } else if (is_about_connection(error)) {
+    if (error != RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN || last_error_.empty()) last_error_ = text;
+    if (error == RD_KAFKA_RESP_ERR__AUTHENTICATION) client_->refresh_credentials(options_);
+    doubted_ = true;
+    if (error == RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN && std::exchange(connected_, false)) {
+      log_.lost(last_error_);
+      reader_->set_connected(*member_, false);
+    }
+  } else if (complaints_.insert(text).second) {
+    logger.warn("group {}: {}", member_->name, text);
+  }
+}
+
+void Group::follow_subscriptions(Instant now) {
+  if (!connected_) return;
+  const std::set<std::string> wanted = reader_->topics(*member_);
+  if (asked_.empty() && ask_topics_at_ <= now) {
+    std::set_difference(wanted.begin(), wanted.end(), made_.begin(), made_.end(), std::back_inserter(asked_));
+    if (!asked_.empty()) request_topics(*client_, events_.get(), asked_, options_);
+    for (const std::string& topic : made_) {
+      if (there_.contains(topic)) continue;
+      // A group that subscribes too early looks again only after a long while.
+      if (!client_->knows(topic, options_.broker.rpc_timeout)) {
+        ask_topics_at_ = clock_.now() + topic_backoff_.next();
+        break;
+      }
+      topic_backoff_.reset();
+      there_.insert(topic);
+    }
+  }
+  std::set<std::string> topics;
+  std::set_intersection(wanted.begin(), wanted.end(), there_.begin(), there_.end(),
+                        std::inserter(topics, topics.end()));
+  if (topics == subscribed_ || topics.empty()) return;
+  const PartitionList list(rd_kafka_topic_partition_list_new(static_cast<int>(topics.size())));
+  for (const std::string& topic : topics) {
+    rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
+  }
+  const rd_kafka_resp_err_t error = rd_kafka_subscribe(client_->get(), list.get());
+  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
+    subscribed_ = std::move(topics);
+  } else if (complaints_.insert(rd_kafka_err2str(error)).second) {
+    logger.warn("group {}: cannot subscribe: {}", member_->name, rd_kafka_err2str(error));
+  }
+}
+
+void Group::on_topics(rd_kafka_event_t* event) {
+  for (const MadeTopic& made : made_topics(event, asked_)) {
+    if (!made.complaint.empty() && complaints_.insert(made.name + made.complaint).second) {
+      logger.warn("cannot make the topic {}: {}; {}", made.name, made.complaint,
+                  made.there ? "using it if it is there" : "trying again");
+    }
+    if (made.there) {
+      made_.insert(made.name);
+    } else {
+      ask_topics_at_ = clock_.now() + topic_backoff_.next();
+    }
+  }
+  asked_.clear();
+}
+
+void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
+  const PartitionList list(rd_kafka_topic_partition_list_copy(&partitions));
+  const rd_kafka_resp_err_t error =
+      rd_kafka_committed(client_->get(), list.get(), static_cast<int>(committed_limit.count()));
+  for (rd_kafka_topic_partition_t& entry : std::span(list->elems, static_cast<std::size_t>(list->cnt))) {
+    const PartitionKey key(entry.topic, entry.partition);
+    Committed committed;
+    if (error == RD_KAFKA_RESP_ERR_NO_ERROR && entry.err == RD_KAFKA_RESP_ERR_NO_ERROR) {
+      committed.offset = entry.offset;
+      if (entry.metadata != nullptr) {
+        committed.metadata.assign(static_cast<const char*>(entry.metadata), entry.metadata_size);
+      }
+    }
+    Progress progress(committed, reader_->handed_on(*member_, key));
+    entry.offset = progress.start() >= 0                 ? progress.start()
+                   : error == RD_KAFKA_RESP_ERR_NO_ERROR ? RD_KAFKA_OFFSET_BEGINNING
+                                                         : RD_KAFKA_OFFSET_STORED;
+    reader_->assigned(std::make_shared<Feed>(reader_, member_, client_, key, std::move(progress)));
+    assigned_.insert(key);
+  }
+  if (cooperative()) {
+    check(rd_kafka_incremental_assign(client_->get(), list.get()), "take partitions");
+  } else {
+    rd_kafka_assign(client_->get(), list.get());
+  }
+}
+
+void Group::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
+  std::set<PartitionKey> keys;
+  for (const auto& entry : entries(partitions)) keys.emplace(entry.topic, entry.partition);
+  leave(keys, connected_ && rd_kafka_assignment_lost(client_->get()) == 0);
+  if (cooperative()) {
+    check(rd_kafka_incremental_unassign(client_->get(), &partitions), "give partitions back");
+  } else {
+    rd_kafka_assign(client_->get(), nullptr);
+  }
+}
+
+void Group::leave(const std::set<PartitionKey>& keys, bool commit) {
+  const std::vector<CommitOf> commits = reader_->leave(*member_, keys, handler_limit);
+  for (const PartitionKey& key : std::set<PartitionKey>(keys)) assigned_.erase(key);
+  if (!commit || commits.empty()) return;
+  const rd_kafka_resp_err_t error = rd_kafka_commit(client_->get(), list_of(commits).get(), 0);
+  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) {
+    logger.warn("group {}: cannot commit what was read: {}; the next reader gets some of it again", member_->name,
+                rd_kafka_err2str(error));
+  }
+}
+
+void Group::commit_settled(Instant now) {
+  if (!connected_ || closing_ || now < commit_at_) return;
+  const std::vector<CommitOf> commits = reader_->take_commits(*member_);
+  if (commits.empty()) return;
+  commit_at_ = now + commit_period;
+  const rd_kafka_resp_err_t error =
+      rd_kafka_commit_queue(client_->get(), list_of(commits).get(), events_.get(), nullptr, nullptr);
+  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) return;
+  for (const CommitOf& commit : commits) reader_->commit_failed(*member_, commit.key);
+}
+
+}  // namespace iotcloud::brokers::kafka

@@ -1,0 +1,83 @@
+#pragma once
+
+#include <chrono>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "iotcloud/brokers/client/backoff.h"
+#include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/client/wake_event.h"
+#include "iotcloud/brokers/kafka/client.h"
+#include "iotcloud/brokers/kafka/reading/reader.h"
+
+namespace iotcloud::brokers::kafka {
+
+using client::Backoff;
+using client::ConnectionLog;
+using Instant = config::Clock::Instant;
+
+/// One consumer of librdkafka: this process as a member of one group, for all topics that it reads in it. Takes part in
+/// the group's rebalances (cooperative: what stays is read on), gives partitions to the reader, commits. Not thread
+/// safe: the thread of the groups calls it, so that no handler can hold up the group.
+class Group {
+ public:
+  /// \param wake signalled when there is something to serve
+  Group(const KafkaOptions& options, std::shared_ptr<Reader> reader, std::shared_ptr<Member> member,
+        const config::Clock& clock, ConnectionLog& log, client::WakeEvent& wake);
+  ~Group();
+  Group(const Group&) = delete;
+  Group& operator=(const Group&) = delete;
+
+  const std::shared_ptr<Member>& member() const { return member_; }
+  /// Does what is due; waits a second or so when servers do not answer. \return how long nothing is due
+  std::chrono::milliseconds serve();
+  /// Begins to leave the group; go on with serve() until closed().
+  void close();
+  bool closed() const;
+
+ private:
+  std::chrono::milliseconds time_to_sleep(Instant now) const;
+  void start_client();
+  void end_client();
+  void watch(const Queue& queue) const;
+  void look_for_servers();
+  void on_event(rd_kafka_event_t* event);
+  void on_error(rd_kafka_event_t* event);
+  void on_assign(const rd_kafka_topic_partition_list_t& partitions);
+  void on_revoke(const rd_kafka_topic_partition_list_t& partitions);
+  void on_topics(rd_kafka_event_t* event);
+  void follow_subscriptions(Instant now);
+  void leave(const std::set<PartitionKey>& keys, bool commit);
+  void commit_settled(Instant now);
+  bool cooperative() const;
+
+  const KafkaOptions& options_;
+  const std::shared_ptr<Reader> reader_;
+  const std::shared_ptr<Member> member_;
+  const config::Clock& clock_;
+  ConnectionLog& log_;
+  client::WakeEvent& wake_;
+
+  std::chrono::milliseconds session_;
+  std::shared_ptr<Client> client_;
+  Queue events_;
+  bool connected_ = false;
+  bool doubted_ = false;
+  bool broken_ = false;  ///< the client is of no use any more
+  bool closing_ = false;
+  std::string last_error_;
+  std::set<PartitionKey> assigned_;
+  std::set<std::string> made_;        ///< topics that were asked for with success
+  std::set<std::string> there_;       ///< those of them that servers tell of
+  std::set<std::string> subscribed_;  ///< what the group was told
+  std::vector<std::string> asked_;    ///< topics of the one request that is under way
+  std::set<std::string> complaints_;  ///< those that were logged
+  Instant ask_topics_at_{};
+  Instant commit_at_{};
+  Instant start_at_{};
+  Backoff topic_backoff_{std::chrono::milliseconds(20), std::chrono::milliseconds(2000)};
+};
+
+}  // namespace iotcloud::brokers::kafka
