@@ -1,0 +1,46 @@
+#pragma once
+
+#include <condition_variable>
+#include <functional>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <zookeeper/zookeeper.h>
+
+namespace iotcloud::bench {
+
+/// ZooKeeper's C client and nothing else, with as many operations under way as are given at once: what the fleet is
+/// written with, and the limit beside which ours is measured. Every failure throws std::runtime_error.
+class BareZooKeeper {
+ public:
+  /// \param url "zookeeper://host:port/chroot"; the chroot must be there or have one name.
+  explicit BareZooKeeper(const std::string& url);
+  ~BareZooKeeper();
+  BareZooKeeper(const BareZooKeeper&) = delete;
+  BareZooKeeper& operator=(const BareZooKeeper&) = delete;
+
+  /// Those that are there already stay as they are.
+  void create(const std::vector<std::pair<std::string, std::string>>& nodes);
+  std::vector<std::string> children(const std::string& path);
+  /// Reads all, with a watch on each. \return bytes read.
+  std::size_t read_and_watch(const std::vector<std::string>& paths);
+
+ private:
+  void run(std::size_t count, const std::function<int(std::size_t)>& begin);
+  void done(int code, std::size_t bytes);
+  static void on_event(zhandle_t* handle, int type, int state, const char* path, void* context);
+  static void on_created(int code, const char* path, const void* self);
+  static void on_data(int code, const char* data, int size, const Stat* stat, const void* self);
+
+  std::string chroot_;
+  zhandle_t* handle_ = nullptr;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  bool connected_ = false;  ///< guarded by mutex_
+  std::size_t under_way_ = 0, bytes_ = 0;
+  int failure_ = ZOK;
+};
+
+}  // namespace iotcloud::bench

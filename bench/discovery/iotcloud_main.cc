@@ -1,0 +1,164 @@
+// A topology that reads a large fleet and sends to it: when it is ready, what it costs at rest, and how soon it reads a
+// driver that comes.
+#include <algorithm>
+#include <cstdio>
+#include <exception>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+
+#include <fmt/core.h>
+
+#include <iotcloud/bench/discovery/bare_rabbitmq.h>
+#include <iotcloud/bench/discovery/fleet.h>
+#include <iotcloud/bench/harness/machine.h>
+#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/topology/worker/worker.h>
+
+namespace iotcloud::bench {
+namespace {
+
+constexpr std::int64_t ms = 1'000'000;
+constexpr std::int64_t limit_ns = 300'000 * ms;
+constexpr const char* topology_name = "bench";
+
+void wait_for(const char* what, std::int64_t pause_ns, const std::function<bool()>& condition) {
+  const std::int64_t begin = now_ns();
+  while (!condition()) {
+    if (now_ns() - begin > limit_ns) throw std::runtime_error(std::string("waited in vain for ") + what);
+    sleep_until(now_ns() + pause_ns);
+  }
+}
+
+class Run {
+ public:
+  explicit Run(const FleetOptions& options) : options_(options), fleet_(options) {
+    discovery::RegistryOptions registry;
+    registry.url = options.registry;
+    gateway_ = discovery::make_registry(registry);
+    if (options.registry.starts_with("embedded:")) fill();
+    if (options.broker.starts_with("amqp")) broker_.emplace(options.broker);
+  }
+
+  void run() {
+    const std::string yaml = fmt::format(
+        "registry: \"{}\"\ntopology.name: {}\nbrokers: {{broker: \"{}\"}}\n"
+        "spouts: {{in: {{broker: broker, driver: {}, channel: data, fields: [data, driverID, time]}}}}\n"
+        "bolts: {{out: {{broker: broker, driver: {}, channel: control, fields: [data, driverID, time], "
+        "inputs: [{{from: in, grouping: fields, fields: [driverID]}}]}}}}\n",
+        options_.registry, topology_name, options_.broker, Fleet::driver, Fleet::driver);
+    topology::Worker worker({.definition = topology::TopologyDefinition::parse(yaml, "bench"),
+                             .components = {},
+                             .library_folders = {},
+                             .registry = nullptr,
+                             .clock = nullptr,
+                             .metrics = &metrics_,
+                             .on_killed = {}});
+    const Usage before = Usage::now();
+    const double server_before = server_cpu();
+    worker.start();
+    wait_for("the readers", 5 * ms, [&] { return readers() >= fleet_.topics(); });
+    const double opened = seconds_since(before.at_ns);
+    check_all_are_read();
+    const Usage ready = Usage::now();
+    const double server_ready = server_cpu();
+    const double server_cost = server_ready - server_before;
+    std::printf(
+        "{\"figure\": \"ready\", \"opened_seconds\": %.6f, \"seconds\": %.6f, \"cpu_seconds\": %.3f, "
+        "\"server_cpu_seconds\": %.3f, \"topics\": %d, \"resident_mb\": %.1f}\n",
+        opened, seconds_since(before.at_ns), ready.cpu_seconds - before.cpu_seconds, server_cost, fleet_.topics(),
+        static_cast<double>(resident_bytes()) / 1e6);
+    std::fflush(stdout);
+    rest();
+    newcomers();
+    worker.stop(std::chrono::seconds(5));
+  }
+
+ private:
+  static double seconds_since(std::int64_t begin) { return static_cast<double>(now_ns() - begin) / 1e9; }
+
+  void fill() {
+    for (int i = 0; i < options_.instances; ++i) appear(i);
+  }
+
+  void appear(int instance) {
+    for (const auto& [path, data] : fleet_.nodes(instance)) gateway_->create(path, data);
+  }
+
+  /// Readers that the topology has opened, as its metrics tell.
+  int readers() {
+    return static_cast<int>(metrics_
+                                .gauge("iotcloud_spout_channels", "Channels that this worker reads",
+                                       {{"topology", topology_name}, {"component", "in"}})
+                                .value());
+  }
+
+  bool is_read(int instance) { return !broker_ || broker_->readers(fleet_.queue(instance, topology_name)) > 0; }
+
+  /// The broker itself is asked, so what it has not done yet counts; asking takes its time and counts as well.
+  void check_all_are_read() {
+    if (!broker_) return;
+    for (int i = 0; i < fleet_.topics(); ++i) {
+      wait_for("a queue's reader", ms, [&] { return is_read(i); });
+    }
+  }
+
+  double server_cpu() const {
+    double all = 0;
+    for (const pid_t process : options_.server) all += cpu_seconds_of(process);
+    return all;
+  }
+
+  void rest() {
+    sleep_until(now_ns() + 2000 * ms);  // what still settles
+    const Usage before = Usage::now();
+    const double server = server_cpu();
+    sleep_until(before.at_ns + static_cast<std::int64_t>(options_.rest * 1e9));
+    const Usage after = Usage::now();
+    std::printf("{\"figure\": \"rest\", \"cpu_percent\": %.4f, \"server_cpu_percent\": %.4f, \"switches\": %.1f}\n",
+                after.cpu_percent_since(before), 100 * (server_cpu() - server) / options_.rest,
+                after.switches_per_second_since(before));
+    std::fflush(stdout);
+  }
+
+  /// One driver at a time; from the moment when its nodes stand in the registry until the broker has a reader for it.
+  void newcomers() {
+    std::vector<double> took_ms;
+    for (int i = options_.instances; i < options_.instances + options_.fresh; ++i) {
+      const int expected = readers() + 1;
+      appear(i);
+      const std::int64_t begin = now_ns();
+      wait_for("a new driver's reader", ms / 2, [&] { return broker_ ? is_read(i) : readers() >= expected; });
+      took_ms.push_back(static_cast<double>(now_ns() - begin) / 1e6);
+    }
+    if (took_ms.empty()) return;
+    std::sort(took_ms.begin(), took_ms.end());
+    const auto quantile = [&](double q) {
+      return took_ms[std::min(took_ms.size() - 1, static_cast<std::size_t>(q * static_cast<double>(took_ms.size())))];
+    };
+    std::printf("{\"figure\": \"new\", \"count\": %zu, \"p50_ms\": %.3f, \"p99_ms\": %.3f, \"max_ms\": %.3f}\n",
+                took_ms.size(), quantile(0.5), quantile(0.99), took_ms.back());
+  }
+
+  const FleetOptions options_;
+  const Fleet fleet_;
+  config::Metrics metrics_;
+  std::unique_ptr<discovery::Registry> gateway_;  ///< whoever writes the records of new drivers
+  std::optional<BareRabbitMq> broker_;            ///< to ask who reads; none: ask the metrics
+};
+
+}  // namespace
+}  // namespace iotcloud::bench
+
+int main(int argc, char** argv) {
+  try {
+    iotcloud::config::set_log_level(iotcloud::config::LogLevel::warn);
+    iotcloud::bench::Run(iotcloud::bench::parse_fleet_options(argc, argv)).run();
+    return 0;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "%s\n", error.what());
+    return 1;
+  }
+}
