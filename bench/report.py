@@ -3,6 +3,7 @@
 
 usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench builds what this needs)
        report.py brokers [--quick] [--only BROKER] [--rounds N] [--keep-noisy] [--build DIR] [--json FILE]
+       report.py discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
        report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
 
 Everything here is measured: the programs take turns, round by round, a ratio is the median of the ratios of one round,
@@ -19,6 +20,7 @@ import time
 from pathlib import Path
 
 from brokers_report import BROKERS, run_brokers
+from discovery_report import run_discovery
 from figures import ProgramFailed, commit, machine
 from runtime_report import run_runtime, run_soak
 
@@ -28,8 +30,8 @@ def main():
     root = Path(__file__).resolve().parent.parent
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     commands = options.add_subparsers(dest="what", required=True)
-    runtime, soak, brokers = map(commands.add_parser, ("runtime", "soak", "brokers"))
-    for command in (runtime, soak, brokers):
+    runtime, soak, brokers, discovery = map(commands.add_parser, ("runtime", "soak", "brokers", "discovery"))
+    for command in (runtime, soak, brokers, discovery):
         command.add_argument("--build", type=Path, default=root / "build/release")
         command.add_argument("--json", type=Path)
     runtime.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
@@ -39,6 +41,9 @@ def main():
     brokers.add_argument("--only", choices=BROKERS, action="append", help="this broker; may be given several times")
     brokers.add_argument("--rounds", type=int, help="default: 7, with --quick 3")
     brokers.add_argument("--keep-noisy", action="store_true", help="rounds with company count too (the table says so)")
+    discovery.add_argument("--quick", action="store_true", help="one round, 50 new drivers")
+    discovery.add_argument("--rounds", type=int, help="default: 3, with --quick 1")
+    discovery.add_argument("--instances", type=int, default=10_000, help="driver instances, of two channels each")
     given = options.parse_args()
     file = given.json or root / f"build/bench/{given.what}.json"
 
@@ -48,7 +53,7 @@ def main():
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
     try:
-        report, verdict = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers}[given.what](given)
+        report, verdict = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery}[given.what](given)
     except ProgramFailed as failure:
         sys.exit(str(failure))
     facts["load_average_after"] = os.getloadavg()[0]

@@ -1,0 +1,82 @@
+"""The figures of `./dev bench discovery`: a topology before a large fleet of drivers, beside bare clients."""
+
+import sys
+import tempfile
+from pathlib import Path
+
+from brokers_report import Report
+from figures import Programs
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "servers"))
+from private_cluster import Children  # noqa: E402
+
+READY_LIMIT_S = {"shared": 5, "exclusive": 30}
+BARE_READ, BARE_DECLARE = "zookeeper C client", "librabbitmq"
+
+
+class Bench:
+    """Private servers, and one fleet for each kind of channels in a tree of its own."""
+
+    def __init__(self, programs, servers, instances, fresh):
+        self.programs, self.servers = programs, servers
+        self.instances, self.fresh = instances, fresh
+        self.zookeeper = self.rabbitmq = None
+        self.runs = 0
+
+    def options(self, registry, broker, shared):
+        return ["--registry", registry, "--broker", broker, "--instances", self.instances] + ["--shared"] * shared
+
+    def turn(self, kind):
+        """One round with real servers: what the programs say, by figure. Each in a registry and queues of its own."""
+        self.runs += 1
+        with Children(Path(self.servers) / f"run{self.runs}") as children:
+            zookeeper, rabbitmq = children.server("zookeeper"), children.server("rabbitmq")
+            options = self.options(f"{zookeeper}/bench", rabbitmq, kind == "shared")
+            lines = {"fill": self.programs.run("bare", "fill", *options)[0],
+                     "read": self.programs.run("bare", "read", *options)[0],
+                     "declare": self.programs.run("bare", "declare", *options)[0]}
+            watched = [word for process in children.descendants() for word in ("--server", process)]
+            for line in self.programs.run("iotcloud", *options, "--fresh", self.fresh, "--rest", 5, *watched):
+                lines[line["figure"]] = line
+            return lines
+
+    def embedded(self, kind):
+        """The same in one process: the limit that the code of the topology itself sets."""
+        self.runs += 1
+        name = f"embedded://bench-{self.runs}"
+        lines = self.programs.run("iotcloud", *self.options(name, name, kind == "shared"), "--fresh", self.fresh,
+                                  "--rest", 2)
+        return {line["figure"]: line for line in lines}
+
+
+def figures(bench, report, kind, rounds):
+    title = f"{bench.instances} instances, {kind}"
+    real = [bench.turn(kind) for _ in range(rounds)]
+    alone = [bench.embedded(kind) for _ in range(rounds)]
+
+    def of(lines, figure, key):
+        return [line[figure][key] for line in lines if figure in line]
+
+    ready = of(real, "ready", "seconds")
+    beside, theirs = ((BARE_DECLARE, of(real, "declare", "seconds")) if kind == "exclusive"
+                      else (BARE_READ, of(real, "read", "seconds")))
+    report.compare(f"{title}: ready", "s", ready, beside, theirs, at_most=READY_LIMIT_S[kind])
+    report.compare(f"{title}: ready, embedded", "s", of(alone, "ready", "seconds"), at_most=READY_LIMIT_S[kind])
+    report.compare(f"{title}: worker's CPU until ready", "s", of(real, "ready", "cpu_seconds"))
+    report.compare(f"{title}: servers' CPU until ready", "s", of(real, "ready", "server_cpu_seconds"))
+    report.compare(f"{title}: worker's memory", "MB", of(real, "ready", "resident_mb"))
+    report.compare(f"{title}: a new driver is read, p50", "ms", of(real, "new", "p50_ms"))
+    report.compare(f"{title}: a new driver is read, p99", "ms", of(real, "new", "p99_ms"), at_most=200)
+    report.compare(f"{title}: worker at rest", "% CPU", of(real, "rest", "cpu_percent"), at_most=1)
+    report.compare(f"{title}: servers at rest", "% CPU", of(real, "rest", "server_cpu_percent"))
+
+
+def run_discovery(given):
+    programs, report = Programs(given.build / "bin", "discovery"), Report()
+    rounds = given.rounds or (1 if given.quick else 3)
+    report.print_head()
+    with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
+        bench = Bench(programs, folder, given.instances, 50 if given.quick else 200)
+        for kind in ("shared", "exclusive"):
+            figures(bench, report, kind, rounds)
+    return report, report.verdict()
