@@ -5,10 +5,10 @@ import tempfile
 from pathlib import Path
 
 from brokers_report import Report
-from figures import Programs
+from figures import ProgramFailed, Programs
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "servers"))
-from private_cluster import Children  # noqa: E402
+from private_cluster import Children, StartError  # noqa: E402
 
 READY_LIMIT_S = {"shared": 5, "exclusive": 30}
 BARE_READ, BARE_DECLARE = "zookeeper C client", "librabbitmq"
@@ -78,5 +78,9 @@ def run_discovery(given):
     with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
         bench = Bench(programs, folder, given.instances, 50 if given.quick else 200)
         for kind in ("shared", "exclusive"):
-            figures(bench, report, kind, rounds)
+            try:
+                figures(bench, report, kind, rounds)
+            except (ProgramFailed, StartError) as failure:
+                print(f"{kind}: GIVEN UP: {failure}", flush=True)
+                report.failed = True
     return report, report.verdict()

@@ -53,7 +53,8 @@ def main():
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
     try:
-        report, verdict = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery}[given.what](given)
+        benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery}
+    report, verdict = benchmarks[given.what](given)
     except ProgramFailed as failure:
         sys.exit(str(failure))
     facts["load_average_after"] = os.getloadavg()[0]

@@ -118,7 +118,8 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   std::deque<std::shared_ptr<Inlet>> ready_;
   std::vector<std::shared_ptr<Inlet>> dirty_;
   config::Clock::Instant settled_at_{};               ///< when settlements were sent last
-  std::optional<config::Clock::Instant> next_timer_;  ///< no inlet's retry_at is earlier
+  std::optional<config::Clock::Instant> next_timer_;  ///< no inlet's retry_at is earlier, but see openers_wait_
+  bool openers_wait_ = false;  ///< some are due to be opened when the server has answered earlier ones
 
   std::size_t channel_limit_;  ///< what we ask for, then what the server allows
   client::ServerList servers_;

@@ -13,6 +13,9 @@ const config::Logger logger{"brokers.rabbitmq"};
 
 // Frames taken in a row before handlers run again.
 constexpr std::size_t frames_in_a_row = 1024;
+// Subscriptions that the server is asked for at once: it may take milliseconds for each, and of thousands the last
+// would have waited for longer than an answer may take.
+constexpr std::size_t most_opening = 64;
 
 }  // namespace
 
@@ -23,6 +26,7 @@ void ConsumeLink::read_frames() {
     if (!frame) return;
     on_frame(*frame);
     wire_->release(frame->channel);
+    if (std::exchange(openers_wait_, false)) next_timer_ = clock_.now();
   } while (wire_->has_buffered() && ++count < frames_in_a_row);
 }
 
@@ -194,6 +198,8 @@ void ConsumeLink::check_timers() {
   const config::Clock::Instant now = clock_.now();
   if (*next_timer_ > now) return;
   next_timer_.reset();
+  std::size_t opening = static_cast<std::size_t>(std::count_if(
+      inlets_.begin(), inlets_.end(), [](const auto& inlet) { return inlet->phase == Inlet::Phase::opening; }));
   for (const auto& inlet : inlets_) {
     if (!inlet->retry_at) continue;
     const config::Clock::Instant at = *inlet->retry_at;
@@ -202,8 +208,14 @@ void ConsumeLink::check_timers() {
       continue;
     }
     if (inlet->phase == Inlet::Phase::opening) throw LinkError("no answer to the request to read " + inlet->queue);
+    if (inlet->phase == Inlet::Phase::idle && opening >= most_opening) {
+      openers_wait_ = true;
+      continue;
+    }
     inlet->retry_at.reset();
-    if (inlet->phase == Inlet::Phase::idle) open(inlet);
+    if (inlet->phase != Inlet::Phase::idle) continue;
+    open(inlet);
+    if (inlet->phase == Inlet::Phase::opening) ++opening;
   }
 }
 
