@@ -27,8 +27,9 @@ TEST_P(BrokerContract, CarriesPayloadsOfEverySizeUnchanged) {
   Inbox inbox;
   const auto subscription = broker->subscribe(topic, {}, inbox.handler());
   const auto publisher = broker->publisher(topic, {});
-  const std::vector<std::size_t> sizes{
-      0, 1, 7, 100, 60'000, frame - 1, frame, frame + 1, 2 * frame, 3 * frame - 1, 3 * frame, 1'000'000, 2'097'152};
+  const std::vector<std::size_t> sizes{0,         1,         7,         100,       60'000,
+                                       frame - 1, frame,     frame + 1, 2 * frame, 3 * frame - 1,
+                                       3 * frame, 1'000'000, 2'097'152, 8'388'608};
   std::vector<std::string> sent;
   for (const std::size_t size : sizes) {
     std::string body(size, '\0');

@@ -141,6 +141,59 @@ TEST_P(RabbitMqServer, AQueueThatIsDeletedUnderItsReaderIsMadeAgain) {
   EXPECT_THAT(inbox.bodies(), testing::ElementsAre("1", "2", "3", "4", "5"));
 }
 
+TEST_P(RabbitMqServer, ATopicsOwnQueueThatIsDeletedIsMadeAgain) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic(true);
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.own_queue = true;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic, options);
+  publish_numbers(*publisher, 1, 3);
+  ASSERT_TRUE(publisher->drain(patience));
+  const auto link = operator_link();
+  amqp_queue_delete_t request{};
+  request.queue = rabbitmq::to_bytes(topic.name);
+  call(*link, AMQP_QUEUE_DELETE_METHOD, request);
+  publish_numbers(*publisher, 4, 6);
+  ASSERT_TRUE(publisher->drain(patience)) << "nobody reads, and nothing keeps it";
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 6U);
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  ASSERT_TRUE(inbox.wait_for(3));
+  EXPECT_THAT(inbox.bodies(), testing::ElementsAre("4", "5", "6"));
+}
+
+TEST_P(RabbitMqServer, AMessageWithMoreHeadersThanAnyHonestOneIsSkippedAndCounted) {
+  config::Metrics& metrics = config::process_metrics();
+  const auto skipped = [&] {
+    return metrics.counter("iotcloud_broker_skipped_total", "", {{"broker", "rabbitmq"}, {"reason", "undecodable"}})
+        .value();
+  };
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto link = operator_link();
+  std::vector<std::string> names = numbered(1, 8000);
+  std::vector<amqp_table_entry_t> headers(names.size());
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    headers[i].key = rabbitmq::to_bytes(names[i]);
+    headers[i].value.kind = AMQP_FIELD_KIND_BOOLEAN;
+  }
+  amqp_basic_properties_t properties{};
+  properties._flags = AMQP_BASIC_HEADERS_FLAG;
+  properties.headers = {static_cast<int>(headers.size()), headers.data()};
+  const auto before = skipped();
+  link->publish(1, topic.exchange, topic.name, properties, "hostile", 7);
+  amqp_basic_properties_t none{};
+  link->publish(1, topic.exchange, topic.name, none, "honest", 6);
+  ASSERT_TRUE(inbox.wait_for(1));
+  EXPECT_THAT(inbox.bodies(), testing::ElementsAre("honest"));
+  EXPECT_EQ(skipped(), before + 1);
+}
+
 TEST_P(RabbitMqServer, UsesExchangesAndQueuesThatOthersMadeDifferently) {
   const auto broker = this->broker();
   Topic topic = this->topic();

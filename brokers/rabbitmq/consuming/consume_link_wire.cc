@@ -52,6 +52,13 @@ void ConsumeLink::on_arrived(const std::shared_ptr<Inlet>& inlet, Arrived arrive
     --inlet->doubtful;
     arrived.redelivered = true;
   }
+  if (inlet->assembly.hostile()) {
+    logger.warn("queue {} held a message with too many headers; it is skipped", inlet->queue);
+    meters_.skipped(reason::undecodable);
+    inlet->window.skipped();
+    if (!std::exchange(inlet->in_dirty, true)) dirty_.push_back(inlet);
+    return;
+  }
   if (!inlet->window.delivered(std::move(arrived))) throw LinkError("a delivery out of turn");
   make_ready(inlet);
 }

@@ -13,6 +13,8 @@ namespace {
 
 /// No sane message is larger; a server that says so has lost its mind or is none.
 constexpr std::uint64_t body_limit = std::uint64_t{1} << 30U;
+/// A frame holds many thousands of small headers; looking each up among the others would take its time.
+constexpr int header_limit = 2000;
 
 }  // namespace
 
@@ -28,7 +30,8 @@ std::optional<Arrived> Assembly::header(const amqp_frame_t& frame) {
   const std::uint64_t size = frame.payload.properties.body_size;
   if (size > body_limit) throw LinkError("a message of " + std::to_string(size) + " bytes");
   const auto& properties = *static_cast<const amqp_basic_properties_t*>(frame.payload.properties.decoded);
-  if (decode_properties(properties, arrived_.message)) arrived_.redelivered = true;
+  hostile_ = (properties._flags & AMQP_BASIC_HEADERS_FLAG) != 0 && properties.headers.num_entries > header_limit;
+  if (!hostile_ && decode_properties(properties, arrived_.message)) arrived_.redelivered = true;
   size_ = static_cast<std::size_t>(size);
   if (size_ == 0) return finish();
   bytes_ = std::shared_ptr<std::byte[]>(new std::byte[size_]);  // not cleared: it is all overwritten
@@ -49,7 +52,9 @@ std::optional<Arrived> Assembly::finish() {
     arrived_.message.payload = Payload::wrap(std::move(bytes_), bytes);
   }
   std::optional<Arrived> done(std::move(arrived_));
+  const bool hostile = hostile_;
   reset();
+  hostile_ = hostile;
   return done;
 }
 

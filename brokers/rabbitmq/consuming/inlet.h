@@ -28,6 +28,9 @@ class Assembly {
   /// Both return the message when it is complete. \throws LinkError when the frames make no sense.
   std::optional<Arrived> header(const amqp_frame_t& frame);
   std::optional<Arrived> body(amqp_bytes_t piece);
+  /// Whether the delivery under way, or the one returned last, is one that no handler should get: it has more headers
+  /// than a sane one, and they were not read.
+  bool hostile() const { return hostile_; }
   void reset() { *this = Assembly(); }
 
  private:
@@ -35,6 +38,7 @@ class Assembly {
 
   Arrived arrived_;
   bool expects_header_ = false;
+  bool hostile_ = false;
   std::shared_ptr<std::byte[]> bytes_;
   std::size_t size_ = 0;
   std::size_t filled_ = 0;

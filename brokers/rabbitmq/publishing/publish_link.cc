@@ -247,6 +247,9 @@ void PublishLink::settle(UnderWay& entry, bool good, Instant now) {
     }
   } else if (entry.returned) {
     entry.outbox->returned(std::move(entry.outgoing), now);
+    if (entry.outbox->options.own_queue && std::exchange(entry.outbox->ready, false)) {
+      undeclared_.push_back(entry.outbox);  // its queue was deleted
+    }
   } else {
     entry.outbox->confirmed(entry.outgoing.number);
   }
