@@ -1,0 +1,166 @@
+#!/usr/bin/python3
+"""A topology starts before anything else is there, takes drivers as they come and drops them as they go, and goes on
+while the gateway, the master and ZooKeeper are killed and come back. The registry is below a root of its own (zk.root)
+and guarded by user and password. No message is lost.
+
+usage: restarts_test.py BUILD_DIR
+"""
+
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+from private_cluster import PrivateCluster, StartError, free_port  # noqa: E402
+
+COUNT, RATE = 2500, 100
+REGISTRY = """
+zk.root: /farm/sensors
+registry.session_timeout: 4s
+registry.user: farm
+registry.password_file: "{password}"
+"""
+TOPOLOGY = """
+topology.name: echo
+zk.servers: ["{zookeeper}"]
+spouts:
+  receive: {broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}
+bolts:
+  send:
+    broker: rabbitmq
+    driver: loadgen
+    channel: echo
+    fields: [data, driverID, time]
+    inputs: [{from: receive, grouping: fields, fields: [driverID]}]
+"""
+
+
+def wait_for(what, condition, limit=60):
+    deadline = time.monotonic() + limit
+    while time.monotonic() < deadline:
+        try:
+            if condition():
+                return
+        except StartError:
+            pass  # the master is away
+        time.sleep(0.1)
+    sys.exit(f"not within {limit} s: {what}")
+
+
+def result_of(report):
+    """The driver's report, None until it is written (when everything is back)."""
+    text = report.read_text() if report.exists() else ""
+    return json.loads(text) if text.rstrip().endswith("}") else None
+
+
+class Farm(PrivateCluster):
+    def begin(self):
+        """Servers only: daemons come one by one."""
+        self.rabbitmq, self.zookeeper = self.server("rabbitmq"), self.server("zookeeper")
+        password = self.out / "registry.password"
+        password.write_text("a secret\n")
+        self.registry = REGISTRY.replace("{password}", str(password))
+        self.api_port = free_port()
+        self.thrift = {name: free_port() for name in ("master", "gateway-1", "gateway-2")}
+
+    def master(self):
+        self.daemon("iotcloud-master", "master", f"""
+id: farm-master
+registry: "{self.zookeeper}"
+{self.registry}
+api: {{host: 127.0.0.1, port: {self.api_port}}}
+gateways: {{host: 127.0.0.1, port: {self.thrift['master']}}}
+""")
+
+    def gateway(self, name):
+        self.daemon("iotcloud-gateway", name, f"""
+id: {name}
+registry: "{self.zookeeper}"
+{self.registry}
+thrift: {{host: 127.0.0.1, port: {self.thrift[name]}}}
+plugins: "{self.plugins}"
+state: "{self.out / 'state' / name}"
+brokers:
+  rabbitmq: {{type: rabbitmq, urls: ["{self.rabbitmq}"]}}
+""")
+
+    def process(self, name):
+        return next(child for known, child in self.children if known == name)
+
+    def kill(self, name):
+        child = self.process(name)
+        child.kill()
+        child.wait()
+        self.children.remove((name, child))
+
+    def order(self, name, word, answer):
+        """A command for a server's script."""
+        child = self.process(name)
+        child.stdin.write(word + "\n")
+        child.stdin.flush()
+        said = child.stdout.readline()
+        if not said.startswith(answer):
+            sys.exit(f"{name}: {word}: {said}")
+
+    def states(self, command, key):
+        return [entry[key] for entry in json.loads(self.cli(command, "-o", "json"))]
+
+    def ready(self, count):
+        wait_for(f"{count} gateways are ready", lambda: self.states("gateways", "state").count("ready") == count)
+
+    def leads(self, word="leads"):
+        """How often the worker has come to lead a driver's channel, as its log says."""
+        return self.log("worker").read_text().count(f" {word} /farm/topologies/echo/readers/receive/")
+
+
+def main():
+    build = Path(sys.argv[1]).resolve()
+    work = build / "restarts"
+    shutil.rmtree(work, ignore_errors=True)
+    with Farm(work, build / "bin", build / "plugins") as farm:
+        farm.begin()
+        farm.topology("worker", farm.registry + TOPOLOGY)  # nobody is there yet, not even the tree
+        farm.master()
+        wait_for("the topology is known", lambda: farm.states("topologies", "topology") == ["echo"])
+        farm.gateway("gateway-1")
+        farm.gateway("gateway-2")
+        farm.ready(2)
+        reports = [work / f"report-{number}.json" for number in (1, 2)]
+        for number, report in enumerate(reports, 1):
+            farm.deploy("loadgen.so", f"gateway-{number}", {"count": COUNT, "rate": RATE, "report": report})
+        wait_for("the worker reads both drivers", lambda: farm.leads() >= 2)
+
+        farm.kill("gateway-1")  # its driver host goes on, and is adopted
+        farm.gateway("gateway-1")
+        farm.kill("master")
+        time.sleep(1)
+        farm.master()
+        farm.ready(2)
+        farm.order("zookeeper", "kill", "KILLED")
+        time.sleep(6)  # longer than a session lives: what was read before is read on
+        farm.order("zookeeper", "start", "READY")
+        wait_for("both drivers have everything back", lambda: all(map(result_of, reports)), 120)
+        farm.require_alive()
+        for report in reports:
+            result = result_of(report)
+            wrong = {key: result[key] for key in ("lost", "damaged", "foreign") if result[key]}
+            if wrong or result["sent"] != COUNT:
+                sys.exit(f"{report.name}: {wrong or result}")
+
+        farm.ready(2)
+        farm.undeploy_all()
+        late = work / "report-late.json"
+        before = farm.leads()
+        farm.deploy("loadgen.so", "gateway-2", {"count": 100, "rate": RATE, "report": late})
+        wait_for("the driver that came last has everything back", lambda: result_of(late))
+        if farm.leads() <= before or result_of(late)["lost"]:
+            sys.exit(f"the driver that came last: {result_of(late)}")
+    print(f"2 drivers x {COUNT} messages during restarts of gateway, master and ZooKeeper: all back")
+
+
+if __name__ == "__main__":
+    main()
