@@ -1,0 +1,147 @@
+"""A private cluster to do harm to: load generators through a topology of several workers, and what became of each
+message in the end.
+"""
+
+import json
+import os
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+from private_cluster import PrivateCluster, StartError  # noqa: E402,F401
+
+SESSION_S = 4  # the workers' registry.session_timeout
+HEARTBEAT_S = 1
+GRACE_S = 2  # a rebalance takes the session's time-out and so long at most
+
+TOPOLOGY = f"""
+zk.servers: [{{zookeeper}}]
+registry.session_timeout: {SESSION_S}s
+topology.name: "echo"
+brokers:
+  rabbitmq: {{heartbeat: {HEARTBEAT_S}s}}
+spouts:
+  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: 2}}
+bolts:
+  send:
+    broker: rabbitmq
+    driver: loadgen
+    channel: echo
+    fields: [data, driverID, time]
+    inputs: [{{from: receive, grouping: fields, fields: [driverID]}}]
+"""
+
+
+def wait_for(what, condition, limit):
+    deadline = time.monotonic() + limit
+    while time.monotonic() < deadline:
+        if condition():
+            return
+        time.sleep(0.1)
+    raise StartError(f"not within {limit} s: {what}")
+
+
+class FaultCluster(PrivateCluster):
+    """Workers and load generators by name, which may be killed, frozen and started again."""
+
+    def __init__(self, build, name, registry="zookeeper"):
+        build = Path(build).resolve()
+        self.work = build / "cluster-tests" / name
+        shutil.rmtree(self.work, ignore_errors=True)
+        super().__init__(self.work, build / "bin", build / "plugins")
+        self.registry_kind = registry
+        self.reports, self.started = [], 0
+
+    def server(self, kind):
+        return super().server(self.registry_kind if kind == "zookeeper" else kind)
+
+    def order(self, command):
+        """A command to the registry's server; returns its answer."""
+        child = next(child for name, child in self.children if name == self.registry_kind)
+        child.stdin.write(command + "\n")
+        child.stdin.flush()
+        answer = child.stdout.readline().strip()
+        if not answer or answer.startswith("ERROR"):
+            raise StartError(f"{self.registry_kind} {command}: {answer or 'no answer'}")
+        return answer
+
+    def worker(self):
+        """Starts one more; returns its name."""
+        self.started += 1
+        name = f"worker-{self.started}"
+        servers = ", ".join(f'"{server}"' for server in self.zookeeper.removeprefix("zookeeper://").split(","))
+        self.daemon("iotcloud-topology", name, TOPOLOGY.replace("{zookeeper}", servers))
+        return name
+
+    def process(self, name):
+        return next(child for known, child in self.children if known == name)
+
+    def kill(self, name):
+        child = self.process(name)
+        child.kill()
+        child.wait()
+        self.children = [entry for entry in self.children if entry[1] is not child]
+
+    def kill_drivers(self):
+        """SIGKILL to one process that runs drivers for a gateway of this cluster. True when there was one."""
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            try:
+                command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                if "iotcloud-driver-host" in command and str(self.work) in command:
+                    os.kill(int(entry.name), signal.SIGKILL)
+                    return True
+            except OSError:
+                continue  # it ended meanwhile
+        return False
+
+    def drivers(self, number, count, rate):
+        for _ in range(number):
+            report = self.work / f"report-{len(self.reports)}.json"
+            gateway = len(self.reports) % self.gateways + 1
+            self.reports.append(report)
+            self.deploy("loadgen.so", f"gateway-{gateway}", {"count": count, "rate": rate, "report": report})
+
+    def readers(self):
+        """Names of the units by the worker that leads them, as the registry's word in the logs has it."""
+        return {name: self.log(name).read_text(errors="replace").count(" leads /iot/topologies/echo/readers/")
+                for name, _ in self.children if name.startswith("worker-")}
+
+    def wait_until_all_read(self, limit=30):
+        wait_for("every worker reads drivers", lambda: all(self.readers().values()), limit)
+
+    def totals(self, limit):
+        """Waits until all that was sent is back, or the time is over, and adds up what the drivers saw."""
+        def result(report):
+            text = report.read_text() if report.exists() else ""
+            return json.loads(text) if text.rstrip().endswith("}") else None
+
+        deadline = time.monotonic() + limit
+        while time.monotonic() < deadline and not all(map(result, self.reports)):
+            time.sleep(0.2)
+        if not all(map(result, self.reports)):
+            self.undeploy_all()  # a driver that closes reports what it has
+            wait_for("every driver reports", lambda: all(map(result, self.reports)), 15)
+        keys = ("sent", "received", "lost", "duplicated", "out_of_order", "damaged")
+        results = [result(report) for report in self.reports]
+        return {key: sum(each[key] for each in results) for key in keys} | {
+            "max_s": max(each["latency_us"]["max"] for each in results) / 1e6}
+
+
+def sentence(name, totals):
+    return (f"{name}: {totals['sent']} sent, {totals['lost']} lost, {totals['duplicated']} duplicated, "
+            f"{totals['out_of_order']} of the duplicates or others after a later one, {totals['damaged']} damaged; "
+            f"the longest round trip took {totals['max_s']:.1f} s")
+
+
+def finish(name, totals):
+    """Says what was lost; the exit status says whether nothing was."""
+    print(sentence(name, totals), flush=True)
+    if totals["lost"] or totals["damaged"] or not totals["sent"]:
+        sys.exit(f"{name}: messages were lost or damaged")
