@@ -167,7 +167,8 @@ void ConsumeLink::open(const std::shared_ptr<Inlet>& inlet) {
   wire_->send(inlet->channel, AMQP_BASIC_QOS_METHOD, qos);
   amqp_basic_consume_t consume{};
   consume.queue = to_bytes(inlet->queue);
-  consume.exclusive = inlet->options.exclusive ? 1 : 0;
+  const bool queue_decides = one_reader_by_queue(inlet->topic, cluster_.queue_type());
+  consume.exclusive = inlet->options.exclusive && !queue_decides ? 1 : 0;
   wire_->send(inlet->channel, AMQP_BASIC_CONSUME_METHOD, consume);
 }
 
@@ -181,7 +182,7 @@ void ConsumeLink::request_queue(const Inlet& inlet) {
     declare.passive = inlet.passive_exchange ? 1 : 0;
     wire_->send(inlet.channel, AMQP_EXCHANGE_DECLARE_METHOD, declare);
   }
-  QueueArguments arguments(inlet.topic, cluster_.queue_type());
+  QueueArguments arguments(inlet.topic, cluster_.queue_type(), inlet.options.exclusive);
   amqp_queue_declare_t queue{};
   queue.queue = to_bytes(inlet.queue);
   queue.durable = inlet.topic.durable ? 1 : 0;

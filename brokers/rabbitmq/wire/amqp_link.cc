@@ -198,7 +198,7 @@ std::string AmqpLink::declare_exchange(amqp_channel_t channel, const std::string
 
 std::string AmqpLink::declare_queue(amqp_channel_t channel, const Topic& topic, QueueType type) {
   open_channel(channel);
-  QueueArguments arguments(topic, type);
+  QueueArguments arguments(topic, type, true);
   amqp_queue_declare(state_.get(), channel, to_bytes(topic.name), 0, topic.durable ? 1 : 0, 0, 0, arguments.table());
   std::string why = refusal_of(channel, "declare a queue");
   if (!why.empty()) open_channel(channel);  // it may be there with other properties

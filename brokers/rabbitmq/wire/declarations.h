@@ -1,5 +1,7 @@
 #pragma once
 
+#include <array>
+#include <cstdint>
 #include <string>
 
 #include <amqp.h>
@@ -24,30 +26,40 @@ enum class QueueType {
   quorum,   ///< on a majority of the cluster's nodes: survives the loss of one
 };
 
+/// Quorum queues do not know exclusive consumers: several get messages at once, and what one that hangs has is handed
+/// on later, out of order. There the queue itself sees to it that one reads and the others stand by.
+inline bool one_reader_by_queue(const Topic& topic, QueueType type) {
+  return topic.durable && type == QueueType::quorum;
+}
+
 /// What a topic's queues are declared with. Lives as long as the request that takes table() is being sent.
 class QueueArguments {
  public:
-  QueueArguments(const Topic& topic, QueueType type) {
+  /// \param exclusive one reader at a time
+  QueueArguments(const Topic& topic, QueueType type, bool exclusive) {
     if (!topic.durable) {
-      entry_.key = amqp_cstring_bytes("x-expires");
-      entry_.value.kind = AMQP_FIELD_KIND_I32;
-      entry_.value.value.i32 = idle_ms;
-      count_ = 1;
+      amqp_table_entry_t& expires = add("x-expires", AMQP_FIELD_KIND_I32);
+      expires.value.value.i32 = idle_ms;
     } else if (type == QueueType::quorum) {
-      entry_.key = amqp_cstring_bytes("x-queue-type");
-      entry_.value.kind = AMQP_FIELD_KIND_UTF8;
-      entry_.value.value.bytes = amqp_cstring_bytes("quorum");
-      count_ = 1;
+      add("x-queue-type", AMQP_FIELD_KIND_UTF8).value.value.bytes = amqp_cstring_bytes("quorum");
+      if (exclusive) add("x-single-active-consumer", AMQP_FIELD_KIND_BOOLEAN).value.value.boolean = 1;
     }
   }
   QueueArguments(const QueueArguments&) = delete;
-  amqp_table_t table() { return {count_, count_ == 0 ? nullptr : &entry_}; }
+  amqp_table_t table() { return {count_, count_ == 0 ? nullptr : entries_.data()}; }
 
  private:
+  amqp_table_entry_t& add(const char* name, std::uint8_t kind) {
+    amqp_table_entry_t& entry = entries_.at(static_cast<std::size_t>(count_++));
+    entry.key = amqp_cstring_bytes(name);
+    entry.value.kind = kind;
+    return entry;
+  }
+
   // A queue that is not durable outlives a reader that reconnects, but not one that is gone for good.
   static constexpr std::int32_t idle_ms = 60'000;
   int count_ = 0;
-  amqp_table_entry_t entry_{};
+  std::array<amqp_table_entry_t, 2> entries_{};
 };
 
 /// The server's own exchanges are there already and must not be declared.
