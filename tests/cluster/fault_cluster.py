@@ -70,11 +70,12 @@ class FaultCluster(PrivateCluster):
             raise StartError(f"{self.registry_kind} {command}: {answer or 'no answer'}")
         return answer
 
-    def worker(self):
-        """Starts one more; returns its name."""
+    def worker(self, registry=None):
+        """Starts one more, which reaches the registry at `registry` (host:port); returns its name."""
         self.started += 1
         name = f"worker-{self.started}"
-        servers = ", ".join(f'"{server}"' for server in self.zookeeper.removeprefix("zookeeper://").split(","))
+        addresses = (registry or self.zookeeper.removeprefix("zookeeper://")).split(",")
+        servers = ", ".join(f'"{server}"' for server in addresses)
         self.daemon("iotcloud-topology", name, TOPOLOGY.replace("{zookeeper}", servers))
         return name
 
