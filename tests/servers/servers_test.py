@@ -82,7 +82,7 @@ class ServersTest(unittest.TestCase):
     def test_a_zookeeper_ensemble_that_loses_its_leader_has_another(self):
         with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder:
             cluster = Script("zookeeper_cluster.py", folder)
-            self.assertRegex(cluster.answer(), "^READY zookeeper://.*,.*,.*$")
+            self.assertRegex(cluster.greeting, "^READY zookeeper://.*,.*,.*$")
             first = cluster.ask("leader")
             self.assertRegex(first, "^LEADER [123]$")
             self.assertEqual(cluster.ask("kill leader"), "KILLED")
