@@ -3,8 +3,8 @@
 
     zookeeper_cluster.py --dir DIR [--nodes N]
 
-Runs N servers (3) as zookeeper.py runs one, each with a folder of its own below DIR, and prints the URL of all when they
-serve requests and one of them leads:
+Runs N servers (3) as zookeeper.py runs one, each with a folder of its own below DIR, and prints the URL of all when
+they serve requests and one of them leads:
 
     READY zookeeper://127.0.0.1:PORT1,127.0.0.1:PORT2,127.0.0.1:PORT3
 
