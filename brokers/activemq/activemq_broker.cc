@@ -57,6 +57,9 @@ class ActiveMqPublisher final : public Publisher {
       : link_(link), outlet_(link.add(topic, options)) {}
   ~ActiveMqPublisher() override { link_.remove(outlet_); }
   PublishStatus publish(Message message) override { return link_.publish(outlet_, std::move(message)); }
+  PublishStatus publish_again(Message message, const Past& past) override {
+    return link_.publish(outlet_, std::move(message), past);
+  }
   bool drain(std::chrono::milliseconds limit) override { return link_.drain(outlet_, limit); }
   std::size_t pending() const override { return link_.pending(*outlet_); }
 

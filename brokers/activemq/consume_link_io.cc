@@ -17,6 +17,9 @@ namespace {
 
 const config::Logger logger{"brokers.activemq"};
 
+// So many subscriptions are asked for at a time: the others' time for an answer has not begun yet.
+constexpr std::size_t opened_at_once = 64;
+
 }  // namespace
 
 void ConsumeLink::up() {
@@ -44,7 +47,10 @@ void ConsumeLink::serve() {
   send_all_settlements();
   for (const auto& inlet : std::exchange(leaving_, {})) leave(*inlet);
   std::optional<Instant> next;
+  auto opening = static_cast<std::size_t>(std::count_if(
+      inlets_.begin(), inlets_.end(), [](const auto& inlet) { return inlet->phase == Inlet::Phase::opening; }));
   for (const auto& inlet : Inlets(inlets_)) {
+    if (inlet->phase == Inlet::Phase::idle && opening >= opened_at_once) continue;
     if (inlet->retry_at && *inlet->retry_at <= now()) {
       if (inlet->phase == Inlet::Phase::opening) {
         lock.unlock();
@@ -52,7 +58,10 @@ void ConsumeLink::serve() {
         return;
       }
       inlet->retry_at.reset();
-      if (inlet->phase == Inlet::Phase::idle) open(inlet);
+      if (inlet->phase == Inlet::Phase::idle) {
+        open(inlet);
+        ++opening;
+      }
     }
     if (inlet->retry_at && (!next || *inlet->retry_at < *next)) next = inlet->retry_at;
   }
@@ -107,6 +116,7 @@ void ConsumeLink::on_place(const std::shared_ptr<Inlet>& inlet, std::uint64_t ge
   inlet->backoff.reset();
   inlet->complaint.clear();
   inlet->receiver.add_credit(std::max<std::uint32_t>(inlet->options.prefetch, 1));
+  wake();  // the next one may open
 }
 
 void ConsumeLink::retry_later(Inlet& inlet) {
@@ -157,16 +167,14 @@ void ConsumeLink::forget_session(Inlet& inlet) {
 void ConsumeLink::on_other_message(proton::delivery& delivery, proton::message& message) {
   const std::shared_ptr<Inlet> inlet = find(delivery.receiver());
   if (!inlet) return;
-  std::optional<client::Arrived> arrived;
-  try {
-    arrived = from_wire(message);
-  } catch (const proton::error& error) {
-    logger.debug("queue {}: {}", inlet->queue, error.what());
-  }
+  std::optional<client::Arrived> arrived = from_wire(message);
   const Lock lock(mutex_);
   if (!arrived) {
     if (!std::exchange(inlet->odd_logged, true)) {
-      logger.warn("queue {} has messages whose body is neither bytes nor text; they are rejected", inlet->queue);
+      logger.warn(
+          "queue {} has messages whose body is neither bytes nor text, or whose properties are no AMQP; they are "
+          "rejected",
+          inlet->queue);
     }
     delivery.reject();
     inlet->receiver.add_credit(1);

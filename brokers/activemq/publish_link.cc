@@ -27,6 +27,9 @@ constexpr std::string_view readers_topic = "topic://ActiveMQ.Advisory.Consumer.Q
 
 }  // namespace
 
+Outlet::Outlet(const Topic& to, const PublisherOptions& how)
+    : Outbox(to, how), own_queue(activemq::own_queue(to.name)) {}
+
 PublishLink::PublishLink(proton::container& container, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
                          std::string purpose, Meters& meters, ConnectionLog& log)
     : ServerLink(container, options, urls, std::move(purpose), log), meters_(meters) {}
@@ -54,7 +57,7 @@ void PublishLink::remove(const std::shared_ptr<Outlet>& outlet) {
   reporter_.report(outlet, lock);
 }
 
-PublishStatus PublishLink::publish(const std::shared_ptr<Outlet>& outlet, Message message) {
+PublishStatus PublishLink::publish(const std::shared_ptr<Outlet>& outlet, Message message, const Past& past) {
   const char* why_not = refusal(message);
   Lock lock(mutex_);
   if (outlet->closed) return PublishStatus::closed;
@@ -75,7 +78,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outlet>& outlet, Messag
     return PublishStatus::would_block;
   }
   const bool timed = outlet->idle() && outlet->options.deadline.count() > 0;
-  outlet->add_waiting(outlet->accept(std::move(message), moment));
+  outlet->add_waiting(outlet->accept(std::move(message), moment, past));
   reporter_.note(outlet);
   make_runnable(outlet);
   if (timed || outlet->has_report() || outlet->in_runnable) wake();
@@ -240,8 +243,8 @@ void PublishLink::find_route(const std::shared_ptr<Outlet>& outlet) {
 void PublishLink::on_route(const std::shared_ptr<Outlet>& outlet, const std::vector<QueueFacts>& queues) {
   const Lock lock(mutex_);
   if (outlet->closed) return;
-  const std::string own = own_queue(outlet->topic.name);
-  outlet->own_queue_exists = std::any_of(queues.begin(), queues.end(), [&](const auto& q) { return q.name == own; });
+  outlet->own_queue_exists = std::any_of(queues.begin(), queues.end(),
+                                         [&](const QueueFacts& queue) { return queue.name == outlet->own_queue; });
   outlet->address = send_address(outlet->topic.name, outlet->own_queue_exists);
   outlet->asked_at = now();
   outlet->route = queues.empty() ? Outlet::Route::unknown : Outlet::Route::known;
@@ -257,7 +260,7 @@ void PublishLink::on_other_message(proton::delivery&, proton::message& message) 
   const std::string queue = about.substr(readers_topic.size());
   const Lock lock(mutex_);
   for (const auto& outlet : outlets_) {
-    if (outlet->route == Outlet::Route::known && !outlet->own_queue_exists && own_queue(outlet->topic.name) == queue) {
+    if (outlet->route == Outlet::Route::known && !outlet->own_queue_exists && outlet->own_queue == queue) {
       outlet->route = Outlet::Route::unknown;
     }
   }
@@ -295,7 +298,7 @@ void PublishLink::on_verdict(const proton::tracker& tracker, Verdict verdict) {
     } else if (verdict == Verdict::rejected) {
       outlet.refused(found->outgoing.number, "the server rejected it");
     } else {
-      outlet.returned(std::move(found->outgoing), now());
+      outlet.put_off(std::move(found->outgoing), now());
     }
     reporter_.note(found->outlet);
     make_runnable(found->outlet);

@@ -20,10 +20,11 @@ using client::Outgoing;
 /// A publisher's messages and the way they take.
 class Outlet final : public Outbox {
  public:
-  using Outbox::Outbox;
+  Outlet(const Topic& to, const PublisherOptions& how);
   /// Which queues there are is asked before the first message, and again from time to time: the server takes messages
   /// for a topic that no queue stands for, and loses them.
   enum class Route { unknown, asked, known };
+  const std::string own_queue;
   Route route = Route::unknown;
   std::string address;  ///< when the route is known
   bool own_queue_exists = false;
@@ -41,7 +42,7 @@ class PublishLink final : public ServerLink {
   std::shared_ptr<Outlet> add(const Topic& topic, const PublisherOptions& options);
   /// Closes the publisher: reports what has no outcome as unknown, waits for callbacks that run.
   void remove(const std::shared_ptr<Outlet>& outlet);
-  PublishStatus publish(const std::shared_ptr<Outlet>& outlet, Message message);
+  PublishStatus publish(const std::shared_ptr<Outlet>& outlet, Message message, const Past& past = {});
   bool drain(const std::shared_ptr<Outlet>& outlet, std::chrono::milliseconds limit);
   std::size_t pending(const Outlet& outlet) const;
   ConnectionState state() const;

@@ -228,11 +228,11 @@ proton::message to_wire(const Message& message, const Envelope& envelope) {
   return wire;
 }
 
-std::optional<client::Arrived> from_wire(const proton::message& wire) {
-  std::optional<Payload> payload = payload_of(wire);
-  if (!payload) return std::nullopt;
+namespace {
+
+client::Arrived arrived_of(const proton::message& wire, Payload payload) {
   client::Arrived arrived;
-  arrived.message.payload = std::move(*payload);
+  arrived.message.payload = std::move(payload);
   std::map<std::string, std::string> texts = properties_of(wire);
   arrived.message.driver_id = taken(texts, driver_property);
   arrived.message.gateway_id = taken(texts, gateway_property);
@@ -241,6 +241,18 @@ std::optional<client::Arrived> from_wire(const proton::message& wire) {
   apply_index(taken(texts, index_property), texts, arrived.message);
   for (const auto& [name, value] : texts) arrived.message.properties.set(name, value);
   return arrived;
+}
+
+}  // namespace
+
+std::optional<client::Arrived> from_wire(const proton::message& wire) {
+  try {
+    std::optional<Payload> payload = payload_of(wire);
+    if (!payload) return std::nullopt;
+    return arrived_of(wire, std::move(*payload));
+  } catch (const proton::error&) {  // types that the specification forbids
+    return std::nullopt;
+  }
 }
 
 }  // namespace iotcloud::brokers::activemq

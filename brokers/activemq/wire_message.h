@@ -28,7 +28,7 @@ proton::message to_wire(const Message& message, const Envelope& envelope);
 
 /// The message of whoever sent it; `redelivered` when it says so itself. Properties that are no strings are written as
 /// text, nested ones are skipped; of a text message the body is the text.
-/// \return nothing when the body is a map, a list or an object.
+/// \return nothing when the body is a map, a list or an object, or the properties are not as AMQP has them.
 std::optional<client::Arrived> from_wire(const proton::message& wire);
 
 }  // namespace iotcloud::brokers::activemq
