@@ -101,6 +101,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     return PublishStatus::accepted;
   }
   acquire_wire(lock);
+  const bool gathering = under_way_.size() < most_gathered;
   outbox->sent_directly();
   try {
     send(lock, outbox, std::move(outgoing));
@@ -111,7 +112,9 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     wire_broken_ = true;
   }
   release_wire();
-  if (wire_broken_ || !runnable_.empty() || reporter_.due() || under_way_.size() >= most_gathered) wake(lock);
+  // Once there are so many answers to come the thread waits for them at the socket: it is woken to go there.
+  const bool gathered = gathering && under_way_.size() >= most_gathered;
+  if (wire_broken_ || !runnable_.empty() || reporter_.due() || gathered) wake(lock);
   return PublishStatus::accepted;
 }
 
