@@ -147,7 +147,7 @@ std::shared_ptr<Segment> SpoolStore::last() const {
 }
 
 bool SpoolStore::start_segment() {
-  if (const auto sealed = last(); sealed && options_.sync != Sync::never) sealed->sync();
+  const auto complete = last();
   auto segment = Segment::create(options_.folder, next_, disk_);
   if (!segment) {
     problem_ = fmt::format("no file can be made in {}: {}", options_.folder, std::strerror(errno));
@@ -157,6 +157,7 @@ bool SpoolStore::start_segment() {
   bytes_ += bytes_of(*segment);
   const std::lock_guard lock(mutex_);
   segments_.push_back(std::move(segment));
+  if (complete && options_.sync == Sync::interval) unsynced_.push_back(complete);
   return true;
 }
 
@@ -246,8 +247,20 @@ void SpoolStore::remove(const std::shared_ptr<Segment>& segment) {
 }
 
 int SpoolStore::sync() {
-  const auto segment = last();
-  return segment ? segment->sync() : 0;
+  std::vector<std::shared_ptr<Segment>> segments;
+  {
+    const std::lock_guard lock(mutex_);
+    segments.swap(unsynced_);
+    if (segments_.empty() || mark_->mark() >= next_) return 0;
+    const std::uint64_t first = segments_.front()->first();
+    std::erase_if(segments, [&](const auto& segment) { return segment->first() < first; });  // they are gone
+    segments.push_back(segments_.back());
+  }
+  int error = 0;
+  for (const auto& segment : segments) {
+    if (const int problem = segment->sync()) error = problem;
+  }
+  return error;
 }
 
 std::shared_ptr<Segment> SpoolStore::segment_at(std::uint64_t sequence) const {

@@ -9,6 +9,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "iotcloud/brokers/spool/mark_file.h"
 #include "iotcloud/brokers/spool/segment.h"
@@ -86,7 +87,7 @@ class SpoolStore {
   bool releasable() const;
   /// Removes segments that are done with.
   void release();
-  /// Puts on the disk what was appended. \return 0 or an errno
+  /// Puts on the disk what was appended and is not done with. \return 0 or an errno
   int sync();
 
   /// The segment that holds a sequence number, or else the next there is; null when there is none.
@@ -118,9 +119,10 @@ class SpoolStore {
 
   std::atomic<std::uint64_t> bytes_{0};
   mutable std::mutex mutex_;
-  std::deque<std::shared_ptr<Segment>> segments_;  ///< by first; the last may take more; guarded by mutex_
-  std::optional<MarkFile> mark_;                   ///< guarded by mutex_
-  bool mark_failed_ = false;                       ///< said in the log; guarded by mutex_
+  std::deque<std::shared_ptr<Segment>> segments_;   ///< by first; the last may take more; guarded by mutex_
+  std::vector<std::shared_ptr<Segment>> unsynced_;  ///< complete, and for sync() to put on the disk; guarded by mutex_
+  std::optional<MarkFile> mark_;                    ///< guarded by mutex_
+  bool mark_failed_ = false;                        ///< said in the log; guarded by mutex_
 };
 
 }  // namespace iotcloud::brokers::spool

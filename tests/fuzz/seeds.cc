@@ -6,6 +6,7 @@
 #include <amqp.h>
 #include <amqp_framing.h>
 
+#include "iotcloud/brokers/envelope.h"
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
 #include "iotcloud/brokers/spool/bytes.h"
 #include "iotcloud/brokers/spool/record.h"
@@ -64,6 +65,11 @@ std::string amqp_properties(int number) {
   return bytes;
 }
 
+std::string envelope(int number) {
+  const brokers::EnvelopeBytes bytes = brokers::encode_envelope(sample(number));
+  return {reinterpret_cast<const char*>(bytes.data.get()), bytes.size};
+}
+
 /// Headers that are tables within tables.
 std::string nested_tables(int depth) {
   std::string table = "\1tV";  // an entry "t" without a value
@@ -90,6 +96,7 @@ int main(int argc, char** argv) {
     write(folder / "spool_record_fuzzer", name, record(static_cast<std::uint64_t>(i)));
     write(folder / "spool_record_fuzzer", "body" + name, record(static_cast<std::uint64_t>(i)).substr(12));
     write(folder / "amqp_headers_fuzzer", name, amqp_properties(i));
+    write(folder / "envelope_fuzzer", name, envelope(i));
     write(folder / "amqp_headers_fuzzer", "nested" + name, nested_tables(i * 5 + 1));
   }
   const std::string first = file_start() + record(1) + record(2);

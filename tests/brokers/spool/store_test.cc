@@ -432,6 +432,24 @@ TEST_F(SpoolStoreTest, AlwaysMeansThatEachRecordIsOnTheDiskBeforeItIsStored) {
   EXPECT_THAT(bodies(store), ElementsAre("1", "2"));
 }
 
+TEST_F(SpoolStoreTest, SyncPutsEveryFileOnTheDiskWhoseMessagesAreNotDoneWith) {
+  SpoolStore store(options(16'000));
+  for (int i = 1; i <= 40; ++i) append(store, std::to_string(i));
+  const auto all = static_cast<int>(files(store.folder(), ".segment").size());
+  ASSERT_GT(all, 2);
+  int before = disk_.syncs;
+  EXPECT_EQ(store.sync(), 0);
+  EXPECT_EQ(disk_.syncs - before, all);
+  before = disk_.syncs;
+  EXPECT_EQ(store.sync(), 0);
+  EXPECT_EQ(disk_.syncs - before, 1) << "the one that is being written";
+  for (int i = 41; i <= 80; ++i) append(store, std::to_string(i));
+  store.raise_mark(81);
+  before = disk_.syncs;
+  EXPECT_EQ(store.sync(), 0);
+  EXPECT_EQ(disk_.syncs - before, 0) << "there is nothing to protect";
+}
+
 TEST_F(SpoolStoreTest, NeverMeansThatTheDiskIsNotWaitedFor) {
   SpoolStore::Options never = options(16'000);
   never.sync = Sync::never;
