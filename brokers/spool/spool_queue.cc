@@ -133,6 +133,7 @@ void SpoolQueue::close() {
   Lock lock(mutex_);
   store_.raise_mark(ledger_.mark());
   ledger_.close(reason::spooled);
+  if (reporting_ != std::this_thread::get_id()) changed_.wait(lock, [this] { return !reporting_; });
   report(lock);
 }
 
@@ -303,11 +304,7 @@ void SpoolQueue::count(std::uint64_t dropped, const char* reason) {
 }
 
 void SpoolQueue::report(Lock& lock) {
-  if (reporting_) {
-    if (!closed_) return;  // who reports looks again
-    if (*reporting_ == std::this_thread::get_id()) return;
-    changed_.wait(lock, [this] { return !reporting_; });
-  }
+  if (reporting_) return;  // who reports looks again
   reporting_ = std::this_thread::get_id();
   while (ledger_.has_events() || writable_due_) {
     const std::vector<Ledger::Event> events = ledger_.take_events();

@@ -59,6 +59,8 @@ class SpoolQueue final : public Served, public std::enable_shared_from_this<Spoo
   /// Puts files on the disk and removes them.
   void tidy(Lock& lock);
   std::optional<Time> next_time() const;
+  /// Calls the user's callbacks, unless another thread does. Never waits: a callback may be closing the publisher, and
+  /// wait for this thread.
   void report(Lock& lock);
   void wake() { thread_->wake(*this); }
   std::int64_t now_ms() const;
