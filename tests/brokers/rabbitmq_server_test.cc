@@ -92,6 +92,71 @@ TEST_P(RabbitMqServer, AServerThatHangsIsNoticedAndNothingIsLost) {
   EXPECT_TRUE(std::is_sorted(firsts.begin(), firsts.end()));
 }
 
+TEST_P(RabbitMqServer, AClientThatComesWhileTheServerHangsGetsInWhenItIsBack) {
+  server().process()->pause();
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  const auto publisher = broker->publisher(topic, {});
+  publish_numbers(*publisher, 1, 5);
+  EXPECT_EQ(broker->state(), ConnectionState::connecting);
+  EXPECT_FALSE(publisher->drain(moment));
+  server().process()->resume();
+  ASSERT_TRUE(inbox.wait_for(5));
+  EXPECT_EQ(inbox.bodies(), numbered(1, 5));
+}
+
+TEST_P(RabbitMqServer, APublisherThatIsQuietOrOnlyPublishesKeepsItsConnection) {
+  const auto reader = this->broker();
+  const auto sender = this->broker();  // its heartbeat is 2 s: the server gives up after 4 s of silence
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = reader->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto publisher = sender->publisher(topic, {});
+  publish_numbers(*publisher, 1, 1);
+  ASSERT_TRUE(publisher->drain(patience));
+  const auto left = [&] { return sender->state() != ConnectionState::connected; };
+  EXPECT_FALSE(eventually(left, std::chrono::seconds(6))) << "quiet";
+  int last = 1;
+  EXPECT_FALSE(eventually(
+      [&] {
+        if (publisher->pending() == 0) {
+          ++last;
+          publish_numbers(*publisher, last, last);
+        }
+        return left();
+      },
+      std::chrono::seconds(6)))
+      << "publishing";
+  ASSERT_TRUE(inbox.wait_for(static_cast<std::size_t>(last)));
+  for (const auto& received : inbox.all()) EXPECT_FALSE(received.redelivered) << received.body;
+}
+
+TEST_P(RabbitMqServer, ABodyThatFillsItsFramesIsNotKeptBack) {
+  // librabbitmq says "more follows" with the last full frame, and the kernel would wait for that for 200 ms each time.
+  constexpr std::size_t frame = 131072 - 8;
+  constexpr int rounds = 25;
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto publisher = broker->publisher(topic, {});
+  std::size_t count = 0;
+  const auto time_of = [&](std::size_t size) {
+    const auto start = std::chrono::steady_clock::now();
+    for (int i = 0; i < rounds; ++i) {
+      publisher->publish(text_message(std::string(size, 'x')));
+      EXPECT_TRUE(inbox.wait_for(++count));
+    }
+    return std::chrono::steady_clock::now() - start;
+  };
+  const auto other = time_of(frame + 1);
+  EXPECT_LT(time_of(frame), 3 * other + rounds * std::chrono::milliseconds(100)) << "half of what waiting would add";
+}
+
 TEST_P(RabbitMqServer, AnExchangeThatIsDeletedIsDeclaredAgain) {
   const auto broker = this->broker();
   Topic topic = this->topic();
