@@ -47,8 +47,8 @@ BrokerOptions read_broker_options(config::Section& section, std::chrono::millise
   }
   if (auto tls = section.optional_section("tls")) options.tls = read_tls(*tls);
   const milliseconds most = session_timeout / 2;
-  const milliseconds usual = std::min(options.heartbeat, most);
-  options.heartbeat = std::chrono::duration_cast<milliseconds>(section.duration_or("heartbeat", usual));
+  options.heartbeat =
+      std::chrono::duration_cast<milliseconds>(section.duration_or("heartbeat", usual_heartbeat(session_timeout)));
   if (options.heartbeat > most || options.heartbeat < milliseconds(100)) {
     throw section.error("heartbeat",
                         "it must be from 100 ms to half of the registry's session time-out, " +
@@ -57,6 +57,11 @@ BrokerOptions read_broker_options(config::Section& section, std::chrono::millise
   }
   options.properties = section.string_map("properties");
   return options;
+}
+
+std::chrono::milliseconds usual_heartbeat(std::chrono::milliseconds session_timeout) {
+  return std::min<std::chrono::milliseconds>(
+      {BrokerOptions{}.heartbeat, session_timeout / 2, (session_timeout + std::chrono::seconds(2)) / 3});
 }
 
 }  // namespace iotcloud::brokers

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <string>
 
 #include <iotcloud/brokers/broker.h>
@@ -21,5 +22,9 @@ struct BrokerSetting {
 ///   so the heartbeat is at most half of it.
 /// \throws config::ConfigError for values that cannot be, with file, line and remedy.
 BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout);
+
+/// The heartbeat when none is given: a server cuts a silent client off after two to three of them, and a topic's next
+/// reader is to start within the session's time-out plus two seconds.
+std::chrono::milliseconds usual_heartbeat(std::chrono::milliseconds session_timeout);
 
 }  // namespace iotcloud::brokers

@@ -444,7 +444,7 @@ bolt count_send: 1 executor, 3 tasks; sends to channel "control" of driver "turt
   ticks every 1 s
   -> control, driverID, time
 
-These inputs reach across drivers, and each worker has only its own drivers' tuples; where that is meant, say "scope: worker":
+These inputs reach across drivers, and each worker has only its own drivers' tuples: one worker alone may run this; where each for itself is meant, say "scope: worker":
   count_send <- count, global
 )");
 }

@@ -250,6 +250,28 @@ TEST_F(Endpoints, LetTwoTopologiesGetEverything) {
   EXPECT_THAT(mailbox.texts(), ElementsAre("twice", "twice"));
 }
 
+TEST_F(Endpoints, RefuseASecondWorkerWhereTuplesOfSeveralDriversAreToMeetUnlessTheFileSaysWorkerScope) {
+  const auto yaml = [](const std::string& scope) {
+    return "topology.name: t\nregistry.session_timeout: 400ms\nspouts:\n"
+           "  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], builder: text}\nbolts:\n"
+           "  gate: {class: Gate, inputs: {from: in, grouping: global}" +
+           scope + "}\n";
+  };
+  ComponentRegistry components;
+  components.add_bolt<GateBolt>("Gate");
+  run_yaml(yaml(""), components);
+  try {
+    run_yaml(yaml(""), components);
+    FAIL() << "two workers run";
+  } catch (const config::Error& error) {
+    EXPECT_THAT(error.what(),
+                AllOf(HasSubstr("another worker runs"), HasSubstr("gate <- in, global"), HasSubstr("scope: worker")));
+  }
+  workers_.clear();
+  run_yaml(yaml(", scope: worker"), components);
+  run_yaml(yaml(", scope: worker"), components);
+}
+
 TEST_F(Endpoints, RefuseAWorkerWithoutRegistry) {
   WorkerOptions options{
       .definition = TopologyDefinition::parse(

@@ -194,8 +194,9 @@ std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root, std::c
       Section broker = section->require_section(name);
       options = brokers::read_broker_options(broker, session_timeout);
       broker.finish();
-    } else if (const std::string url = section->string_or(name, ""); !url.empty()) {
-      options.urls = {url};
+    } else {
+      options.heartbeat = brokers::usual_heartbeat(session_timeout);
+      if (const std::string url = section->string_or(name, ""); !url.empty()) options.urls = {url};
     }
   }
   section->finish();
@@ -229,6 +230,7 @@ TopologyDefinition read(Section root, const std::string& file) {
                                 .name = {},
                                 .registry = {},
                                 .zk_root = {},
+                                .worker_scope = false,
                                 .libraries = {},
                                 .brokers = {},
                                 .conf = {},
@@ -244,6 +246,7 @@ TopologyDefinition read(Section root, const std::string& file) {
   if (definition.zk_root.size() < 2 || definition.zk_root.front() != '/' || definition.zk_root.back() == '/') {
     throw root.error("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
   }
+  definition.worker_scope = root.choice_or("topology.scope", "", {"worker"}) == "worker";
   definition.libraries = root.strings_or("topology.library", {});
   definition.brokers = read_brokers(root, definition.registry.session_timeout);
   definition.conf = root.string_map("conf");

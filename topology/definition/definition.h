@@ -111,6 +111,7 @@ struct TopologyDefinition {
   std::string name;
   discovery::RegistryOptions registry;  ///< URL of `registry`, or made of zk.servers; empty: none given
   std::string zk_root;                  ///< zk.root
+  bool worker_scope = false;            ///< `topology.scope: worker`: the bolts' worker_scope, for all
   std::vector<std::string> libraries;
   std::map<std::string, brokers::BrokerOptions> brokers;  ///< by logical name; URLs: instead of the gateways'
   Config conf;

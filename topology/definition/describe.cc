@@ -93,23 +93,6 @@ bool crosses_workers(const Subscription& input) {
   return keyed && !input.fields.find("driverID") && !input.fields.find("sensorID");
 }
 
-std::string describe_crossings(const TopologyDefinition& definition, const Topology& topology) {
-  std::string text;
-  for (const auto& component : topology.components) {
-    const auto* written = find_definition(definition, component.id);
-    if (written != nullptr && written->worker_scope) continue;
-    for (const auto& input : component.inputs) {
-      if (!crosses_workers(input)) continue;
-      text += "  " + component.id + " <- " + input.from + ", " + input.grouping +
-              (input.fields.empty() ? "" : " (" + input.fields.list() + ")") + "\n";
-    }
-  }
-  if (text.empty()) return text;
-  return "These inputs reach across drivers, and each worker has only its own drivers' tuples; where that is meant, "
-         "say \"scope: worker\":\n" +
-         text;
-}
-
 }  // namespace
 
 std::string describe(const TopologyDefinition& definition, const Topology& topology) {
@@ -123,8 +106,27 @@ std::string describe(const TopologyDefinition& definition, const Topology& topol
     text += "\n" +
             describe_component(component, find_definition(definition, component.id), topology.streams.at(component.id));
   }
-  const std::string crossings = describe_crossings(definition, topology);
-  return text + (crossings.empty() ? "" : "\n" + crossings);
+  const std::string crossed = crossings(definition, topology);
+  if (crossed.empty()) return text;
+  return text +
+         "\nThese inputs reach across drivers, and each worker has only its own drivers' tuples: one worker alone may "
+         "run this; where each for itself is meant, say \"scope: worker\":\n" +
+         crossed;
+}
+
+std::string crossings(const TopologyDefinition& definition, const Topology& topology) {
+  std::string text;
+  if (definition.worker_scope) return text;
+  for (const auto& component : topology.components) {
+    const auto* written = find_definition(definition, component.id);
+    if (written != nullptr && written->worker_scope) continue;
+    for (const auto& input : component.inputs) {
+      if (!crosses_workers(input)) continue;
+      text += "  " + component.id + " <- " + input.from + ", " + input.grouping +
+              (input.fields.empty() ? "" : " (" + input.fields.list() + ")") + "\n";
+    }
+  }
+  return text;
 }
 
 }  // namespace iotcloud::topology

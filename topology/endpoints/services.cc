@@ -39,7 +39,7 @@ std::uint8_t priority_of(const discovery::ChannelRecord& channel) {
 std::shared_ptr<brokers::Broker> broker_at(const brokers::BrokerAddress& address, const EndpointServices& services) {
   const auto options = services.broker_options.find(address.broker);
   return services.brokers->get(address,
-                               options == services.broker_options.end() ? brokers::BrokerOptions{} : options->second);
+                               options == services.broker_options.end() ? services.other_brokers : options->second);
 }
 
 }  // namespace iotcloud::topology

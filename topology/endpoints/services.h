@@ -22,6 +22,7 @@ struct EndpointServices {
   discovery::Paths paths;
   /// By logical name: how to connect. URLs, when there are some, go before those of the channels.
   std::map<std::string, brokers::BrokerOptions> broker_options;
+  brokers::BrokerOptions other_brokers;  ///< how to connect to those that broker_options does not name
   std::shared_ptr<brokers::BrokerPool> brokers;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;

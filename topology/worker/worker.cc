@@ -1,11 +1,14 @@
 #include <atomic>
 #include <mutex>
+#include <thread>
 
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/topology/definition/describe.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
 #include <iotcloud/topology/worker/check.h>
 #include <iotcloud/topology/worker/control.h>
@@ -56,6 +59,7 @@ struct Worker::Impl {
     services->worker = unique_name();
     services->paths = discovery::Paths(definition.zk_root);
     services->broker_options = definition.brokers;
+    services->other_brokers.heartbeat = brokers::usual_heartbeat(definition.registry.session_timeout);
     services->clock = options.clock != nullptr ? options.clock : &config::system_clock();
     services->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
     services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
@@ -72,6 +76,7 @@ struct Worker::Impl {
       options.registry = own_registry.get();
     }
     services->registry = options.registry;
+    if (const std::string crossed = crossings(options.definition, topology); !crossed.empty()) stay_alone(crossed);
     runtime = std::make_unique<Runtime>(topology, runtime_options(options));
     taps = std::make_unique<TapDesk>(*runtime, TapDesk::Options{.clock = options.clock});
     runtime->deactivate();  // until the control knows that no order says so
@@ -80,6 +85,37 @@ struct Worker::Impl {
     control = std::make_unique<WorkerControl>(control_options());
     control->start();
     logger.info("topology {} runs as worker {}", topology.name, services->worker);
+  }
+
+  /// Holds the place of the topology's only worker. One that was killed keeps it until its session is over.
+  void stay_alone(const std::string& crossed) {
+    const std::string path = services->paths.topology(topology.name) + "/alone";
+    const auto patience = options.definition.registry.session_timeout + std::chrono::seconds(2);
+    const auto deadline = std::chrono::steady_clock::now() + patience;
+    for (;;) {
+      try {
+        alone = options.registry->hold(path, services->worker);
+        return;
+      } catch (const discovery::RegistryError& error) {
+        if (error.code() == discovery::RegistryErrorCode::away) {
+          logger.warn("topology {}: the registry is away, so that nobody knows whether another worker runs",
+                      topology.name);
+          alone = options.registry->hold_eventually(path, services->worker);
+          return;
+        }
+        if (error.code() != discovery::RegistryErrorCode::exists) throw;
+      }
+      if (std::chrono::steady_clock::now() >= deadline) {
+        throw options.definition.root.error(
+            "topology.name",
+            "another worker runs topology \"" + topology.name +
+                "\", and these inputs reach across drivers, of which each worker would have only its share:\n" +
+                crossed,
+            "where each worker for itself is meant, say \"scope: worker\" of these bolts (or \"topology.scope: "
+            "worker\"); otherwise run one worker, or use a key with driverID");
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(100));
+    }
   }
 
   WorkerControl::Options control_options() {
@@ -118,6 +154,7 @@ struct Worker::Impl {
     const auto drain = std::max(limit - reserve, limit / 2);
     if (!runtime->stop(drain))
       logger.warn("topology {}: not everything was done within {} ms", topology.name, drain.count());
+    alone.reset();
     if (control) control->leave();
   }
 
@@ -125,7 +162,8 @@ struct Worker::Impl {
   const EndpointServicesPtr services;
   Topology topology;
   std::unique_ptr<discovery::Registry> own_registry;
-  std::string http_address;  ///< constant after start()
+  discovery::GuardPtr alone;  ///< the place of the only worker, where one alone may run
+  std::string http_address;   ///< constant after start()
   std::unique_ptr<Runtime> runtime;
   std::unique_ptr<TapDesk> taps;
   std::atomic<bool> running{false};  ///< runtime and taps are there
