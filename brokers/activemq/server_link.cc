@@ -30,6 +30,7 @@ const config::Logger logger{"brokers.activemq"};
 
 constexpr std::chrono::milliseconds tick_period{250};
 constexpr std::chrono::seconds goodbye{1};
+constexpr std::chrono::milliseconds wake_again{20};
 constexpr std::uint32_t largest_frame = 1U << 20U;
 constexpr std::uint16_t default_port = 5672;
 constexpr std::uint16_t default_tls_port = 5671;
@@ -100,8 +101,11 @@ void ServerLink::close() {
   Lock lock(mutex_);
   closing_ = true;
   if (!connection_) return;
-  connection_.wake();  // finish() follows
-  changed_.wait_until(lock, std::chrono::system_clock::now() + goodbye, [this] { return !connection_; });
+  const auto end = std::chrono::system_clock::now() + goodbye;
+  while (connection_ && std::chrono::system_clock::now() < end) {
+    connection_.wake();  // finish() follows; a wake-up that meets one under way may be taken for the same
+    changed_.wait_until(lock, std::chrono::system_clock::now() + wake_again, [this] { return !connection_; });
+  }
 }
 
 void ServerLink::finish() {

@@ -384,6 +384,13 @@ TEST_P(BrokerContract, KeepLastHandsOnOnlyTheNewestOfWhatWaits) {
   const auto publisher = broker->publisher(topic, {});
   for (const auto& body : numbered(1, 50)) publisher->publish(text_message(body));
   ASSERT_TRUE(publisher->drain(patience));
+  // What is confirmed is with the server; when something sent later on another topic has come, it is here.
+  const Topic later = this->topic();
+  Inbox fence;
+  const auto other = broker->subscribe(later, {}, fence.handler());
+  const auto fence_publisher = broker->publisher(later, {});
+  fence_publisher->publish(text_message("x"));
+  ASSERT_TRUE(fence.wait_for(1));
   subscription->resume();
   ASSERT_TRUE(inbox.wait_until([](const auto& received) { return !received.empty() && received.back().body == "50"; }));
   const auto bodies = inbox.bodies();
