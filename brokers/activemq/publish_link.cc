@@ -221,7 +221,7 @@ void PublishLink::send(Lock& lock, const std::shared_ptr<Outlet>& outlet, Outgoi
   Envelope envelope;
   envelope.to = outlet->address;
   envelope.durable = outlet->topic.durable;
-  envelope.resent = outgoing.resent;
+  envelope.resent = outgoing.resent || outgoing.old;
   envelope.priority = outlet->options.priority;
   if (outlet->options.deadline.count() > 0) {
     const auto left = outgoing.accepted + outlet->options.deadline - now();
