@@ -168,7 +168,7 @@ void Client::refresh_credentials(const KafkaOptions& options) const {
       rd_kafka_error_destroy(error);  // the old ones go on being tried
     }
   } catch (const config::Error& error) {
-    logger.warn("{}", error.what());
+    logger.debug("{}", error.what());  // the old ones go on being tried, and the log says that in vain
   }
 }
 
@@ -176,6 +176,7 @@ bool is_about_connection(rd_kafka_resp_err_t error) {
   switch (error) {
     case RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN:
     case RD_KAFKA_RESP_ERR__TRANSPORT:
+    case RD_KAFKA_RESP_ERR__TIMED_OUT:
     case RD_KAFKA_RESP_ERR__RESOLVE:
     case RD_KAFKA_RESP_ERR__AUTHENTICATION:
     case RD_KAFKA_RESP_ERR__SSL:
@@ -221,6 +222,7 @@ std::vector<MadeTopic> made_topics(rd_kafka_event_t* event, const std::vector<st
       case RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED:
       case RD_KAFKA_RESP_ERR_POLICY_VIOLATION:
       case RD_KAFKA_RESP_ERR__UNSUPPORTED_FEATURE:
+      case RD_KAFKA_RESP_ERR__TIMED_OUT:  // no controller answers
         // Others make topics here: it may be there already.
         return MadeTopic{std::move(name), true, text != nullptr ? text : rd_kafka_err2str(error)};
       default:

@@ -36,6 +36,9 @@ class KafkaPublisher final : public Publisher {
       : link_(link), outbox_(link.add(topic, options)) {}
   ~KafkaPublisher() override { link_.remove(outbox_); }
   PublishStatus publish(Message message) override { return link_.publish(outbox_, std::move(message)); }
+  PublishStatus publish_again(Message message, const Past& past) override {
+    return link_.publish(outbox_, std::move(message), past);
+  }
   bool drain(std::chrono::milliseconds limit) override { return link_.drain(outbox_, limit); }
   std::size_t pending() const override { return link_.pending(*outbox_); }
 

@@ -77,7 +77,7 @@ void PublishLink::remove(const std::shared_ptr<Outbox>& outbox) {
   reporter_.report(outbox, lock);
 }
 
-PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Message message) {
+PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Message message, const Past& past) {
   const char* why_not = refusal(message);
   const Lock lock(mutex_);
   if (outbox->closed) return PublishStatus::closed;
@@ -97,7 +97,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     outbox->refuse_room();
     return PublishStatus::would_block;
   }
-  Outgoing outgoing = outbox->accept(std::move(message), now);
+  Outgoing outgoing = outbox->accept(std::move(message), now, past);
   if (outbox->idle() && may_send(*outbox)) {
     outbox->sent_directly();
     send(outbox, std::move(outgoing));
@@ -145,7 +145,7 @@ void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
 
 void PublishLink::send(const std::shared_ptr<Outbox>& outbox, Outgoing outgoing) {
   RecordMarks marks;
-  marks.resent = outgoing.resent;
+  marks.resent = outgoing.resent || outgoing.old;
   const std::int64_t now_ms = clock_.wall_ms();
   if (outbox->options.deadline.count() > 0) {
     const auto left = outgoing.accepted + outbox->options.deadline - clock_.now();

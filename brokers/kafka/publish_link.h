@@ -43,7 +43,7 @@ class PublishLink {
   std::shared_ptr<Outbox> add(const Topic& topic, const PublisherOptions& options);
   /// Closes the publisher: reports what has no outcome as unknown, waits for callbacks that run.
   void remove(const std::shared_ptr<Outbox>& outbox);
-  PublishStatus publish(const std::shared_ptr<Outbox>& outbox, Message message);
+  PublishStatus publish(const std::shared_ptr<Outbox>& outbox, Message message, const Past& past = {});
   bool drain(const std::shared_ptr<Outbox>& outbox, std::chrono::milliseconds limit);
   std::size_t pending(const Outbox& outbox) const;
   ConnectionState state() const;

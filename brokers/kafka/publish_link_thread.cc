@@ -123,6 +123,7 @@ void PublishLink::look_for_servers() {
     if (connected_ && !doubted_) return;
   }
   const bool reachable = client_->reachable(probe_limit);
+  if (!reachable) client_->refresh_credentials(options_);
   const Lock lock(mutex_);
   doubted_ = false;
   if (reachable && !connected_) {
@@ -182,7 +183,6 @@ void PublishLink::on_error(rd_kafka_event_t* event) {
   if (error != RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN || last_error_.empty()) {
     last_error_ = rd_kafka_event_error_string(event);
   }
-  if (error == RD_KAFKA_RESP_ERR__AUTHENTICATION) client_->refresh_credentials(options_);
   if (error == RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN) {
     lose_connection();
   } else {
@@ -225,6 +225,7 @@ void PublishLink::look_for_topics(Lock& lock) {
     const bool known = client_->knows(name, options_.broker.rpc_timeout);
     lock.lock();
     if (!known) {
+      routes_[name].made = false;  // so it is asked for again
       ask_topics_at_ = clock_.now() + topic_backoff_.next();
       return;
     }

@@ -21,7 +21,7 @@ class Certificates:
         self.folder = folder
         if not os.path.exists(self.path("complete")):
             self.make_authority()
-            self.make("server", "DNS:localhost,IP:127.0.0.1", "serverAuth")
+            self.make("server", "DNS:localhost,IP:127.0.0.1", "serverAuth,clientAuth")
             self.make("client", "DNS:client", "clientAuth")
             with open(self.path("complete"), "w", encoding="ascii"):
                 pass

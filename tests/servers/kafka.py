@@ -73,7 +73,8 @@ class Kafka(private_server.Server):
         user = {"user": certificates.USER, "password": certificates.PASSWORD}
         return ["ssl.keystore.type=PEM", "ssl.keystore.location=" + self.certificates.server_chain(),
                 "ssl.truststore.type=PEM", "ssl.truststore.location=" + self.certificates.path("ca.pem"),
-                "ssl.client.auth=required", "sasl.enabled.mechanisms=PLAIN",
+                # For SASL the setting without the listener's name does not count.
+                "listener.name.client.ssl.client.auth=required", "sasl.enabled.mechanisms=PLAIN",
                 "sasl.mechanism.inter.broker.protocol=PLAIN",
                 "listener.name.client.plain.sasl.jaas.config=org.apache.kafka.common.security.plain.PlainLoginModule "
                 'required username="{user}" password="{password}" user_{user}="{password}";'.format(**user)]

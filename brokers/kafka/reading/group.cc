@@ -18,6 +18,7 @@ constexpr std::chrono::milliseconds probe_limit{100};
 constexpr std::chrono::milliseconds committed_limit{3000};
 constexpr std::chrono::milliseconds handler_limit{1000};  // for handlers of partitions that leave
 constexpr std::chrono::milliseconds commit_period{100};
+constexpr std::size_t most_complaints = 100;
 constexpr std::chrono::milliseconds usual_session{6000};  // the shortest that servers allow unless told otherwise
 
 Settings consumer_settings(const std::string& group, std::chrono::milliseconds session) {
@@ -158,6 +159,7 @@ bool Group::cooperative() const {
 void Group::look_for_servers() {
   if ((connected_ && !doubted_) || closing_) return;
   const bool reachable = client_->reachable(probe_limit);
+  if (!reachable) client_->refresh_credentials(options_);
   doubted_ = false;
   if (reachable == connected_) {
     if (!reachable && !last_error_.empty()) log_.failed(last_error_);
@@ -222,13 +224,12 @@ void Group::on_error(rd_kafka_event_t* event) {
     ask_topics_at_ = clock_.now() + topic_backoff_.next();
   } else if (is_about_connection(error)) {
     if (error != RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN || last_error_.empty()) last_error_ = text;
-    if (error == RD_KAFKA_RESP_ERR__AUTHENTICATION) client_->refresh_credentials(options_);
     doubted_ = true;
     if (error == RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN && std::exchange(connected_, false)) {
       log_.lost(last_error_);
       reader_->set_connected(*member_, false);
     }
-  } else if (complaints_.insert(text).second) {
+  } else if (complaints_.size() < most_complaints && complaints_.insert(text).second) {
     logger.warn("group {}: {}", member_->name, text);
   }
 }
@@ -243,6 +244,7 @@ void Group::follow_subscriptions(Instant now) {
       if (there_.contains(topic)) continue;
       // A group that subscribes too early looks again only after a long while.
       if (!client_->knows(topic, options_.broker.rpc_timeout)) {
+        made_ = there_;  // so it is asked for again
         ask_topics_at_ = clock_.now() + topic_backoff_.next();
         break;
       }

@@ -1,0 +1,187 @@
+// Faults that only librdkafka's mock cluster makes on demand.
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <librdkafka/rdkafka.h>
+#include <librdkafka/rdkafka_mock.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+// Requests of Kafka's protocol.
+constexpr std::int16_t produce_request = 0;
+constexpr std::int16_t commit_request = 8;
+constexpr std::int16_t join_request = 11;
+constexpr std::int16_t producer_id_request = 22;
+
+constexpr int nodes = 3;
+
+class KafkaFault : public testing::Test {
+ protected:
+  KafkaFault() {
+    rd_kafka_conf_t* conf = rd_kafka_conf_new();
+    rd_kafka_conf_set(conf, "log_level", "0", nullptr, 0);
+    handle_ = rd_kafka_new(RD_KAFKA_PRODUCER, conf, nullptr, 0);
+    cluster_ = rd_kafka_mock_cluster_new(handle_, nodes);
+  }
+  ~KafkaFault() override {
+    rd_kafka_mock_cluster_destroy(cluster_);
+    rd_kafka_destroy(handle_);
+  }
+  KafkaFault(const KafkaFault&) = delete;
+  KafkaFault& operator=(const KafkaFault&) = delete;
+
+  std::unique_ptr<Broker> broker() const {
+    BrokerOptions options;
+    const std::string servers = rd_kafka_mock_cluster_bootstraps(cluster_);
+    for (std::size_t at = 0; at < servers.size();) {
+      const std::size_t end = std::min(servers.find(',', at), servers.size());
+      options.urls.push_back("kafka://" + servers.substr(at, end - at));
+      at = end + 1;
+    }
+    options.heartbeat = std::chrono::seconds(2);
+    return make_broker(options);
+  }
+  Topic topic() const { return {"", "topic", false}; }
+  void fail_next(std::int16_t request, std::vector<rd_kafka_resp_err_t> errors) const {
+    rd_kafka_mock_push_request_errors_array(cluster_, request, errors.size(), errors.data());
+  }
+  void all_down() const {
+    for (int node = 1; node <= nodes; ++node) rd_kafka_mock_broker_set_down(cluster_, node);
+  }
+  void all_up() const {
+    for (int node = 1; node <= nodes; ++node) rd_kafka_mock_broker_set_up(cluster_, node);
+  }
+  rd_kafka_mock_cluster_t* cluster() const { return cluster_; }
+
+ private:
+  rd_kafka_t* handle_;
+  rd_kafka_mock_cluster_t* cluster_;
+};
+
+TEST_F(KafkaFault, ErrorsThatPassAreNotSeenAndOrderHolds) {
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  PublisherOptions options;
+  Outcomes outcomes;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic(), options);
+  publisher->publish(text_message("0"));
+  ASSERT_TRUE(publisher->drain(patience));
+  fail_next(produce_request, {RD_KAFKA_RESP_ERR_NOT_LEADER_FOR_PARTITION, RD_KAFKA_RESP_ERR_REQUEST_TIMED_OUT,
+                              RD_KAFKA_RESP_ERR_NOT_ENOUGH_REPLICAS, RD_KAFKA_RESP_ERR__TRANSPORT});
+  for (const auto& body : numbered(1, 200)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 201U);
+  ASSERT_TRUE(inbox.wait_for(201));
+  EXPECT_EQ(inbox.bodies(), numbered(0, 200));
+}
+
+TEST_F(KafkaFault, WhatTheServerRefusesIsReportedAndTheRestGoesOn) {
+  const auto broker = this->broker();
+  PublisherOptions options;
+  Outcomes outcomes;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic(), options);
+  publisher->publish(text_message("good"));
+  ASSERT_TRUE(publisher->drain(patience));
+  fail_next(produce_request, {RD_KAFKA_RESP_ERR_POLICY_VIOLATION});
+  publisher->publish(text_message("bad"));
+  ASSERT_TRUE(publisher->drain(patience));
+  publisher->publish(text_message("good again"));
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.of(1), Outcome::confirmed);
+  EXPECT_EQ(outcomes.of(2), Outcome::refused);
+  EXPECT_EQ(outcomes.of(3), Outcome::confirmed);
+}
+
+TEST_F(KafkaFault, AProducerThatCannotGoOnIsReplacedAndNothingIsLost) {
+  fail_next(producer_id_request, {RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED});  // fatal to the library
+  const auto broker = this->broker();
+  PublisherOptions options;
+  Outcomes outcomes;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic(), options);
+  for (const auto& body : numbered(1, 20)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 20U);
+  EXPECT_TRUE(outcomes.each_once());
+}
+
+TEST_F(KafkaFault, WaitsForAClusterThatIsAway) {
+  const auto broker = this->broker();
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("1"));
+  ASSERT_TRUE(publisher->drain(patience));
+  all_down();
+  ASSERT_TRUE(eventually([&] { return broker->state() == ConnectionState::connecting; }, patience));
+  publisher->publish(text_message("2"));
+  EXPECT_FALSE(publisher->drain(moment));
+  all_up();
+  EXPECT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(broker->state(), ConnectionState::connected);
+}
+
+TEST_F(KafkaFault, OneServerOfSeveralMayDie) {
+  rd_kafka_mock_topic_create(cluster(), "topic", 1, nodes);
+  rd_kafka_mock_partition_set_leader(cluster(), "topic", 0, 1);
+  const auto broker = this->broker();
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("1"));
+  ASSERT_TRUE(publisher->drain(patience));
+  rd_kafka_mock_broker_set_down(cluster(), 1);
+  rd_kafka_mock_partition_set_leader(cluster(), "topic", 0, 2);
+  publisher->publish(text_message("2"));
+  EXPECT_TRUE(publisher->drain(patience));
+  EXPECT_TRUE(eventually([&] { return broker->state() == ConnectionState::connected; }, patience));
+}
+
+TEST_F(KafkaFault, ASlowServerIsWaitedForAndNothingIsSentTwice) {
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  ASSERT_TRUE(eventually([&] { return subscription->active(); }, patience));
+  for (int node = 1; node <= nodes; ++node) rd_kafka_mock_broker_set_rtt(cluster(), node, 200);
+  const auto publisher = broker->publisher(topic(), {});
+  for (const auto& body : numbered(1, 50)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(inbox.wait_for(50));
+  EXPECT_EQ(inbox.bodies(), numbered(1, 50));
+}
+
+TEST_F(KafkaFault, ASessionThatTheServerFindsTooShortIsMadeLonger) {
+  fail_next(join_request, {RD_KAFKA_RESP_ERR_INVALID_SESSION_TIMEOUT});
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("x"));
+  EXPECT_TRUE(inbox.wait_for(1));
+}
+
+TEST_F(KafkaFault, ACommitThatFailsIsTriedAgain) {
+  const auto broker = this->broker();
+  Inbox first;
+  auto subscription = broker->subscribe(topic(), {}, first.handler());
+  ASSERT_TRUE(eventually([&] { return subscription->active(); }, patience));
+  const auto publisher = broker->publisher(topic(), {});
+  fail_next(commit_request, {RD_KAFKA_RESP_ERR_REBALANCE_IN_PROGRESS, RD_KAFKA_RESP_ERR_UNKNOWN});
+  for (const auto& body : numbered(1, 5)) publisher->publish(text_message(body));
+  ASSERT_TRUE(first.wait_for(5));
+  subscription.reset();
+  Inbox second;
+  subscription = broker->subscribe(topic(), {}, second.handler());
+  ASSERT_TRUE(eventually([&] { return subscription->active(); }, patience));
+  publisher->publish(text_message("6"));
+  ASSERT_TRUE(second.wait_until([](const auto& received) { return !received.empty() && received.back().body == "6"; }));
+  for (const auto& received : second.all()) EXPECT_TRUE(received.body == "6" || received.redelivered);
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers

@@ -1,0 +1,231 @@
+// Groups, partitions and offsets on a real Kafka.
+#include <filesystem>
+#include <future>
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <librdkafka/rdkafka.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/servers/private_server.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+class KafkaGroup : public testing::Test {
+ protected:
+  static void SetUpTestSuite() { server_ = new tests::PrivateServer("kafka.py"); }
+  static void TearDownTestSuite() { delete std::exchange(server_, nullptr); }
+
+  static std::unique_ptr<Broker> broker(int partitions = 1) {
+    BrokerOptions options;
+    options.urls = {server_->url()};
+    options.heartbeat = std::chrono::seconds(2);
+    options.properties["partitions"] = std::to_string(partitions);
+    return make_broker(options);
+  }
+  static Topic topic() {
+    return {"", std::string("gw.driver.") + testing::UnitTest::GetInstance()->current_test_info()->name(), false};
+  }
+  static SubscriptionOptions readers() {
+    SubscriptionOptions options;
+    options.group = std::string("readers of ") + testing::UnitTest::GetInstance()->current_test_info()->name();
+    return options;
+  }
+  static bool becomes_active(const Subscription& subscription) {
+    return eventually([&] { return subscription.active(); }, patience);
+  }
+  static Message from(int driver, int number) {
+    Message message = text_message(std::to_string(number));
+    message.driver_id = "driver " + std::to_string(driver);
+    return message;
+  }
+
+  static tests::PrivateServer* server_;
+};
+
+tests::PrivateServer* KafkaGroup::server_ = nullptr;
+
+/// The bodies of each driver's messages, each once, as they came first; a second one must be flagged.
+std::map<std::string, std::vector<int>> firsts_by_driver(const std::vector<Inbox::Received>& all) {
+  std::map<std::string, std::vector<int>> firsts;
+  std::set<std::pair<std::string, std::string>> seen;
+  for (const auto& received : all) {
+    if (seen.emplace(received.message.driver_id, received.body).second) {
+      firsts[received.message.driver_id].push_back(std::stoi(received.body));
+    } else {
+      EXPECT_TRUE(received.redelivered) << "a second " << received.body << " that is not flagged";
+    }
+  }
+  return firsts;
+}
+
+TEST_F(KafkaGroup, KeepsTheOrderOfEachDriverOverManyPartitions) {
+  const auto broker = this->broker(5);
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  PublisherOptions options;
+  options.capacity = 10'000;
+  const auto publisher = broker->publisher(topic(), options);
+  for (int number = 0; number < 200; ++number) {
+    for (int driver = 0; driver < 10; ++driver) publisher->publish(from(driver, number));
+  }
+  ASSERT_TRUE(inbox.wait_for(2000));
+  const auto firsts = firsts_by_driver(inbox.all());
+  EXPECT_EQ(firsts.size(), 10U);
+  for (const auto& [driver, numbers] : firsts) {
+    EXPECT_EQ(numbers.size(), 200U);
+    EXPECT_TRUE(std::is_sorted(numbers.begin(), numbers.end())) << driver;
+  }
+}
+
+TEST_F(KafkaGroup, PartitionsMoveToAReaderThatComesAndBackWhenItGoes) {
+  const auto one = this->broker(4);
+  const auto other = this->broker(4);
+  Inbox inbox;  // of both readers
+  Inbox late;
+  const auto first = one->subscribe(topic(), readers(), inbox.handler());
+  ASSERT_TRUE(becomes_active(*first));
+  PublisherOptions options;
+  options.capacity = 10'000;
+  const auto publisher = one->publisher(topic(), options);
+  int number = 0;
+  const auto publish_some = [&] {
+    for (int i = 0; i < 100; ++i, ++number) {
+      for (int driver = 0; driver < 8; ++driver) publisher->publish(from(driver, number));
+    }
+  };
+  publish_some();
+  auto second = other->subscribe(topic(), readers(), late.handler());
+  ASSERT_TRUE(becomes_active(*second));
+  EXPECT_TRUE(first->active()) << "it keeps half of them";
+  publish_some();
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(eventually([&] { return inbox.size() + late.size() >= 1600; }, patience));
+  EXPECT_GT(late.size(), 0U);
+  second.reset();
+  const std::size_t so_far = inbox.size() + late.size();
+  publish_some();
+  ASSERT_TRUE(eventually([&] { return inbox.size() + late.size() >= so_far + 800; }, patience));
+  auto all = inbox.all();
+  const auto of_late = late.all();
+  all.insert(all.end(), of_late.begin(), of_late.end());
+  std::size_t total = 0;
+  for (const auto& [driver, numbers] : firsts_by_driver(all)) total += numbers.size();
+  EXPECT_EQ(total, 2400U);
+}
+
+TEST_F(KafkaGroup, AfterAnOrderlyEndNothingIsDoubted) {
+  auto broker = this->broker();
+  Inbox first;
+  auto subscription = broker->subscribe(topic(), readers(), first.handler());
+  const auto sender = this->broker();
+  const auto publisher = sender->publisher(topic(), {});
+  for (const auto& body : numbered(1, 10)) publisher->publish(text_message(body));
+  ASSERT_TRUE(first.wait_for(10));
+  subscription.reset();
+  broker.reset();
+  for (const auto& body : numbered(11, 20)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  Inbox second;
+  const auto next = this->broker();
+  subscription = next->subscribe(topic(), readers(), second.handler());
+  ASSERT_TRUE(second.wait_for(10));
+  EXPECT_EQ(second.bodies(), numbered(11, 20));
+  for (const auto& received : second.all()) EXPECT_FALSE(received.redelivered) << received.body;
+}
+
+TEST_F(KafkaGroup, WhatAReaderThatDiedMayHaveHandedOnIsFlagged) {
+  const auto broker = this->broker();
+  const auto publisher = broker->publisher(topic(), {});
+  for (const auto& body : numbered(1, 10)) publisher->publish(text_message(body));
+  ASSERT_TRUE(publisher->drain(patience));
+  {  // A reader that committed the third and ended without a word.
+    rd_kafka_conf_t* conf = rd_kafka_conf_new();
+    const std::string address = server_->url().substr(std::string("kafka://").size());
+    rd_kafka_conf_set(conf, "bootstrap.servers", address.c_str(), nullptr, 0);
+    rd_kafka_conf_set(conf, "group.id", readers().group.c_str(), nullptr, 0);
+    rd_kafka_t* dead = rd_kafka_new(RD_KAFKA_CONSUMER, conf, nullptr, 0);
+    rd_kafka_topic_partition_list_t* list = rd_kafka_topic_partition_list_new(1);
+    rd_kafka_topic_partition_list_add(list, topic().name.c_str(), 0)->offset = 3;
+    EXPECT_EQ(rd_kafka_commit(dead, list, 0), RD_KAFKA_RESP_ERR_NO_ERROR);
+    rd_kafka_topic_partition_list_destroy(list);
+    rd_kafka_destroy(dead);
+  }
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), readers(), inbox.handler());
+  ASSERT_TRUE(inbox.wait_for(7));
+  EXPECT_EQ(inbox.bodies(), numbered(4, 10));
+  for (const auto& received : inbox.all()) EXPECT_TRUE(received.redelivered) << received.body;
+  publisher->publish(text_message("new"));
+  ASSERT_TRUE(inbox.wait_for(8));
+  EXPECT_FALSE(inbox.all().back().redelivered);
+}
+
+TEST_F(KafkaGroup, WhatIsRejectedGoesToTheTopicsOwnDeadLetters) {
+  const auto broker = this->broker();
+  Inbox inbox(
+      [](const Inbox::Received& received) { return received.body == "2" ? Settlement::reject : Settlement::accept; });
+  const auto subscription = broker->subscribe(topic(), readers(), inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  for (const auto& body : numbered(1, 3)) publisher->publish(text_message(body));
+  Inbox letters;
+  const auto reader = broker->subscribe({"", topic().name + ".dlq", true}, {}, letters.handler());
+  ASSERT_TRUE(letters.wait_for(1));
+  EXPECT_EQ(letters.bodies().front(), "2");
+  EXPECT_EQ(*letters.all().front().message.properties.find("dead-letter-topic"), topic().name);
+}
+
+TEST_F(KafkaGroup, ManyTopicsOfAGroupTakeFewThreads) {
+  const auto threads = [] {
+    const std::filesystem::directory_iterator tasks("/proc/self/task");
+    return std::distance(begin(tasks), end(tasks));
+  };
+  const auto before = threads();
+  const auto broker = this->broker();
+  std::vector<std::unique_ptr<Inbox>> inboxes;
+  std::vector<std::unique_ptr<Subscription>> subscriptions;
+  std::vector<std::unique_ptr<Publisher>> publishers;
+  for (int i = 0; i < 60; ++i) {
+    const Topic own{"", topic().name + "." + std::to_string(i), false};
+    inboxes.push_back(std::make_unique<Inbox>());
+    subscriptions.push_back(broker->subscribe(own, readers(), inboxes.back()->handler()));
+    publishers.push_back(broker->publisher(own, {}));
+    publishers.back()->publish(text_message("x"));
+  }
+  for (const auto& inbox : inboxes) EXPECT_TRUE(inbox->wait_for(1));
+  EXPECT_LE(threads() - before, 15);
+}
+
+TEST_F(KafkaGroup, AnUrgentChannelDoesNotWaitBehindALongHandler) {
+  const auto broker = this->broker();
+  std::promise<void> entered;
+  std::promise<void> leave;
+  const auto bulk = broker->subscribe(topic(), readers(), [&](Delivery delivery) {
+    entered.set_value();
+    leave.get_future().wait_for(patience);
+    delivery.settle(Settlement::accept);
+  });
+  Inbox commands;
+  SubscriptionOptions urgent = readers();
+  urgent.priority = urgent_priority;
+  const Topic control{"", topic().name + ".control", false};
+  const auto subscription = broker->subscribe(control, urgent, commands.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("bulk"));
+  ASSERT_EQ(entered.get_future().wait_for(patience), std::future_status::ready);
+  PublisherOptions options;
+  options.priority = urgent_priority;
+  const auto sender = broker->publisher(control, options);
+  sender->publish(text_message("stop"));
+  EXPECT_TRUE(commands.wait_for(1));
+  leave.set_value();
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers
