@@ -30,7 +30,6 @@ const config::Logger logger{"brokers.activemq"};
 
 constexpr std::chrono::milliseconds tick_period{250};
 constexpr std::chrono::seconds goodbye{1};
-constexpr std::chrono::milliseconds wake_again{20};
 constexpr std::uint32_t largest_frame = 1U << 20U;
 constexpr std::uint16_t default_port = 5672;
 constexpr std::uint16_t default_tls_port = 5671;
@@ -101,11 +100,8 @@ void ServerLink::close() {
   Lock lock(mutex_);
   closing_ = true;
   if (!connection_) return;
-  const auto end = std::chrono::system_clock::now() + goodbye;
-  while (connection_ && std::chrono::system_clock::now() < end) {
-    connection_.wake();  // finish() follows; a wake-up that meets one under way may be taken for the same
-    changed_.wait_until(lock, std::chrono::system_clock::now() + wake_again, [this] { return !connection_; });
-  }
+  connection_.wake();  // finish() follows
+  changed_.wait_until(lock, std::chrono::system_clock::now() + goodbye, [this] { return !connection_; });
 }
 
 void ServerLink::finish() {
@@ -132,8 +128,17 @@ void ServerLink::arm(Instant when) {
   armed_ = when;
   const auto wait = std::chrono::ceil<std::chrono::milliseconds>(when - now());
   container_.schedule(to_proton(wait), proton::work(std::function<void()>([this] {
-                        if (now() >= armed_) run_serve();
+                        if (now() >= armed_) serve_in_its_turn();
                       })));
+}
+
+void ServerLink::serve_in_its_turn() {
+  if (phase_ == Phase::up) {
+    armed_ = Instant::max();
+    connection_.wake();
+  } else {
+    run_serve();
+  }
 }
 
 void ServerLink::run_serve() {
@@ -153,7 +158,7 @@ void ServerLink::tick() {
     if (closing_) return;
   }
   guarded([this] { look_after(); });
-  run_serve();
+  serve_in_its_turn();
   const auto wait = phase_ == Phase::away
                         ? std::chrono::ceil<std::chrono::milliseconds>(servers_.next_attempt() - now())
                         : std::chrono::milliseconds(tick_period);
@@ -314,6 +319,7 @@ void ServerLink::abandon(const std::string& why) {
   if (phase_ == Phase::away) return;
   if (trouble_.empty()) trouble_ = why;
   connection_.close();
+  connection_.wake();  // or a close from a timer would not be sent
   lost(trouble_);
 }
 

@@ -131,6 +131,8 @@ class ServerLink : protected proton::messaging_handler {
   void greet();
   void answered(const proton::message& message);
   void lost(const std::string& why);
+  /// From a timer: what a connection is given outside of its own callbacks waits until the next one before it is sent.
+  void serve_in_its_turn();
   void run_serve();
   void finish();
 
