@@ -248,7 +248,14 @@ void PublishLink::on_route(const std::shared_ptr<Outlet>& outlet, const std::vec
   outlet->address = send_address(outlet->topic.name, outlet->own_queue_exists);
   outlet->asked_at = now();
   outlet->route = queues.empty() ? Outlet::Route::unknown : Outlet::Route::known;
-  if (queues.empty() && !outlet->idle() && outlet->may_send()) outlet->returned(outlet->take_next(), now());
+  if (queues.empty() && !outlet->idle() && outlet->may_send()) {
+    Outgoing next = outlet->take_next();
+    if (next.resent) {  // somebody may have got it before: it stays marked
+      outlet->put_off(std::move(next), now());
+    } else {
+      outlet->returned(std::move(next), now());
+    }
+  }
   reporter_.note(outlet);
   make_runnable(outlet);
   wake();
