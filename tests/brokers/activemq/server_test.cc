@@ -164,6 +164,7 @@ TEST_F(ActiveMqServer, AStandbyServerIsUsedUntilThePreferredOneIsBack) {
   const auto publisher = both->publisher(topic(), {});
   publish_numbers(*publisher, 1, 3);
   ASSERT_TRUE(preferred_inbox.wait_for(3));
+  ASSERT_TRUE(publisher->drain(patience));
   preferred.kill();
   ASSERT_TRUE(eventually([&] { return both->state() == ConnectionState::connecting; }));
   publish_numbers(*publisher, 4, 6);
