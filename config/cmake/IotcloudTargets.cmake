@@ -75,6 +75,9 @@ function(iotcloud_test)
   # Test sources may share helpers of their own folder tree: <iotcloud/tests/...>. Scripts that they run stand here:
   target_compile_definitions(${arg_NAME} PRIVATE IOTCLOUD_TEST_SERVERS="${PROJECT_SOURCE_DIR}/tests/servers"
                                                  IOTCLOUD_TEST_SKIPPED=${skipped})
+  if(IOTCLOUD_SANITIZE MATCHES thread)
+    target_sources(${arg_NAME} PRIVATE ${PROJECT_SOURCE_DIR}/tests/c11_threads_for_tsan.cc)
+  endif()
   if(arg_WHOLE)
     foreach(word ${arg_WHOLE})
       add_test(NAME ${arg_NAME}.${word} COMMAND ${arg_NAME} --gtest_filter=*${word}*)
