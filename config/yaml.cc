@@ -8,6 +8,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/config/yaml_place.h>
 
 namespace iotcloud::config {
 
@@ -15,6 +16,7 @@ struct Section::Impl {
   YAML::Node node;  ///< a mapping
   std::string file;
   std::string path;
+  std::shared_ptr<const std::string> source;  ///< the whole file
   /// Keys asked for so far. Shared by all copies of a section, so that finish() sees what every reader asked for.
   std::set<std::string> asked;
 };
@@ -105,8 +107,9 @@ std::optional<std::chrono::microseconds> parse_duration(const std::string& text)
 Section Section::parse(std::string_view text, const std::string& name) {
   auto impl = std::make_shared<Impl>();
   impl->file = name;
+  impl->source = std::make_shared<const std::string>(text);
   try {
-    const std::vector<YAML::Node> documents = YAML::LoadAll(std::string(text));
+    const std::vector<YAML::Node> documents = YAML::LoadAll(*impl->source);
     if (documents.size() > 1) {
       throw ConfigError(location(name, documents[1].Mark()), "", "a second document begins here",
                         "remove the line \"---\"; only one document is read");
@@ -162,6 +165,14 @@ const std::string& Section::path() const {
 
 ConfigError Section::error(const std::string& key, const std::string& problem, const std::string& remedy) const {
   return ConfigError(where(key), key.empty() ? impl_->path : join(impl_->path, key), problem, remedy);
+}
+
+ConfigError Section::error_within(const std::string& key, std::size_t offset, const std::string& problem) const {
+  const YAML::Node value = lookup(impl_->node, key);
+  if (!value.IsDefined() || !value.IsScalar()) return error(key, problem);
+  const Location begin = location(impl_->file, value.Mark());
+  return ConfigError(internal::place_in_scalar(*impl_->source, begin, value.Scalar(), offset), join(impl_->path, key),
+                     problem, "");
 }
 
 std::optional<std::string> Section::optional_string(const std::string& key) {
@@ -311,6 +322,7 @@ std::vector<std::pair<std::string, Section>> Section::sections(const std::string
     const std::string& name = entry.first.Scalar();
     auto impl = std::make_shared<Impl>();
     impl->file = impl_->file;
+    impl->source = impl_->source;
     impl->path = join(join(impl_->path, key), name);
     if (!entry.second.IsMap()) {
       throw ConfigError(location(impl_->file, entry.first.Mark()), impl->path,
@@ -334,6 +346,7 @@ std::vector<Section> Section::section_list(const std::string& key) {
     }
     auto impl = std::make_shared<Impl>();
     impl->file = impl_->file;
+    impl->source = impl_->source;
     impl->path = path;
     impl->node = item;
     result.push_back(Section(std::move(impl)));
@@ -354,6 +367,7 @@ std::optional<Section> Section::optional_section(const std::string& key) {
   if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
   auto impl = std::make_shared<Impl>();
   impl->file = impl_->file;
+  impl->source = impl_->source;
   impl->path = join(impl_->path, key);
   impl->node = value;
   return Section(std::move(impl));

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -61,6 +62,8 @@ class Section {
   /// An error at this key's value (or at this section, when `key` is empty or missing), for checks of the caller.
   [[nodiscard]] ConfigError error(const std::string& key, const std::string& problem,
                                   const std::string& remedy = "") const;
+  /// An error at one character of this key's value, which is a single value: `offset` bytes from its beginning.
+  [[nodiscard]] ConfigError error_within(const std::string& key, std::size_t offset, const std::string& problem) const;
   Location where(const std::string& key = "") const;
   const std::string& path() const;  ///< dotted path of this section; empty at the top
 

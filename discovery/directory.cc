@@ -24,7 +24,7 @@ struct Channel {
 struct Instance {
   GuardPtr watch;
   GuardPtr list_watch;  ///< null when one channel is wanted by name
-  bool active = false;
+  bool active = false;  ///< and chosen
   bool complained = false;
   std::map<std::string, Channel> channels;
 };
@@ -35,8 +35,13 @@ struct Instance {
 /// wanted by name, one on the list of its channels; for each channel one on its record.
 /// Everything but the beginning and the end runs on the dispatcher, in its turn.
 struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
-  Impl(Registry& r, Paths p, std::string d, std::string c, Callbacks cb)
-      : registry(r), paths(std::move(p)), driver(std::move(d)), wanted(std::move(c)), callbacks(std::move(cb)) {}
+  Impl(Registry& r, Paths p, std::string d, std::string c, Callbacks cb, Selection w)
+      : registry(r),
+        paths(std::move(p)),
+        driver(std::move(d)),
+        wanted(std::move(c)),
+        callbacks(std::move(cb)),
+        where(std::move(w)) {}
 
   /// A callback that runs in its turn, and does nothing once the directory is over.
   template <typename Function>
@@ -72,10 +77,13 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
         ++place;
         continue;
       }
+      const std::string id = place->first;
       Instance gone = std::move(place->second);
       place = instances.erase(place);
       gone.active = false;
       update(gone);
+      if (over) return;
+      judge(id, std::nullopt);
       if (over) return;
     }
     for (const std::string& id : ids) {
@@ -101,8 +109,14 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
     if (found == instances.end()) return;
     Instance& instance = found->second;
     const auto record = read(node, paths.instance(driver, id), decode_driver, instance.complained);
-    instance.active = record && record->state == DriverState::active;
-    update(instance);
+    const bool chosen = record && where.matches(*record);
+    instance.active = chosen && record->state == DriverState::active;
+    if (record) judge(id, chosen);
+    if (!over) update(instance);
+  }
+
+  void judge(const std::string& id, std::optional<bool> chosen) {
+    if (callbacks.on_verdict) callbacks.on_verdict(id, chosen);
   }
 
   void on_channels(const std::string& id, const Names& names) {
@@ -182,6 +196,7 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
   const std::string driver;
   const std::string wanted;  ///< channel; empty: all
   const Callbacks callbacks;
+  const Selection where;
 
   /// Held while a callback runs. Recursive, so that the directory may be destroyed by its own callback.
   std::recursive_mutex turn;
@@ -192,9 +207,9 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
 };
 
 DriverDirectory::DriverDirectory(Registry& registry, Paths paths, std::string driver, std::string channel,
-                                 Callbacks callbacks)
+                                 Callbacks callbacks, Selection where)
     : impl_(std::make_shared<Impl>(registry, std::move(paths), std::move(driver), std::move(channel),
-                                   std::move(callbacks))) {
+                                   std::move(callbacks), std::move(where))) {
   impl_->begin();
 }
 

@@ -8,21 +8,27 @@
 
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/discovery/selection/selection.h>
 
 namespace iotcloud::discovery {
 
-/// A live view of all instances of one driver with their channels, kept up to date by watches. Thread safe.
+/// A live view of the instances of one driver with their channels, kept up to date by watches. Thread safe.
 class DriverDirectory {
  public:
   struct Callbacks {
-    /// The channel came, or changed. Its driver is active.
+    /// The channel came, or changed. Its driver is active, and chosen.
     std::function<void(const ChannelRecord&)> on_channel;
-    /// The channel went: undeployed, or its driver is no longer active.
+    /// The channel went: undeployed, or its driver is no longer active, or no longer chosen.
     std::function<void(const ChannelRecord&)> on_channel_gone;
+    /// An instance's record was read, whatever its state (before its channels are reported), or went (nullopt). May be
+    /// empty.
+    std::function<void(const std::string& instance, std::optional<bool> chosen)> on_verdict{};
   };
   /// Watches `driver` below `paths.sensors`; callbacks (on the registry's dispatcher) concern channels named `channel`
   /// only, all channels when it is empty. What is there already is reported first. The driver need not exist yet.
-  DriverDirectory(Registry& registry, Paths paths, std::string driver, std::string channel, Callbacks callbacks);
+  /// \param where chooses instances by their records, each again when its own record changes.
+  DriverDirectory(Registry& registry, Paths paths, std::string driver, std::string channel, Callbacks callbacks,
+                  Selection where = {});
   ~DriverDirectory();
 
  private:

@@ -144,6 +144,25 @@ TEST(Yaml, keeps_sections_in_file_order_and_reads_a_single_mapping_as_a_list_of_
   EXPECT_EQ(top.section_list("more").at(1).path(), "more[1]");
 }
 
+TEST(Yaml, finds_a_character_of_a_value_in_the_file_however_it_is_written) {
+  const auto place = [](const std::string& text) {
+    const auto section = Section::parse(text, "t.yaml");
+    const std::string value = Section(section).require_string("where");
+    const ConfigError error = section.error_within("where", value.find('%'), "here");
+    return std::to_string(error.where().line) + ":" + std::to_string(error.where().column);
+  };
+  EXPECT_EQ(place("a: 1\nwhere: b == %\n"), "2:13");
+  EXPECT_EQ(place("where: 'b == ''c'' %'\n"), "1:20");
+  EXPECT_EQ(place(R"(where: "b == \"c\" %")"), "1:20");
+  EXPECT_EQ(place("where: b\n  and %c\n"), "2:7");
+  EXPECT_EQ(place("where: |\n  b\n  and %\n"), "3:7");
+  EXPECT_EQ(place("where: >-\n\n  b   and\n  %\n"), "4:3");
+  EXPECT_EQ(place("{ where: \"b and % c\" }"), "1:17");
+  EXPECT_EQ(place("x: &e \"b %\"\nwhere: *e\n"), "1:10");
+  EXPECT_EQ(place("where: \"b == \\u00e9 %\"\n"), "1:8");  // not told: the value's beginning
+  EXPECT_EQ(place("where: b ==   \n"), "1:12");            // behind the end
+}
+
 TEST(Nearest, finds_typing_errors_and_nothing_far_away) {
   EXPECT_EQ(nearest("chanel", {"channel", "driver"}), "channel");
   EXPECT_EQ(nearest("xyz", {"channel", "driver"}), "");

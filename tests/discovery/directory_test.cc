@@ -227,5 +227,33 @@ TEST_F(Directory, RemovesATopologyWithItsOrdersOnlyWhenNoWorkerIsLeft) {
   EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"));  // what is gone already is no error
 }
 
+TEST_F(Directory, ReportsOfTheInstancesThatAreChosenAsTheyChange) {
+  const auto tell = [&](const std::string& instance, const std::string& battery, DriverState state) {
+    DriverRecord record = driver(instance, state);
+    record.metadata["battery"] = battery;
+    put(*writer_, paths_.instance("turtle", instance), encode(record));
+  };
+  DriverDirectory::Callbacks callbacks;
+  callbacks.on_channel = [this](const ChannelRecord& record) { seen_.add("+" + record.instance); };
+  callbacks.on_channel_gone = [this](const ChannelRecord& record) { seen_.add("-" + record.instance); };
+  callbacks.on_verdict = [this](const std::string& instance, std::optional<bool> chosen) {
+    seen_.add(instance + (!chosen ? " gone" : *chosen ? " yes" : " no"));
+  };
+  put_channel("1", "kinect");
+  tell("1", "50", DriverState::starting);
+  const DriverDirectory directory(*registry_, paths_, "turtle", "kinect", std::move(callbacks),
+                                  Selection::parse("battery > 20"));
+  ASSERT_TRUE(seen_.wait_for_last("1 yes"));
+  tell("1", "50", DriverState::active);
+  ASSERT_TRUE(seen_.wait_for_last("+1"));
+  tell("1", "10", DriverState::active);
+  ASSERT_TRUE(seen_.wait_for_last("-1"));
+  tell("1", "30", DriverState::active);
+  ASSERT_TRUE(seen_.wait_for_last("+1"));
+  remove_tree(*writer_, paths_.instance("turtle", "1"));
+  ASSERT_TRUE(seen_.wait_for_last("1 gone"));
+  EXPECT_THAT(seen_.all(), ElementsAre("1 yes", "1 yes", "+1", "1 no", "-1", "1 yes", "+1", "-1", "1 gone"));
+}
+
 }  // namespace
 }  // namespace iotcloud::discovery::tests

@@ -9,6 +9,7 @@
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/discovery/selection/selection.h>
 #include <iotcloud/topology/fields.h>
 #include <iotcloud/topology/topology_context.h>
 
@@ -53,6 +54,7 @@ struct EndpointDefinition {
   std::string broker;  ///< the logical name that gateways know it by ("rabbitmq")
   std::string driver;
   std::string channel;
+  discovery::Selection where;  ///< of the driver's instances these, at any time
   Fields fields;
   std::vector<FieldRole> roles;  ///< one for each field; exactly one payload
   PayloadForm form = PayloadForm::bytes;

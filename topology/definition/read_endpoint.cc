@@ -45,6 +45,17 @@ void read_fields(Section& section, EndpointDefinition& endpoint) {
   endpoint.fields = Fields(names);
 }
 
+/// Which of the driver's instances: those for which the expression holds.
+discovery::Selection read_where(Section& section) {
+  const auto text = section.optional_string("where");
+  if (!text) return {};
+  try {
+    return discovery::Selection::parse(*text);
+  } catch (const discovery::SelectionError& error) {
+    throw section.error_within("where", error.offset(), error.problem() + "\n" + error.pointer_lines());
+  }
+}
+
 }  // namespace
 
 std::string require_name(Section& section, const std::string& key) {
@@ -90,6 +101,7 @@ EndpointDefinition read_endpoint(Section& section, const std::vector<std::string
   endpoint.broker = section.require_choice("broker", brokers);
   endpoint.driver = require_driver(section);
   endpoint.channel = require_name(section, "channel");
+  endpoint.where = read_where(section);
   endpoint.form =
       section.choice_or("builder", "bytes", {"bytes", "text"}) == "text" ? PayloadForm::text : PayloadForm::bytes;
   read_fields(section, endpoint);

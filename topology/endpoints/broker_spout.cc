@@ -26,6 +26,11 @@ void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutpu
   retried_ =
       &metrics.counter("iotcloud_spout_retried_total", "Messages whose tuple failed and was tried again", labels);
   rejected_ = &metrics.counter("iotcloud_spout_rejected_total", rejected_help, labels);
+  if (!endpoint_.where.everything()) {
+    filter_.emplace(placement_->verdicts(),
+                    metrics.counter("iotcloud_spout_unselected_total",
+                                    "Messages on shared channels of drivers that `where` does not choose", labels));
+  }
   waker_ = context.waker;
   inbox_ = std::make_shared<Inbox>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker);
   placement_->join(context.task_index, context.task_count, inbox_);
@@ -38,6 +43,7 @@ void BrokerSpout::close() {
   slots_.clear();  // what is under way goes back to the broker
   free_.clear();
   retries_.clear();
+  if (filter_) filter_->clear();
 }
 
 bool BrokerSpout::next_tuple() {
@@ -51,15 +57,33 @@ bool BrokerSpout::next_tuple() {
       return true;
     }
   }
+  if (filter_ && !filter_->empty()) {
+    while (auto arrival = filter_->next(services_->clock->now())) {
+      if (bring(std::move(*arrival))) return true;
+    }
+    if (filter_->full()) return false;
+  }
   for (;;) {
     auto [arrival, more] = inbox_->pop();
     if (!arrival) return false;
     received_->add();
-    arrival->sequence = ++last_sequence_;
-    if (retries_.hold(*arrival)) continue;
-    emit(std::move(*arrival));
-    return more;
+    if (filter_) {
+      arrival = filter_->pass(std::move(*arrival), services_->clock->now());
+      if (!arrival) {
+        if (filter_->full()) return false;
+        continue;
+      }
+    }
+    if (bring(std::move(*arrival))) return more;
   }
+}
+
+/// \return whether it was emitted: what its driver sent before may have to be tried again first.
+bool BrokerSpout::bring(Arrival arrival) {
+  arrival.sequence = ++last_sequence_;
+  if (retries_.hold(arrival)) return false;
+  emit(std::move(arrival));
+  return true;
 }
 
 void BrokerSpout::emit(Arrival arrival) {
@@ -74,13 +98,15 @@ void BrokerSpout::emit(Arrival arrival) {
 
 std::chrono::microseconds BrokerSpout::poll_period() const {
   const auto due = retries_.due();
-  if (!due) return std::chrono::microseconds{0};
+  const bool filtering = filter_ && !filter_->empty();
+  if (!due) return std::chrono::microseconds(filtering ? SharedFilter::look_again : std::chrono::milliseconds{0});
   constexpr std::chrono::microseconds least = std::chrono::milliseconds(1);
   const auto now = services_->clock->now();
   if (*due <= now) return least;
   // A poll that was asked for cannot be moved forward, so a retry that comes to wait later must not wait for it long.
+  const std::chrono::microseconds most = filtering ? SharedFilter::look_again : Retries::pause_after(1);
   return std::clamp<std::chrono::microseconds>(std::chrono::ceil<std::chrono::microseconds>(*due - now), least,
-                                               Retries::pause_after(1));
+                                               std::max(most, least));
 }
 
 void BrokerSpout::ack(MessageId id) {

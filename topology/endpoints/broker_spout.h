@@ -8,6 +8,7 @@
 #include <iotcloud/topology/endpoints/dead_letters.h>
 #include <iotcloud/topology/endpoints/inbox.h>
 #include <iotcloud/topology/endpoints/retries.h>
+#include <iotcloud/topology/endpoints/shared_filter.h>
 #include <iotcloud/topology/endpoints/spout_placement.h>
 #include <iotcloud/topology/spout.h>
 
@@ -37,6 +38,7 @@ class BrokerSpout final : public Spout {
   std::chrono::microseconds poll_period() const override;
 
  private:
+  bool bring(Arrival arrival);
   void emit(Arrival arrival);
   void give_up(Arrival arrival);
   Values values_of(const Arrival& arrival) const;
@@ -51,6 +53,7 @@ class BrokerSpout final : public Spout {
   std::shared_ptr<Inbox> inbox_;
   SpoutWaker waker_;
   Retries retries_;
+  std::optional<SharedFilter> filter_;  ///< with `where`
   std::uint64_t last_sequence_ = 0;
   config::Counter* received_ = nullptr;
   config::Counter* retried_ = nullptr;

@@ -33,8 +33,13 @@ void RouteTable::join() {
   discovery::DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const discovery::ChannelRecord& channel) { on_channel(channel); };
   callbacks.on_channel_gone = [this](const discovery::ChannelRecord& channel) { on_channel_gone(channel); };
+  if (!endpoint_.where.everything()) {
+    callbacks.on_verdict = [this](const std::string& instance, std::optional<bool> chosen) {
+      on_verdict(instance, chosen);
+    };
+  }
   directory_ = std::make_unique<discovery::DriverDirectory>(*services_->registry, services_->paths, endpoint_.driver,
-                                                            endpoint_.channel, std::move(callbacks));
+                                                            endpoint_.channel, std::move(callbacks), endpoint_.where);
 }
 
 void RouteTable::leave(const OutputCollector& collector) {
@@ -89,7 +94,8 @@ void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollec
     sender->send(std::move(message), tuple, collector);
     return;
   }
-  const bool waits = line != waiting_.end() || (!no_grace_ && !departed_.contains(message.driver_id));
+  const bool away = departed_.contains(message.driver_id) || unchosen_.contains(message.driver_id);
+  const bool waits = line != waiting_.end() || (!no_grace_ && !away);
   if (waits && waiting_count_ < most_waiting) {
     ++waiting_count_;
     std::string id = message.driver_id;
@@ -177,8 +183,9 @@ void RouteTable::unknown(const std::string& driver_id, const Tuple& tuple, Outpu
     last_unknown_ = now;
   }
   if (say_it) {
-    logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"; further ones are only counted",
-                component_, endpoint_.driver, driver_id, endpoint_.channel);
+    logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"{}; further ones are only counted",
+                component_, endpoint_.driver, driver_id, endpoint_.channel,
+                endpoint_.where.everything() ? "" : " that \"where\" chooses");
   }
   if (endpoint_.sending.unknown_driver == UnknownDriver::fail) {
     collector.fail(tuple);
@@ -239,6 +246,16 @@ void RouteTable::on_channel_gone(const discovery::ChannelRecord& channel) {
     departed_.insert(channel.instance);
   }
   if (unused) unused->close();
+}
+
+/// What is for an instance that is there and not chosen does not wait for it.
+void RouteTable::on_verdict(const std::string& instance, std::optional<bool> chosen) {
+  const std::lock_guard lock(mutex_);
+  if (chosen.value_or(true)) {
+    unchosen_.erase(instance);
+  } else {
+    unchosen_.insert(instance);
+  }
 }
 
 /// The topic's sender; a new one when there is none yet. Null, which is said once, when its broker cannot be used.

@@ -19,8 +19,8 @@
 
 namespace iotcloud::topology {
 
-/// Knows the way to every instance of a driver that has the channel, as they come and go; shared by all tasks of one
-/// bolt in a worker. Thread safe.
+/// Knows the way to every instance of a driver that has the channel and is chosen, as they come and go; shared by all
+/// tasks of one bolt in a worker. Thread safe.
 ///
 /// A driver's first message may be here before the registry has told of its channels: what is for an id that was never
 /// seen waits `grace` for it. What is for one that is not there is counted, said once a burst, and acked or failed as
@@ -62,6 +62,7 @@ class RouteTable {
 
   void on_channel(const discovery::ChannelRecord& channel);
   void on_channel_gone(const discovery::ChannelRecord& channel);
+  void on_verdict(const std::string& instance, std::optional<bool> chosen);
   bool fits(const discovery::ChannelRecord& channel);
   std::shared_ptr<ChannelSender> sender_for(const discovery::ChannelRecord& channel);
   void send_waiting(const std::string& driver_id);
@@ -84,6 +85,7 @@ class RouteTable {
   config::Counter* unknown_ = nullptr;                          ///< guarded by mutex_
   std::map<std::string, Route> routes_;                         ///< by driver instance; guarded by mutex_
   std::set<std::string> departed_;                              ///< instances seen and gone; guarded by mutex_
+  std::set<std::string> unchosen_;                              ///< instances that are there; guarded by mutex_
   std::map<SenderKey, std::weak_ptr<ChannelSender>> senders_;   ///< guarded by mutex_
   std::size_t most_senders_ = 64;                               ///< before dead ones are swept out; guarded by mutex_
   std::map<std::shared_ptr<ChannelSender>, std::size_t> uses_;  ///< by how many routes; guarded by mutex_

@@ -51,8 +51,13 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
   callbacks.on_channel_gone = [this](const discovery::ChannelRecord& channel) {
     in_turn([&] { on_channel_gone(channel); });
   };
-  search->directory = std::make_unique<discovery::DriverDirectory>(registry, services_->paths, endpoint_.driver,
-                                                                   endpoint_.channel, std::move(callbacks));
+  if (!endpoint_.where.everything()) {
+    callbacks.on_verdict = [this](const std::string& instance, std::optional<bool> chosen) {
+      verdicts_->told(instance, chosen);
+    };
+  }
+  search->directory = std::make_unique<discovery::DriverDirectory>(
+      registry, services_->paths, endpoint_.driver, endpoint_.channel, std::move(callbacks), endpoint_.where);
   search_ = std::move(search);
 }
 

@@ -12,6 +12,7 @@
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/channel_reader.h>
 #include <iotcloud/topology/endpoints/services.h>
+#include <iotcloud/topology/endpoints/verdicts.h>
 
 namespace iotcloud::topology {
 
@@ -31,6 +32,8 @@ class SpoutPlacement {
   void join(int task_index, int task_count, std::shared_ptr<Inbox> inbox);
   /// A task closes: with the first one everything ends. Returns when nothing comes any more.
   void leave();
+  /// Whom `where` chooses, also among those that share a channel.
+  std::shared_ptr<const Verdicts> verdicts() const { return verdicts_; }
 
  private:
   using ReaderKey = std::pair<brokers::BrokerAddress, brokers::Topic>;
@@ -69,6 +72,7 @@ class SpoutPlacement {
   const EndpointServicesPtr services_;
   const std::string component_;
   const EndpointDefinition endpoint_;
+  const std::shared_ptr<Verdicts> verdicts_ = std::make_shared<Verdicts>();
 
   std::mutex mutex_;
   std::map<int, std::shared_ptr<Inbox>> inboxes_;               ///< by task index; guarded by mutex_
