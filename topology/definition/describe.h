@@ -12,8 +12,8 @@ namespace iotcloud::topology {
 /// emits; at the end what several workers would not do together. Lines end with '\n'.
 std::string describe(const TopologyDefinition& definition, const Topology& topology);
 
-/// The inputs that reach across drivers without `scope: worker`, one to a line ("  bolt <- source, global\n"): tuples of
-/// one driver meet in one worker, others do not. Empty: several workers may run the topology.
+/// The inputs that reach across drivers without `scope: worker`, one to a line ("  bolt <- source, global\n"): tuples
+/// of one driver meet in one worker, others do not. Empty: several workers may run the topology.
 std::string crossings(const TopologyDefinition& definition, const Topology& topology);
 
 }  // namespace iotcloud::topology
