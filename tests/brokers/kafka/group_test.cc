@@ -133,8 +133,8 @@ TEST_F(KafkaGroup, AfterAnOrderlyEndNothingIsDoubted) {
   for (const auto& body : numbered(11, 20)) publisher->publish(text_message(body));
   ASSERT_TRUE(publisher->drain(patience));
   Inbox second;
-  const auto next = this->broker();
-  subscription = next->subscribe(topic(), readers(), second.handler());
+  broker = this->broker();
+  subscription = broker->subscribe(topic(), readers(), second.handler());
   ASSERT_TRUE(second.wait_for(10));
   EXPECT_EQ(second.bodies(), numbered(11, 20));
   for (const auto& received : second.all()) EXPECT_FALSE(received.redelivered) << received.body;
