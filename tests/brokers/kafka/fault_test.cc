@@ -16,7 +16,6 @@ namespace {
 // Requests of Kafka's protocol.
 constexpr std::int16_t produce_request = 0;
 constexpr std::int16_t commit_request = 8;
-constexpr std::int16_t join_request = 11;
 constexpr std::int16_t producer_id_request = 22;
 
 constexpr int nodes = 3;
@@ -153,16 +152,6 @@ TEST_F(KafkaFault, ASlowServerIsWaitedForAndNothingIsSentTwice) {
   ASSERT_TRUE(publisher->drain(patience));
   ASSERT_TRUE(inbox.wait_for(50));
   EXPECT_EQ(inbox.bodies(), numbered(1, 50));
-}
-
-TEST_F(KafkaFault, ASessionThatTheServerFindsTooShortIsMadeLonger) {
-  fail_next(join_request, {RD_KAFKA_RESP_ERR_INVALID_SESSION_TIMEOUT});
-  const auto broker = this->broker();
-  Inbox inbox;
-  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
-  const auto publisher = broker->publisher(topic(), {});
-  publisher->publish(text_message("x"));
-  EXPECT_TRUE(inbox.wait_for(1));
 }
 
 TEST_F(KafkaFault, ACommitThatFailsIsTriedAgain) {

@@ -181,6 +181,18 @@ TEST_F(KafkaGroup, WhatIsRejectedGoesToTheTopicsOwnDeadLetters) {
   EXPECT_EQ(*letters.all().front().message.properties.find("dead-letter-topic"), topic().name);
 }
 
+TEST_F(KafkaGroup, ASessionThatTheServerFindsTooShortIsMadeLonger) {
+  BrokerOptions options;
+  options.urls = {server_->url()};
+  options.heartbeat = std::chrono::milliseconds(400);  // a session of 800 ms; this server wants a second
+  const auto broker = make_broker(options);
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), readers(), inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("x"));
+  EXPECT_TRUE(inbox.wait_for(1));
+}
+
 TEST_F(KafkaGroup, ManyTopicsOfAGroupTakeFewThreads) {
   const auto threads = [] {
     const std::filesystem::directory_iterator tasks("/proc/self/task");
