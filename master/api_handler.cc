@@ -142,6 +142,10 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   void stop(wire::TOrderResponse& out, const wire::TInstanceSelection& selection) override {
     order(out, [&] { return master_.stop(from_wire(selection)); });
   }
+  void updateMetadata(wire::TOrderResponse& out, const wire::TInstanceSelection& selection,
+                      const std::map<std::string, std::string>& changes) override {
+    order(out, [&] { return master_.update_metadata(from_wire(selection), changes); });
+  }
   void orderTopology(wire::TTopologyResponse& out, const wire::TTopologyRequest& request) override {
     order(out, [&] { return master_.order(from_wire(request)); });
   }

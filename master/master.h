@@ -56,6 +56,9 @@ class Master {
   OrderResult undeploy(const InstanceSelection& selection);
   OrderResult start(const InstanceSelection& selection);
   OrderResult stop(const InstanceSelection& selection);
+  /// Done when the gateways have written it into the instances' records. What a driver itself says of a key goes
+  /// before.
+  OrderResult update_metadata(const InstanceSelection& selection, const MetadataChanges& changes);
   /// The same for a topology: answers when all of its workers that run now have followed, or ended.
   TopologyResult order(const TopologyRequest& request);
 

@@ -184,6 +184,8 @@ service TMasterAPIService {
   TOrderResponse undeploy(1: TInstanceSelection selection)
   TOrderResponse start(1: TInstanceSelection selection)
   TOrderResponse stop(1: TInstanceSelection selection)
+  // An empty value takes the key away.
+  TOrderResponse updateMetadata(1: TInstanceSelection selection, 2: map<string, string> changes)
   TTopologyResponse orderTopology(1: TTopologyRequest request)
 }
 

@@ -2,6 +2,8 @@
 
 #include <atomic>
 #include <condition_variable>
+#include <cstddef>
+#include <functional>
 #include <future>
 #include <mutex>
 #include <optional>
@@ -18,6 +20,9 @@
 
 /// The inside of Master, shared by the sources that make it.
 namespace iotcloud::master {
+
+/// ZooKeeper refuses nodes above 1 MiB; an order near that is a mistake.
+inline constexpr std::size_t largest_order = std::size_t{512} * 1024;
 
 inline constexpr const char* lost_text = "gateway is lost; it will follow the order when it comes back";
 inline constexpr const char* lost_and_not_recorded_text = "gateway is lost; the order was not recorded";
@@ -107,13 +112,25 @@ struct Master::Impl {
   };
   std::optional<Located> locate(const std::string& instance, const std::vector<discovery::GatewayStatus>& known);
 
+  /// Finds all that are selected before the first order is written: a mistyped id changes nothing.
+  /// \return why that cannot be; nullopt: they are in `instances`.
+  std::optional<OrderResult> find_selected(const InstanceSelection& selection,
+                                           const std::vector<discovery::GatewayStatus>& known,
+                                           std::vector<Located>& instances);
+
   OrderResult change(const InstanceSelection& selection, Change change);
   MaybeVerdict order_change(const Located& where, const discovery::GatewayStatus& gateway, Change change,
                             OutcomeWatch& watch);
   MaybeVerdict clear_away(const Located& where, Change change);
   MaybeVerdict remove_order(const Located& where);
-  MaybeVerdict set_active(const Located& where, bool active);
+  /// Changes an order that stands in the registry; written again when another master was faster.
+  MaybeVerdict rewrite_order(const Located& where, const std::function<void(discovery::OrderRecord&)>& alter);
   MaybeVerdict fenced(const discovery::OrderRecord& order) const;
+
+  // order_metadata.cc
+  OrderResult update_metadata(const InstanceSelection& selection, const MetadataChanges& changes);
+  MaybeVerdict order_metadata(const Located& where, const discovery::GatewayStatus* gateway,
+                              const MetadataChanges& changes, OutcomeWatch& watch);
 
   // topology_orders.cc
   TopologyResult order(const TopologyRequest& request);

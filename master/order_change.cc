@@ -62,14 +62,13 @@ std::optional<Master::Impl::Located> Master::Impl::locate(const std::string& ins
   return std::nullopt;
 }
 
-OrderResult Master::Impl::change(const InstanceSelection& selection, Change change) {
+std::optional<OrderResult> Master::Impl::find_selected(const InstanceSelection& selection,
+                                                       const std::vector<GatewayStatus>& known,
+                                                       std::vector<Located>& instances) {
   if (selection.instances.empty()) return refuse(Refusal::bad_request, "no instance is named: give at least one id");
-  const auto known = discovery::list_gateways(registry, options.paths);
   for (const auto& id : selection.gateways) {
     if (!find(known, id)) return refuse_gateway(id, known);
   }
-  // All are found before the first order is written: a mistyped id changes nothing.
-  std::vector<Located> instances;
   std::set<std::string> seen;
   for (const auto& id : selection.instances) {
     if (!seen.insert(id).second) continue;
@@ -83,6 +82,13 @@ OrderResult Master::Impl::change(const InstanceSelection& selection, Change chan
                                                            where->gateway, fmt::join(selection.gateways, ", ")));
     instances.push_back(std::move(*where));
   }
+  return std::nullopt;
+}
+
+OrderResult Master::Impl::change(const InstanceSelection& selection, Change change) {
+  const auto known = discovery::list_gateways(registry, options.paths);
+  std::vector<Located> instances;
+  if (auto refusal = find_selected(selection, known, instances)) return *refusal;
 
   OrderResult result;
   OutcomeWatch watch(registry, options.paths, wanted_by(change));
@@ -108,7 +114,10 @@ Master::Impl::MaybeVerdict Master::Impl::order_change(const Located& where, cons
   if (!gateway.alive && (!options.record_for_lost_gateways || is_direct(where.gateway)))
     return OutcomeWatch::Verdict{Outcome::failed, lost_and_not_recorded_text};
   return written([&]() -> MaybeVerdict {
-    const auto verdict = change == Change::undeploy ? remove_order(where) : set_active(where, change == Change::start);
+    const auto verdict =
+        change == Change::undeploy
+            ? remove_order(where)
+            : rewrite_order(where, [&](OrderRecord& order) { order.active = change == Change::start; });
     if (verdict) return verdict;
     if (!gateway.alive) return OutcomeWatch::Verdict{Outcome::pending, lost_text};
     watch.expect(where.instance, where.driver, where.record);
@@ -149,17 +158,22 @@ Master::Impl::MaybeVerdict Master::Impl::remove_order(const Located& where) {
   return OutcomeWatch::Verdict{Outcome::done, "its gateway had not taken it up yet"};
 }
 
-Master::Impl::MaybeVerdict Master::Impl::set_active(const Located& where, bool active) {
+Master::Impl::MaybeVerdict Master::Impl::rewrite_order(const Located& where,
+                                                       const std::function<void(OrderRecord&)>& alter) {
   const auto path = options.paths.order(where.gateway, where.instance);
   while (!closing.stop_requested()) {
     const auto node = registry.get(path);
     if (!node) return OutcomeWatch::Verdict{Outcome::failed, "it is being undeployed"};
     auto order = discovery::decode_order(node->data, path);
     if (auto refusal = fenced(order)) return refusal;
-    order.active = active;
+    alter(order);
     order.epoch = leading_epoch();
+    const std::string bytes = encode(order);
+    if (bytes.size() > largest_order)
+      return OutcomeWatch::Verdict{
+          Outcome::failed, fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
     try {
-      registry.set(path, encode(order), node->version);
+      registry.set(path, bytes, node->version);
       return std::nullopt;
     } catch (const RegistryError& e) {
       if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again

@@ -7,13 +7,6 @@ namespace iotcloud::master {
 using discovery::GatewayStatus;
 using discovery::OrderRecord;
 
-namespace {
-
-/// ZooKeeper refuses nodes above 1 MiB; an order near that is a mistake.
-constexpr std::size_t largest_order = 512 * 1024;
-
-}  // namespace
-
 OrderResult Master::deploy(const DeployRequest& request) {
   return impl_->guarded([&] { return impl_->deploy(request); });
 }

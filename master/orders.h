@@ -68,7 +68,10 @@ struct DeployRequest {
   static constexpr int max_count = 10'000;
 };
 
-/// Instances that an order to undeploy, start or stop is for.
+/// What others are to see of instances from now on: values by key; an empty value takes the key away.
+using MetadataChanges = std::map<std::string, std::string>;
+
+/// Instances that an order to undeploy, start, stop or describe them is for.
 struct InstanceSelection {
   std::vector<std::string> instances;  ///< ids in full
   std::vector<std::string> gateways;   ///< when not empty, the instances must be on one of these

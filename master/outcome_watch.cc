@@ -10,6 +10,9 @@ using discovery::Node;
 OutcomeWatch::OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, Wanted wanted)
     : registry_(registry), paths_(paths), wanted_(wanted) {}
 
+OutcomeWatch::OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, MetadataChanges changes)
+    : registry_(registry), paths_(paths), wanted_(Wanted::described), changes_(std::move(changes)) {}
+
 OutcomeWatch::~OutcomeWatch() {
   // Without the lock: a guard's destructor waits for its callback, which may want the lock. The names go first, as
   // their callback makes the others.
@@ -83,6 +86,10 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, con
     expected.last_state = fmt::format("its record cannot be read: {}", e.what());
     return std::nullopt;
   }
+  if (wanted_ == Wanted::described) {
+    if (expected.before == std::pair(node->created, node->version)) return std::nullopt;
+    return judge_metadata(expected, record);
+  }
   expected.last_state =
       fmt::format("last state: {}{}{}", to_string(record.state), record.reason.empty() ? "" : ", ", record.reason);
   switch (record.state) {
@@ -102,6 +109,20 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, con
       return std::nullopt;
   }
   return std::nullopt;
+}
+
+std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge_metadata(Expected& expected,
+                                                                  const discovery::DriverRecord& record) const {
+  for (const auto& [key, value] : changes_) {
+    const auto found = record.metadata.find(key);
+    if (found == record.metadata.end() ? value.empty() : found->second == value) continue;
+    expected.last_state =
+        found == record.metadata.end()
+            ? fmt::format("its record has no {} yet", key)
+            : fmt::format("its record says {}={}; what the driver itself says goes before orders", key, found->second);
+    return std::nullopt;
+  }
+  return Verdict{Outcome::done, ""};
 }
 
 std::string OutcomeWatch::silence(const Expected& expected, std::chrono::milliseconds limit, bool stopped) const {

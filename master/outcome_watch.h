@@ -21,10 +21,12 @@ namespace iotcloud::master {
 /// Use: write an instance's order, expect() it, and at last wait() for all. Used by one thread.
 class OutcomeWatch {
  public:
-  enum class Wanted { active, inactive, gone };
+  enum class Wanted { active, inactive, gone, described };
 
   /// The references outlive the watch.
   OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, Wanted wanted);
+  /// Wants records that show these changes, whatever the instances' state.
+  OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, MetadataChanges changes);
   ~OutcomeWatch();
   OutcomeWatch(const OutcomeWatch&) = delete;
   OutcomeWatch& operator=(const OutcomeWatch&) = delete;
@@ -50,6 +52,7 @@ class OutcomeWatch {
   void watch_record(const std::string& driver, const std::string& instance);
   void on_driver_names(const std::vector<std::string>& names);
   void on_record(const std::string& path, const std::string& instance, const std::optional<discovery::Node>& node);
+  std::optional<Verdict> judge_metadata(Expected& expected, const discovery::DriverRecord& record) const;
   std::optional<Verdict> judge(Expected& expected, const std::string& path,
                                const std::optional<discovery::Node>& node) const;
   std::string silence(const Expected& expected, std::chrono::milliseconds limit, bool stopped) const;
@@ -57,6 +60,7 @@ class OutcomeWatch {
   discovery::Registry& registry_;
   const discovery::Paths& paths_;
   const Wanted wanted_;
+  const MetadataChanges changes_;
 
   std::mutex mutex_;
   std::condition_variable_any changed_;

@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/master/cli/command.h>
+#include <iotcloud/master/cli/drivers_command.h>
 #include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/master/cli/output.h>
 #include <iotcloud/master/cli/topology_command.h>
@@ -24,59 +25,19 @@ using Rows = std::vector<std::vector<std::string>>;
 
 namespace {
 
-/// The command line asks for something that is not clear.
-struct Ambiguous : std::runtime_error {
-  using std::runtime_error::runtime_error;
-};
-
 std::int64_t now_ms() {
   using namespace std::chrono;
   return duration_cast<milliseconds>(system_clock::now().time_since_epoch()).count();
-}
-
-template <typename T>
-bool among(const std::vector<T>& all, const T& one) {
-  return std::find(all.begin(), all.end(), one) != all.end();
-}
-
-const std::string& state_of(const TSensor& driver) {
-  return driver.exactState;
 }
 
 const char* state_of(const TSite& gateway) {
   return gateway.alive ? "ready" : "lost";
 }
 
-Json to_json(const TSensor& driver) {
-  Json channels = Json::array();
-  for (const auto& channel : driver.channels) {
-    channels.push_back({{"name", channel.name},
-                        {"direction", channel.direction == TDirection::OUT ? "out" : "in"},
-                        {"broker", channel.transport},
-                        {"broker_url", channel.brokerUrl},
-                        {"shared", channel.grouped},
-                        {"properties", channel.properties}});
-  }
-  Json metadata = Json::parse(driver.metadata, nullptr, false);
-  if (!metadata.is_object()) metadata = Json::object();  // the original puts bytes of its own there
-  return {{"instance", driver.sensorId}, {"driver", driver.name},          {"gateway", driver.siteId},
-          {"state", state_of(driver)},   {"reason", driver.reason},        {"since_ms", driver.sinceMs},
-          {"metadata", metadata},        {"channels", std::move(channels)}};
-}
-
 std::vector<std::string> broker_names(const TSite& gateway) {
   std::vector<std::string> names;
   for (const auto& broker : gateway.brokers) names.push_back(broker.name);
   return names;
-}
-
-/// Drivers in the order in which people look for them.
-std::vector<TSensor> sorted_drivers(MasterClient& master) {
-  auto drivers = master.drivers();
-  std::sort(drivers.begin(), drivers.end(), [](const auto& a, const auto& b) {
-    return std::tie(a.name, a.siteId, a.sensorId) < std::tie(b.name, b.siteId, b.sensorId);
-  });
-  return drivers;
 }
 
 int show_gateways(const Command& command, MasterClient& master, std::ostream& out) {
@@ -98,33 +59,6 @@ int show_gateways(const Command& command, MasterClient& master, std::ostream& ou
                     {"port", gateway.port},
                     {"brokers", broker_names(gateway)},
                     {"since_ms", gateway.sinceMs}});
-  print_data(out, command.format, json);
-  return exit_ok;
-}
-
-int show_drivers(const Command& command, MasterClient& master, std::ostream& out) {
-  auto drivers = sorted_drivers(master);
-  std::erase_if(drivers, [&](const TSensor& driver) {
-    const auto begins = [&](const std::string& id) { return driver.sensorId.starts_with(id); };
-    return (!command.instances.empty() && std::none_of(command.instances.begin(), command.instances.end(), begins)) ||
-           (!command.gateways.empty() && !among(command.gateways, driver.siteId)) ||
-           (!command.driver.empty() && command.driver != driver.name) ||
-           (!command.state.empty() && command.state != state_of(driver));
-  });
-  if (command.format == Format::table) {
-    std::set<std::string> lost;
-    for (const auto& gateway : master.gateways())
-      if (!gateway.alive) lost.insert(gateway.siteId);
-    Rows rows;
-    for (const auto& driver : drivers)
-      rows.push_back({driver.sensorId, printable(driver.name),
-                      printable(driver.siteId) + (lost.contains(driver.siteId) ? " (lost)" : ""), state_of(driver),
-                      age(driver.sinceMs, now_ms()), printable(driver.reason)});
-    print_table(out, {"INSTANCE", "DRIVER", "GATEWAY", "STATE", "SINCE", "REASON"}, rows);
-    return exit_ok;
-  }
-  Json json = Json::array();
-  for (const auto& driver : drivers) json.push_back(to_json(driver));
   print_data(out, command.format, json);
   return exit_ok;
 }
@@ -182,7 +116,7 @@ int show_status(const Command& command, MasterClient& master, std::ostream& out)
   const auto gateways = master.gateways();
   const auto topologies = master.topologies();
   std::map<std::string, int> drivers;
-  for (const auto& driver : master.drivers()) ++drivers[state_of(driver)];
+  for (const auto& driver : master.drivers()) ++drivers[driver.exactState];
   const auto ready = std::count_if(gateways.begin(), gateways.end(), [](const auto& g) { return g.alive; });
   const auto lost = static_cast<std::ptrdiff_t>(gateways.size()) - ready;
 
@@ -237,29 +171,6 @@ int show_order(const Command& command, const wire::TOrderResponse& answer, std::
   return ok ? exit_ok : exit_failed;
 }
 
-/// Ids in full from their beginnings. One that no record has is passed on: its order may not have been taken up yet.
-std::vector<std::string> complete(const std::vector<std::string>& beginnings, MasterClient& master) {
-  const auto drivers = sorted_drivers(master);
-  std::vector<std::string> ids;
-  for (const auto& beginning : beginnings) {
-    std::vector<std::string> fitting;
-    for (const auto& driver : drivers) {
-      if (driver.sensorId == beginning) {
-        fitting = {beginning};
-        break;
-      }
-      if (driver.sensorId.starts_with(beginning))
-        fitting.push_back(
-            fmt::format("{} ({} on {})", driver.sensorId, printable(driver.name), printable(driver.siteId)));
-    }
-    if (fitting.size() > 1)
-      throw Ambiguous(fmt::format("\"{}\" begins {} ids; give more of it:\n  {}", beginning, fitting.size(),
-                                  fmt::join(fitting, "\n  ")));
-    ids.push_back(fitting.empty() ? beginning : fitting.front().substr(0, fitting.front().find(' ')));
-  }
-  return ids;
-}
-
 int order(const Command& command, MasterClient& master, std::ostream& out, std::ostream& err) {
   if (command.verb == Verb::deploy) {
     wire::TDeployRequest request;
@@ -273,12 +184,13 @@ int order(const Command& command, MasterClient& master, std::ostream& out, std::
     return show_order(command, master.deploy(request), out, err);
   }
   wire::TInstanceSelection selection;
-  selection.__set_instances(complete(command.instances, master));
+  selection.__set_instances(full_ids(command.instances, master));
   selection.__set_gateways(command.gateways);
   selection.__set_waitMs(command.wait_ms);
-  const auto answer = command.verb == Verb::undeploy ? master.undeploy(selection)
-                      : command.verb == Verb::start  ? master.start(selection)
-                                                     : master.stop(selection);
+  const auto answer = command.verb == Verb::metadata   ? master.update_metadata(selection, command.metadata)
+                      : command.verb == Verb::undeploy ? master.undeploy(selection)
+                      : command.verb == Verb::start    ? master.start(selection)
+                                                       : master.stop(selection);
   return show_order(command, answer, out, err);
 }
 
@@ -287,12 +199,13 @@ int order(const Command& command, MasterClient& master, std::ostream& out, std::
 int run(const Command& command, std::ostream& out, std::ostream& err) {
   try {
     if (command.verb == Verb::topology_check) return check_topology(command, err);
+    const auto where = where_of(command);  // before a master is asked
     MasterClient master(command.masters, command.token, command.election_patience);
     switch (command.verb) {
       case Verb::gateways:
         return show_gateways(command, master, out);
       case Verb::drivers:
-        return show_drivers(command, master, out);
+        return show_drivers(command, where, master, out);
       case Verb::topologies:
         return show_topologies(command, master, out);
       case Verb::status:
@@ -301,6 +214,7 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::undeploy:
       case Verb::start:
       case Verb::stop:
+      case Verb::metadata:
         return order(command, master, out, err);
       case Verb::topology_show:
       case Verb::topology_activate:

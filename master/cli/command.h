@@ -18,6 +18,7 @@ enum class Verb {
   undeploy,
   start,
   stop,
+  metadata,
   topology_show,
   topology_activate,
   topology_deactivate,
@@ -38,10 +39,11 @@ struct Command {
   std::vector<std::string> gateways;   ///< drivers: only on these; orders: on these
   std::vector<std::string> instances;  ///< ids or their beginnings
   std::string state;                   ///< drivers: only in this state
+  std::string where;                   ///< drivers: only those for which this expression holds; empty: all
   std::string driver;                  ///< drivers: only of this name; deploy: the driver's name
   std::string plugin;
   std::map<std::string, std::string> properties;
-  std::map<std::string, std::string> metadata;
+  std::map<std::string, std::string> metadata;  ///< deploy: what it is; metadata: what to change
   int count = 1;
   std::int64_t wait_ms = 0;  ///< 0: as long as the master thinks fit
   std::string topology;

@@ -45,6 +45,7 @@ std::string first_line(const std::string& file) {
 struct Words {
   std::vector<std::string> properties;
   std::vector<std::string> metadata;
+  std::vector<std::string> description;
   std::string token_file;
   bool all = false;
   double wait_s = 0;
@@ -85,13 +86,19 @@ void add_reads(CLI::App& app, Command& command) {
   add(app, command, Verb::gateways, "gateways", "List the gateways, and whether they live", "iotcloud gateways");
   auto& drivers =
       add(app, command, Verb::drivers, "drivers", "List driver instances with their state, and why they are in it",
-          "iotcloud drivers --state failed");
+          "iotcloud drivers --where 'site == \"lab\" and battery > 20'");
   drivers.add_option("ID", command.instances, "ids, or how they begin");
   add_gateways(drivers, command, "only on these gateways");
   drivers.add_option("--driver", command.driver, "only of this driver")->type_name("NAME");
   drivers.add_option("--state", command.state, "only in this state")
       ->check(CLI::IsMember({"deployed", "starting", "active", "stopping", "inactive", "failed", "undeployed"}))
       ->type_name("STATE");
+  drivers
+      .add_option(
+          "--where", command.where,
+          "only those for which it holds: site == \"lab\" and battery > 20 and within(location, 39.17, -86.52, 500 m)")
+      ->type_name("EXPRESSION")
+      ->check(CLI::Validator([](std::string& text) { return text.empty() ? "it is empty" : ""; }, ""));
   add(app, command, Verb::topologies, "topologies", "List the topologies that run, and their workers",
       "iotcloud topologies -o json");
   add(app, command, Verb::status, "status", "Show who leads, gateways, drivers by state, and topologies",
@@ -190,12 +197,24 @@ std::map<std::string, int> parallelism_of(const std::vector<std::string>& words)
   return out;
 }
 
+/// Ids and KEY=VALUE words as they come. \throws CLI::ParseError
+void describe(Command& command, const Words& words) {
+  std::vector<std::string> changes;
+  for (const auto& word : words.description) {
+    (word.find('=') == std::string::npos ? command.instances : changes).push_back(word);
+  }
+  if (command.instances.empty()) throw CLI::RequiredError("ID");
+  if (changes.empty()) throw CLI::RequiredError("KEY=VALUE");
+  command.metadata = pairs(changes, "KEY=VALUE");
+}
+
 /// What the options cannot check one by one. \throws CLI::ParseError
 void finish(Command& command, const Words& words) {
   if (command.verb == Verb::deploy && command.gateways.empty() && !words.all)
     throw CLI::RequiredError("--gateway GATEWAY or --all");
   command.properties = pairs(words.properties, "--property");
   command.metadata = pairs(words.metadata, "--metadata");
+  if (command.verb == Verb::metadata) describe(command, words);
   command.parallelism = parallelism_of(words.parallelism);
   command.drain_ms = static_cast<std::int64_t>(words.drain_s * 1000);
   if (!words.token_file.empty()) command.token = first_line(words.token_file);
@@ -211,6 +230,16 @@ void add_changes(CLI::App& app, Command& command, Words& words) {
   };
   change(Verb::undeploy, "undeploy", "Take driver instances away", "iotcloud undeploy 3f2a9c");
   change(Verb::start, "start", "Let driver instances produce again", "iotcloud start 3f2a9c");
+  auto& metadata =
+      add(app, command, Verb::metadata, "metadata",
+          "Change what others see in the records of driver instances. What a driver says of itself goes before",
+          "iotcloud metadata 3f2a9c site=lab 'location=39.17,-86.52' note=");
+  metadata
+      .add_option("ID KEY=VALUE", words.description,
+                  "ids of instances, or how they begin, and what to change; \"KEY=\" takes the key away")
+      ->required();
+  add_gateways(metadata, command, "the instances must be on one of these gateways");
+  add_wait(metadata, words);
   change(Verb::stop, "stop", "Let driver instances pause; they stay deployed", "iotcloud stop 3f2a9c 77b1");
 }
 

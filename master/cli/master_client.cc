@@ -212,6 +212,12 @@ wire::TOrderResponse MasterClient::stop(const wire::TInstanceSelection& selectio
   return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.stop(answer, selection); });
 }
 
+wire::TOrderResponse MasterClient::update_metadata(const wire::TInstanceSelection& selection,
+                                                   const std::map<std::string, std::string>& changes) {
+  return impl_->order(selection.waitMs,
+                      [&](auto& client, auto& answer) { client.updateMetadata(answer, selection, changes); });
+}
+
 wire::TTopologyResponse MasterClient::order(const wire::TTopologyRequest& request) {
   return impl_->order<wire::TTopologyResponse>(
       request.waitMs, [&](auto& client, auto& answer) { client.orderTopology(answer, request); });

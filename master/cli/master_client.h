@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <functional>
+#include <map>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -48,6 +49,8 @@ class MasterClient {
   wire::TOrderResponse undeploy(const wire::TInstanceSelection& selection);
   wire::TOrderResponse start(const wire::TInstanceSelection& selection);
   wire::TOrderResponse stop(const wire::TInstanceSelection& selection);
+  wire::TOrderResponse update_metadata(const wire::TInstanceSelection& selection,
+                                       const std::map<std::string, std::string>& changes);
   wire::TTopologyResponse order(const wire::TTopologyRequest& request);
 
   /// The master that was spoken with last.

@@ -13,6 +13,7 @@
 #include <iotcloud/master/api_handler.h>
 #include <iotcloud/master/cli/command.h>
 #include <iotcloud/master/thrift_server.h>
+#include <iotcloud/tests/master/cli_fixture.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
 
@@ -21,6 +22,7 @@ namespace {
 
 using discovery::DriverState;
 using nlohmann::json;
+using test::Cli;
 using test::FakeGateway;
 using test::Finished;
 using test::TestMaster;
@@ -30,50 +32,6 @@ using testing::MatchesRegex;
 using testing::Not;
 using testing::SizeIs;
 using testing::StartsWith;
-
-class Cli : public testing::Test {
- protected:
-  /// The master tells others where its API is, so the port must be known before either is made.
-  Cli() {
-    for (int attempt = 0; !server && attempt < 10; ++attempt) {
-      master.reset();
-      auto options = TestMaster::quick();
-      ThriftServerOptions listen;
-      listen.port = test::free_port();
-      options.address = "127.0.0.1:" + std::to_string(listen.port);
-      master.emplace(url, options);
-      try {
-        server.emplace(listen, serve_api(**master, ""));
-      } catch (const config::Error&) {
-        continue;  // somebody else was faster to take the port
-      }
-    }
-    EXPECT_TRUE(server && master->leads());
-  }
-  std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }
-
-  /// Runs the CLI against the test's master.
-  Finished run(std::vector<std::string> words) const {
-    words.insert(words.begin(), IOTCLOUD_CLI);
-    return test::run_program(words, {{"IOTCLOUD_MASTER", address()}});
-  }
-  json run_json(std::vector<std::string> words) const {
-    words.insert(words.end(), {"-o", "json"});
-    const auto done = run(words);
-    EXPECT_EQ(done.status, 0) << done.err;
-    return json::parse(done.out);
-  }
-  std::string deploy(const std::string& gateway) {
-    DeployRequest request;
-    request.plugin = "turtle.so";
-    request.gateways = {gateway};
-    return (*master)->deploy(request).outcomes.at(0).instance;
-  }
-
-  const std::string url = test::fresh_registry_url();
-  std::optional<TestMaster> master;
-  std::optional<ThriftServer> server;
-};
 
 TEST_F(Cli, DeploysAndListsAsJson) {
   FakeGateway gateway(url, "lab1");

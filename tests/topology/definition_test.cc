@@ -449,6 +449,14 @@ These inputs reach across drivers, and each worker has only its own drivers' tup
 )");
 }
 
+TEST_F(Assemble, IsDescribedWithWhere) {
+  const std::string text =
+      "topology.name: t\nspouts:\n  s:\n    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f]\n"
+      "    where: |\n      site == \"lab\"\n      and battery > 20\n";
+  const std::string described = describe(TopologyDefinition::parse(text, "t.yaml"), assemble_text(text));
+  EXPECT_THAT(described, HasSubstr("of driver \"d\" where site == \"lab\" and battery > 20, broker"));
+}
+
 TEST_F(Assemble, IsDescribedWithoutAWarningWhereEachWorkerForItselfIsMeant) {
   const std::string text = with_bolt("    class: test.Pass\n    scope: worker\n    inputs: {from: s, grouping: all}\n");
   const std::string described = describe(TopologyDefinition::parse(text, "t.yaml"), assemble_text(text));

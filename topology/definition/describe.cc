@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <sstream>
 
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/topology/definition/describe.h>
@@ -28,12 +29,21 @@ const ComponentDefinition* find_definition(const TopologyDefinition& definition,
   return nullptr;
 }
 
+/// An expression that stands on several lines of the file.
+std::string on_one_line(const std::string& text) {
+  std::string line;
+  std::istringstream words(text);
+  for (std::string word; words >> word;) line += (line.empty() ? "" : " ") + word;
+  return line;
+}
+
 std::string origin_of(const ComponentDefinition* definition, bool spout) {
   if (definition == nullptr) return "made by the application";
   if (!definition->endpoint) return "class " + definition->class_name;
   const EndpointDefinition& endpoint = *definition->endpoint;
   return std::string(spout ? "reads" : "sends to") + " channel \"" + endpoint.channel + "\" of driver \"" +
-         endpoint.driver + "\", broker \"" + endpoint.broker + "\"";
+         endpoint.driver + "\"" + (endpoint.where.everything() ? "" : " where " + on_one_line(endpoint.where.text())) +
+         ", broker \"" + endpoint.broker + "\"";
 }
 
 std::string describe_input(const Subscription& input, const InputDefinition* definition) {

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <iosfwd>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include <iotcloud/discovery/selection/selection.h>
+#include <iotcloud/master/cli/command.h>
+#include <iotcloud/master/cli/master_client.h>
+
+namespace iotcloud::master::cli {
+
+/// The command line asks for something that is not clear.
+class Ambiguous : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// What `--where` says. \throws std::invalid_argument with the place where it is wrong.
+discovery::Selection where_of(const Command& command);
+
+/// `iotcloud drivers`. \throws Unreachable, Failed
+int show_drivers(const Command& command, const discovery::Selection& where, MasterClient& master, std::ostream& out);
+
+/// Ids in full from their beginnings. One that no record has is passed on: its order may not have been taken up yet.
+/// \throws Ambiguous, Unreachable, Failed
+std::vector<std::string> full_ids(const std::vector<std::string>& beginnings, MasterClient& master);
+
+}  // namespace iotcloud::master::cli
