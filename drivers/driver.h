@@ -80,8 +80,8 @@ enum class LogLevel { debug, info, warn, error };
 using HandlerId = std::uint64_t;
 
 /// What the driver host gives an instance. Implemented by the host (and by mocks in tests). Everything may be called
-/// from the instance's event thread; publish, post, log and fail from any thread. No call throws. Callbacks run on the
-/// instance's event thread, never two at a time, and none after close() began.
+/// from the instance's event thread; publish, post, log, fail and update_metadata from any thread. No call throws.
+/// Callbacks run on the instance's event thread, never two at a time, and none after close() began.
 class HostInterface {
  public:
   virtual ~HostInterface() = default;
@@ -102,6 +102,12 @@ class HostInterface {
   virtual void log(LogLevel level, std::string_view text) noexcept = 0;
   /// This instance cannot go on: it is closed and its state becomes `failed` with this reason. Thread safe.
   virtual void fail(std::string_view reason) noexcept = 0;
+  /// What everybody can see of this instance, and choose it by (discovery/selection/README.md): `battery`, `location`
+  /// ("39.17,-86.52": latitude and longitude), `position` ("3,4.5": x and y in metres), or any other key. Keys that are
+  /// not named stay as they are; an empty value takes the key away. Goes before what the deployment says of the same
+  /// key. Published at once, and again after 200 ms at the soonest, with all that was said meanwhile: the registry is
+  /// no channel for readings. Metadata beyond 16 KiB in all, or an empty key, is refused, which is logged. Thread safe.
+  virtual void update_metadata(const PropertyMap& changes) noexcept = 0;
 };
 
 /// What a driver works with: HostInterface with the comfort of the SDK. An exception from a callback is caught here, on
@@ -134,6 +140,7 @@ class DriverContext {
   void post(std::function<void()> callback);
   void log(LogLevel level, std::string_view text) { host_.log(level, text); }
   void fail(std::string_view reason) { host_.fail(reason); }
+  void update_metadata(const PropertyMap& changes) { host_.update_metadata(changes); }
 
  private:
   std::function<void()> guarded(std::function<void()> callback);

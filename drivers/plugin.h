@@ -12,7 +12,7 @@
 namespace iotcloud::drivers {
 
 /// Grows with every change that a plugin built before it cannot follow.
-inline constexpr std::uint32_t sdk_version = 3;
+inline constexpr std::uint32_t sdk_version = 4;
 
 /// Compiler, C++ library and its ABI: what C++ types at the border depend on.
 #define IOTCLOUD_STRINGIFY_(x) #x

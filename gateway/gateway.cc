@@ -387,7 +387,8 @@ DriverRecord Gateway::Impl::record_for(const Entry& entry) const {
   record.state = entry.status.state;
   record.reason = entry.status.reason;
   record.since_ms = entry.status.since_ms;
-  record.metadata = entry.order.metadata;
+  record.metadata = entry.status.metadata;
+  record.metadata.insert(entry.order.metadata.begin(), entry.order.metadata.end());  // the driver's own go before
   record.channels = entry.status.channels;
   return record;
 }

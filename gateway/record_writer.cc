@@ -36,6 +36,7 @@ void RecordWriter::put(const discovery::DriverRecord& record) {
                e.what());
     }
     entry.channels.reset();
+    entry.shown.reset();
   }
   entry.driver = record.name;
   entry.wanted = record;
@@ -75,12 +76,19 @@ bool RecordWriter::write(const std::string& instance, Entry& entry) {
     if (!told_away_) log.warn("the state of {} is not in the registry yet: {}", instance, e.what());
     told_away_ = true;
     entry.channels.reset();  // how much of it was written is not known
+    entry.shown.reset();
     return false;
   }
 }
 
 void RecordWriter::write_record(const discovery::DriverRecord& record, Entry& entry) {
   const std::string path = paths_.instance(record.name, record.instance);
+  const bool comes = record.state == discovery::DriverState::active;
+  if (comes && entry.shown == record.channels) {  // only its metadata may be new
+    discovery::put(registry_, path, encode(record));
+    return;
+  }
+  entry.shown.reset();
   if (!entry.channels) {
     const auto children = registry_.children(path);
     entry.channels.emplace();
@@ -90,7 +98,6 @@ void RecordWriter::write_record(const discovery::DriverRecord& record, Entry& en
   std::set<std::string> wanted;
   for (const auto& channel : record.channels) wanted.insert(channel.name);
 
-  const bool comes = record.state == discovery::DriverState::active;
   if (!comes || !registry_.get(path)) {
     auto first = record;
     if (comes) first.state = discovery::DriverState::starting;
@@ -109,6 +116,7 @@ void RecordWriter::write_record(const discovery::DriverRecord& record, Entry& en
     registry_.remove(paths_.channel(record.name, record.instance, *it));
     it = present.erase(it);
   }
+  if (comes) entry.shown = record.channels;
 }
 
 void RecordWriter::remove_record(const std::string& driver, const std::string& instance) {

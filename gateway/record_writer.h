@@ -4,6 +4,7 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <vector>
 
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
@@ -28,6 +29,8 @@ class RecordWriter {
     std::string driver;                             ///< under which it is, or was, written
     std::optional<discovery::DriverRecord> wanted;  ///< nullopt: to be removed
     std::optional<std::set<std::string>> channels;  ///< in the registry; nullopt: not known yet
+    /// As they were written last, while the record says `active`; nullopt: they have to be written.
+    std::optional<std::vector<discovery::ChannelRecord>> shown;
     bool dirty = true;
   };
   bool write(const std::string& instance, Entry& entry);

@@ -148,6 +148,22 @@ std::size_t MockHost::logged_count(std::string_view text) const {
       lines.begin(), lines.end(), [&](const Logged& line) { return line.text.find(text) != std::string::npos; }));
 }
 
+void MockHost::update_metadata(const PropertyMap& changes) noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [key, value] : changes) {
+    if (value.empty()) {
+      metadata_.erase(key);
+    } else {
+      metadata_[key] = value;
+    }
+  }
+}
+
+PropertyMap MockHost::metadata() const {
+  const std::lock_guard lock(mutex_);
+  return metadata_;
+}
+
 bool MockHost::failed() const {
   const std::lock_guard lock(mutex_);
   return failed_;

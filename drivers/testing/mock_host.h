@@ -16,7 +16,7 @@
 namespace iotcloud::drivers::testing {
 
 /// A driver host whose time is simulated: nothing happens until the test advances it. Everything that the driver does
-/// is recorded. publish, post, log and fail may be called from any thread, all else from the test's.
+/// is recorded. publish, post, log, fail and update_metadata may be called from any thread, all else from the test's.
 class MockHost final : public HostInterface {
  public:
   struct Published {
@@ -42,6 +42,7 @@ class MockHost final : public HostInterface {
   void post(std::function<void()> callback) noexcept override;
   void log(LogLevel level, std::string_view text) noexcept override;
   void fail(std::string_view reason) noexcept override;
+  void update_metadata(const PropertyMap& changes) noexcept override;
 
   // What the test does.
   /// Moves time: runs what is posted, and every timer that falls due, in order of its time.
@@ -67,6 +68,7 @@ class MockHost final : public HostInterface {
   std::vector<Logged> logged() const;
   /// How many lines hold this text.
   std::size_t logged_count(std::string_view text) const;
+  PropertyMap metadata() const;  ///< as the driver has said it so far
   bool failed() const;
   std::string failure() const;  ///< the first reason given to fail(); empty when there was none
 
@@ -95,6 +97,7 @@ class MockHost final : public HostInterface {
   std::vector<Published> published_;
   std::vector<Logged> logged_;
   std::map<std::string, PublishStatus, std::less<>> answers_;
+  PropertyMap metadata_;
   std::string failure_;
   bool failed_ = false;
 };

@@ -1,4 +1,7 @@
 #include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
 #include <string>
 #include <utility>
 
@@ -11,6 +14,7 @@ using std::chrono::steady_clock;
 
 namespace {
 
+constexpr double position_step = 0.25;        // metres; what is nearer is not worth a change of the record
 constexpr std::chrono::seconds burst_gap{5};  // malformed commands further apart are logged each
 
 std::int64_t wall_ms() {
@@ -89,12 +93,24 @@ void TurtleDriver::send(const DepthFrame& frame) {
   record.time_ms = last_time_ms_;
   record.captured = frame.captured;
   record.device_time_s = frame.device_time_s;
-  if (frame.truth) record.truth = *frame.truth;
+  if (frame.truth) {
+    record.truth = *frame.truth;
+    tell_position(*frame.truth);
+  }
   record.encode_us = microseconds(encoded - started);
   record.payload_bytes = bytes.size();
   record.published = publish(record.sequence, record.time_ms, bytes);
   log_.add(record);
   log_.tidy(steady_clock::now());
+}
+
+/// So that topologies can choose robots by where they are.
+void TurtleDriver::tell_position(const GroundTruth& truth) {
+  if (told_ && std::hypot(truth.robot_x - told_->first, truth.robot_y - told_->second) < position_step) return;
+  told_ = {truth.robot_x, truth.robot_y};
+  std::array<char, 64> text{};
+  std::snprintf(text.data(), text.size(), "%.2f,%.2f", truth.robot_x, truth.robot_y);
+  context_->update_metadata({{"position", text.data()}});
 }
 
 PublishStatus TurtleDriver::publish(std::uint64_t sequence, std::int64_t time_ms, std::span<const std::byte> bytes) {

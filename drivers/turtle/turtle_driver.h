@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <optional>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/drivers/depth/depth_codec.h>
@@ -32,6 +33,7 @@ class TurtleDriver final : public Driver {
   using Instant = std::chrono::steady_clock::time_point;
   void send(const DepthFrame& frame);
   PublishStatus publish(std::uint64_t sequence, std::int64_t time_ms, std::span<const std::byte> bytes);
+  void tell_position(const GroundTruth& truth);
   void guard_robot();
   void note_malformed(Instant now);
   void sum_up();
@@ -43,6 +45,7 @@ class TurtleDriver final : public Driver {
   FrameLog log_;
   std::uint64_t sequence_ = 0;  ///< of the next frame
   std::int64_t last_time_ms_ = 0;
+  std::optional<std::pair<double, double>> told_;  ///< where the record says the robot is, metres
   bool opened_once_ = false, active_ = false;
   std::optional<HandlerId> watchdog_;
   std::uint64_t watchdog_stops_ = 0;

@@ -280,4 +280,52 @@ void Instance::fail(std::string_view reason) noexcept {
   loop_->post([self = shared_from_this(), text = std::string(reason)] { self->close_now(DriverState::failed, text); });
 }
 
+void Instance::update_metadata(const drivers::PropertyMap& changes) noexcept {
+  {
+    const std::lock_guard lock(mutex_);
+    auto metadata = status_.metadata;
+    for (const auto& [key, value] : changes) {
+      if (value.empty()) {
+        metadata.erase(key);
+      } else {
+        metadata[key] = value;
+      }
+    }
+    std::size_t size = 0;
+    for (const auto& [key, value] : metadata) size += key.size() + value.size();
+    if (metadata.contains("") || size > most_metadata) {
+      host_log.warn("{}: metadata of {} bytes, or an empty key, is not published; {} bytes are the most", id_, size,
+                    most_metadata);
+      return;
+    }
+    if (metadata == status_.metadata) return;
+    status_.metadata = std::move(metadata);
+    if (std::exchange(metadata_waits_, true)) return;
+  }
+  loop_->post([weak = weak_from_this()] {
+    if (const auto self = weak.lock()) self->report_metadata();
+  });
+}
+
+/// On the event thread, as all that is reported before the end: so that no older state is told after a newer one.
+void Instance::report_metadata() {
+  if (closed_) return;
+  const auto now = environment_->clock->now();
+  if (metadata_told_ && now - *metadata_told_ < metadata_pause) {
+    const auto rest = std::chrono::ceil<std::chrono::microseconds>(metadata_pause - (now - *metadata_told_));
+    loop_->start_timer(rest, std::chrono::microseconds{0}, [weak = weak_from_this()] {
+      if (const auto self = weak.lock()) self->report_metadata();
+    });
+    return;
+  }
+  metadata_told_ = now;
+  InstanceStatus status;
+  {
+    const std::lock_guard lock(mutex_);
+    metadata_waits_ = false;
+    status = status_;
+  }
+  environment_->report(status);
+}
+
 }  // namespace iotcloud::gateway

@@ -2,10 +2,12 @@
 
 #include <atomic>
 #include <chrono>
+#include <cstddef>
 #include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <shared_mutex>
 #include <string>
@@ -62,6 +64,12 @@ class Instance final : public drivers::HostInterface, public std::enable_shared_
   void post(std::function<void()> callback) noexcept override;
   void log(drivers::LogLevel level, std::string_view text) noexcept override;
   void fail(std::string_view reason) noexcept override;
+  void update_metadata(const drivers::PropertyMap& changes) noexcept override;
+
+  /// The driver's metadata is reported so often at most.
+  static constexpr std::chrono::milliseconds metadata_pause{200};
+  /// Of all keys and values together.
+  static constexpr std::size_t most_metadata = std::size_t{16} * 1024;
 
  private:
   struct Outgoing;
@@ -84,6 +92,7 @@ class Instance final : public drivers::HostInterface, public std::enable_shared_
   /// Runs a call into the driver; an error fails the instance. \return whether it went well.
   bool call(const char* what, const std::function<void(std::string&)>& driver_call);
   void report(discovery::DriverState state, const std::string& reason);
+  void report_metadata();
   void set_active(bool active);
   bool running() const { return open_ && !failing_; }
 
@@ -99,12 +108,14 @@ class Instance final : public drivers::HostInterface, public std::enable_shared_
   InstanceSpec spec_;             ///< guarded by mutex_
   InstanceStatus status_;         ///< guarded by mutex_
   std::set<HandlerId> handlers_;  ///< guarded by mutex_
+  bool metadata_waits_ = false;   ///< report_metadata() will run; guarded by mutex_
 
   std::shared_mutex channels_mutex_;
   std::map<std::string, std::shared_ptr<Outgoing>, std::less<>> outgoing_;  ///< guarded by channels_mutex_
 
   // Event thread only.
   bool closed_ = false;
+  std::optional<config::Clock::Instant> metadata_told_;
   drivers::DriverShell* shell_ = nullptr;
   std::vector<std::unique_ptr<Incoming>> incoming_;
 };

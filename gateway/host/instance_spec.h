@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -42,6 +43,7 @@ struct InstanceStatus {
   std::string reason;         ///< why it is in this state, for people
   std::int64_t since_ms = 0;  ///< wall time of the last change
   std::vector<discovery::ChannelRecord> channels;
+  std::map<std::string, std::string> metadata;  ///< what the driver itself says
   friend bool operator==(const InstanceStatus&, const InstanceStatus&) = default;
 };
 

@@ -84,7 +84,8 @@ json to_json(const InstanceStatus& s) {
   json channels = json::array();
   for (const auto& channel : s.channels) channels.push_back(to_json(channel));
   return {{"instance", s.instance}, {"driver", s.driver},     {"state", discovery::to_string(s.state)},
-          {"reason", s.reason},     {"since_ms", s.since_ms}, {"channels", channels}};
+          {"reason", s.reason},     {"since_ms", s.since_ms}, {"channels", channels},
+          {"metadata", s.metadata}};
 }
 
 InstanceStatus to_status(const json& body) {
@@ -95,6 +96,7 @@ InstanceStatus to_status(const json& body) {
   s.reason = body.at("reason");
   s.since_ms = body.at("since_ms");
   for (const auto& channel : body.at("channels")) s.channels.push_back(to_channel(channel));
+  s.metadata = body.value("metadata", s.metadata);  // an older host says nothing of it
   return s;
 }
 

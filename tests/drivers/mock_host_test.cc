@@ -149,6 +149,14 @@ TEST_F(MockHostTest, takes_posts_from_other_threads) {
   EXPECT_EQ(ran_on, test_thread);
 }
 
+TEST_F(MockHostTest, keeps_the_metadata_that_the_driver_says) {
+  MockInstance instance(toy);
+  ASSERT_TRUE(instance.start());
+  ToyDriver::context->update_metadata({{"battery", "90"}, {"site", "lab"}});
+  ToyDriver::context->update_metadata({{"battery", "80"}, {"site", ""}});
+  EXPECT_EQ(instance.host().metadata(), (PropertyMap{{"battery", "80"}}));
+}
+
 TEST_F(MockHostTest, watches_descriptors) {
   std::array<int, 2> ends{};
   ASSERT_EQ(pipe(ends.data()), 0);

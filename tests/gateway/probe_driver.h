@@ -14,6 +14,7 @@ namespace iotcloud::gateway {
 ///   throw_in: channels, open, activate, timer or message
 ///   crash_file: when this file appears it is removed and the process dies of SIGSEGV
 ///   shared: "true" makes both channels shared; channels: "none" leaves them out
+///   says: "KEY=VALUE", metadata that it has from the beginning; a message "say KEY=VALUE" changes it
 /// It publishes one message ("up") when it is activated, and answers each message on `control` with its echo.
 class ProbeDriver : public drivers::Driver {
  public:
@@ -34,6 +35,7 @@ class ProbeDriver : public drivers::Driver {
   void open(drivers::DriverContext& context) override {
     context_ = &context;
     throw_if("open");
+    say(value(context.properties(), "says"));
     if (throw_in_ == "timer") context.after(std::chrono::milliseconds{1}, [this] { throw_if("timer"); });
     const std::string crash_file = value(context.properties(), "crash_file");
     if (crash_file.empty()) return;
@@ -52,10 +54,15 @@ class ProbeDriver : public drivers::Driver {
 
   void on_message(std::string_view, drivers::Message message) override {
     throw_if("message");
+    if (message.payload.text().starts_with("say ")) say(std::string(message.payload.text().substr(4)));
     context_->publish("readings", std::move(message));
   }
 
  private:
+  void say(const std::string& pair) const {
+    const auto equals = pair.find('=');
+    if (equals != std::string::npos) context_->update_metadata({{pair.substr(0, equals), pair.substr(equals + 1)}});
+  }
   static std::string value(const drivers::PropertyMap& properties, const std::string& name) {
     const auto found = properties.find(name);
     return found == properties.end() ? "" : found->second;

@@ -96,6 +96,15 @@ TEST_F(ProcessTest, AnInstanceRunsInAProcessOfItsPluginAndTheLastOneEndsIt) {
   EXPECT_TRUE(eventually([&] { return sockets().empty(); }));
 }
 
+TEST_F(ProcessTest, WhatADriverSaysOfItselfComesThroughItsProcess) {
+  start_gateway();
+  give(quiet("a", "probe.so", {{"says", "battery=90"}}));
+  EXPECT_TRUE(eventually([&] {
+    const auto now = record("a");
+    return now && now->state == DriverState::active && now->metadata.contains("battery");
+  }));
+}
+
 TEST_F(ProcessTest, ACrashIsToldAndTheInstancesRunAgainWhileOtherPluginsNoticeNothing) {
   start_gateway();
   const std::string crash_file = folder_ / "crash";
@@ -108,7 +117,7 @@ TEST_F(ProcessTest, ACrashIsToldAndTheInstancesRunAgainWhileOtherPluginsNoticeNo
   const auto watch = registry_->watch_node(paths_.instance("probe", "a"), [&](const auto& node) {
     if (!node) return;
     const auto record = discovery::decode_driver(node->data, "a");
-    told.add({"a", record.name, record.state, record.reason, record.since_ms, record.channels});
+    told.add({"a", record.name, record.state, record.reason, record.since_ms, record.channels, record.metadata});
   });
   ASSERT_TRUE(told.wait_for("a", DriverState::active));
   std::ofstream{crash_file};

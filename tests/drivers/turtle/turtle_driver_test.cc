@@ -166,6 +166,24 @@ TEST(TurtleDriver, produces_only_while_active) {
   EXPECT_EQ(robot.host().published().size(), 12);
 }
 
+TEST(TurtleDriver, says_where_the_robot_is_when_it_has_gone_a_quarter_of_a_metre) {
+  MockInstance robot(turtle);
+  ASSERT_TRUE(robot.start());
+  robot.host().advance(100ms);
+  const std::string first = robot.host().metadata().at("position");
+  EXPECT_NE(first.find(','), std::string::npos);
+  const auto back = [&](int tenths) {
+    for (int i = 0; i < tenths; ++i) {
+      ASSERT_TRUE(robot.deliver("control", command(Velocity{-0.2, 0})));
+      robot.host().advance(100ms);
+    }
+  };
+  back(10);
+  EXPECT_EQ(robot.host().metadata().at("position"), first);
+  back(10);
+  EXPECT_NE(robot.host().metadata().at("position"), first);
+}
+
 TEST(TurtleDriver, moves_the_robot_as_commanded) {
   ScratchFile trace("moves.csv");
   MockInstance robot(turtle, {{"trace", trace.path()}});
