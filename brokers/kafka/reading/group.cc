@@ -153,7 +153,9 @@ bool Group::closed() const {
 }
 
 bool Group::cooperative() const {
-  return std::string_view(rd_kafka_rebalance_protocol(client_->get())) == "COOPERATIVE";
+  // Null while a client that closes has left its group already: then either way of giving up will do.
+  const char* protocol = rd_kafka_rebalance_protocol(client_->get());
+  return protocol != nullptr && std::string_view(protocol) == "COOPERATIVE";
 }
 
 void Group::look_for_servers() {
