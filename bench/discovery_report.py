@@ -71,10 +71,18 @@ def figures(bench, report, kind, rounds):
     report.compare(f"{title}: servers at rest", "% CPU", of(real, "rest", "server_cpu_percent"))
 
 
+def selection(programs, report, rounds):
+    """A question to many drivers, beside the same in plain C++."""
+    lines = programs.run("selection", 100_000, max(rounds, 3) * 3)
+    report.compare("100 000 drivers chosen by an expression", "ms", [line["seconds"] * 1000 for line in lines],
+                   "plain C++", [line["plain_seconds"] * 1000 for line in lines], at_most=50)
+
+
 def run_discovery(given):
     programs, report = Programs(given.build / "bin", "discovery"), Report()
     rounds = given.rounds or (1 if given.quick else 3)
     report.print_head()
+    selection(programs, report, rounds)
     with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
         bench = Bench(programs, folder, given.instances, 50 if given.quick else 200)
         for kind in ("shared", "exclusive"):

@@ -113,7 +113,7 @@ TopologyOrder decode_topology_order(const std::string& bytes, const std::string&
   reader.optional("kill", kill);
   if (!kill.is_null()) {
     const Reader detail(to_text(kill), path, "an order to kill a topology");
-    order.kill.emplace();
+    order.kill = TopologyOrder::Kill{};
     detail.required("workers", order.kill->workers);
     detail.required("drain_ms", order.kill->drain_ms);
     detail.optional("awaited_until_ms", order.kill->awaited_until_ms);

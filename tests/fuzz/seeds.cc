@@ -101,6 +101,12 @@ int main(int argc, char** argv) {
   }
   const std::string first = file_start() + record(1) + record(2);
   const std::string second = file_start() + record(3) + record(4);
+  write(folder / "selection_fuzzer", "issue",
+        R"(site == "lab" and battery > 20 and within(location, 39.17, -86.52, 500 m))");
+  write(folder / "selection_fuzzer", "words",
+        R"(not (a in [1, 'b', true] or a not in [-2.5e3]) and exists(`any key`) or starts_with(b, "\"x"))");
+  write(folder / "selection_fuzzer", "plane",
+        "within(position, 3, -4.5, 2 km) and ends_with(x,'1')\nor contains(y, '')");
   write(folder / "spool_folder_fuzzer", "good", part(mark(2)) + part(first) + second);
   write(folder / "spool_folder_fuzzer", "torn", part("") + part(first) + second.substr(0, second.size() - 5));
   write(folder / "spool_folder_fuzzer", "gap",
