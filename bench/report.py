@@ -52,9 +52,9 @@ def main():
     if facts["load_average_before"] > 0.5:
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
+    benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery}
     try:
-        benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery}
-    report, verdict = benchmarks[given.what](given)
+        report, verdict = benchmarks[given.what](given)
     except ProgramFailed as failure:
         sys.exit(str(failure))
     facts["load_average_after"] = os.getloadavg()[0]
