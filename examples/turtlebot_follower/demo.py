@@ -7,6 +7,7 @@ The figures come from the trace that the turtle driver writes (drivers/turtle/RE
 """
 
 import argparse
+import fcntl
 import json
 import signal
 import sys
@@ -64,10 +65,22 @@ def follow_progress(trace, seconds, alive):
         print()
 
 
+def take_folder(out):
+    """Makes the folder of this run. Returns its lock, which lasts as long as the file is open: two runs would write one
+    trace."""
+    out.mkdir(parents=True, exist_ok=True)
+    lock = open(out / "lock", "w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        sys.exit(f"another demo writes into {out} right now: wait for its end, or give this one another folder (--out)")
+    return lock
+
+
 def main():
     options = arguments()
-    options.out.mkdir(parents=True, exist_ok=True)
     out = options.out.resolve()
+    _lock = take_folder(out)
     trace = out / "trace.csv"
     trace.unlink(missing_ok=True)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
