@@ -13,7 +13,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError  # noqa: E402,F401
+from network_spaces import HERE as BRIDGE, page  # noqa: E402
+from private_cluster import PrivateCluster, StartError, free_port  # noqa: E402,F401
 
 SESSION_S = 4  # the workers' registry.session_timeout
 HEARTBEAT_S = 1
@@ -23,8 +24,9 @@ TOPOLOGY = f"""
 zk.servers: [{{zookeeper}}]
 registry.session_timeout: {SESSION_S}s
 topology.name: "echo"
+metrics: {{address: "{{metrics}}"}}
 brokers:
-  rabbitmq: {{heartbeat: {HEARTBEAT_S}s}}
+  rabbitmq: {{heartbeat: {HEARTBEAT_S}s{{urls}}}}
 spouts:
   receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: 2}}
 bolts:
@@ -55,7 +57,7 @@ class FaultCluster(PrivateCluster):
         shutil.rmtree(self.work, ignore_errors=True)
         super().__init__(self.work, build / "bin", build / "plugins")
         self.registry_kind = registry
-        self.reports, self.started = [], 0
+        self.reports, self.started, self.pages = [], 0, {}
 
     def server(self, kind):
         return super().server(self.registry_kind if kind == "zookeeper" else kind)
@@ -70,14 +72,37 @@ class FaultCluster(PrivateCluster):
             raise StartError(f"{self.registry_kind} {command}: {answer or 'no answer'}")
         return answer
 
-    def worker(self, registry=None):
-        """Starts one more, which reaches the registry at `registry` (host:port); returns its name."""
+    def worker(self, isle=None):
+        """Starts one more, in a network of its own when `isle` is one; returns its name."""
         self.started += 1
         name = f"worker-{self.started}"
-        addresses = (registry or self.zookeeper.removeprefix("zookeeper://")).split(",")
-        servers = ", ".join(f'"{server}"' for server in addresses)
-        self.daemon("iotcloud-topology", name, TOPOLOGY.replace("{zookeeper}", servers))
+        servers, urls = self.zookeeper.removeprefix("zookeeper://"), ""
+        if isle:
+            servers = servers.replace("127.0.0.1", BRIDGE)
+            urls = f', urls: ["{self.rabbitmq.replace("127.0.0.1", BRIDGE)}"]'
+        address = f"127.0.0.1:{free_port()}"
+        self.pages[name] = (address, isle)
+        listed = ", ".join(f'"{server}"' for server in servers.split(","))
+        configuration = TOPOLOGY
+        for key, value in (("zookeeper", listed), ("urls", urls), ("metrics", address)):
+            configuration = configuration.replace("{" + key + "}", value)
+        self.daemon("iotcloud-topology", name, configuration, isle.enter if isle else ())
         return name
+
+    def metric(self, worker, metric):
+        """Sum of that metric over its labels."""
+        lines = page(self.pages[worker][0], "/metrics", self.pages[worker][1]).splitlines()
+        return sum(float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith((metric + "{", metric + " ")))
+
+    def received(self, worker):
+        return self.metric(worker, "iotcloud_spout_received_total")
+
+    def channels(self, worker):
+        return self.metric(worker, "iotcloud_spout_channels")
+
+    def said(self, worker, text):
+        """How often the worker's log has it."""
+        return self.log(worker).read_text(errors="replace").count(text)
 
     def process(self, name):
         return next(child for known, child in self.children if known == name)
@@ -113,6 +138,10 @@ class FaultCluster(PrivateCluster):
         """Names of the units by the worker that leads them, as the registry's word in the logs has it."""
         return {name: self.log(name).read_text(errors="replace").count(" leads /iot/topologies/echo/readers/")
                 for name, _ in self.children if name.startswith("worker-")}
+
+    def wait_for_workers(self, number, limit=30):
+        wait_for(f"{number} workers are known", lambda: any(
+            len(topology["workers"]) == number for topology in json.loads(self.cli("topologies", "-o", "json"))), limit)
 
     def wait_until_all_read(self, limit=30):
         wait_for("every worker reads drivers", lambda: all(self.readers().values()), limit)
