@@ -11,9 +11,10 @@
 #include <iotcloud/config/daemon.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/gateway/host_fleet.h>
-#include <iotcloud/gateway/launcher.h>
-#include <iotcloud/gateway/placement.h>
+#include <iotcloud/gateway/fleet/host_fleet.h>
+#include <iotcloud/gateway/fleet/launcher.h>
+#include <iotcloud/gateway/fleet/placement.h>
+#include <iotcloud/gateway/ordered_instances.h>
 
 namespace iotcloud::gateway {
 
@@ -53,14 +54,9 @@ class Gateway final : public config::Service {
   std::int64_t epoch() const;
   /// Instances as they are.
   std::vector<discovery::DriverRecord> instances() const;
-  /// What came of an order, see wait_for().
-  struct Outcome {
-    bool known = false;                             ///< false: the limit passed first
-    std::optional<discovery::DriverRecord> record;  ///< the record that met the condition; nullopt: there is none
-  };
-  using Condition = std::function<bool(const std::optional<discovery::DriverRecord>&)>;
-  /// Waits until the condition holds for the instance's record (nullopt: there is none), and the order's version in the
-  /// registry that the record follows is at least `order_version`.
+  using Outcome = OrderedInstances::Outcome;
+  using Condition = OrderedInstances::Condition;
+  /// See OrderedInstances::wait_for().
   Outcome wait_for(const std::string& instance, const Condition& condition, std::chrono::milliseconds limit,
                    std::int64_t order_version = -1) const;
 

@@ -4,8 +4,8 @@
 
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/gateway/gateway.h>
-#include <iotcloud/gateway/process_launcher.h>
-#include <iotcloud/gateway/site_service.h>
+#include <iotcloud/gateway/processes/process_launcher.h>
+#include <iotcloud/gateway/site/site_service.h>
 
 namespace iotcloud::gateway {
 

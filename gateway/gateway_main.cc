@@ -5,7 +5,7 @@
 #include <iotcloud/config/daemon.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
 #include <iotcloud/gateway/gateway_config.h>
-#include <iotcloud/gateway/state_folder.h>
+#include <iotcloud/gateway/processes/state_folder.h>
 
 namespace {
 

@@ -6,7 +6,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/master/master.h>
-#include <iotcloud/master/master_impl.h>
+#include <iotcloud/master/orders/master_impl.h>
 
 namespace iotcloud::master {
 

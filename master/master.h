@@ -9,8 +9,8 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/orders.h>
-#include <iotcloud/master/topology_orders.h>
+#include <iotcloud/master/orders/orders.h>
+#include <iotcloud/master/topologies/topology_orders.h>
 
 namespace iotcloud::master {
 

@@ -11,12 +11,12 @@
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry_setting.h>
-#include <iotcloud/master/api_handler.h>
-#include <iotcloud/master/gateway_handler.h>
+#include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/api/thrift_server.h>
 #include <iotcloud/master/master.h>
 #include <iotcloud/master/master_service.h>
-#include <iotcloud/master/original_gateways.h>
-#include <iotcloud/master/thrift_server.h>
+#include <iotcloud/master/originals/gateway_handler.h>
+#include <iotcloud/master/originals/original_gateways.h>
 
 namespace iotcloud::master {
 

@@ -8,7 +8,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/gateway/host/driver_host.h>
 #include <iotcloud/gateway/host/event_loop.h>
-#include <iotcloud/gateway/host/instance.h>
+#include <iotcloud/gateway/host/instance/instance.h>
 
 namespace iotcloud::gateway {
 

@@ -11,7 +11,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/memory.h>
-#include <iotcloud/gateway/host/control_server.h>
+#include <iotcloud/gateway/host/control/control_server.h>
 
 namespace {
 

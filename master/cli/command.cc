@@ -13,7 +13,7 @@
 #include <iotcloud/master/cli/drivers_command.h>
 #include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/master/cli/output.h>
-#include <iotcloud/master/cli/topology_command.h>
+#include <iotcloud/master/cli/topology/topology_command.h>
 
 namespace iotcloud::master::cli {
 

@@ -12,7 +12,7 @@
 
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/gateway/host/unix_socket.h>
+#include <iotcloud/gateway/host/control/unix_socket.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 #include <iotcloud/tests/servers/private_server.h>
 

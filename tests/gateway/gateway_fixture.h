@@ -12,8 +12,8 @@
 
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/gateway/fleet/in_process_launcher.h>
 #include <iotcloud/gateway/gateway.h>
-#include <iotcloud/gateway/in_process_launcher.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/gateway/probe_driver.h>
 

@@ -2,7 +2,7 @@
 
 #include <gmock/gmock.h>
 
-#include <iotcloud/gateway/host_fleet.h>
+#include <iotcloud/gateway/fleet/host_fleet.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
 namespace iotcloud::gateway {

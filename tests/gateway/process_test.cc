@@ -6,8 +6,8 @@
 #include <unistd.h>
 
 #include <iotcloud/drivers/plugin.h>
-#include <iotcloud/gateway/host/unix_socket.h>
-#include <iotcloud/gateway/process_launcher.h>
+#include <iotcloud/gateway/host/control/unix_socket.h>
+#include <iotcloud/gateway/processes/process_launcher.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
 

@@ -4,7 +4,7 @@
 #include <thrift/transport/TSocket.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
-#include <iotcloud/gateway/site_service.h>
+#include <iotcloud/gateway/site/site_service.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 
 namespace iotcloud::gateway {

@@ -11,8 +11,8 @@
 
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/error.h>
-#include <iotcloud/master/api_handler.h>
-#include <iotcloud/master/thrift_server.h>
+#include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/api/thrift_server.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
 
@@ -238,7 +238,7 @@ TEST_F(MasterServer, APortInUseIsAnErrorThatNamesIt) {
 TEST_F(MasterServer, AClientCompiledFromTheOriginalIdlListsAndDeploys) {
   FakeGateway gateway(url, "lab1");
   const auto generated = std::filesystem::path(IOTCLOUD_TEST_DIR) / "original_client";
-  const auto client = test::run_program({"/usr/bin/python3", IOTCLOUD_MASTER_TESTS "/original_client.py",
+  const auto client = test::run_program({"/usr/bin/python3", IOTCLOUD_MASTER_TESTS "/originals/original_client.py",
                                          std::to_string(server->port()), generated.string()});
   EXPECT_EQ(client.status, 0) << client.out << client.err;
 }

@@ -3,8 +3,8 @@
 #include <thread>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/gateway/fleet/in_process_launcher.h>
 #include <iotcloud/gateway/gateway.h>
-#include <iotcloud/gateway/in_process_launcher.h>
 #include <iotcloud/topology/local/local_cluster.h>
 
 namespace iotcloud::local {

@@ -1,0 +1,229 @@
+#include <fmt/format.h>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/gateway/ordered_instances.h>
+
+namespace iotcloud::gateway {
+
+using discovery::DriverRecord;
+using discovery::DriverState;
+using discovery::OrderRecord;
+using std::chrono::milliseconds;
+
+namespace {
+
+constexpr config::Logger log{"gateway"};
+
+/// Whether a running instance must be replaced to follow the new order.
+bool differs_in_making(const OrderRecord& a, const OrderRecord& b) {
+  return a.driver != b.driver || a.plugin != b.plugin || a.properties != b.properties;
+}
+
+}  // namespace
+
+OrderedInstances::OrderedInstances(Options options, EventLoop& loop)
+    : options_(std::move(options)),
+      records_(*options_.registry, options_.paths),
+      fleet_(loop, *options_.launcher, Placement(options_.brokers),
+             {options_.gateway, options_.restart, options_.clock},
+             [this](const InstanceStatus& status) { heard(status); }) {}
+
+void OrderedInstances::adopt() {
+  for (const auto& found : fleet_.adopt()) {
+    auto& entry = entries_[found.spec.order.instance];
+    entry.order = found.spec.order;
+    entry.status = found.status;
+    entry.in_fleet = true;
+  }
+}
+
+void OrderedInstances::ordered_at_first(const std::set<std::string>& names) {
+  remove_stale_records(names);
+  std::vector<std::string> not_ordered;
+  for (const auto& [instance, entry] : entries_) {
+    if (!names.contains(instance)) not_ordered.push_back(instance);
+  }
+  for (const auto& instance : not_ordered) forget(instance);
+}
+
+void OrderedInstances::follow(const OrderRecord& order, std::int64_t version) {
+  const auto found = entries_.find(order.instance);
+  if (found == entries_.end()) {
+    create(order, version);
+    return;
+  }
+  Entry& entry = found->second;
+  const bool first_sight = std::exchange(entry.order_version, version) == -1;
+  const bool failed = entry.status.state == DriverState::failed;
+  const bool to_start_again = failed && order.active && !first_sight;
+  if (entry.removing || to_start_again || differs_in_making(entry.order, order)) {
+    replace(entry, order);
+    return;
+  }
+  const bool was_active = std::exchange(entry.order, order).active;
+  if (order.active != was_active && entry.in_fleet) {
+    order.active ? fleet_.activate(order.instance) : fleet_.deactivate(order.instance);
+  }
+  publish_record(entry);  // its metadata may have changed; an adopted instance's record may be old
+}
+
+void OrderedInstances::create(const OrderRecord& order, std::int64_t version) {
+  auto& entry = entries_[order.instance];
+  entry.order = order;
+  entry.order_version = version;
+  entry.removing = false;
+  entry.next.reset();
+  entry.status = {};
+  entry.status.instance = order.instance;
+  entry.status.driver = order.driver;
+  try {
+    check_name("instance id", order.instance);
+    check_plugin_file_name(order.plugin);
+    if (!order.driver.empty()) check_name("driver name", order.driver);
+  } catch (const config::Error& e) {
+    refuse(entry, e.what());
+    return;
+  }
+  entry.in_fleet = true;
+  fleet_.create(order);
+}
+
+/// An order that cannot be followed: told in the record, no host is bothered.
+void OrderedInstances::refuse(Entry& entry, const std::string& reason) {
+  entry.in_fleet = false;
+  entry.status.state = DriverState::failed;
+  entry.status.reason = reason;
+  entry.status.since_ms = options_.clock->wall_ms();
+  log.error("the order for {} cannot be followed: {}", entry.order.instance, reason);
+  try {
+    check_name("driver name", entry.status.driver);
+  } catch (const config::Error&) {
+    entry.status.driver = "unknown";  // the record needs a place that exists
+  }
+  publish_record(entry);
+}
+
+void OrderedInstances::replace(Entry& entry, const OrderRecord& order) {
+  if (!entry.in_fleet) {
+    create(order, entry.order_version);
+    return;
+  }
+  entry.next = order;
+  if (!std::exchange(entry.removing, true)) fleet_.remove(order.instance);
+}
+
+void OrderedInstances::forget(const std::string& instance) {
+  const auto found = entries_.find(instance);
+  if (found == entries_.end()) return;
+  Entry& entry = found->second;
+  entry.next.reset();
+  if (entry.in_fleet) {
+    if (!std::exchange(entry.removing, true)) fleet_.remove(instance);
+    return;
+  }
+  const std::string driver = entry.status.driver;
+  entries_.erase(found);
+  drop_record(driver, instance);
+}
+
+void OrderedInstances::heard(const InstanceStatus& status) {
+  const auto found = entries_.find(status.instance);
+  if (found == entries_.end()) return;
+  Entry& entry = found->second;
+  entry.status = status;
+  if (status.state != DriverState::undeployed) {
+    publish_record(entry);
+    return;
+  }
+  entry.in_fleet = false;
+  if (stopping_) {
+    entry.status.state = DriverState::inactive;
+    entry.status.reason = "its gateway was stopped";
+    publish_record(entry);
+  } else if (entry.next) {
+    create(OrderRecord(*entry.next), entry.order_version);
+  } else {
+    entries_.erase(found);
+    drop_record(status.driver, status.instance);
+  }
+}
+
+DriverRecord OrderedInstances::record_for(const Entry& entry) const {
+  DriverRecord record;
+  record.name = entry.status.driver;
+  record.instance = entry.order.instance;
+  record.gateway = options_.gateway;
+  record.state = entry.status.state;
+  record.reason = entry.status.reason;
+  record.since_ms = entry.status.since_ms;
+  record.metadata = entry.status.metadata;
+  record.metadata.insert(entry.order.metadata.begin(), entry.order.metadata.end());  // the driver's own go before
+  record.channels = entry.status.channels;
+  return record;
+}
+
+void OrderedInstances::publish_record(const Entry& entry) {
+  const auto record = record_for(entry);
+  records_.put(record);
+  {
+    const std::lock_guard lock(mutex_);
+    told_[record.instance] = {record, entry.order_version};
+  }
+  changed_.notify_all();
+}
+
+void OrderedInstances::drop_record(const std::string& driver, const std::string& instance) {
+  records_.erase(driver, instance);
+  {
+    const std::lock_guard lock(mutex_);
+    told_.erase(instance);
+  }
+  changed_.notify_all();
+}
+
+void OrderedInstances::stop(milliseconds limit, std::function<void()> done) {
+  stopping_ = true;
+  fleet_.shutdown(limit, [this, done = std::move(done)] {
+    records_.flush();
+    done();
+  });
+}
+
+/// Records of an earlier life whose orders went while no gateway was there to see it.
+void OrderedInstances::remove_stale_records(const std::set<std::string>& ordered) {
+  try {
+    for (const auto& record : discovery::list_drivers(*options_.registry, options_.paths)) {
+      if (record.gateway != options_.gateway || ordered.contains(record.instance)) continue;
+      if (entries_.contains(record.instance)) continue;  // it runs: forget() will see to it
+      log.info("removing the record of {} {}: it is not ordered any more", record.name, record.instance);
+      records_.erase(record.name, record.instance);
+    }
+  } catch (const config::Error& e) {
+    log.warn("records of an earlier life of this gateway may have stayed: {}", e.what());
+  }
+}
+
+std::vector<DriverRecord> OrderedInstances::all() const {
+  const std::lock_guard lock(mutex_);
+  std::vector<DriverRecord> all;
+  for (const auto& [instance, told] : told_) all.push_back(told.record);
+  return all;
+}
+
+OrderedInstances::Outcome OrderedInstances::wait_for(const std::string& instance, const Condition& condition,
+                                                     milliseconds limit, std::int64_t order_version) const {
+  std::unique_lock lock(mutex_);
+  Outcome outcome;
+  outcome.known = changed_.wait_for(lock, limit, [&] {
+    const auto found = told_.find(instance);
+    outcome.record.reset();
+    if (found == told_.end()) return condition(outcome.record);
+    outcome.record = found->second.record;
+    return found->second.order_version >= order_version && condition(outcome.record);
+  });
+  return outcome;
+}
+
+}  // namespace iotcloud::gateway

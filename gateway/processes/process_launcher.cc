@@ -1,0 +1,155 @@
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <optional>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <signal.h>
+#include <spawn.h>
+#include <unistd.h>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/gateway/processes/process_launcher.h>
+#include <iotcloud/gateway/processes/process_link.h>
+
+namespace iotcloud::gateway {
+
+namespace {
+
+constexpr config::Logger log{"gateway"};
+constexpr std::chrono::milliseconds hello_limit{2000};
+constexpr std::string_view socket_suffix = ".sock";
+
+std::string beside_own_program() {
+  std::error_code error;
+  const auto own = std::filesystem::read_symlink("/proc/self/exe", error);
+  return own.parent_path() / "iotcloud-driver-host";
+}
+
+/// What a child of the gateway must not inherit: its session, its signals, its descriptors (sockets above all).
+class Spawning {
+ public:
+  explicit Spawning(const std::string& log_file) {
+    posix_spawn_file_actions_init(&actions_);
+    posix_spawn_file_actions_addopen(&actions_, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+    posix_spawn_file_actions_addopen(&actions_, STDOUT_FILENO, log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0600);
+    posix_spawn_file_actions_adddup2(&actions_, STDOUT_FILENO, STDERR_FILENO);
+    posix_spawn_file_actions_addclosefrom_np(&actions_, STDERR_FILENO + 1);
+    posix_spawnattr_init(&attributes_);
+    posix_spawnattr_setflags(&attributes_, POSIX_SPAWN_SETSID | POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
+    sigset_t set;
+    sigemptyset(&set);
+    posix_spawnattr_setsigmask(&attributes_, &set);
+    sigfillset(&set);
+    posix_spawnattr_setsigdefault(&attributes_, &set);
+  }
+  ~Spawning() {
+    posix_spawn_file_actions_destroy(&actions_);
+    posix_spawnattr_destroy(&attributes_);
+  }
+  Spawning(const Spawning&) = delete;
+  Spawning& operator=(const Spawning&) = delete;
+
+  /// \return the child's id. \throws config::Error.
+  pid_t spawn(std::vector<std::string> arguments) {
+    std::vector<char*> argv;
+    for (auto& argument : arguments) argv.push_back(argument.data());
+    argv.push_back(nullptr);
+    pid_t child = 0;
+    const int error = posix_spawn(&child, argv[0], &actions_, &attributes_, argv.data(), environ);
+    if (error != 0) throw config::Error(fmt::format("{} cannot be started: {}", arguments[0], std::strerror(error)));
+    return child;
+  }
+
+ private:
+  posix_spawn_file_actions_t actions_;
+  posix_spawnattr_t attributes_;
+};
+
+std::optional<protocol::Event> hello_of(const OwnedDescriptor& socket) {
+  protocol::FrameReader frames;
+  const auto deadline = std::chrono::steady_clock::now() + hello_limit;
+  while (std::chrono::steady_clock::now() < deadline) {
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
+    if (!wait_readable(socket.get(), left)) break;
+    const auto bytes = receive_some(socket);
+    if (!bytes) break;
+    frames.feed(bytes->data(), bytes->size());
+    if (const auto body = frames.next()) return protocol::decode_event(*body);
+  }
+  return std::nullopt;
+}
+
+/// The host behind a socket of an earlier life, when it is one to go on with. One that is not is ended.
+std::optional<RunningHost> examine(const std::string& folder, const std::string& name, const std::string& gateway) {
+  const OwnedDescriptor socket = connect_in(folder, name);
+  if (!socket) {
+    unlink((folder + "/" + name).c_str());  // its host is dead
+    return std::nullopt;
+  }
+  const int process = peer_process(socket);
+  std::string problem;
+  try {
+    const auto hello = hello_of(socket);
+    if (hello && hello->version == protocol::version && hello->order.gateway == gateway) {
+      return RunningHost{name, hello->order, hello->instances};
+    }
+    problem = !hello ? "it does not answer" : "it is of another version or another gateway";
+  } catch (const config::Error& e) {
+    problem = e.what();
+  }
+  log.warn("the driver host {} (process {}) of an earlier life is ended: {}", name, process, problem);
+  if (process > 0) kill(process, SIGKILL);
+  unlink((folder + "/" + name).c_str());
+  return std::nullopt;
+}
+
+}  // namespace
+
+ProcessLauncher::ProcessLauncher(Options options) : options_(std::move(options)) {
+  if (options_.host_program.empty()) options_.host_program = beside_own_program();
+  if (access(options_.host_program.c_str(), X_OK) != 0) {
+    throw config::Error(fmt::format("the driver host program {} cannot be run: {}; it belongs beside the gateway's own",
+                                    options_.host_program, std::strerror(errno)));
+  }
+  if (!std::filesystem::is_directory(options_.plugin_dir)) {
+    throw config::Error(fmt::format("the plugin folder {} is not there", options_.plugin_dir));
+  }
+}
+
+std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEvents events) try {
+  check_plugin_file_name(order.plugin);
+  const std::string stem = order.plugin.substr(0, order.plugin.rfind('.'));
+  // A name of its own for each host: one that ends and its successor do not get in each other's way.
+  const std::string socket = discovery::new_instance_id().substr(0, 12) + std::string(socket_suffix);
+  std::vector<std::string> arguments = {options_.host_program, "--plugin",    options_.plugin_dir + "/" + order.plugin,
+                                        "--gateway",           order.gateway, "--state",
+                                        options_.state_dir,    "--socket",    socket};
+  if (order.isolated) arguments.emplace_back("--isolated");
+  const std::string log_file = options_.state_dir + "/" + stem + ".log";
+  const pid_t process = Spawning(log_file).spawn(std::move(arguments));
+  log.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);
+  return std::make_unique<ProcessLink>(options_, socket, process, true, std::move(events));
+} catch (const config::Error& e) {
+  events.on_ended({HostEnd::How::refused, e.what()});
+  return link_to_nothing();
+}
+
+std::vector<RunningHost> ProcessLauncher::running(const std::string& gateway) {
+  std::vector<RunningHost> hosts;
+  std::error_code error;
+  for (const auto& file : std::filesystem::directory_iterator(options_.state_dir, error)) {
+    const std::string name = file.path().filename();
+    if (!name.ends_with(socket_suffix)) continue;
+    if (auto host = examine(options_.state_dir, name, gateway)) hosts.push_back(std::move(*host));
+  }
+  return hosts;
+}
+
+std::unique_ptr<HostLink> ProcessLauncher::adopt(const RunningHost& host, HostEvents events) {
+  const int process = peer_process(connect_in(options_.state_dir, host.name));
+  return std::make_unique<ProcessLink>(options_, host.name, process, false, std::move(events));
+}
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,34 @@
+#pragma once
+
+#include <chrono>
+#include <string>
+
+#include <iotcloud/gateway/fleet/launcher.h>
+
+namespace iotcloud::gateway {
+
+/// Runs each driver host as a process of its own, iotcloud-driver-host, detached: it survives the gateway and is found
+/// again by its socket in the state folder. A host that hangs is killed and counts as crashed. What hosts log goes to
+/// <state folder>/<plugin>.log.
+class ProcessLauncher final : public HostLauncher {
+ public:
+  struct Options {
+    std::string plugin_dir;
+    std::string state_dir;     ///< of a locked StateFolder
+    std::string host_program;  ///< empty: iotcloud-driver-host beside this process's own program
+    std::chrono::milliseconds ping_period{1000};
+    /// A host whose control thread, or shared event thread, has not come round for this long hangs.
+    std::chrono::milliseconds hang_limit{10000};
+  };
+  /// \throws config::Error when the host program or a folder is not there.
+  explicit ProcessLauncher(Options options);
+
+  std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) override;
+  std::vector<RunningHost> running(const std::string& gateway) override;
+  std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;
+
+ private:
+  Options options_;
+};
+
+}  // namespace iotcloud::gateway

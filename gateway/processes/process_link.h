@@ -1,0 +1,72 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <iotcloud/gateway/host/control/protocol.h>
+#include <iotcloud/gateway/host/control/unix_socket.h>
+#include <iotcloud/gateway/processes/process_launcher.h>
+
+namespace iotcloud::gateway {
+
+/// The link to a driver host process: one thread that connects to it, sends, receives, pings, and sees it end.
+class ProcessLink final : public HostLink {
+ public:
+  /// \param socket_name in the state folder; the host may not listen yet. \param process its id.
+  /// \param child whether it is this process's child, whose exit status can be had.
+  ProcessLink(const ProcessLauncher::Options& options, std::string socket_name, int process, bool child,
+              HostEvents events);
+  ~ProcessLink() override;
+
+  void create(const InstanceSpec& spec) override;
+  void activate(const std::string& instance) override;
+  void deactivate(const std::string& instance) override;
+  void remove(const std::string& instance) override;
+  void shutdown(std::chrono::milliseconds limit) override;
+
+ private:
+  using Instant = std::chrono::steady_clock::time_point;
+
+  void send(const protocol::Command& command);
+  void run() noexcept;
+  bool connect();
+  void converse();
+  bool send_waiting();
+  bool receive();
+  void heard(const protocol::Event& event);
+  void ping();
+  bool overdue();
+  std::chrono::milliseconds time_to_wait() const;
+  void kill_process();
+  HostEnd wait_for_end();
+
+  const ProcessLauncher::Options options_;
+  const std::string socket_name_;
+  const int process_;
+  const bool child_;
+  const HostEvents events_;
+  OwnedDescriptor process_descriptor_;  ///< readable when the process has ended
+  Waker waker_;
+  std::atomic<bool> leaving_{false};
+
+  std::mutex mutex_;
+  std::vector<std::string> waiting_;            ///< frames to send; guarded by mutex_
+  bool shutting_down_ = false;                  ///< guarded by mutex_
+  Instant shutdown_deadline_ = Instant::max();  ///< guarded by mutex_
+
+  // The link's thread only.
+  OwnedDescriptor socket_;
+  protocol::FrameReader frames_;
+  Instant last_heard_, next_ping_;
+  std::string refused_;  ///< why the host cannot serve
+  std::string killed_;   ///< why it was killed
+
+  std::jthread thread_;  ///< last: uses the rest
+};
+
+}  // namespace iotcloud::gateway

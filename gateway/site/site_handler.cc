@@ -1,0 +1,120 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/gateway/site/site_handler.h>
+
+namespace iotcloud::gateway {
+
+using discovery::DriverRecord;
+using discovery::DriverState;
+using discovery::wire::TResponseState;
+
+namespace {
+
+constexpr config::Logger log{"gateway.thrift"};
+
+}  // namespace
+
+void SiteHandler::answering(Response& answer, const std::function<void()>& method) {
+  answer.__set_state(TResponseState::SUCCESS);
+  try {
+    method();
+  } catch (const std::exception& e) {
+    answer.__set_state(TResponseState::FAILURE);
+    answer.__set_statusMessage(e.what());
+    log.warn("an order was refused: {}", e.what());
+  }
+}
+
+Gateway::Outcome SiteHandler::await(Response& answer, const std::string& id, std::int64_t order_version,
+                                    DriverState wanted) {
+  const auto outcome = gateway_.wait_for(
+      id,
+      [&](const auto& record) { return record && (record->state == wanted || record->state == DriverState::failed); },
+      outcome_limit_, order_version);
+  if (!outcome.known) {
+    answer.__set_state(TResponseState::FAILURE);
+    answer.__set_statusMessage(
+        fmt::format("the order for {} stands, but nothing came of it within {} ms: its outcome "
+                    "is not known yet",
+                    id, outcome_limit_.count()));
+  } else if (outcome.record->state != wanted) {
+    answer.__set_state(TResponseState::FAILURE);
+    answer.__set_statusMessage(outcome.record->reason);
+  }
+  return outcome;
+}
+
+void SiteHandler::hearbeat(discovery::wire::THeartBeatResponse& answer, const discovery::wire::THeartBeatRequest&) {
+  const auto all = gateway_.instances();
+  const auto responsive = std::count_if(all.begin(), all.end(), [](const auto& record) {
+    return record.state == DriverState::active || record.state == DriverState::inactive;
+  });
+  answer.__set_totalSensors(static_cast<std::int32_t>(all.size()));
+  answer.__set_responsiveSonsor(static_cast<std::int32_t>(responsive));
+}
+
+void SiteHandler::deploySensor(Response& answer, const discovery::wire::TSensorDeployDescriptor& descriptor) {
+  answering(answer, [&] {
+    check_plugin_file_name(descriptor.filename);
+    discovery::OrderRecord order;
+    order.instance = discovery::new_instance_id();
+    order.plugin = descriptor.filename;
+    if (descriptor.className.find('.') == std::string::npos) order.driver = descriptor.className;
+    if (!order.driver.empty()) check_name("driver name", order.driver);
+    order.properties = descriptor.properties;
+    order.epoch = gateway_.epoch();
+    const std::string path = paths_.order(gateway_.id(), order.instance);
+    registry_.create(path, encode(order));
+    const auto outcome = await(answer, order.instance, -1, DriverState::active);
+    if (outcome.known && outcome.record->state == DriverState::failed) {
+      registry_.remove(path);  // a deployment that failed is taken back
+    } else if (outcome.known) {
+      answer.__set_statusMessage(order.instance);
+    }
+  });
+}
+
+void SiteHandler::unDeploySensor(Response& answer, const std::string& id) {
+  answering(answer, [&] {
+    check_name("instance id", id);
+    if (!registry_.remove(paths_.order(gateway_.id(), id))) {
+      throw config::Error(fmt::format("the gateway {} has no driver instance {}", gateway_.id(), id));
+    }
+    const auto gone = gateway_.wait_for(
+        id, [](const auto& record) { return !record; }, outcome_limit_);
+    if (gone.known) return;
+    answer.__set_state(TResponseState::FAILURE);
+    answer.__set_statusMessage(
+        fmt::format("the order to remove {} stands, but it is still there after {} ms", id, outcome_limit_.count()));
+  });
+}
+
+void SiteHandler::set_active(Response& answer, const std::string& id, bool active) {
+  answering(answer, [&] {
+    check_name("instance id", id);
+    const std::string path = paths_.order(gateway_.id(), id);
+    const auto node = registry_.get(path);
+    if (!node) throw config::Error(fmt::format("the gateway {} has no driver instance {}", gateway_.id(), id));
+    auto order = discovery::decode_order(node->data, path);
+    order.active = active;
+    order.epoch = gateway_.epoch();
+    registry_.set(path, encode(order), node->version);
+    await(answer, id, node->version + 1, active ? DriverState::active : DriverState::inactive);
+  });
+}
+
+void SiteHandler::authenticate(Response& answer, const std::string&) {
+  answer.__set_state(TResponseState::SUCCESS);
+  answer.__set_statusMessage("no token is needed: this service is reached from its own machine only");
+}
+
+void SiteHandler::ping(wire::TPing& answer) {
+  answer.__set_gateway(gateway_.id());
+  answer.__set_timeMs(config::system_clock().wall_ms());
+}
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <functional>
+
+#include "iotcloud/gateway/TSensorSiteService.h"
+#include <iotcloud/gateway/site/site_service.h>
+
+namespace iotcloud::gateway {
+
+/// What the service's methods do. Thread safe.
+class SiteHandler final : public wire::TSensorSiteServiceIf {
+ public:
+  using Response = discovery::wire::TResponse;
+  SiteHandler(std::chrono::milliseconds outcome_limit, Gateway& gateway, discovery::Registry& registry,
+              discovery::Paths paths)
+      : outcome_limit_(outcome_limit), gateway_(gateway), registry_(registry), paths_(std::move(paths)) {}
+
+  void hearbeat(discovery::wire::THeartBeatResponse& answer,
+                const discovery::wire::THeartBeatRequest& request) override;
+  void deploySensor(Response& answer, const discovery::wire::TSensorDeployDescriptor& descriptor) override;
+  void unDeploySensor(Response& answer, const std::string& id) override;
+  void startSensor(Response& answer, const std::string& id) override { set_active(answer, id, true); }
+  void stopSensor(Response& answer, const std::string& id) override { set_active(answer, id, false); }
+  void authenticate(Response& answer, const std::string& token) override;
+  void ping(wire::TPing& answer) override;
+
+ private:
+  void set_active(Response& answer, const std::string& id, bool active);
+  /// Waits for what came of an order, and puts it into the answer unless it is what was wanted.
+  Gateway::Outcome await(Response& answer, const std::string& id, std::int64_t order_version,
+                         discovery::DriverState wanted);
+  /// Runs a method; what it throws becomes the answer.
+  void answering(Response& answer, const std::function<void()>& method);
+
+  const std::chrono::milliseconds outcome_limit_;
+  Gateway& gateway_;
+  discovery::Registry& registry_;
+  const discovery::Paths paths_;
+};
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,31 @@
+#pragma once
+
+#include "iotcloud/discovery/records_types.h"
+#include "iotcloud/master/master_types.h"
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/master/orders/orders.h>
+#include <iotcloud/master/topologies/topology_orders.h>
+
+/// Between the master's own types and those that cross Thrift. Private to the server's sources: heavy to include.
+namespace iotcloud::master {
+
+/// As in the registry (one translation for both), with the channels inside.
+discovery::wire::TSensor to_wire(const discovery::DriverRecord& record);
+discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway);
+wire::TTopology to_wire(const discovery::TopologyStatus& topology);
+wire::TOrderResponse to_wire(const OrderResult& result);
+wire::TTopologyResponse to_wire(const TopologyResult& result);
+discovery::wire::TResponse to_response(const OrderResult& result);
+
+discovery::wire::TResponse success(const std::string& text = "");
+discovery::wire::TResponse failure(const std::string& text);
+
+DeployRequest from_wire(const wire::TDeployRequest& request);
+InstanceSelection from_wire(const wire::TInstanceSelection& selection);
+TopologyRequest from_wire(const wire::TTopologyRequest& request);
+/// \throws config::Error when there is something in them that cannot be.
+discovery::GatewayRecord from_wire(const discovery::wire::TSite& site);
+discovery::DriverRecord from_wire(const discovery::wire::TSensor& sensor);
+
+}  // namespace iotcloud::master

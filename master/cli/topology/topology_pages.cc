@@ -1,0 +1,155 @@
+#include <algorithm>
+#include <ostream>
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <iotcloud/master/cli/master_client.h>
+#include <iotcloud/master/cli/output.h>
+#include <iotcloud/master/cli/topology/topology_pages.h>
+
+namespace iotcloud::master::cli {
+
+using Json = TopologyPages::Json;
+
+namespace {
+
+constexpr const char* latencies[] = {"execute", "process", "complete"};
+constexpr const char* counts[] = {"emitted", "transferred", "executed", "acked",       "failed", "timed_out",
+                                  "late",    "superseded",  "errors",   "queue_depth", "pending"};
+
+std::string host_name() {
+  char host[256] = "";
+  static_cast<void>(gethostname(host, sizeof host - 1));
+  return host;
+}
+
+std::string duration(double us) {
+  if (us < 1) return fmt::format("{:.2f}us", us);
+  if (us < 10) return fmt::format("{:.1f}us", us);
+  if (us < 1000) return fmt::format("{:.0f}us", us);
+  if (us < 10'000) return fmt::format("{:.1f}ms", us / 1000);
+  if (us < 1'000'000) return fmt::format("{:.0f}ms", us / 1000);
+  return fmt::format("{:.1f}s", us / 1e6);
+}
+
+std::string latency(const Json& of, const char* name) {
+  const Json& one = of.at(name);
+  if (one.at("count").get<std::uint64_t>() == 0) return "-";
+  return duration(one.at("p50_us").get<double>()) + "/" + duration(one.at("p99_us").get<double>()) + "/" +
+         duration(one.at("max_us").get<double>());
+}
+
+}  // namespace
+
+std::string unreachable(const wire::TWorker& worker) {
+  if (worker.http.empty())
+    return fmt::format("worker {} serves no pages (it runs inside another program)", worker.name);
+  if (worker.host == host_name()) return "";
+  return fmt::format("worker {} is on {} and shows its pages there only: ask for them on that machine", worker.name,
+                     worker.host);
+}
+
+TopologyPages::TopologyPages(const wire::TTopology& topology) : topology_(topology.name) {
+  if (topology.workerRecords.empty()) problems_.push_back("no worker of topology " + topology.name + " runs");
+  for (const auto& worker : topology.workerRecords) {
+    if (const auto reason = unreachable(worker); !reason.empty()) {
+      problems_.push_back(reason);
+      continue;
+    }
+    try {
+      Json page = Json::parse(get_page(worker.http, "/topology"));
+      if (components_.empty()) components_ = page.at("components");
+      pages_.push_back(std::move(page));
+    } catch (const Failed& e) {
+      problems_.push_back(fmt::format("worker {}: {}", worker.name, e.what()));
+    } catch (const Json::exception& e) {
+      problems_.push_back(fmt::format("worker {}: its page cannot be read: {}", worker.name, e.what()));
+    }
+  }
+}
+
+Json TopologyPages::tasks_of(const std::string& component) const {
+  Json tasks = Json::array();
+  for (const Json& page : pages_) {
+    for (Json task : page.at("tasks")) {
+      if (task.at("component") != component) continue;
+      task["worker"] = page.at("worker");
+      tasks.push_back(std::move(task));
+    }
+  }
+  return tasks;
+}
+
+Json TopologyPages::sum(const std::string& component) const {
+  Json sum{{"parallelism", 0}, {"tasks", 0}};
+  for (const Json& page : pages_) {
+    for (const Json& one : page.at("components")) {
+      if (one.at("id") != component) continue;
+      sum["parallelism"] = sum["parallelism"].get<int>() + one.at("parallelism").get<int>();
+      sum["tasks"] = sum["tasks"].get<int>() + one.at("tasks").get<int>();
+    }
+  }
+  for (const char* count : counts) sum[count] = std::uint64_t{0};
+  sum["capacity"] = 0.0;
+  for (const char* name : latencies) sum[name] = {{"count", 0U}, {"p50_us", 0.0}, {"p99_us", 0.0}, {"max_us", 0.0}};
+  sum["last_error"] = "";
+  std::map<std::string, std::uint64_t> most;
+  for (const Json& task : tasks_of(component)) {
+    for (const char* count : counts) sum[count] = sum[count].get<std::uint64_t>() + task.at(count).get<std::uint64_t>();
+    sum["capacity"] = std::max(sum["capacity"].get<double>(), task.at("capacity").get<double>());
+    if (!task.at("last_error").get<std::string>().empty()) sum["last_error"] = task.at("last_error");
+    for (const char* name : latencies) {
+      const Json& one = task.at(name);
+      Json& all = sum[name];
+      const auto count = one.at("count").get<std::uint64_t>();
+      all["count"] = all["count"].get<std::uint64_t>() + count;
+      if (count > most[name]) all["p50_us"] = one.at("p50_us");
+      most[name] = std::max(most[name], count);
+      for (const char* worst : {"p99_us", "max_us"})
+        all[worst] = std::max(all[worst].get<double>(), one.at(worst).get<double>());
+    }
+  }
+  return sum;
+}
+
+Json TopologyPages::metrics() const {
+  Json components = Json::array();
+  for (const Json& component : components_) {
+    const auto id = component.at("id").get<std::string>();
+    components.push_back(
+        {{"component", id}, {"kind", component.at("kind")}, {"sum", sum(id)}, {"tasks", tasks_of(id)}});
+  }
+  return {{"topology", topology_}, {"workers", pages_.size()}, {"components", components}};
+}
+
+void print_metrics(std::ostream& out, const TopologyPages& pages) {
+  std::vector<std::vector<std::string>> rows;
+  std::vector<std::string> workers;
+  const auto row = [&](const std::string& name, const std::string& task, const Json& of) {
+    rows.push_back({name, task, of.at("emitted").dump(), of.at("transferred").dump(), of.at("executed").dump(),
+                    of.at("acked").dump(), of.at("failed").dump(), of.at("late").dump(), of.at("superseded").dump(),
+                    of.at("queue_depth").dump(), fmt::format("{:.2f}", of.at("capacity").get<double>()),
+                    latency(of, "execute"), latency(of, "process"), latency(of, "complete"),
+                    printable(of.at("last_error").get<std::string>())});
+  };
+  const Json metrics = pages.metrics();
+  for (const Json& component : metrics.at("components")) {
+    row(printable(component.at("component").get<std::string>()), "all", component.at("sum"));
+    for (const Json& task : component.at("tasks")) {
+      const auto worker = task.at("worker").get<std::string>();
+      auto known = std::find(workers.begin(), workers.end(), worker);
+      if (known == workers.end()) known = workers.insert(workers.end(), worker);
+      const auto id = task.at("task").dump();
+      row("", pages.workers() > 1 ? fmt::format("{} of worker {}", id, known - workers.begin() + 1) : id, task);
+    }
+  }
+  print_table(out,
+              {"COMPONENT", "TASK", "EMITTED", "TRANSFERRED", "EXECUTED", "ACKED", "FAILED", "LATE", "SUPERSEDED",
+               "QUEUE", "CAPACITY", "EXECUTE p50/p99/max", "PROCESS", "COMPLETE", "LAST ERROR"},
+              rows);
+  for (std::size_t i = 0; pages.workers() > 1 && i < workers.size(); ++i)
+    out << fmt::format("worker {}: {}\n", i + 1, printable(workers[i]));
+}
+
+}  // namespace iotcloud::master::cli

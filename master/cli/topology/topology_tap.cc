@@ -1,0 +1,139 @@
+#include <algorithm>
+#include <csignal>
+#include <ctime>
+#include <ostream>
+#include <random>
+#include <thread>
+
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/master/cli/master_client.h>
+#include <iotcloud/master/cli/output.h>
+#include <iotcloud/master/cli/topology/topology_pages.h>
+#include <iotcloud/master/cli/topology/topology_tap.h>
+
+namespace iotcloud::master::cli {
+
+using Json = nlohmann::ordered_json;
+using std::chrono::milliseconds;
+
+namespace {
+
+volatile std::sig_atomic_t interrupted = 0;
+
+constexpr milliseconds poll_pause{200};
+
+std::string new_tap_id() {
+  std::random_device random;
+  return fmt::format("{:08x}{:08x}", random(), random());
+}
+
+std::string readable(const Json& value) {
+  if (!value.is_object()) return value.dump(-1, ' ', false, Json::error_handler_t::replace);
+  std::string text = fmt::format("<{} B", value.at("bytes").dump());
+  if (const auto hex = value.at("hex").get<std::string>(); !hex.empty()) text += ": " + hex;
+  return text + ">";
+}
+
+void print_sample(std::ostream& out, Format format, const Json& sample) {
+  if (format == Format::json) {
+    out << sample.dump(-1, ' ', false, Json::error_handler_t::replace) << '\n';
+  } else if (format == Format::yaml) {
+    print_yaml(out, Json::array({sample}));
+  } else {
+    const auto ms = sample.at("time_ms").get<std::int64_t>();
+    std::string fields;
+    for (const auto& [name, value] : sample.at("fields").items()) fields += " " + name + "=" + readable(value);
+    out << printable(fmt::format("{:%H:%M:%S}.{:03} task {} {}/{}{}",
+                                 fmt::localtime(static_cast<std::time_t>(ms / 1000)), ms % 1000,
+                                 sample.at("task").dump(), sample.at("source").get<std::string>(),
+                                 sample.at("stream").get<std::string>(), fields))
+        << '\n';
+  }
+}
+
+/// The taps that one call of the CLI opened: one in each worker that it can reach.
+class Taps {
+ public:
+  Taps(const Command& command, const wire::TTopology& topology, std::ostream& err)
+      : query_("/tap?id=" + new_tap_id() + "&component=" + encode_query(command.component) +
+               "&stream=" + encode_query(command.stream) + "&rate=" + fmt::format("{}", command.rate)) {
+    for (const auto& worker : topology.workerRecords) {
+      if (const auto reason = unreachable(worker); reason.empty()) {
+        workers_.push_back(worker.http);
+      } else {
+        err << "iotcloud: " << printable(reason) << '\n';
+      }
+    }
+    if (workers_.empty()) throw Failed("no worker of topology " + topology.name + " can be asked from here");
+  }
+  ~Taps() {
+    for (const auto& worker : workers_) {
+      try {
+        get_page(worker, query_ + "&end=1");
+      } catch (const Failed&) {
+        continue;  // it ends by itself when nobody asks any more
+      }
+    }
+  }
+  Taps(const Taps&) = delete;
+  Taps& operator=(const Taps&) = delete;
+
+  /// What came since the last time, in order of time. A worker that ended is left out. \throws Failed when none is
+  /// left.
+  std::vector<Json> poll() {
+    std::vector<Json> samples;
+    for (auto worker = workers_.begin(); worker != workers_.end();) {
+      try {
+        const Json page = Json::parse(get_page(*worker, query_));
+        for (const Json& sample : page.at("samples")) samples.push_back(sample);
+        ++worker;
+      } catch (const Failed&) {
+        if (workers_.size() == 1) throw;
+        worker = workers_.erase(worker);
+      } catch (const Json::exception& e) {
+        throw Failed(fmt::format("{}: its answer cannot be read: {}", *worker, e.what()));
+      }
+    }
+    std::stable_sort(samples.begin(), samples.end(), [](const Json& a, const Json& b) {
+      return a.at("time_ms").get<std::int64_t>() < b.at("time_ms").get<std::int64_t>();
+    });
+    return samples;
+  }
+
+ private:
+  const std::string query_;
+  std::vector<std::string> workers_;
+};
+
+}  // namespace
+
+void interrupt() {
+  interrupted = 1;
+}
+
+bool pause(std::chrono::duration<double> time) {
+  const auto until = std::chrono::steady_clock::now() + time;
+  while (interrupted == 0 && std::chrono::steady_clock::now() < until) {
+    std::this_thread::sleep_for(std::min<std::chrono::duration<double>>(
+        until - std::chrono::steady_clock::now(), std::chrono::duration<double>(milliseconds(50))));
+  }
+  return interrupted == 0;
+}
+
+int tap(const Command& command, const wire::TTopology& topology, std::ostream& out, std::ostream& err) {
+  Taps taps(command, topology, err);
+  std::int64_t shown = 0;
+  do {
+    for (const Json& sample : taps.poll()) {
+      print_sample(out, command.format, sample);
+      if (++shown == command.samples) return exit_ok;
+    }
+    out.flush();
+  } while (out && pause(poll_pause));
+  return exit_ok;
+}
+
+}  // namespace iotcloud::master::cli

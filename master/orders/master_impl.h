@@ -1,0 +1,162 @@
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstddef>
+#include <functional>
+#include <future>
+#include <mutex>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include <iotcloud/master/master.h>
+#include <iotcloud/master/orders/direct_gateways.h>
+#include <iotcloud/master/orders/node_name.h>
+#include <iotcloud/master/orders/outcome_watch.h>
+
+/// The inside of Master, shared by the sources that make it.
+namespace iotcloud::master {
+
+/// ZooKeeper refuses nodes above 1 MiB; an order near that is a mistake.
+inline constexpr std::size_t largest_order = std::size_t{512} * 1024;
+
+inline constexpr const char* lost_text = "gateway is lost; it will follow the order when it comes back";
+inline constexpr const char* lost_and_not_recorded_text = "gateway is lost; the order was not recorded";
+
+const discovery::GatewayStatus* find(const std::vector<discovery::GatewayStatus>& gateways, const std::string& id);
+OrderResult refuse(Refusal refusal, std::string text);
+/// The refusal of a gateway that is not registered, naming those that are.
+OrderResult refuse_gateway(const std::string& id, const std::vector<discovery::GatewayStatus>& known);
+void set_verdict(InstanceOutcome& outcome, const std::optional<OutcomeWatch::Verdict>& verdict);
+
+struct Master::Impl {
+  using MaybeVerdict = std::optional<OutcomeWatch::Verdict>;  ///< nullopt: written, the outcome is yet to come
+  using DirectCalls = std::vector<std::future<InstanceOutcome>>;
+
+  Impl(discovery::Registry& registry_of_all, MasterOptions given);
+
+  /// Counts an order as under way while it lives.
+  class UnderWay {
+   public:
+    explicit UnderWay(Impl& impl) : impl_(impl) {
+      std::lock_guard lock(impl_.mutex);
+      ++impl_.under_way;
+    }
+    ~UnderWay() {
+      std::lock_guard lock(impl_.mutex);
+      if (--impl_.under_way == 0) impl_.idle.notify_all();
+    }
+    UnderWay(const UnderWay&) = delete;
+    UnderWay& operator=(const UnderWay&) = delete;
+
+   private:
+    Impl& impl_;
+  };
+
+  /// The epoch of orders now; 0 when this master does not lead.
+  std::int64_t leading_epoch() const { return election.leading() ? epoch.load() : 0; }
+
+  std::string leader() const { return leading_epoch() > 0 ? options.address : election.leader_data(); }
+
+  std::optional<OrderResult> refuse_unless_leading() const;
+
+  /// How long to wait when the caller asked for `wait`.
+  std::chrono::milliseconds limit(const WaitLimit& wait) const;
+
+  /// Runs an order's body with the checks and errors that all orders share.
+  template <typename Body>
+  OrderResult guarded(Body&& body) {
+    UnderWay guard(*this);
+    if (auto refusal = refuse_unless_leading()) return *refusal;
+    try {
+      return body();
+    } catch (const discovery::RegistryError& e) {
+      return refuse(Refusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
+    } catch (const config::Error& e) {
+      return refuse(Refusal::bad_request, e.what());
+    }
+  }
+
+  /// Writes to the registry; what that says about the order, when it is not simply written.
+  template <typename Write>
+  MaybeVerdict written(Write&& write) {
+    if (leading_epoch() == 0) return OutcomeWatch::Verdict{Outcome::failed, "this master has just lost its lead"};
+    try {
+      return write();
+    } catch (const discovery::RegistryError& e) {
+      if (e.code() == discovery::RegistryErrorCode::away)
+        return OutcomeWatch::Verdict{Outcome::unknown,
+                                     fmt::format("whether the order was recorded is not known: {}", e.what())};
+      return OutcomeWatch::Verdict{Outcome::failed, e.what()};
+    }
+  }
+
+  // order_deploy.cc
+  std::optional<OrderResult> refuse_deployment(const DeployRequest& request) const;
+  discovery::OrderRecord order_for(const DeployRequest& request) const;
+  OrderResult deploy(const DeployRequest& request);
+  MaybeVerdict order_deployment(const discovery::GatewayStatus& gateway, const discovery::OrderRecord& order,
+                                OutcomeWatch& watch);
+
+  // order_change.cc
+  /// Where an instance stands in the registry.
+  struct Located {
+    std::string instance;
+    std::string gateway;
+    std::string driver;                     ///< empty: no record yet
+    std::optional<discovery::Node> record;  ///< nullopt: no record yet
+  };
+  std::optional<Located> locate(const std::string& instance, const std::vector<discovery::GatewayStatus>& known);
+
+  /// Finds all that are selected before the first order is written: a mistyped id changes nothing.
+  /// \return why that cannot be; nullopt: they are in `instances`.
+  std::optional<OrderResult> find_selected(const InstanceSelection& selection,
+                                           const std::vector<discovery::GatewayStatus>& known,
+                                           std::vector<Located>& instances);
+
+  OrderResult change(const InstanceSelection& selection, Change change);
+  MaybeVerdict order_change(const Located& where, const discovery::GatewayStatus& gateway, Change change,
+                            OutcomeWatch& watch);
+  MaybeVerdict clear_away(const Located& where, Change change);
+  MaybeVerdict remove_order(const Located& where);
+  /// Changes an order that stands in the registry; written again when another master was faster.
+  MaybeVerdict rewrite_order(const Located& where, const std::function<void(discovery::OrderRecord&)>& alter);
+  MaybeVerdict fenced(const discovery::OrderRecord& order) const;
+
+  // order_metadata.cc
+  OrderResult update_metadata(const InstanceSelection& selection, const MetadataChanges& changes);
+  MaybeVerdict order_metadata(const Located& where, const discovery::GatewayStatus* gateway,
+                              const MetadataChanges& changes, OutcomeWatch& watch);
+
+  // topology_orders.cc
+  TopologyResult order(const TopologyRequest& request);
+  std::optional<TopologyResult> refuse_unknown_topology(const std::string& name);
+  discovery::TopologyOrder changed_order(const std::optional<discovery::Node>& node, const TopologyRequest& request,
+                                         const std::vector<discovery::WorkerRecord>& workers,
+                                         std::chrono::milliseconds wait) const;
+  discovery::TopologyOrder write_order(const TopologyRequest& request,
+                                       const std::vector<discovery::WorkerRecord>& workers,
+                                       std::chrono::milliseconds wait);
+  void clear_killed(const std::string& topology, TopologyResult& result);
+
+  // master.cc
+  bool is_direct(const std::string& gateway) const { return options.direct && options.direct->has(gateway); }
+  /// Waits for all outcomes, then logs and counts them.
+  void settle(OrderResult& result, OutcomeWatch& watch, DirectCalls& calls, const WaitLimit& wait,
+              const std::string& order);
+
+  discovery::Registry& registry;
+  const MasterOptions options;
+  std::stop_source closing;
+  std::atomic<std::int64_t> epoch{0};
+  std::mutex mutex;
+  std::condition_variable idle;
+  int under_way = 0;             ///< guarded by mutex
+  discovery::Election election;  ///< last: its callbacks use the others
+};
+
+}  // namespace iotcloud::master

@@ -1,0 +1,185 @@
+#include <algorithm>
+#include <set>
+
+#include <fmt/ranges.h>
+
+#include <iotcloud/master/orders/master_impl.h>
+
+namespace iotcloud::master {
+
+using discovery::GatewayStatus;
+using discovery::OrderRecord;
+using discovery::RegistryError;
+using discovery::RegistryErrorCode;
+
+namespace {
+
+OutcomeWatch::Wanted wanted_by(Change change) {
+  switch (change) {
+    case Change::undeploy:
+      return OutcomeWatch::Wanted::gone;
+    case Change::start:
+      return OutcomeWatch::Wanted::active;
+    case Change::stop:
+      return OutcomeWatch::Wanted::inactive;
+  }
+  return OutcomeWatch::Wanted::gone;
+}
+
+}  // namespace
+
+OrderResult Master::undeploy(const InstanceSelection& selection) {
+  return impl_->guarded([&] { return impl_->change(selection, Change::undeploy); });
+}
+
+OrderResult Master::start(const InstanceSelection& selection) {
+  return impl_->guarded([&] { return impl_->change(selection, Change::start); });
+}
+
+OrderResult Master::stop(const InstanceSelection& selection) {
+  return impl_->guarded([&] { return impl_->change(selection, Change::stop); });
+}
+
+std::optional<Master::Impl::Located> Master::Impl::locate(const std::string& instance,
+                                                          const std::vector<GatewayStatus>& known) {
+  if (!is_node_name(instance)) return std::nullopt;
+  Located where;
+  where.instance = instance;
+  for (const auto& driver : registry.children(options.paths.sensors).value_or(std::vector<std::string>{})) {
+    const auto path = options.paths.instance(driver, instance);
+    auto node = registry.get(path);
+    if (!node || node->data.empty()) continue;
+    where.gateway = discovery::decode_driver(node->data, path).gateway;
+    where.driver = driver;
+    where.record = std::move(node);
+    return where;
+  }
+  for (const auto& gateway : known) {
+    if (!registry.get(options.paths.order(gateway.record.id, instance))) continue;
+    where.gateway = gateway.record.id;
+    return where;
+  }
+  return std::nullopt;
+}
+
+std::optional<OrderResult> Master::Impl::find_selected(const InstanceSelection& selection,
+                                                       const std::vector<GatewayStatus>& known,
+                                                       std::vector<Located>& instances) {
+  if (selection.instances.empty()) return refuse(Refusal::bad_request, "no instance is named: give at least one id");
+  for (const auto& id : selection.gateways) {
+    if (!find(known, id)) return refuse_gateway(id, known);
+  }
+  std::set<std::string> seen;
+  for (const auto& id : selection.instances) {
+    if (!seen.insert(id).second) continue;
+    auto where = locate(id, known);
+    if (!where)
+      return refuse(Refusal::unknown_instance,
+                    fmt::format("no driver instance \"{}\"; `iotcloud drivers` lists them", id));
+    if (!selection.gateways.empty() &&
+        std::find(selection.gateways.begin(), selection.gateways.end(), where->gateway) == selection.gateways.end())
+      return refuse(Refusal::unknown_instance, fmt::format("instance {} is on gateway {}, not on {}", id,
+                                                           where->gateway, fmt::join(selection.gateways, ", ")));
+    instances.push_back(std::move(*where));
+  }
+  return std::nullopt;
+}
+
+OrderResult Master::Impl::change(const InstanceSelection& selection, Change change) {
+  const auto known = discovery::list_gateways(registry, options.paths);
+  std::vector<Located> instances;
+  if (auto refusal = find_selected(selection, known, instances)) return *refusal;
+
+  OrderResult result;
+  OutcomeWatch watch(registry, options.paths, wanted_by(change));
+  DirectCalls calls;
+  for (const auto& where : instances) {
+    const auto* gateway = find(known, where.gateway);
+    if (gateway && gateway->alive && is_direct(where.gateway)) {
+      calls.push_back(std::async(std::launch::async, [this, &where, change, &selection] {
+        return options.direct->change(where.gateway, where.instance, change, limit(selection.wait));
+      }));
+      continue;
+    }
+    InstanceOutcome outcome{where.gateway, where.instance, Outcome::unknown, ""};
+    set_verdict(outcome, gateway ? order_change(where, *gateway, change, watch) : clear_away(where, change));
+    result.outcomes.push_back(std::move(outcome));
+  }
+  settle(result, watch, calls, selection.wait, to_string(change));
+  return result;
+}
+
+Master::Impl::MaybeVerdict Master::Impl::order_change(const Located& where, const GatewayStatus& gateway, Change change,
+                                                      OutcomeWatch& watch) {
+  if (!gateway.alive && (!options.record_for_lost_gateways || is_direct(where.gateway)))
+    return OutcomeWatch::Verdict{Outcome::failed, lost_and_not_recorded_text};
+  return written([&]() -> MaybeVerdict {
+    const auto verdict =
+        change == Change::undeploy
+            ? remove_order(where)
+            : rewrite_order(where, [&](OrderRecord& order) { order.active = change == Change::start; });
+    if (verdict) return verdict;
+    if (!gateway.alive) return OutcomeWatch::Verdict{Outcome::pending, lost_text};
+    watch.expect(where.instance, where.driver, where.record);
+    return std::nullopt;
+  });
+}
+
+/// Nobody is left to follow an order: what the gateway left behind is removed here.
+Master::Impl::MaybeVerdict Master::Impl::clear_away(const Located& where, Change change) {
+  if (change != Change::undeploy)
+    return OutcomeWatch::Verdict{Outcome::failed, "its gateway is not registered any more"};
+  return written([&]() -> MaybeVerdict {
+    discovery::remove_tree(registry, options.paths.instance(where.driver, where.instance));
+    return OutcomeWatch::Verdict{Outcome::done, "its gateway is not registered any more; its record is removed"};
+  });
+}
+
+/// The registry's own fence: an order that a later leader wrote is not changed by an earlier one.
+Master::Impl::MaybeVerdict Master::Impl::fenced(const OrderRecord& order) const {
+  if (order.epoch <= leading_epoch()) return std::nullopt;
+  return OutcomeWatch::Verdict{Outcome::failed, "a later master has given orders for it; this one's lead is over"};
+}
+
+Master::Impl::MaybeVerdict Master::Impl::remove_order(const Located& where) {
+  const auto path = options.paths.order(where.gateway, where.instance);
+  while (!closing.stop_requested()) {
+    const auto node = registry.get(path);
+    if (!node) break;
+    if (auto refusal = fenced(discovery::decode_order(node->data, path))) return refusal;
+    try {
+      registry.remove(path, node->version);
+      break;
+    } catch (const RegistryError& e) {
+      if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again
+    }
+  }
+  if (where.record) return std::nullopt;
+  return OutcomeWatch::Verdict{Outcome::done, "its gateway had not taken it up yet"};
+}
+
+Master::Impl::MaybeVerdict Master::Impl::rewrite_order(const Located& where,
+                                                       const std::function<void(OrderRecord&)>& alter) {
+  const auto path = options.paths.order(where.gateway, where.instance);
+  while (!closing.stop_requested()) {
+    const auto node = registry.get(path);
+    if (!node) return OutcomeWatch::Verdict{Outcome::failed, "it is being undeployed"};
+    auto order = discovery::decode_order(node->data, path);
+    if (auto refusal = fenced(order)) return refusal;
+    alter(order);
+    order.epoch = leading_epoch();
+    const std::string bytes = encode(order);
+    if (bytes.size() > largest_order)
+      return OutcomeWatch::Verdict{
+          Outcome::failed, fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
+    try {
+      registry.set(path, bytes, node->version);
+      return std::nullopt;
+    } catch (const RegistryError& e) {
+      if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again
+    }
+  }
+  return OutcomeWatch::Verdict{Outcome::failed, "this master is stopping"};
+}
+
+}  // namespace iotcloud::master

@@ -1,0 +1,150 @@
+#include <fmt/format.h>
+
+#include <iotcloud/master/orders/outcome_watch.h>
+
+namespace iotcloud::master {
+
+using discovery::DriverState;
+using discovery::Node;
+
+OutcomeWatch::OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, Wanted wanted)
+    : registry_(registry), paths_(paths), wanted_(wanted) {}
+
+OutcomeWatch::OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, MetadataChanges changes)
+    : registry_(registry), paths_(paths), wanted_(Wanted::described), changes_(std::move(changes)) {}
+
+OutcomeWatch::~OutcomeWatch() {
+  // Without the lock: a guard's destructor waits for its callback, which may want the lock. The names go first, as
+  // their callback makes the others.
+  names_guard_.reset();
+  record_guards_.clear();
+}
+
+void OutcomeWatch::expect(const std::string& instance, const std::string& driver, const std::optional<Node>& before) {
+  std::vector<std::string> names;
+  {
+    std::lock_guard lock(mutex_);
+    auto& expected = expected_[instance];
+    if (before) expected.before = {before->created, before->version};
+    ++open_;
+    if (driver.empty()) {
+      anywhere_.insert(instance);
+      names.assign(driver_names_.begin(), driver_names_.end());
+    } else {
+      names.push_back(driver);
+    }
+  }
+  for (const auto& name : names) watch_record(name, instance);
+  if (driver.empty() && !names_guard_) {
+    names_guard_ = registry_.watch_children(paths_.sensors, [this](const auto& children) {
+      if (children) on_driver_names(*children);
+    });
+  }
+}
+
+void OutcomeWatch::watch_record(const std::string& driver, const std::string& instance) {
+  const auto path = paths_.instance(driver, instance);
+  auto guard = registry_.watch_node(
+      path, [this, path, instance](const std::optional<Node>& node) { on_record(path, instance, node); });
+  std::lock_guard lock(mutex_);
+  record_guards_.push_back(std::move(guard));
+}
+
+void OutcomeWatch::on_driver_names(const std::vector<std::string>& names) {
+  std::vector<std::pair<std::string, std::string>> wanted;
+  {
+    std::lock_guard lock(mutex_);
+    for (const auto& name : names) {
+      if (!driver_names_.insert(name).second) continue;
+      for (const auto& instance : anywhere_) wanted.emplace_back(name, instance);
+    }
+  }
+  for (const auto& [name, instance] : wanted) watch_record(name, instance);
+}
+
+void OutcomeWatch::on_record(const std::string& path, const std::string& instance, const std::optional<Node>& node) {
+  std::lock_guard lock(mutex_);
+  auto& expected = expected_[instance];
+  if (expected.verdict) return;
+  expected.verdict = judge(expected, path, node);
+  if (!expected.verdict) return;
+  --open_;
+  changed_.notify_all();
+}
+
+std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, const std::string& path,
+                                                         const std::optional<Node>& node) const {
+  const Verdict done{Outcome::done, ""};
+  if (!node || node->data.empty()) {
+    // For an instance that is being deployed this only means: not under this driver's name, or not yet.
+    return wanted_ == Wanted::gone ? std::optional(done) : std::nullopt;
+  }
+  discovery::DriverRecord record;
+  try {
+    record = discovery::decode_driver(node->data, path);
+  } catch (const config::Error& e) {
+    expected.last_state = fmt::format("its record cannot be read: {}", e.what());
+    return std::nullopt;
+  }
+  if (wanted_ == Wanted::described) {
+    if (expected.before == std::pair(node->created, node->version)) return std::nullopt;
+    return judge_metadata(expected, record);
+  }
+  expected.last_state =
+      fmt::format("last state: {}{}{}", to_string(record.state), record.reason.empty() ? "" : ", ", record.reason);
+  switch (record.state) {
+    case DriverState::active:
+      return wanted_ == Wanted::active ? std::optional(done) : std::nullopt;
+    case DriverState::inactive:
+      return wanted_ == Wanted::inactive ? std::optional(done) : std::nullopt;
+    case DriverState::undeployed:
+      if (wanted_ == Wanted::gone) return done;
+      return Verdict{Outcome::failed, "it was undeployed meanwhile"};
+    case DriverState::failed:
+      if (expected.before == std::pair(node->created, node->version)) return std::nullopt;
+      return Verdict{Outcome::failed, record.reason.empty() ? "the gateway gave no reason" : record.reason};
+    case DriverState::deployed:
+    case DriverState::starting:
+    case DriverState::stopping:
+      return std::nullopt;
+  }
+  return std::nullopt;
+}
+
+std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge_metadata(Expected& expected,
+                                                                  const discovery::DriverRecord& record) const {
+  for (const auto& [key, value] : changes_) {
+    const auto found = record.metadata.find(key);
+    if (found == record.metadata.end() ? value.empty() : found->second == value) continue;
+    expected.last_state =
+        found == record.metadata.end()
+            ? fmt::format("its record has no {} yet", key)
+            : fmt::format("its record says {}={}; what the driver itself says goes before orders", key, found->second);
+    return std::nullopt;
+  }
+  return Verdict{Outcome::done, ""};
+}
+
+std::string OutcomeWatch::silence(const Expected& expected, std::chrono::milliseconds limit, bool stopped) const {
+  if (stopped) return "this master is stopping; the order stands";
+  std::string text =
+      registry_.session() == discovery::SessionState::connected
+          ? fmt::format("not known after {} s, it may still happen", static_cast<double>(limit.count()) / 1000)
+          : "the registry is away, so nothing can be heard; the order stands";
+  if (!expected.last_state.empty()) text += "; " + expected.last_state;
+  return text;
+}
+
+std::map<std::string, OutcomeWatch::Verdict> OutcomeWatch::wait(std::chrono::milliseconds limit,
+                                                                const std::stop_token& stop) {
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, stop, limit, [this] { return open_ == 0; });
+  std::map<std::string, Verdict> verdicts;
+  for (const auto& [instance, expected] : expected_) {
+    verdicts[instance] = expected.verdict ? *expected.verdict
+                                          : Verdict{Outcome::unknown, silence(expected, limit, stop.stop_requested())};
+  }
+  return verdicts;
+}
+
+}  // namespace iotcloud::master

@@ -1,0 +1,71 @@
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "iotcloud/master/TMasterService.h"
+#include <iotcloud/config/error.h>
+#include <iotcloud/master/api/wire.h>
+#include <iotcloud/master/master.h>
+#include <iotcloud/master/originals/gateway_handler.h>
+#include <iotcloud/master/originals/original_gateways.h>
+
+namespace iotcloud::master {
+
+using discovery::wire::TResponse;
+using discovery::wire::TSensor;
+using discovery::wire::TSite;
+
+namespace {
+
+/// Keeps nothing of a connection, so one serves all.
+class GatewayHandler final : public wire::TMasterServiceIf {
+ public:
+  GatewayHandler(OriginalGateways& gateways, std::function<MasterStatus()> status)
+      : gateways_(gateways), status_(std::move(status)) {}
+
+  void registerSite(TResponse& response, const TSite& site) override {
+    respond(response, [&] { return gateways_.register_gateway(from_wire(site)); });
+  }
+  void unRegisterSite(TResponse& response, const TSite& site) override {
+    respond(response, [&] { return gateways_.unregister_gateway(site.siteId); });
+  }
+  void registerSensor(TResponse& response, const std::string& site, const TSensor& sensor) override {
+    respond(response, [&] { return gateways_.put_driver(site, from_wire(sensor)); });
+  }
+  void unRegisterSensor(TResponse& response, const std::string& site, const std::string& id) override {
+    respond(response, [&] { return gateways_.remove_driver(site, id); });
+  }
+  void updateSensor(TResponse& response, const std::string& site, const TSensor& sensor) override {
+    registerSensor(response, site, sensor);
+  }
+
+ private:
+  template <typename Body>
+  void respond(TResponse& response, Body&& body) {
+    const auto status = status_();
+    if (!status.leading) {
+      response = failure(fmt::format("master {} does not lead; {}", status.id,
+                                     status.leader.empty() ? "none does yet" : status.leader + " does"));
+      return;
+    }
+    try {
+      const std::string problem = body();
+      response = problem.empty() ? success() : failure(problem);
+    } catch (const config::Error& e) {  // what cannot be read
+      response = failure(e.what());
+    }
+  }
+
+  OriginalGateways& gateways_;
+  const std::function<MasterStatus()> status_;
+};
+
+}  // namespace
+
+std::shared_ptr<apache::thrift::TProcessorFactory> serve_original_gateways(OriginalGateways& gateways,
+                                                                           std::function<MasterStatus()> status) {
+  return std::make_shared<apache::thrift::TSingletonProcessorFactory>(
+      std::make_shared<wire::TMasterServiceProcessor>(std::make_shared<GatewayHandler>(gateways, std::move(status))));
+}
+
+}  // namespace iotcloud::master

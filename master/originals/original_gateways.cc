@@ -1,0 +1,361 @@
+#include <condition_variable>
+#include <map>
+#include <mutex>
+#include <set>
+#include <stop_token>
+#include <thread>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/master/orders/node_name.h>
+#include <iotcloud/master/originals/original_gateways.h>
+#include <iotcloud/master/originals/site_client.h>
+
+namespace iotcloud::master {
+
+using discovery::DriverRecord;
+using discovery::DriverState;
+using discovery::GatewayRecord;
+using discovery::RegistryError;
+using std::chrono::milliseconds;
+
+namespace {
+
+constexpr config::Logger logger{"master.original"};
+
+}  // namespace
+
+struct OriginalGateways::Impl {
+  /// One gateway that this master tends.
+  struct Tended {
+    explicit Tended(GatewayRecord r) : record(std::move(r)), site{record.host, record.port} {}
+    const GatewayRecord record;
+    const SiteAddress site;
+    std::mutex deploying;             ///< one at a time, so that a new instance is known to be that order's
+    std::set<std::string> instances;  ///< registered while it is tended; guarded by Impl::mutex
+    discovery::GuardPtr alive;        ///< guarded by Impl::mutex; null: lost
+    std::jthread heart;               ///< last: it uses the others
+  };
+  using TendedPtr = std::shared_ptr<Tended>;
+
+  Impl(discovery::Registry& r, OriginalGatewaysOptions o) : registry(r), options(std::move(o)) {}
+
+  std::string marker(const std::string& gateway) const { return options.paths.gateway(gateway) + "/original"; }
+  TendedPtr find(const std::string& gateway) const;
+  void tend(const GatewayRecord& record, bool alive_now);
+  void drop(const std::string& gateway);
+  void drop_all();
+  void follow_leadership(const std::stop_token& stop);
+  void pick_up();
+  void beat(const std::stop_token& stop, Tended& tended);
+  void come_alive(Tended& tended);
+  bool pause(const std::stop_token& stop) const;
+  void write_driver(const DriverRecord& record);
+  bool remove_record(const std::string& gateway, const std::string& instance);
+  std::string registry_problem(const std::exception& e) const { return fmt::format("the registry: {}", e.what()); }
+
+  discovery::Registry& registry;
+  const OriginalGatewaysOptions options;
+  std::function<bool()> leading;
+  std::mutex registering;  ///< one change of who is tended at a time; taken before mutex
+  mutable std::mutex mutex;
+  mutable std::condition_variable_any changed;
+  std::map<std::string, TendedPtr> tended;  ///< guarded by mutex
+  bool leads = false;                       ///< guarded by mutex
+  std::jthread leadership;
+};
+
+OriginalGateways::OriginalGateways(discovery::Registry& registry, OriginalGatewaysOptions options)
+    : impl_(std::make_unique<Impl>(registry, std::move(options))) {}
+
+OriginalGateways::~OriginalGateways() {
+  stop();
+}
+
+void OriginalGateways::start(std::function<bool()> leading) {
+  impl_->leading = std::move(leading);
+  impl_->leadership =
+      std::jthread([impl = impl_.get()](const std::stop_token& stop) { impl->follow_leadership(stop); });
+}
+
+void OriginalGateways::stop() {
+  impl_->leadership = {};
+  impl_->drop_all();
+}
+
+// ---------------------------------------------------------------- who is tended
+
+/// \return false when the thread is to end.
+bool OriginalGateways::Impl::pause(const std::stop_token& stop) const {
+  std::unique_lock lock(mutex);
+  changed.wait_for(lock, stop, options.heartbeat_interval, [] { return false; });
+  return !stop.stop_requested();
+}
+
+void OriginalGateways::Impl::follow_leadership(const std::stop_token& stop) {
+  do {
+    const bool now = leading();
+    const bool before = [&] {
+      std::lock_guard lock(mutex);
+      return leads;
+    }();
+    if (now && before) continue;
+    try {
+      if (now) {
+        pick_up();
+      } else {
+        drop_all();
+      }
+      std::lock_guard lock(mutex);
+      leads = now;
+    } catch (const config::Error& e) {
+      logger.warn("gateways of the original system are not tended yet: {}", e.what());
+    }
+  } while (pause(stop));
+}
+
+/// Those that registered with an earlier master.
+void OriginalGateways::Impl::pick_up() {
+  std::lock_guard one_at_a_time(registering);
+  for (const auto& gateway : discovery::list_gateways(registry, options.paths)) {
+    if (registry.get(marker(gateway.record.id)) && !find(gateway.record.id)) tend(gateway.record, false);
+  }
+}
+
+OriginalGateways::Impl::TendedPtr OriginalGateways::Impl::find(const std::string& gateway) const {
+  std::lock_guard lock(mutex);
+  const auto at = tended.find(gateway);
+  return at == tended.end() ? nullptr : at->second;
+}
+
+void OriginalGateways::Impl::tend(const GatewayRecord& record, bool alive_now) {
+  auto one = std::make_shared<Tended>(record);
+  if (alive_now) come_alive(*one);
+  one->heart = std::jthread([this, &one = *one](const std::stop_token& stop) { beat(stop, one); });
+  std::lock_guard lock(mutex);
+  tended[record.id] = std::move(one);
+}
+
+void OriginalGateways::Impl::drop(const std::string& gateway) {
+  TendedPtr going;
+  {
+    std::lock_guard lock(mutex);
+    const auto at = tended.find(gateway);
+    if (at == tended.end()) return;
+    going = std::move(at->second);
+    tended.erase(at);
+  }
+  going->heart = {};  // without the lock: it may want it
+  going->alive.reset();
+}
+
+void OriginalGateways::Impl::drop_all() {
+  std::map<std::string, TendedPtr> going;
+  {
+    std::lock_guard lock(mutex);
+    going.swap(tended);
+  }
+  for (auto& [id, one] : going) one->heart.request_stop();
+  for (auto& [id, one] : going) {
+    one->heart = {};
+    one->alive.reset();
+  }
+}
+
+void OriginalGateways::Impl::come_alive(Tended& one) {
+  auto alive = registry.hold(options.paths.gateway_alive(one.record.id), "");
+  std::lock_guard lock(mutex);
+  one.alive = std::move(alive);
+}
+
+void OriginalGateways::Impl::beat(const std::stop_token& stop, Tended& one) {
+  int misses = 0;
+  while (pause(stop)) {
+    const auto answer = site_heartbeat(one.site, options.heartbeat_limit);
+    try {
+      const bool alive = [&] {
+        std::lock_guard lock(mutex);
+        return one.alive != nullptr;
+      }();
+      if (answer.outcome == Outcome::done) {
+        misses = 0;
+        if (alive) continue;
+        come_alive(one);
+        logger.info("gateway {} answers", one.record.id);
+      } else if (++misses >= options.misses_until_lost && alive) {
+        logger.warn("gateway {} is lost: {}", one.record.id, answer.text);
+        discovery::GuardPtr going;
+        std::lock_guard lock(mutex);
+        going.swap(one.alive);
+      }
+    } catch (const config::Error& e) {
+      logger.warn("gateway {}: its life cannot be told: {}", one.record.id, e.what());
+    }
+  }
+}
+
+// ---------------------------------------------------------------- what they say
+
+std::string OriginalGateways::register_gateway(GatewayRecord record) {
+  if (!is_node_name(record.id))
+    return fmt::format("\"{}\" cannot be a gateway's id: not empty, no '/', no control characters", record.id);
+  if (record.host.empty() || record.port < 1 || record.port > 65535)
+    return fmt::format("{}:{} is no address: heartbeats and orders go there", record.host, record.port);
+  std::lock_guard one_at_a_time(impl_->registering);
+  try {
+    const auto node = impl_->registry.get(impl_->options.paths.gateway(record.id));
+    if (node && impl_->registry.get(impl_->options.paths.gateway_alive(record.id))) {
+      const auto there = discovery::decode_gateway(node->data, impl_->options.paths.gateway(record.id));
+      if (!has(record.id) || there.host != record.host || there.port != record.port)
+        return fmt::format("another gateway with the id {} is alive at {}:{}; give this one another id", record.id,
+                           there.host, there.port);
+    }
+    impl_->drop(record.id);
+    record.since_ms = config::system_clock().wall_ms();
+    discovery::put(impl_->registry, impl_->options.paths.gateway(record.id), encode(record));
+    discovery::put(impl_->registry, impl_->marker(record.id), "");
+    impl_->tend(record, true);
+    logger.info("gateway {} registered from {}:{}", record.id, record.host, record.port);
+    return "";
+  } catch (const config::Error& e) {
+    return impl_->registry_problem(e);
+  }
+}
+
+std::string OriginalGateways::unregister_gateway(const std::string& gateway) {
+  std::lock_guard one_at_a_time(impl_->registering);
+  if (!has(gateway)) return fmt::format("no gateway \"{}\" is registered here", gateway);
+  try {
+    for (const auto& driver : discovery::list_drivers(impl_->registry, impl_->options.paths))
+      if (driver.gateway == gateway)
+        discovery::remove_tree(impl_->registry, impl_->options.paths.instance(driver.name, driver.instance));
+    impl_->drop(gateway);
+    discovery::remove_tree(impl_->registry, impl_->options.paths.gateway(gateway));
+    return "";
+  } catch (const config::Error& e) {
+    return impl_->registry_problem(e);
+  }
+}
+
+std::string OriginalGateways::put_driver(const std::string& gateway, DriverRecord record) {
+  const auto tended = impl_->find(gateway);
+  if (!tended) return fmt::format("no gateway \"{}\" is registered here; registerSite comes first", gateway);
+  if (!is_node_name(record.name) || !is_node_name(record.instance))
+    return fmt::format("\"{}\" and \"{}\" cannot be a driver's name and id: not empty, no '/'", record.name,
+                       record.instance);
+  for (const auto& channel : record.channels)
+    if (!is_node_name(channel.name)) return fmt::format("\"{}\" cannot be a channel's name", channel.name);
+  record.gateway = gateway;
+  record.since_ms = config::system_clock().wall_ms();
+  try {
+    impl_->write_driver(record);
+  } catch (const config::Error& e) {
+    return impl_->registry_problem(e);
+  }
+  {
+    std::lock_guard lock(impl_->mutex);
+    tended->instances.insert(record.instance);
+  }
+  impl_->changed.notify_all();
+  return "";
+}
+
+void OriginalGateways::Impl::write_driver(const DriverRecord& record) {
+  // Channels first: who sees an active driver finds them.
+  for (auto channel : record.channels) {
+    channel.gateway = record.gateway;
+    channel.driver = record.name;
+    channel.instance = record.instance;
+    discovery::put(registry, options.paths.channel(record.name, record.instance, channel.name), encode(channel));
+  }
+  discovery::put(registry, options.paths.instance(record.name, record.instance), encode(record));
+}
+
+std::string OriginalGateways::remove_driver(const std::string& gateway, const std::string& instance) {
+  if (!has(gateway)) return fmt::format("no gateway \"{}\" is registered here", gateway);
+  try {
+    if (!impl_->remove_record(gateway, instance))
+      return fmt::format("no driver instance \"{}\" on gateway {}", instance, gateway);
+    return "";
+  } catch (const config::Error& e) {
+    return impl_->registry_problem(e);
+  }
+}
+
+/// \return whether there was one.
+bool OriginalGateways::Impl::remove_record(const std::string& gateway, const std::string& instance) {
+  for (const auto& driver : discovery::list_drivers(registry, options.paths)) {
+    if (driver.gateway != gateway || driver.instance != instance) continue;
+    discovery::remove_tree(registry, options.paths.instance(driver.name, instance));
+    return true;
+  }
+  return false;
+}
+
+// ---------------------------------------------------------------- orders
+
+bool OriginalGateways::has(const std::string& gateway) const {
+  return impl_->find(gateway) != nullptr;
+}
+
+InstanceOutcome OriginalGateways::deploy(const std::string& gateway, const DeployRequest& request, milliseconds limit) {
+  InstanceOutcome outcome{gateway, "", Outcome::failed, "the gateway is not registered any more"};
+  const auto tended = impl_->find(gateway);
+  if (!tended) return outcome;
+  const auto deadline = std::chrono::steady_clock::now() + limit;
+  std::lock_guard one_at_a_time(tended->deploying);
+  const auto before = [&] {
+    std::lock_guard lock(impl_->mutex);
+    return tended->instances;
+  }();
+  const auto answer = site_deploy(tended->site, request, limit);
+  outcome.outcome = answer.outcome;
+  outcome.reason = answer.text;
+  if (answer.outcome != Outcome::done) return outcome;
+  // The original's gateway answers before it has done it: its registration of the instance is what counts.
+  std::unique_lock lock(impl_->mutex);
+  const auto is_new = [&] {
+    for (const auto& instance : tended->instances)
+      if (!before.contains(instance)) outcome.instance = instance;
+    return !outcome.instance.empty();
+  };
+  if (impl_->changed.wait_until(lock, deadline, is_new)) {
+    outcome.reason.clear();
+  } else {
+    outcome.outcome = Outcome::unknown;
+    outcome.reason = "the gateway took the order, but has registered no new driver yet";
+  }
+  return outcome;
+}
+
+InstanceOutcome OriginalGateways::change(const std::string& gateway, const std::string& instance, Change change,
+                                         milliseconds limit) {
+  InstanceOutcome outcome{gateway, instance, Outcome::failed, "the gateway is not registered any more"};
+  const auto tended = impl_->find(gateway);
+  if (!tended) return outcome;
+  const auto answer = site_change(tended->site, instance, change, limit);
+  outcome.outcome = answer.outcome;
+  outcome.reason = answer.outcome == Outcome::done ? "" : answer.text;
+  if (answer.outcome != Outcome::done) return outcome;
+  try {
+    if (change == Change::undeploy) {
+      impl_->remove_record(gateway, instance);  // it may have said so itself meanwhile
+      return outcome;
+    }
+    for (auto driver : discovery::list_drivers(impl_->registry, impl_->options.paths)) {
+      if (driver.gateway != gateway || driver.instance != instance) continue;
+      driver.state = change == Change::start ? DriverState::active : DriverState::inactive;
+      driver.since_ms = config::system_clock().wall_ms();
+      impl_->write_driver(driver);
+    }
+  } catch (const config::Error& e) {
+    outcome.reason = fmt::format("the gateway has done it, but its record is old: {}", e.what());
+  }
+  return outcome;
+}
+
+}  // namespace iotcloud::master

@@ -1,0 +1,237 @@
+#include <algorithm>
+#include <set>
+
+#include <fmt/ranges.h>
+
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/log.h>
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/master/orders/master_impl.h>
+#include <iotcloud/master/topologies/topology_watch.h>
+
+namespace iotcloud::master {
+
+using discovery::Node;
+using discovery::RegistryError;
+using discovery::RegistryErrorCode;
+using discovery::TopologyOrder;
+using discovery::WorkerRecord;
+using std::chrono::milliseconds;
+
+namespace {
+
+constexpr config::Logger logger{"master"};
+/// A kill's workers have so long, beyond their drain, to close and to leave.
+constexpr milliseconds end_margin{10'000};
+
+TopologyResult refuse_topology(Refusal refusal, std::string text) {
+  return {refusal, std::move(text), "", {}};
+}
+
+bool any_lives(const std::vector<std::string>& names, const std::vector<WorkerRecord>& workers) {
+  return std::any_of(workers.begin(), workers.end(), [&](const WorkerRecord& worker) {
+    return std::find(names.begin(), names.end(), worker.name) != names.end();
+  });
+}
+
+/// What is wrong with a wanted parallelism, by what the workers say of themselves; empty: nothing.
+std::string check_parallelism(const TopologyRequest& request, const std::vector<WorkerRecord>& workers) {
+  if (request.parallelism.empty()) return "no component is named: give at least one as COMPONENT=N";
+  for (const auto& [component, parallelism] : request.parallelism) {
+    for (const WorkerRecord& worker : workers) {
+      if (worker.components.empty()) continue;  // an older program: it says itself what it cannot do
+      const auto found = worker.components.find(component);
+      if (found == worker.components.end()) {
+        std::vector<std::string> known;
+        for (const auto& [name, shape] : worker.components)
+          known.push_back(fmt::format("{} (1 to {})", name, shape.tasks));
+        return fmt::format("topology {} has no component \"{}\"; there are {}", request.topology, component,
+                           fmt::join(known, ", "));
+      }
+      if (parallelism < 1 || parallelism > found->second.tasks) {
+        return fmt::format(
+            "component {} can have a parallelism of 1 to {} (its tasks in each worker), not {}; more tasks are given "
+            "by the key `tasks` in its YAML, or by further workers",
+            component, found->second.tasks, parallelism);
+      }
+    }
+  }
+  return "";
+}
+
+}  // namespace
+
+std::string to_string(TopologyChange change) {
+  switch (change) {
+    case TopologyChange::activate:
+      return "activate";
+    case TopologyChange::deactivate:
+      return "deactivate";
+    case TopologyChange::rebalance:
+      return "rebalance";
+    case TopologyChange::kill:
+      return "kill";
+  }
+  return "";
+}
+
+bool TopologyResult::all_done() const {
+  return refusal == Refusal::none &&
+         std::all_of(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == Outcome::done; });
+}
+
+std::string TopologyResult::summary() const {
+  if (refusal != Refusal::none) return text;
+  const auto done =
+      std::count_if(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == Outcome::done; });
+  std::string line = fmt::format("{} of {} workers done", done, outcomes.size());
+  for (const auto& o : outcomes) {
+    if (o.outcome != Outcome::done) line += fmt::format("; {}: {}: {}", o.worker, to_string(o.outcome), o.reason);
+  }
+  return text.empty() ? line : line + "; " + text;
+}
+
+TopologyResult Master::order(const TopologyRequest& request) {
+  Impl::UnderWay guard(*impl_);
+  if (const auto refusal = impl_->refuse_unless_leading()) {
+    return {refusal->refusal, refusal->text, refusal->leader, {}};
+  }
+  try {
+    return impl_->order(request);
+  } catch (const RegistryError& e) {
+    if (e.code() == RegistryErrorCode::away) {
+      return refuse_topology(Refusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
+    }
+    return refuse_topology(Refusal::bad_request, e.what());
+  } catch (const config::Error& e) {
+    return refuse_topology(Refusal::bad_request, e.what());
+  }
+}
+
+std::optional<TopologyResult> Master::Impl::refuse_unknown_topology(const std::string& name) {
+  if (is_node_name(name)) {
+    const auto record = registry.get(options.paths.topology(name));
+    if (record && (!record->data.empty() || registry.get(options.paths.topology_order(name)))) return std::nullopt;
+  }
+  std::vector<std::string> known;
+  for (const auto& topology : discovery::list_topologies(registry, options.paths))
+    known.push_back(topology.record.name);
+  return refuse_topology(Refusal::unknown_topology,
+                         known.empty() ? fmt::format("no topology \"{}\"; none runs", name)
+                                       : fmt::format("no topology \"{}\"; there are {}", name, fmt::join(known, ", ")));
+}
+
+/// \return the order as it is to be from now on. \throws config::Error when it cannot be given.
+TopologyOrder Master::Impl::changed_order(const std::optional<Node>& node, const TopologyRequest& request,
+                                          const std::vector<WorkerRecord>& workers, milliseconds wait) const {
+  TopologyOrder order;
+  if (node) order = discovery::decode_topology_order(node->data, options.paths.topology_order(request.topology));
+  if (order.epoch > leading_epoch())
+    throw config::Error("a later master has given orders for it; this one's lead is over");
+  std::int64_t last = order.revision;
+  for (const WorkerRecord& worker : workers) last = std::max(last, worker.revision);
+  if (order.kill && !any_lives(order.kill->workers, workers)) order = TopologyOrder{};  // that run is over
+  if (order.kill && request.change != TopologyChange::kill)
+    throw config::Error("topology " + request.topology + " is being killed");
+  order.revision = last + 1;
+  order.epoch = leading_epoch();
+  switch (request.change) {
+    case TopologyChange::activate:
+      order.active = true;
+      break;
+    case TopologyChange::deactivate:
+      order.active = false;
+      break;
+    case TopologyChange::rebalance:
+      for (const auto& [component, parallelism] : request.parallelism) order.parallelism[component] = parallelism;
+      break;
+    case TopologyChange::kill:
+      order.kill.emplace();
+      for (const WorkerRecord& worker : workers) order.kill->workers.push_back(worker.name);
+      order.kill->drain_ms = request.drain.count();
+      order.kill->awaited_until_ms = config::system_clock().wall_ms() + wait.count() + 1000;
+      break;
+  }
+  return order;
+}
+
+TopologyOrder Master::Impl::write_order(const TopologyRequest& request, const std::vector<WorkerRecord>& workers,
+                                        milliseconds wait) {
+  const std::string path = options.paths.topology_order(request.topology);
+  while (!closing.stop_requested()) {
+    const auto node = registry.get(path);
+    const TopologyOrder order = changed_order(node, request, workers, wait);
+    try {
+      if (node) {
+        registry.set(path, discovery::encode(order), node->version);
+      } else {
+        registry.create(path, discovery::encode(order));
+      }
+      return order;
+    } catch (const RegistryError& e) {
+      // Changed meanwhile: look again.
+      if (e.code() != RegistryErrorCode::bad_version && e.code() != RegistryErrorCode::exists &&
+          e.code() != RegistryErrorCode::no_node)
+        throw;
+    }
+  }
+  throw config::Error("this master is stopping");
+}
+
+TopologyResult Master::Impl::order(const TopologyRequest& request) {
+  if (auto refusal = refuse_unknown_topology(request.topology)) return *refusal;
+  const auto workers = discovery::list_workers(registry, options.paths, request.topology);
+  const bool kill = request.change == TopologyChange::kill;
+  if (request.change == TopologyChange::rebalance) {
+    if (workers.empty())
+      return refuse_topology(Refusal::bad_request, fmt::format("no worker of topology {} runs, so what its components "
+                                                               "can have is not known; start one first",
+                                                               request.topology));
+    if (const auto problem = check_parallelism(request, workers); !problem.empty())
+      return refuse_topology(Refusal::bad_request, problem);
+  }
+  TopologyResult result;
+  if (kill && workers.empty()) {
+    discovery::remove_topology(registry, options.paths, request.topology);
+    result.text = "no worker ran; what was ordered for it is forgotten";
+    return result;
+  }
+  const milliseconds wait =
+      limit(kill && !request.wait ? std::max(options.outcome_timeout, request.drain + end_margin) : request.wait);
+  const TopologyOrder order = write_order(request, workers, wait);
+  if (workers.empty()) result.text = "no worker runs; those that start will follow";
+
+  TopologyWatch watch(registry, options.paths, request.topology, order.revision, kill);
+  for (const WorkerRecord& worker : workers) watch.expect(worker.name);
+  const auto verdicts = watch.wait(wait, closing.get_token());
+  for (const WorkerRecord& worker : workers) {
+    const auto& verdict = verdicts.at(worker.name);
+    result.outcomes.push_back({worker.name, worker.host, verdict.outcome, verdict.reason});
+  }
+  if (kill) clear_killed(request.topology, result);
+  for (const auto& outcome : result.outcomes)
+    config::process_metrics()
+        .counter("iotcloud_master_topology_orders_total", "Orders to topologies by what became of them in each worker",
+                 {{"order", to_string(request.change)}, {"outcome", to_string(outcome.outcome)}})
+        .add();
+  logger.info("topology {}: {}: {}", request.topology, to_string(request.change), result.summary());
+  return result;
+}
+
+/// When all that were to end are gone, so is the order; otherwise the last of them takes it away.
+void Master::Impl::clear_killed(const std::string& topology, TopologyResult& result) {
+  if (std::any_of(result.outcomes.begin(), result.outcomes.end(),
+                  [](const auto& o) { return o.outcome == Outcome::unknown; }))
+    return;
+  try {
+    if (discovery::remove_topology(registry, options.paths, topology)) return;
+    registry.remove(options.paths.topology_order(topology));
+    std::vector<std::string> names;
+    for (const auto& worker : discovery::list_workers(registry, options.paths, topology)) names.push_back(worker.name);
+    result.text = fmt::format("started after the order, and running: {}", fmt::join(names, ", "));
+  } catch (const RegistryError& e) {
+    result.text = fmt::format("the workers ended, but the order stands: {}", e.what());
+  }
+}
+
+}  // namespace iotcloud::master

@@ -1,0 +1,87 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <iotcloud/master/topologies/topology_watch.h>
+
+namespace iotcloud::master {
+
+using discovery::Node;
+
+TopologyWatch::TopologyWatch(discovery::Registry& registry, const discovery::Paths& paths, std::string topology,
+                             std::int64_t revision, bool kill)
+    : registry_(registry), paths_(paths), topology_(std::move(topology)), revision_(revision), kill_(kill) {}
+
+TopologyWatch::~TopologyWatch() {
+  guards_.clear();  // without the lock: a guard waits for its callback, which may want it
+}
+
+void TopologyWatch::expect(const std::string& worker) {
+  {
+    const std::lock_guard lock(mutex_);
+    expected_[worker];
+  }
+  guards_.push_back(registry_.watch_node(paths_.workers(topology_) + "/" + worker,
+                                         [this, worker](const std::optional<Node>& node) { on_worker(worker, node); }));
+}
+
+void TopologyWatch::on_worker(const std::string& worker, const std::optional<Node>& node) {
+  const std::lock_guard lock(mutex_);
+  Expected& expected = expected_[worker];
+  expected.gone = !node;
+  if (node) {
+    discovery::WorkerRecord record;
+    try {
+      record = discovery::decode_worker(node->data, worker);
+    } catch (const config::Error& error) {
+      expected.last_state = error.what();
+      return;
+    }
+    expected.last_state = fmt::format("last state: {}, order {}", record.state, record.revision);
+    if (!kill_ && record.revision >= revision_) {
+      expected.verdict = record.error.empty() ? Verdict{Outcome::done, ""} : Verdict{Outcome::failed, record.error};
+    }
+  }
+  changed_.notify_all();
+}
+
+TopologyWatch::Verdict TopologyWatch::of_gone(const std::string& worker) {
+  if (!kill_) return {Outcome::failed, "it ended, or the registry lost it, before it reported"};
+  const auto end = registry_.get(paths_.ended_workers(topology_) + "/" + worker);
+  if (!end) return {Outcome::failed, "it is gone without a word whether it drained: it crashed, or was killed"};
+  if (end->data.empty()) return {Outcome::done, ""};
+  return {Outcome::failed, "it ended, but " + end->data};
+}
+
+std::map<std::string, TopologyWatch::Verdict> TopologyWatch::wait(std::chrono::milliseconds limit,
+                                                                  const std::stop_token& stop) {
+  std::map<std::string, Expected> seen;
+  {
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, stop, limit, [this] {
+      return std::all_of(expected_.begin(), expected_.end(),
+                         [](const auto& entry) { return entry.second.verdict || entry.second.gone; });
+    });
+    seen = expected_;
+  }
+  std::map<std::string, Verdict> verdicts;
+  for (const auto& [worker, expected] : seen) {
+    if (expected.verdict) {
+      verdicts[worker] = *expected.verdict;
+    } else if (expected.gone) {
+      verdicts[worker] = of_gone(worker);
+    } else if (stop.stop_requested()) {
+      verdicts[worker] = {Outcome::unknown, "this master is stopping; the order stands"};
+    } else {
+      std::string text =
+          registry_.session() == discovery::SessionState::connected
+              ? fmt::format("not known after {} s, it may still happen", static_cast<double>(limit.count()) / 1000)
+              : "the registry is away, so nothing can be heard; the order stands";
+      if (!expected.last_state.empty()) text += "; " + expected.last_state;
+      verdicts[worker] = {Outcome::unknown, text};
+    }
+  }
+  return verdicts;
+}
+
+}  // namespace iotcloud::master

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/api/thrift_server.h>
+#include <iotcloud/tests/master/fleet.h>
+#include <iotcloud/tests/master/process.h>
+
+namespace iotcloud::master::test {
+
+/// The command line as a process, before a master that serves its API.
+class Cli : public ::testing::Test {
+ protected:
+  /// The master tells others where its API is, so the port must be known before either is made.
+  Cli() {
+    for (int attempt = 0; !server && attempt < 10; ++attempt) {
+      master.reset();
+      auto options = TestMaster::quick();
+      ThriftServerOptions listen;
+      listen.port = free_port();
+      options.address = "127.0.0.1:" + std::to_string(listen.port);
+      master.emplace(url, options);
+      try {
+        server.emplace(listen, serve_api(**master, ""));
+      } catch (const config::Error&) {
+        continue;  // somebody else was faster to take the port
+      }
+    }
+    EXPECT_TRUE(server && master->leads());
+  }
+  std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }
+
+  /// Runs the CLI against the test's master.
+  Finished run(std::vector<std::string> words) const {
+    words.insert(words.begin(), IOTCLOUD_CLI);
+    return run_program(words, {{"IOTCLOUD_MASTER", address()}});
+  }
+  nlohmann::json run_json(std::vector<std::string> words) const {
+    words.insert(words.end(), {"-o", "json"});
+    const auto done = run(words);
+    EXPECT_EQ(done.status, 0) << done.err;
+    return nlohmann::json::parse(done.out);
+  }
+  std::string deploy(const std::string& gateway) {
+    DeployRequest request;
+    request.plugin = "turtle.so";
+    request.gateways = {gateway};
+    return (*master)->deploy(request).outcomes.at(0).instance;
+  }
+
+  const std::string url = fresh_registry_url();
+  std::optional<TestMaster> master;
+  std::optional<ThriftServer> server;
+};
+
+}  // namespace iotcloud::master::test

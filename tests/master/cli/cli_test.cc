@@ -1,0 +1,346 @@
+#include <cstdio>
+#include <fstream>
+#include <future>
+#include <map>
+#include <optional>
+#include <sstream>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/api/thrift_server.h>
+#include <iotcloud/master/cli/command.h>
+#include <iotcloud/tests/master/cli/cli_fixture.h>
+#include <iotcloud/tests/master/fleet.h>
+#include <iotcloud/tests/master/process.h>
+
+namespace iotcloud::master {
+namespace {
+
+using discovery::DriverState;
+using nlohmann::json;
+using test::Cli;
+using test::FakeGateway;
+using test::Finished;
+using test::TestMaster;
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::MatchesRegex;
+using testing::Not;
+using testing::SizeIs;
+using testing::StartsWith;
+
+TEST_F(Cli, DeploysAndListsAsJson) {
+  FakeGateway gateway(url, "lab1");
+  const auto answer = run_json({"deploy", "turtle.so", "--gateway", "lab1", "--name", "robot", "--property=map=a=b",
+                                "-p", "speed=1", "-m", "room=12", "--count", "2"});
+  EXPECT_EQ(answer["ok"], true);
+  ASSERT_THAT(answer["outcomes"], SizeIs(2));
+  EXPECT_EQ(answer["outcomes"][0]["outcome"], "done");
+  EXPECT_EQ(gateway.orders().at(0).properties.at("map"), "a=b");
+  EXPECT_EQ(gateway.orders().at(0).properties.at("speed"), "1");
+
+  const auto drivers = run_json({"drivers"});
+  ASSERT_THAT(drivers, SizeIs(2));
+  EXPECT_EQ(drivers[0]["driver"], "robot");
+  EXPECT_EQ(drivers[0]["gateway"], "lab1");
+  EXPECT_EQ(drivers[0]["state"], "active");
+  EXPECT_EQ(drivers[0]["metadata"]["room"], "12");
+  EXPECT_EQ(drivers[0]["channels"][0]["name"], "kinect");
+  EXPECT_EQ(drivers[0]["since_ms"], 1000);
+
+  const auto gateways = run_json({"gateways"});
+  ASSERT_THAT(gateways, SizeIs(1));
+  EXPECT_EQ(gateways[0]["gateway"], "lab1");
+  EXPECT_EQ(gateways[0]["state"], "ready");
+}
+
+TEST_F(Cli, TablesAreAligned) {
+  FakeGateway one(url, "lab1");
+  FakeGateway two(url, "a-much-longer-name");
+  const auto done = run({"gateways"});
+  EXPECT_EQ(done.status, 0) << done.err;
+  std::istringstream lines(done.out);
+  std::string head, first, second;
+  std::getline(lines, head);
+  std::getline(lines, first);
+  std::getline(lines, second);
+  EXPECT_EQ(head.find("STATE"), first.find("ready"));
+  EXPECT_EQ(head.find("STATE"), second.find("ready"));
+  EXPECT_EQ(head.find("ADDRESS"), second.find("127.0.0.1:12905"));
+}
+
+TEST_F(Cli, AFailedDeploymentHasTheReasonAndExitStatusOne) {
+  FakeGateway gateway(url, "lab1", FakeGateway::fail("no such plugin; the folder has turtle.so"));
+  const auto done = run({"deploy", "turtel.so", "--all"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.out, AllOf(HasSubstr("failed"), HasSubstr("no such plugin; the folder has turtle.so")));
+  const auto listed = run({"drivers", "--state", "failed"});
+  EXPECT_THAT(listed.out, HasSubstr("no such plugin"));
+}
+
+TEST_F(Cli, APartialDeploymentHasExitStatusOne) {
+  FakeGateway good(url, "lab1");
+  FakeGateway bad(url, "lab2", FakeGateway::fail("no"));
+  const auto done = run({"deploy", "turtle.so", "-g", "lab1,lab2", "-o", "json"});
+  EXPECT_EQ(done.status, 1);
+  const auto answer = json::parse(done.out);
+  EXPECT_EQ(answer["ok"], false);
+  EXPECT_EQ(answer["outcomes"][0]["outcome"], "done");
+  EXPECT_EQ(answer["outcomes"][1]["outcome"], "failed");
+}
+
+TEST_F(Cli, ASilentGatewayIsUnknownAfterTheWait) {
+  FakeGateway silent(url, "lab1", FakeGateway::say_nothing());
+  const auto done = run({"deploy", "turtle.so", "--all", "--wait", "0.05"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.out, HasSubstr("unknown"));
+}
+
+TEST_F(Cli, AnUnknownGatewayIsAnErrorThatListsTheKnownOnes) {
+  FakeGateway gateway(url, "lab1");
+  const auto done = run({"deploy", "turtle.so", "--gateway", "lab7"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.err, AllOf(StartsWith("iotcloud: "), HasSubstr("lab7"), HasSubstr("known gateways: lab1")));
+}
+
+TEST_F(Cli, IdsMayBeGivenByTheirBeginning) {
+  FakeGateway gateway(url, "lab1");
+  const auto id = deploy("lab1");
+  EXPECT_EQ(run({"stop", id.substr(0, 8)}).status, 0);
+  EXPECT_EQ(run_json({"drivers", id.substr(0, 8)})[0]["state"], "inactive");
+  EXPECT_EQ(run({"start", id.substr(0, 8)}).status, 0);
+  EXPECT_EQ(run({"undeploy", id.substr(0, 8)}).status, 0);
+  EXPECT_THAT(run_json({"drivers"}), SizeIs(0));
+  const auto gone = run({"undeploy", id});
+  EXPECT_EQ(gone.status, 1);
+  EXPECT_THAT(gone.err, HasSubstr("iotcloud drivers"));
+}
+
+TEST_F(Cli, ABeginningOfSeveralIdsIsRefusedWithTheCandidates) {
+  FakeGateway gateway(url, "lab1");
+  // Seventeen ids: two begin with the same hexadecimal digit.
+  std::map<char, std::string> by_digit;
+  std::string digit, one, other;
+  while (digit.empty()) {
+    const auto id = deploy("lab1");
+    const auto [at, is_new] = by_digit.emplace(id[0], id);
+    if (is_new) continue;
+    digit = id.substr(0, 1);
+    one = at->second;
+    other = id;
+  }
+  const auto done = run({"undeploy", digit});
+  EXPECT_EQ(done.status, 2);
+  EXPECT_THAT(done.err, AllOf(HasSubstr(one), HasSubstr(other), HasSubstr("give more of it")));
+  EXPECT_THAT(run_json({"drivers", one}), SizeIs(1));
+}
+
+TEST_F(Cli, StatusShowsLeaderGatewaysDriversAndTopologies) {
+  FakeGateway gateway(url, "lab1");
+  { FakeGateway gone(url, "lab2"); }
+  deploy("lab1");
+  ASSERT_TRUE(test::eventually([&] { return !(*master)->gateways().at(1).alive; }));
+  const auto status = run_json({"status"});
+  EXPECT_EQ(status["master"]["leading"], true);
+  EXPECT_EQ(status["master"]["address"], address());
+  EXPECT_EQ(status["gateways"]["ready"], 1);
+  EXPECT_EQ(status["gateways"]["lost"], 1);
+  EXPECT_EQ(status["drivers"]["active"], 1);
+  EXPECT_THAT(status["topologies"], SizeIs(0));
+  EXPECT_THAT(run({"status"}).out, AllOf(HasSubstr("1 ready, 1 lost"), HasSubstr("1 active")));
+}
+
+TEST_F(Cli, YamlSaysTheSameAsJson) {
+  FakeGateway gateway(url, "lab1");
+  const auto done = run({"gateways", "-o", "yaml"});
+  EXPECT_EQ(done.status, 0);
+  EXPECT_EQ(done.out,
+            "- gateway: lab1\n  state: ready\n  host: \"127.0.0.1\"\n  port: 12905\n  brokers:\n    - rabbitmq\n"
+            "  since_ms: 1\n");
+}
+
+TEST_F(Cli, FollowsTheLeaderWhenItAskedAStandby) {
+  FakeGateway gateway(url, "lab1");
+  auto options = TestMaster::quick();
+  options.id = "m2";
+  TestMaster standby(url, options);
+  ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
+  ThriftServer standby_server({}, serve_api(*standby, ""));
+  const auto at_standby = "127.0.0.1:" + std::to_string(standby_server.port());
+
+  const auto deployed = run({"--master", at_standby, "deploy", "turtle.so", "--all"});
+  EXPECT_EQ(deployed.status, 0) << deployed.err;
+  EXPECT_THAT(gateway.orders(), SizeIs(1));
+  const auto status = run({"--master", at_standby, "status"});
+  EXPECT_THAT(status.out, HasSubstr("standby; " + address() + " leads"));
+}
+
+TEST_F(Cli, ALeaderThatDoesNotAnswerIsSaidWhenPatienceEnds) {
+  auto options = TestMaster::quick();
+  options.id = "m2";
+  TestMaster standby(url, options);
+  ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
+  ThriftServer standby_server({}, serve_api(*standby, ""));
+  const auto leader = address();
+  server.reset();
+  cli::Command command;
+  command.verb = cli::Verb::deploy;
+  command.masters = {"127.0.0.1:" + std::to_string(standby_server.port())};
+  command.plugin = "turtle.so";
+  command.election_patience = std::chrono::milliseconds(1);
+  std::ostringstream out, err;
+  EXPECT_EQ(cli::run(command, out, err), 3);
+  EXPECT_THAT(err.str(), AllOf(HasSubstr("standby"), HasSubstr(leader)));
+}
+
+TEST_F(Cli, AnOrderWaitsForTheSuccessorOfALeaderThatDied) {
+  FakeGateway gateway(url, "lab1");
+  auto options = TestMaster::quick();
+  options.id = "m2";
+  options.address = "127.0.0.1:1";  // nobody is sent there: it leads before anyone asks it for the leader
+  TestMaster standby(url, options);
+  ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
+  ThriftServer standby_server({}, serve_api(*standby, ""));
+  server.reset();  // the leader is silent, and the registry does not know it yet
+  auto done = std::async(std::launch::async, [&] {
+    cli::Command command;
+    command.verb = cli::Verb::deploy;
+    command.masters = {"127.0.0.1:" + std::to_string(standby_server.port())};
+    command.plugin = "turtle.so";
+    std::ostringstream out, err;
+    return std::pair(cli::run(command, out, err), err.str());
+  });
+  EXPECT_EQ(done.wait_for(std::chrono::milliseconds(50)), std::future_status::timeout);
+  master->end();
+  const auto [status, text] = done.get();
+  EXPECT_EQ(status, 0) << text;
+  EXPECT_THAT(gateway.orders(), SizeIs(1));
+}
+
+TEST_F(Cli, StatusIsSaidWhileTheRegistryIsAway) {
+  const auto nowhere = test::open_registry("zookeeper://127.0.0.1:1");
+  Master alone(*nowhere, TestMaster::quick());
+  ThriftServer alone_server({}, serve_api(alone, ""));
+  const auto at = "127.0.0.1:" + std::to_string(alone_server.port());
+  const auto table = run({"--master", at, "status"});
+  EXPECT_EQ(table.status, 1);
+  EXPECT_THAT(table.out, AllOf(HasSubstr("m1 at " + at), HasSubstr("away")));
+  const auto answer = json::parse(run({"--master", at, "status", "-o", "json"}).out);
+  EXPECT_EQ(answer["master"]["registry"], "away");
+  EXPECT_THAT(run({"--master", at, "deploy", "turtle.so", "--all"}).err, HasSubstr("registry is away"));
+}
+
+TEST_F(Cli, AsksTheNextMasterWhenTheFirstIsAway) {
+  FakeGateway gateway(url, "lab1");
+  EXPECT_EQ(run({"--master", "127.0.0.1:1," + address(), "gateways"}).status, 0);
+}
+
+TEST_F(Cli, WithoutAMasterTheExitStatusIsThreeAndTheTextSaysHowToMendIt) {
+  const auto done = run({"--master", "127.0.0.1:1", "drivers"});
+  EXPECT_EQ(done.status, 3);
+  EXPECT_THAT(done.err, AllOf(HasSubstr("127.0.0.1:1"), HasSubstr("--master"), HasSubstr("iotcloud-master")));
+}
+
+TEST_F(Cli, AMasterThatWantsATokenGetsItFromAFile) {
+  FakeGateway gateway(url, "lab1");
+  server.reset();
+  server.emplace(ThriftServerOptions{}, serve_api(**master, "open sesame"));
+  const auto closed = run({"gateways"});
+  EXPECT_EQ(closed.status, 1);
+  EXPECT_THAT(closed.err, HasSubstr("token"));
+  const std::string file = testing::TempDir() + "iotcloud-token-" + std::to_string(getpid());
+  std::ofstream(file) << "open sesame\n";
+  EXPECT_EQ(run({"--token-file", file, "gateways"}).status, 0);
+  std::remove(file.c_str());
+}
+
+TEST_F(Cli, WrongUsageHasExitStatusTwo) {
+  for (const std::vector<std::string>& words : {std::vector<std::string>{},
+                                                {"deploi"},
+                                                {"deploy"},
+                                                {"deploy", "turtle.so"},
+                                                {"undeploy"},
+                                                {"drivers", "-o", "xml"},
+                                                {"deploy", "turtle.so", "--all", "-p", "novalue"},
+                                                {"deploy", "turtle.so", "--all", "--gateway", "lab1"},
+                                                {"deploy", "turtle.so", "--all", "--count", "0"},
+                                                {"topology"},
+                                                {"topology", "kill"},
+                                                {"topology", "rebalance", "echo"},
+                                                {"topology", "rebalance", "echo", "in"},
+                                                {"topology", "rebalance", "echo", "in=0"},
+                                                {"topology", "rebalance", "echo", "in=1", "in=2"},
+                                                {"topology", "tap", "echo"},
+                                                {"topology", "tap", "echo", "in", "--rate", "0"},
+                                                {"--master", "nowhere", "status"}}) {
+    const auto done = run(words);
+    EXPECT_EQ(done.status, 2) << testing::PrintToString(words) << done.out << done.err;
+    EXPECT_FALSE(done.err.empty());
+  }
+}
+
+TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
+  for (const char* command : {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop"}) {
+    const auto done = run({command, "--help"});
+    EXPECT_EQ(done.status, 0) << command;
+    EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud "))) << command;
+  }
+  for (const char* command :
+       {"list", "show", "activate", "deactivate", "rebalance", "kill", "metrics", "tap", "check"}) {
+    const auto done = run({"topology", command, "--help"});
+    EXPECT_EQ(done.status, 0) << command;
+    EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud topology "))) << command;
+  }
+  EXPECT_THAT(run({"--help"}).out, HasSubstr("Exit status"));
+}
+
+TEST_F(Cli, ATopologyIsListedWithItsStateAndOrderedToChange) {
+  const discovery::Paths paths;
+  auto& registry = master->registry();
+  discovery::TopologyRecord record;
+  record.name = "echo";
+  record.spouts = {"in"};
+  discovery::put(registry, paths.topology("echo"), encode(record));
+  discovery::WorkerRecord worker;
+  worker.name = "w1";
+  worker.state = "active";
+  worker.components = {{"in", {1, 2}}};
+  const auto path = paths.workers("echo") + "/w1";
+  const auto node = registry.hold(path, encode(worker));
+  const auto orders = registry.watch_node(paths.topology_order("echo"), [&](const auto& order) {
+    if (!order) return;
+    const auto wanted = discovery::decode_topology_order(order->data, "order");
+    worker.state = wanted.active ? "active" : "inactive";
+    worker.revision = wanted.revision;
+    registry.set(path, encode(worker));
+  });
+  EXPECT_EQ(run_json({"topology", "list"})[0]["state"], "active");
+  const auto answer = run_json({"topology", "deactivate", "echo"});
+  EXPECT_EQ(answer["ok"], true);
+  EXPECT_EQ(answer["outcomes"][0], (json{{"worker", "w1"}, {"host", ""}, {"outcome", "done"}, {"reason", ""}}));
+  EXPECT_EQ(run_json({"topologies"})[0]["state"], "inactive");
+  EXPECT_THAT(run({"topology", "rebalance", "echo", "in=2"}).out, AllOf(HasSubstr("w1"), HasSubstr("done")));
+
+  auto refused = run({"topology", "rebalance", "echo", "in=3"});
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_THAT(refused.err, HasSubstr("1 to 2"));
+  refused = run({"topology", "metrics", "ehco"});
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_THAT(refused.err, HasSubstr("there are echo"));
+  refused = run({"topology", "metrics", "echo"});
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_THAT(refused.err, HasSubstr("serves no pages"));
+}
+
+TEST_F(Cli, WhatOthersWroteCannotSteerTheTerminal) {
+  FakeGateway gateway(url, "lab1", FakeGateway::fail("\x1b[2Jgone\nnext"));
+  const auto done = run({"deploy", "turtle.so", "--all"});
+  EXPECT_THAT(done.out, AllOf(HasSubstr("[2Jgone next"), Not(HasSubstr("\x1b"))));
+}
+
+}  // namespace
+}  // namespace iotcloud::master
