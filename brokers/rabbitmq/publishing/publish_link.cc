@@ -104,7 +104,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   const bool gathering = under_way_.size() < most_gathered;
   outbox->sent_directly();
   try {
-    send(lock, outbox, std::move(outgoing));
+    send(lock, outbox, std::move(outgoing), true);
     send_waiting(lock, helping, false);
     if (wire_->has_buffered()) wake(lock);
   } catch (const std::exception&) {  // LinkError, or memory that ran out in the middle of a frame
@@ -189,7 +189,7 @@ void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
   runnable_.push_back(outbox);
 }
 
-void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing) {
+void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing, bool at_once) {
   MessageProperties::Delivery delivery;
   delivery.durable = outbox->topic.durable;
   delivery.resent = outgoing.resent || outgoing.old;
@@ -204,11 +204,20 @@ void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoi
   const Message& message = under_way_.back().outgoing.message;
   lock.unlock();
   wire_->publish(publish_channel, exchange_of(outbox->topic), outbox->topic.name, properties_.encode(message, delivery),
-                 message.payload.data(), message.payload.size());
+                 message.payload.bytes());
+  if (at_once) wire_->flush();
   lock.lock();
 }
 
 void PublishLink::send_waiting(Lock& lock, std::size_t most, bool first_may_wait) {
+  if (runnable_.empty()) return;
+  gather_waiting(lock, most, first_may_wait);
+  lock.unlock();
+  wire_->flush();
+  lock.lock();
+}
+
+void PublishLink::gather_waiting(Lock& lock, std::size_t most, bool first_may_wait) {
   for (std::size_t sent = 0; sent < most && !runnable_.empty() && !blocked_ && !moving_since_; ++sent) {
     if (one_by_one_ > 0 && !under_way_.empty()) return;
     const std::shared_ptr<Outbox> outbox = runnable_.front();
@@ -224,7 +233,7 @@ void PublishLink::send_waiting(Lock& lock, std::size_t most, bool first_may_wait
     outbox->in_runnable = false;
     Outgoing next = outbox->take_next();
     make_runnable(outbox);  // in turn with the others
-    send(lock, outbox, std::move(next));
+    send(lock, outbox, std::move(next), false);
   }
 }
 

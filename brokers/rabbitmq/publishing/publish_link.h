@@ -89,7 +89,9 @@ class PublishLink {
   void declare_topics(Lock& lock);
   /// Sends what waits; the wire is the caller's. \param first_may_wait the socket said that it can be written
   void send_waiting(Lock& lock, std::size_t most, bool first_may_wait);
-  void send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing);
+  void gather_waiting(Lock& lock, std::size_t most, bool first_may_wait);
+  /// \param at_once otherwise flush() is to follow
+  void send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing, bool at_once);
   void make_runnable(const std::shared_ptr<Outbox>& outbox);
   std::chrono::milliseconds time_to_sleep(Instant now);
   void wake(Lock& lock);

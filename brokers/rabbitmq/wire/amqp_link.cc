@@ -7,7 +7,6 @@
 #include <fmt/core.h>
 #include <linux/sockios.h>
 #include <netinet/in.h>
-#include <netinet/tcp.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
 
@@ -17,8 +16,14 @@
 namespace iotcloud::brokers::rabbitmq {
 namespace {
 
-constexpr int wanted_frame = 131072;       // RabbitMQ's own default
-constexpr std::size_t frame_overhead = 8;  // of a body frame: 7 bytes in front, 1 behind
+constexpr int wanted_frame = 131072;  // RabbitMQ's own default
+
+// The kernel counts what it needs for itself as well: an eighth at most, and something for each message.
+constexpr std::size_t some_heads = 16384;  // of frames
+constexpr std::size_t overhead_of_one = 2048;
+constexpr std::size_t with_overhead(std::size_t bytes) {
+  return bytes + bytes / 8;
+}
 
 timeval to_timeval(std::chrono::milliseconds duration) {
   timeval value{};
@@ -69,7 +74,7 @@ std::string describe(const amqp_connection_close_t& closed) {
   return fmt::format("{} {}", closed.reply_code, to_string(closed.reply_text));
 }
 
-AmqpLink::AmqpLink(const LinkOptions& options) : state_(amqp_new_connection()) {
+AmqpLink::AmqpLink(const LinkOptions& options) : state_(amqp_new_connection()), tls_(wants_tls(options.url)) {
   if (!state_) throw LinkError("out of memory");
   amqp_socket_t* socket = make_socket(state_.get(), options.url, options.tls);
   const timeval limit = to_timeval(options.rpc_timeout);
@@ -131,9 +136,7 @@ void AmqpLink::release(amqp_channel_t channel) {
   amqp_maybe_release_buffers_on_channel(state_.get(), channel);
 }
 
-bool AmqpLink::room_for(std::size_t body_size) const {
-  // The kernel counts its own overhead too, so leave an eighth and some frames' heads on top.
-  const std::size_t needed = body_size + body_size / 8 + 16384;
+AmqpLink::SendBuffer AmqpLink::look_at_buffer() const {
   std::array<std::uint32_t, 16> memory{};  // linux/sock_diag.h: SK_MEMINFO_*
   constexpr std::size_t send_buffer = 3;
   constexpr std::size_t write_queued = 5;
@@ -141,7 +144,7 @@ bool AmqpLink::room_for(std::size_t body_size) const {
 #ifdef SO_MEMINFO
   if (::getsockopt(descriptor_, SOL_SOCKET, SO_MEMINFO, memory.data(), &length) == 0 &&
       length > write_queued * sizeof(memory[0])) {
-    return memory[write_queued] + needed <= memory[send_buffer];
+    return {memory[write_queued], memory[send_buffer]};
   }
 #endif
   int queued = 0;
@@ -149,27 +152,47 @@ bool AmqpLink::room_for(std::size_t body_size) const {
   length = sizeof(size);
   if (::ioctl(descriptor_, SIOCOUTQ, &queued) != 0 ||
       ::getsockopt(descriptor_, SOL_SOCKET, SO_SNDBUF, &size, &length) != 0) {
-    return false;
+    return {};
   }
   // Here the overhead of what is queued is not known: count it twice.
-  return 2 * static_cast<std::size_t>(queued) + needed <= static_cast<std::size_t>(size);
+  return {2 * static_cast<std::size_t>(queued), static_cast<std::size_t>(size)};
+}
+
+bool AmqpLink::room_for(std::size_t body_size) {
+  const std::size_t needed = with_overhead(body_size) + some_heads;
+  // What was sent since the last look is at most all that stands in the buffer beside what stood there then. The half
+  // that is not counted on is for packets that the kernel cuts up, and for a buffer that it makes smaller.
+  if (buffer_.queued + needed <= buffer_.size / 2) return true;
+  const std::size_t gathered = writer_ ? writer_->gathered() : 0;
+  buffer_ = look_at_buffer();
+  buffer_.queued += with_overhead(gathered);
+  return buffer_.queued + needed <= buffer_.size;
 }
 
 void AmqpLink::publish(amqp_channel_t channel, const std::string& exchange, const std::string& key,
-                       const amqp_basic_properties_t& properties, const void* body, std::size_t body_size) {
-  amqp_bytes_t bytes;
-  bytes.len = body_size;
-  bytes.bytes = const_cast<void*>(body);  // as in to_bytes()
-  constexpr amqp_boolean_t mandatory = 1;
-  const int status =
-      amqp_basic_publish(state_.get(), channel, to_bytes(exchange), to_bytes(key), mandatory, 0, &properties, bytes);
-  if (status != AMQP_STATUS_OK) throw LinkError(explain(status));
-  const std::size_t frame_body = static_cast<std::size_t>(amqp_get_frame_max(state_.get())) - frame_overhead;
-  if (body_size % frame_body == 0) {
-    // The library said "more follows" with the last frame: the kernel would keep it for 200 ms. Setting this pushes it.
-    const int on = 1;
-    ::setsockopt(descriptor_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
+                       const amqp_basic_properties_t& properties, std::span<const std::byte> body) {
+  if (tls_) {
+    buffer_.queued += with_overhead(body.size()) + some_heads;
+    amqp_bytes_t bytes;
+    bytes.len = body.size();
+    bytes.bytes = const_cast<std::byte*>(body.data());  // as in to_bytes()
+    constexpr amqp_boolean_t mandatory = 1;
+    const int status =
+        amqp_basic_publish(state_.get(), channel, to_bytes(exchange), to_bytes(key), mandatory, 0, &properties, bytes);
+    if (status != AMQP_STATUS_OK) throw LinkError(explain(status));
+    return;
   }
+  if (!writer_) {
+    writer_ = std::make_unique<FrameWriter>(static_cast<std::size_t>(amqp_get_frame_max(state_.get())));
+  }
+  const std::size_t before = writer_->gathered();
+  writer_->add(channel, exchange, key, properties, body);
+  buffer_.queued += with_overhead(writer_->gathered() - before) + overhead_of_one;
+  if (writer_->full()) flush();
+}
+
+void AmqpLink::flush() {
+  if (writer_) writer_->send(descriptor_);
 }
 
 void AmqpLink::send_method(amqp_channel_t channel, amqp_method_number_t number, void* decoded) {

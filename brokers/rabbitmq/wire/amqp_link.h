@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <memory>
 #include <optional>
+#include <span>
 #include <stdexcept>
 #include <string>
 
@@ -11,6 +12,7 @@
 
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/rabbitmq/wire/declarations.h"
+#include "iotcloud/brokers/rabbitmq/wire/frame_writer.h"
 #include <iotcloud/brokers/broker.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -31,7 +33,7 @@ struct LinkOptions {
 };
 
 /// One open connection to RabbitMQ: librabbitmq's state behind an owning wrapper that keeps clear of its traps.
-/// Not thread safe, `descriptor()` and `room_for()` apart: one thread at a time. Methods throw LinkError when the
+/// Not thread safe, `descriptor()` apart: one thread at a time. Methods throw LinkError when the
 /// connection is lost; it is of no use then.
 class AmqpLink {
  public:
@@ -56,10 +58,11 @@ class AmqpLink {
   void release(amqp_channel_t channel);
 
   /// Whether a body of this size goes into the socket's send buffer without waiting.
-  bool room_for(std::size_t body_size) const;
-  /// Waits when there is no room.
+  bool room_for(std::size_t body_size);
+  /// The message leaves with flush(), or before: the body must live until then. Waits when there is no room.
   void publish(amqp_channel_t channel, const std::string& exchange, const std::string& key,
-               const amqp_basic_properties_t& properties, const void* body, std::size_t body_size);
+               const amqp_basic_properties_t& properties, std::span<const std::byte> body);
+  void flush();
   /// Sends one method, without waiting for an answer.
   template <typename Method>
   void send(amqp_channel_t channel, amqp_method_number_t number, Method method) {
@@ -87,8 +90,18 @@ class AmqpLink {
   /// Of the last request. \return empty when the server did it; otherwise why it did not, the channel being closed.
   std::string refusal_of(amqp_channel_t channel, const char* doing);
 
+  /// Of the kernel, which counts its own overhead too.
+  struct SendBuffer {
+    std::size_t queued = 0;
+    std::size_t size = 0;
+  };
+  SendBuffer look_at_buffer() const;
+
   std::unique_ptr<amqp_connection_state_t_, Destroyer> state_;
   int descriptor_ = -1;
+  const bool tls_;
+  std::unique_ptr<FrameWriter> writer_;  ///< made for the first message; none under TLS
+  SendBuffer buffer_;  ///< when it was looked at last, and `queued` at most since: asking each time would cost a call
 };
 
 amqp_bytes_t to_bytes(const std::string& text);

@@ -13,16 +13,16 @@ namespace {
 constexpr int default_port = 5672;
 constexpr int default_tls_port = 5671;
 
-bool wants_tls(const BrokerUrl& url) {
-  return url.scheme == "amqps";
-}
-
 /// Not set up: the connection must not be tried.
 [[noreturn]] void unusable(const std::string& what, const std::string& file, const char* remedy) {
   throw LinkError(fmt::format("the {} \"{}\" cannot be used: {}", what, file, remedy));
 }
 
 }  // namespace
+
+bool wants_tls(const BrokerUrl& url) {
+  return url.scheme == "amqps";
+}
 
 int port_of(const BrokerUrl& url) {
   if (url.port != 0) return url.port;

@@ -17,6 +17,8 @@ amqp_socket_t* make_socket(amqp_connection_state_t state, const BrokerUrl& url, 
 /// Opens it. \throws LinkError that says what is wrong: nobody listens, no answer, a certificate that is not trusted.
 void open_socket(amqp_socket_t* socket, const BrokerUrl& url, std::chrono::milliseconds limit);
 
+bool wants_tls(const BrokerUrl& url);
+
 /// The URL's, or the protocol's own.
 int port_of(const BrokerUrl& url);
 
