@@ -1,5 +1,7 @@
 // What only a real RabbitMQ server does to its clients: alarms, hanging, objects deleted or made by others.
+#include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -11,6 +13,10 @@
 
 namespace iotcloud::brokers {
 namespace {
+
+std::span<const std::byte> as_bytes(std::string_view literal) {
+  return std::as_bytes(std::span(literal));
+}
 
 class RabbitMqServer : public BrokerContract {
  protected:
@@ -251,9 +257,10 @@ TEST_P(RabbitMqServer, AMessageWithMoreHeadersThanAnyHonestOneIsSkippedAndCounte
   properties._flags = AMQP_BASIC_HEADERS_FLAG;
   properties.headers = {static_cast<int>(headers.size()), headers.data()};
   const auto before = skipped();
-  link->publish(1, topic.exchange, topic.name, properties, "hostile", 7);
+  link->publish(1, topic.exchange, topic.name, properties, as_bytes("hostile"));
   amqp_basic_properties_t none{};
-  link->publish(1, topic.exchange, topic.name, none, "honest", 6);
+  link->publish(1, topic.exchange, topic.name, none, as_bytes("honest"));
+  link->flush();
   ASSERT_TRUE(inbox.wait_for(1));
   EXPECT_THAT(inbox.bodies(), testing::ElementsAre("honest"));
   EXPECT_EQ(skipped(), before + 1);
@@ -297,9 +304,10 @@ TEST_P(RabbitMqServer, TakesMessagesOfForeignProgramsWithOddHeaders) {
   amqp_basic_properties_t properties{};
   properties._flags = AMQP_BASIC_HEADERS_FLAG;
   properties.headers = {static_cast<int>(headers.size()), headers.data()};
-  link->publish(1, topic.exchange, topic.name, properties, "odd", 3);
+  link->publish(1, topic.exchange, topic.name, properties, as_bytes("odd"));
   amqp_basic_properties_t none{};
-  link->publish(1, topic.exchange, topic.name, none, "bare", 4);
+  link->publish(1, topic.exchange, topic.name, none, as_bytes("bare"));
+  link->flush();
   ASSERT_TRUE(inbox.wait_for(2));
   const auto all = inbox.all();
   EXPECT_EQ(all[0].body, "odd");
