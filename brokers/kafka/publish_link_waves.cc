@@ -4,8 +4,8 @@
 // of it are (its issue 4989: it counts messages where it means requests). What it is given meanwhile it keeps, and
 // until the answer comes its thread polls without sleeping, because with a linger of 0 that is due. So it gets single
 // messages while fewer than five are under way, which go at once; otherwise they wait here until all is answered, and
-// then go together, as one request. For a partition whose server does not answer the others of its topic wait no longer
-// than longest_wait.
+// then go together, as one request, of no more than are handed over before that thread wakes up. For a partition whose
+// server does not answer the others of its topic wait no longer than longest_wait.
 #include <algorithm>
 #include <utility>
 
@@ -17,7 +17,7 @@ namespace {
 
 constexpr std::size_t most_singles = 5;  // RD_KAFKA_IDEMP_MAX_INFLIGHT
 // Of one wave: below the library's batch.size (1 MB), so that it is one request.
-constexpr std::size_t most_in_wave = 512;
+constexpr std::size_t most_in_wave = 128;
 constexpr std::size_t most_bytes_in_wave = 900'000;
 
 }  // namespace
