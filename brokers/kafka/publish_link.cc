@@ -80,7 +80,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   Route& route = routes_[outbox->topic.name];
   if (outbox->idle() && outbox->may_send() && may_send() && takes_one(route)) {
     outbox->sent_directly();
-    route.opens_at = now + longest_wait;
+    route.handed_over_at = now;
     UnderWay& entry = add_under_way(outbox, route, std::move(outgoing));
     prepare(entry);
     if (const auto error = hand_over(entry, route.topic.get()); error != RD_KAFKA_RESP_ERR_NO_ERROR) {
@@ -124,7 +124,7 @@ void PublishLink::settle(UnderWay& entry, rd_kafka_resp_err_t error) {
   const std::shared_ptr<Outbox> outbox = std::move(entry.outbox);
   Route& route = *entry.route;
   Outgoing outgoing = std::move(entry.outgoing);
-  --route.under_way;
+  answered(route);
   under_way_.erase(entry.self);
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR) send_backoff_.reset();
   if (outbox->closed) return;
@@ -181,7 +181,7 @@ std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
   if (send_again_at_ != Instant{}) until(send_again_at_);
   if (!under_way_.empty()) limit = std::min(limit, longest_wait);
   if (may_send()) {
-    for (const Route* route : runnable_) until(route->opens_at);
+    for (const Route* route : runnable_) until(opens_at(*route));
   }
   if (!asked_.empty() || !connected_) {
     // The answer wakes us.

@@ -53,7 +53,7 @@ class PublishLink {
   ConnectionState state() const;
 
  private:
-  /// See Route::opens_at.
+  /// After so long without all answers the library gets more of a topic.
   static constexpr std::chrono::milliseconds longest_wait{50};
 
   using Lock = std::unique_lock<std::mutex>;
@@ -66,7 +66,8 @@ class PublishLink {
     std::shared_ptr<rd_kafka_topic_t> topic;  ///< null: not known to be there yet
     std::string complaint;                    ///< the last that was logged
     std::size_t under_way = 0;                ///< messages that the library has
-    Instant opens_at{};                       ///< from then on it gets more, whatever is under way
+    Instant handed_over_at{};                 ///< when it got something the last time
+    bool answered_slowly = false;             ///< then it was long before all was answered
     std::deque<std::shared_ptr<Outbox>> runnable;
     bool in_runnable = false;  ///< stands in runnable_
     bool in_wave = false;      ///< the link's thread hands a wave over
@@ -101,6 +102,8 @@ class PublishLink {
   static bool is_refusal(rd_kafka_resp_err_t error);
   bool takes_one(const Route& route) const;
   bool takes_wave(const Route& route, Instant now) const;
+  static Instant opens_at(const Route& route);
+  void answered(Route& route);
   void send_waiting(Lock& lock);
   void send_wave(Route& route, Lock& lock);
   std::vector<UnderWay*> take_wave(Route& route, Instant now);

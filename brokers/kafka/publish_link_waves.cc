@@ -4,8 +4,9 @@
 // of it are (its issue 4989: it counts messages where it means requests). What it is given meanwhile it keeps, and
 // until the answer comes its thread polls without sleeping, because with a linger of 0 that is due. So it gets single
 // messages while fewer than five are under way, which go at once; otherwise they wait here until all is answered, and
-// then go together, as one request, of no more than are handed over before that thread wakes up. For a partition whose
-// server does not answer the others of its topic wait no longer than longest_wait.
+// then go together, as one request: of no more than are handed over before that thread wakes up, as long as the server
+// answers so soon that this is enough. For a partition whose server does not answer the others of its topic wait no
+// longer than longest_wait.
 #include <algorithm>
 #include <utility>
 
@@ -18,6 +19,8 @@ namespace {
 constexpr std::size_t most_singles = 5;  // RD_KAFKA_IDEMP_MAX_INFLIGHT
 // Of one wave: below the library's batch.size (1 MB), so that it is one request.
 constexpr std::size_t most_in_wave = 128;
+constexpr std::size_t most_in_slow_wave = 4096;
+constexpr std::chrono::milliseconds slow_answer{2};
 constexpr std::size_t most_bytes_in_wave = 900'000;
 
 }  // namespace
@@ -31,7 +34,15 @@ bool PublishLink::takes_one(const Route& route) const {
 }
 
 bool PublishLink::takes_wave(const Route& route, Instant now) const {
-  return route.under_way == 0 || now >= route.opens_at;
+  return route.under_way == 0 || now >= opens_at(route);
+}
+
+Instant PublishLink::opens_at(const Route& route) {
+  return route.handed_over_at + longest_wait;
+}
+
+void PublishLink::answered(Route& route) {
+  if (--route.under_way == 0) route.answered_slowly = clock_.now() - route.handed_over_at > slow_answer;
 }
 
 void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
@@ -83,8 +94,9 @@ void PublishLink::send_waiting(Lock& lock) {
 
 std::vector<PublishLink::UnderWay*> PublishLink::take_wave(Route& route, Instant now) {
   std::vector<UnderWay*> wave;
+  const std::size_t most = route.answered_slowly ? most_in_slow_wave : most_in_wave;
   std::size_t bytes = 0;
-  while (!route.runnable.empty() && wave.size() < most_in_wave && bytes < most_bytes_in_wave) {
+  while (!route.runnable.empty() && wave.size() < most && bytes < most_bytes_in_wave) {
     const std::shared_ptr<Outbox> outbox = std::move(route.runnable.front());
     route.runnable.pop_front();
     outbox->in_runnable = false;
@@ -122,7 +134,7 @@ void PublishLink::send_wave(Route& route, Lock& lock) {
   }
   lock.lock();
   route.in_wave = false;
-  route.opens_at = clock_.now() + longest_wait;
+  route.handed_over_at = clock_.now();
   for (const auto& [entry, error] : failed) settle(*entry, error);
 }
 
