@@ -71,14 +71,10 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
   }
 
   void on_instances(const Names& ids) {
-    // Both are sorted. User callbacks may end the directory: `over` is looked at after each of them.
-    Names fresh;
-    auto next = ids.begin();
+    // User callbacks may end the directory: `over` is looked at after each of them.
     for (auto place = instances.begin(); place != instances.end();) {
-      for (; next != ids.end() && *next < place->first; ++next) fresh.push_back(*next);
-      if (next != ids.end() && *next == place->first) {
+      if (std::binary_search(ids.begin(), ids.end(), place->first)) {
         ++place;
-        ++next;
         continue;
       }
       const std::string id = place->first;
@@ -90,8 +86,9 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
       judge(id, std::nullopt);
       if (over) return;
     }
-    fresh.insert(fresh.end(), next, ids.end());
-    for (const std::string& id : fresh) add_instance(id);
+    for (const std::string& id : ids) {
+      if (!instances.contains(id)) add_instance(id);
+    }
   }
 
   void add_instance(const std::string& id) {

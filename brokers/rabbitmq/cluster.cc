@@ -13,6 +13,8 @@ namespace {
 
 constexpr int fewest_channels = 8;  // a publishing connection needs two
 constexpr int most_channels = 65535;
+constexpr int shortest_timeout_ms = 1000;
+constexpr int longest_timeout_ms = 3'600'000;
 
 QueueType read_queue_type(const std::string& text) {
   if (text == "classic") return QueueType::classic;
@@ -20,15 +22,11 @@ QueueType read_queue_type(const std::string& text) {
   throw config::Error(fmt::format(R"(RabbitMQ's property queue_type is "{}"; it must be "classic" or "quorum")", text));
 }
 
-int read_channels(const std::string& text) {
+int read_number(const std::string& name, const std::string& text, int fewest, int most) {
   int number = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (error == std::errc() && end == text.data() + text.size() && number >= fewest_channels &&
-      number <= most_channels) {
-    return number;
-  }
-  throw config::Error(fmt::format("RabbitMQ's property channels_per_connection is \"{}\"; it must be {} to {}", text,
-                                  fewest_channels, most_channels));
+  if (error == std::errc() && end == text.data() + text.size() && number >= fewest && number <= most) return number;
+  throw config::Error(fmt::format("RabbitMQ's property {} is \"{}\"; it must be {} to {}", name, text, fewest, most));
 }
 
 }  // namespace
@@ -40,10 +38,13 @@ Cluster::Cluster(const BrokerOptions& options, std::vector<BrokerUrl> urls)
     if (name == "queue_type") {
       queue_type_ = read_queue_type(value);
     } else if (name == "channels_per_connection") {
-      channels_ = read_channels(value);
+      channels_ = read_number(name, value, fewest_channels, most_channels);
+    } else if (name == "confirm_timeout_ms") {
+      confirm_timeout_ = std::chrono::milliseconds(read_number(name, value, shortest_timeout_ms, longest_timeout_ms));
     } else {
-      throw config::Error(
-          fmt::format("RabbitMQ knows no property \"{}\"; there are: channels_per_connection, queue_type", name));
+      throw config::Error(fmt::format(
+          "RabbitMQ knows no property \"{}\"; there are: channels_per_connection, confirm_timeout_ms, queue_type",
+          name));
     }
   }
 }

@@ -27,6 +27,8 @@ class Cluster {
 
   std::chrono::milliseconds rpc_timeout() const { return options_.rpc_timeout; }
   QueueType queue_type() const { return queue_type_; }
+  /// So long a message may be under way without an answer before the connection is made anew.
+  std::chrono::milliseconds confirm_timeout() const { return confirm_timeout_; }
   /// How many channels a connection asks for.
   int channels() const { return channels_; }
 
@@ -36,6 +38,7 @@ class Cluster {
   std::vector<std::string> names_;
   QueueType queue_type_ = QueueType::classic;
   int channels_ = 2047;
+  std::chrono::milliseconds confirm_timeout_{10'000};
 };
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -260,7 +260,7 @@ TEST_P(RabbitMqServer, AMessageWithMoreHeadersThanAnyHonestOneIsSkippedAndCounte
   link->publish(1, topic.exchange, topic.name, properties, as_bytes("hostile"));
   amqp_basic_properties_t none{};
   link->publish(1, topic.exchange, topic.name, none, as_bytes("honest"));
-  link->flush();
+  link->flush(false);
   ASSERT_TRUE(inbox.wait_for(1));
   EXPECT_THAT(inbox.bodies(), testing::ElementsAre("honest"));
   EXPECT_EQ(skipped(), before + 1);
@@ -307,7 +307,7 @@ TEST_P(RabbitMqServer, TakesMessagesOfForeignProgramsWithOddHeaders) {
   link->publish(1, topic.exchange, topic.name, properties, as_bytes("odd"));
   amqp_basic_properties_t none{};
   link->publish(1, topic.exchange, topic.name, none, as_bytes("bare"));
-  link->flush();
+  link->flush(false);
   ASSERT_TRUE(inbox.wait_for(2));
   const auto all = inbox.all();
   EXPECT_EQ(all[0].body, "odd");

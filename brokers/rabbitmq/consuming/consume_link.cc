@@ -6,6 +6,7 @@
 
 #include <pthread.h>
 
+#include "iotcloud/brokers/rabbitmq/publishing/burst.h"
 #include <iotcloud/config/log.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -215,7 +216,9 @@ void ConsumeLink::run() {
       lose(error.what());
     }
     if (closing_) break;
-    const bool more = (!ready_.empty() && !moving_since_) || broken_ || (wire_ && wire_->has_buffered());
+    look = true;
+    if (wire_ && !broken_ && wire_->has_buffered()) continue;  // there is no need to ask the socket
+    const bool more = (!ready_.empty() && !moving_since_) || broken_;
     const std::chrono::milliseconds limit = more ? std::chrono::milliseconds(0) : time_to_sleep();
     const int descriptor = wire_ ? wire_->descriptor() : -1;
     sleeping_ = !more;
@@ -301,6 +304,7 @@ void ConsumeLink::move_back(Lock& lock) {
 }
 
 void ConsumeLink::hand_on(Lock& lock, std::size_t most) {
+  Burst burst(clock_);
   for (std::size_t i = 0; i < most && !ready_.empty() && !closing_ && !moving_since_; ++i) {
     const std::shared_ptr<Inlet> inlet = std::move(ready_.front());
     ready_.pop_front();
@@ -324,8 +328,10 @@ void ConsumeLink::hand_on(Lock& lock, std::size_t most) {
     }
     const std::uint64_t tag = inlet->public_tag(arrived.tag);
     inlet->running = handling_ = true;
+    burst.before_handler(!ready_.empty() && i + 1 < most, inlet->quick);
     lock.unlock();
     run_handler(*inlet, std::move(arrived), std::move(settler), tag);
+    inlet->quick = burst.after_handler().value_or(inlet->quick);
     lock.lock();
     inlet->running = handling_ = false;
     if (inlet->closed) handler_ended_.notify_all();

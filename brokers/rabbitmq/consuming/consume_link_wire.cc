@@ -11,8 +11,10 @@ namespace {
 
 const config::Logger logger{"brokers.rabbitmq"};
 
-// Frames taken in a row before handlers run again.
+// Frames, and bytes of bodies, taken in a row before handlers run again: what was read last lies in the processor's
+// cache, megabytes do not.
 constexpr std::size_t frames_in_a_row = 1024;
+constexpr std::size_t bytes_in_a_row = 131072;
 // Subscriptions that the server is asked for at once: it may take milliseconds for each, and of thousands the last
 // would have waited for longer than an answer may take.
 constexpr std::size_t most_opening = 64;
@@ -21,12 +23,15 @@ constexpr std::size_t most_opening = 64;
 
 void ConsumeLink::read_frames() {
   std::size_t count = 0;
+  std::size_t bytes = 0;
   do {
     const std::optional<amqp_frame_t> frame = wire_->next_frame();
     if (!frame) return;
+    if (frame->frame_type == AMQP_FRAME_BODY) bytes += frame->payload.body_fragment.len;
     on_frame(*frame);
     wire_->release(frame->channel);
     if (std::exchange(openers_wait_, false)) next_timer_ = clock_.now();
+    if (bytes >= bytes_in_a_row && !ready_.empty() && !handling_) return;
   } while (wire_->has_buffered() && ++count < frames_in_a_row);
 }
 

@@ -81,6 +81,7 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
   bool paused = false;
   bool closed = false;
   bool running = false;   ///< its handler runs
+  bool quick = false;     ///< its handler was, the last time that it was measured; the link's thread's own
   bool in_ready = false;  ///< stands in the link's list of those with something to hand on
   bool in_dirty = false;  ///< stands in the link's list of those with settlements to send
 

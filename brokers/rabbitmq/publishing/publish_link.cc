@@ -32,6 +32,7 @@ PublishLink::PublishLink(const Cluster& cluster, const char* purpose, Meters& me
 }
 
 PublishLink::~PublishLink() {
+  reachable_->gone();
   {
     Lock lock(mutex_);
     closing_ = true;
@@ -104,8 +105,11 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   const bool gathering = under_way_.size() < most_gathered;
   outbox->sent_directly();
   try {
-    send(lock, outbox, std::move(outgoing), true);
+    Burst* const burst = Burst::going_on();
+    const bool first = !held_back_;
+    send(lock, outbox, std::move(outgoing), burst != nullptr ? Leaving::in_a_burst : Leaving::at_once);
     send_waiting(lock, helping, false);
+    if (held_back_ && first) burst->remember(reachable_);
     if (wire_->has_buffered()) wake(lock);
   } catch (const std::exception&) {  // LinkError, or memory that ran out in the middle of a frame
     if (!lock.owns_lock()) lock.lock();
@@ -138,13 +142,16 @@ ConnectionState PublishLink::state() const {
 
 void PublishLink::watch() {
   const Lock lock(mutex_);
-  if (!wire_busy_ || !wire_ || std::chrono::steady_clock::now() - busy_since_ < cluster_.rpc_timeout()) return;
+  if (!wire_busy_ || !wire_) return;
+  const auto now = std::chrono::steady_clock::now();
+  if (std::exchange(wire_taken_watched_, wire_taken_) != wire_taken_) busy_since_ = now;
+  if (now - busy_since_ < cluster_.rpc_timeout()) return;
   tcp_info info{};
   socklen_t length = sizeof(info);
   if (::getsockopt(wire_->descriptor(), IPPROTO_TCP, TCP_INFO, &info, &length) == 0 &&
       length > offsetof(tcp_info, tcpi_bytes_acked) && info.tcpi_bytes_acked != acknowledged_bytes_) {
     acknowledged_bytes_ = info.tcpi_bytes_acked;  // slow, but it moves
-    busy_since_ = std::chrono::steady_clock::now();
+    busy_since_ = now;
     return;
   }
   ::shutdown(wire_->descriptor(), SHUT_RDWR);  // the send that stands still fails now
@@ -167,7 +174,17 @@ void PublishLink::wake(Lock& lock) {
   wake_event_.signal();
 }
 
+void PublishLink::push() {
+  const Lock lock(mutex_);
+  push_held_back();
+}
+
+void PublishLink::push_held_back() {
+  if (std::exchange(held_back_, false) && wire_) wire_->push();
+}
+
 void PublishLink::want_answers(Lock& lock) {
+  push_held_back();
   if (under_way_.empty() || std::exchange(answers_wanted_, true)) return;
   wake(lock);
 }
@@ -175,7 +192,7 @@ void PublishLink::want_answers(Lock& lock) {
 void PublishLink::acquire_wire(Lock& lock) {
   changed_.wait(lock, [this] { return !wire_busy_; });
   wire_busy_ = true;
-  busy_since_ = std::chrono::steady_clock::now();
+  ++wire_taken_;
 }
 
 void PublishLink::release_wire() {
@@ -189,7 +206,7 @@ void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
   runnable_.push_back(outbox);
 }
 
-void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing, bool at_once) {
+void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing, Leaving leaving) {
   MessageProperties::Delivery delivery;
   delivery.durable = outbox->topic.durable;
   delivery.resent = outgoing.resent || outgoing.old;
@@ -205,16 +222,18 @@ void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoi
   lock.unlock();
   wire_->publish(publish_channel, exchange_of(outbox->topic), outbox->topic.name, properties_.encode(message, delivery),
                  message.payload.bytes());
-  if (at_once) wire_->flush();
+  const bool held_back = leaving != Leaving::with_others && wire_->flush(leaving == Leaving::in_a_burst);
   lock.lock();
+  held_back_ = held_back;
 }
 
 void PublishLink::send_waiting(Lock& lock, std::size_t most, bool first_may_wait) {
   if (runnable_.empty()) return;
   gather_waiting(lock, most, first_may_wait);
   lock.unlock();
-  wire_->flush();
+  wire_->flush(false);
   lock.lock();
+  held_back_ = false;
 }
 
 void PublishLink::gather_waiting(Lock& lock, std::size_t most, bool first_may_wait) {
@@ -233,7 +252,7 @@ void PublishLink::gather_waiting(Lock& lock, std::size_t most, bool first_may_wa
     outbox->in_runnable = false;
     Outgoing next = outbox->take_next();
     make_runnable(outbox);  // in turn with the others
-    send(lock, outbox, std::move(next), false);
+    send(lock, outbox, std::move(next), Leaving::with_others);
   }
 }
 

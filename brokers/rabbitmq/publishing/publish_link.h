@@ -18,6 +18,7 @@
 #include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
+#include "iotcloud/brokers/rabbitmq/publishing/burst.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
 
@@ -49,6 +50,8 @@ class PublishLink {
   /// Closes the publisher: reports what has no outcome as unknown, waits for callbacks that run.
   void remove(const std::shared_ptr<Outbox>& outbox);
   PublishStatus publish(const std::shared_ptr<Outbox>& outbox, Message message, const Past& past = {});
+  /// Sends what was held back for the rest of a burst.
+  void push();
   bool drain(const std::shared_ptr<Outbox>& outbox, std::chrono::milliseconds limit);
   std::size_t pending(const Outbox& outbox) const;
   ConnectionState state() const;
@@ -74,6 +77,8 @@ class PublishLink {
   void lose(const std::string& reason);
   /// Ends the connection for the preferred server's sake when nothing is under way any more, or it has taken too long.
   void move_back();
+  /// Ends a connection on which the oldest message has no answer for too long.
+  void check_answers();
   /// What was sent waits again, nothing is declared; the wire is gone or goes now, and is the caller's.
   void forget_connection();
   std::unique_ptr<AmqpLink> give_up_wire(Lock& lock);
@@ -90,8 +95,13 @@ class PublishLink {
   /// Sends what waits; the wire is the caller's. \param first_may_wait the socket said that it can be written
   void send_waiting(Lock& lock, std::size_t most, bool first_may_wait);
   void gather_waiting(Lock& lock, std::size_t most, bool first_may_wait);
-  /// \param at_once otherwise flush() is to follow
-  void send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing, bool at_once);
+  enum class Leaving {
+    with_others,  ///< gathered: flush() is to follow
+    in_a_burst,   ///< now, or a moment later with what follows: push() is to come
+    at_once,
+  };
+  void send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoing outgoing, Leaving leaving);
+  void push_held_back();
   void make_runnable(const std::shared_ptr<Outbox>& outbox);
   std::chrono::milliseconds time_to_sleep(Instant now);
   void wake(Lock& lock);
@@ -126,8 +136,11 @@ class PublishLink {
   /// Somebody waits for answers to what is under way. Otherwise the link's thread lets some gather before it reads
   /// them: being woken for each would cost more than sending did.
   bool answers_wanted_ = false;
-  std::chrono::steady_clock::time_point busy_since_;
-  std::uint64_t acknowledged_bytes_ = 0;  ///< by the peer's TCP at the last look of watch()
+  bool held_back_ = false;                            ///< the kernel may hold the end of what was sent: a burst goes on
+  std::uint64_t wire_taken_ = 0;                      ///< so often
+  std::uint64_t wire_taken_watched_ = 0;              ///< at the last look of watch()
+  std::chrono::steady_clock::time_point busy_since_;  ///< when watch() saw first that it was taken this time
+  std::uint64_t acknowledged_bytes_ = 0;              ///< by the peer's TCP at the last look of watch()
   std::vector<std::shared_ptr<Outbox>> outboxes_;
   std::vector<std::shared_ptr<Outbox>> undeclared_;
   std::deque<std::shared_ptr<Outbox>> runnable_;
@@ -136,12 +149,19 @@ class PublishLink {
   std::uint64_t first_tag_ = 1;                      ///< of under_way_.front()
   std::size_t one_by_one_ = 0;  ///< so many messages still go alone: one of them made the server close the channel
 
+  /// What check_answers() saw last: which message is the oldest under way, and since when.
+  std::uint64_t awaited_tag_ = 0;
+  Instant awaited_since_{};
+  unsigned unanswered_ = 0;  ///< connections that ended for want of answers, not long one after the other
+  Instant unanswered_at_{};  ///< the last of them
+
   bool stale_ = false;  ///< this connection knows only the dead leader of some queue; another one would do better
   Instant next_renewal_{};
   client::Backoff renewals_{std::chrono::milliseconds(1000), std::chrono::milliseconds(30'000)};
   client::ServerList servers_;
   std::optional<Instant> moving_since_;  ///< nothing new is sent: the connection is to move to the preferred server
 
+  const std::shared_ptr<Reachable> reachable_ = std::make_shared<Reachable>(*this);
   std::thread thread_;
 };
 

@@ -3,6 +3,8 @@
 #include <exception>
 #include <utility>
 
+#include <fmt/core.h>
+
 #include "iotcloud/brokers/rabbitmq/publishing/publish_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/declarations.h"
 #include <iotcloud/config/log.h>
@@ -18,6 +20,9 @@ constexpr std::chrono::milliseconds gathering_time{2};
 // Answers to what was sent are awaited so long before the connection moves to the preferred server.
 constexpr std::chrono::seconds moving_patience{2};
 constexpr std::chrono::milliseconds moving_period{50};
+// The patience with unanswered messages grows to so many doublings of the time-out.
+constexpr unsigned most_doublings = 3;
+constexpr std::chrono::minutes long_ago{1};
 
 }  // namespace
 
@@ -28,6 +33,7 @@ void PublishLink::run() {
     try {
       if (!wire_) connect();
       if (wire_) serve(readable, writable);
+      if (wire_) check_answers();
       if (wire_) move_back();
     } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
       lose(error.what());
@@ -36,7 +42,9 @@ void PublishLink::run() {
     reporter_.report_all(lock);
     if (closing_) break;
     std::chrono::milliseconds limit = time_to_sleep(clock_.now());
-    if (reporter_.due() || wire_broken_) limit = std::chrono::milliseconds(0);
+    // What came up while this thread was awake did not wake it.
+    const bool undeclared = connected_ && !undeclared_.empty();
+    if (reporter_.due() || wire_broken_ || undeclared) limit = std::chrono::milliseconds(0);
     if (!connected_)
       limit = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(servers_.next_attempt() - clock_.now()),
                          std::chrono::milliseconds(0), limit);
@@ -86,6 +94,7 @@ void PublishLink::connect() {
   blocked_ = wire_broken_ = false;
   reading_return_ = false;
   first_tag_ = 1;
+  awaited_tag_ = 0;
   declared_.clear();
   undeclared_ = outboxes_;
 }
@@ -98,6 +107,7 @@ void PublishLink::serve(bool readable, bool writable) {
     throw LinkError("a send failed");
   }
   try {
+    push_held_back();
     declare_topics(lock);
     lock.unlock();
     if (readable || wire_->has_buffered()) read_frames();
@@ -119,7 +129,7 @@ void PublishLink::serve(bool readable, bool writable) {
 std::unique_ptr<AmqpLink> PublishLink::give_up_wire(Lock& lock) {
   acquire_wire(lock);
   std::unique_ptr<AmqpLink> wire = std::move(wire_);
-  connected_ = blocked_ = wire_broken_ = false;
+  connected_ = blocked_ = wire_broken_ = held_back_ = false;
   release_wire();
   return wire;
 }
@@ -156,6 +166,24 @@ void PublishLink::move_back() {
   forget_connection();
   lock.unlock();
   if (wire) wire->close(publish_channel);
+}
+
+void PublishLink::check_answers() {
+  const Lock lock(mutex_);
+  const Instant now = clock_.now();
+  if (under_way_.empty() || blocked_ || awaited_tag_ != first_tag_) {
+    awaited_tag_ = first_tag_;
+    awaited_since_ = now;
+    if (now - unanswered_at_ > long_ago) unanswered_ = 0;
+    return;
+  }
+  // It may also be the server's trouble, which more connections do not cure: ever more patience.
+  const std::chrono::milliseconds patience = cluster_.confirm_timeout() * (1U << std::min(unanswered_, most_doublings));
+  if (now - awaited_since_ < patience) return;
+  ++unanswered_;
+  unanswered_at_ = now;
+  throw LinkError(fmt::format("it confirmed nothing of topic {} for {} s; what has no answer is sent again",
+                              under_way_.front().outbox->topic.name, patience.count() / 1000));
 }
 
 void PublishLink::declare_topics(Lock& lock) {
@@ -269,6 +297,7 @@ void PublishLink::on_channel_closed(const amqp_channel_close_t& closed) {
     runnable_.clear();
     for (const auto& outbox : outboxes_) outbox->disconnected();
     first_tag_ = 1;
+    awaited_tag_ = 0;
   }
   wire_->open_channel(publish_channel);
   wire_->select_confirms(publish_channel);

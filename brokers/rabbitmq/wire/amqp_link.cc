@@ -7,6 +7,7 @@
 #include <fmt/core.h>
 #include <linux/sockios.h>
 #include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
 
@@ -188,11 +189,18 @@ void AmqpLink::publish(amqp_channel_t channel, const std::string& exchange, cons
   const std::size_t before = writer_->gathered();
   writer_->add(channel, exchange, key, properties, body);
   buffer_.queued += with_overhead(writer_->gathered() - before) + overhead_of_one;
-  if (writer_->full()) flush();
+  if (writer_->full()) flush(true);
 }
 
-void AmqpLink::flush() {
-  if (writer_) writer_->send(descriptor_);
+bool AmqpLink::flush(bool more_follows) {
+  if (!writer_) return false;
+  writer_->send(descriptor_, more_follows);
+  return more_follows;
+}
+
+void AmqpLink::push() {
+  const int on = 1;  // as it is already
+  ::setsockopt(descriptor_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
 }
 
 void AmqpLink::send_method(amqp_channel_t channel, amqp_method_number_t number, void* decoded) {

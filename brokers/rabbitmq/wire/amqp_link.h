@@ -33,7 +33,7 @@ struct LinkOptions {
 };
 
 /// One open connection to RabbitMQ: librabbitmq's state behind an owning wrapper that keeps clear of its traps.
-/// Not thread safe, `descriptor()` apart: one thread at a time. Methods throw LinkError when the
+/// Not thread safe, `descriptor()` and `push()` apart: one thread at a time. Methods throw LinkError when the
 /// connection is lost; it is of no use then.
 class AmqpLink {
  public:
@@ -62,7 +62,11 @@ class AmqpLink {
   /// The message leaves with flush(), or before: the body must live until then. Waits when there is no room.
   void publish(amqp_channel_t channel, const std::string& exchange, const std::string& key,
                const amqp_basic_properties_t& properties, std::span<const std::byte> body);
-  void flush();
+  /// \param more_follows in a moment: the kernel may hold back the end until then, or until push()
+  /// \return whether it may hold back something
+  bool flush(bool more_follows);
+  /// Makes the kernel send what it holds back. Thread safe.
+  void push();
   /// Sends one method, without waiting for an answer.
   template <typename Method>
   void send(amqp_channel_t channel, amqp_method_number_t number, Method method) {

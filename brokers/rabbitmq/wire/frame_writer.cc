@@ -126,13 +126,13 @@ bool FrameWriter::full() const {
   return gathered_ >= gathering_limit;
 }
 
-void FrameWriter::send(int descriptor) {
+void FrameWriter::send(int descriptor, bool more_follows) {
   close_piece();
   for (std::size_t first = 0; first < pieces_.size();) {
     msghdr message{};
     message.msg_iov = &pieces_[first];
     message.msg_iovlen = std::min<std::size_t>(pieces_.size() - first, IOV_MAX);
-    const ssize_t written = ::sendmsg(descriptor, &message, MSG_NOSIGNAL);
+    const ssize_t written = ::sendmsg(descriptor, &message, more_follows ? MSG_NOSIGNAL | MSG_MORE : MSG_NOSIGNAL);
     if (written < 0) {
       if (errno == EINTR) continue;
       if (errno != EAGAIN && errno != EWOULDBLOCK) throw LinkError(explain(AMQP_STATUS_SOCKET_ERROR));

@@ -28,7 +28,8 @@ class FrameWriter {
   /// So much was gathered that more would only wait: send() comes next.
   bool full() const;
   /// Sends what was gathered; waits while the socket has no room. \throws LinkError when the connection broke.
-  void send(int descriptor);
+  /// \param more_follows the kernel may hold back what does not fill a packet, for 200 ms at most
+  void send(int descriptor, bool more_follows);
 
  private:
   template <typename Number>

@@ -76,6 +76,11 @@ Number to_number(std::string_view text) {
 
 }  // namespace
 
+amqp_bytes_t MessageProperties::Digits::of(std::int64_t number) {
+  const std::to_chars_result done = std::to_chars(text_.data(), text_.data() + text_.size(), number);
+  return {static_cast<std::size_t>(done.ptr - text_.data()), text_.data()};
+}
+
 void MessageProperties::add(amqp_bytes_t name, amqp_bytes_t value) {
   amqp_table_entry_t entry{};
   entry.key = name;
@@ -90,24 +95,21 @@ const amqp_basic_properties_t& MessageProperties::encode(const Message& message,
   entries_.reserve(message.properties.size() + 4);
   add(view(driver_header), view(message.driver_id));
   if (!message.gateway_id.empty()) add(view(gateway_header), view(message.gateway_id));
-  time_ = fmt::format("{}", message.time_ms);
-  add(view(time_header), view(time_));
+  add(view(time_header), time_.of(message.time_ms));
   if (delivery.resent) add(view(resent_header), view(std::string_view("1")));
   for (const auto& [name, value] : message.properties) {
     if (!reserved(name)) add(view(name), view(value));
   }
   properties_.headers = {static_cast<int>(entries_.size()), entries_.data()};
   properties_.delivery_mode = delivery.durable ? AMQP_DELIVERY_PERSISTENT : AMQP_DELIVERY_NONPERSISTENT;
-  publish_tag_ = fmt::format("{}", delivery.publish_tag);
-  properties_.message_id = view(publish_tag_);
+  properties_.message_id = publish_tag_.of(static_cast<std::int64_t>(delivery.publish_tag));
   properties_._flags = AMQP_BASIC_HEADERS_FLAG | AMQP_BASIC_DELIVERY_MODE_FLAG | AMQP_BASIC_MESSAGE_ID_FLAG;
   if (delivery.priority != normal_priority) {
     properties_.priority = delivery.priority;
     properties_._flags |= AMQP_BASIC_PRIORITY_FLAG;
   }
   if (delivery.expires_in.count() > 0) {
-    expiration_ = fmt::format("{}", delivery.expires_in.count());
-    properties_.expiration = view(expiration_);
+    properties_.expiration = expiration_.of(delivery.expires_in.count());
     properties_._flags |= AMQP_BASIC_EXPIRATION_FLAG;
   }
   return properties_;

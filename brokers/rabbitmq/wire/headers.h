@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <cstdint>
 #include <string>
@@ -25,11 +26,19 @@ class MessageProperties {
   const amqp_basic_properties_t& encode(const Message& message, const Delivery& delivery);
 
  private:
+  /// A number in decimal digits.
+  class Digits {
+   public:
+    amqp_bytes_t of(std::int64_t number);
+
+   private:
+    std::array<char, 24> text_{};
+  };
   void add(amqp_bytes_t name, amqp_bytes_t value);
 
   amqp_basic_properties_t properties_{};
   std::vector<amqp_table_entry_t> entries_;
-  std::string time_, expiration_, publish_tag_;
+  Digits time_, expiration_, publish_tag_;
 };
 
 /// Fills the message's metadata from what a server sent, whoever published it: values that are no strings are written

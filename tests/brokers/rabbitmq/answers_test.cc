@@ -1,0 +1,109 @@
+// What the client does when the server's answers are late, or never come.
+#include <algorithm>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/brokers/rabbitmq/frame_proxy.h"
+#include "iotcloud/tests/servers/private_server.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+class RabbitMqAnswers : public testing::Test {
+ protected:
+  static void SetUpTestSuite() { server_ = new tests::PrivateServer("rabbitmq.py"); }
+  static void TearDownTestSuite() { delete std::exchange(server_, nullptr); }
+  std::unique_ptr<Broker> broker() const {
+    BrokerOptions options;
+    options.urls = {proxy_.url()};
+    options.properties = {{"confirm_timeout_ms", "1000"}};
+    options.rpc_timeout = patience;
+    return make_broker(options);
+  }
+  static Topic topic(const std::string& name) { return {"answers", "gw.driver." + name, true}; }
+
+  static tests::PrivateServer* server_;
+  FrameProxy proxy_{server_->url()};
+};
+
+tests::PrivateServer* RabbitMqAnswers::server_ = nullptr;
+
+TEST_F(RabbitMqAnswers, MessagesThatAreNeverConfirmedAreSentAgainMarkedOnAnotherConnection) {
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic("lost"), {}, inbox.handler());
+  ASSERT_TRUE(eventually([&] { return subscription->active(); }));
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic("lost"), options);
+  const auto publish = [&](int from, int to) {
+    for (int i = from; i <= to; ++i) publisher->publish(text_message(std::to_string(i)));
+  };
+  publish(1, 5);
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(inbox.wait_for(5));
+  const int connections = proxy_.connections();
+  proxy_.swallow_confirmations(true);
+  publish(6, 10);
+  ASSERT_TRUE(inbox.wait_for(10)) << "the server has them";
+  ASSERT_TRUE(eventually([&] { return proxy_.connections() > connections; }));
+  proxy_.swallow_confirmations(false);
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 10U);
+  EXPECT_TRUE(outcomes.each_once());
+  std::set<std::string> seen;
+  std::vector<std::string> firsts;
+  for (const auto& received : inbox.all()) {
+    if (seen.insert(received.body).second) {
+      firsts.push_back(received.body);
+    } else {
+      EXPECT_TRUE(received.redelivered) << "a second " << received.body << " that is not marked";
+    }
+  }
+  EXPECT_EQ(firsts, numbered(1, 10));
+  EXPECT_GT(inbox.size(), 10U) << "they were sent again";
+}
+
+TEST_F(RabbitMqAnswers, AConnectionWithNothingUnderWayIsNotMadeAnew) {
+  const auto broker = this->broker();
+  PublisherOptions options;
+  options.own_queue = true;
+  const auto publisher = broker->publisher(topic("quiet"), options);
+  publisher->publish(text_message("1"));
+  ASSERT_TRUE(publisher->drain(patience));
+  const int connections = proxy_.connections();
+  EXPECT_FALSE(eventually([&] { return proxy_.connections() > connections; }, std::chrono::milliseconds(2500)));
+}
+
+TEST_F(RabbitMqAnswers, TheServerIsAskedForSixtyFourSubscriptionsAtOnceAtMost) {
+  constexpr int at_once = 64;
+  constexpr int all = 150;
+  const auto broker = this->broker();
+  Inbox first;
+  std::vector<std::unique_ptr<Subscription>> subscriptions;
+  subscriptions.push_back(broker->subscribe(topic("window.0"), {}, first.handler()));
+  ASSERT_TRUE(eventually([&] { return subscriptions.front()->active(); }));
+  ASSERT_EQ(proxy_.seen(AMQP_BASIC_CONSUME_METHOD), 1);
+  proxy_.hold_answers();
+  std::vector<std::unique_ptr<Inbox>> inboxes;
+  for (int i = 1; i <= all; ++i) {
+    inboxes.push_back(std::make_unique<Inbox>());
+    subscriptions.push_back(broker->subscribe(topic("window." + std::to_string(i)), {}, inboxes.back()->handler()));
+  }
+  EXPECT_TRUE(eventually([&] { return proxy_.seen(AMQP_BASIC_CONSUME_METHOD) == 1 + at_once; }));
+  EXPECT_FALSE(eventually([&] { return proxy_.seen(AMQP_BASIC_CONSUME_METHOD) > 1 + at_once; }, moment))
+      << "the others wait until it has answered";
+  proxy_.release_answers();
+  for (const auto& subscription : subscriptions) EXPECT_TRUE(eventually([&] { return subscription->active(); }));
+  EXPECT_EQ(proxy_.seen(AMQP_BASIC_CONSUME_METHOD), 1 + all) << "each was asked for once";
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers
