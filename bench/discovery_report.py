@@ -64,9 +64,12 @@ def figures(bench, report, kind, rounds):
     report.compare(f"{title}: ready, embedded", "s", of(alone, "ready", "seconds"), at_most=READY_LIMIT_S[kind])
     report.compare(f"{title}: worker's CPU until ready", "s", of(real, "ready", "cpu_seconds"))
     report.compare(f"{title}: servers' CPU until ready", "s", of(real, "ready", "server_cpu_seconds"))
+    report.compare(f"{title}: requests to ZooKeeper until ready", "", of(real, "ready", "requests"))
+    report.compare(f"{title}: of these, writes", "", of(real, "ready", "writes"))
     report.compare(f"{title}: worker's memory", "MB", of(real, "ready", "resident_mb"))
     report.compare(f"{title}: a new driver is read, p50", "ms", of(real, "new", "p50_ms"))
     report.compare(f"{title}: a new driver is read, p99", "ms", of(real, "new", "p99_ms"), at_most=200)
+    report.compare(f"{title}: requests for a new driver", "", of(real, "new", "requests_each"))
     report.compare(f"{title}: worker at rest", "% CPU", of(real, "rest", "cpu_percent"), at_most=1)
     report.compare(f"{title}: servers at rest", "% CPU", of(real, "rest", "server_cpu_percent"))
 

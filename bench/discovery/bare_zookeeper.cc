@@ -1,5 +1,10 @@
+#include <array>
 #include <chrono>
 #include <stdexcept>
+
+#include <netdb.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include <iotcloud/bench/discovery/bare_zookeeper.h>
 
@@ -91,6 +96,44 @@ std::size_t BareZooKeeper::read_and_watch(const std::vector<std::string>& paths)
   run(paths.size(),
       [&](std::size_t i) { return zoo_aget(handle_, (chroot_ + paths[i]).c_str(), 1, &BareZooKeeper::on_data, this); });
   return bytes_;
+}
+
+namespace {
+
+/// The answer to one of the server's four-letter words.
+std::string ask(const std::string& host, const std::string& port, const std::string& word) {
+  addrinfo* found = nullptr;
+  addrinfo wanted{};
+  wanted.ai_socktype = SOCK_STREAM;
+  if (::getaddrinfo(host.c_str(), port.c_str(), &wanted, &found) != 0) throw std::runtime_error("no host " + host);
+  const int connection = ::socket(found->ai_family, found->ai_socktype, 0);
+  const bool connected = connection >= 0 && ::connect(connection, found->ai_addr, found->ai_addrlen) == 0;
+  ::freeaddrinfo(found);
+  std::string answer;
+  if (connected && ::send(connection, word.data(), word.size(), MSG_NOSIGNAL) > 0) {
+    std::array<char, 4096> part{};
+    for (ssize_t size; (size = ::recv(connection, part.data(), part.size(), 0)) > 0;) {
+      answer.append(part.data(), static_cast<std::size_t>(size));
+    }
+  }
+  if (connection >= 0) ::close(connection);
+  return answer;
+}
+
+std::int64_t number_after(const std::string& text, const std::string& title) {
+  const auto place = text.find(title);
+  if (place == std::string::npos) throw std::runtime_error("ZooKeeper does not say: " + title);
+  return std::stoll(text.substr(place + title.size()), nullptr, 0);
+}
+
+}  // namespace
+
+ServerCounts counts_of(const std::string& url) {
+  const std::string rest = url.substr(std::string("zookeeper://").size());
+  const std::string address = rest.substr(0, rest.find('/'));
+  const auto colon = address.rfind(':');
+  const std::string answer = ask(address.substr(0, colon), address.substr(colon + 1), "srvr");
+  return {number_after(answer, "Received: "), number_after(answer, "Zxid: ")};
 }
 
 }  // namespace iotcloud::bench

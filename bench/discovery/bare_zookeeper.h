@@ -1,6 +1,7 @@
 #pragma once
 
 #include <condition_variable>
+#include <cstdint>
 #include <functional>
 #include <mutex>
 #include <string>
@@ -42,5 +43,13 @@ class BareZooKeeper {
   std::size_t under_way_ = 0, bytes_ = 0;
   int failure_ = ZOK;
 };
+
+/// What a server says that it has done since it began: counts, which no other work on the machine changes.
+struct ServerCounts {
+  std::int64_t requests = 0;  ///< that it got, pings included
+  std::int64_t writes = 0;    ///< that it put on disk, refused ones included
+};
+/// \param url of an ensemble of one. \throws std::runtime_error.
+ServerCounts counts_of(const std::string& url);
 
 }  // namespace iotcloud::bench

@@ -11,6 +11,7 @@
 #include <fmt/core.h>
 
 #include <iotcloud/bench/discovery/bare_rabbitmq.h>
+#include <iotcloud/bench/discovery/bare_zookeeper.h>
 #include <iotcloud/bench/discovery/fleet.h>
 #include <iotcloud/bench/harness/machine.h>
 #include <iotcloud/config/log.h>
@@ -58,18 +59,21 @@ class Run {
                              .on_killed = {}});
     const Usage before = Usage::now();
     const double server_before = server_cpu();
+    const ServerCounts asked_before = counts();
     worker.start();
     wait_for("the readers", 5 * ms, [&] { return readers() >= fleet_.topics(); });
     const double opened = seconds_since(before.at_ns);
+    const ServerCounts asked = counts();
     check_all_are_read();
     const Usage ready = Usage::now();
     const double server_ready = server_cpu();
     const double server_cost = server_ready - server_before;
     std::printf(
         "{\"figure\": \"ready\", \"opened_seconds\": %.6f, \"seconds\": %.6f, \"cpu_seconds\": %.3f, "
-        "\"server_cpu_seconds\": %.3f, \"topics\": %d, \"resident_mb\": %.1f}\n",
+        "\"server_cpu_seconds\": %.3f, \"topics\": %d, \"resident_mb\": %.1f, \"requests\": %.0f, \"writes\": %.0f}\n",
         opened, seconds_since(before.at_ns), ready.cpu_seconds - before.cpu_seconds, server_cost, fleet_.topics(),
-        static_cast<double>(resident_bytes()) / 1e6);
+        static_cast<double>(resident_bytes()) / 1e6, static_cast<double>(asked.requests - asked_before.requests),
+        static_cast<double>(asked.writes - asked_before.writes));
     std::fflush(stdout);
     rest();
     newcomers();
@@ -105,6 +109,11 @@ class Run {
     }
   }
 
+  /// Nothing for the embedded registry.
+  ServerCounts counts() const {
+    return options_.registry.starts_with("zookeeper:") ? counts_of(options_.registry) : ServerCounts();
+  }
+
   double server_cpu() const {
     double all = 0;
     for (const pid_t process : options_.server) all += cpu_seconds_of(process);
@@ -124,22 +133,34 @@ class Run {
   }
 
   /// One driver at a time; from the moment when its nodes stand in the registry until the broker has a reader for it.
+  /// The broker is not asked before there can be one, so that it has nothing else to do.
   void newcomers() {
     std::vector<double> took_ms;
+    const Usage before = Usage::now();
+    const ServerCounts asked_before = counts();
     for (int i = options_.instances; i < options_.instances + options_.fresh; ++i) {
       const int expected = readers() + 1;
       appear(i);
       const std::int64_t begin = now_ns();
-      wait_for("a new driver's reader", ms / 2, [&] { return broker_ ? is_read(i) : readers() >= expected; });
+      wait_for("a new driver's reader", ms / 2, [&] { return readers() >= expected && is_read(i); });
       took_ms.push_back(static_cast<double>(now_ns() - begin) / 1e6);
     }
     if (took_ms.empty()) return;
+    const double each = 1 / static_cast<double>(took_ms.size());
+    const Usage after = Usage::now();
+    const ServerCounts asked = counts();
     std::sort(took_ms.begin(), took_ms.end());
     const auto quantile = [&](double q) {
       return took_ms[std::min(took_ms.size() - 1, static_cast<std::size_t>(q * static_cast<double>(took_ms.size())))];
     };
-    std::printf("{\"figure\": \"new\", \"count\": %zu, \"p50_ms\": %.3f, \"p99_ms\": %.3f, \"max_ms\": %.3f}\n",
-                took_ms.size(), quantile(0.5), quantile(0.99), took_ms.back());
+    std::printf(
+        "{\"figure\": \"new\", \"count\": %zu, \"p50_ms\": %.3f, \"p99_ms\": %.3f, \"max_ms\": %.3f, "
+        "\"cpu_ms_each\": %.3f, \"requests_each\": %.2f, \"writes_each\": %.2f}\n",
+        took_ms.size(), quantile(0.5), quantile(0.99), took_ms.back(),
+        1000 * each * (after.cpu_seconds - before.cpu_seconds),
+        each * static_cast<double>(asked.requests - asked_before.requests),
+        each * static_cast<double>(asked.writes - asked_before.writes));
+    std::fflush(stdout);
   }
 
   const FleetOptions options_;
