@@ -71,10 +71,14 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
   }
 
   void on_instances(const Names& ids) {
-    // User callbacks may end the directory: `over` is looked at after each of them.
+    // Both are sorted. User callbacks may end the directory: `over` is looked at after each of them.
+    Names fresh;
+    auto next = ids.begin();
     for (auto place = instances.begin(); place != instances.end();) {
-      if (std::binary_search(ids.begin(), ids.end(), place->first)) {
+      for (; next != ids.end() && *next < place->first; ++next) fresh.push_back(*next);
+      if (next != ids.end() && *next == place->first) {
         ++place;
+        ++next;
         continue;
       }
       const std::string id = place->first;
@@ -86,9 +90,8 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
       judge(id, std::nullopt);
       if (over) return;
     }
-    for (const std::string& id : ids) {
-      if (!instances.contains(id)) add_instance(id);
-    }
+    fresh.insert(fresh.end(), next, ids.end());
+    for (const std::string& id : fresh) add_instance(id);
   }
 
   void add_instance(const std::string& id) {

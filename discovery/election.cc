@@ -28,12 +28,17 @@ Names members_in_order(Names names) {
 
 }  // namespace
 
-/// Every member holds a sequential node; the first in order leads, the others watch the one before them only, so that
-/// a member that goes wakes one other. Watches only, no calls: nothing here waits, and nothing is lost when the
-/// registry is away. Everything but the beginning and the end runs on the dispatcher, in its turn.
+/// In a line of succession every member holds a sequential node; the first in order leads, the others watch the one
+/// before them only, so that a member that goes wakes one other. Without one all members want to hold the same node,
+/// and the one that does leads. Watches only, no calls: nothing here waits, and nothing is lost when the registry is
+/// away. Everything but the beginning and the end runs on the dispatcher, in its turn.
 struct Election::Impl : std::enable_shared_from_this<Impl> {
-  Impl(Registry& r, std::string p, std::string d, Callbacks c)
-      : registry(r), path(std::move(p)), data(std::move(d)), callbacks(std::move(c)) {}
+  Impl(Registry& r, std::string p, std::string d, Callbacks c, Succession s)
+      : registry(r),
+        path(std::move(p)),
+        data(std::move(d)),
+        callbacks(std::move(c)),
+        in_line(s == Succession::longest_standing) {}
 
   /// A callback that runs in its turn, and does nothing once the election is over.
   template <typename Function>
@@ -62,8 +67,9 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   }
 
   void stand() {
+    hold.reset();  // of two holds of one node the later would lose it when the earlier goes
     hold = registry.hold_eventually(
-        path + "/" + member_prefix, data, true,
+        in_line ? path + "/" + member_prefix : path, data, in_line,
         guarded([](Impl& self, const std::string& real_path) { self.on_standing(real_path); }));
   }
 
@@ -74,7 +80,11 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
     lose();
     if (over) return;
     watch_own_node();
-    look();
+    if (in_line) {
+      look();
+    } else {
+      first = true;
+    }
   }
 
   void watch_own_node() {
@@ -84,12 +94,13 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   }
 
   void on_own_node(const std::optional<Node>& node) {
-    if (node) {
+    const bool own = node && node->data == data && (own_epoch == 0 || node->created == own_epoch);
+    if (own) {
       own_epoch = node->created;
       decide();
       return;
     }
-    // Removed by somebody else, or with a session that is over: stand again.
+    // Removed by somebody else, or with a session that is over, and perhaps another's by now: stand again.
     own_path.clear();
     own_epoch = 0;
     first = false;
@@ -151,6 +162,7 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   const std::string path;
   const std::string data;
   const Callbacks callbacks;
+  const bool in_line;
   std::atomic<bool> leads{false};
 
   /// Held while a callback runs. Recursive, so that the election may be destroyed by its own callback.
@@ -164,8 +176,8 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   GuardPtr hold, own_watch, list_watch, predecessor_watch;
 };
 
-Election::Election(Registry& registry, std::string path, std::string data, Callbacks callbacks)
-    : impl_(std::make_shared<Impl>(registry, std::move(path), std::move(data), std::move(callbacks))) {
+Election::Election(Registry& registry, std::string path, std::string data, Callbacks callbacks, Succession succession)
+    : impl_(std::make_shared<Impl>(registry, std::move(path), std::move(data), std::move(callbacks), succession)) {
   impl_->begin();
 }
 
@@ -181,6 +193,10 @@ bool Election::leading() const {
 
 std::string Election::leader_data() const {
   try {
+    if (!impl_->in_line) {
+      const auto node = impl_->registry.get(impl_->path);
+      return node ? node->data : std::string();
+    }
     for (;;) {
       const Names members = members_in_order(impl_->registry.children(impl_->path).value_or(Names()));
       if (members.empty()) return {};

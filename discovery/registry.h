@@ -129,7 +129,15 @@ void put(Registry& registry, const std::string& path, const std::string& data);
 /// Removes a node and all below it; what is gone already is no error.
 void remove_tree(Registry& registry, const std::string& path);
 
-/// Leader election below `path`: of all members exactly one leads at a time, the longest standing one.
+/// Who follows a leader.
+enum class Succession {
+  longest_standing,  ///< each member has a node below `path`, and they follow in the order of their coming
+  /// The leader's node is `path` itself, and who creates it first when it is gone leads. One write and one read for
+  /// each leader, and nothing stays behind: for thousands of elections with a member or two each.
+  whoever_is_first,
+};
+
+/// Leader election at `path`: of all members exactly one leads at a time. They agree about the succession.
 /// Callbacks run on the registry's dispatcher. Leadership is lost when the session is no longer certain to live
 /// (disconnected for longer than the session's time-out, or expired); the member stands again by itself. One whose node
 /// outlived the interruption leads again under the same epoch: nobody else can have led meanwhile.
@@ -140,9 +148,10 @@ class Election {
     std::function<void(std::int64_t epoch)> on_elected;
     std::function<void()> on_lost;
   };
-  /// \param data what others see in this member's node (host:port, say).
+  /// \param data what others see in this member's node (host:port, say); each member's is another.
   /// Returns at once, whether the registry is there or not.
-  Election(Registry& registry, std::string path, std::string data, Callbacks callbacks);
+  Election(Registry& registry, std::string path, std::string data, Callbacks callbacks,
+           Succession succession = Succession::longest_standing);
   ~Election();
   bool leading() const;
   /// Data of the member that leads now, as far as the registry tells; empty when none.

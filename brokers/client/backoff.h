@@ -14,8 +14,9 @@ class Backoff {
 
   std::chrono::milliseconds next() {
     current_ = current_.count() == 0 ? first_ : std::min(limit_, current_ * 2);
+    thread_local std::minstd_rand random{std::random_device{}()};
     std::uniform_int_distribution<std::int64_t> spread(current_.count() / 2, current_.count());
-    return std::chrono::milliseconds(spread(random_));
+    return std::chrono::milliseconds(spread(random));
   }
   void reset() { current_ = std::chrono::milliseconds(0); }
 
@@ -23,7 +24,6 @@ class Backoff {
   std::chrono::milliseconds first_;
   std::chrono::milliseconds limit_;
   std::chrono::milliseconds current_{0};
-  std::minstd_rand random_{std::random_device{}()};
 };
 
 }  // namespace iotcloud::brokers::client

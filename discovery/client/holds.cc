@@ -73,11 +73,32 @@ Done Holds::on_worker(std::function<void(Reply)> next) {
 
 void Holds::create(const HoldPtr& hold) {
   hold->busy = true;
+  const std::string parent = parent_of(hold->path);
+  const bool leads_the_way = !hold->parent_known;
+  if (leads_the_way) {
+    const auto [followers, none] = behind_.try_emplace(parent);
+    if (!none) {
+      followers->second.push_back(hold);
+      return;
+    }
+  }
   hold->session = session_;
-  connection_.create(hold->path, hold->data, true, hold->sequential, on_worker([this, hold](const Reply& reply) {
+  connection_.create(hold->path, hold->data, true, hold->sequential,
+                     on_worker([this, hold, parent, leads_the_way](const Reply& reply) {
                        hold->busy = false;
                        created(hold, reply);
+                       if (leads_the_way && reply.status != Status::no_node) let_through(parent);
                      }));
+}
+
+void Holds::let_through(const std::string& parent) {
+  const auto followers = behind_.extract(parent);
+  if (followers.empty()) return;
+  for (const HoldPtr& hold : followers.mapped()) {
+    hold->busy = false;
+    hold->parent_known = true;
+    step(hold);
+  }
 }
 
 void Holds::created(const HoldPtr& hold, const Reply& reply) {
@@ -94,7 +115,9 @@ void Holds::created(const HoldPtr& hold, const Reply& reply) {
       hold->busy = true;
       make_parents(hold->path, [this, hold](Status status) {
         hold->busy = false;
+        let_through(parent_of(hold->path));
         if (status == Status::ok) {
+          hold->parent_known = true;
           step(hold);
         } else if (status == Status::away) {
           step_later(hold, retry_pause);
@@ -121,7 +144,9 @@ void Holds::settle(const HoldPtr& hold, const std::string& real_path) {
   hold->in_doubt = false;
   hold->complained = false;
   hold->real_path = real_path;
-  taken_.insert(real_path);
+  hold->suspect = false;
+  hold->parent_known = true;
+  taken_[real_path] = hold;
   if (hold->released) {
     step(hold);
     return;
@@ -166,6 +191,7 @@ void Holds::wait_for_place(const HoldPtr& hold) {
 }
 
 void Holds::changed(const std::string& path) {
+  if (const auto held = taken_.find(path); held != taken_.end()) held->second->suspect = true;
   const auto [begin, end] = waiting_.equal_range(path);
   std::vector<HoldPtr> woken;
   for (auto place = begin; place != end; ++place) woken.push_back(place->second);
@@ -174,6 +200,25 @@ void Holds::changed(const std::string& path) {
 }
 
 void Holds::remove(const HoldPtr& hold) {
+  if (!hold->suspect) {
+    remove_own(hold);
+    return;
+  }
+  hold->busy = true;
+  connection_.get(hold->real_path, false, on_worker([this, hold](const Reply& reply) {
+                    hold->busy = false;
+                    if (reply.status == Status::away) {
+                      step_later(hold, retry_pause);
+                    } else if (reply.status == Status::ok && reply.node.owner_session == hold->session) {
+                      remove_own(hold);
+                    } else {
+                      forget_node(hold);
+                      step(hold);
+                    }
+                  }));
+}
+
+void Holds::remove_own(const HoldPtr& hold) {
   hold->busy = true;
   connection_.remove(hold->real_path, -1, on_worker([this, hold](const Reply& reply) {
                        hold->busy = false;
@@ -187,7 +232,8 @@ void Holds::remove(const HoldPtr& hold) {
 }
 
 void Holds::forget_node(const HoldPtr& hold) {
-  if (hold->session == session_) taken_.erase(hold->real_path);
+  const auto place = taken_.find(hold->real_path);
+  if (place != taken_.end() && place->second == hold) taken_.erase(place);
   hold->real_path.clear();
 }
 

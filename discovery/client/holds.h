@@ -27,12 +27,14 @@ struct Hold {
 
  private:
   friend class Holds;
-  bool released = false;     ///< the guard is gone
-  bool busy = false;         ///< an operation is under way, or due at a later time
-  std::string real_path;     ///< empty: not created, as far as is known
-  std::int64_t session = 0;  ///< of the node, or of the creation in doubt
-  bool in_doubt = false;     ///< a creation in `session` was not answered
-  bool complained = false;   ///< said in the log that it cannot be created
+  bool released = false;      ///< the guard is gone
+  bool busy = false;          ///< an operation is under way, or due at a later time
+  std::string real_path;      ///< empty: not created, as far as is known
+  std::int64_t session = 0;   ///< of the node, or of the creation in doubt
+  bool in_doubt = false;      ///< a creation in `session` was not answered
+  bool parent_known = false;  ///< what it stands below was there a moment ago
+  bool suspect = false;       ///< its node was changed or removed by somebody, and may be another's now
+  bool complained = false;    ///< said in the log that it cannot be created
 };
 
 /// Keeps ephemeral nodes: creates them again in every new session, finds out about creations whose answer was lost
@@ -46,7 +48,7 @@ class Holds {
   void add(std::shared_ptr<Hold> hold);
   void release(const std::shared_ptr<Hold>& hold);
   void connected(std::int64_t session);
-  /// A watch fired: the node that stood in somebody's way may be gone.
+  /// A watch fired: the node that stood in somebody's way may be gone, or a held one be another's.
   void changed(const std::string& path);
   void disconnected() { connected_ = false; }
 
@@ -60,6 +62,8 @@ class Holds {
   void refused(const HoldPtr& hold, Status status);
   void wait_for_place(const HoldPtr& hold);
   void remove(const HoldPtr& hold);
+  void remove_own(const HoldPtr& hold);
+  void let_through(const std::string& parent);
   void resolve_doubt(const HoldPtr& hold);
   void look_at(const HoldPtr& hold, std::vector<std::string> candidates);
   void make_parents(const std::string& path, std::function<void(Status)> next);
@@ -74,8 +78,10 @@ class Holds {
   bool connected_ = false;
   std::int64_t session_ = 0;
   std::set<HoldPtr> holds_;
-  std::set<std::string> taken_;                  ///< real paths of this session's nodes that holds have for their own
+  std::map<std::string, HoldPtr> taken_;         ///< by real path: this session's nodes that holds have for their own
   std::multimap<std::string, HoldPtr> waiting_;  ///< by path, for the node that stands there to go
+  /// By parent: those that wait until the first creation below it has found it, or made it, once for all.
+  std::map<std::string, std::vector<HoldPtr>> behind_;
 };
 
 }  // namespace iotcloud::discovery

@@ -182,7 +182,8 @@ class RegistryClient : public Registry {
     check_path(path);
     auto watch = std::make_shared<Watch>();
     watch->path = path;
-    watch->on_children = std::make_shared<ChildrenCallback>(std::move(callback));
+    watch->on_children = std::make_shared<ChildrenCallback>(
+        [callback = std::move(callback)](const SharedNames& names) { callback(*names); });
     return core_->add_watch(std::move(watch));
   }
 

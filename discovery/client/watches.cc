@@ -13,11 +13,6 @@ constexpr std::chrono::microseconds read_pause_per_name{5};
 constexpr std::chrono::milliseconds retry_pause{50};
 constexpr std::chrono::milliseconds denied_pause{2000};
 
-bool same(const Reply& a, const Reply& b) {
-  return a.status == b.status && a.node.version == b.node.version && a.node.created == b.node.created &&
-         a.names == b.names;
-}
-
 }  // namespace
 
 void Watch::shut() {
@@ -26,109 +21,135 @@ void Watch::shut() {
 }
 
 void Watches::add(WatchPtr watch) {
-  watches_.emplace(watch->path, watch);
-  touch(watch);
+  PlacePtr& place = places_of(*watch)[watch->path];
+  if (!place) {
+    place = std::make_shared<Place>();
+    place->path = watch->path;
+    place->lists_children = watch->on_children != nullptr;
+  }
+  place->watches.push_back(watch);
+  if (!connected_ || place->reading) return;  // the answer is for this one too
+  if (place->names && !place->scheduled) {    // a long list is not sent twice
+    watch->told = true;
+    watch->on_children->deliver_latest(dispatcher_, place->names);
+  } else {
+    read(place);
+  }
 }
 
 void Watches::remove(const WatchPtr& watch) {
-  watch->removed = true;
-  const auto [begin, end] = watches_.equal_range(watch->path);
-  for (auto place = begin; place != end; ++place) {
-    if (place->second == watch) {
-      watches_.erase(place);
-      return;
-    }
-  }
+  Places& places = places_of(*watch);
+  const auto found = places.find(watch->path);
+  if (found == places.end()) return;
+  std::erase(found->second->watches, watch);
+  if (found->second->watches.empty()) places.erase(found);
 }
 
 void Watches::connected() {
   connected_ = true;
-  for (const auto& [path, watch] : watches_) touch(watch);
+  for (const Places* places : {&nodes_, &lists_}) {
+    for (const auto& [path, place] : *places) touch(place);
+  }
 }
 
 void Watches::changed(const std::string& path) {
-  const auto [begin, end] = watches_.equal_range(path);
-  for (auto place = begin; place != end; ++place) touch(place->second);
+  for (const Places* places : {&nodes_, &lists_}) {
+    const auto found = places->find(path);
+    if (found != places->end()) touch(found->second);
+  }
 }
 
-void Watches::touch(const WatchPtr& watch) {
-  if (!connected_ || watch->scheduled) return;
-  if (watch->reading) {
-    watch->again = true;
+void Watches::touch(const PlacePtr& place) {
+  if (!connected_ || place->scheduled) return;
+  if (place->reading) {
+    place->again = true;
     return;
   }
   SerialThread::Instant due = SerialThread::Instant::min();
-  if (watch->reported) {
-    due = watch->last_read + read_pause + read_pause_per_name * static_cast<int>(watch->reported->names.size());
+  if (place->status) {
+    const std::size_t names = place->names && *place->names ? (*place->names)->size() : 0;
+    due = place->last_read + read_pause + read_pause_per_name * static_cast<int>(names);
   }
   if (due <= std::chrono::steady_clock::now()) {
-    read(watch);
+    read(place);
   } else {
-    schedule(watch, due);
+    schedule(place, due);
   }
 }
 
-void Watches::schedule(const WatchPtr& watch, SerialThread::Instant when) {
-  watch->scheduled = true;
-  worker_.post_at(when, [this, watch] {
-    watch->scheduled = false;
-    if (watch->removed || !connected_) return;
-    if (watch->reading) {
-      watch->again = true;
+void Watches::schedule(const PlacePtr& place, SerialThread::Instant when) {
+  place->scheduled = true;
+  worker_.post_at(when, [this, place] {
+    place->scheduled = false;
+    if (place->watches.empty() || !connected_) return;
+    if (place->reading) {
+      place->again = true;
     } else {
-      read(watch);
+      read(place);
     }
   });
 }
 
-void Watches::read(const WatchPtr& watch) {
-  watch->reading = true;
-  watch->last_read = std::chrono::steady_clock::now();
-  Done done = [this, watch](Reply reply) {
-    worker_.post([this, watch, reply = std::move(reply)]() mutable { answered(watch, std::move(reply)); });
+void Watches::read(const PlacePtr& place) {
+  place->reading = true;
+  place->last_read = std::chrono::steady_clock::now();
+  Done done = [this, place](Reply reply) {
+    worker_.post([this, place, reply = std::move(reply)]() mutable { answered(place, std::move(reply)); });
   };
-  if (watch->on_node) {
-    connection_.get(watch->path, true, std::move(done));
+  if (place->lists_children) {
+    connection_.children(place->path, true, std::move(done));
   } else {
-    connection_.children(watch->path, true, std::move(done));
+    connection_.get(place->path, true, std::move(done));
   }
 }
 
-void Watches::answered(const WatchPtr& watch, Reply reply) {
-  watch->reading = false;
-  if (watch->removed) return;
-  const bool again = std::exchange(watch->again, false);
+void Watches::answered(const PlacePtr& place, Reply reply) {
+  place->reading = false;
+  if (place->watches.empty()) return;
+  const bool again = std::exchange(place->again, false);
   if (reply.status != Status::ok && reply.status != Status::no_node) {
     // The next `connected` reads again; should the connection stand all the same, this does.
     const bool denied = reply.status == Status::denied;
-    if (denied && !std::exchange(watch->complained, true)) {
+    if (denied && !std::exchange(place->complained, true)) {
       log.warn(
           "{} cannot be watched: it belongs to another user of the registry; are registry.user and "
           "registry.password_file those of the process that created it?",
-          watch->path);
+          place->path);
     }
-    if (!watch->scheduled) {
-      schedule(watch, std::chrono::steady_clock::now() + (denied ? denied_pause : retry_pause));
+    if (!place->scheduled) {
+      schedule(place, std::chrono::steady_clock::now() + (denied ? denied_pause : retry_pause));
     }
     return;
   }
-  report(*watch, std::move(reply));
-  if (again) touch(watch);
+  report(*place, std::move(reply));
+  if (again) touch(place);
 }
 
-void Watches::report(Watch& watch, Reply reply) {
-  if (watch.reported && same(*watch.reported, reply)) return;
-  if (watch.on_node) {
-    std::optional<Node> node;
-    if (reply.status == Status::ok) node = reply.node;
-    watch.on_node->deliver_latest(dispatcher_, std::move(node));
-    reply.node.data.clear();  // versions suffice to see a change
-  } else {
+/// Tells what is new to all, and what is not to those who do not know it yet.
+void Watches::report(Place& place, Reply reply) {
+  bool fresh = place.status != reply.status;
+  if (place.lists_children) {
     std::optional<std::vector<std::string>> names;
-    if (reply.status == Status::ok) names = reply.names;
-    watch.on_children->deliver_latest(dispatcher_, std::move(names));
+    if (reply.status == Status::ok) names = std::move(reply.names);
+    fresh = fresh || *place.names != names;
+    if (fresh) place.names = std::make_shared<const std::optional<std::vector<std::string>>>(std::move(names));
+  } else {
+    fresh = fresh || place.version != reply.node.version || place.created != reply.node.created;
+    place.version = reply.node.version;
+    place.created = reply.node.created;
   }
-  watch.reported = std::move(reply);
+  place.status = reply.status;
+  for (const WatchPtr& watch : place.watches) {
+    if (!fresh && watch->told) continue;
+    watch->told = true;
+    if (place.lists_children) {
+      watch->on_children->deliver_latest(dispatcher_, place.names);
+    } else {
+      std::optional<Node> node;
+      if (reply.status == Status::ok) node = reply.node;
+      watch->on_node->deliver_latest(dispatcher_, std::move(node));
+    }
+  }
 }
 
 }  // namespace iotcloud::discovery

@@ -13,8 +13,10 @@
 
 namespace iotcloud::discovery {
 
+/// Sorted names, shared by all who are told of them; nullopt: no such node.
+using SharedNames = std::shared_ptr<const std::optional<std::vector<std::string>>>;
 using NodeCallback = Callback<std::optional<Node>>;
-using ChildrenCallback = Callback<std::optional<std::vector<std::string>>>;
+using ChildrenCallback = Callback<SharedNames>;
 
 /// One watch: `on_node` or `on_children` is set.
 struct Watch {
@@ -26,17 +28,12 @@ struct Watch {
 
  private:
   friend class Watches;
-  bool removed = false;
-  bool reading = false;    ///< an answer is under way
-  bool again = false;      ///< something changed meanwhile
-  bool scheduled = false;  ///< a read is due at a later time
-  bool complained = false;
-  SerialThread::Instant last_read = SerialThread::Instant::min();
-  std::optional<Reply> reported;
+  bool told = false;  ///< once at least
 };
 
 /// Makes lasting watches of the server's one-shot ones: after each change it reads again, which sets the next one.
-/// The first change is read at once; further ones wait for a few milliseconds, so that many become one.
+/// The first change is read at once; further ones wait for a few milliseconds, so that many become one. What several
+/// watch is read once for all of them.
 /// All methods run on the worker.
 class Watches {
  public:
@@ -52,17 +49,39 @@ class Watches {
 
  private:
   using WatchPtr = std::shared_ptr<Watch>;
-  void touch(const WatchPtr& watch);
-  void schedule(const WatchPtr& watch, SerialThread::Instant when);
-  void read(const WatchPtr& watch);
-  void answered(const WatchPtr& watch, Reply reply);
-  void report(Watch& watch, Reply reply);
+
+  /// What is read for all watches of one kind on one path.
+  struct Place {
+    std::string path;
+    bool lists_children = false;
+    std::vector<WatchPtr> watches;  ///< none: it is over
+    bool reading = false;           ///< an answer is under way
+    bool again = false;             ///< something changed meanwhile
+    bool scheduled = false;         ///< a read is due at a later time
+    bool complained = false;
+    SerialThread::Instant last_read = SerialThread::Instant::min();
+    // As it was told last; nothing yet when there is no status. Of a node the version suffices to see a change.
+    std::optional<Status> status;
+    std::int64_t version = 0;
+    std::int64_t created = 0;
+    SharedNames names;
+  };
+  using PlacePtr = std::shared_ptr<Place>;
+  using Places = std::unordered_map<std::string, PlacePtr>;
+
+  Places& places_of(const Watch& watch) { return watch.on_node ? nodes_ : lists_; }
+  void touch(const PlacePtr& place);
+  void schedule(const PlacePtr& place, SerialThread::Instant when);
+  void read(const PlacePtr& place);
+  void answered(const PlacePtr& place, Reply reply);
+  void report(Place& place, Reply reply);
 
   Connection& connection_;
   SerialThread& worker_;
   SerialThread& dispatcher_;
   bool connected_ = false;
-  std::unordered_multimap<std::string, WatchPtr> watches_;  ///< by path
+  Places nodes_;  ///< by path
+  Places lists_;  ///< of children, by path
 };
 
 }  // namespace iotcloud::discovery

@@ -166,6 +166,108 @@ TEST_P(ElectionContract, AnElectionMayEndInItsOwnCallback) {
   EXPECT_TRUE(eventually([&] { return other_->children("/e")->empty(); }));
 }
 
+/// Where whoever is first leads.
+class SeatContract : public RegistryContract {
+ protected:
+  std::unique_ptr<Election> stand(Registry& registry, const std::string& name) {
+    Election::Callbacks callbacks;
+    callbacks.on_elected = [this, name](std::int64_t epoch) {
+      EXPECT_GT(epoch, last_epoch_.exchange(epoch)) << name;
+      history_.add(name + " elected");
+    };
+    callbacks.on_lost = [this, name] { history_.add(name + " lost"); };
+    return std::make_unique<Election>(registry, "/seats/it", name, std::move(callbacks), Succession::whoever_is_first);
+  }
+  std::int64_t holder() { return registry_->get("/seats/it")->owner_session; }
+
+  std::atomic<std::int64_t> last_epoch_{0};
+  Seen<std::string> history_;
+};
+
+TEST_P(SeatContract, OneLeadsAndTheOtherFollowsWhenItResigns) {
+  auto first = stand(*registry_, "first");
+  ASSERT_TRUE(history_.wait_for_last("first elected"));
+  const auto second = stand(*other_, "second");
+  EXPECT_EQ(second->leader_data(), "first");
+  first.reset();
+  ASSERT_TRUE(history_.wait_for_last("second elected"));
+  EXPECT_TRUE(second->leading());
+  EXPECT_EQ(second->leader_data(), "second");
+  EXPECT_THAT(history_.all(), testing::ElementsAre("first elected", "second elected"));
+}
+
+TEST_P(SeatContract, NothingStaysBehindButTheNodeAbove) {
+  auto only = stand(*registry_, "only");
+  ASSERT_TRUE(history_.wait_for_last("only elected"));
+  only.reset();
+  EXPECT_TRUE(registry_->children("/seats")->empty());
+}
+
+TEST_P(SeatContract, WhenALeadersSessionExpiresOnlyOneOfThemLeadsNext) {
+  const auto first = stand(*registry_, "first");
+  ASSERT_TRUE(history_.wait_for_last("first elected"));
+  const auto second = stand(*other_, "second");
+  place_->expire(holder());
+  ASSERT_TRUE(history_.wait_for_count(3));
+  EXPECT_TRUE(eventually([&] { return first->leading() != second->leading(); }));
+  EXPECT_EQ(first->leader_data(), first->leading() ? "first" : "second");
+}
+
+TEST_P(SeatContract, OutOfContactForTooLongALeaderLosesAndLeadsAgainWhenItsNodeSurvived) {
+  const auto session = client(std::chrono::milliseconds(1500));
+  const auto only = stand(*session, "only");
+  ASSERT_TRUE(history_.wait_for_last("only elected"));
+  last_epoch_ = 0;  // it is the same one again
+  place_->stop();
+  ASSERT_TRUE(history_.wait_for_last("only lost"));
+  place_->start();
+  ASSERT_TRUE(history_.wait_for_last("only elected"));
+}
+
+/// A leader whose node an operator removed must not, on its way out, remove that of the next one.
+TEST_P(SeatContract, ALeaderWhoseNodeIsRemovedLeavesTheNextOneAlone) {
+  auto first = stand(*registry_, "first");
+  ASSERT_TRUE(history_.wait_for_last("first elected"));
+  const auto second = stand(*other_, "second");
+  const auto third = client();
+  third->remove("/seats/it");
+  // Both want it; one has it, and keeps it when the other goes or comes again.
+  ASSERT_TRUE(history_.wait_for_count(3));
+  ASSERT_TRUE(eventually([&] { return first->leading() != second->leading(); }));
+  if (first->leading()) {
+    first.reset();
+    ASSERT_TRUE(history_.wait_for_last("second elected"));
+  } else {
+    first.reset();
+  }
+  const std::size_t count = history_.all().size();
+  const std::int64_t owner = holder();
+  auto again = stand(*registry_, "again");
+  registry_->get("/");  // what the election asked for before is done
+  EXPECT_EQ(holder(), owner);
+  EXPECT_EQ(history_.all().size(), count);
+  EXPECT_TRUE(second->leading());
+}
+
+TEST_P(SeatContract, AHundredElectionsAtOnceCostOneWriteEach) {
+  registry_->create("/seats/before", "");
+  const std::int64_t before = registry_->get("/seats/before")->created;
+  std::vector<std::unique_ptr<Election>> elections;
+  for (int i = 0; i < 100; ++i) {
+    Election::Callbacks callbacks;
+    callbacks.on_elected = [&](std::int64_t) { history_.add("elected"); };
+    elections.push_back(std::make_unique<Election>(*registry_, "/seats/of/many/" + std::to_string(i), "it",
+                                                   std::move(callbacks), Succession::whoever_is_first));
+  }
+  ASSERT_TRUE(history_.wait_for_count(100));
+  registry_->create("/seats/after", "");
+  // Every write counts, also one that fails: a hundred nodes, and a few for the nodes above them.
+  EXPECT_LE(registry_->get("/seats/after")->created - before, 110);
+}
+
+INSTANTIATE_TEST_SUITE_P(Registries, SeatContract, testing::Values("embedded", "zookeeper"),
+                         [](const auto& parameter) { return parameter.param; });
+
 TEST_P(ElectionContract, ElectionsUnderDifferentPathsAreDifferentElections) {
   const Election here(*registry_, "/here", "one", {});
   const Election there(*other_, "/there", "two", {});

@@ -181,7 +181,7 @@ void SpoutPlacement::stand(const std::string& name, Unit& unit) {
   callbacks.on_lost = [this, name] { in_turn([&] { on_lost(name); }); };
   unit.election = std::make_unique<discovery::Election>(
       *services_->registry, services_->paths.topology(services_->topology) + "/readers/" + component_ + "/" + name,
-      services_->worker, std::move(callbacks));
+      services_->worker, std::move(callbacks), discovery::Succession::whoever_is_first);
 }
 
 void SpoutPlacement::on_elected(const std::string& name) {
