@@ -8,10 +8,12 @@
 namespace iotcloud::brokers::client {
 namespace {
 
-// A message that nobody reads goes to the server and back for every try: often at first, so that a reader that starts
-// with the publisher waits little, then rarely.
 constexpr std::chrono::milliseconds first_retry{20};
 constexpr std::chrono::milliseconds last_retry{1000};
+// A message that nobody reads goes to the server and back for every try: often at first, for about three seconds, so
+// that a reader that starts with the publisher waits little, then rarely.
+constexpr unsigned eager_tries = 20;
+constexpr std::chrono::milliseconds last_eager_retry{200};
 
 PublisherOptions with_some_capacity(PublisherOptions options) {
   options.capacity = std::max<std::size_t>(options.capacity, 1);
@@ -21,7 +23,11 @@ PublisherOptions with_some_capacity(PublisherOptions options) {
 }  // namespace
 
 Outbox::Outbox(Topic to, PublisherOptions how)
-    : topic(std::move(to)), options(with_some_capacity(std::move(how))), backoff_(first_retry, last_retry) {}
+    : topic(std::move(to)),
+      options(with_some_capacity(std::move(how))),
+      eager_(first_retry, last_eager_retry),
+      patient_(last_retry, last_retry),
+      backoff_(first_retry, last_retry) {}
 
 bool Outbox::has_room() const {
   return options.when_full == WhenFull::keep_newest || waiting_.size() + under_way_ < options.capacity;
@@ -77,7 +83,7 @@ void Outbox::confirmed(std::uint64_t number) {
   unread_ = false;
   put_off_in_row_ = 0;
   retry_at_.reset();
-  backoff_.reset();
+  forget_tries();
   settle(number, Outcome::confirmed, "");
 }
 
@@ -88,7 +94,7 @@ void Outbox::refused(std::uint64_t number, const std::string& reason) {
 
 void Outbox::returned(Outgoing outgoing, Instant now) {
   --under_way_;
-  if (!retry_at_) retry_at_ = now + backoff_.next();
+  if (!retry_at_) retry_at_ = now + (++unread_tries_ <= eager_tries ? eager_ : patient_).next();
   proven_ = false;
   unread_ = true;
   outgoing.resent = false;  // nobody got it
@@ -119,6 +125,12 @@ void Outbox::disconnected() {
   proven_ = false;
   unread_ = false;
   retry_at_.reset();
+  forget_tries();
+}
+
+void Outbox::forget_tries() {
+  unread_tries_ = 0;
+  eager_.reset();
   backoff_.reset();
 }
 

@@ -95,6 +95,7 @@ class Outbox {
   void settle(std::uint64_t number, Outcome outcome, std::string reason);
   void insert(Outgoing outgoing);
   void trim();
+  void forget_tries();
 
   std::deque<Outgoing> waiting_;  ///< ascending numbers
   std::vector<Event> events_;
@@ -105,7 +106,9 @@ class Outbox {
   bool proven_ = false;
   bool unread_ = false;  ///< the last answer was: nobody reads it
   std::optional<Instant> retry_at_;
-  Backoff backoff_;
+  unsigned unread_tries_ = 0;  ///< so often in a row nobody read it
+  Backoff eager_, patient_;    ///< for what nobody reads: at first, and later
+  Backoff backoff_;            ///< for what the server could not store
   bool wants_writable_ = false;
   bool writable_due_ = false;
 };

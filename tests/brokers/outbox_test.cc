@@ -156,6 +156,26 @@ TEST_F(OutboxTest, SaysWhenMessagesWereDroppedForWantOfAReader) {
   EXPECT_EQ(dropped[0].reason, "no_reader");
 }
 
+TEST_F(OutboxTest, WhatNobodyReadsIsTriedOftenAtFirstAndLaterRarely) {
+  Outbox& outbox = make(WhenFull::block, 10);
+  add(1);
+  const auto next_try = [&] {
+    outbox.returned(std::move(send().at(0)), now_);
+    const milliseconds wait = std::chrono::duration_cast<milliseconds>(outbox.next_timer().value() - now_);
+    now_ += wait;
+    outbox.fire_timer(now_);
+    return wait;
+  };
+  const Instant began = now_;
+  EXPECT_LE(next_try(), milliseconds(20));
+  while (now_ - began < seconds(1)) EXPECT_LE(next_try(), milliseconds(200));
+  while (now_ - began < seconds(10)) next_try();
+  for (int i = 0; i < 10; ++i) EXPECT_GE(next_try(), milliseconds(500));
+  prove();
+  add(1);
+  EXPECT_LE(next_try(), milliseconds(20)) << "another time";
+}
+
 TEST_F(OutboxTest, DropsWhatGrewTooOld) {
   Outbox& outbox = make(WhenFull::block, 10, milliseconds(100));
   outbox.ready = false;
