@@ -172,6 +172,11 @@ void Client::refresh_credentials(const KafkaOptions& options) const {
   }
 }
 
+std::string lasting_words(rd_kafka_event_t* event) {
+  const std::string words = rd_kafka_event_error_string(event);
+  return words.substr(0, words.find(" (after "));
+}
+
 bool is_about_connection(rd_kafka_resp_err_t error) {
   switch (error) {
     case RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN:

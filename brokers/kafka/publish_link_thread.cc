@@ -181,7 +181,7 @@ void PublishLink::on_error(rd_kafka_event_t* event) {
     return;
   }
   if (error != RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN || last_error_.empty()) {
-    last_error_ = rd_kafka_event_error_string(event);
+    last_error_ = lasting_words(event);
   }
   if (error == RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN) {
     lose_connection();

@@ -1,5 +1,5 @@
 // What every broker promises while its server is there. contract_reading_test.cc
-// has how they are read and settled, contract_failure_test.cc the rest.
+// and contract_settlement_test.cc have how they are read and settled, contract_failure_test.cc the rest.
 #include <algorithm>
 #include <atomic>
 #include <future>

@@ -225,7 +225,7 @@ void Group::on_error(rd_kafka_event_t* event) {
     subscribed_.clear();
     ask_topics_at_ = clock_.now() + topic_backoff_.next();
   } else if (is_about_connection(error)) {
-    if (error != RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN || last_error_.empty()) last_error_ = text;
+    if (error != RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN || last_error_.empty()) last_error_ = lasting_words(event);
     doubted_ = true;
     if (error == RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN && std::exchange(connected_, false)) {
       log_.lost(last_error_);

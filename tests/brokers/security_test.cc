@@ -1,0 +1,234 @@
+// Every broker that has a server, behind TLS with client certificates, users and passwords.
+#include <cstddef>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <ostream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/servers/private_server.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+/// A kind of server, and how its client library words what went wrong.
+struct Secured {
+  std::string name;
+  std::string on_wrong_password;
+  std::string on_unknown_authority;
+  /// Says which file of authorities cannot be read.
+  std::string on_missing_authorities;
+  /// Says which certificate or key cannot be used.
+  std::string on_unusable_key;
+  friend void PrintTo(const Secured& kind, std::ostream* out) { *out << kind.name; }
+};
+
+const Secured kinds[] = {{"rabbitmq", "ACCESS_REFUSED", "certificate", "no-such.pem", "client.pem"},
+                         {"kafka", "cannot connect", "cannot connect", "ca.location", "key"},
+                         {"activemq", "cannot connect", "certificate", "cannot connect", "cannot connect"}};
+
+std::size_t count(const std::string& text, const std::string& word) {
+  std::size_t found = 0;
+  for (auto at = text.find(word); at != std::string::npos; at = text.find(word, at + 1)) ++found;
+  return found;
+}
+
+class BrokerSecurity : public testing::TestWithParam<Secured> {
+ protected:
+  /// The tests of one kind follow one another and share its server.
+  void SetUp() override {
+    if (served_ == GetParam().name) return;
+    server_.reset();
+    server_ = std::make_unique<tests::PrivateServer>(GetParam().name + ".py", std::vector<std::string>{"--tls"});
+    served_ = GetParam().name;
+  }
+  static void TearDownTestSuite() {
+    server_.reset();
+    served_.clear();
+  }
+
+  static std::string file(const char* name) { return (server_->folder() / name).string(); }
+  static void write_password(const BrokerOptions& options, const char* password) {
+    std::ofstream(options.password_file) << password << "\n";
+  }
+  /// Those that the server wants.
+  static BrokerOptions options() {
+    BrokerOptions options;
+    options.urls = {server_->url()};
+    options.user = tests::server_user;
+    options.password_file = file("password");
+    write_password(options, tests::server_password);
+    options.tls = {file("ca.pem"), file("client.pem"), file("client.key")};
+    options.heartbeat = std::chrono::seconds(2);
+    return options;
+  }
+  static Topic topic() {
+    const std::string test = testing::UnitTest::GetInstance()->current_test_info()->name();
+    return {"tls", "gw.driver." + test.substr(0, test.find('/')), false};
+  }
+  static bool gets_in(const Broker& broker, std::chrono::milliseconds limit = patience) {
+    return eventually([&] { return broker.state() == ConnectionState::connected; }, limit);
+  }
+  /// What is logged while a broker with these options does not get in.
+  static std::string complaint(const BrokerOptions& options) {
+    testing::internal::CaptureStdout();
+    testing::internal::CaptureStderr();
+    {
+      const auto broker = make_broker(options);
+      const auto publisher = broker->publisher(topic(), {});
+      publisher->publish(text_message("x"));
+      EXPECT_FALSE(publisher->drain(std::chrono::seconds(2)));
+      EXPECT_EQ(broker->state(), ConnectionState::connecting);
+    }
+    return testing::internal::GetCapturedStdout() + testing::internal::GetCapturedStderr();
+  }
+
+  static std::unique_ptr<tests::PrivateServer> server_;
+  static std::string served_;
+};
+
+std::unique_ptr<tests::PrivateServer> BrokerSecurity::server_;
+std::string BrokerSecurity::served_;
+
+TEST_P(BrokerSecurity, CarriesMessagesOfEverySizeInOrder) {
+  const auto broker = make_broker(options());
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  std::vector<std::string> sent;
+  for (const std::size_t size : {0, 1, 16'384, 131'064, 262'128, 1'000'000, 8'388'608}) {
+    sent.emplace_back(size, static_cast<char>('a' + sent.size()));
+    ASSERT_EQ(publisher->publish(text_message(sent.back())), PublishStatus::accepted);
+  }
+  for (int i = 0; i < 500; ++i) {
+    sent.push_back(std::to_string(i));
+    publisher->publish(text_message(sent.back()));
+  }
+  ASSERT_TRUE(inbox.wait_for(sent.size()));
+  EXPECT_TRUE(inbox.bodies() == sent);
+  EXPECT_TRUE(publisher->drain(patience));
+}
+
+TEST_P(BrokerSecurity, ABurstFromTheServerIsReadToItsEnd) {
+  const auto sender = make_broker(options());
+  const auto reader = make_broker(options());
+  Inbox inbox;
+  SubscriptionOptions one_by_one;
+  one_by_one.prefetch = 1;  // the server sends the next one only after what came was settled
+  const auto subscription = reader->subscribe(topic(), one_by_one, inbox.handler());
+  const auto publisher = sender->publisher(topic(), {});
+  for (int i = 0; i < 300; ++i) {
+    ASSERT_EQ(publisher->publish(text_message(std::string(static_cast<std::size_t>(i) * 97, 'x'))),
+              PublishStatus::accepted);
+  }
+  EXPECT_TRUE(inbox.wait_for(300));
+}
+
+TEST_P(BrokerSecurity, LosesNothingWhenTheServerIsKilled) {
+  const auto broker = make_broker(options());
+  Topic topic = this->topic();
+  topic.durable = true;
+  topic.exchange = "tls_durable";
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  const auto publisher = broker->publisher(topic, {});
+  publisher->publish(text_message("1"));
+  ASSERT_TRUE(inbox.wait_for(1));
+  server_->kill();
+  publisher->publish(text_message("2"));
+  server_->start();
+  ASSERT_TRUE(inbox.wait_until([](const auto& received) { return received.back().body == "2"; }));
+}
+
+TEST_P(BrokerSecurity, APasswordMayComeFromTheEnvironment) {
+  BrokerOptions from_environment = options();
+  from_environment.password_file.clear();
+  from_environment.password_variable = "IOTCLOUD_TEST_PASSWORD";
+  ::setenv("IOTCLOUD_TEST_PASSWORD", tests::server_password, 1);
+  EXPECT_TRUE(gets_in(*make_broker(from_environment)));
+}
+
+TEST_P(BrokerSecurity, APasswordThatChangesIsTakenAtTheNextConnection) {
+  const BrokerOptions changing = options();
+  write_password(changing, "not yet");
+  const auto broker = make_broker(changing);
+  EXPECT_FALSE(gets_in(*broker, std::chrono::seconds(1)));
+  write_password(changing, tests::server_password);
+  EXPECT_TRUE(gets_in(*broker));
+}
+
+TEST_P(BrokerSecurity, APasswordFileThatAppearsIsReadAtTheNextConnection) {
+  const BrokerOptions late = options();
+  std::filesystem::remove(late.password_file);
+  const auto broker = make_broker(late);
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("x"));
+  EXPECT_FALSE(gets_in(*broker, moment));
+  write_password(late, tests::server_password);
+  EXPECT_TRUE(gets_in(*broker));
+}
+
+TEST_P(BrokerSecurity, AWrongPasswordIsSaidOnceAndNotShown) {
+  const BrokerOptions wrong = options();
+  write_password(wrong, "hush-hush");
+  const std::string said = complaint(wrong);
+  EXPECT_THAT(said, HasSubstr(GetParam().on_wrong_password));
+  EXPECT_EQ(count(said, "cannot connect"), 1U) << said;
+  EXPECT_THAT(said, Not(HasSubstr("hush-hush")));
+}
+
+TEST_P(BrokerSecurity, AnAuthorityThatDidNotSignTheServersCertificateIsSaidOnce) {
+  BrokerOptions wrong = options();
+  wrong.tls.ca_file = file("client.pem");
+  const std::string said = complaint(wrong);
+  EXPECT_THAT(said, HasSubstr(GetParam().on_unknown_authority));
+  EXPECT_EQ(count(said, "cannot connect"), 1U) << said;
+}
+
+TEST_P(BrokerSecurity, WithoutAFileTheSystemsAuthoritiesAreAsked) {
+  BrokerOptions wrong = options();
+  wrong.tls.ca_file.clear();
+  EXPECT_THAT(complaint(wrong), HasSubstr(GetParam().on_unknown_authority));
+}
+
+TEST_P(BrokerSecurity, AHostNameThatIsNotInTheCertificateIsRefused) {
+  BrokerOptions wrong = options();
+  wrong.urls.front().replace(wrong.urls.front().find("localhost"), 9, "127.0.0.2");
+  EXPECT_THAT(complaint(wrong), HasSubstr("cannot connect"));
+}
+
+TEST_P(BrokerSecurity, WithoutAClientCertificateNobodyGetsIn) {
+  BrokerOptions bare = options();
+  bare.tls.certificate_file.clear();
+  bare.tls.key_file.clear();
+  const std::string said = complaint(bare);
+  EXPECT_EQ(count(said, "cannot connect"), 1U) << said;
+}
+
+TEST_P(BrokerSecurity, FilesThatCannotBeUsedAreNamed) {
+  BrokerOptions missing = options();
+  missing.tls.ca_file = file("no-such.pem");
+  EXPECT_THAT(complaint(missing), HasSubstr(GetParam().on_missing_authorities));
+  missing = options();
+  missing.tls.key_file = file("ca.pem");
+  EXPECT_THAT(complaint(missing), HasSubstr(GetParam().on_unusable_key));
+  missing = options();
+  missing.password_file = file("no-such-password");
+  EXPECT_THAT(complaint(missing), HasSubstr("no-such-password"));
+}
+
+INSTANTIATE_TEST_SUITE_P(On, BrokerSecurity, testing::ValuesIn(kinds),
+                         [](const auto& kind) { return kind.param.name; });
+
+}  // namespace
+}  // namespace iotcloud::brokers
