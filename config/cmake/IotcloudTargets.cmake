@@ -1,5 +1,6 @@
 # One function for each kind of target. `USES` names rooms (tests/house checks the includes against it),
 # `LIBRARIES` and `PRIVATE_LIBRARIES` name third-party targets.
+include(IotcloudPrecompiled)
 
 function(_iotcloud_setup target)
   cmake_parse_arguments(arg "" "" "USES;LIBRARIES;PRIVATE_LIBRARIES" ${ARGN})
@@ -19,6 +20,7 @@ function(iotcloud_room)
   if(arg_SOURCES)
     add_library(${target} STATIC ${arg_SOURCES})
     _iotcloud_setup(${target} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} PRIVATE_LIBRARIES ${arg_PRIVATE_LIBRARIES})
+    iotcloud_precompiled(${target} rooms)
     set(scope PUBLIC)
   else()
     add_library(${target} INTERFACE)
@@ -62,7 +64,7 @@ endfunction()
 #   LABELS: `unit` (fast, no server), `contract` (short, real servers too), `server`, `system` (several processes),
 #   `long`. Sanitizer runs take `unit` and `contract`.
 #   WHOLE words: its tests share servers that cost seconds to start, so ctest runs the program once for each word, with
-#   the tests whose names contain it.
+#   the tests whose names contain it. Those that may take longest are begun first, or the last one runs alone.
 # A test whose server cannot be had here (tests/servers/private_server.h) ends with IOTCLOUD_TEST_SKIPPED.
 function(iotcloud_test)
   set(skipped 77)
@@ -72,6 +74,7 @@ function(iotcloud_test)
   endif()
   add_executable(${arg_NAME} ${arg_SOURCES})
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} GTest::gmock_main)
+  iotcloud_precompiled(${arg_NAME} tests)
   # Test sources may share helpers of their own folder tree: <iotcloud/tests/...>. Scripts that they run stand here:
   target_compile_definitions(${arg_NAME} PRIVATE IOTCLOUD_TEST_SERVERS="${PROJECT_SOURCE_DIR}/tests/servers"
                                                  IOTCLOUD_TEST_SKIPPED=${skipped})
@@ -82,7 +85,7 @@ function(iotcloud_test)
     foreach(word ${arg_WHOLE})
       add_test(NAME ${arg_NAME}.${word} COMMAND ${arg_NAME} --gtest_filter=*${word}*)
       set_tests_properties(${arg_NAME}.${word} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${arg_LABELS}"
-                                                          SKIP_RETURN_CODE ${skipped})
+                                                          SKIP_RETURN_CODE ${skipped} COST ${arg_TIMEOUT})
     endforeach()
   else()
     gtest_discover_tests(${arg_NAME} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${arg_LABELS}" SKIP_RETURN_CODE ${skipped}
