@@ -60,6 +60,26 @@ void read_thrift(config::Section& file, SiteService::Options& thrift) {
   section->finish();
 }
 
+void read_hosts(config::Section& file, GatewayConfig& config) {
+  const auto time = [](config::Section& section, const std::string& key, milliseconds& value) {
+    value = duration_cast<milliseconds>(section.duration_or(key, value));
+  };
+  auto& hosts = config.hosts;
+  time(file, "host_hang_limit", hosts.hang_limit);
+  time(file, "host_own_thread_hang_limit", hosts.own_thread_hang_limit);
+  time(file, "host_spin_limit", hosts.limits.spin);
+  constexpr std::int64_t most_mb = 1 << 20;
+  hosts.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("host_memory_limit_mb", 0, 0, most_mb)) << 20;
+  auto restart = file.optional_section("host_restart");
+  if (!restart) return;
+  auto& policy = config.gateway.restart;
+  time(*restart, "first", policy.first);
+  time(*restart, "longest", policy.longest);
+  time(*restart, "healthy_after", policy.healthy_after);
+  policy.give_up_after = static_cast<int>(restart->int_or("give_up_after", policy.give_up_after, 0, 1'000'000));
+  restart->finish();
+}
+
 }  // namespace
 
 GatewayConfig GatewayConfig::load(const std::string& path) {
@@ -85,7 +105,7 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
     throw file.error("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there",
                      "make it, or name another");
   });
-  config.hosts.hang_limit = duration_cast<milliseconds>(file.duration_or("host_hang_limit", config.hosts.hang_limit));
+  read_hosts(file, config);
   if (auto metrics = file.optional_section("metrics")) {
     config.metrics_address = metrics->require_string("address");
     metrics->finish();

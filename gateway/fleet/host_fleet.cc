@@ -31,6 +31,10 @@ struct HostFleet::Host {
   std::set<std::string> instances;
   std::unique_ptr<HostLink> link;  ///< null while it waits to be started again
   std::chrono::milliseconds delay{0};
+  int crashes = 0;                             ///< in a row, nobody's fault in particular
+  std::map<std::string, int> crashes_through;  ///< in a row, by the instance at fault
+  std::string last_end;                        ///< why it was started again
+  std::set<std::string> reviving;              ///< instances that run again since then, and are not active yet
   config::Clock::Instant started;
   HandlerId restart_timer = 0;
 };
@@ -112,6 +116,7 @@ void HostFleet::create(const discovery::OrderRecord& order) {
   member.status.instance = order.instance;
   member.status.driver = driver_name(order);
   host->instances.insert(order.instance);
+  report(member, DriverState::deployed, "");
   if (host->link) host->link->create(member.spec);
 }
 
@@ -149,11 +154,15 @@ void HostFleet::heard(const std::shared_ptr<Host>& host, const InstanceStatus& s
   const auto found = members_.find(status.instance);
   if (found == members_.end() || found->second.host != host) return;
   if (status.state == DriverState::undeployed) {
-    finish(status.instance);
+    // Told by a host that was ended by someone else, it says nothing of what is wanted: the host's end is dealt with.
+    if (found->second.removing || all_ended_) finish(status.instance);
     return;
   }
   found->second.status = status;
-  on_status_(status);
+  if (status.state == DriverState::active && host->reviving.erase(status.instance) > 0 && status.reason.empty()) {
+    found->second.status.reason = fmt::format("again, after its driver host {}", host->last_end);
+  }
+  on_status_(found->second.status);
 }
 
 /// The instance is gone. It leaves first, so that the listener may use its id again.
@@ -195,23 +204,55 @@ void HostFleet::ended(const std::shared_ptr<Host>& host, const HostEnd& end) {
   }
   if (host->instances.empty()) return;
   if (end.how == HostEnd::How::crashed) {
-    start_again_later(host, end.reason);
+    crashed(host, end);
     return;
   }
-  // Refused, or ended by someone else: an operator must act, and orders may then be given again.
+  give_up(host, end.reason.empty() ? "its driver host was ended" : end.reason);
+}
+
+/// A person must act; orders may then be given again.
+void HostFleet::give_up(const std::shared_ptr<Host>& host, const std::string& reason) {
   hosts_.erase(host->key);
-  log.error("the driver host of {} does not run: {}", host->order.plugin, end.reason);
+  log.error("the driver host of {} does not run: {}", host->order.plugin, reason);
   for (const auto& id : host->instances) {
     auto& member = members_.at(id);
     member.host.reset();
-    report(member, DriverState::failed, end.reason.empty() ? "its driver host was ended" : end.reason);
+    if (member.status.state != DriverState::failed) report(member, DriverState::failed, reason);
   }
 }
 
+void HostFleet::crashed(const std::shared_ptr<Host>& host, const HostEnd& end) {
+  const auto& policy = options_.restart;
+  if (options_.clock->now() - host->started >= policy.healthy_after) {
+    host->crashes = 0;
+    host->crashes_through.clear();
+    host->delay = std::chrono::milliseconds{0};
+  }
+  const auto at_fault = members_.find(end.instance);
+  const bool known = at_fault != members_.end() && at_fault->second.host == host;
+  const int crashes = known ? ++host->crashes_through[end.instance] : ++host->crashes;
+  if (policy.give_up_after > 0 && crashes >= policy.give_up_after) {
+    const auto reason = fmt::format(
+        "its driver host {}; that was failure {} in a row, so it is left alone until it is "
+        "started again",
+        end.reason, crashes);
+    if (!known || host->instances.size() == 1) {
+      give_up(host, reason);
+      return;
+    }
+    report(at_fault->second, DriverState::failed, reason);
+  }
+  const auto has_failed = [&](const std::string& id) { return members_.at(id).status.state == DriverState::failed; };
+  if (std::all_of(host->instances.begin(), host->instances.end(), has_failed)) {
+    give_up(host, end.reason);
+    return;
+  }
+  start_again_later(host, end.reason);
+}
+
 void HostFleet::start_again_later(const std::shared_ptr<Host>& host, const std::string& reason) {
-  const bool was_healthy = options_.clock->now() - host->started >= options_.restart.healthy_after;
-  host->delay = host->delay.count() == 0 || was_healthy ? options_.restart.first
-                                                        : std::min(host->delay * 2, options_.restart.longest);
+  host->last_end = reason;
+  host->delay = host->delay.count() == 0 ? options_.restart.first : std::min(host->delay * 2, options_.restart.longest);
   log.error("the driver host of {}: {}; it is started again in {} ms", host->order.plugin, reason, host->delay.count());
   for (const auto& id : host->instances) {
     auto& member = members_.at(id);
@@ -230,7 +271,9 @@ void HostFleet::start_again(const std::shared_ptr<Host>& host) {
   launch(host);
   for (const auto& id : host->instances) {
     const auto& member = members_.at(id);
-    if (member.status.state != DriverState::failed) host->link->create(member.spec);
+    if (member.status.state == DriverState::failed) continue;
+    host->reviving.insert(id);
+    host->link->create(member.spec);
   }
 }
 

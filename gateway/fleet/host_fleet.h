@@ -16,11 +16,13 @@
 namespace iotcloud::gateway {
 
 /// How long to wait before a crashed host is started again: doubles with each crash, and starts anew after a host that
-/// ran for `healthy_after`.
+/// ran for `healthy_after`. At the crash that is number `give_up_after` in a row its instances become `failed`, and are
+/// left alone until they are ordered to start. Where one instance is known to be at fault only that one's count.
 struct RestartPolicy {
   std::chrono::milliseconds first{500};
   std::chrono::milliseconds longest{30000};
   std::chrono::milliseconds healthy_after{60000};
+  int give_up_after = 8;  ///< 0: never
 };
 
 /// All driver hosts of one gateway: one for each plugin, or for one instance with the property `isolation: instance`.
@@ -63,6 +65,8 @@ class HostFleet {
   void launch(const std::shared_ptr<Host>& host);
   void heard(const std::shared_ptr<Host>& host, const InstanceStatus& status);
   void ended(const std::shared_ptr<Host>& host, const HostEnd& end);
+  void crashed(const std::shared_ptr<Host>& host, const HostEnd& end);
+  void give_up(const std::shared_ptr<Host>& host, const std::string& reason);
   void start_again_later(const std::shared_ptr<Host>& host, const std::string& reason);
   void start_again(const std::shared_ptr<Host>& host);
   void report(Member& member, discovery::DriverState state, const std::string& reason);

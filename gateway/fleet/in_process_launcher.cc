@@ -43,7 +43,7 @@ std::unique_ptr<HostLink> InProcessLauncher::launch(const HostOrder& order, Host
     plugin = linked_in != options_.linked_in.end() ? Plugin::wrap(*linked_in->second, order.plugin)
                                                    : Plugin::load(options_.plugin_dir + "/" + order.plugin);
   } catch (const std::exception& e) {
-    events.on_ended({HostEnd::How::refused, e.what()});
+    events.on_ended({HostEnd::How::refused, e.what(), ""});
     return link_to_nothing();
   }
   DriverHost::Options host;

@@ -15,10 +15,11 @@ struct HostEnd {
   enum class How {
     stopped,  ///< it was told to
     refused,  ///< the plugin cannot be loaded: starting it again would not help
-    crashed,  ///< it died or hung: it may be started again
+    crashed,  ///< it died, or was killed because it hung or took too much: it may be started again
   };
   How how = How::stopped;
-  std::string reason;  ///< for people; empty when it was told to
+  std::string reason;    ///< for people; empty when it was told to
+  std::string instance;  ///< whose fault it was; empty: not known
 };
 
 /// What a gateway hears of a host, on the host's or the launcher's threads; must not call back into the link.

@@ -165,8 +165,22 @@ const Plugin& DriverHost::plugin() const {
   return *impl_->environment->plugin;
 }
 
-std::chrono::milliseconds DriverHost::stalled() {
-  return impl_->shared_loop->stalled();
+std::vector<Stall> DriverHost::stalls() {
+  const std::lock_guard lock(impl_->mutex);
+  std::vector<Stall> stalls;
+  Stall shared{"", false, impl_->shared_loop->stalled(), {}};
+  const std::uint64_t served = impl_->shared_loop->serving();
+  for (const auto& [id, instance] : impl_->instances) {
+    if (instance->loop() == impl_->shared_loop) {
+      if (instance->number() != served) continue;
+      shared.instance = id;
+      shared.limit = instance->hang_limit();
+    } else if (const auto time = instance->loop()->stalled(); time.count() > 0) {
+      stalls.push_back({id, true, time, instance->hang_limit()});
+    }
+  }
+  if (shared.time.count() > 0) stalls.push_back(std::move(shared));
+  return stalls;
 }
 
 }  // namespace iotcloud::gateway

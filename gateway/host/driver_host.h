@@ -46,8 +46,8 @@ class DriverHost {
 
   std::vector<HostedInstance> list() const;
   const Plugin& plugin() const;
-  /// How long the shared event thread has been stuck in a driver's callback; 0 when it is not. Call it regularly.
-  std::chrono::milliseconds stalled();
+  /// The event threads that are stuck in a driver's callback. Each call also probes them, so call it regularly.
+  std::vector<Stall> stalls();
 
  private:
   struct Impl;

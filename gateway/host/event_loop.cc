@@ -67,6 +67,7 @@ struct EventLoop::Impl : std::enable_shared_from_this<EventLoop::Impl> {
   std::atomic<HandlerId> next_id{1};
   std::unordered_map<HandlerId, std::shared_ptr<Handler>> handlers;  ///< loop's thread only
   std::thread thread;
+  std::atomic<std::uint64_t> serving{0};
   std::atomic<bool> probe_out{false};
   std::atomic<Steady::rep> probe_sent{0};
 
@@ -186,6 +187,17 @@ void EventLoop::stop_handler(HandlerId id) {
 
 bool EventLoop::on_this_thread() const {
   return impl_->thread.get_id() == std::this_thread::get_id();
+}
+
+EventLoop::Serving::Serving(EventLoop& loop, std::uint64_t whom)
+    : loop_(loop), before_(loop.impl_->serving.exchange(whom, std::memory_order_relaxed)) {}
+
+EventLoop::Serving::~Serving() {
+  loop_.impl_->serving.store(before_, std::memory_order_relaxed);
+}
+
+std::uint64_t EventLoop::serving() const {
+  return impl_->serving.load(std::memory_order_relaxed);
 }
 
 std::chrono::milliseconds EventLoop::stalled() {

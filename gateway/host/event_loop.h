@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
@@ -42,6 +43,21 @@ class EventLoop {
   /// How long the loop has not come round: 0 when it answers. A loop that sleeps answers; one stuck in a callback does
   /// not. Each call also sends the next probe, so call it regularly.
   std::chrono::milliseconds stalled();
+  /// On the loop's thread: for whom its callback works while the object lives, so that others can name one who is
+  /// stuck.
+  class Serving {
+   public:
+    Serving(EventLoop& loop, std::uint64_t whom);
+    ~Serving();
+    Serving(const Serving&) = delete;
+    Serving& operator=(const Serving&) = delete;
+
+   private:
+    EventLoop& loop_;
+    const std::uint64_t before_;
+  };
+  /// Whom the callback that runs now serves; 0: nobody, or nobody said.
+  std::uint64_t serving() const;
   /// Gives a stuck thread up: it is detached and its memory stays. For the end of a process only.
   void abandon();
 

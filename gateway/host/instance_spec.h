@@ -1,7 +1,9 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -45,6 +47,16 @@ struct InstanceStatus {
   std::vector<discovery::ChannelRecord> channels;
   std::map<std::string, std::string> metadata;  ///< what the driver itself says
   friend bool operator==(const InstanceStatus&, const InstanceStatus&) = default;
+};
+
+/// An event thread of a driver host that has not come round for a while.
+struct Stall {
+  std::string instance;     ///< whose callback runs; empty: not known
+  bool own_thread = false;  ///< the thread is this instance's own (`thread: own`)
+  std::chrono::milliseconds time{0};
+  /// After how long it hangs, as the instance's property `hang_limit` says; 0: never. nullopt: as the gateway says.
+  std::optional<std::chrono::milliseconds> limit;
+  friend bool operator==(const Stall&, const Stall&) = default;
 };
 
 /// An instance as its host knows it: what was ordered and what is.

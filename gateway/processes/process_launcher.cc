@@ -132,7 +132,7 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEv
   log.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);
   return std::make_unique<ProcessLink>(options_, socket, process, true, std::move(events));
 } catch (const config::Error& e) {
-  events.on_ended({HostEnd::How::refused, e.what()});
+  events.on_ended({HostEnd::How::refused, e.what(), ""});
   return link_to_nothing();
 }
 

@@ -4,12 +4,13 @@
 #include <string>
 
 #include <iotcloud/gateway/fleet/launcher.h>
+#include <iotcloud/gateway/processes/vitals.h>
 
 namespace iotcloud::gateway {
 
 /// Runs each driver host as a process of its own, iotcloud-driver-host, detached: it survives the gateway and is found
-/// again by its socket in the state folder. A host that hangs is killed and counts as crashed. What hosts log goes to
-/// <state folder>/<plugin>.log.
+/// again by its socket in the state folder. A host that hangs, spins or takes too much memory is killed and counts as
+/// crashed. What hosts log goes to <state folder>/<plugin>.log.
 class ProcessLauncher final : public HostLauncher {
  public:
   struct Options {
@@ -17,8 +18,11 @@ class ProcessLauncher final : public HostLauncher {
     std::string state_dir;     ///< of a locked StateFolder
     std::string host_program;  ///< empty: iotcloud-driver-host beside this process's own program
     std::chrono::milliseconds ping_period{1000};
-    /// A host whose control thread, or shared event thread, has not come round for this long hangs.
+    /// A host whose control thread, or shared event thread, has not come round for this long hangs; so does one with an
+    /// instance that has not come back to its own thread (`thread: own`) for so long.
     std::chrono::milliseconds hang_limit{10000};
+    std::chrono::milliseconds own_thread_hang_limit{60000};
+    VitalLimits limits;
   };
   /// \throws config::Error when the host program or a folder is not there.
   explicit ProcessLauncher(Options options);

@@ -44,6 +44,7 @@ ProcessLink::ProcessLink(const ProcessLauncher::Options& options, std::string so
       process_descriptor_(static_cast<int>(syscall(SYS_pidfd_open, process, 0))),
       last_heard_(Steady::now()),
       next_ping_(Steady::now()),
+      vitals_(fmt::format("/proc/{}", process), options.limits),
       thread_([this] { run(); }) {}
 
 ProcessLink::~ProcessLink() {
@@ -94,7 +95,7 @@ void ProcessLink::run() noexcept try {
   if (leaving_) return;
   killed_ = e.what();
   kill_process();
-  events_.on_ended({HostEnd::How::crashed, fmt::format("was ended: {}", e.what())});
+  events_.on_ended({HostEnd::How::crashed, fmt::format("was ended: {}", e.what()), ""});
 }
 
 /// Until the host listens, ends, or takes too long. \return whether there is a connection.
@@ -166,10 +167,20 @@ void ProcessLink::heard(const Event& event) {
       shutdown(death_limit);
       break;
     case Event::Kind::pong:
-      if (milliseconds(event.stalled_ms) < options_.hang_limit) break;
-      killed_ = fmt::format("hung: a driver's callback has been running for {} ms", event.stalled_ms);
-      kill_process();
+      judge(event.stalls);
       break;
+  }
+}
+
+void ProcessLink::judge(const std::vector<Stall>& stalls) {
+  for (const auto& stall : stalls) {
+    const auto limit = stall.limit.value_or(stall.own_thread ? options_.own_thread_hang_limit : options_.hang_limit);
+    if (limit.count() == 0 || stall.time < limit) continue;
+    killed_ = fmt::format("hung: a callback of {} has been running for {} ms",
+                          stall.instance.empty() ? "a driver" : stall.instance, stall.time.count());
+    culprit_ = stall.instance;
+    kill_process();
+    return;
   }
 }
 
@@ -178,6 +189,10 @@ void ProcessLink::ping() {
   if (now < next_ping_) return;
   next_ping_ = now + options_.ping_period;
   send({Command::Kind::ping, "", {}, 1});
+  const std::string excess = vitals_.examine(now);
+  if (excess.empty() || !killed_.empty()) return;
+  killed_ = excess;
+  kill_process();
 }
 
 /// Kills a host that does not answer, or that did not shut down in time. \return whether it did.
@@ -211,10 +226,10 @@ HostEnd ProcessLink::wait_for_end() {
   const bool known = child_ && waitpid(process_, &status, 0) == process_;
   unlink((options_.state_dir + "/" + socket_name_).c_str());
   const std::lock_guard lock(mutex_);
-  if (!refused_.empty()) return {HostEnd::How::refused, refused_};
-  if (shutting_down_) return {HostEnd::How::stopped, killed_};
-  if (!killed_.empty()) return {HostEnd::How::crashed, killed_};
-  return {HostEnd::How::crashed, known ? how_it_ended(status) : "died"};
+  if (!refused_.empty()) return {HostEnd::How::refused, refused_, ""};
+  if (shutting_down_) return {HostEnd::How::stopped, killed_, ""};
+  if (!killed_.empty()) return {HostEnd::How::crashed, killed_, culprit_};
+  return {HostEnd::How::crashed, known ? how_it_ended(status) : "died", ""};
 }
 
 }  // namespace iotcloud::gateway

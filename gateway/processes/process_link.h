@@ -39,6 +39,7 @@ class ProcessLink final : public HostLink {
   bool send_waiting();
   bool receive();
   void heard(const protocol::Event& event);
+  void judge(const std::vector<Stall>& stalls);
   void ping();
   bool overdue();
   std::chrono::milliseconds time_to_wait() const;
@@ -65,6 +66,8 @@ class ProcessLink final : public HostLink {
   Instant last_heard_, next_ping_;
   std::string refused_;  ///< why the host cannot serve
   std::string killed_;   ///< why it was killed
+  std::string culprit_;  ///< the instance because of which
+  Vitals vitals_;
 
   std::jthread thread_;  ///< last: uses the rest
 };

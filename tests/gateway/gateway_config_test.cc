@@ -52,6 +52,20 @@ class GatewayConfigTest : public ::testing::Test {
   std::filesystem::path folder_;
 };
 
+TEST_F(GatewayConfigTest, WhatHostsMayTakeAndHowTheyAreStartedAgainIsRead) {
+  const auto config = load(with("hosts",
+                                "host_hang_limit: 3s\nhost_own_thread_hang_limit: 9s\nhost_spin_limit: 0s\n"
+                                "host_memory_limit_mb: 512\nhost_restart: {first: 1s, give_up_after: 2}"));
+  EXPECT_EQ(config.hosts.hang_limit, std::chrono::seconds{3});
+  EXPECT_EQ(config.hosts.own_thread_hang_limit, std::chrono::seconds{9});
+  EXPECT_EQ(config.hosts.limits.spin, std::chrono::seconds{0});
+  EXPECT_EQ(config.hosts.limits.memory_bytes, 512u << 20);
+  EXPECT_EQ(config.gateway.restart.first, std::chrono::seconds{1});
+  EXPECT_EQ(config.gateway.restart.longest, std::chrono::seconds{30});
+  EXPECT_EQ(config.gateway.restart.give_up_after, 2);
+  EXPECT_THAT(error_of(with("hosts", "host_restart: {after: 1s}")), HasSubstr("after"));
+}
+
 TEST_F(GatewayConfigTest, AGoodFileIsRead) {
   const auto config = load(with("thrift", "thrift: {port: 4000}"));
   EXPECT_EQ(config.gateway.id, "gw");

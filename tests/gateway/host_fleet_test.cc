@@ -57,7 +57,7 @@ class HostFleetTest : public ::testing::Test {
   HostFleetTest() {
     HostFleet::Options options;
     options.gateway = "gw";
-    options.restart = {1ms, 4ms, 1h};
+    options.restart = {1ms, 4ms, 1h, give_up_after};
     options.clock = &config::system_clock();
     fleet_.emplace(loop_, launcher_, Placement({setting("b", "embedded", {"embedded://x"})}), options,
                    [this](const auto& status) { log_.add(status); });
@@ -98,9 +98,10 @@ class HostFleetTest : public ::testing::Test {
     on_loop([&] { launcher_.hosts.at(host)->events.on_status(told); });
   }
   void end(std::size_t host, HostEnd::How how, const std::string& reason) {
-    on_loop([&] { launcher_.hosts.at(host)->events.on_ended({how, reason}); });
+    on_loop([&] { launcher_.hosts.at(host)->events.on_ended({how, reason, ""}); });
   }
 
+  static constexpr int give_up_after = 6;
   PlayedLauncher launcher_;
   StatusLog log_;
   EventLoop loop_{"fleet"};
@@ -144,8 +145,60 @@ TEST_F(HostFleetTest, ACrashedHostIsStartedAgainWithItsInstancesAndTheirStateSay
   EXPECT_TRUE(log_.wait_for("leaving", DriverState::undeployed));
   wait_for_hosts(3);
   EXPECT_THAT(commands(2), ElementsAre("create a"));  // one that failed by itself stays failed
-  EXPECT_THAT(log_.states("other"), ElementsAre(DriverState::active));
-  EXPECT_THAT(log_.states("failed"), ElementsAre(DriverState::failed));
+  EXPECT_THAT(log_.states("other"), ElementsAre(DriverState::deployed, DriverState::active));
+  EXPECT_THAT(log_.states("failed"), ElementsAre(DriverState::deployed, DriverState::failed));
+  tell(2, status("a", DriverState::active));
+  const auto again = log_.wait_for("a", DriverState::active);
+  ASSERT_TRUE(again);
+  EXPECT_EQ(again->reason, "again, after its driver host crashed (signal 11)");
+}
+
+TEST_F(HostFleetTest, AHostThatFailsTooOftenInARowIsLeftAloneUntilItIsOrderedAnew) {
+  on_loop([&] {
+    fleet_->create(order("a"));
+    fleet_->create(order("b"));
+  });
+  for (std::size_t host = 0; host < give_up_after; ++host) {
+    wait_for_hosts(host + 1);
+    tell(host, status("a", DriverState::active));
+    end(host, HostEnd::How::crashed, "crashed");
+  }
+  const auto failed = log_.wait_for("a", DriverState::failed);
+  ASSERT_TRUE(failed);
+  EXPECT_THAT(failed->reason, HasSubstr("failure 6 in a row"));
+  EXPECT_TRUE(log_.wait_for("b", DriverState::failed));
+  on_loop([&] { EXPECT_EQ(launcher_.hosts.size(), give_up_after); });
+  on_loop([&] {
+    fleet_->remove("a");
+    fleet_->create(order("a"));
+  });
+  EXPECT_THAT(commands(give_up_after), ElementsAre("create a"));
+  end(give_up_after, HostEnd::How::crashed, "crashed");
+  wait_for_hosts(give_up_after + 2);  // its count began anew
+}
+
+TEST_F(HostFleetTest, WhereOneInstanceIsAtFaultOnlyThatOneIsLeftAlone) {
+  on_loop([&] {
+    fleet_->create(order("good"));
+    fleet_->create(order("bad"));
+  });
+  for (std::size_t host = 0; host < give_up_after; ++host) {
+    wait_for_hosts(host + 1);
+    on_loop([&] { launcher_.hosts.at(host)->events.on_ended({HostEnd::How::crashed, "hung", "bad"}); });
+  }
+  ASSERT_TRUE(log_.wait_for("bad", DriverState::failed));
+  wait_for_hosts(give_up_after + 1);
+  EXPECT_THAT(commands(give_up_after), ElementsAre("create good"));
+  EXPECT_THAT(log_.states("good"), ::testing::Not(::testing::Contains(DriverState::failed)));
+}
+
+TEST_F(HostFleetTest, AHostThatSomeoneElseEndsIsStartedAgainWithItsInstances) {
+  on_loop([&] { fleet_->create(order("a")); });
+  tell(0, status("a", DriverState::undeployed));  // it closed its instances, as it was told to by a signal
+  end(0, HostEnd::How::crashed, "exited with status 0");
+  wait_for_hosts(2);
+  EXPECT_THAT(commands(1), ElementsAre("create a"));
+  EXPECT_THAT(log_.states("a"), ::testing::Not(::testing::Contains(DriverState::undeployed)));
 }
 
 TEST_F(HostFleetTest, AHostThatCrashesAgainAndAgainWaitsLongerUpToALimit) {

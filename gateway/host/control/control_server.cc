@@ -152,7 +152,7 @@ void ControlServer::Impl::obey(const Command& command) {
     Event pong;
     pong.kind = Event::Kind::pong;
     pong.number = command.number;
-    pong.stalled_ms = host ? host->stalled().count() : 0;
+    if (host) pong.stalls = host->stalls();
     tell(pong);
     return;
   }

@@ -100,6 +100,18 @@ InstanceStatus to_status(const json& body) {
   return s;
 }
 
+json to_json(const Stall& s) {
+  json body = {{"instance", s.instance}, {"own_thread", s.own_thread}, {"ms", s.time.count()}};
+  if (s.limit) body["limit_ms"] = s.limit->count();
+  return body;
+}
+
+Stall to_stall(const json& body) {
+  Stall s{body.at("instance"), body.at("own_thread"), std::chrono::milliseconds(body.at("ms").get<std::int64_t>()), {}};
+  if (body.contains("limit_ms")) s.limit = std::chrono::milliseconds(body.at("limit_ms").get<std::int64_t>());
+  return s;
+}
+
 std::string frame(const json& body) {
   const std::string text = body.dump(-1, ' ', false, json::error_handler_t::replace);
   const auto size = static_cast<std::uint32_t>(text.size());
@@ -161,7 +173,8 @@ std::string encode(const Event& event) {
       body["status"] = to_json(event.status);
       break;
     case Event::Kind::pong:
-      body.update({{"number", event.number}, {"stalled_ms", event.stalled_ms}});
+      body.update({{"number", event.number}, {"stalls", json::array()}});
+      for (const auto& stall : event.stalls) body["stalls"].push_back(to_json(stall));
       break;
   }
   return frame(body);
@@ -188,7 +201,7 @@ Event decode_event(const std::string& bytes) {
         break;
       case Event::Kind::pong:
         event.number = body.at("number");
-        event.stalled_ms = body.at("stalled_ms");
+        for (const auto& stall : body.at("stalls")) event.stalls.push_back(to_stall(stall));
         break;
     }
     return event;

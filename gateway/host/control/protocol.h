@@ -15,7 +15,7 @@
 namespace iotcloud::gateway::protocol {
 
 /// Grows with every change that the other side cannot follow. A host of another version is ended, not adopted.
-inline constexpr int version = 1;
+inline constexpr int version = 2;
 inline constexpr std::size_t max_frame = 16u << 20;
 
 /// From the gateway.
@@ -37,7 +37,7 @@ struct Event {
   std::string reason;                     ///< refused: why the plugin cannot be loaded
   InstanceStatus status;                  ///< status
   std::int64_t number = 0;                ///< pong: of the ping
-  std::int64_t stalled_ms = 0;            ///< pong: how long the shared event thread has been stuck
+  std::vector<Stall> stalls;              ///< pong: the event threads that are stuck
 };
 
 /// One whole frame. Text that is not UTF-8 has its bad bytes replaced.

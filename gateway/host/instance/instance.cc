@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/yaml.h>
 #include <iotcloud/gateway/host/instance/instance.h>
 
 namespace iotcloud::gateway {
@@ -13,6 +14,29 @@ using discovery::DriverState;
 namespace {
 
 constexpr config::Logger host_log{"gateway.host"};
+constexpr const char* hang_limit_property = "hang_limit";
+
+std::uint64_t next_number() {
+  static std::atomic<std::uint64_t> last{0};
+  return ++last;
+}
+
+/// nullopt when there is none, or one that open_now() refuses.
+std::optional<std::chrono::milliseconds> hang_limit_of(const drivers::PropertyMap& properties) {
+  const auto found = properties.find(hang_limit_property);
+  if (found == properties.end()) return std::nullopt;
+  if (found->second == "never") return std::chrono::milliseconds{0};
+  const auto limit = config::parse_duration(found->second);
+  if (!limit || *limit < std::chrono::milliseconds{1}) return std::nullopt;
+  return std::chrono::duration_cast<std::chrono::milliseconds>(*limit);
+}
+
+void check_hang_limit(const drivers::PropertyMap& properties) {
+  const auto found = properties.find(hang_limit_property);
+  if (found == properties.end() || hang_limit_of(properties)) return;
+  throw config::Error(fmt::format("the property {}: \"{}\" is no time; give for example 30s, or never",
+                                  hang_limit_property, found->second));
+}
 
 }  // namespace
 
@@ -28,6 +52,8 @@ Instance::Instance(std::shared_ptr<HostEnvironment> environment, InstanceSpec sp
       id_(spec.order.instance),
       properties_(spec.order.properties),
       loop_(std::move(loop)),
+      number_(next_number()),
+      hang_limit_(hang_limit_of(properties_)),
       spec_(std::move(spec)) {
   status_.instance = id_;
   status_.driver = spec_.order.driver.empty() ? environment_->plugin->name() : spec_.order.driver;
@@ -70,6 +96,7 @@ void Instance::set_active(bool active) {
 
 bool Instance::call(const char* what, const std::function<void(std::string&)>& driver_call) {
   std::string error;
+  const EventLoop::Serving serving(*loop_, number_);
   driver_call(error);
   if (!error.empty()) fail(fmt::format("{}: {}", what, error));
   return error.empty() && !failing_;
@@ -98,6 +125,7 @@ void Instance::remove() {
 void Instance::open_now() {
   report(DriverState::starting, "");
   try {
+    check_hang_limit(properties_);
     shell_ = environment_->plugin->descriptor().create();
     if (shell_ == nullptr) {
       fail("the driver's constructor threw");
@@ -109,8 +137,11 @@ void Instance::open_now() {
     return;
   }
   if (failing_) return;
-  report(DriverState::inactive, "");
-  if (spec().order.active) activate_now();
+  if (spec().order.active) {
+    activate_now();
+  } else {
+    report(DriverState::inactive, "");
+  }
 }
 
 void Instance::open_channels(const std::string& driver) {
@@ -167,11 +198,13 @@ void Instance::open_incoming(const PlannedChannel& channel) {
 
 void Instance::activate_now() {
   if (!running() || status().state == DriverState::active) return;
+  if (status().state != DriverState::starting) report(DriverState::starting, "");
   if (call("activate", [&](std::string& error) { shell_->activate(error); })) report(DriverState::active, "");
 }
 
 void Instance::deactivate_now() {
   if (!running() || status().state != DriverState::active) return;
+  report(DriverState::stopping, "");
   if (call("deactivate", [&](std::string& error) { shell_->deactivate(error); })) report(DriverState::inactive, "");
 }
 
@@ -205,6 +238,7 @@ void Instance::close_incoming() {
 void Instance::close_driver() {
   if (shell_ == nullptr) return;
   std::string error;
+  const EventLoop::Serving serving(*loop_, number_);
   shell_->close(error);
   if (!error.empty()) host_log.warn("{}: close: {}", id_, error);
   environment_->plugin->descriptor().destroy(shell_);
@@ -234,6 +268,7 @@ HandlerId Instance::start_timer(std::chrono::microseconds first, std::chrono::mi
           const std::lock_guard erase_lock(self->mutex_);
           self->handlers_.erase(id);
         }
+        const EventLoop::Serving serving(*self->loop_, self->number_);
         callback();
       },
       id);
@@ -248,7 +283,9 @@ HandlerId Instance::watch_descriptor(int descriptor, bool for_writing, std::func
       descriptor, for_writing,
       [weak = weak_from_this(), callback = std::move(callback)] {
         const auto self = weak.lock();
-        if (self && self->running()) callback();
+        if (!self || !self->running()) return;
+        const EventLoop::Serving serving(*self->loop_, self->number_);
+        callback();
       },
       id);
 }
@@ -264,7 +301,9 @@ void Instance::stop_handler(HandlerId id) noexcept {
 void Instance::post(std::function<void()> callback) noexcept {
   loop_->post([weak = weak_from_this(), callback = std::move(callback)] {
     const auto self = weak.lock();
-    if (self && self->running()) callback();
+    if (!self || !self->running()) return;
+    const EventLoop::Serving serving(*self->loop_, self->number_);
+    callback();
   });
 }
 

@@ -3,6 +3,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <memory>
@@ -52,6 +53,10 @@ class Instance final : public drivers::HostInterface, public std::enable_shared_
   InstanceSpec spec() const;
   InstanceStatus status() const;
   const std::shared_ptr<EventLoop>& loop() const { return loop_; }
+  /// What EventLoop::serving() says while a callback of this instance runs: unique in the process, never 0.
+  std::uint64_t number() const { return number_; }
+  /// Of the property `hang_limit`; see Stall::limit.
+  std::optional<std::chrono::milliseconds> hang_limit() const { return hang_limit_; }
 
   const std::string& instance_id() const noexcept override { return id_; }
   const std::string& gateway_id() const noexcept override { return environment_->gateway; }
@@ -100,6 +105,8 @@ class Instance final : public drivers::HostInterface, public std::enable_shared_
   const std::string id_;
   const drivers::PropertyMap properties_;
   const std::shared_ptr<EventLoop> loop_;
+  const std::uint64_t number_;
+  const std::optional<std::chrono::milliseconds> hang_limit_;
 
   std::atomic<bool> open_{false};
   std::atomic<bool> failing_{false};

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 
 #include <iotcloud/gateway/host/driver_host.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/gateway/message_log.h>
 #include <iotcloud/tests/gateway/probe_driver.h>
 #include <iotcloud/tests/gateway/status_log.h>
@@ -88,8 +89,8 @@ TEST_F(DriverHostTest, AnInstanceLivesThroughItsStatesAndSaysSo) {
   EXPECT_TRUE(gone->channels.empty());
   EXPECT_TRUE(host_->list().empty());
   EXPECT_THAT(log_.states("a"),
-              ElementsAre(DriverState::starting, DriverState::inactive, DriverState::active, DriverState::inactive,
-                          DriverState::active, DriverState::stopping, DriverState::undeployed));
+              ElementsAre(DriverState::starting, DriverState::active, DriverState::stopping, DriverState::inactive,
+                          DriverState::starting, DriverState::active, DriverState::stopping, DriverState::undeployed));
 }
 
 TEST_F(DriverHostTest, AnInstanceThatIsOrderedInactiveIsOpenedOnly) {
@@ -253,6 +254,50 @@ TEST_F(DriverHostTest, APropertyThatCannotBeFailsTheInstanceNamingIt) {
   const auto failed = log_.wait_for("a", DriverState::failed);
   ASSERT_TRUE(failed);
   EXPECT_THAT(failed->reason, HasSubstr("channel.readings.capacity"));
+}
+
+TEST_F(DriverHostTest, AThreadThatIsStuckIsNamedWithTheInstanceWhoseCallbackRuns) {
+  BlockingDriver::go_on = {};
+  start_host(blocking_);
+  host_->create(spec("idle"));
+  ASSERT_TRUE(log_.wait_for("idle", DriverState::active));
+  host_->create(spec("a", {{"block", "yes"}, {"hang_limit", "7s"}}));
+  std::vector<Stall> stalls;
+  ASSERT_TRUE(tests::eventually([&] {
+    stalls = host_->stalls();
+    return !stalls.empty() && !stalls[0].instance.empty();
+  }));
+  EXPECT_EQ(stalls.size(), 1u);
+  EXPECT_EQ(stalls[0].instance, "a");
+  EXPECT_FALSE(stalls[0].own_thread);
+  EXPECT_EQ(stalls[0].limit, 7s);
+  BlockingDriver::go_on.set_value();
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  EXPECT_TRUE(tests::eventually([&] { return host_->stalls().empty(); }));
+}
+
+TEST_F(DriverHostTest, AnInstanceThatIsStuckOnItsOwnThreadIsNamedToo) {
+  BlockingDriver::go_on = {};
+  start_host(blocking_);
+  host_->create(spec("b"));
+  host_->create(spec("a", {{"block", "yes"}, {"thread", "own"}, {"hang_limit", "never"}}));
+  std::vector<Stall> stalls;
+  ASSERT_TRUE(tests::eventually([&] {
+    stalls = host_->stalls();
+    return !stalls.empty() && stalls[0].own_thread;
+  }));
+  EXPECT_EQ(stalls[0].instance, "a");
+  EXPECT_EQ(stalls[0].limit, 0s);
+  BlockingDriver::go_on.set_value();
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+}
+
+TEST_F(DriverHostTest, AHangLimitThatIsNoTimeFailsTheInstance) {
+  start_host(probe_);
+  host_->create(spec("a", {{"hang_limit", "soon"}}));
+  const auto failed = log_.wait_for("a", DriverState::failed);
+  ASSERT_TRUE(failed);
+  EXPECT_THAT(failed->reason, HasSubstr("hang_limit: \"soon\" is no time"));
 }
 
 TEST_F(DriverHostTest, AnInstanceWithItsOwnThreadMayBlockWithoutHoldingOthersUp) {

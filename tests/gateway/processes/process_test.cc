@@ -6,9 +6,7 @@
 #include <unistd.h>
 
 #include <iotcloud/drivers/plugin.h>
-#include <iotcloud/gateway/host/control/unix_socket.h>
-#include <iotcloud/gateway/processes/process_launcher.h>
-#include <iotcloud/tests/gateway/gateway_fixture.h>
+#include <iotcloud/tests/gateway/processes/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
 namespace iotcloud::gateway {
@@ -19,65 +17,6 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using namespace std::chrono_literals;
 namespace fs = std::filesystem;
-
-class ProcessTest : public GatewayFixture {
- protected:
-  ProcessTest() {
-    std::string pattern = fs::temp_directory_path() / "iotcloud-gateway-XXXXXX";
-    folder_ = mkdtemp(pattern.data());
-    // Longer than a socket's address may be.
-    state_ = folder_ / std::string(120, 's');
-    plugins_ = folder_ / "plugins";
-    fs::create_directories(state_);
-    fs::create_directories(plugins_);
-    for (const auto* name : {"probe.so", "future_sdk.so"}) fs::copy(fs::path(TEST_PLUGINS) / name, plugins_ / name);
-    fs::copy(fs::path(TEST_PLUGINS) / "probe.so", plugins_ / "other.so");
-  }
-  ~ProcessTest() override {
-    gateway_.reset();
-    for (const auto& socket : sockets()) kill(peer_process(connect_in(state_, socket)), SIGKILL);
-    fs::remove_all(folder_);
-  }
-
-  std::shared_ptr<HostLauncher> new_launcher() override {
-    ProcessLauncher::Options options;
-    options.plugin_dir = plugins_;
-    options.state_dir = state_;
-    options.host_program = HOST_PROGRAM;
-    options.ping_period = 20ms;
-    options.hang_limit = hang_limit_;
-    return std::make_shared<ProcessLauncher>(options);
-  }
-
-  /// A driver without traffic: the embedded broker does not reach another process.
-  discovery::OrderRecord quiet(const std::string& instance, const std::string& plugin = "probe.so",
-                               std::map<std::string, std::string> properties = {}) const {
-    properties["channels"] = "none";
-    auto wanted = order(instance, std::move(properties));
-    wanted.plugin = plugin;
-    wanted.driver = plugin.substr(0, plugin.find('.'));
-    return wanted;
-  }
-
-  std::vector<std::string> sockets() const {
-    std::vector<std::string> names;
-    for (const auto& file : fs::directory_iterator(state_)) {
-      if (file.path().extension() == ".sock") names.push_back(file.path().filename());
-    }
-    return names;
-  }
-  /// The process of the only host there is.
-  int host_process() const {
-    const auto names = sockets();
-    return names.size() == 1 ? peer_process(connect_in(state_, names.front())) : 0;
-  }
-  bool has_ended(int process) const {
-    return eventually([&] { return kill(process, 0) != 0; });
-  }
-
-  fs::path folder_, state_, plugins_;
-  std::chrono::milliseconds hang_limit_{20000};
-};
 
 TEST_F(ProcessTest, AnInstanceRunsInAProcessOfItsPluginAndTheLastOneEndsIt) {
   start_gateway();
