@@ -198,6 +198,10 @@ std::vector<discovery::DriverRecord> Gateway::instances() const {
   return impl_->instances.all();
 }
 
+std::vector<StateChange> Gateway::changes(const std::string& instance) const {
+  return impl_->instances.changes().of(instance);
+}
+
 Gateway::Outcome Gateway::wait_for(const std::string& instance, const Condition& condition, milliseconds limit,
                                    std::int64_t order_version) const {
   return impl_->instances.wait_for(instance, condition, limit, order_version);

@@ -54,6 +54,9 @@ class Gateway final : public config::Service {
   std::int64_t epoch() const;
   /// Instances as they are.
   std::vector<discovery::DriverRecord> instances() const;
+  /// The latest changes of state of an instance, or of all when the id is empty, of those that are gone too; the oldest
+  /// first.
+  std::vector<StateChange> changes(const std::string& instance) const;
   using Outcome = OrderedInstances::Outcome;
   using Condition = OrderedInstances::Condition;
   /// See OrderedInstances::wait_for().

@@ -11,6 +11,29 @@ struct TPing {
   2: i64 timeMs
 }
 
+// One change of state of one driver instance.
+struct TStateChange {
+  1: string instance
+  2: string driver
+  // As DriverState spells it.
+  3: string state
+  4: string reason
+  // Wall time, milliseconds since 1970 UTC.
+  5: i64 timeMs
+}
+
+struct TLogPart {
+  // Whole lines, unless one is longer than what was asked for.
+  1: string text
+  // Where to go on reading.
+  2: string position
+}
+
+// A question that cannot be answered.
+exception TSiteError {
+  1: string reason
+}
+
 service TSensorSiteService {
   // Spelt so in the original. totalSensors: instances ordered here; responsiveSonsor: those that are active or inactive
   // as ordered.
@@ -29,4 +52,9 @@ service TSensorSiteService {
   records.TResponse authenticate(1: string token)
   // Answers while the gateway serves.
   TPing ping()
+  // The latest changes of state of one instance, or of all when it is empty, of those that are gone too; the oldest
+  // first.
+  list<TStateChange> getChanges(1: string instance) throws (1: TSiteError error)
+  // What the driver host of the instance logs. position: of an earlier part; empty: the end of the log.
+  TLogPart readLog(1: string instance, 2: string position, 3: i32 mostBytes) throws (1: TSiteError error)
 }

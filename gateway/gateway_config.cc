@@ -70,6 +70,12 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
   time(file, "host_spin_limit", hosts.limits.spin);
   constexpr std::int64_t most_mb = 1 << 20;
   hosts.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("host_memory_limit_mb", 0, 0, most_mb)) << 20;
+  if (auto log = file.optional_section("host_log")) {
+    constexpr int most_kept = 1000;
+    hosts.log_limit_mb = static_cast<int>(log->int_or("limit_mb", hosts.log_limit_mb, 1, most_mb));
+    hosts.logs_kept = static_cast<int>(log->int_or("kept", hosts.logs_kept, 0, most_kept));
+    log->finish();
+  }
   auto restart = file.optional_section("host_restart");
   if (!restart) return;
   auto& policy = config.gateway.restart;

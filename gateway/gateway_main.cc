@@ -19,7 +19,13 @@ class GatewayDaemon final : public config::Service {
   void start() override {
     state_.emplace(config_.hosts.state_dir);
     config_.hosts.state_dir = state_->path();
-    if (!config_.metrics_address.empty()) metrics_.emplace(config_.metrics_address, config::process_metrics());
+    config_.thrift.log_folder = state_->path();
+    if (!config_.metrics_address.empty()) {
+      config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
+      of_hosts_ = config::process_metrics().add_source(
+          [hosts = config_.hosts.metrics](std::vector<config::Sample>& samples) { hosts->append(samples); });
+      metrics_.emplace(config_.metrics_address, config::process_metrics());
+    }
     registry_ = discovery::make_registry(config_.registry);
     auto options = config_.gateway;
     options.registry = registry_.get();
@@ -40,6 +46,7 @@ class GatewayDaemon final : public config::Service {
  private:
   static constexpr std::chrono::milliseconds thrift_share{500};
   gateway::GatewayConfig config_;
+  config::Metrics::SourceRegistration of_hosts_;
   std::optional<config::MetricsEndpoint> metrics_;
   std::optional<gateway::StateFolder> state_;
   std::unique_ptr<discovery::Registry> registry_;

@@ -169,7 +169,11 @@ void OrderedInstances::publish_record(const Entry& entry) {
   records_.put(record);
   {
     const std::lock_guard lock(mutex_);
-    told_[record.instance] = {record, entry.order_version};
+    auto& told = told_[record.instance];
+    const bool changed = told.record.state != record.state || told.record.reason != record.reason ||
+                         told.record.since_ms != record.since_ms;
+    if (changed) changes_.add({record.instance, record.name, record.state, record.reason, record.since_ms});
+    told = {record, entry.order_version};
   }
   changed_.notify_all();
 }
@@ -178,7 +182,9 @@ void OrderedInstances::drop_record(const std::string& driver, const std::string&
   records_.erase(driver, instance);
   {
     const std::lock_guard lock(mutex_);
-    told_.erase(instance);
+    if (told_.erase(instance) > 0) {
+      changes_.add({instance, driver, DriverState::undeployed, "as ordered", options_.clock->wall_ms()});
+    }
   }
   changed_.notify_all();
 }

@@ -14,6 +14,7 @@
 #include <iotcloud/config/clock.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/gateway/change_log.h>
 #include <iotcloud/gateway/fleet/host_fleet.h>
 #include <iotcloud/gateway/registration/record_writer.h>
 
@@ -49,6 +50,7 @@ class OrderedInstances {
 
   // Thread safe.
   std::vector<discovery::DriverRecord> all() const;
+  const ChangeLog& changes() const { return changes_; }
   /// What came of an order, see wait_for().
   struct Outcome {
     bool known = false;                             ///< false: the limit passed first
@@ -89,6 +91,9 @@ class OrderedInstances {
   RecordWriter records_;
   std::map<std::string, Entry> entries_;
   bool stopping_ = false;
+
+  static constexpr std::size_t most_changes = 10'000;
+  ChangeLog changes_{most_changes};
 
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/fleet/host_fleet.h>
 
 namespace iotcloud::gateway {
@@ -223,6 +224,10 @@ void HostFleet::give_up(const std::shared_ptr<Host>& host, const std::string& re
 
 void HostFleet::crashed(const std::shared_ptr<Host>& host, const HostEnd& end) {
   const auto& policy = options_.restart;
+  config::process_metrics()
+      .counter("iotcloud_gateway_host_failures_total", "Driver hosts that crashed, hung, spun or took too much",
+               {{"plugin", host->order.plugin}})
+      .add();
   if (options_.clock->now() - host->started >= policy.healthy_after) {
     host->crashes = 0;
     host->crashes_through.clear();

@@ -38,7 +38,12 @@ int main(int argc, char** argv) {
   app.add_option("--state", options.folder, "the gateway's state folder")->required();
   app.add_option("--socket", options.socket_name, "name of the socket to listen on in the state folder")->required();
   app.add_flag("--isolated", options.order.isolated, "this host is for one instance only");
+  int log_limit_mb = 0;
+  app.add_option("--log", options.log.path, "the file that stdout and stderr go to, which is kept within bounds");
+  app.add_option("--log-limit-mb", log_limit_mb, "how large it grows before a new one is begun");
+  app.add_option("--logs-kept", options.log.kept, "how many older ones are kept");
   CLI11_PARSE(app, argc, argv);
+  if (log_limit_mb > 0) options.log.most_bytes = static_cast<std::uint64_t>(log_limit_mb) << 20;
   options.order.plugin = options.plugin_path.substr(options.plugin_path.rfind('/') + 1);
 
   const int signals = signal_descriptor();

@@ -123,14 +123,22 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEv
   const std::string stem = order.plugin.substr(0, order.plugin.rfind('.'));
   // A name of its own for each host: one that ends and its successor do not get in each other's way.
   const std::string socket = discovery::new_instance_id().substr(0, 12) + std::string(socket_suffix);
-  std::vector<std::string> arguments = {options_.host_program, "--plugin",    options_.plugin_dir + "/" + order.plugin,
-                                        "--gateway",           order.gateway, "--state",
-                                        options_.state_dir,    "--socket",    socket};
-  if (order.isolated) arguments.emplace_back("--isolated");
   const std::string log_file = options_.state_dir + "/" + stem + ".log";
+  // clang-format off
+  std::vector<std::string> arguments = {
+      options_.host_program,
+      "--plugin", options_.plugin_dir + "/" + order.plugin,
+      "--gateway", order.gateway,
+      "--state", options_.state_dir,
+      "--socket", socket,
+      "--log", log_file,
+      "--log-limit-mb", std::to_string(options_.log_limit_mb),
+      "--logs-kept", std::to_string(options_.logs_kept)};
+  // clang-format on
+  if (order.isolated) arguments.emplace_back("--isolated");
   const pid_t process = Spawning(log_file).spawn(std::move(arguments));
   log.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);
-  return std::make_unique<ProcessLink>(options_, socket, process, true, std::move(events));
+  return std::make_unique<ProcessLink>(options_, order, socket, process, true, std::move(events));
 } catch (const config::Error& e) {
   events.on_ended({HostEnd::How::refused, e.what(), ""});
   return link_to_nothing();
@@ -149,7 +157,7 @@ std::vector<RunningHost> ProcessLauncher::running(const std::string& gateway) {
 
 std::unique_ptr<HostLink> ProcessLauncher::adopt(const RunningHost& host, HostEvents events) {
   const int process = peer_process(connect_in(options_.state_dir, host.name));
-  return std::make_unique<ProcessLink>(options_, host.name, process, false, std::move(events));
+  return std::make_unique<ProcessLink>(options_, host.order, host.name, process, false, std::move(events));
 }
 
 }  // namespace iotcloud::gateway

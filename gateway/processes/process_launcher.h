@@ -1,16 +1,19 @@
 #pragma once
 
 #include <chrono>
+#include <memory>
 #include <string>
 
 #include <iotcloud/gateway/fleet/launcher.h>
+#include <iotcloud/gateway/processes/host_metrics.h>
 #include <iotcloud/gateway/processes/vitals.h>
 
 namespace iotcloud::gateway {
 
 /// Runs each driver host as a process of its own, iotcloud-driver-host, detached: it survives the gateway and is found
 /// again by its socket in the state folder. A host that hangs, spins or takes too much memory is killed and counts as
-/// crashed. What hosts log goes to <state folder>/<plugin>.log.
+/// crashed. What hosts log goes to <state folder>/<plugin>.log, older
+/// ones are <plugin>.log.1 and so on.
 class ProcessLauncher final : public HostLauncher {
  public:
   struct Options {
@@ -23,6 +26,11 @@ class ProcessLauncher final : public HostLauncher {
     std::chrono::milliseconds hang_limit{10000};
     std::chrono::milliseconds own_thread_hang_limit{60000};
     VitalLimits limits;
+    int log_limit_mb = 10;  ///< a host's log, before a new one is begun
+    int logs_kept = 3;      ///< older ones
+    /// Where the hosts' metrics go, each `metrics_period`; null: nowhere.
+    std::shared_ptr<HostMetrics> metrics;
+    std::chrono::milliseconds metrics_period{2000};
   };
   /// \throws config::Error when the host program or a folder is not there.
   explicit ProcessLauncher(Options options);

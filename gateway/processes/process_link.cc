@@ -34,9 +34,10 @@ std::string how_it_ended(int status) {
 
 }  // namespace
 
-ProcessLink::ProcessLink(const ProcessLauncher::Options& options, std::string socket_name, int process, bool child,
-                         HostEvents events)
+ProcessLink::ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
+                         int process, bool child, HostEvents events)
     : options_(options),
+      order_(order),
       socket_name_(std::move(socket_name)),
       process_(process),
       child_(child),
@@ -44,6 +45,8 @@ ProcessLink::ProcessLink(const ProcessLauncher::Options& options, std::string so
       process_descriptor_(static_cast<int>(syscall(SYS_pidfd_open, process, 0))),
       last_heard_(Steady::now()),
       next_ping_(Steady::now()),
+      next_metrics_(Steady::now()),
+      name_(order.plugin.substr(0, order.plugin.rfind('.'))),
       vitals_(fmt::format("/proc/{}", process), options.limits),
       thread_([this] { run(); }) {}
 
@@ -88,14 +91,18 @@ void ProcessLink::shutdown(milliseconds limit) {
 void ProcessLink::run() noexcept try {
   if (connect()) converse();
   if (leaving_) return;
-  const HostEnd end = wait_for_end();
-  if (!leaving_) events_.on_ended(end);
+  tell_end(wait_for_end());
 } catch (const std::exception& e) {
   log.error("the link to the driver host {}: {}", socket_name_, e.what());
   if (leaving_) return;
   killed_ = e.what();
   kill_process();
-  events_.on_ended({HostEnd::How::crashed, fmt::format("was ended: {}", e.what()), ""});
+  tell_end({HostEnd::How::crashed, fmt::format("was ended: {}", e.what()), ""});
+}
+
+void ProcessLink::tell_end(const HostEnd& end) {
+  if (options_.metrics) options_.metrics->forget(name_, process_);
+  if (!leaving_) events_.on_ended(end);
 }
 
 /// Until the host listens, ends, or takes too long. \return whether there is a connection.
@@ -157,9 +164,13 @@ bool ProcessLink::receive() {
 void ProcessLink::heard(const Event& event) {
   switch (event.kind) {
     case Event::Kind::hello:
-      for (const auto& instance : event.instances) events_.on_status(instance.status);
+      for (const auto& instance : event.instances) {
+        name_after(instance.status.instance);
+        events_.on_status(instance.status);
+      }
       break;
     case Event::Kind::status:
+      name_after(event.status.instance);
       events_.on_status(event.status);
       break;
     case Event::Kind::refused:
@@ -169,7 +180,16 @@ void ProcessLink::heard(const Event& event) {
     case Event::Kind::pong:
       judge(event.stalls);
       break;
+    case Event::Kind::metrics:
+      show_metrics(event.samples);
+      break;
   }
+}
+
+void ProcessLink::name_after(const std::string& instance) {
+  if (!order_.isolated || name_.find('#') != std::string::npos) return;
+  if (options_.metrics) options_.metrics->forget(name_, process_);
+  name_ += "#" + instance;
 }
 
 void ProcessLink::judge(const std::vector<Stall>& stalls) {
@@ -189,10 +209,28 @@ void ProcessLink::ping() {
   if (now < next_ping_) return;
   next_ping_ = now + options_.ping_period;
   send({Command::Kind::ping, "", {}, 1});
+  ask_for_metrics(now);
   const std::string excess = vitals_.examine(now);
   if (excess.empty() || !killed_.empty()) return;
   killed_ = excess;
   kill_process();
+}
+
+void ProcessLink::ask_for_metrics(Instant now) {
+  if (!options_.metrics || now < next_metrics_) return;
+  next_metrics_ = now + options_.metrics_period;
+  send({Command::Kind::metrics, "", {}, 0});
+}
+
+void ProcessLink::show_metrics(std::vector<config::Sample> samples) {
+  if (!options_.metrics) return;
+  config::Sample memory;
+  memory.name = "iotcloud_host_memory_bytes";
+  memory.help = "Memory that a driver host takes";
+  memory.kind = config::Sample::Kind::gauge;
+  memory.value = static_cast<double>(vitals_.memory_bytes());
+  samples.push_back(std::move(memory));
+  options_.metrics->put(name_, process_, std::move(samples));
 }
 
 /// Kills a host that does not answer, or that did not shut down in time. \return whether it did.

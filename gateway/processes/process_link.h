@@ -19,8 +19,8 @@ class ProcessLink final : public HostLink {
  public:
   /// \param socket_name in the state folder; the host may not listen yet. \param process its id.
   /// \param child whether it is this process's child, whose exit status can be had.
-  ProcessLink(const ProcessLauncher::Options& options, std::string socket_name, int process, bool child,
-              HostEvents events);
+  ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name, int process,
+              bool child, HostEvents events);
   ~ProcessLink() override;
 
   void create(const InstanceSpec& spec) override;
@@ -40,13 +40,18 @@ class ProcessLink final : public HostLink {
   bool receive();
   void heard(const protocol::Event& event);
   void judge(const std::vector<Stall>& stalls);
+  void name_after(const std::string& instance);
   void ping();
+  void ask_for_metrics(Instant now);
+  void show_metrics(std::vector<config::Sample> samples);
   bool overdue();
   std::chrono::milliseconds time_to_wait() const;
   void kill_process();
   HostEnd wait_for_end();
+  void tell_end(const HostEnd& end);
 
   const ProcessLauncher::Options options_;
+  const HostOrder order_;
   const std::string socket_name_;
   const int process_;
   const bool child_;
@@ -63,7 +68,8 @@ class ProcessLink final : public HostLink {
   // The link's thread only.
   OwnedDescriptor socket_;
   protocol::FrameReader frames_;
-  Instant last_heard_, next_ping_;
+  Instant last_heard_, next_ping_, next_metrics_;
+  std::string name_;     ///< of the host, in its metrics
   std::string refused_;  ///< why the host cannot serve
   std::string killed_;   ///< why it was killed
   std::string culprit_;  ///< the instance because of which

@@ -4,6 +4,7 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/gateway/processes/log_reader.h>
 #include <iotcloud/gateway/site/site_handler.h>
 
 namespace iotcloud::gateway {
@@ -110,6 +111,39 @@ void SiteHandler::set_active(Response& answer, const std::string& id, bool activ
 void SiteHandler::authenticate(Response& answer, const std::string&) {
   answer.__set_state(TResponseState::SUCCESS);
   answer.__set_statusMessage("no token is needed: this service is reached from its own machine only");
+}
+
+void SiteHandler::getChanges(std::vector<wire::TStateChange>& answer, const std::string& instance) {
+  for (const auto& change : gateway_.changes(instance)) {
+    auto& told = answer.emplace_back();
+    told.__set_instance(change.instance);
+    told.__set_driver(change.driver);
+    told.__set_state(discovery::to_string(change.state));
+    told.__set_reason(change.reason);
+    told.__set_timeMs(change.time_ms);
+  }
+}
+
+void SiteHandler::readLog(wire::TLogPart& answer, const std::string& instance, const std::string& position,
+                          std::int32_t most_bytes) {
+  constexpr std::int32_t most_at_once = 256 * 1024;
+  try {
+    if (log_folder_.empty()) throw config::Error("the driver hosts of this gateway keep no log of their own");
+    check_name("instance id", instance);
+    const std::string path = paths_.order(gateway_.id(), instance);
+    const auto node = registry_.get(path);
+    if (!node) throw config::Error(fmt::format("the gateway {} has no driver instance {}", gateway_.id(), instance));
+    const std::string plugin = discovery::decode_order(node->data, path).plugin;
+    check_plugin_file_name(plugin);
+    const auto part = read_log(fmt::format("{}/{}.log", log_folder_, plugin.substr(0, plugin.rfind('.'))), position,
+                               static_cast<std::size_t>(std::clamp(most_bytes, 1, most_at_once)));
+    answer.__set_text(part.text);
+    answer.__set_position(part.position);
+  } catch (const config::Error& e) {
+    wire::TSiteError error;
+    error.__set_reason(e.what());
+    throw error;
+  }
 }
 
 void SiteHandler::ping(wire::TPing& answer) {

@@ -11,9 +11,13 @@ namespace iotcloud::gateway {
 class SiteHandler final : public wire::TSensorSiteServiceIf {
  public:
   using Response = discovery::wire::TResponse;
-  SiteHandler(std::chrono::milliseconds outcome_limit, Gateway& gateway, discovery::Registry& registry,
-              discovery::Paths paths)
-      : outcome_limit_(outcome_limit), gateway_(gateway), registry_(registry), paths_(std::move(paths)) {}
+  SiteHandler(std::chrono::milliseconds outcome_limit, std::string log_folder, Gateway& gateway,
+              discovery::Registry& registry, discovery::Paths paths)
+      : outcome_limit_(outcome_limit),
+        log_folder_(std::move(log_folder)),
+        gateway_(gateway),
+        registry_(registry),
+        paths_(std::move(paths)) {}
 
   void hearbeat(discovery::wire::THeartBeatResponse& answer,
                 const discovery::wire::THeartBeatRequest& request) override;
@@ -23,6 +27,9 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   void stopSensor(Response& answer, const std::string& id) override { set_active(answer, id, false); }
   void authenticate(Response& answer, const std::string& token) override;
   void ping(wire::TPing& answer) override;
+  void getChanges(std::vector<wire::TStateChange>& answer, const std::string& instance) override;
+  void readLog(wire::TLogPart& answer, const std::string& instance, const std::string& position,
+               std::int32_t most_bytes) override;
 
  private:
   void set_active(Response& answer, const std::string& id, bool active);
@@ -33,6 +40,7 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   void answering(Response& answer, const std::function<void()>& method);
 
   const std::chrono::milliseconds outcome_limit_;
+  const std::string log_folder_;
   Gateway& gateway_;
   discovery::Registry& registry_;
   const discovery::Paths paths_;

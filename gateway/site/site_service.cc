@@ -83,7 +83,8 @@ SiteService::SiteService(Options options, Gateway& gateway, discovery::Registry&
   check_address(options.host);
   // The library would print to stderr by itself, past the log.
   thrift::GlobalOutput.setOutputFunction([](const char* text) { log.debug("{}", text); });
-  auto handler = std::make_shared<SiteHandler>(options.outcome_limit, gateway, registry, std::move(paths));
+  auto handler =
+      std::make_shared<SiteHandler>(options.outcome_limit, options.log_folder, gateway, registry, std::move(paths));
   impl_->socket = std::make_shared<thrift::transport::TServerSocket>(options.host, options.port);
   impl_->socket->setSendTimeout(send_limit_ms);
   impl_->socket->setKeepAlive(true);

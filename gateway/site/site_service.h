@@ -18,7 +18,8 @@ class SiteService {
     std::chrono::milliseconds outcome_limit{15000};  ///< how long a call waits for what comes of its order
     int max_connections = 64;
     int max_message_bytes = 1 << 20;
-    int max_items = 10000;  ///< in one list or map
+    int max_items = 10000;   ///< in one list or map
+    std::string log_folder;  ///< where driver hosts log; empty: nowhere that could be read
   };
 
   /// \throws config::Error for an address that others than this machine can reach: until connections can be encrypted

@@ -74,6 +74,19 @@ TEST_F(SiteServiceTest, AnInstanceIsDeployedStoppedStartedAndUndeployed) {
   EXPECT_FALSE(record(id, "camera"));
 }
 
+TEST_F(SiteServiceTest, TheChangesOfAnInstanceAreToldAndSoIsWhyThereIsNoLog) {
+  const auto deployed = deploy({{"channels", "none"}});
+  ASSERT_EQ(deployed.state, TResponseState::SUCCESS) << deployed.statusMessage;
+  std::vector<wire::TStateChange> changes;
+  client_->getChanges(changes, deployed.statusMessage);
+  ASSERT_EQ(changes.size(), 3u);
+  EXPECT_EQ(changes[0].state, "deployed");
+  EXPECT_EQ(changes[2].state, "active");
+  EXPECT_GT(changes[2].timeMs, 0);
+  wire::TLogPart part;
+  EXPECT_THROW(client_->readLog(part, deployed.statusMessage, "", 100), wire::TSiteError);
+}
+
 TEST_F(SiteServiceTest, AJavaClassIsNotTakenForTheDriversName) {
   const auto deployed = deploy({}, "probe.so", "cgl.iotcloud.Turtle");
   ASSERT_EQ(deployed.state, TResponseState::SUCCESS) << deployed.statusMessage;

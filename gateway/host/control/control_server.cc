@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <mutex>
 #include <optional>
@@ -22,11 +23,13 @@ namespace {
 
 constexpr config::Logger log{"gateway.host"};
 constexpr milliseconds stop_limit{4000};
+constexpr milliseconds log_pause{2000};  ///< at most, between looks at the log's size
 
 }  // namespace
 
 struct ControlServer::Impl {
-  explicit Impl(Options given) : options(std::move(given)), listener(listen_in(options.folder, options.socket_name)) {
+  explicit Impl(Options given)
+      : options(std::move(given)), log_file(options.log), listener(listen_in(options.folder, options.socket_name)) {
     try {
       DriverHost::Options host_options;
       host_options.gateway = options.order.gateway;
@@ -54,6 +57,7 @@ struct ControlServer::Impl {
   int stop(milliseconds limit);
 
   const Options options;
+  const LogFile log_file;
   OwnedDescriptor listener;
   OwnedDescriptor gateway;
   protocol::FrameReader frames;
@@ -156,6 +160,13 @@ void ControlServer::Impl::obey(const Command& command) {
     tell(pong);
     return;
   }
+  if (command.kind == Command::Kind::metrics) {
+    Event metrics;
+    metrics.kind = Event::Kind::metrics;
+    metrics.samples = config::process_metrics().collect();
+    tell(metrics);
+    return;
+  }
   if (!host) return;
   switch (command.kind) {
     case Command::Kind::create:
@@ -172,6 +183,7 @@ void ControlServer::Impl::obey(const Command& command) {
       break;
     case Command::Kind::shutdown:
     case Command::Kind::ping:
+    case Command::Kind::metrics:
       break;
   }
 }
@@ -190,7 +202,8 @@ int ControlServer::run(int signals) {
                               {self.waker.get(), POLLIN, 0},
                               {signals, POLLIN, 0},
                               {self.gateway.get(), POLLIN, 0}}};  // -1 is not polled
-    poll(on.data(), on.size(), static_cast<int>(self.options.orphan_limit.count()));
+    poll(on.data(), on.size(), static_cast<int>(std::min(self.options.orphan_limit, log_pause).count()));
+    self.log_file.look();
     if (on[2].revents != 0) self.shutdown_limit = stop_limit;
     if (on[1].revents != 0) self.send_waiting();
     if (on[3].revents != 0) self.receive();

@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 
+#include <iotcloud/gateway/host/control/log_file.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 
 namespace iotcloud::gateway {
@@ -18,6 +19,7 @@ class ControlServer {
     std::string socket_name;  ///< of the socket in it
     /// A host without instances and without a gateway is of no use: it ends after this long.
     std::chrono::milliseconds orphan_limit{30000};
+    LogFile::Options log;
   };
   /// \throws config::Error when it cannot listen. A plugin that cannot be loaded is told to the gateway.
   explicit ControlServer(Options options);

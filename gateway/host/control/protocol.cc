@@ -12,8 +12,8 @@ using nlohmann::json;
 
 namespace {
 
-constexpr std::array command_names = {"create", "activate", "deactivate", "remove", "shutdown", "ping"};
-constexpr std::array event_names = {"hello", "refused", "status", "pong"};
+constexpr std::array command_names = {"create", "activate", "deactivate", "remove", "shutdown", "ping", "metrics"};
+constexpr std::array event_names = {"hello", "refused", "status", "pong", "metrics"};
 
 template <typename Kind, typename Names>
 Kind parse_kind(const json& body, const Names& names) {
@@ -112,6 +112,39 @@ Stall to_stall(const json& body) {
   return s;
 }
 
+json to_json(const config::Sample& s) {
+  json body = {{"name", s.name}, {"help", s.help}, {"labels", s.labels}, {"kind", static_cast<int>(s.kind)}};
+  if (s.kind == config::Sample::Kind::histogram) {
+    body["histogram"] = {s.histogram.count, s.histogram.mean_ns, s.histogram.p50_ns, s.histogram.p99_ns,
+                         s.histogram.max_ns};
+  } else {
+    body["value"] = s.value;
+  }
+  return body;
+}
+
+config::Sample to_sample(const json& body) {
+  config::Sample s;
+  s.name = body.at("name");
+  s.help = body.at("help");
+  s.labels = body.at("labels").get<config::Labels>();
+  const int kind = body.at("kind");
+  if (kind < 0 || kind > static_cast<int>(config::Sample::Kind::histogram)) {
+    throw config::Error(fmt::format("the metric {} is of an unknown kind", s.name));
+  }
+  s.kind = static_cast<config::Sample::Kind>(kind);
+  const auto number = [](const json& value) {
+    return value.is_null() ? 0.0 : value.get<double>();
+  };  // null: not finite
+  if (s.kind != config::Sample::Kind::histogram) {
+    s.value = number(body.at("value"));
+    return s;
+  }
+  const auto& h = body.at("histogram");
+  s.histogram = {h.at(0), number(h.at(1)), number(h.at(2)), number(h.at(3)), number(h.at(4))};
+  return s;
+}
+
 std::string frame(const json& body) {
   const std::string text = body.dump(-1, ' ', false, json::error_handler_t::replace);
   const auto size = static_cast<std::uint32_t>(text.size());
@@ -176,6 +209,10 @@ std::string encode(const Event& event) {
       body.update({{"number", event.number}, {"stalls", json::array()}});
       for (const auto& stall : event.stalls) body["stalls"].push_back(to_json(stall));
       break;
+    case Event::Kind::metrics:
+      body["samples"] = json::array();
+      for (const auto& sample : event.samples) body["samples"].push_back(to_json(sample));
+      break;
   }
   return frame(body);
 }
@@ -202,6 +239,9 @@ Event decode_event(const std::string& bytes) {
       case Event::Kind::pong:
         event.number = body.at("number");
         for (const auto& stall : body.at("stalls")) event.stalls.push_back(to_stall(stall));
+        break;
+      case Event::Kind::metrics:
+        for (const auto& sample : body.at("samples")) event.samples.push_back(to_sample(sample));
         break;
     }
     return event;

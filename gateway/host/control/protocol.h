@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 
 /// What a gateway and a driver host process say to each other over a Unix domain socket in the gateway's state folder.
@@ -20,7 +21,7 @@ inline constexpr std::size_t max_frame = 16u << 20;
 
 /// From the gateway.
 struct Command {
-  enum class Kind { create, activate, deactivate, remove, shutdown, ping };
+  enum class Kind { create, activate, deactivate, remove, shutdown, ping, metrics };
   Kind kind = Kind::ping;
   std::string instance;              ///< activate, deactivate, remove
   std::optional<InstanceSpec> spec;  ///< create
@@ -29,7 +30,7 @@ struct Command {
 
 /// From the host.
 struct Event {
-  enum class Kind { hello, refused, status, pong };
+  enum class Kind { hello, refused, status, pong, metrics };
   Kind kind = Kind::pong;
   int version = protocol::version;        ///< hello
   HostOrder order;                        ///< hello
@@ -38,6 +39,7 @@ struct Event {
   InstanceStatus status;                  ///< status
   std::int64_t number = 0;                ///< pong: of the ping
   std::vector<Stall> stalls;              ///< pong: the event threads that are stuck
+  std::vector<config::Sample> samples;    ///< metrics: all of the process
 };
 
 /// One whole frame. Text that is not UTF-8 has its bad bytes replaced.

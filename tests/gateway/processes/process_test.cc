@@ -1,4 +1,5 @@
 // Driver hosts as real processes.
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
 
@@ -111,6 +112,25 @@ TEST_F(ProcessTest, AHostThatHangsIsKilledAndStartedAgain) {
   EXPECT_TRUE(has_ended(process));
   EXPECT_TRUE(eventually([&] { return host_process() > 0 && host_process() != process; }));
   EXPECT_TRUE(comes_to("a", DriverState::active));
+}
+
+TEST_F(ProcessTest, WhatAHostCountsIsInTheGatewaysMetricsUntilTheHostEnds) {
+  const auto has = [&](const std::string& metric, const std::string& host) {
+    std::vector<config::Sample> samples;
+    metrics_->append(samples);
+    return std::any_of(samples.begin(), samples.end(), [&](const config::Sample& sample) {
+      return sample.name == metric && sample.labels.at("host") == host;
+    });
+  };
+  start_gateway();
+  give(order("a"));  // it says "up", and nobody reads it
+  give(quiet("b", "other.so", {{"isolation", "instance"}}));
+  EXPECT_TRUE(eventually([&] { return has("iotcloud_host_memory_bytes", "probe"); }));
+  EXPECT_TRUE(eventually([&] { return has("iotcloud_host_memory_bytes", "other#b"); }));
+  EXPECT_TRUE(eventually([&] { return has("iotcloud_driver_messages_total", "probe"); }));
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return !has("iotcloud_host_memory_bytes", "probe"); }));
+  EXPECT_TRUE(has("iotcloud_host_memory_bytes", "other#b"));
 }
 
 TEST_F(ProcessTest, APluginOfAnotherSdkIsRefusedInItsRecordNamingBothSides) {

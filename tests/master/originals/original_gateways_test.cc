@@ -93,6 +93,8 @@ class OriginalGateway final : public gateway::wire::TSensorSiteServiceIf {
   void stopSensor(TResponse& response, const std::string& id) override { say(response, "stop " + id); }
   void authenticate(TResponse&, const std::string&) override {}
   void ping(gateway::wire::TPing&) override {}
+  void getChanges(std::vector<gateway::wire::TStateChange>&, const std::string&) override {}
+  void readLog(gateway::wire::TLogPart&, const std::string&, const std::string&, std::int32_t) override {}
 
   void say(TResponse& response, const std::string& call) {
     {

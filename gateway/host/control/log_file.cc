@@ -1,0 +1,61 @@
+#include <cstdio>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <iotcloud/gateway/host/control/log_file.h>
+#include <iotcloud/gateway/host/control/unix_socket.h>
+
+namespace iotcloud::gateway {
+
+namespace {
+
+bool is_the_same(const struct stat& a, const struct stat& b) {
+  return a.st_dev == b.st_dev && a.st_ino == b.st_ino;
+}
+
+}  // namespace
+
+void LogFile::look() const {
+  if (options_.path.empty()) return;
+  struct stat written {};
+  struct stat named {};
+  if (fstat(STDOUT_FILENO, &written) != 0) return;
+  if (stat(options_.path.c_str(), &named) != 0 || !is_the_same(written, named)) {
+    follow();
+  } else if (static_cast<std::uint64_t>(written.st_size) > options_.most_bytes) {
+    move_on();
+  }
+}
+
+/// The file's own lock decides which of its writers moves it; it is gone when the last descriptor of it here is closed.
+void LogFile::move_on() const {
+  if (flock(STDOUT_FILENO, LOCK_EX | LOCK_NB) != 0) return;
+  struct stat written {};
+  struct stat named {};
+  const bool still_here =
+      fstat(STDOUT_FILENO, &written) == 0 && stat(options_.path.c_str(), &named) == 0 && is_the_same(written, named);
+  if (still_here) {
+    const auto older = [&](int number) {
+      return number == 0 ? options_.path : fmt::format("{}.{}", options_.path, number);
+    };
+    for (int number = options_.kept; number > 0; --number) {
+      static_cast<void>(std::rename(older(number - 1).c_str(), older(number).c_str()));
+    }
+    if (options_.kept == 0) unlink(options_.path.c_str());
+  }
+  follow();
+}
+
+void LogFile::follow() const {
+  constexpr mode_t owner_only = S_IRUSR | S_IWUSR;
+  const OwnedDescriptor fresh(open(options_.path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, owner_only));
+  if (!fresh) return;  // what is written goes on into the old one
+  dup2(fresh.get(), STDOUT_FILENO);
+  dup2(fresh.get(), STDERR_FILENO);
+}
+
+}  // namespace iotcloud::gateway
