@@ -58,9 +58,14 @@ struct PublisherOptions {
   /// letters). Without a reader the queue of a topic that is not durable is gone after a minute.
   bool own_queue = false;
   std::uint8_t priority = normal_priority;  ///< 0 to 9, see normal_priority
+  /// What was accepted before this instant of the broker's clock, and is still to be sent or to be sent again, is
+  /// dropped
+  /// ("fenced"): its sender may have lost the right to send it. Called before each attempt, from any thread, also
+  /// inside publish(); must not block. Empty: never.
+  std::function<config::Clock::Instant()> void_before;
   /// Called once for each accepted message with its publish number (1, 2, 3, ... for each publisher) and, for drops,
-  /// the reason ("superseded", "deadline", "no_reader", ...). From any thread, never from inside publish(). May be
-  /// empty.
+  /// the reason ("superseded", "deadline", "no_reader", "fenced", ...). From any thread, never from inside publish().
+  /// May be empty.
   std::function<void(std::uint64_t number, Outcome outcome, const std::string& reason)> on_outcome;
   /// Called after a would_block when there is room again. From any thread. May be empty.
   std::function<void()> on_writable;

@@ -14,6 +14,7 @@ inline constexpr const char* superseded = "superseded";  ///< a newer one came w
 inline constexpr const char* deadline = "deadline";      ///< it grew too old
 inline constexpr const char* no_reader = "no_reader";    ///< superseded while nobody read the topic
 inline constexpr const char* undecodable = "undecodable";  ///< received bytes that make no message
+inline constexpr const char* fenced = "fenced";            ///< its sender lost the right to send it (void_before)
 inline constexpr const char* closed = "closed";            ///< the publisher was closed first
 // Of a spool (spool/spooled_publisher.h):
 inline constexpr const char* spool_full = "spool_full";        ///< the oldest gave way (drop_oldest)

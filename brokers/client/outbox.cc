@@ -135,13 +135,20 @@ void Outbox::forget_tries() {
 }
 
 void Outbox::expire(Instant now) {
-  if (options.deadline.count() <= 0) return;
+  const bool has_deadline = options.deadline.count() > 0;
+  if (waiting_.empty() || (!has_deadline && !options.void_before)) return;
+  const Instant void_before = options.void_before ? options.void_before() : Instant::min();
   const std::size_t before = waiting_.size();
-  std::erase_if(waiting_, [&](const Outgoing& outgoing) {
-    const bool old = outgoing.accepted + options.deadline <= now;
-    if (old) events_.push_back({outgoing.number, Outcome::dropped, reason::deadline});
-    return old;
-  });
+  if (has_deadline || waiting_.front().accepted < void_before) {
+    std::erase_if(waiting_, [&](const Outgoing& outgoing) {
+      const bool fenced = outgoing.accepted < void_before;
+      const bool old = fenced || (has_deadline && outgoing.accepted + options.deadline <= now);
+      if (old) {
+        events_.push_back({outgoing.number, Outcome::dropped, fenced ? reason::fenced : reason::deadline});
+      }
+      return old;
+    });
+  }
   if (waiting_.size() < before && std::exchange(wants_writable_, false)) writable_due_ = true;
 }
 

@@ -70,7 +70,7 @@ class Outbox {
   void lost(Outgoing outgoing);
   /// A new connection: everything has to be proven again.
   void disconnected();
-  /// Drops what is too old.
+  /// Drops what is too old, and what its sender may not send any more.
   void expire(Instant now);
   /// When something is to be done without anyone asking (a message to try again, or one that expires).
   std::optional<Instant> next_timer() const;

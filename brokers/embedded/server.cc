@@ -103,6 +103,13 @@ bool ServerState::deliver(Route& route, Producer::Waiting& waiting, const Publis
 }
 
 void ServerState::expire(Producer& producer, Instant now, WakeList& wake) {
+  if (producer.options.void_before) {
+    const Instant void_before = producer.options.void_before();
+    while (!producer.waiting.empty() && producer.waiting.front().accepted < void_before) {
+      settle(producer, producer.waiting.front().number, Outcome::dropped, reason::fenced, wake);
+      producer.waiting.pop_front();
+    }
+  }
   if (producer.options.deadline.count() <= 0) return;
   while (!producer.waiting.empty() && producer.waiting.front().accepted + producer.options.deadline <= now) {
     settle(producer, producer.waiting.front().number, Outcome::dropped, reason::deadline, wake);

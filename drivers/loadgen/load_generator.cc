@@ -155,6 +155,7 @@ void LoadGenerator::report() {
                                     {"lost", trips_.lost()},
                                     {"duplicated", trips_.duplicated()},
                                     {"out_of_order", trips_.out_of_order()},
+                                    {"furthest_back", trips_.furthest_back()},
                                     {"damaged", damaged_},
                                     {"foreign", foreign_},
                                     {"times_blocked", times_blocked_},

@@ -40,6 +40,7 @@ double Latencies::quantile_us(double share) const {
 bool RoundTrips::received(std::uint64_t sequence, std::chrono::nanoseconds latency) {
   if (sequence >= sent_) return false;
   if (seen_.size() < sent_) seen_.resize(std::max<std::size_t>(sent_, 2 * seen_.size()));
+  if (sequence + 1 < newest_) furthest_back_ = std::max(furthest_back_, newest_ - 1 - sequence);
   if (seen_[sequence]) {
     ++duplicated_;
     return true;

@@ -40,10 +40,13 @@ class RoundTrips {
   std::uint64_t lost() const { return sent_ - received_; }    ///< not back, or not yet
   std::uint64_t duplicated() const { return duplicated_; }
   std::uint64_t out_of_order() const { return out_of_order_; }  ///< came after one that was sent later
+  /// How many numbers lay between a message and the largest that had come before it, at most; duplicates count too.
+  std::uint64_t furthest_back() const { return furthest_back_; }
   const Latencies& latencies() const { return latencies_; }
 
  private:
   std::uint64_t sent_ = 0, received_ = 0, duplicated_ = 0, out_of_order_ = 0;
+  std::uint64_t furthest_back_ = 0;
   std::uint64_t newest_ = 0;  ///< the largest number that came back, plus one
   std::vector<bool> seen_;
   Latencies latencies_;

@@ -1,45 +1,95 @@
 #!/usr/bin/python3
 """Random kill -9 of workers, of the processes that run drivers, and of the ZooKeeper server (its leader, in the long
-form), under load.
+form), under load. Nothing may be lost, and what a killed worker read is read elsewhere within the session's time-out plus
+two seconds.
 
 usage: kill_test.py BUILD_DIR [--seconds N] [--long] [--seed N]
 
 Killing a driver's process ends that driver's run; the new process counts anew, so that what is reported is the last
 run's. Therefore drivers' processes are killed in the first half only.
+
+How long a take-over took comes from the workers' own logs: from the kill to the first message that another worker has of
+the driver. Other kills meanwhile begin the wait anew: a worker that dies is named by the registry as a reader for as long
+as its session lives, and a ZooKeeper server that starts, or a new leader, gives every session its full time again.
 """
 
 import argparse
 import random
+import statistics
 import time
 
-from fault_cluster import FaultCluster, finish
+from fault_cluster import GRACE_S, LIMIT_S, FaultCluster, finish
 
 WORKERS, DRIVERS, RATE = 3, 6, 100
+
+
+def take_overs(events, kills, disturbances):
+    """(seconds since the last disturbance, of these from the election on, whether the kill was the only one) for each
+    driver that a killed worker read. kills: (time, worker)."""
+    found = []
+    for killed, victim in kills:
+        reader = {}
+        for event in events:
+            if event.what == "reads" and event.time < killed:
+                reader[event.instance] = event.worker
+        for instance in (each for each, worker in reader.items() if worker == victim):
+            later = [event for event in events if event.instance == instance and event.time > killed]
+            read = next((event.time for event in later if event.what == "reads"), None)
+            if read is None:
+                continue  # the driver was done; finish() sees whether all of it came back
+            last = max(moment for moment in disturbances if moment <= read)
+            elected = max((event.time for event in later if event.what == "leads" and event.time <= read), default=read)
+            found.append((read - max(killed, last), read - elected, last <= killed))
+    return found
+
+
+def report(found):
+    """Prints the times and judges them."""
+    alone = [total for total, _, only in found if only]
+    meanwhile = [total for total, _, only in found if not only]
+    starts = [start for _, start, _ in found]
+    for name, times in (("after the kill alone", alone), ("after the last of several faults", meanwhile),
+                        ("of that from the election on", starts)):
+        if times:
+            print(f"{len(times)} drivers read elsewhere {name}: median {statistics.median(times):.2f} s, longest "
+                  f"{max(times):.2f} s", flush=True)
+    if not found:
+        raise SystemExit("no worker was killed that read a driver: nothing was shown")
+    if statistics.median(alone or meanwhile) > LIMIT_S:
+        raise SystemExit(f"that is more than {LIMIT_S} s")
+    # On a machine that others use, a single expiry may come late; what comes after it is this system's own.
+    if max(starts) > GRACE_S:
+        raise SystemExit(f"a driver was read only {max(starts):.1f} s after its election; {GRACE_S} s are allowed")
 
 
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("build")
-    parser.add_argument("--seconds", type=int, default=12)
+    parser.add_argument("--seconds", type=int, default=15)
     parser.add_argument("--long", action="store_true", help="three ZooKeeper servers, of which the leader is killed")
     parser.add_argument("--seed", type=int, default=int(time.time()))
     given = parser.parse_args()
     choose = random.Random(given.seed)
+    print(f"seed {given.seed}", flush=True)
     registry = "zookeeper_cluster" if given.long else "zookeeper"
     killed = {"worker": 0, "driver host": 0, "ZooKeeper": 0}
+    kills, disturbances = [], []
     with FaultCluster(given.build, "kill-long" if given.long else "kill", registry) as cluster:
         cluster.start(gateways=2)
         workers = [cluster.worker() for _ in range(WORKERS)]
         cluster.wait_until_ready()
-        cluster.drivers(DRIVERS, given.seconds * RATE, RATE)
+        cluster.wait_for_workers(WORKERS)
+        cluster.drivers(DRIVERS, (given.seconds + 2 * LIMIT_S) * RATE, RATE)
         cluster.wait_until_all_read()
         begin = time.monotonic()
+        kinds = ["worker"]  # first, with nothing else
         while (passed := time.monotonic() - begin) < given.seconds:
-            kinds = ["worker", "worker", "ZooKeeper"] + (["driver host"] if passed < given.seconds / 2 else [])
             kind = choose.choice(kinds)
             if kind == "worker":
                 victim = choose.choice(workers)
                 cluster.kill(victim)
+                kills.append((time.time(), victim))
+                disturbances.append(kills[-1][0])
                 workers[workers.index(victim)] = cluster.worker()
             elif kind == "ZooKeeper":
                 cluster.order("kill leader" if given.long else "kill")
@@ -48,11 +98,17 @@ def main():
             elif not cluster.kill_drivers():
                 continue
             killed[kind] += 1
-            time.sleep(choose.uniform(0.5, 3))
-        totals = cluster.totals(given.seconds + 60)
+            pause = LIMIT_S if len(kinds) == 1 else choose.uniform(0.5, 3)
+            if kind != "worker":
+                disturbances.append(time.time())
+            time.sleep(pause)
+            kinds = ["worker", "worker", "ZooKeeper"] + (["driver host"] if passed < given.seconds / 2 else [])
+        totals = cluster.totals(given.seconds + 90)
         cluster.require_alive()
-    print(f"seed {given.seed}; killed: " + ", ".join(f"{count} x {kind}" for kind, count in killed.items()))
+        events = cluster.timeline()
+    print("killed: " + ", ".join(f"{count} x {kind}" for kind, count in killed.items()))
     finish("random kill -9", totals)
+    report(take_overs(events, kills, disturbances))
 
 
 if __name__ == "__main__":

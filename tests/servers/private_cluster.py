@@ -134,11 +134,11 @@ brokers:
 """)
         self.gateways = gateways
 
-    def daemon(self, program, name, configuration, enter=()):
+    def daemon(self, program, name, configuration, enter=(), options=()):
         """`enter`: the words before the program's own, which start it (in another network, say)."""
         file = self.out / f"{name}.yaml"
         file.write_text(configuration.lstrip())
-        return self.spawn(name, [*enter, self.bin / program, "--config", file])
+        return self.spawn(name, [*enter, self.bin / program, "--config", file, *options])
 
     def topology(self, name, configuration):
         """A worker; `configuration` is its YAML with the registry written as {zookeeper} in zk.servers."""

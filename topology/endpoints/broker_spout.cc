@@ -49,7 +49,7 @@ void BrokerSpout::close() {
 bool BrokerSpout::next_tuple() {
   if (!retries_.empty()) {
     while (auto arrival = retries_.next(services_->clock->now())) {
-      if (arrival->reader->closed()) {  // the broker delivers it again by itself
+      if (comes_again(*arrival)) {
         retries_.done(*arrival);
         continue;
       }
@@ -80,6 +80,7 @@ bool BrokerSpout::next_tuple() {
 
 /// \return whether it was emitted: what its driver sent before may have to be tried again first.
 bool BrokerSpout::bring(Arrival arrival) {
+  if (arrival.reader->is_void()) return false;
   arrival.sequence = ++last_sequence_;
   if (retries_.hold(arrival)) return false;
   emit(std::move(arrival));
@@ -118,10 +119,15 @@ void BrokerSpout::ack(MessageId id) {
   waker_.wake();
 }
 
+/// Its broker delivers it again by itself.
+bool BrokerSpout::comes_again(const Arrival& arrival) {
+  return arrival.reader->closed() || arrival.reader->is_void();
+}
+
 void BrokerSpout::fail(MessageId id) {
   auto arrival = take(id);
   if (!arrival) return;
-  if (arrival->reader->closed()) {  // the broker delivers it again by itself
+  if (comes_again(*arrival)) {
     retries_.done(*arrival);
   } else if (endpoint_.reading.requeue && arrival->tries < endpoint_.reading.max_tries) {
     retried_->add();

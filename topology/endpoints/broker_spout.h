@@ -40,6 +40,7 @@ class BrokerSpout final : public Spout {
  private:
   bool bring(Arrival arrival);
   void emit(Arrival arrival);
+  static bool comes_again(const Arrival& arrival);
   void give_up(Arrival arrival);
   Values values_of(const Arrival& arrival) const;
   MessageId keep(Arrival arrival);

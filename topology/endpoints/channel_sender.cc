@@ -12,8 +12,10 @@ void SenderMeters::lost(const std::string& reason) {
 
 std::shared_ptr<ChannelSender> ChannelSender::open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
                                                    brokers::PublisherOptions options,
-                                                   std::shared_ptr<SenderMeters> meters) {
-  std::shared_ptr<ChannelSender> sender(new ChannelSender(meters));
+                                                   std::shared_ptr<SenderMeters> meters,
+                                                   std::shared_ptr<const Fence> fence) {
+  std::shared_ptr<ChannelSender> sender(new ChannelSender(meters, fence));
+  options.void_before = [fence] { return fence->since(); };
   options.on_outcome = [meters](std::uint64_t, brokers::Outcome outcome, const std::string& reason) {
     if (outcome == brokers::Outcome::confirmed) return;
     meters->lost(outcome == brokers::Outcome::refused   ? "refused"
@@ -53,12 +55,13 @@ void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
     sending_ = held.collector;
     writable_again_ = false;
     lock.unlock();
-    const auto status = publisher->publish(held.message);
+    const bool is_void = this->is_void(held.tuple);
+    const auto status = is_void ? brokers::PublishStatus::closed : publisher->publish(held.message);
     if (status == brokers::PublishStatus::accepted) {
       meters_->accepted();
       held.collector->ack(held.tuple);
     } else if (status == brokers::PublishStatus::closed) {
-      meters_->lost("closed");
+      meters_->lost(is_void ? "fenced" : "closed");
       held.collector->fail(held.tuple);
     }
     lock.lock();
@@ -71,6 +74,12 @@ void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
       return;
     }
   }
+}
+
+/// Whether the tuple comes from a message that its broker has given to another reader. One of unknown age is not.
+bool ChannelSender::is_void(const Tuple& tuple) const {
+  const std::int64_t born = tuple.data()->born_ns;
+  return born != 0 && fence_->voids(Fence::Instant(std::chrono::nanoseconds(born)));
 }
 
 void ChannelSender::on_writable() {

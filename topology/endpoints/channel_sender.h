@@ -27,11 +27,13 @@ class SenderMeters {
 };
 
 /// Sends to one topic, in order, for all tasks of a bolt. A tuple is acked when the publisher has accepted its message;
-/// while the publisher is full tuples are held back unacked, which stops the spout. Thread safe.
+/// while the publisher is full tuples are held back unacked, which stops the spout. What comes from before the fence
+/// was put up is not sent: its tuple fails. Thread safe.
 class ChannelSender : public std::enable_shared_from_this<ChannelSender> {
  public:
   static std::shared_ptr<ChannelSender> open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
-                                             brokers::PublisherOptions options, std::shared_ptr<SenderMeters> meters);
+                                             brokers::PublisherOptions options, std::shared_ptr<SenderMeters> meters,
+                                             std::shared_ptr<const Fence> fence);
 
   /// Acks or fails the tuple, now or later.
   void send(brokers::Message message, const Tuple& tuple, OutputCollector& collector);
@@ -48,7 +50,9 @@ class ChannelSender : public std::enable_shared_from_this<ChannelSender> {
     Tuple tuple;
     OutputCollector* collector;
   };
-  explicit ChannelSender(std::shared_ptr<SenderMeters> meters) : meters_(std::move(meters)) {}
+  ChannelSender(std::shared_ptr<SenderMeters> meters, std::shared_ptr<const Fence> fence)
+      : meters_(std::move(meters)), fence_(std::move(fence)) {}
+  bool is_void(const Tuple& tuple) const;
   void pump(std::unique_lock<std::mutex>& lock);
   void on_writable();
 
@@ -56,6 +60,7 @@ class ChannelSender : public std::enable_shared_from_this<ChannelSender> {
   static constexpr std::size_t most_held = 100'000;
 
   const std::shared_ptr<SenderMeters> meters_;
+  const std::shared_ptr<const Fence> fence_;
   std::mutex mutex_;
   std::condition_variable sent_;
   std::shared_ptr<brokers::Broker> broker_;        ///< guarded by mutex_; outlives the publisher

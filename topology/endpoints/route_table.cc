@@ -280,7 +280,8 @@ std::shared_ptr<ChannelSender> RouteTable::sender_for(const discovery::ChannelRe
   options.deadline = endpoint_.sending.deadline;
   options.priority = priority_of(channel);
   try {
-    auto sender = ChannelSender::open(broker_at(key.first, *services_), key.second, options, std::move(meters));
+    auto sender =
+        ChannelSender::open(broker_at(key.first, *services_), key.second, options, std::move(meters), services_->fence);
     const std::lock_guard lock(mutex_);
     senders_[key] = sender;
     return sender;

@@ -11,6 +11,7 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/topology/endpoints/fence.h>
 
 namespace iotcloud::topology {
 
@@ -26,7 +27,8 @@ struct EndpointServices {
   std::shared_ptr<brokers::BrokerPool> brokers;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
-  std::vector<std::function<void()>> before_stop;  ///< the worker calls them before it stops the topology
+  std::shared_ptr<Fence> fence = std::make_shared<Fence>();  ///< never null
+  std::vector<std::function<void()>> before_stop;            ///< the worker calls them before it stops the topology
 };
 using EndpointServicesPtr = std::shared_ptr<EndpointServices>;
 

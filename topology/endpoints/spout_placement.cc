@@ -21,6 +21,13 @@ std::string unit_of(const discovery::ChannelRecord& channel) {
 }  // namespace
 
 struct SpoutPlacement::Search {
+  explicit Search(Fence& f) : fence(f) {}
+  ~Search() { fence.ignore(listener); }
+  Search(const Search&) = delete;
+  Search& operator=(const Search&) = delete;
+
+  Fence& fence;
+  int listener = 0;
   discovery::GuardPtr session;
   discovery::GuardPtr workers;
   std::unique_ptr<discovery::DriverDirectory> directory;
@@ -41,7 +48,14 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
   }
   // Callbacks come on the dispatcher and wait for mutex_: it is not held here, nor in leave() while the watches die.
   auto& registry = *services_->registry;
-  auto search = std::make_unique<Search>();
+  auto search = std::make_unique<Search>(*services_->fence);
+  search->listener = services_->fence->listen([this] {
+    discovery::GuardPtr before;  // dies outside the lock: its callback may be waiting for it
+    const std::lock_guard lock(mutex_);
+    if (over_) return;
+    before = std::exchange(anew_, services_->registry->after(std::chrono::milliseconds(0),
+                                                             [this] { in_turn([&] { subscribe_anew(); }); }));
+  });
   search->session = registry.on_session([this](discovery::SessionState state) { in_turn([&] { on_session(state); }); });
   search->workers = registry.watch_children(services_->paths.workers(services_->topology), [this](const auto& names) {
     in_turn([&] { on_workers(names.value_or(std::vector<std::string>())); });
@@ -64,15 +78,18 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
 void SpoutPlacement::leave() {
   std::map<std::string, Unit> units;
   discovery::GuardPtr sharing;
+  discovery::GuardPtr anew;
   {
     const std::lock_guard lock(mutex_);
     if (std::exchange(over_, true)) return;
     units.swap(units_);
     sharing.swap(sharing_);
+    anew.swap(anew_);
     inboxes_.clear();
   }
   search_.reset();
   sharing.reset();
+  anew.reset();
   for (auto& [name, unit] : units) {
     stop_reading(unit);
     unit.election.reset();
@@ -212,8 +229,16 @@ void SpoutPlacement::on_lost(const std::string& name) {
   report();
 }
 
-/// The registry is back: what was kept without it is given up unless it was won again already.
+/// The registry is back: what was kept without it is given up unless it was won again already. When it drops the
+/// session, others are elected, and have what was in hand here if the broker, too, cannot be reached.
 void SpoutPlacement::on_session(discovery::SessionState state) {
+  if (state == discovery::SessionState::expired) {
+    const bool cut_off = std::any_of(units_.begin(), units_.end(), [](const auto& entry) {
+      const auto& readers = entry.second.readers;
+      return std::any_of(readers.begin(), readers.end(), [](const auto& reader) { return !reader.second->active(); });
+    });
+    if (cut_off) services_->fence->put_up();
+  }
   if (state != discovery::SessionState::connected) return;
   for (auto& [name, unit] : units_) {
     if (std::exchange(unit.frozen, false) && !unit.leads) stop_reading(unit);
@@ -221,6 +246,17 @@ void SpoutPlacement::on_session(discovery::SessionState state) {
   share_out();
   balance();
   report();
+}
+
+/// After the fence was put up: what comes from here on comes from a place that the broker has confirmed.
+void SpoutPlacement::subscribe_anew() {
+  for (auto& [name, unit] : units_) {
+    if (unit.task < 0) continue;
+    for (const auto& [key, reader] : unit.readers) reader->close();
+    reader_count_ -= unit.readers.size();
+    unit.readers.clear();
+    read(unit);
+  }
 }
 
 /// First the readers, then the right to read: the next reader finds the topic free.
@@ -273,7 +309,7 @@ std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::Chan
   options.priority = priority_of(channel);
   try {
     return ChannelReader::open(broker_at(key.first, *services_), key.first, key.second, options,
-                               channel.shared ? "" : channel.instance, inboxes_.at(task));
+                               channel.shared ? "" : channel.instance, inboxes_.at(task), services_->fence);
   } catch (const config::Error& error) {
     if (complained_.insert(key.first.urls.front()).second) {
       logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());

@@ -58,6 +58,7 @@ class SpoutPlacement {
   void on_elected(const std::string& unit);
   void on_lost(const std::string& unit);
   void on_session(discovery::SessionState state);
+  void subscribe_anew();
   bool fits(const discovery::ChannelRecord& channel);
   void share_out_soon();
   void share_out();
@@ -84,6 +85,7 @@ class SpoutPlacement {
   std::size_t reader_count_ = 0;                                ///< guarded by mutex_
   std::vector<std::unique_ptr<discovery::Election>> resigned_;  ///< of released units; guarded by mutex_
   bool sharing_soon_ = false;                                   ///< share_out() will be called; guarded by mutex_
+  discovery::GuardPtr anew_;                                    ///< calls subscribe_anew(); guarded by mutex_
   discovery::GuardPtr sharing_;                                 ///< that call; guarded by mutex_
   std::unique_ptr<Search> search_;                              ///< set by the last join(), taken by the first leave()
 };

@@ -31,6 +31,8 @@ struct RuntimeOptions {
   std::size_t max_spout_pending = 0;
   /// False: Storm's "0 ackers": every tracked tuple counts as acked when it is emitted.
   bool acking = true;
+  /// Tuples know when their spout emitted what they come from, as they do where a component has a deadline.
+  bool births = false;
   /// Tuples that may wait for one task. Who feeds a task that has so many is not run until half of them are gone; the
   /// queue goes beyond it by what one call of each of its emitters emits at most.
   std::size_t mailbox_capacity = 1024;

@@ -32,7 +32,7 @@ bool has_deadlines(const Topology& topology) {
 
 TaskGraph::TaskGraph(const Topology& topology, Surroundings around, config::Metrics& metrics)
     : topology_(topology), around_(around), metrics_(metrics) {
-  around_.has_deadlines = has_deadlines(topology);
+  around_.has_deadlines = has_deadlines(topology) || around_.options->births;
   name_tasks();
   for (const ComponentSpec& spec : topology_.components) make_tasks(spec);
   for (const auto& task : tasks_) task->emitter().set_up(streams_of(*task), &bolts_, task.get());

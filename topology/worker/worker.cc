@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <atomic>
+#include <condition_variable>
 #include <mutex>
 #include <thread>
 
@@ -32,6 +34,13 @@ std::string host_name() {
   return host;
 }
 
+/// A broker cuts a silent client off after two heartbeats at least, and has heard of it one heartbeat ago at most.
+std::chrono::milliseconds longest_standstill(const EndpointServices& services) {
+  auto shortest = services.other_brokers.heartbeat;
+  for (const auto& [name, options] : services.broker_options) shortest = std::min(shortest, options.heartbeat);
+  return shortest;
+}
+
 std::string unique_name() {
   return fmt::format("{}-{}-{}", host_name(), getpid(), discovery::new_instance_id().substr(0, 8));
 }
@@ -46,6 +55,7 @@ RuntimeOptions runtime_options(const WorkerOptions& options) {
   if (settings.mailbox_capacity > 0) runtime.mailbox_capacity = static_cast<std::size_t>(settings.mailbox_capacity);
   runtime.clock = options.clock;
   runtime.metrics = options.metrics;
+  runtime.births = true;  // for the fence
   return runtime;
 }
 
@@ -62,6 +72,12 @@ struct Worker::Impl {
     services->other_brokers.heartbeat = brokers::usual_heartbeat(definition.registry.session_timeout);
     services->clock = options.clock != nullptr ? options.clock : &config::system_clock();
     services->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
+    if (options.fence) {
+      services->fence = options.fence;
+    } else if (services->clock == &config::system_clock()) {
+      standstill = longest_standstill(*services);
+      services->fence = std::make_shared<Fence>(*services->clock, standstill);
+    }
     services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
     topology = assemble(definition, options.components, endpoint_factories(services));
     if (options.registry == nullptr && definition.registry.url.empty()) {
@@ -76,6 +92,7 @@ struct Worker::Impl {
       options.registry = own_registry.get();
     }
     services->registry = options.registry;
+    if (standstill.count() > 0) heart = std::jthread([this](const std::stop_token& stop) { beat(stop); });
     if (const std::string crossed = crossings(options.definition, topology); !crossed.empty()) stay_alone(crossed);
     runtime = std::make_unique<Runtime>(topology, runtime_options(options));
     taps = std::make_unique<TapDesk>(*runtime, TapDesk::Options{.clock = options.clock});
@@ -85,6 +102,15 @@ struct Worker::Impl {
     control = std::make_unique<WorkerControl>(control_options());
     control->start();
     logger.info("topology {} runs as worker {}", topology.name, services->worker);
+  }
+
+  void beat(const std::stop_token& stop) {
+    std::mutex mutex;
+    std::condition_variable_any end;
+    std::unique_lock lock(mutex);
+    do {
+      services->fence->beat();
+    } while (!end.wait_for(lock, stop, standstill / 4, [&] { return stop.stop_requested(); }));
   }
 
   /// Holds the place of the topology's only worker. One that was killed keeps it until its session is over.
@@ -156,11 +182,13 @@ struct Worker::Impl {
       logger.warn("topology {}: not everything was done within {} ms", topology.name, drain.count());
     alone.reset();
     if (control) control->leave();
+    heart = {};
   }
 
   WorkerOptions options;
   const EndpointServicesPtr services;
   Topology topology;
+  std::chrono::milliseconds standstill{0};  ///< of the fence; 0: none
   std::unique_ptr<discovery::Registry> own_registry;
   discovery::GuardPtr alone;  ///< the place of the only worker, where one alone may run
   std::string http_address;   ///< constant after start()
@@ -169,7 +197,8 @@ struct Worker::Impl {
   std::atomic<bool> running{false};  ///< runtime and taps are there
   std::mutex finish_mutex;
   bool finished = false;                   ///< guarded by finish_mutex
-  std::unique_ptr<WorkerControl> control;  ///< goes first: it uses the runtime
+  std::unique_ptr<WorkerControl> control;  ///< goes before the runtime, which it uses
+  std::jthread heart;                      ///< tells the fence that this process runs
 };
 
 Worker::Worker(WorkerOptions options) : impl_(std::make_unique<Impl>(std::move(options))) {}

@@ -17,6 +17,8 @@
 
 namespace iotcloud::topology {
 
+class Fence;
+
 struct WorkerOptions {
   TopologyDefinition definition;
   /// Components that are linked in, in addition to those of `topology.library`.
@@ -30,6 +32,8 @@ struct WorkerOptions {
   /// Called once, on a thread of the worker, when an order killed the topology: it has drained, stopped and left the
   /// registry, and the process may end. May be empty.
   std::function<void()> on_killed = {};
+  /// Beaten by whoever gives it. Null: the worker's own, by the heartbeats of its brokers and the system's clock.
+  std::shared_ptr<Fence> fence = {};
 };
 
 /// One process's part of a topology: reads and sends through brokers, runs the graph, shares the channels with other

@@ -25,8 +25,9 @@ struct Surroundings {
   Timers* timers = nullptr;
   const config::Clock* clock = nullptr;
   const RuntimeOptions* options = nullptr;
-  bool clock_is_real = true;   ///< the topology's clock is that of real_ns()
-  bool has_deadlines = false;  ///< somewhere in the topology: tuples must know when they were born
+  bool clock_is_real = true;  ///< the topology's clock is that of real_ns()
+  bool has_deadlines =
+      false;  ///< somewhere in the topology, or RuntimeOptions::births: tuples must know when they were born
 };
 
 /// Counts of one task. Written by the thread that runs it, read by any (errors: written by any).
