@@ -16,7 +16,9 @@ BROKERS = {"rabbitmq": "librabbitmq", "kafka": "librdkafka", "activemq": "qpid-p
 SIZES = {"100 B": 100, "1 KB": 1000, "10 KB": 10_000, "60 KB": 60_000, "200 KB": 200_000, "1 MB": 1_000_000}
 RATES = (10, 50, 100)  # messages a second of each of 4 drivers
 MOST = {"100 B": 1000, "60 KB": 64}  # under way when as much as possible is sent
-JVM = {"kafka": ["--throughput"], "activemq": ["--throughput"]}
+# A topic of ours has one partition unless configured otherwise, so one that the bare client makes has, too.
+SERVER = {"kafka": ["--throughput", "--partitions", "1"], "activemq": ["--throughput"]}
+UNSAFE = ("rabbitmq", "kafka")  # their bare clients can do without confirms and acknowledgements
 NOISE = 0.2  # CPUs that other processes may take in a round
 
 
@@ -183,7 +185,7 @@ def closed_loop(bench, layout):
         options = {**layout, "size": SIZES[size], "under_way": 8}
         variants = {OURS: (OURS, options), bench.bare: (bench.kind, options)}
         without = f"{bench.bare} unsafe"
-        if bench.kind == "rabbitmq":
+        if bench.kind in UNSAFE:
             variants[without] = (bench.kind, {**options, "no_confirms": True, "no_acknowledgements": True})
         title = f"{size}, 8 under way"
         runs = bench.turns(title, variants, 2)
@@ -257,7 +259,7 @@ def run_brokers(given):
             continue
         with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder, Children(folder) as servers:
             try:
-                url = servers.server(kind, *JVM.get(kind, []))
+                url = servers.server(kind, *SERVER.get(kind, []))
             except StartError as error:
                 print(f"{kind}: left out, {error}")
                 continue

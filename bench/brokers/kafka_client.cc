@@ -1,5 +1,6 @@
 #include <array>
 #include <chrono>
+#include <cstdio>
 #include <cstring>
 #include <initializer_list>
 #include <stdexcept>
@@ -27,6 +28,12 @@ struct Destroy {
   void operator()(rd_kafka_message_t* message) const { rd_kafka_message_destroy(message); }
 };
 
+/// What was delivered needs no more; what was not makes the round worthless.
+void on_report(rd_kafka_t*, const rd_kafka_message_t* message, void*) {
+  if (message->err != RD_KAFKA_RESP_ERR_NO_ERROR)
+    std::fprintf(stderr, "not sent: %s\n", rd_kafka_err2str(message->err));
+}
+
 std::unique_ptr<rd_kafka_t, Destroy> make(rd_kafka_type_t type, const BrokerOptions& options, Settings settings) {
   constexpr std::string_view scheme = "kafka://";
   if (!options.url.starts_with(scheme)) throw std::runtime_error("not a URL of Kafka: " + options.url);
@@ -40,12 +47,16 @@ std::unique_ptr<rd_kafka_t, Destroy> make(rd_kafka_type_t type, const BrokerOpti
   set("bootstrap.servers", options.url.substr(scheme.size()));
   set("message.max.bytes", "16777216");
   for (const auto& [name, value] : settings) set(name, value);
+  if (type == RD_KAFKA_PRODUCER && options.confirms) rd_kafka_conf_set_dr_msg_cb(configuration, on_report);
   rd_kafka_t* client = rd_kafka_new(type, configuration, problem.data(), problem.size());
   if (client == nullptr) throw std::runtime_error(problem.data());
   return std::unique_ptr<rd_kafka_t, Destroy>(client);
 }
 
-/// One end on librdkafka alone: a producer, and a group's consumer with a thread that polls it.
+/// One end on librdkafka alone: a producer, with a thread that takes its delivery reports, and a group's consumer with
+/// a thread that polls it. It promises what ours does: with confirms every message has an outcome and none is stored
+/// twice or overtaken (a producer without that has a request for each message under way as soon as the server is slow,
+/// which then is slower still); with acknowledgements the group's place is kept as often as ours.
 class End {
  public:
   End(const BrokerOptions& options, std::string from, const std::string& to)
@@ -53,10 +64,11 @@ class End {
         producer_(make(RD_KAFKA_PRODUCER, options,
                        {{"linger.ms", "0"},
                         {"acks", options.confirms ? "all" : "0"},
-                        // Reports of what was delivered would only be counted.
-                        {"delivery.report.only.error", "true"}})),
+                        {"enable.idempotence", options.confirms ? "true" : "false"}})),
         consumer_(make(RD_KAFKA_CONSUMER, options,
                        {{"group.id", from_},
+                        {"enable.auto.commit", options.acknowledgements ? "true" : "false"},
+                        {"auto.commit.interval.ms", "100"},
                         {"auto.offset.reset", "earliest"},  // what an earlier run left is told apart by its stamp
                         {"fetch.min.bytes", "1"},
                         {"allow.auto.create.topics", "true"},
@@ -69,6 +81,10 @@ class End {
     const rd_kafka_resp_err_t failure = rd_kafka_subscribe(consumer_.get(), topics);
     rd_kafka_topic_partition_list_destroy(topics);
     if (failure != RD_KAFKA_RESP_ERR_NO_ERROR) throw std::runtime_error(rd_kafka_err2str(failure));
+    if (!options.confirms) return;
+    reports_ = std::jthread([producer = producer_.get()](const std::stop_token& stop) {
+      while (!stop.stop_requested()) rd_kafka_poll(producer, poll_limit_ms);
+    });
   }
 
   void wait_until_assigned() {
@@ -106,6 +122,7 @@ class End {
   }
 
   void close() {
+    reports_ = {};
     rd_kafka_flush(producer_.get(), 10'000);
     rd_kafka_consumer_close(consumer_.get());
   }
@@ -114,6 +131,7 @@ class End {
   const std::string from_;
   std::unique_ptr<rd_kafka_t, Destroy> producer_, consumer_;
   std::unique_ptr<rd_kafka_topic_t, Destroy> topic_;  ///< where to, of the producer
+  std::jthread reports_;
 };
 
 class KafkaClient final : public Client {

@@ -5,7 +5,6 @@
 
 #include <pthread.h>
 
-#include "iotcloud/brokers/kafka/record.h"
 #include "iotcloud/brokers/limits.h"
 #include <iotcloud/config/log.h>
 
@@ -13,26 +12,6 @@ namespace iotcloud::brokers::kafka {
 namespace {
 
 const config::Logger logger{"brokers.kafka"};
-
-/// Errors that the same message would meet again, whenever it is sent.
-bool is_refusal(rd_kafka_resp_err_t error) {
-  switch (error) {
-    case RD_KAFKA_RESP_ERR_MSG_SIZE_TOO_LARGE:
-    case RD_KAFKA_RESP_ERR_RECORD_LIST_TOO_LARGE:
-    case RD_KAFKA_RESP_ERR_INVALID_MSG:
-    case RD_KAFKA_RESP_ERR_INVALID_MSG_SIZE:
-    case RD_KAFKA_RESP_ERR_INVALID_RECORD:
-    case RD_KAFKA_RESP_ERR_INVALID_TIMESTAMP:
-    case RD_KAFKA_RESP_ERR_POLICY_VIOLATION:
-    case RD_KAFKA_RESP_ERR_TOPIC_EXCEPTION:
-    case RD_KAFKA_RESP_ERR_TOPIC_AUTHORIZATION_FAILED:
-    case RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED:
-    case RD_KAFKA_RESP_ERR__INVALID_ARG:
-      return true;
-    default:
-      return false;
-  }
-}
 
 bool is_missing_topic(rd_kafka_resp_err_t error) {
   return error == RD_KAFKA_RESP_ERR__UNKNOWN_TOPIC || error == RD_KAFKA_RESP_ERR__UNKNOWN_PARTITION ||
@@ -98,17 +77,25 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     return PublishStatus::would_block;
   }
   Outgoing outgoing = outbox->accept(std::move(message), now, past);
-  if (outbox->idle() && may_send(*outbox)) {
+  Route& route = routes_[outbox->topic.name];
+  if (outbox->idle() && outbox->may_send() && may_send() && takes_one(route)) {
     outbox->sent_directly();
-    send(outbox, std::move(outgoing));
+    route.handed_over_at = now;
+    UnderWay& entry = add_under_way(outbox, route, std::move(outgoing));
+    prepare(entry);
+    if (const auto error = hand_over(entry, route.topic.get()); error != RD_KAFKA_RESP_ERR_NO_ERROR) {
+      settle(entry, error);
+    }
     if (reporter_.due()) wake();
     return PublishStatus::accepted;
   }
   const bool timed = outbox->idle() && outbox->options.deadline.count() > 0;
   outbox->add_waiting(std::move(outgoing));
   reporter_.note(outbox);
-  make_runnable(outbox);
-  if (timed || outbox->has_report() || outbox->in_runnable) wake();
+  make_runnable(outbox, route);
+  // What waits for an answer goes on when that comes.
+  const bool now_runs = outbox->in_runnable && may_send() && takes_wave(route, now);
+  if (timed || outbox->has_report() || now_runs) wake();
   return PublishStatus::accepted;
 }
 
@@ -133,53 +120,11 @@ void PublishLink::wake() {
   wake_event_.signal();
 }
 
-bool PublishLink::may_send(const Outbox& outbox) const {
-  return connected_ && !broken_ && !full_ && outbox.may_send() && send_again_at_ == Instant{};
-}
-
-void PublishLink::make_runnable(const std::shared_ptr<Outbox>& outbox) {
-  if (outbox->in_runnable || outbox->idle() || !outbox->may_send()) return;
-  outbox->in_runnable = true;
-  runnable_.push_back(outbox);
-}
-
-void PublishLink::send(const std::shared_ptr<Outbox>& outbox, Outgoing outgoing) {
-  RecordMarks marks;
-  marks.resent = outgoing.resent || outgoing.old;
-  const std::int64_t now_ms = clock_.wall_ms();
-  if (outbox->options.deadline.count() > 0) {
-    const auto left = outgoing.accepted + outbox->options.deadline - clock_.now();
-    marks.expires_ms = now_ms + std::max<std::int64_t>(1, std::chrono::ceil<std::chrono::milliseconds>(left).count());
-  }
-  UnderWay& entry = under_way_.emplace_back(UnderWay{outbox, std::move(outgoing), {}, {}});
-  entry.self = std::prev(under_way_.end());
-  const rd_kafka_resp_err_t error =
-      produce(client_->get(), routes_[outbox->topic.name].topic.get(), entry.outgoing.message, marks,
-              options_.native_headers, now_ms, entry.envelope, &entry);
-  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) settle(entry, error);
-}
-
-void PublishLink::send_waiting() {
-  while (!runnable_.empty()) {
-    const std::shared_ptr<Outbox> outbox = std::move(runnable_.front());
-    runnable_.pop_front();
-    outbox->in_runnable = false;
-    outbox->expire(clock_.now());
-    reporter_.note(outbox);
-    if (outbox->idle() || !outbox->may_send()) continue;
-    if (!may_send(*outbox)) {
-      make_runnable(outbox);
-      return;
-    }
-    Outgoing next = outbox->take_next();
-    send(outbox, std::move(next));
-    make_runnable(outbox);  // in turn with the others
-  }
-}
-
 void PublishLink::settle(UnderWay& entry, rd_kafka_resp_err_t error) {
   const std::shared_ptr<Outbox> outbox = std::move(entry.outbox);
+  Route& route = *entry.route;
   Outgoing outgoing = std::move(entry.outgoing);
+  answered(route);
   under_way_.erase(entry.self);
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR) send_backoff_.reset();
   if (outbox->closed) return;
@@ -192,7 +137,6 @@ void PublishLink::settle(UnderWay& entry, rd_kafka_resp_err_t error) {
     full_ = true;
     outbox->lost(std::move(outgoing));
   } else {
-    Route& route = routes_[outbox->topic.name];
     if (is_missing_topic(error)) {
       route.made = false;
       route.topic.reset();
@@ -206,7 +150,26 @@ void PublishLink::settle(UnderWay& entry, rd_kafka_resp_err_t error) {
     if (!broken_ && send_again_at_ == Instant{}) send_again_at_ = clock_.now() + send_backoff_.next();
   }
   reporter_.note(outbox);
-  make_runnable(outbox);
+  make_runnable(outbox, route);
+}
+
+bool PublishLink::is_refusal(rd_kafka_resp_err_t error) {
+  switch (error) {
+    case RD_KAFKA_RESP_ERR_MSG_SIZE_TOO_LARGE:
+    case RD_KAFKA_RESP_ERR_RECORD_LIST_TOO_LARGE:
+    case RD_KAFKA_RESP_ERR_INVALID_MSG:
+    case RD_KAFKA_RESP_ERR_INVALID_MSG_SIZE:
+    case RD_KAFKA_RESP_ERR_INVALID_RECORD:
+    case RD_KAFKA_RESP_ERR_INVALID_TIMESTAMP:
+    case RD_KAFKA_RESP_ERR_POLICY_VIOLATION:
+    case RD_KAFKA_RESP_ERR_TOPIC_EXCEPTION:
+    case RD_KAFKA_RESP_ERR_TOPIC_AUTHORIZATION_FAILED:
+    case RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED:
+    case RD_KAFKA_RESP_ERR__INVALID_ARG:
+      return true;
+    default:
+      return false;
+  }
 }
 
 std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
@@ -216,6 +179,10 @@ std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
         std::clamp(std::chrono::ceil<std::chrono::milliseconds>(instant - now), std::chrono::milliseconds(0), limit);
   };
   if (send_again_at_ != Instant{}) until(send_again_at_);
+  if (!under_way_.empty()) limit = std::min(limit, longest_wait);
+  if (may_send()) {
+    for (const Route* route : runnable_) until(opens_at(*route));
+  }
   if (!asked_.empty() || !connected_) {
     // The answer wakes us.
   } else if (std::any_of(routes_.begin(), routes_.end(), [](const auto& route) { return !route.second.topic; })) {

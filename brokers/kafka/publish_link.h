@@ -33,6 +33,10 @@ using client::WakeEvent;
 /// While a server is there, publish() gives the message to the library on the caller's thread (that never blocks);
 /// while none is, messages wait in their Outbox, under the channel's own policy. What the library has when the
 /// connection breaks stays there: it sends it again itself, without duplicates and in order.
+///
+/// The library gets of one topic what it can send at once, and no more: one request's worth (a wave) when all before it
+/// was answered, or single messages while few are under way. What it could not send would make its thread spin, see
+/// publish_link_waves.cc; meanwhile messages wait here and the next wave is larger.
 class PublishLink {
  public:
   PublishLink(KafkaOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log);
@@ -49,21 +53,32 @@ class PublishLink {
   ConnectionState state() const;
 
  private:
+  /// After so long without all answers the library gets more of a topic.
+  static constexpr std::chrono::milliseconds longest_wait{50};
+
   using Lock = std::unique_lock<std::mutex>;
-  /// With the library until its delivery report.
-  struct UnderWay {
-    std::shared_ptr<Outbox> outbox;
-    Outgoing outgoing;
-    EnvelopeBytes envelope;
-    std::list<UnderWay>::iterator self;
-  };
   struct TopicDestroyer {
     void operator()(rd_kafka_topic_t* topic) const { rd_kafka_topic_destroy(topic); }
   };
+  /// One topic.
   struct Route {
-    bool made = false;                                        ///< it was asked for with success
-    std::unique_ptr<rd_kafka_topic_t, TopicDestroyer> topic;  ///< null: not known to be there yet
-    std::string complaint;                                    ///< the last that was logged
+    bool made = false;                        ///< it was asked for with success
+    std::shared_ptr<rd_kafka_topic_t> topic;  ///< null: not known to be there yet
+    std::string complaint;                    ///< the last that was logged
+    std::size_t under_way = 0;                ///< messages that the library has
+    Instant handed_over_at{};                 ///< when it got something the last time
+    bool answered_slowly = false;             ///< then it was long before all was answered
+    std::deque<std::shared_ptr<Outbox>> runnable;
+    bool in_runnable = false;  ///< stands in runnable_
+    bool in_wave = false;      ///< the link's thread hands a wave over
+  };
+  /// With the library until its delivery report.
+  struct UnderWay {
+    std::shared_ptr<Outbox> outbox;
+    Route* route;
+    Outgoing outgoing;
+    EnvelopeBytes envelope;
+    std::list<UnderWay>::iterator self;
   };
 
   void run();
@@ -80,10 +95,21 @@ class PublishLink {
   void settle(UnderWay& entry, rd_kafka_resp_err_t error);
   void lose_connection();
 
-  void send(const std::shared_ptr<Outbox>& outbox, Outgoing outgoing);
-  void send_waiting();
+  UnderWay& add_under_way(const std::shared_ptr<Outbox>& outbox, Route& route, Outgoing outgoing);
+  rd_kafka_resp_err_t hand_over(UnderWay& entry, rd_kafka_topic_t* topic) const;
+  void prepare(UnderWay& entry) const;
+  /// Whether the same message would meet this error again, whenever it is sent.
+  static bool is_refusal(rd_kafka_resp_err_t error);
+  bool takes_one(const Route& route) const;
+  bool takes_wave(const Route& route, Instant now) const;
+  static Instant opens_at(const Route& route);
+  void answered(Route& route);
+  void send_waiting(Lock& lock);
+  void send_wave(Route& route, Lock& lock);
+  std::vector<UnderWay*> take_wave(Route& route, Instant now);
   void make_runnable(const std::shared_ptr<Outbox>& outbox);
-  bool may_send(const Outbox& outbox) const;
+  void make_runnable(const std::shared_ptr<Outbox>& outbox, Route& route);
+  bool may_send() const;
   std::chrono::milliseconds time_to_sleep(Instant now);
   void wake();
 
@@ -103,7 +129,7 @@ class PublishLink {
   std::vector<std::string> asked_;  ///< topics of the one request that is under way
   std::list<UnderWay> under_way_;
   std::vector<std::shared_ptr<Outbox>> outboxes_;
-  std::deque<std::shared_ptr<Outbox>> runnable_;
+  std::deque<Route*> runnable_;  ///< those with something to send
   bool closing_ = false;
   bool connected_ = false;
   bool doubted_ = false;  ///< connected, but some connection failed: ask

@@ -53,7 +53,7 @@ void PublishLink::run() {
     if (send_again_at_ != Instant{} && send_again_at_ <= now) send_again_at_ = {};
     ask_for_topics(now);
     look_for_topics(lock);
-    if (connected_) send_waiting();
+    send_waiting(lock);
     reporter_.report_all(lock);
     const std::chrono::milliseconds limit = time_to_sleep(clock_.now());
     if (reporter_.due() || closing_ || (connected_ && doubted_)) continue;
@@ -231,7 +231,9 @@ void PublishLink::look_for_topics(Lock& lock) {
     }
     topic_backoff_.reset();
     Route& route = routes_[name];
-    route.topic.reset(rd_kafka_topic_new(client_->get(), name.c_str(), nullptr));
+    if (rd_kafka_topic_t* made = rd_kafka_topic_new(client_->get(), name.c_str(), nullptr)) {
+      route.topic.reset(made, TopicDestroyer());
+    }
     for (const auto& outbox : outboxes_) {
       if (outbox->topic.name != name) continue;
       outbox->ready = route.topic != nullptr;

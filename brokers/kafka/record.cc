@@ -129,7 +129,7 @@ ReadHeaders read_headers(const rd_kafka_message_t& record) {
 }  // namespace
 
 rd_kafka_resp_err_t produce(rd_kafka_t* client, rd_kafka_topic_t* topic, const Message& message,
-                            const RecordMarks& marks, bool native, std::int64_t now_ms, EnvelopeBytes& envelope,
+                            const RecordMarks& marks, bool native, std::int64_t now_ms, const EnvelopeBytes& envelope,
                             void* opaque) {
   std::array<rd_kafka_vu_t, 6> fields{};
   std::size_t count = 0;
@@ -148,7 +148,6 @@ rd_kafka_resp_err_t produce(rd_kafka_t* client, rd_kafka_topic_t* topic, const M
   if (native) {
     bytes(RD_KAFKA_VTYPE_VALUE, message.payload.data(), message.payload.size());
   } else {
-    envelope = encode_envelope(message);
     bytes(RD_KAFKA_VTYPE_VALUE, envelope.data.get(), envelope.size);
   }
   field(RD_KAFKA_VTYPE_TIMESTAMP).i64 = std::abs(message.time_ms - now_ms) < believable_ms ? message.time_ms : now_ms;

@@ -19,11 +19,11 @@ struct RecordMarks {
 
 /// Gives the message to the library: as a TSensorMessage, or (`native`) as the bare body with the metadata in headers.
 /// The key is the driver's id, so that all of one driver goes to one partition. Never blocks.
-/// \param envelope is set to what must live, with the message, until the delivery report.
+/// \param envelope what encode_envelope() made of it, unless `native`; lives, as does the message, until the report.
 /// \param now_ms the wall clock; the record has the message's time when that is near to it, because servers delete
 /// records by their age. \param opaque comes back with the report. \return why it was not taken.
 rd_kafka_resp_err_t produce(rd_kafka_t* client, rd_kafka_topic_t* topic, const Message& message,
-                            const RecordMarks& marks, bool native, std::int64_t now_ms, EnvelopeBytes& envelope,
+                            const RecordMarks& marks, bool native, std::int64_t now_ms, const EnvelopeBytes& envelope,
                             void* opaque);
 
 struct ReadRecord {

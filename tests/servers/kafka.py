@@ -46,28 +46,37 @@ class Kafka(private_server.Server):
         self.port, self.controller_port = port or ports[0], ports[1]
         if tls:
             self.certificates = certificates.Certificates(self.folder)
+        self.partitions = partitions
+        self.configure(1, {1: self.controller_port})
+
+    def configure(self, number, controllers):
+        """`controllers`: the port of each node of the cluster (kafka_cluster.py), by its number."""
+        copies = len(controllers)
+        self.peers = copies  # nodes that must be seen before this one is ready
         self.config = self.write("server.properties", [
-            "process.roles=broker,controller", "node.id=1",
-            "controller.quorum.voters=1@127.0.0.1:%d" % self.controller_port,
+            "process.roles=broker,controller", "node.id=%d" % number,
+            "controller.quorum.voters=" + ",".join("%d@127.0.0.1:%d" % item for item in controllers.items()),
             "controller.listener.names=CONTROLLER", "inter.broker.listener.name=CLIENT",
-            "listener.security.protocol.map=CONTROLLER:PLAINTEXT,CLIENT:%s" % ("SASL_SSL" if tls else "PLAINTEXT"),
+            "listener.security.protocol.map=CONTROLLER:PLAINTEXT,CLIENT:%s" % ("SASL_SSL" if self.certificates else "PLAINTEXT"),
             "listeners=CLIENT://127.0.0.1:%d,CONTROLLER://127.0.0.1:%d" % (self.port, self.controller_port),
             "advertised.listeners=CLIENT://%s:%d" % (self.host(), self.port),
-            "log.dirs=" + self.path("data"), "num.partitions=%d" % partitions, "auto.create.topics.enable=true",
+            "log.dirs=" + self.path("data"), "num.partitions=%d" % self.partitions, "auto.create.topics.enable=true",
             # Bodies of 8 MB and more, with their envelope and headers.
             "message.max.bytes=16777216", "replica.fetch.max.bytes=16777216", "socket.request.max.bytes=33554432",
-            # One node, and groups that form at once: a test waits for each of them.
-            "default.replication.factor=1", "offsets.topic.replication.factor=1", "offsets.topic.num.partitions=4",
-            "transaction.state.log.replication.factor=1", "transaction.state.log.min.isr=1",
-            "transaction.state.log.num.partitions=4", "share.coordinator.state.topic.replication.factor=1",
-            "share.coordinator.state.topic.min.isr=1",
+            # What is confirmed stands on most of the nodes.
+            "min.insync.replicas=%d" % (copies // 2 + 1),
+            *(topic + "replication.factor=%d" % copies for topic in (
+                "default.", "offsets.topic.", "transaction.state.log.", "share.coordinator.state.topic.")),
+            "transaction.state.log.min.isr=1", "share.coordinator.state.topic.min.isr=1",
+            "offsets.topic.num.partitions=4", "transaction.state.log.num.partitions=4",
+            # Groups form at once: a test waits for each of them.
             "group.initial.rebalance.delay.ms=0", "group.min.session.timeout.ms=1000",
             "controlled.shutdown.enable=false", "broker.heartbeat.interval.ms=500",
             # A killed node that comes back is let in at once: its earlier life holds the registration no longer.
             "broker.session.timeout.ms=1500",
             "num.network.threads=2", "num.io.threads=2", "background.threads=2", "log.cleaner.enable=false",
             "log.segment.bytes=67108864", "log.index.size.max.bytes=1048576", "auto.include.jmx.reporter=false",
-            "metadata.max.idle.interval.ms=0"] + (self.security() if tls else []))
+            "metadata.max.idle.interval.ms=0"] + (self.security() if self.certificates else []))
 
     def security(self):
         user = {"user": certificates.USER, "password": certificates.PASSWORD}
@@ -94,7 +103,7 @@ class Kafka(private_server.Server):
     def environment(self):
         return private_server.java_environment()
 
-    def start(self):
+    def launch(self):
         if not os.path.exists(self.path("data", "meta.properties")):
             with open(self.log(), "ab") as log:
                 subprocess.run(self.java("kafka.tools.StorageTool", "format", "--config", self.config,
@@ -102,13 +111,13 @@ class Kafka(private_server.Server):
                                env=self.environment(), cwd=self.folder, stdin=subprocess.DEVNULL, stdout=log,
                                stderr=log, check=True, timeout=private_server.START_LIMIT_S,
                                preexec_fn=private_server.become_child)
-        return super().start()
+        super().launch()
 
     def url(self):
         return "%s://%s:%d" % ("kafkas" if self.certificates else "kafka", self.host(), self.port)
 
     def answers(self):
-        """The port opens early; the node serves once its metadata name itself as a living broker."""
+        """The port opens early; the node serves once its metadata name itself (and its peers) as living brokers."""
         with self.connect(self.port) as probe:
             probe.settimeout(2)
             if self.certificates:
@@ -117,7 +126,24 @@ class Kafka(private_server.Server):
                 token = "\0%s\0%s" % (certificates.USER, certificates.PASSWORD)
                 self.ask(probe, SASL_AUTHENTICATE, 0, struct.pack(">i", len(token)) + token.encode())
             brokers = self.ask(probe, METADATA, 1, struct.pack(">i", 0))  # of no topic
-            return struct.unpack_from(">i", brokers)[0] == 1
+            return struct.unpack_from(">i", brokers)[0] == self.peers
+
+    def leader_of(self, topic):
+        """The node that leads the topic's partition 0, as this one knows; below 1: none does, or there is no topic."""
+        with self.connect(self.port) as probe:
+            probe.settimeout(2)
+            answer = Answer(self.ask(probe, METADATA, 1, struct.pack(">i", 1) + text(topic)))
+        for _ in range(answer.number("i")):  # brokers: id, host, port, rack
+            answer.number("i"), answer.text(), answer.number("i"), answer.text()
+        answer.number("i")  # the controller
+        answer.number("i"), answer.number("h"), answer.text(), answer.number("b")  # one topic: error, name, internal
+        for _ in range(answer.number("i")):
+            _, partition, leader = answer.number("h"), answer.number("i"), answer.number("i")
+            if partition == 0:
+                return leader
+            for _ in range(2):  # replicas, those in sync
+                answer.skip(4 * answer.number("i"))
+        return 0
 
     @staticmethod
     def ask(connection, request, version, body):
@@ -129,6 +155,29 @@ class Kafka(private_server.Server):
         if len(head) < 4:
             raise ConnectionError("the node closed the connection")
         return answers.read(struct.unpack(">i", head)[0])[4:]
+
+
+class Answer:
+    """Reads an answer of Kafka's protocol from the front."""
+
+    def __init__(self, content):
+        self.content, self.at = content, 0
+
+    def number(self, kind):
+        value, = struct.unpack_from(">" + kind, self.content, self.at)
+        self.at += struct.calcsize(">" + kind)
+        return value
+
+    def text(self):
+        """A string; None when it is absent."""
+        size = self.number("h")
+        if size < 0:
+            return None
+        self.at += size
+        return self.content[self.at - size:self.at]
+
+    def skip(self, size):
+        self.at += size
 
 
 def text(value):

@@ -93,6 +93,17 @@ class ServersTest(unittest.TestCase):
     def test_kafka(self):
         self.obeys("kafka.py")
 
+    def test_a_kafka_cluster_that_loses_a_leader_has_another(self):
+        self.obeys("kafka_cluster.py")
+        with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder:
+            cluster = Script("kafka_cluster.py", folder)
+            first = cluster.ask("leader some.topic")
+            self.assertRegex(first, "^LEADER [123]$")
+            self.assertEqual(cluster.ask("kill-leader some.topic"), "KILLED")
+            self.assertRegex(cluster.ask("leader some.topic"), "^LEADER [123]$")
+            self.assertNotEqual(cluster.ask("leader some.topic"), first)
+            self.assertEqual(cluster.end(), ("STOPPED", 0))
+
     def test_kafka_with_tls(self):
         self.obeys("kafka.py", "--tls")
 

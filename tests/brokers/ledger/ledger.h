@@ -20,7 +20,8 @@ struct Victim {
   std::function<void()> pause;   ///< SIGSTOP; empty: this kind cannot
   std::function<void()> resume;
 };
-/// A fresh one: a kind of broker (broker_kinds()), or "cluster": three nodes with quorum queues.
+/// A fresh one: a kind of broker (broker_kinds()), or one of three nodes: "cluster" (RabbitMQ with quorum queues),
+/// "replicated_kafka" (topics of three partitions with three copies).
 Victim make_victim(const std::string& kind);
 
 /// The account of all messages of a run: what was sent, what the broker confirmed, what arrived.

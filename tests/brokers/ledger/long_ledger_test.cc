@@ -8,7 +8,8 @@ namespace {
 
 class LongLedger : public testing::TestWithParam<std::string> {};
 
-INSTANTIATE_TEST_SUITE_P(On, LongLedger, testing::Values("embedded", "rabbitmq", "cluster", "kafka", "activemq"),
+INSTANTIATE_TEST_SUITE_P(On, LongLedger,
+                         testing::Values("embedded", "rabbitmq", "cluster", "kafka", "replicated_kafka", "activemq"),
                          [](const auto& kind) { return kind.param; });
 
 TEST_P(LongLedger, BalancesWhileTheServerIsKilledAndPaused) {

@@ -8,7 +8,8 @@ namespace {
 
 class ShortLedger : public testing::TestWithParam<std::string> {};
 
-INSTANTIATE_TEST_SUITE_P(On, ShortLedger, testing::Values("embedded", "rabbitmq", "cluster", "kafka", "activemq"),
+INSTANTIATE_TEST_SUITE_P(On, ShortLedger,
+                         testing::Values("embedded", "rabbitmq", "cluster", "kafka", "replicated_kafka", "activemq"),
                          [](const auto& kind) { return kind.param; });
 
 TEST_P(ShortLedger, BalancesWhileTheServerIsKilledAndPaused) {

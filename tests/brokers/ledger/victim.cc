@@ -52,6 +52,21 @@ Victim cluster_victim() {
   return victim;
 }
 
+/// Three nodes, each with a copy of everything; each time the node that leads the first topic.
+Victim replicated_kafka_victim() {
+  const std::string topic = "gw.ledger.0";
+  auto server = std::make_shared<tests::PrivateServer>("kafka_cluster.py");
+  Victim victim;
+  victim.options.urls = server->urls();
+  victim.options.properties = {{"partitions", "3"}, {"replication", "3"}};
+  victim.kill = [server, topic] { server->command("kill-leader " + topic, "KILLED"); };
+  victim.start = [server] { server->start(); };
+  victim.pause = [server, topic] { server->command("pause-leader " + topic, "PAUSED"); };
+  victim.resume = [server] { server->resume(); };
+  victim.server = server;
+  return victim;
+}
+
 }  // namespace
 
 Victim make_victim(const std::string& kind) {
@@ -60,6 +75,8 @@ Victim make_victim(const std::string& kind) {
     victim = embedded_victim();
   } else if (kind == "cluster") {
     victim = cluster_victim();
+  } else if (kind == "replicated_kafka") {
+    victim = replicated_kafka_victim();
   } else {
     victim = process_victim(kind + ".py");
   }
