@@ -1,55 +1,17 @@
 #include "iotcloud/brokers/activemq/activemq_broker.h"
 
-#include <exception>
-#include <mutex>
-#include <thread>
 #include <utility>
 
-#include <proton/container.hpp>
-#include <pthread.h>
-
-#include "iotcloud/brokers/activemq/consume_link.h"
-#include "iotcloud/brokers/activemq/publish_link.h"
+#include "iotcloud/brokers/activemq/consuming/consume_link.h"
+#include "iotcloud/brokers/activemq/publishing/publish_link.h"
+#include "iotcloud/brokers/activemq/connection/io_loop.h"
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/log.h>
 
 namespace iotcloud::brokers::activemq {
 namespace {
-
-const config::Logger logger{"brokers.activemq"};
-
-/// Proton's container with its one thread, on which everything of proton's happens.
-class Io {
- public:
-  Io() {
-    container_.auto_stop(false);
-    thread_ = std::thread([this] {
-      try {
-        container_.run();
-      } catch (const std::exception& error) {
-        logger.error("the connections to ActiveMQ ended: {}", error.what());
-      }
-    });
-    pthread_setname_np(thread_.native_handle(), "amqp10-io");
-  }
-  ~Io() { stop(); }
-  Io(const Io&) = delete;
-  Io& operator=(const Io&) = delete;
-
-  void stop() {
-    if (!thread_.joinable()) return;
-    container_.stop();
-    thread_.join();
-  }
-  proton::container& container() { return container_; }
-
- private:
-  proton::container container_;
-  std::thread thread_;
-};
 
 class ActiveMqPublisher final : public Publisher {
  public:
@@ -82,19 +44,27 @@ class ActiveMqSubscription final : public Subscription {
   const std::shared_ptr<Inlet> inlet_;
 };
 
-/// Bulk data and urgent messages have connections of their own; those for urgent ones are made when first used.
+const config::Clock& clock_of(const BrokerOptions& options) {
+  return options.clock != nullptr ? *options.clock : config::system_clock();
+}
+
+/// Bulk data and urgent messages have connections and threads of their own; those for urgent ones begin when first
+/// used.
 class ActiveMqBroker final : public Broker {
  public:
   ActiveMqBroker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls)
       : options_(options),
         meters_(options.metrics, "activemq"),
         log_(printable_url(options.urls.front())),
-        publishing_(io_.container(), options_, urls, "publishing", meters_, log_),
-        urgent_publishing_(io_.container(), options_, urls, "publishing-urgent", meters_, log_),
-        consuming_(std::make_shared<ConsumeLink>(io_.container(), options_, urls, "consuming", meters_, log_)),
+        loop_(clock_of(options)),
+        urgent_loop_(clock_of(options)),
+        publishing_(loop_, options_, urls, "publishing", meters_, log_),
+        urgent_publishing_(urgent_loop_, options_, urls, "publishing-urgent", meters_, log_),
+        consuming_(std::make_shared<ConsumeLink>(loop_, options_, urls, "consuming", meters_, log_)),
         urgent_consuming_(
-            std::make_shared<ConsumeLink>(io_.container(), options_, urls, "consuming-urgent", meters_, log_)) {
+            std::make_shared<ConsumeLink>(urgent_loop_, options_, urls, "consuming-urgent", meters_, log_)) {
     publishing_.start();
+    loop_.start({&publishing_, consuming_.get()});
   }
   ~ActiveMqBroker() override {
     consuming_->end();
@@ -102,11 +72,13 @@ class ActiveMqBroker final : public Broker {
     dead_letters_.reset();
     publishing_.close();
     urgent_publishing_.close();
-    io_.stop();
+    loop_.stop();
+    urgent_loop_.stop();
   }
 
   std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
     check(topic);
+    if (options.priority >= urgent_priority) start_urgent();
     return std::make_unique<ActiveMqPublisher>(options.priority >= urgent_priority ? urgent_publishing_ : publishing_,
                                                topic, options);
   }
@@ -114,6 +86,7 @@ class ActiveMqBroker final : public Broker {
   std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
                                           Handler handler) override {
     check(topic);
+    if (options.priority >= urgent_priority) start_urgent();
     return std::make_unique<ActiveMqSubscription>(
         options.priority >= urgent_priority ? *urgent_consuming_ : *consuming_, topic, options,
         dead_letters_->guard(topic, options, std::move(handler)));
@@ -129,6 +102,7 @@ class ActiveMqBroker final : public Broker {
   const std::string& url() const override { return options_.urls.front(); }
 
  private:
+  void start_urgent() { urgent_loop_.start({&urgent_publishing_, urgent_consuming_.get()}); }
   static void check(const Topic& topic) {
     if (topic.name.empty()) throw config::Error("a topic on ActiveMQ needs a name");
   }
@@ -136,7 +110,8 @@ class ActiveMqBroker final : public Broker {
   const BrokerOptions options_;
   Meters meters_;
   ConnectionLog log_;
-  Io io_;
+  IoLoop loop_;
+  IoLoop urgent_loop_;
   PublishLink publishing_;
   PublishLink urgent_publishing_;
   const std::shared_ptr<ConsumeLink> consuming_;

@@ -10,7 +10,8 @@
 
 namespace iotcloud::brokers::client {
 
-/// Lets a thread sleep on a socket and be woken by others. signal() is thread safe; wait() is its one thread's.
+/// Lets a thread sleep on a socket and be woken by others. signal() is thread safe; wait() and clear() are its one
+/// thread's.
 class WakeEvent {
  public:
   WakeEvent() : event_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
@@ -28,6 +29,12 @@ class WakeEvent {
     [[maybe_unused]] const auto written = ::write(event_, &one, sizeof(one));  // full: it is signalled already
   }
 
+  /// Takes the signals that came.
+  void clear() {
+    std::uint64_t count = 0;
+    [[maybe_unused]] const auto got = ::read(event_, &count, sizeof(count));
+  }
+
   struct Result {
     bool readable = false;
     bool writable = false;
@@ -37,10 +44,7 @@ class WakeEvent {
     const auto events = static_cast<short>(want_write ? POLLIN | POLLOUT : POLLIN);
     pollfd waiting[2] = {{event_, POLLIN, 0}, {socket, events, 0}};
     if (::poll(waiting, socket < 0 ? 1 : 2, static_cast<int>(limit.count())) <= 0) return {};
-    if (waiting[0].revents != 0) {
-      std::uint64_t count = 0;
-      [[maybe_unused]] const auto got = ::read(event_, &count, sizeof(count));
-    }
+    if (waiting[0].revents != 0) clear();
     return {(waiting[1].revents & ~POLLOUT) != 0, (waiting[1].revents & POLLOUT) != 0};
   }
 

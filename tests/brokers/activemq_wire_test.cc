@@ -1,26 +1,44 @@
-// How messages and names look on ActiveMQ's wire.
+// How messages and names look on ActiveMQ's wire: ours, proton's, and what is no message at all.
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <proton/message.hpp>
 #include <proton/types.hpp>
 
 #include "iotcloud/brokers/activemq/names.h"
-#include "iotcloud/brokers/activemq/statistics.h"
-#include "iotcloud/brokers/activemq/wire_message.h"
+#include "iotcloud/brokers/activemq/wire/amqp_value.h"
+#include "iotcloud/brokers/activemq/wire/sections.h"
+#include "iotcloud/brokers/activemq/wire/statistics.h"
+#include "iotcloud/brokers/activemq/wire/wire_message.h"
 
 namespace iotcloud::brokers::activemq {
 namespace {
 
-using testing::HasSubstr;
-using testing::Not;
+std::string to_wire(const Message& message, const Envelope& envelope) {
+  std::string bytes;
+  write_head(message, envelope, bytes);
+  return bytes + std::string(message.payload.text());
+}
 
-proton::message through_the_wire(const proton::message& message) {
-  proton::message received;
-  received.decode(message.encode());
-  return received;
+std::optional<client::Arrived> from_bytes(const std::string& bytes) {
+  const auto owner = std::make_shared<const std::string>(bytes);
+  return from_wire({owner, *owner});
+}
+
+/// As proton reads and writes it.
+proton::message decoded(const std::string& bytes) {
+  proton::message message;
+  message.decode({bytes.begin(), bytes.end()});
+  return message;
+}
+
+std::string encoded(const proton::message& message) {
+  const std::vector<char> bytes = message.encode();
+  return {bytes.begin(), bytes.end()};
 }
 
 Message filled() {
@@ -33,14 +51,16 @@ Message filled() {
 }
 
 void expect_unchanged(const Message& message) {
-  const auto arrived = from_wire(through_the_wire(to_wire(message, {})));
-  ASSERT_TRUE(arrived);
-  EXPECT_EQ(arrived->message.payload, message.payload);
-  EXPECT_EQ(arrived->message.driver_id, message.driver_id);
-  EXPECT_EQ(arrived->message.gateway_id, message.gateway_id);
-  EXPECT_EQ(arrived->message.time_ms, message.time_ms);
-  EXPECT_EQ(arrived->message.properties, message.properties);
-  EXPECT_FALSE(arrived->redelivered);
+  for (const std::string& bytes : {to_wire(message, {}), encoded(decoded(to_wire(message, {})))}) {
+    const auto arrived = from_bytes(bytes);
+    ASSERT_TRUE(arrived);
+    EXPECT_EQ(arrived->message.payload, message.payload);
+    EXPECT_EQ(arrived->message.driver_id, message.driver_id);
+    EXPECT_EQ(arrived->message.gateway_id, message.gateway_id);
+    EXPECT_EQ(arrived->message.time_ms, message.time_ms);
+    EXPECT_EQ(arrived->message.properties, message.properties);
+    EXPECT_FALSE(arrived->redelivered);
+  }
 }
 
 TEST(ActiveMqMessage, CarriesPropertiesInTheirOrder) {
@@ -71,7 +91,10 @@ TEST(ActiveMqMessage, IsABytesMessageWithTheOriginalsPropertiesForJms) {
   Message message = filled();
   message.properties.set("unit", "mm");
   message.properties.set("JMSPriority", "9");
-  const proton::message wire = through_the_wire(to_wire(message, {.to = "queue://q", .durable = true, .priority = 7}));
+  const proton::message wire = decoded(
+      to_wire(message, {.to = "queue://q", .durable = true, .priority = 7, .expires_in = std::chrono::seconds(3)}));
+  EXPECT_EQ(wire.to(), "queue://q");
+  EXPECT_EQ(wire.ttl().milliseconds(), 3000U);
   EXPECT_EQ(wire.body().type(), proton::BINARY);
   EXPECT_TRUE(wire.inferred()) << "a data section";
   std::map<std::string, proton::scalar> properties;
@@ -85,7 +108,7 @@ TEST(ActiveMqMessage, IsABytesMessageWithTheOriginalsPropertiesForJms) {
 }
 
 TEST(ActiveMqMessage, OneThatWasSentBeforeSaysSo) {
-  const auto arrived = from_wire(through_the_wire(to_wire(filled(), {.to = "", .resent = true})));
+  const auto arrived = from_bytes(to_wire(filled(), {.to = "", .resent = true}));
   ASSERT_TRUE(arrived);
   EXPECT_TRUE(arrived->redelivered);
   EXPECT_TRUE(arrived->message.properties.empty());
@@ -98,37 +121,108 @@ TEST(ActiveMqMessage, PropertiesOfOddTypesBecomeTextAndNestedOnesAreSkipped) {
   odd[std::string("time")] = std::int64_t{77};
   odd[std::string("flag")] = true;
   odd[std::string("small")] = std::int8_t{-3};
+  odd[std::string("large")] = std::uint64_t{18'446'744'073'709'551'615U};
+  odd[std::string("single")] = 0.1F;
   odd[std::string("double")] = 0.5;
+  odd[std::string("moment")] = proton::timestamp(-5);
   odd[std::string("binary")] = proton::binary{1, 2};
+  odd[std::string("symbol")] = proton::symbol("word");
+  odd[std::string("uuid")] = proton::uuid::random();
   odd[std::string("list")] = std::vector<std::int32_t>{1, 2};
   odd[std::int32_t{5}] = std::string("numbered");
-  wire.properties().value() = odd;  // proton would not send it
-  const auto arrived = from_wire(wire);
+  proton::value map;
+  map = odd;
+  std::string bytes;
+  {
+    proton::message carrier;  // proton does not write such properties
+    carrier.body() = map;
+    bytes = encoded(carrier);
+    const auto value_section = bytes.find(std::string("\0\x53\x77", 3));
+    ASSERT_NE(value_section, std::string::npos);
+    bytes[value_section + 2] = '\x74';
+  }
+  const std::string text = encoded(wire);
+  const auto arrived = from_bytes(bytes + text.substr(text.find(std::string("\0\x53\x77", 3))));
   ASSERT_TRUE(arrived);
   EXPECT_EQ(arrived->message.payload.text(), "text");
   EXPECT_EQ(arrived->message.time_ms, 77);
   const Properties& properties = arrived->message.properties;
   EXPECT_EQ(*properties.find("flag"), "true");
   EXPECT_EQ(*properties.find("small"), "-3");
+  EXPECT_EQ(*properties.find("large"), "18446744073709551615");
+  EXPECT_EQ(*properties.find("single"), "0.1");
   EXPECT_EQ(*properties.find("double"), "0.5");
+  EXPECT_EQ(*properties.find("moment"), "-5");
   EXPECT_EQ(*properties.find("binary"), "\x01\x02");
+  EXPECT_EQ(*properties.find("symbol"), "word");
   EXPECT_EQ(*properties.find("5"), "numbered");
   EXPECT_EQ(properties.find("list"), nullptr);
+  EXPECT_EQ(properties.find("uuid"), nullptr);
 }
 
 TEST(ActiveMqMessage, ABodyThatIsNeitherBytesNorTextIsNotCarried) {
   proton::message wire;
   wire.body() = std::map<std::string, proton::scalar>{{"k", 1}};
-  EXPECT_FALSE(from_wire(through_the_wire(wire)));
+  EXPECT_FALSE(from_bytes(encoded(wire)));
+}
+
+TEST(ActiveMqMessage, ABodyInSeveralPartsIsOneBody) {
+  const std::string part("\0\x53\x75\xa0\2ab", 7);
+  const auto arrived = from_bytes(part + part);
+  ASSERT_TRUE(arrived);
+  EXPECT_EQ(arrived->message.payload.text(), "abab");
 }
 
 TEST(ActiveMqMessage, AnIndexThatIsNonsenseDoesNoHarm) {
   for (const char* index : {"&&&", "=", "%", "%4", "%zz=%", "a=b&a&a=c", "sensorID=x&siteID"}) {
-    proton::message wire = to_wire(filled(), {});
+    proton::message wire = decoded(to_wire(filled(), {}));
     std::map<std::string, proton::scalar> properties{{"iotcloud_properties", index}, {"a", "1"}};
     wire.properties() = properties;
-    EXPECT_TRUE(from_wire(through_the_wire(wire))) << index;
+    EXPECT_TRUE(from_bytes(encoded(wire))) << index;
   }
+}
+
+TEST(ActiveMqMessage, BytesThatAreNoAmqpAreRefusedWhereverTheyBreakOff) {
+  Message message = filled();
+  message.properties.set("unit", "mm");
+  const std::string whole = to_wire(message, {.to = "queue://q"});
+  int refused = 0;
+  for (std::size_t length = 1; length < whole.size(); ++length) {
+    if (!from_bytes(whole.substr(0, length))) ++refused;
+  }
+  // Between two sections a message may end.
+  EXPECT_EQ(refused, static_cast<int>(whole.size()) - 1 - 3);
+}
+
+TEST(ActiveMqMessage, LengthsAndCountsThatLieAreRefused) {
+  const std::string properties("\0\x53\x74", 3);
+  for (const std::string& bytes : {
+           std::string("garbage"), std::string("\0\x53\x99\x40", 4),     // no such section
+           std::string("\0\x53\x75\xb0\xff\xff\xff\xff", 8),             // 4 GB of body
+           properties + std::string("\xd1\0\0\0\4\xff\xff\xff\xff", 9),  // 4 billion entries
+           properties + std::string("\xc1\2\1\x40", 4),                  // a key alone
+           properties + std::string("\xc1\3\2\xa1\x09", 5),              // a key that is too long
+           properties + std::string("\xc1\0", 2),                        // not even a count
+           properties + std::string("\xa1\1x", 3),                       // no map
+           properties + std::string("\xc1\3\2\x01\x40", 5),              // no such type
+           std::string("\0\x53\x77", 3) + std::string(1'000'000, '\0'),  // described by described by...
+           std::string("\0\x53\x77\x40", 4) + std::string("\0\x53", 2),  // a section without an end
+       }) {
+    EXPECT_FALSE(from_bytes(bytes)) << testing::PrintToString(bytes.substr(0, 20));
+  }
+}
+
+TEST(ActiveMqMessage, TooManyPropertiesAreRefused) {
+  std::string bytes;
+  AmqpWriter writer(bytes);
+  writer.descriptor(static_cast<std::uint8_t>(Section::application_properties));
+  const std::size_t map = writer.begin_map();
+  for (int i = 0; i < 100'000; ++i) {
+    writer.text(std::to_string(i));
+    writer.text("");
+  }
+  writer.end(map, 200'000);
+  EXPECT_FALSE(from_bytes(bytes));
 }
 
 TEST(ActiveMqNames, GroupsReadQueuesOfAVirtualTopicAndNobodyTheTopicsOwn) {
@@ -144,13 +238,36 @@ TEST(ActiveMqNames, WhatMeansSomethingToTheServerIsEncoded) {
   EXPECT_EQ(percent_decode(percent_encode("a,b\xff%", "")), "a,b\xff%");
 }
 
+TEST(ActiveMqStatistics, TheQuestionIsReadByOthersAsItWasMeant) {
+  const proton::message question = decoded(statistics_question("a,b", "temp-queue://answers", 7));
+  EXPECT_EQ(question.to(),
+            "queue://ActiveMQ.Statistics.Destinationa,bActiveMQ.Statistics.Destination.List.End.With.Null");
+  EXPECT_EQ(question.reply_to(), "temp-queue://answers");
+  EXPECT_EQ(proton::get<std::string>(question.correlation_id()), "7");
+  EXPECT_FALSE(question.durable());
+}
+
+TEST(ActiveMqStatistics, AnAnswerSaysWhichQueueHasHowManyReadersAndMessages) {
+  proton::message wire;
+  wire.correlation_id(std::string("7"));
+  wire.body() = std::map<std::string, proton::scalar>{
+      {"destinationName", "queue://q"}, {"consumerCount", std::int64_t{2}}, {"size", std::int64_t{5}}};
+  const StatisticsAnswer answer = statistics_answer(encoded(wire));
+  EXPECT_EQ(answer.question, 7U);
+  ASSERT_TRUE(answer.facts);
+  EXPECT_EQ(answer.facts->name, "q");
+  EXPECT_EQ(answer.facts->readers, 2U);
+  EXPECT_EQ(answer.facts->messages, 5U);
+}
+
 TEST(ActiveMqStatistics, AnswersOfOthersAreNotTakenForOurs) {
-  EXPECT_EQ(statistics_answer(proton::message()).question, 0U);
+  EXPECT_EQ(statistics_answer(encoded(proton::message())).question, 0U);
   proton::message odd;
   odd.correlation_id(std::string("7x"));
   odd.body() = std::map<std::string, proton::scalar>{{"destinationName", 5}, {"size", "many"}};
-  EXPECT_EQ(statistics_answer(odd).question, 7U);
-  EXPECT_FALSE(statistics_answer(odd).facts);
+  EXPECT_EQ(statistics_answer(encoded(odd)).question, 7U);
+  EXPECT_FALSE(statistics_answer(encoded(odd)).facts);
+  EXPECT_THROW(statistics_answer("no AMQP"), MalformedAmqp);
 }
 
 }  // namespace

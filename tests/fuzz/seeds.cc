@@ -6,6 +6,8 @@
 #include <amqp.h>
 #include <amqp_framing.h>
 
+#include "iotcloud/brokers/activemq/wire/statistics.h"
+#include "iotcloud/brokers/activemq/wire/wire_message.h"
 #include "iotcloud/brokers/envelope.h"
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
 #include "iotcloud/brokers/spool/bytes.h"
@@ -70,6 +72,13 @@ std::string envelope(int number) {
   return {reinterpret_cast<const char*>(bytes.data.get()), bytes.size};
 }
 
+std::string activemq_message(int number) {
+  const brokers::Message message = sample(number);
+  std::string bytes;
+  brokers::activemq::write_head(message, {.to = "queue://q", .resent = number % 2 == 1}, bytes);
+  return bytes + std::string(message.payload.text());
+}
+
 /// Headers that are tables within tables.
 std::string nested_tables(int depth) {
   std::string table = "\1tV";  // an entry "t" without a value
@@ -96,9 +105,11 @@ int main(int argc, char** argv) {
     write(folder / "spool_record_fuzzer", name, record(static_cast<std::uint64_t>(i)));
     write(folder / "spool_record_fuzzer", "body" + name, record(static_cast<std::uint64_t>(i)).substr(12));
     write(folder / "amqp_headers_fuzzer", name, amqp_properties(i));
+    write(folder / "activemq_message_fuzzer", name, activemq_message(i));
     write(folder / "envelope_fuzzer", name, envelope(i));
     write(folder / "amqp_headers_fuzzer", "nested" + name, nested_tables(i * 5 + 1));
   }
+  write(folder / "activemq_message_fuzzer", "question", brokers::activemq::statistics_question("queue", "answers", 7));
   const std::string first = file_start() + record(1) + record(2);
   const std::string second = file_start() + record(3) + record(4);
   write(folder / "selection_fuzzer", "issue",

@@ -4,11 +4,10 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <thread>
 #include <vector>
 
-#include <proton/tracker.hpp>
-
-#include "iotcloud/brokers/activemq/server_link.h"
+#include "iotcloud/brokers/activemq/connection/server_link.h"
 #include "iotcloud/brokers/client/outcome_reporter.h"
 #include "iotcloud/brokers/meters.h"
 
@@ -31,13 +30,13 @@ class Outlet final : public Outbox {
   Instant asked_at{};
 };
 
-/// The publishing connection of one broker object. Callers of publish() leave their messages here; the I/O thread sends
-/// them, many for one wake-up. All go over one link, so that messages of a topic keep their order whatever way they
-/// take.
+/// The publishing connection of one broker object. Callers of publish() send on their own thread, as far as the socket
+/// takes it; the loop does the rest. All messages go over one AMQP link, so that those of a topic keep their order
+/// whatever way they take.
 class PublishLink final : public ServerLink {
  public:
-  PublishLink(proton::container& container, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
-              std::string purpose, Meters& meters, ConnectionLog& log);
+  PublishLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls, std::string purpose,
+              Meters& meters, ConnectionLog& log);
 
   std::shared_ptr<Outlet> add(const Topic& topic, const PublisherOptions& options);
   /// Closes the publisher: reports what has no outcome as unknown, waits for callbacks that run.
@@ -49,7 +48,6 @@ class PublishLink final : public ServerLink {
 
  private:
   struct UnderWay {
-    proton::tracker tracker;
     std::shared_ptr<Outlet> outlet;
     Outgoing outgoing;
     bool answered = false;
@@ -57,35 +55,34 @@ class PublishLink final : public ServerLink {
 
   void up() override;
   void down() override;
-  void serve() override;
-  std::size_t under_way() const override;
+  void work() override;
+  void report(Lock& lock) override;
+  std::size_t under_way() const override { return under_way_.size(); }
   void blame(const std::string& why) override;
-  void on_tracker_accept(proton::tracker& tracker) override;
-  void on_tracker_reject(proton::tracker& tracker) override;
-  void on_tracker_release(proton::tracker& tracker) override;
-  void on_sendable(proton::sender& sender) override;
-  void on_other_message(proton::delivery& delivery, proton::message& message) override;
+  void on_outcome(pn_delivery_t* delivery, std::uint64_t outcome) override;
+  void on_message(pn_delivery_t* delivery, const WireBytes& message) override;
 
-  enum class Verdict { accepted, rejected, released };
-  void on_verdict(const proton::tracker& tracker, Verdict verdict);
-  void send_waiting(Lock& lock);
-  void send(Lock& lock, const std::shared_ptr<Outlet>& outlet, Outgoing outgoing);
+  void send_waiting();
+  void send(const std::shared_ptr<Outlet>& outlet, Outgoing outgoing);
+  void send_now();
   void find_route(const std::shared_ptr<Outlet>& outlet);
   void on_route(const std::shared_ptr<Outlet>& outlet, const std::vector<QueueFacts>& queues);
   bool route_is_old(const Outlet& outlet) const;
   void make_runnable(const std::shared_ptr<Outlet>& outlet);
+  void note(const std::shared_ptr<Outlet>& outlet);
   void fire_timers();
 
   Meters& meters_;
-  proton::receiver readers_;  ///< tells of readers that come and go
-
-  // Guarded by mutex_.
+  std::string head_;              ///< of the message that is being sent: the buffer is used again
+  pn_link_t* readers_ = nullptr;  ///< tells of readers that come and go
   client::OutcomeReporter reporter_{changed_, meters_};
-  bool blocked_ = false;  ///< the server gives no credit
+  bool blocked_ = false;                 ///< the server gives no credit
+  Instant next_timer_ = Instant::max();  ///< no publisher has one before that
   std::vector<std::shared_ptr<Outlet>> outlets_;
   std::deque<std::shared_ptr<Outlet>> runnable_;
-  std::deque<UnderWay> under_way_;
+  std::deque<UnderWay> under_way_;  ///< entries stay where they are: their deliveries refer to them
   std::size_t one_by_one_ = 0;  ///< so many messages still go alone: one of them made the server close the connection
+  std::thread::id reporting_;   ///< calls callbacks
 };
 
 }  // namespace iotcloud::brokers::activemq

@@ -3,20 +3,19 @@
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
-#include <map>
 #include <memory>
 #include <string>
 #include <thread>
 #include <vector>
 
-#include "iotcloud/brokers/activemq/inlet.h"
-#include "iotcloud/brokers/activemq/server_link.h"
+#include "iotcloud/brokers/activemq/connection/server_link.h"
+#include "iotcloud/brokers/activemq/consuming/inlet.h"
 #include "iotcloud/brokers/meters.h"
 
 namespace iotcloud::brokers::activemq {
 
-/// The consuming connection of one broker object, with the thread that runs the handlers; the I/O thread reads on while
-/// a handler runs long.
+/// The consuming connection of one broker object. The loop's thread that serves it also runs the handlers; when one
+/// runs long the other thread reads on.
 ///
 /// Each subscription has a session of its own: when a session ends, the server marks all that was delivered on it and
 /// not settled as redelivered, which it does not when only a link ends.
@@ -24,12 +23,12 @@ namespace iotcloud::brokers::activemq {
 /// asks for the place, then how many readers the queue has; one that is not alone leaves and comes again later.
 class ConsumeLink final : public ServerLink, public std::enable_shared_from_this<ConsumeLink> {
  public:
-  ConsumeLink(proton::container& container, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
-              std::string purpose, Meters& meters, ConnectionLog& log);
-  /// Closes the connection and ends the thread, if there is one. Not from a handler.
+  ConsumeLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls, std::string purpose,
+              Meters& meters, ConnectionLog& log);
+  /// Waits for the handler that runs and closes the connection. Not from a handler.
   void end();
 
-  /// The first one starts the thread and connects.
+  /// The first one connects.
   std::shared_ptr<Inlet> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
   /// Ends a subscription; returns when its handler does not run any more, unless called from it.
   void remove(const std::shared_ptr<Inlet>& inlet);
@@ -39,30 +38,36 @@ class ConsumeLink final : public ServerLink, public std::enable_shared_from_this
   void settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t public_tag, Settlement settlement) noexcept;
   ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection
 
+  bool has_handlers_to_run() override;
+  void run_handlers() override;
+
  private:
   using Inlets = std::vector<std::shared_ptr<Inlet>>;
 
-  // On the I/O thread.
+  // What the server says, and what is said to it: consume_link_wire.cc.
   void up() override;
   void down() override;
-  void serve() override;
-  void say_goodbye() override;
-  void on_other_receiver_open(proton::receiver& receiver) override;
-  void on_other_receiver_error(proton::receiver& receiver) override;
-  void on_other_session_error(proton::session& session) override;
-  void on_other_message(proton::delivery& delivery, proton::message& message) override;
+  void work() override;
+  void before_flush() override { send_all_settlements(); }
+  void say_goodbye() override { send_all_settlements(); }
+  void on_receiver_open(pn_link_t* receiver) override;
+  void on_receiver_closed(pn_link_t* receiver, const std::string& why) override;
+  void on_session_closed(pn_session_t* session, const std::string& why) override;
+  void on_message(pn_delivery_t* delivery, const WireBytes& message) override;
+  void open_due();
+  void ask_for_places();
   void open(const std::shared_ptr<Inlet>& inlet);
-  void on_place(const std::shared_ptr<Inlet>& inlet, std::uint64_t generation, const std::vector<QueueFacts>& queues);
-  void refused(const std::shared_ptr<Inlet>& inlet, const std::string& why);
+  void on_place(const std::shared_ptr<Inlet>& inlet, std::uint64_t generation, const QueueFacts& facts);
+  void activate(Inlet& inlet);
+  void refused(Inlet* inlet, const std::string& why);
   void leave(Inlet& inlet);
   void forget_session(Inlet& inlet);
   void retry_later(Inlet& inlet);
+  void try_at(Inlet& inlet, Instant when);
+  void give_credit(Inlet& inlet, std::uint32_t count);
   void send_settlements(Inlet& inlet);
   void send_all_settlements();
-  std::shared_ptr<Inlet> find(const proton::receiver& receiver) const;
 
-  // On the handlers' thread.
-  void run();
   void hand_on(Lock& lock, const std::shared_ptr<Inlet>& inlet);
   void run_handler(const Inlet& inlet, client::Arrived arrived, std::shared_ptr<Settler> settler, std::uint64_t tag);
 
@@ -70,10 +75,8 @@ class ConsumeLink final : public ServerLink, public std::enable_shared_from_this
   void make_dirty(const std::shared_ptr<Inlet>& inlet);
 
   Meters& meters_;
-  std::map<std::string, std::shared_ptr<Inlet>, std::less<>> open_;  ///< by link name; the I/O thread's
 
   // Guarded by mutex_.
-  std::condition_variable work_;
   std::condition_variable handler_ended_;
   bool ending_ = false;
   std::uint64_t last_name_ = 0;
@@ -81,7 +84,10 @@ class ConsumeLink final : public ServerLink, public std::enable_shared_from_this
   Inlets leaving_;  ///< removed, session still open
   Inlets dirty_;
   std::deque<std::shared_ptr<Inlet>> ready_;
-  std::thread thread_;
+  Inlets to_ask_;                      ///< open; how many readers their queues have is to be asked, for all together
+  std::size_t opening_ = 0;            ///< so many wait for the server's answer
+  Instant next_try_ = Instant::max();  ///< no subscription has something to do before that
+  std::thread::id handler_thread_;     ///< runs handlers; none: nobody does
 };
 
 }  // namespace iotcloud::brokers::activemq

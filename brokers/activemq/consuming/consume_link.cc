@@ -1,10 +1,9 @@
-#include "iotcloud/brokers/activemq/consume_link.h"
+#include "iotcloud/brokers/activemq/consuming/consume_link.h"
 
 #include <algorithm>
+#include <chrono>
 #include <exception>
 #include <utility>
-
-#include <pthread.h>
 
 #include "iotcloud/brokers/activemq/names.h"
 #include <iotcloud/config/log.h>
@@ -13,6 +12,12 @@ namespace iotcloud::brokers::activemq {
 namespace {
 
 const config::Logger logger{"brokers.activemq"};
+
+// So many handlers run before the sockets are looked at again, or as many as fit into that time.
+constexpr int handlers_in_a_row = 32;
+constexpr std::chrono::microseconds time_in_a_row{1000};
+// What handlers send that take longer is not kept back to be sent together.
+constexpr std::chrono::microseconds quick{50};
 
 }  // namespace
 
@@ -28,17 +33,16 @@ void Inlet::settle(std::uint64_t tag, Settlement settlement) noexcept {
   link_->settle(shared_from_this(), tag, settlement);
 }
 
-ConsumeLink::ConsumeLink(proton::container& container, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
+ConsumeLink::ConsumeLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
                          std::string purpose, Meters& meters, ConnectionLog& log)
-    : ServerLink(container, options, urls, std::move(purpose), log), meters_(meters) {}
+    : ServerLink(loop, options, urls, std::move(purpose), log), meters_(meters) {}
 
 void ConsumeLink::end() {
   {
-    const Lock lock(mutex_);
+    Lock lock(mutex_);
     ending_ = true;
-    work_.notify_all();
+    handler_ended_.wait(lock, [this] { return handler_thread_ == std::thread::id(); });
   }
-  if (thread_.joinable()) thread_.join();
   close();
   // Inlets hold their link: what is left of them here must not hold it in a circle.
   const Lock lock(mutex_);
@@ -52,12 +56,7 @@ std::shared_ptr<Inlet> ConsumeLink::add(const Topic& topic, const SubscriptionOp
   auto inlet = std::make_shared<Inlet>(shared_from_this(), "r" + std::to_string(++last_name_), topic, options,
                                        std::move(handler));
   inlets_.push_back(inlet);
-  inlet->retry_at = now();
-  if (!thread_.joinable()) {
-    thread_ = std::thread([this] { run(); });
-    pthread_setname_np(thread_.native_handle(), "amqp10-handlers");
-  }
-  wake();
+  try_at(*inlet, now());
   lock.unlock();
   start();
   return inlet;
@@ -69,7 +68,7 @@ void ConsumeLink::remove(const std::shared_ptr<Inlet>& inlet) {
   std::erase(inlets_, inlet);
   leaving_.push_back(inlet);
   wake();
-  if (std::this_thread::get_id() == thread_.get_id()) return;
+  if (handler_thread_ == std::this_thread::get_id()) return;
   handler_ended_.wait(lock, [&] { return !inlet->running; });
 }
 
@@ -82,6 +81,7 @@ void ConsumeLink::resume(const std::shared_ptr<Inlet>& inlet) {
   const Lock lock(mutex_);
   inlet->paused = false;
   make_ready(inlet);
+  wake();
 }
 
 bool ConsumeLink::active(const Inlet& inlet) const {
@@ -99,12 +99,12 @@ void ConsumeLink::make_ready(const std::shared_ptr<Inlet>& inlet) {
   if (inlet->in_ready || !inlet->has_work()) return;
   inlet->in_ready = true;
   ready_.push_back(inlet);
-  work_.notify_one();
 }
 
 void ConsumeLink::make_dirty(const std::shared_ptr<Inlet>& inlet) {
   if (!std::exchange(inlet->in_dirty, true)) dirty_.push_back(inlet);
-  wake();
+  // Who runs handlers and serves sends the settlements after them.
+  if (!(loop_.serves() && handler_thread_ == std::this_thread::get_id())) wake();
 }
 
 void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t public_tag,
@@ -115,21 +115,46 @@ void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t publ
   if (inlet->closed || public_tag != inlet->public_tag(tag) || !inlet->window.settle(tag, settlement)) return;
   if (settlement == Settlement::retry) {
     make_ready(inlet);
+    wake();
   } else {
     make_dirty(inlet);
   }
 }
 
-void ConsumeLink::run() {
+bool ConsumeLink::has_handlers_to_run() {
+  const Lock lock(mutex_);
+  return !ready_.empty() && !ending_ && handler_thread_ == std::thread::id();
+}
+
+void ConsumeLink::run_handlers() {
+  using Steady = std::chrono::steady_clock;
   Lock lock(mutex_);
-  for (;;) {
-    work_.wait(lock, [this] { return ending_ || !ready_.empty(); });
-    if (ending_) return;
+  if (handler_thread_ != std::thread::id()) return;
+  handler_thread_ = std::this_thread::get_id();
+  const Steady::time_point begin = Steady::now();
+  Steady::time_point last = begin;
+  bool was_quick = true;
+  for (int count = 0; !ready_.empty() && !ending_; ++count) {
+    const bool serves = loop_.serves();
+    if (serves && (count >= handlers_in_a_row || last - begin > time_in_a_row)) break;
     const std::shared_ptr<Inlet> inlet = std::move(ready_.front());
     ready_.pop_front();
     inlet->in_ready = false;
-    if (inlet->has_work()) hand_on(lock, inlet);
+    if (!inlet->has_work()) continue;
+    const bool more = !ready_.empty() || inlet->window.waiting() > 1;
+    loop_.gather(serves && was_quick && more);
+    hand_on(lock, inlet);
+    const Steady::time_point now = Steady::now();
+    was_quick = now - std::exchange(last, now) < quick;
+    if (was_quick || !loop_.serves()) continue;
+    lock.unlock();
+    loop_.flush();
+    lock.lock();
   }
+  loop_.gather(false);
+  handler_thread_ = {};
+  handler_ended_.notify_all();
+  if (!ready_.empty()) wake();
 }
 
 void ConsumeLink::hand_on(Lock& lock, const std::shared_ptr<Inlet>& inlet) {

@@ -2,10 +2,10 @@
 
 #include <chrono>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
-
-#include <proton/message.hpp>
+#include <string_view>
 
 #include "iotcloud/brokers/client/ack_window.h"
 #include <iotcloud/brokers/message.h>
@@ -24,11 +24,19 @@ struct Envelope {
 /// A message as JMS programs see it: a BytesMessage with the string properties sensorID, siteID, time and the custom
 /// ones. JMS knows no order of properties, wants names that mean nothing to it, and strings of characters: the property
 /// `iotcloud_properties` has the names in order, and both name and value of those that JMS would not carry unchanged.
-proton::message to_wire(const Message& message, const Envelope& envelope);
+///
+/// Appends all of the message but its payload, which is to follow.
+void write_head(const Message& message, const Envelope& envelope, std::string& out);
+
+/// The bytes of a message that came, and who owns them.
+struct WireBytes {
+  std::shared_ptr<const void> owner;
+  std::string_view text;
+};
 
 /// The message of whoever sent it; `redelivered` when it says so itself. Properties that are no strings are written as
-/// text, nested ones are skipped; of a text message the body is the text.
-/// \return nothing when the body is a map, a list or an object, or the properties are not as AMQP has them.
-std::optional<client::Arrived> from_wire(const proton::message& wire);
+/// text, nested ones are skipped; of a text message the body is the text. The payload shares the bytes.
+/// \return nothing when the body is a map, a list or an object, or the bytes are no AMQP.
+std::optional<client::Arrived> from_wire(const WireBytes& bytes);
 
 }  // namespace iotcloud::brokers::activemq

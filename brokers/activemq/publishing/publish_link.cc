@@ -1,15 +1,18 @@
-#include "iotcloud/brokers/activemq/publish_link.h"
+#include "iotcloud/brokers/activemq/publishing/publish_link.h"
 
 #include <algorithm>
 #include <utility>
 
-#include <proton/delivery.hpp>
-#include <proton/message.hpp>
-#include <proton/receiver_options.hpp>
-#include <proton/session.hpp>
+#include <proton/connection.h>
+#include <proton/delivery.h>
+#include <proton/disposition.h>
+#include <proton/link.h>
+#include <proton/session.h>
+#include <proton/terminus.h>
 
 #include "iotcloud/brokers/activemq/names.h"
-#include "iotcloud/brokers/activemq/wire_message.h"
+#include "iotcloud/brokers/activemq/wire/sections.h"
+#include "iotcloud/brokers/activemq/wire/wire_message.h"
 #include "iotcloud/brokers/limits.h"
 #include <iotcloud/config/log.h>
 
@@ -22,6 +25,8 @@ const config::Logger logger{"brokers.activemq"};
 constexpr std::size_t buffered = 4U << 20U;
 // A queue that an operator deletes under a publisher is missed after this time at the latest.
 constexpr std::chrono::seconds route_lasts{10};
+// So many of the server's news of readers may be under way.
+constexpr int readers_at_once = 1000;
 // A topic of the server's own: it says which queue has one reader more or less.
 constexpr std::string_view readers_topic = "topic://ActiveMQ.Advisory.Consumer.Queue.";
 
@@ -30,9 +35,9 @@ constexpr std::string_view readers_topic = "topic://ActiveMQ.Advisory.Consumer.Q
 Outlet::Outlet(const Topic& to, const PublisherOptions& how)
     : Outbox(to, how), own_queue(activemq::own_queue(to.name)) {}
 
-PublishLink::PublishLink(proton::container& container, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
+PublishLink::PublishLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
                          std::string purpose, Meters& meters, ConnectionLog& log)
-    : ServerLink(container, options, urls, std::move(purpose), log), meters_(meters) {}
+    : ServerLink(loop, options, urls, std::move(purpose), log), meters_(meters) {}
 
 std::shared_ptr<Outlet> PublishLink::add(const Topic& topic, const PublisherOptions& options) {
   auto outlet = std::make_shared<Outlet>(topic, options);
@@ -53,39 +58,47 @@ void PublishLink::remove(const std::shared_ptr<Outlet>& outlet) {
   }
   outlet->close(numbers);
   std::erase(outlets_, outlet);
-  if (outlet->reporting && on_io_thread()) return;  // from inside its own callback
+  if (outlet->reporting && reporting_ == std::this_thread::get_id()) return;  // from inside its own callback
   reporter_.report(outlet, lock);
 }
 
 PublishStatus PublishLink::publish(const std::shared_ptr<Outlet>& outlet, Message message, const Past& past) {
   const char* why_not = refusal(message);
-  Lock lock(mutex_);
+  const Lock lock(mutex_);
   if (outlet->closed) return PublishStatus::closed;
   const Instant moment = now();
   if (why_not != nullptr) {
     const Outgoing refused = outlet->accept(std::move(message), moment);
     outlet->sent_directly();
     outlet->refused(refused.number, why_not);
-    reporter_.note(outlet);
+    note(outlet);
     wake();
     return PublishStatus::accepted;
   }
   outlet->expire(moment);
   if (!outlet->has_room()) {
     outlet->refuse_room();
-    reporter_.note(outlet);
+    note(outlet);
     if (outlet->has_report()) wake();
     return PublishStatus::would_block;
   }
-  const bool timed = outlet->idle() && outlet->options.deadline.count() > 0;
   outlet->add_waiting(outlet->accept(std::move(message), moment, past));
-  reporter_.note(outlet);
+  note(outlet);
   make_runnable(outlet);
-  if (timed || outlet->has_report() || outlet->in_runnable) wake();
+  if (connected() && outlet->in_runnable) guarded([this] { send_now(); });
+  if (outlet->has_report()) wake();
   return PublishStatus::accepted;
 }
 
+void PublishLink::send_now() {
+  send_waiting();
+  if (loop_.gathers()) return;
+  engine().send();
+  if (engine().wants_to_write()) wake();
+}
+
 bool PublishLink::drain(const std::shared_ptr<Outlet>& outlet, std::chrono::milliseconds limit) {
+  flush();
   Lock lock(mutex_);
   return reporter_.drain(outlet, limit, lock);
 }
@@ -104,9 +117,11 @@ ConnectionState PublishLink::state() const {
 
 void PublishLink::up() {
   // Only what happens from now on matters: who has no reader asks again in a while anyway.
-  readers_ = connection().default_session().open_receiver(std::string(readers_topic) + ">",
-                                                          proton::receiver_options().credit_window(1000));
-  const Lock lock(mutex_);
+  readers_ = pn_receiver(session(), "readers");
+  pn_terminus_set_type(pn_link_source(readers_), PN_SOURCE);
+  pn_terminus_set_address(pn_link_source(readers_), (std::string(readers_topic) + ">").c_str());
+  pn_link_open(readers_);
+  pn_link_flow(readers_, readers_at_once);
   blocked_ = false;
   for (const auto& outlet : outlets_) {
     outlet->ready = true;
@@ -115,14 +130,13 @@ void PublishLink::up() {
 }
 
 void PublishLink::down() {
-  readers_ = {};
-  const Lock lock(mutex_);
+  readers_ = nullptr;
   blocked_ = false;
   std::size_t again = 0;
   for (UnderWay& entry : under_way_) {
     if (entry.answered || entry.outlet->closed) continue;
     entry.outlet->lost(std::move(entry.outgoing));
-    reporter_.note(entry.outlet);
+    note(entry.outlet);
     ++again;
   }
   under_way_.clear();
@@ -132,46 +146,54 @@ void PublishLink::down() {
   for (const auto& outlet : outlets_) {
     outlet->disconnected();
     outlet->route = Outlet::Route::unknown;
+    note(outlet);
   }
 }
 
-std::size_t PublishLink::under_way() const {
-  const Lock lock(mutex_);
-  return under_way_.size();
-}
-
 void PublishLink::blame(const std::string& why) {
-  const Lock lock(mutex_);
   UnderWay& entry = under_way_.front();
   if (entry.answered || entry.outlet->closed) return;
   logger.error("the server closed the connection when it got a message for {}: {}", entry.outlet->topic.name, why);
   entry.answered = true;
   entry.outlet->refused(entry.outgoing.number, why);
-  reporter_.note(entry.outlet);
+  note(entry.outlet);
   one_by_one_ = 0;
 }
 
-void PublishLink::serve() {
+void PublishLink::work() {
   fire_timers();
-  Lock lock(mutex_);
-  if (connected()) send_waiting(lock);
+  if (connected()) send_waiting();
+}
+
+void PublishLink::report(Lock& lock) {
+  if (!reporter_.due()) return;
+  reporting_ = std::this_thread::get_id();
   reporter_.report_all(lock);
+  reporting_ = {};
+}
+
+void PublishLink::note(const std::shared_ptr<Outlet>& outlet) {
+  reporter_.note(outlet);
+  const std::optional<Instant> timer = outlet->next_timer();
+  if (!timer || *timer >= next_timer_) return;
+  next_timer_ = *timer;
+  wake();  // whoever sleeps does not know of it
 }
 
 void PublishLink::fire_timers() {
-  const Lock lock(mutex_);
-  std::optional<Instant> next;
-  for (const auto& outlet : outlets_) {
-    std::optional<Instant> timer = outlet->next_timer();
-    if (timer && *timer <= now()) {
-      outlet->fire_timer(now());
-      reporter_.note(outlet);
-      make_runnable(outlet);
-      timer = outlet->next_timer();
+  if (now() >= next_timer_) {
+    next_timer_ = Instant::max();
+    for (const auto& outlet : outlets_) {
+      const std::optional<Instant> timer = outlet->next_timer();
+      if (!timer) continue;
+      if (*timer <= now()) {
+        outlet->fire_timer(now());
+        make_runnable(outlet);
+      }
+      note(outlet);
     }
-    if (timer && (!next || *timer < *next)) next = timer;
   }
-  if (next) arm(*next);
+  arm(next_timer_);
 }
 
 void PublishLink::make_runnable(const std::shared_ptr<Outlet>& outlet) {
@@ -180,20 +202,20 @@ void PublishLink::make_runnable(const std::shared_ptr<Outlet>& outlet) {
   runnable_.push_back(outlet);
 }
 
-void PublishLink::send_waiting(Lock& lock) {
+void PublishLink::send_waiting() {
   blocked_ = false;
-  while (!runnable_.empty() && connected()) {
+  while (!runnable_.empty()) {
     if (one_by_one_ > 0 && !under_way_.empty()) return;
-    if (sender().credit() <= 0) {
+    if (pn_link_credit(sender()) <= 0) {
       blocked_ = under_way_.empty();
       return;
     }
-    if (sender().session().outgoing_bytes() > buffered) return;  // an answer to what is under way comes back here
-    const std::shared_ptr<Outlet> outlet = runnable_.front();
+    if (pn_session_outgoing_bytes(session()) > buffered) return;  // the loop comes back when the socket took some
+    const std::shared_ptr<Outlet> outlet = std::move(runnable_.front());
     runnable_.pop_front();
     outlet->in_runnable = false;
     outlet->expire(now());
-    reporter_.note(outlet);
+    note(outlet);
     if (outlet->idle() || !outlet->may_send()) continue;
     if (outlet->options.own_queue && outlet->route != Outlet::Route::known) {
       outlet->route = Outlet::Route::known;  // the server makes that queue
@@ -202,14 +224,12 @@ void PublishLink::send_waiting(Lock& lock) {
     } else if (outlet->route == Outlet::Route::unknown || route_is_old(*outlet)) {
       outlet->route = Outlet::Route::asked;
       outlet->asked_at = now();
-      lock.unlock();
       find_route(outlet);
-      lock.lock();
       continue;
     }
     Outgoing next = outlet->take_next();
     make_runnable(outlet);  // in turn with the others
-    send(lock, outlet, std::move(next));
+    send(outlet, std::move(next));
   }
 }
 
@@ -217,7 +237,7 @@ bool PublishLink::route_is_old(const Outlet& outlet) const {
   return !outlet.options.own_queue && now() - outlet.asked_at > route_lasts;
 }
 
-void PublishLink::send(Lock& lock, const std::shared_ptr<Outlet>& outlet, Outgoing outgoing) {
+void PublishLink::send(const std::shared_ptr<Outlet>& outlet, Outgoing outgoing) {
   Envelope envelope;
   envelope.to = outlet->address;
   envelope.durable = outlet->topic.durable;
@@ -227,12 +247,11 @@ void PublishLink::send(Lock& lock, const std::shared_ptr<Outlet>& outlet, Outgoi
     const auto left = outgoing.accepted + outlet->options.deadline - now();
     envelope.expires_in = std::max(std::chrono::milliseconds(1), std::chrono::ceil<std::chrono::milliseconds>(left));
   }
-  under_way_.push_back({{}, outlet, std::move(outgoing), false});
-  // The entry stays where it is meanwhile: only this thread takes entries out.
-  UnderWay& entry = under_way_.back();
-  lock.unlock();
-  entry.tracker = sender().send(to_wire(entry.outgoing.message, envelope));
-  lock.lock();
+  UnderWay& entry = under_way_.emplace_back(UnderWay{outlet, std::move(outgoing), false});
+  head_.clear();
+  write_head(entry.outgoing.message, envelope, head_);
+  pn_delivery_t* const delivery = send_message(sender(), next_tag(), head_, entry.outgoing.message.payload.text());
+  pn_delivery_set_context(delivery, &entry);
 }
 
 void PublishLink::find_route(const std::shared_ptr<Outlet>& outlet) {
@@ -241,7 +260,6 @@ void PublishLink::find_route(const std::shared_ptr<Outlet>& outlet) {
 }
 
 void PublishLink::on_route(const std::shared_ptr<Outlet>& outlet, const std::vector<QueueFacts>& queues) {
-  const Lock lock(mutex_);
   if (outlet->closed) return;
   outlet->own_queue_exists = std::any_of(queues.begin(), queues.end(),
                                          [&](const QueueFacts& queue) { return queue.name == outlet->own_queue; });
@@ -256,16 +274,17 @@ void PublishLink::on_route(const std::shared_ptr<Outlet>& outlet, const std::vec
       outlet->returned(std::move(next), now());
     }
   }
-  reporter_.note(outlet);
+  note(outlet);
   make_runnable(outlet);
-  wake();
 }
 
-void PublishLink::on_other_message(proton::delivery&, proton::message& message) {
-  const std::string about = message.to();
+void PublishLink::on_message(pn_delivery_t* delivery, const WireBytes& message) {
+  pn_delivery_update(delivery, PN_ACCEPTED);
+  pn_delivery_settle(delivery);
+  if (pn_link_credit(readers_) < readers_at_once / 2) pn_link_flow(readers_, readers_at_once / 2);
+  const std::string_view about = read_sections(message.text).to.bytes;
   if (!about.starts_with(readers_topic)) return;
-  const std::string queue = about.substr(readers_topic.size());
-  const Lock lock(mutex_);
+  const std::string_view queue = about.substr(readers_topic.size());
   for (const auto& outlet : outlets_) {
     if (outlet->route == Outlet::Route::known && !outlet->own_queue_exists && outlet->own_queue == queue) {
       outlet->route = Outlet::Route::unknown;
@@ -273,45 +292,24 @@ void PublishLink::on_other_message(proton::delivery&, proton::message& message) 
   }
 }
 
-void PublishLink::on_sendable(proton::sender& sender) {
-  if (sender.connection() != connection()) return;
-  const Lock lock(mutex_);
-  if (!runnable_.empty()) wake();
-}
-
-void PublishLink::on_tracker_accept(proton::tracker& tracker) {
-  guarded([&] { on_verdict(tracker, Verdict::accepted); });
-}
-
-void PublishLink::on_tracker_reject(proton::tracker& tracker) {
-  guarded([&] { on_verdict(tracker, Verdict::rejected); });
-}
-
-void PublishLink::on_tracker_release(proton::tracker& tracker) {
-  guarded([&] { on_verdict(tracker, Verdict::released); });
-}
-
-void PublishLink::on_verdict(const proton::tracker& tracker, Verdict verdict) {
-  const Lock lock(mutex_);
-  const auto found = std::find_if(under_way_.begin(), under_way_.end(),
-                                  [&](const UnderWay& entry) { return entry.tracker == tracker; });
-  if (found == under_way_.end() || found->answered) return;  // a question's, or of an earlier connection
-  found->answered = true;
+void PublishLink::on_outcome(pn_delivery_t* delivery, std::uint64_t outcome) {
+  auto* const entry = static_cast<UnderWay*>(pn_delivery_get_context(delivery));
+  if (entry == nullptr) return;  // a question's
+  entry->answered = true;
   if (one_by_one_ > 0) --one_by_one_;
-  Outlet& outlet = *found->outlet;
+  Outlet& outlet = *entry->outlet;
   if (!outlet.closed) {
-    if (verdict == Verdict::accepted) {
-      outlet.confirmed(found->outgoing.number);
-    } else if (verdict == Verdict::rejected) {
-      outlet.refused(found->outgoing.number, "the server rejected it");
+    if (outcome == PN_ACCEPTED) {
+      outlet.confirmed(entry->outgoing.number);
+    } else if (outcome == PN_REJECTED) {
+      outlet.refused(entry->outgoing.number, "the server rejected it");
     } else {
-      outlet.put_off(std::move(found->outgoing), now());
+      outlet.put_off(std::move(entry->outgoing), now());
     }
-    reporter_.note(found->outlet);
-    make_runnable(found->outlet);
+    note(entry->outlet);
+    make_runnable(entry->outlet);
   }
   while (!under_way_.empty() && under_way_.front().answered) under_way_.pop_front();
-  wake();
 }
 
 }  // namespace iotcloud::brokers::activemq

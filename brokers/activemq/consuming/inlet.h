@@ -6,9 +6,7 @@
 #include <optional>
 #include <string>
 
-#include <proton/delivery.hpp>
-#include <proton/receiver.hpp>
-#include <proton/session.hpp>
+#include <proton/types.h>
 
 #include "iotcloud/brokers/client/ack_window.h"
 #include "iotcloud/brokers/client/backoff.h"
@@ -19,8 +17,7 @@ namespace iotcloud::brokers::activemq {
 
 class ConsumeLink;
 
-/// One subscription as its connection sees it. Guarded by the link's mutex, constants apart; what is proton's is the
-/// I/O thread's.
+/// One subscription as its connection sees it. Guarded by the link's mutex, constants apart.
 class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
  public:
   enum class Phase {
@@ -55,11 +52,11 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
   bool in_ready = false;  ///< stands in the link's list of those with something to hand on
   bool in_dirty = false;  ///< stands in the link's list of those with settlements to send
 
-  // The I/O thread's.
-  proton::session session;
-  proton::receiver receiver;
-  /// The server's deliveries from tag `first_held` on; an empty one was settled out of turn.
-  std::deque<proton::delivery> held;
+  pn_session_t* session = nullptr;
+  pn_link_t* receiver = nullptr;
+  std::uint32_t owed = 0;  ///< credit that the server has not been given back yet
+  /// The server's deliveries from tag `first_held` on; null: settled out of turn.
+  std::deque<pn_delivery_t*> held;
   std::uint64_t first_held = 1;
 
   bool has_work() const { return window.waiting() > 0 && !paused && !closed; }

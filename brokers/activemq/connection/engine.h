@@ -1,0 +1,80 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include <proton/connection_driver.h>
+#include <proton/event.h>
+
+#include "iotcloud/brokers/activemq/wire/wire_message.h"
+#include "iotcloud/brokers/broker_url.h"
+#include <iotcloud/brokers/broker.h>
+
+struct addrinfo;
+
+namespace iotcloud::brokers::activemq {
+
+/// The port of a URL, or the one that its scheme stands for.
+std::uint16_t port_of(const BrokerUrl& url);
+bool is_tls(const BrokerUrl& url);
+
+/// One TCP connection to a server and proton's protocol engine on it. Never waits for the server. Whoever calls holds
+/// the mutex of the link that owns it.
+class Engine {
+ public:
+  /// Begins to connect. May wait for the resolution of the host's name.
+  /// \param purpose for the server's list of connections
+  /// \throws config::Error for a name that is not known, a certificate or a password that cannot be read
+  Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose);
+  ~Engine();
+  Engine(const Engine&) = delete;
+  Engine& operator=(const Engine&) = delete;
+
+  pn_connection_t* connection() const { return driver_.connection; }
+  pn_transport_t* transport() const { return driver_.transport; }
+  int socket() const { return socket_; }
+  /// What poll() is to wait for, beside what the server sends.
+  bool wants_to_write() const { return connecting_ || unwritten_; }
+
+  /// Takes what the server sent, and looks after time-outs and heartbeats. Events follow.
+  void receive(bool readable, bool writable);
+  /// The next event; nullptr when there is none. Valid until the next call.
+  pn_event_t* next_event() { return pn_connection_driver_next_event(&driver_); }
+  /// Sends what there is to send, as far as the socket takes it.
+  void send();
+
+ private:
+  struct AddressesFreer {
+    void operator()(addrinfo* list) const;
+  };
+  struct DriverDestroyer {
+    void operator()(pn_connection_driver_t* driver) const { pn_connection_driver_destroy(driver); }
+  };
+
+  void protect(const BrokerOptions& options, const BrokerUrl& url);
+  void connect_next();
+  void finish_connecting();
+  void fail(int error);
+  void read();
+
+  pn_connection_driver_t driver_{};
+  std::unique_ptr<pn_connection_driver_t, DriverDestroyer> destroyer_;
+  std::unique_ptr<addrinfo, AddressesFreer> addresses_;
+  const addrinfo* next_address_ = nullptr;
+  int socket_ = -1;
+  bool connecting_ = true;
+  bool unwritten_ = false;
+};
+
+/// The text of an error; "the server closed it" when it has none.
+std::string describe(pn_condition_t* condition);
+
+/// Sends a message; its body may be empty. \return the delivery, whose outcome is to come
+pn_delivery_t* send_message(pn_link_t* sender, std::uint64_t tag, std::string_view head, std::string_view body);
+/// Takes a delivery's bytes, all of which are there.
+WireBytes receive_message(pn_delivery_t* delivery);
+
+}  // namespace iotcloud::brokers::activemq

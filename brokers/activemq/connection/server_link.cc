@@ -1,0 +1,340 @@
+#include "iotcloud/brokers/activemq/connection/server_link.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <proton/condition.h>
+#include <proton/connection.h>
+#include <proton/delivery.h>
+#include <proton/disposition.h>
+#include <proton/link.h>
+#include <proton/session.h>
+#include <proton/terminus.h>
+#include <proton/transport.h>
+
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers::activemq {
+namespace {
+
+const config::Logger logger{"brokers.activemq"};
+
+// How often a connection is looked after without any event.
+constexpr std::chrono::milliseconds look_period{250};
+constexpr std::chrono::seconds goodbye{1};
+constexpr int answers_at_once = 1000;
+
+/// What a client says first; the server answers with the same. Under TLS that would take a handshake: there the
+/// connection alone has to do.
+std::string greeting_for(const BrokerUrl& url) {
+  using namespace std::string_literals;
+  return is_tls(url) ? "" : "AMQP\x03\x01\0\0"s;
+}
+
+}  // namespace
+
+ServerLink::ServerLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
+                       std::string purpose, ConnectionLog& log)
+    : loop_(loop),
+      options_(options),
+      urls_(urls),
+      purpose_(std::move(purpose)),
+      clock_(options.clock != nullptr ? *options.clock : config::system_clock()),
+      log_(log),
+      servers_(urls.size()),
+      probe_(urls.front().host, port_of(urls.front()), greeting_for(urls.front()), clock_) {}
+
+void ServerLink::start() {
+  const Lock lock(mutex_);
+  if (!std::exchange(started_, true)) wake();
+}
+
+void ServerLink::close() {
+  Lock lock(mutex_);
+  closing_ = true;
+  wake();
+  changed_.wait_until(lock, std::chrono::system_clock::now() + goodbye, [this] { return !engine_; });
+  if (engine_) lost("the server did not say goodbye");
+}
+
+void ServerLink::wake() {
+  if (!std::exchange(woken_, true)) loop_.wake();
+}
+
+IoLoop::Service::Wish ServerLink::wish() {
+  const Lock lock(mutex_);
+  Wish wish;
+  if (!started_) return wish;
+  if (woken_) {
+    wish.at = Instant::min();
+  } else if (!closing_ || engine_) {
+    wish.at = std::min(armed_, next_look_);
+  }
+  if (engine_) {
+    wish.socket = engine_->socket();
+    wish.write = engine_->wants_to_write();
+  }
+  return wish;
+}
+
+void ServerLink::serve(bool readable, bool writable) {
+  Lock lock(mutex_);
+  if (!started_ || (!readable && !writable && !woken_ && now() < std::min(armed_, next_look_))) return;
+  guarded([&] {
+    if (engine_) engine_->receive(readable, writable);
+    dispatch();
+    if (now() >= next_look_ || phase_ == Phase::away) look_after(lock);
+    armed_ = Instant::max();
+    woken_ = false;
+    if (closing_) {
+      finish();
+    } else {
+      work();
+    }
+    if (engine_) engine_->send();
+    dispatch();
+  });
+  lost_engine_.reset();
+  report(lock);
+}
+
+void ServerLink::flush() {
+  const Lock lock(mutex_);
+  if (phase_ != Phase::up) return;
+  guarded([this] {
+    before_flush();
+    if (engine_) engine_->send();
+  });
+  if (engine_ && engine_->wants_to_write()) wake();
+}
+
+void ServerLink::finish() {
+  if (!engine_) return;
+  if (phase_ != Phase::up) return lost("closing");
+  if (std::exchange(goodbye_said_, true)) return;
+  say_goodbye();
+  pn_connection_close(engine_->connection());  // the server's own follows
+}
+
+void ServerLink::look_after(Lock& lock) {
+  next_look_ = now() + look_period;
+  if (phase_ == Phase::away) {
+    if (closing_) return;
+    if (const auto server = servers_.due(now())) {
+      attempt(lock, *server);
+    } else {
+      next_look_ = std::min(next_look_, servers_.next_attempt());
+    }
+    return;
+  }
+  if (phase_ != Phase::up) {
+    if (now() > attempt_ends_) {
+      abandon(phase_ == Phase::connecting
+                  ? "no answer"
+                  : "no answer to a question about its queues: its activemq.xml needs "
+                    "<plugins><statisticsBrokerPlugin/></plugins>, and the user the right to ask");
+    }
+    return;
+  }
+  if (!questions_.empty() && now() - questions_.begin()->second.asked > options_.rpc_timeout) {
+    abandon("no answer to a question about its queues");
+    return;
+  }
+  look_after_preferred(lock);
+}
+
+void ServerLink::look_after_preferred(Lock& lock) {
+  if (probe_.under_way()) {
+    if (const auto answers = probe_.poll()) servers_.asked(*answers, now());
+  }
+  if (servers_.must_move_back(now())) {
+    moving_back_ = true;
+    abandon("its preferred server is back");
+  } else if (servers_.must_ask(now()) && !probe_.under_way()) {
+    lock.unlock();  // it may have to wait for the resolution of a name
+    probe_.start();
+    lock.lock();
+  }
+}
+
+void ServerLink::attempt(Lock& lock, std::size_t server) {
+  server_ = server;
+  blamed_ = false;
+  phase_ = Phase::connecting;
+  attempt_ends_ = now() + options_.rpc_timeout;
+  std::unique_ptr<Engine> engine;
+  std::string problem;  // a password file that is not there, a certificate that cannot be read
+  lock.unlock();
+  try {
+    engine = std::make_unique<Engine>(options_, urls_[server], purpose_);
+  } catch (const std::exception& error) {
+    problem = error.what();
+  }
+  lock.lock();
+  if (!engine || closing_) {
+    phase_ = Phase::away;
+    if (closing_) return;
+    log_.failed(problem);
+    servers_.failed(server, now());
+    return;
+  }
+  engine_ = std::move(engine);
+  pn_connection_open(engine_->connection());
+}
+
+void ServerLink::dispatch() {
+  while (engine_) {
+    pn_event_t* const event = engine_->next_event();
+    if (event == nullptr) return;
+    handle(event);
+  }
+}
+
+void ServerLink::handle(pn_event_t* event) {
+  switch (pn_event_type(event)) {
+    case PN_CONNECTION_REMOTE_OPEN:
+      return greet();
+    case PN_CONNECTION_REMOTE_CLOSE:
+      return on_remote_close();
+    case PN_SESSION_REMOTE_CLOSE:
+      return on_session_remote_close(pn_event_session(event));
+    case PN_LINK_REMOTE_OPEN:
+      if (pn_event_link(event) == answers_) return greeted();
+      if (pn_link_is_receiver(pn_event_link(event))) on_receiver_open(pn_event_link(event));
+      return;
+    case PN_LINK_REMOTE_CLOSE:
+    case PN_LINK_REMOTE_DETACH:
+      return on_link_remote_close(pn_event_link(event));
+    case PN_DELIVERY:
+      return on_delivery(pn_event_delivery(event));
+    case PN_TRANSPORT_TAIL_CLOSED:
+    case PN_TRANSPORT_HEAD_CLOSED:
+    case PN_TRANSPORT_CLOSED:
+      return lost(describe(pn_transport_condition(engine_->transport())));
+    default:
+      return;
+  }
+}
+
+void ServerLink::on_remote_close() {
+  pn_condition_t* const condition = pn_connection_remote_condition(engine_->connection());
+  const std::string why = describe(condition);
+  blamed_ = pn_condition_is_set(condition) && pn_condition_get_name(condition) != std::string("amqp:connection:forced");
+  pn_connection_close(engine_->connection());
+  engine_->send();
+  lost(why);
+}
+
+void ServerLink::on_session_remote_close(pn_session_t* session) {
+  const std::string why = describe(pn_session_remote_condition(session));
+  if (session == session_) return abandon(why);
+  on_session_closed(session, why);
+  pn_session_close(session);
+  pn_session_free(session);
+}
+
+void ServerLink::on_link_remote_close(pn_link_t* link) {
+  const std::string why = describe(pn_link_remote_condition(link));
+  if (link == sender_ || link == answers_) {
+    blamed_ = link == sender_;
+    return abandon(why);
+  }
+  on_receiver_closed(link, why);
+}
+
+void ServerLink::on_delivery(pn_delivery_t* delivery) {
+  pn_link_t* const link = pn_delivery_link(delivery);
+  if (pn_link_is_sender(link)) {
+    const std::uint64_t outcome = pn_delivery_remote_state(delivery);
+    if (outcome == 0 && !pn_delivery_settled(delivery)) return pn_delivery_clear(delivery);
+    on_outcome(delivery, outcome);
+    pn_delivery_settle(delivery);
+    return;
+  }
+  if (pn_delivery_aborted(delivery)) return pn_delivery_settle(delivery);
+  if (!pn_delivery_readable(delivery) || pn_delivery_partial(delivery)) return;
+  const WireBytes message = receive_message(delivery);
+  if (link != answers_) return on_message(delivery, message);
+  pn_delivery_update(delivery, PN_ACCEPTED);
+  pn_delivery_settle(delivery);
+  if (pn_link_credit(answers_) < answers_at_once / 2) pn_link_flow(answers_, answers_at_once / 2);
+  answered(message.text);
+}
+
+void ServerLink::greet() {
+  phase_ = Phase::greeting;
+  session_ = pn_session(engine_->connection());
+  pn_session_open(session_);
+  sender_ = pn_sender(session_, "out");
+  pn_terminus_set_type(pn_link_target(sender_), PN_TARGET);  // without an address: each message says where it goes
+  pn_link_open(sender_);
+  answers_ = pn_receiver(session_, "answers");
+  pn_terminus_set_type(pn_link_source(answers_), PN_SOURCE);
+  pn_terminus_set_dynamic(pn_link_source(answers_), true);
+  pn_link_open(answers_);
+  pn_link_flow(answers_, answers_at_once);
+}
+
+void ServerLink::greeted() {
+  const char* const address = pn_terminus_get_address(pn_link_remote_source(answers_));
+  answers_address_ = address == nullptr ? "" : address;
+  // Nobody answers when the server has no statistics; it must not make a queue for the question.
+  ask("", [this](const std::vector<QueueFacts>&) {
+    phase_ = Phase::up;
+    servers_.connected(server_, now());
+    log_.connected();
+    up();
+  });
+}
+
+void ServerLink::ask(const std::string& queues, Answer answer) {
+  const std::uint64_t number = ++last_question_;
+  questions_.emplace(number, Question{{}, std::move(answer), now()});
+  send_message(sender_, next_tag(), statistics_question(queues, answers_address_, number), {});
+}
+
+void ServerLink::answered(std::string_view message) {
+  const StatisticsAnswer answer = statistics_answer(message);
+  const auto found = questions_.find(answer.question);
+  if (found == questions_.end()) return;
+  if (answer.facts) {
+    found->second.facts.push_back(*answer.facts);
+    return;
+  }
+  const Question question = std::move(found->second);
+  questions_.erase(found);
+  question.answer(question.facts);
+}
+
+void ServerLink::abandon(const std::string& why) {
+  if (!engine_) return;
+  pn_connection_close(engine_->connection());
+  engine_->send();
+  lost(why);
+}
+
+void ServerLink::lost(const std::string& why) {
+  const Phase was = std::exchange(phase_, Phase::away);
+  if (was == Phase::up && blamed_ && under_way() == 1) blame(why);
+  down();
+  session_ = nullptr;
+  sender_ = nullptr;
+  answers_ = nullptr;
+  questions_.clear();
+  lost_engine_ = std::move(engine_);
+  wake();
+  changed_.notify_all();
+  if (closing_) return;
+  if (was != Phase::up) {
+    log_.failed(why);
+    servers_.failed(server_, now());
+  } else if (std::exchange(moving_back_, false)) {
+    logger.info("{}: going back to the preferred server", purpose_);
+    servers_.left();
+  } else {
+    log_.lost(why);
+    servers_.lost(now());
+  }
+}
+
+}  // namespace iotcloud::brokers::activemq

@@ -1,0 +1,280 @@
+#include "iotcloud/brokers/activemq/wire/wire_message.h"
+
+#include <algorithm>
+#include <charconv>
+#include <limits>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include <fmt/core.h>
+
+#include "iotcloud/brokers/activemq/names.h"
+#include "iotcloud/brokers/activemq/wire/amqp_value.h"
+#include "iotcloud/brokers/activemq/wire/sections.h"
+
+namespace iotcloud::brokers::activemq {
+namespace {
+
+// The words of the original system, so that its programs read ours (REFERENCE.md 4).
+constexpr std::string_view driver_property = "sensorID";
+constexpr std::string_view gateway_property = "siteID";
+constexpr std::string_view time_property = "time";
+// Our own.
+constexpr std::string_view index_property = "iotcloud_properties";
+constexpr std::string_view resent_property = "iotcloud_resent";
+
+bool reserved(std::string_view name) {
+  return name == driver_property || name == gateway_property || name == time_property || name == index_property ||
+         name == resent_property;
+}
+
+/// Length of the UTF-8 character at the start of `text`; 0 when there is none.
+std::size_t character_at(std::string_view text) {
+  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
+  const unsigned char first = byte(0);
+  if (first < 0x80) return 1;
+  const std::size_t length = first >= 0xf0 ? 4 : first >= 0xe0 ? 3 : 2;
+  if (first < 0xc2 || first > 0xf4 || text.size() < length) return 0;
+  for (std::size_t i = 1; i < length; ++i) {
+    if ((byte(i) & 0xc0U) != 0x80) return 0;
+  }
+  const bool overlong = (first == 0xe0 && byte(1) < 0xa0) || (first == 0xf0 && byte(1) < 0x90);
+  const bool surrogate = first == 0xed && byte(1) >= 0xa0;
+  const bool too_large = first == 0xf4 && byte(1) >= 0x90;
+  return overlong || surrogate || too_large ? 0 : length;
+}
+
+bool is_utf8(std::string_view text) {
+  while (!text.empty()) {
+    const std::size_t length = character_at(text);
+    if (length == 0) return false;
+    text.remove_prefix(length);
+  }
+  return true;
+}
+
+/// Whether a JMS server carries a property of this name as it is, without giving it a meaning.
+bool plain_name(std::string_view name) {
+  if (name.empty() || name.starts_with("JMS") || name.starts_with("AMQ_") || !is_utf8(name)) return false;
+  return name.find('\0') == std::string_view::npos;
+}
+
+/// The text of the index: entries in order, joined by '&'; "name" for what stands in a property of its own,
+/// "name=value" for what stands only here.
+class Index {
+ public:
+  void add(std::string_view name) {
+    if (count_++ > 0) text_ += '&';
+    text_ += percent_encode(name, "-_.");
+  }
+  void add(std::string_view name, std::string_view value) {
+    add(name);
+    text_ += '=';
+    text_ += percent_encode(value, "-_.");
+    needed_ = true;
+  }
+  bool needed() const { return needed_ || count_ > 1; }
+  const std::string& text() const { return text_; }
+
+ private:
+  std::string text_;
+  std::size_t count_ = 0;
+  bool needed_ = false;
+};
+
+/// nullopt for what has no sensible text: maps, lists, arrays.
+std::optional<std::string> text_of(const AmqpValue& value) {
+  using Kind = AmqpValue::Kind;
+  switch (value.kind) {
+    case Kind::null:
+      return std::string();
+    case Kind::text:
+    case Kind::binary:
+      return std::string(value.bytes);
+    case Kind::boolean:
+      return value.number != 0 ? "true" : "false";
+    case Kind::unsigned_number:
+      return std::to_string(value.number);
+    case Kind::signed_number:
+    case Kind::timestamp:
+      return std::to_string(value.signed_number());
+    case Kind::single_real:
+      return fmt::format("{}", static_cast<float>(value.real));
+    case Kind::double_real:
+      return fmt::format("{}", value.real);
+    default:
+      return std::nullopt;
+  }
+}
+
+std::int64_t number_of(std::string_view text) {
+  std::int64_t number = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  return error == std::errc() && end == text.data() + text.size() ? number : 0;
+}
+
+/// The properties that have a text, as they came.
+using Texts = std::vector<std::pair<std::string, std::string>>;
+
+// More properties than that are an attack: looking for each among all others takes its time.
+constexpr std::size_t most_properties = 10'000;
+
+Texts properties_of(const AmqpValue& map) {
+  if (map.elements / 2 > most_properties) throw MalformedAmqp("too many properties");
+  Texts texts;
+  AmqpReader entries(map.bytes);
+  for (std::size_t i = 0; i < map.elements; i += 2) {
+    std::optional<std::string> name = text_of(entries.read());
+    std::optional<std::string> text = text_of(entries.read());
+    if (name && text) texts.emplace_back(std::move(*name), std::move(*text));
+  }
+  return texts;
+}
+
+std::optional<std::string> taken(Texts& texts, std::string_view name) {
+  const auto found = std::find_if(texts.begin(), texts.end(), [&](const auto& entry) { return entry.first == name; });
+  if (found == texts.end()) return std::nullopt;
+  std::string text = std::move(found->second);
+  texts.erase(found);
+  return text;
+}
+
+void apply_index(std::string_view index, Texts& texts, Message& message) {
+  while (!index.empty()) {
+    const std::string_view entry = index.substr(0, index.find('&'));
+    index.remove_prefix(std::min(index.size(), entry.size() + 1));
+    const auto equals = entry.find('=');
+    const std::string name = percent_decode(entry.substr(0, equals));
+    if (equals == std::string_view::npos) {
+      if (const auto text = taken(texts, name)) message.properties.set(name, *text);
+      continue;
+    }
+    std::string value = percent_decode(entry.substr(equals + 1));
+    if (name == driver_property) {
+      message.driver_id = std::move(value);
+    } else if (name == gateway_property) {
+      message.gateway_id = std::move(value);
+    } else {
+      message.properties.set(name, value);
+    }
+  }
+}
+
+/// The body's bytes stay where they are, in `bytes`, unless they came in several parts.
+std::optional<Payload> payload_of(const Sections& sections, const WireBytes& bytes) {
+  const auto wrap = [&](std::string_view body) {
+    return body.empty() ? Payload() : Payload::wrap(bytes.owner, std::as_bytes(std::span(body)));
+  };
+  switch (sections.body) {
+    case Sections::Body::none:
+      return Payload();
+    case Sections::Body::data: {
+      if (sections.data.size() == 1) return wrap(sections.data.front());
+      std::string all;
+      for (const std::string_view part : sections.data) all += part;
+      return Payload::copy(all);
+    }
+    case Sections::Body::value: {
+      if (sections.value.kind == AmqpValue::Kind::binary) return wrap(sections.value.bytes);
+      const std::optional<std::string> text = text_of(sections.value);
+      if (!text) return std::nullopt;
+      return Payload::copy(*text);
+    }
+    default:
+      return std::nullopt;
+  }
+}
+
+void write_header(AmqpWriter& writer, const Envelope& envelope) {
+  writer.descriptor(static_cast<std::uint8_t>(Section::header));
+  const std::size_t header = writer.begin_list();
+  writer.boolean(envelope.durable);
+  writer.octet(envelope.priority);
+  const bool expires = envelope.expires_in.count() > 0;
+  if (expires) {
+    writer.number(static_cast<std::uint32_t>(
+        std::min<std::int64_t>(envelope.expires_in.count(), std::numeric_limits<std::uint32_t>::max())));
+  }
+  writer.end(header, expires ? 3 : 2);
+}
+
+void write_address(AmqpWriter& writer, const std::string& to) {
+  writer.descriptor(static_cast<std::uint8_t>(Section::properties));
+  const std::size_t properties = writer.begin_list();
+  writer.null();  // message id
+  writer.null();  // user
+  writer.text(to);
+  writer.end(properties, 3);
+}
+
+void write_properties(AmqpWriter& writer, const Message& message, bool resent) {
+  writer.descriptor(static_cast<std::uint8_t>(Section::application_properties));
+  const std::size_t map = writer.begin_map();
+  std::size_t count = 0;
+  Index index;
+  const auto put = [&](std::string_view name, std::string_view value) {
+    writer.text(name);
+    writer.text(value);
+    count += 2;
+  };
+  const auto put_id = [&](std::string_view name, const std::string& value) {
+    if (is_utf8(value)) {
+      put(name, value);
+    } else {
+      index.add(name, value);
+    }
+  };
+  put_id(driver_property, message.driver_id);
+  if (!message.gateway_id.empty()) put_id(gateway_property, message.gateway_id);
+  put(time_property, std::to_string(message.time_ms));
+  if (resent) put(resent_property, "1");
+  for (const auto& [name, value] : message.properties) {
+    if (reserved(name)) continue;
+    if (plain_name(name) && is_utf8(value)) {
+      put(name, value);
+      index.add(name);
+    } else {
+      index.add(name, value);
+    }
+  }
+  if (index.needed()) put(index_property, index.text());
+  writer.end(map, count);
+}
+
+client::Arrived arrived_of(const Sections& sections, Payload payload) {
+  client::Arrived arrived;
+  arrived.message.payload = std::move(payload);
+  Texts texts = properties_of(sections.application_properties);
+  arrived.message.driver_id = taken(texts, driver_property).value_or("");
+  arrived.message.gateway_id = taken(texts, gateway_property).value_or("");
+  arrived.message.time_ms = number_of(taken(texts, time_property).value_or(""));
+  arrived.redelivered = !taken(texts, resent_property).value_or("").empty() || sections.delivery_count > 0;
+  if (const auto index = taken(texts, index_property)) apply_index(*index, texts, arrived.message);
+  for (const auto& [name, value] : texts) arrived.message.properties.set(name, value);
+  return arrived;
+}
+
+}  // namespace
+
+void write_head(const Message& message, const Envelope& envelope, std::string& out) {
+  AmqpWriter writer(out);
+  write_header(writer, envelope);
+  write_address(writer, envelope.to);
+  write_properties(writer, message, envelope.resent);
+  writer.descriptor(static_cast<std::uint8_t>(Section::data));  // a BytesMessage for JMS
+  writer.binary_head(message.payload.size());
+}
+
+std::optional<client::Arrived> from_wire(const WireBytes& bytes) {
+  try {
+    const Sections sections = read_sections(bytes.text);
+    std::optional<Payload> payload = payload_of(sections, bytes);
+    if (!payload) return std::nullopt;
+    return arrived_of(sections, std::move(*payload));
+  } catch (const MalformedAmqp&) {
+    return std::nullopt;
+  }
+}
+
+}  // namespace iotcloud::brokers::activemq
