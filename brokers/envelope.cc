@@ -1,11 +1,10 @@
 #include "iotcloud/brokers/envelope.h"
 
+#include <array>
 #include <charconv>
 #include <cstring>
 #include <string_view>
 #include <utility>
-
-#include <fmt/core.h>
 
 namespace iotcloud::brokers {
 namespace {
@@ -186,7 +185,9 @@ void read_properties(Reader& reader, OpenedEnvelope& opened) {
 }  // namespace
 
 EnvelopeBytes encode_envelope(const Message& message) {
-  const std::string time = fmt::format("{}", message.time_ms);
+  std::array<char, 24> digits{};
+  const char* const end = std::to_chars(digits.data(), digits.data() + digits.size(), message.time_ms).ptr;
+  const std::string_view time(digits.data(), static_cast<std::size_t>(end - digits.data()));
   std::size_t entries = 1;
   std::size_t size = 3 * (field_head + length_size) + message.driver_id.size() + message.gateway_id.size() +
                      message.payload.size() + field_head + 2 + length_size + 2 * length_size + time_property.size() +

@@ -50,46 +50,53 @@ void LetterBox::on_outcome(std::uint64_t number, Outcome outcome, const std::str
 /// Stands between a delivery and who handles it.
 class DeadLetters::Guard final : public Settler {
  public:
-  Guard(DeadLetters& owner, const Topic& topic, const SubscriptionOptions& options, Delivery original)
-      : owner_(owner), topic_(topic), options_(options), original_(std::move(original)) {}
+  /// What its subscription reads, and how.
+  struct Subscribed {
+    Topic topic;
+    SubscriptionOptions options;
+  };
+  /// \param subscription shared by all its deliveries
+  Guard(DeadLetters& owner, std::shared_ptr<const Subscribed> subscription, Delivery original)
+      : owner_(owner), subscription_(std::move(subscription)), original_(std::move(original)) {}
 
   void settle(std::uint64_t, Settlement settlement) noexcept override {
+    const auto& [topic, options] = *subscription_;
     if (settled_.exchange(true)) return;
     const bool given_up =
         settlement == Settlement::reject ||
-        (settlement == Settlement::retry && options_.max_tries > 0 && original_.tries >= options_.max_tries);
+        (settlement == Settlement::retry && options.max_tries > 0 && original_.tries >= options.max_tries);
     if (!given_up) {
       original_.settle(settlement);
       return;
     }
-    if (options_.dead_letter.empty()) {
+    if (options.dead_letter.empty()) {
       original_.settle(Settlement::reject);
       return;
     }
     Message letter = original_.message;
     letter.properties.set("dead-letter-reason", settlement == Settlement::reject ? "rejected" : "retried too often");
     letter.properties.set("dead-letter-tries", std::to_string(original_.tries));
-    letter.properties.set("dead-letter-topic", topic_.name);
-    letter.properties.set("dead-letter-group", options_.group);
-    owner_.box(options_.dead_letter).send(std::move(letter), std::move(original_));
+    letter.properties.set("dead-letter-topic", topic.name);
+    letter.properties.set("dead-letter-group", options.group);
+    owner_.box(options.dead_letter).send(std::move(letter), std::move(original_));
   }
 
  private:
   DeadLetters& owner_;
-  const Topic topic_;
-  const SubscriptionOptions options_;
+  const std::shared_ptr<const Subscribed> subscription_;
   std::atomic<bool> settled_{false};
   Delivery original_;
 };
 
 Handler DeadLetters::guard(const Topic& topic, const SubscriptionOptions& options, Handler handler) {
   if (options.max_tries == 0 && options.dead_letter.empty()) return handler;
-  return [this, topic, options, handler = std::move(handler)](Delivery original) {
+  auto subscription = std::make_shared<const Guard::Subscribed>(Guard::Subscribed{topic, options});
+  return [this, subscription = std::move(subscription), handler = std::move(handler)](Delivery original) {
     Message message = original.message;
     const bool redelivered = original.redelivered;
     const std::uint32_t tries = original.tries;
-    Delivery guarded(std::move(message), redelivered,
-                     std::make_shared<Guard>(*this, topic, options, std::move(original)), 0);
+    Delivery guarded(std::move(message), redelivered, std::make_shared<Guard>(*this, subscription, std::move(original)),
+                     0);
     guarded.tries = tries;
     handler(std::move(guarded));
   };

@@ -83,7 +83,8 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     route.handed_over_at = now;
     UnderWay& entry = add_under_way(outbox, route, std::move(outgoing));
     prepare(entry);
-    if (const auto error = hand_over(entry, route.topic.get()); error != RD_KAFKA_RESP_ERR_NO_ERROR) {
+    if (const auto error = hand_over(entry, route.topic.get(), {now, clock_.wall_ms()});
+        error != RD_KAFKA_RESP_ERR_NO_ERROR) {
       settle(entry, error);
     }
     if (reporter_.due()) wake();

@@ -72,6 +72,11 @@ class PublishLink {
     bool in_runnable = false;  ///< stands in runnable_
     bool in_wave = false;      ///< the link's thread hands a wave over
   };
+  /// Read once for many messages.
+  struct Now {
+    Instant instant;
+    std::int64_t wall_ms;
+  };
   /// With the library until its delivery report.
   struct UnderWay {
     std::shared_ptr<Outbox> outbox;
@@ -96,7 +101,7 @@ class PublishLink {
   void lose_connection();
 
   UnderWay& add_under_way(const std::shared_ptr<Outbox>& outbox, Route& route, Outgoing outgoing);
-  rd_kafka_resp_err_t hand_over(UnderWay& entry, rd_kafka_topic_t* topic) const;
+  rd_kafka_resp_err_t hand_over(UnderWay& entry, rd_kafka_topic_t* topic, const Now& now) const;
   void prepare(UnderWay& entry) const;
   /// Whether the same message would meet this error again, whenever it is sent.
   static bool is_refusal(rd_kafka_resp_err_t error);

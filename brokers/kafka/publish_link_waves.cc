@@ -68,16 +68,16 @@ void PublishLink::prepare(UnderWay& entry) const {
   if (!options_.native_headers) entry.envelope = encode_envelope(entry.outgoing.message);
 }
 
-rd_kafka_resp_err_t PublishLink::hand_over(UnderWay& entry, rd_kafka_topic_t* topic) const {
+rd_kafka_resp_err_t PublishLink::hand_over(UnderWay& entry, rd_kafka_topic_t* topic, const Now& now) const {
   RecordMarks marks;
   marks.resent = entry.outgoing.resent || entry.outgoing.old;
-  const std::int64_t now_ms = clock_.wall_ms();
   if (const auto deadline = entry.outbox->options.deadline; deadline.count() > 0) {
-    const auto left = entry.outgoing.accepted + deadline - clock_.now();
-    marks.expires_ms = now_ms + std::max<std::int64_t>(1, std::chrono::ceil<std::chrono::milliseconds>(left).count());
+    const auto left = entry.outgoing.accepted + deadline - now.instant;
+    marks.expires_ms =
+        now.wall_ms + std::max<std::int64_t>(1, std::chrono::ceil<std::chrono::milliseconds>(left).count());
   }
-  return produce(client_->get(), topic, entry.outgoing.message, marks, options_.native_headers, now_ms, entry.envelope,
-                 &entry);
+  return produce(client_->get(), topic, entry.outgoing.message, marks, options_.native_headers, now.wall_ms,
+                 entry.envelope, &entry);
 }
 
 void PublishLink::send_waiting(Lock& lock) {
@@ -115,7 +115,8 @@ std::vector<PublishLink::UnderWay*> PublishLink::take_wave(Route& route, Instant
 }
 
 void PublishLink::send_wave(Route& route, Lock& lock) {
-  const std::vector<UnderWay*> wave = take_wave(route, clock_.now());
+  const Now now{clock_.now(), clock_.wall_ms()};
+  const std::vector<UnderWay*> wave = take_wave(route, now.instant);
   if (wave.empty()) return;
   const std::shared_ptr<rd_kafka_topic_t> topic = route.topic;
   route.in_wave = true;
@@ -129,7 +130,7 @@ void PublishLink::send_wave(Route& route, Lock& lock) {
     const auto before = std::find_if(failed.begin(), failed.end(), [&](const auto& other) {
       return other.first->outbox == entry->outbox && !is_refusal(other.second);
     });
-    const auto error = before != failed.end() ? before->second : hand_over(*entry, topic.get());
+    const auto error = before != failed.end() ? before->second : hand_over(*entry, topic.get(), now);
     if (error != RD_KAFKA_RESP_ERR_NO_ERROR) failed.emplace_back(entry, error);
   }
   lock.lock();

@@ -63,7 +63,7 @@ bool Progress::was_settled(std::int64_t offset) const {
 }
 
 bool Progress::maybe_handed_on(std::int64_t offset, std::int64_t log_end) {
-  if (doubtful_ && !doubtful_to_) doubtful_to_ = log_end;
+  if (wants_log_end()) doubtful_to_ = log_end;
   return offset < handed_on_ || (doubtful_ && offset < *doubtful_to_);
 }
 

@@ -37,6 +37,8 @@ class Progress {
   /// Whether a reader before may have handed it on. \param log_end the end of the partition as known now: if the reader
   /// before ended without a word, everything up to it (at the first call) is doubtful.
   bool maybe_handed_on(std::int64_t offset, std::int64_t log_end);
+  /// Only then does maybe_handed_on() look at `log_end`.
+  bool wants_log_end() const { return doubtful_ && !doubtful_to_; }
 
   void arrived(std::int64_t offset, Message message, bool redelivered);
   /// Needs no handling: settled already, too old, not to be understood.

@@ -187,7 +187,9 @@ void Reader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) 
   }
   std::int64_t oldest = 0;
   std::int64_t end = offset + 1;
-  rd_kafka_get_watermark_offsets(feed.client->get(), feed.key.first.c_str(), feed.key.second, &oldest, &end);
+  if (feed.progress.wants_log_end()) {
+    rd_kafka_get_watermark_offsets(feed.client->get(), feed.key.first.c_str(), feed.key.second, &oldest, &end);
+  }
   const bool again = feed.progress.maybe_handed_on(offset, end) || read->marks.resent;
   feed.progress.arrived(offset, std::move(read->message), again);
   Inlet& inlet = *feed.inlet;
