@@ -120,6 +120,24 @@ TEST_F(KafkaGroup, PartitionsMoveToAReaderThatComesAndBackWhenItGoes) {
   EXPECT_EQ(total, 2400U);
 }
 
+TEST_F(KafkaGroup, AMemberHasAllPartitionsOfATopicThatItAloneReadsWhateverItsGroupReadsElse) {
+  const auto one = this->broker(4);
+  const auto other = this->broker(4);
+  const Topic its_own = topic();
+  Topic of_the_other = topic();
+  of_the_other.name += ".other";
+  Inbox inbox;
+  Inbox others;
+  const auto first = one->subscribe(its_own, readers(), inbox.handler());
+  const auto second = other->subscribe(of_the_other, readers(), others.handler());
+  ASSERT_TRUE(becomes_active(*first));
+  ASSERT_TRUE(becomes_active(*second));
+  const auto publisher = one->publisher(its_own, {});
+  for (int driver = 0; driver < 40; ++driver) publisher->publish(from(driver, 1));
+  ASSERT_TRUE(inbox.wait_for(40));
+  EXPECT_EQ(others.size(), 0U);
+}
+
 TEST_F(KafkaGroup, AfterAnOrderlyEndNothingIsDoubted) {
   auto broker = this->broker();
   Inbox first;
