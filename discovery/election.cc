@@ -148,13 +148,13 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   void decide() {
     if (!first || own_epoch == 0 || leads || registry.session() != SessionState::connected) return;
     leads = true;
-    log.info("{} leads {} (epoch {})", data, path, own_epoch);
+    log.debug("{} leads {} (epoch {})", data, path, own_epoch);
     if (callbacks.on_elected) callbacks.on_elected(own_epoch);
   }
 
   void lose() {
     if (!leads.exchange(false)) return;
-    log.warn("{} leads {} no longer", data, path);
+    log.debug("{} leads {} no longer", data, path);
     if (callbacks.on_lost) callbacks.on_lost();
   }
 

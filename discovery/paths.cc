@@ -30,7 +30,8 @@ Paths::Paths(std::string sensors_root) : sensors(std::move(sensors_root)) {
   const std::string parent = sensors.substr(0, slash);
   gateways = parent + "/gateways";
   topologies = parent + "/topologies";
-  for (const std::string& taken : {gateways, topologies, masters()}) {
+  groups = parent + "/groups";
+  for (const std::string& taken : {gateways, topologies, groups, masters()}) {
     if (sensors == taken) throw config::Error("zk.root: \"" + sensors + "\" is taken by records of another kind");
   }
 }
@@ -70,6 +71,9 @@ std::string Paths::topology_order(const std::string& topology) const {
 }
 std::string Paths::ended_workers(const std::string& topology) const {
   return this->topology(topology) + "/ended";
+}
+std::string Paths::readers(const std::string& group, const std::string& driver, const std::string& channel) const {
+  return below(below(below(groups, group), driver), channel);
 }
 
 std::string new_instance_id() {

@@ -147,7 +147,9 @@ struct Paths {
   std::string topology_order(const std::string& topology) const;  ///< /iot/topologies/<name>/wanted
   /// Below it each worker that was killed leaves a persistent node of its name: empty, or why it did not drain.
   std::string ended_workers(const std::string& topology) const;
-  std::string sensors, gateways, topologies;
+  /// Who reads a driver's channel as one group, and who of them reads what: /iot/groups/<group>/<driver>/<channel>.
+  std::string readers(const std::string& group, const std::string& driver, const std::string& channel) const;
+  std::string sensors, gateways, topologies, groups;
 };
 
 /// A new instance id: a random UUID without dashes.

@@ -1,4 +1,4 @@
-// What becomes of messages whose tuples fail, on each kind of broker.
+// What becomes of messages whose tuples fail, or whose commands may not have arrived, on each kind of broker.
 #include <algorithm>
 #include <map>
 #include <memory>
@@ -85,6 +85,11 @@ class FailedMessages : public Endpoints, public testing::WithParamInterface<std:
   }
   /// A name for a driver or topic that no other test has.
   std::string unique(const std::string& name) const { return name + url_.substr(url_.rfind('-')); }
+  std::size_t pending() const {
+    std::size_t tuples = 0;
+    for (const TaskSnapshot& task : workers_.back()->snapshot().tasks) tuples += task.pending;
+    return tuples;
+  }
   /// Ends the worker and starts another one: the broker delivers what was not settled.
   void start_again(const std::string& properties) {
     workers_.back()->stop(std::chrono::seconds(5));
@@ -212,7 +217,73 @@ TEST_P(FailedMessages, AllBecomeLettersWhenThereAreMany) {
   EXPECT_THAT(times, SizeIs(count));
 }
 
+/// What a topology sends back to drivers.
+class Commands : public FailedMessages {};
+
+INSTANTIATE_TEST_SUITE_P(On, Commands, testing::Values("embedded", "rabbitmq"),
+                         [](const auto& kind) { return kind.param; });
+
+/// Nobody reads the driver's channel, so that the broker does not take the command for good.
+TEST_P(Commands, ThatTheBrokerHasNotConfirmedAreMadeAgainFromTheSpoutsMessageWhenTheWorkerEnds) {
+  const std::string driver = unique("one");
+  run_picky("{}");
+  show_driver(driver);
+  const auto publisher = device(driver);
+  publisher->publish(message("command", driver));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_bolt_sent_total") == 1; }));
+  workers_.back()->stop(std::chrono::milliseconds(200));  // what its publisher has is lost with it
+  workers_.clear();
+  run_picky("{}");
+  Mailbox mailbox(*broker_, topic(driver, "down"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_EQ(mailbox.texts().at(0), "command");
+}
+
+TEST_P(Commands, ThatTheBrokerHasConfirmedSettleTheSpoutsMessages) {
+  const std::string driver = unique("one");
+  Mailbox mailbox(*broker_, topic(driver, "down"));
+  run_picky("{}");
+  show_driver(driver);
+  const auto publisher = device(driver);
+  for (int i = 0; i < 300; ++i) publisher->publish(message(std::to_string(i), driver));
+  ASSERT_TRUE(mailbox.wait_for(300));
+  ASSERT_TRUE(eventually([&] { return pending() == 0; }));
+  EXPECT_EQ(metric("iotcloud_spout_retried_total"), 0);
+  start_again("{}");
+  publisher->publish(message("last", driver));
+  ASSERT_TRUE(mailbox.wait_for(301));
+  EXPECT_EQ(mailbox.texts().back(), "last");
+}
+
 class BrokerThatIsAway : public Endpoints {};
+
+TEST_F(BrokerThatIsAway, HasNoMessageOfTheSpoutAcknowledgedBeforeItsCommandIsSafe) {
+  ComponentRegistry components;
+  components.add_bolt<GateBolt>("Gate");
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run_yaml(
+      "topology.name: t\nruntime: {message_timeout: 3s}\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, "
+      "builder: text, fields: [text, driverID, time]}\n"
+      "bolts:\n  gate: {class: Gate, inputs: {from: in}}\n"
+      "  out: {broker: rabbitmq, driver: d, channel: down, fields: [text, driverID, time], inputs: {from: gate}}\n",
+      std::move(components));
+  show_driver("one");
+  Gate::set(false);
+  const auto publisher = device("one");
+  publisher->publish(message("command", "one"));
+  ASSERT_TRUE(eventually([] {
+    const std::lock_guard lock(Gate::mutex);
+    return Gate::inside > 0;
+  }));
+  auto server = brokers::embedded::Server::named(url_.substr(11));
+  server.stop();
+  Gate::set(true);
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_bolt_sent_total") == 1; }));
+  EXPECT_EQ(server.depth(topic("one", "up"), "t"), 1U);
+  server.start();
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_TRUE(eventually([&] { return server.depth(topic("one", "up"), "t") == 0; }));
+}
 
 TEST_F(BrokerThatIsAway, GetsItsDeadLettersWhenItIsBack) {
   PickyBolt::reset();

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <condition_variable>
 #include <mutex>
+#include <regex>
 #include <thread>
 
 #include <gmock/gmock.h>
@@ -12,7 +13,6 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/tests/topology/endpoints_fixture.h>
-#include <iotcloud/topology/endpoints/fair_shares.h>
 #include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {
@@ -22,46 +22,6 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
-
-// --- fair shares ---------------------------------------------------------------------------------
-
-std::vector<std::string> names(const std::string& prefix, int count) {
-  std::vector<std::string> all;
-  for (int i = 0; i < count; ++i) all.push_back(prefix + std::to_string(i));
-  return all;
-}
-
-TEST(FairShares, GiveEveryWorkerAsMuchOrOneLess) {
-  for (const int units : {0, 1, 3, 4, 10, 101}) {
-    for (const int workers : {1, 2, 3, 7}) {
-      std::map<std::string, int> load;
-      for (const auto& worker : names("w", workers)) load[worker] = 0;
-      for (const auto& [unit, worker] : fair_shares(names("u", units), names("w", workers))) ++load[worker];
-      const auto [least, most] =
-          std::minmax_element(load.begin(), load.end(), [](auto& a, auto& b) { return a.second < b.second; });
-      EXPECT_LE(most->second - least->second, 1) << units << " units, " << workers << " workers";
-    }
-  }
-}
-
-TEST(FairShares, AreTheSameWhateverTheOrderOfTheNames) {
-  auto units = names("u", 50), workers = names("w", 4);
-  const auto shares = fair_shares(units, workers);
-  std::reverse(units.begin(), units.end());
-  std::reverse(workers.begin(), workers.end());
-  EXPECT_EQ(fair_shares(units, workers), shares);
-}
-
-TEST(FairShares, MoveFewUnitsWhenAWorkerComes) {
-  const auto before = fair_shares(names("u", 1000), names("w", 4));
-  const auto after = fair_shares(names("u", 1000), names("w", 5));
-  int moved = 0;
-  for (const auto& [unit, worker] : before) moved += after.at(unit) != worker;
-  EXPECT_GE(moved, 200);  // the new one's share
-  EXPECT_LT(moved, 400);
-}
-
-// --- a worker on embedded broker and registry ------------------------------------------------------
 
 TEST_F(Endpoints, CarryPayloadDriverAndTimeFromTheMessageInToTheMessageOut) {
   Mailbox mailbox(*broker_, topic("one", "down"));
@@ -138,6 +98,57 @@ TEST_F(Endpoints, CountTuplesForDriversThatAreNotThereAndGoOn) {
   EXPECT_THAT(mailbox.texts(), ElementsAre("found"));
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_bolt_unknown_driver_total") == 1; }));
   EXPECT_EQ(metric("iotcloud_spout_rejected_total"), 0);  // acked by default
+}
+
+TEST_F(Endpoints, CountTuplesForADriverThatWentAndSayItOnceWithItsName) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  show_driver("gone");
+  const auto publisher = device("one");
+  Mailbox reader(*broker_, topic("gone", "down"));
+  publisher->publish(message("hello", "gone"));
+  ASSERT_TRUE(reader.wait_for(1));  // the way to it is known
+  discovery::remove_tree(*registry_, paths_.instance("d", "gone"));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+  testing::internal::CaptureStderr();
+  int sent = 0;
+  const auto log = [&] {
+    publisher->publish(message("lost", "gone"));
+    ++sent;
+    return metric("iotcloud_bolt_unknown_driver_total") >= 5;
+  };
+  const bool counted = eventually(log);
+  publisher->publish(message("found", "one"));
+  const bool found = mailbox.wait_for(1);
+  workers_.back()->stop(std::chrono::seconds(5));
+  const std::string said = testing::internal::GetCapturedStderr();
+  EXPECT_TRUE(counted && found);
+  const std::string line = "there is no driver d with the id \"gone\" and a channel \"down\"";
+  ASSERT_NE(said.find(line), std::string::npos) << said;
+  EXPECT_EQ(said.find(line), said.rfind(line));
+}
+
+TEST_F(Endpoints, SayHowManyUnitsWereTakenNotWhichOnes) {
+  testing::internal::CaptureStderr();
+  run();
+  for (int i = 0; i < 50; ++i) show_driver("i" + std::to_string(i));
+  std::string said;
+  const auto taken = [&] {
+    said += testing::internal::GetCapturedStderr();
+    testing::internal::CaptureStderr();
+    static const std::regex line("in: units taken ([0-9]+), given up 0; [0-9]+ of [0-9]+ are read here\n");
+    int sum = 0;
+    for (std::sregex_iterator found(said.begin(), said.end(), line), end; found != end; ++found) {
+      sum += std::stoi((*found)[1]);
+    }
+    return sum;
+  };
+  const bool told = eventually([&] { return taken() == 50; });
+  workers_.clear();
+  said += testing::internal::GetCapturedStderr();
+  EXPECT_TRUE(told) << said;
+  EXPECT_LT(std::count(said.begin(), said.end(), '\n'), 40) << said;
 }
 
 TEST_F(Endpoints, HoldADriversFirstMessageUntilItsChannelIsKnown) {

@@ -14,11 +14,15 @@ class Placement : public Endpoints {
   struct Member {
     std::unique_ptr<config::Metrics> metrics;
     std::unique_ptr<Worker> worker;
+    std::size_t tasks = 0;
   };
 
-  void add_worker() {
+  /// \param tasks of the spout, in this worker.
+  void add_worker(std::size_t tasks) {
     const std::string yaml =
-        "topology.name: t\nspouts:\n  in:\n    {broker: rabbitmq, driver: d, channel: up, parallelism: 2,\n"
+        "topology.name: t\nspouts:\n  in:\n    {broker: rabbitmq, driver: d, channel: up, parallelism: " +
+        std::to_string(tasks) +
+        ",\n"
         "     fields: [text, driverID, time], builder: text}\nbolts:\n"
         "  out: {broker: rabbitmq, driver: d, channel: down, fields: [text, driverID, time], inputs: {from: in}}\n";
     Member member;
@@ -31,6 +35,7 @@ class Placement : public Endpoints {
                           .metrics = member.metrics.get()};
     member.worker = std::make_unique<Worker>(std::move(options));
     member.worker->start();
+    member.tasks = tasks;
     members_.push_back(std::move(member));
   }
 
@@ -70,17 +75,25 @@ class Placement : public Endpoints {
     return all;
   }
 
+  /// Whether each worker reads so much that no task need have more than one unit more than any other.
   bool even() const {
     const auto read = loads();
-    std::size_t sum = 0;
-    for (const std::size_t load : read) sum += load;
-    const auto [least, most] = std::minmax_element(read.begin(), read.end());
-    return sum == present_.size() && *most - *least <= 1;
+    std::size_t sum = 0, least = present_.size(), most = 0;
+    for (std::size_t i = 0; i < read.size(); ++i) {
+      const std::size_t tasks = members_[i].tasks;
+      sum += read[i];
+      least = std::min(least, read[i] / tasks);
+      most = std::max(most, (read[i] + tasks - 1) / tasks);
+    }
+    return sum == present_.size() && most <= least + 1;
   }
 
   std::string description() const {
     std::string text = std::to_string(present_.size()) + " drivers, read by";
-    for (const std::size_t load : loads()) text += " " + std::to_string(load);
+    const auto read = loads();
+    for (std::size_t i = 0; i < read.size(); ++i) {
+      text += " " + std::to_string(read[i]) + " (" + std::to_string(members_[i].tasks) + " tasks)";
+    }
     return text;
   }
 
@@ -91,16 +104,16 @@ class Placement : public Endpoints {
   std::map<std::string, std::unique_ptr<Mailbox>> mailboxes_;
 };
 
-TEST_F(Placement, IsWithinOneUnitOfEvenAfterEachOfManyChangesAndLosesAndReordersNothing) {
+TEST_F(Placement, IsWithinOneUnitOfEvenOverAllTasksAfterEachOfManyChangesAndLosesAndReordersNothing) {
   std::mt19937 choose(20161121);  // NOLINT: the same changes each time
   const auto below = [&](std::size_t limit) { return choose() % limit; };
-  add_worker();
+  add_worker(2);
   std::string last;
   for (int step = 0; step < 40; ++step) {
     switch (below(6)) {
       case 0:
         last = "a worker joins";
-        if (members_.size() < 5) add_worker();
+        if (members_.size() < 5) add_worker(1 + below(3));
         break;
       case 1:
         last = "a worker leaves";

@@ -1,6 +1,7 @@
 #include <algorithm>
 
 #include <iotcloud/topology/definition/assemble.h>
+#include <iotcloud/topology/definition/describe.h>
 
 namespace iotcloud::topology {
 
@@ -121,6 +122,22 @@ void check_sent_fields(const TopologyDefinition& definition, const Topology& top
   }
 }
 
+/// Whoever shares its drivers with other topologies has the tuples of some of them only.
+void check_shared_spouts(const TopologyDefinition& definition, const Topology& topology) {
+  const auto shared =
+      std::find_if(definition.spouts.begin(), definition.spouts.end(),
+                   [](const ComponentDefinition& spout) { return spout.endpoint && !spout.endpoint->group.empty(); });
+  if (shared == definition.spouts.end()) return;
+  const std::string crossed = crossings(definition, topology);
+  if (crossed.empty()) return;
+  throw shared->section.error("group",
+                              "other topologies of the group read some of the drivers, and these inputs reach across "
+                              "drivers, of which there would be only a share here:\n" +
+                                  crossed,
+                              "where the share alone is meant, say \"scope: worker\" of these bolts (or "
+                              "\"topology.scope: worker\"); otherwise use a key with driverID, or no group");
+}
+
 }  // namespace
 
 Topology assemble(const TopologyDefinition& definition, const ComponentRegistry& components,
@@ -134,6 +151,7 @@ Topology assemble(const TopologyDefinition& definition, const ComponentRegistry&
     if (const auto* input = unknown_input(definition, builder)) refuse_unknown_source(definition, *input);
     auto topology = builder.build(definition.name, definition.conf);
     check_sent_fields(definition, topology);
+    check_shared_spouts(definition, topology);
     return topology;
   } catch (const TopologyError& error) {
     throw at_its_place(definition, error);

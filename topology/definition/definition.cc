@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <set>
+#include <tuple>
 
 #include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/discovery/registry_setting.h>
@@ -57,6 +58,7 @@ ComponentDefinition read_spout(const std::string& id, Section section, const std
   if (spout.endpoint) {
     read_reading_options(section, spout.endpoint->reading);
     spout.endpoint->stream = section.string_or("stream", default_stream);
+    if (section.has("group")) spout.endpoint->group = require_name(section, "group");
   }
   if (section.optional_string("max_spout_pending")) {
     spout.max_spout_pending = static_cast<std::size_t>(section.int_or("max_spout_pending", 0, 0, 1'000'000));
@@ -212,12 +214,15 @@ std::vector<std::string> broker_names(const std::map<std::string, brokers::Broke
   return {names.begin(), names.end()};
 }
 
-/// Two spouts of a topology on one channel would take each other's messages: they read the same queue.
+/// Two spouts of a topology on one channel would take each other's messages: they read the same queue, unless they read
+/// it in different groups.
 void refuse_double_readers(const std::vector<ComponentDefinition>& spouts) {
-  std::map<std::pair<std::string, std::string>, std::string> readers;
+  std::map<std::tuple<std::string, std::string, std::string>, std::string> readers;
   for (const auto& spout : spouts) {
     if (!spout.endpoint) continue;
-    const auto [first, fresh] = readers.emplace(std::pair(spout.endpoint->driver, spout.endpoint->channel), spout.id);
+    const EndpointDefinition& endpoint = *spout.endpoint;
+    const auto [first, fresh] =
+        readers.emplace(std::tuple(endpoint.driver, endpoint.channel, endpoint.group), spout.id);
     if (!fresh) {
       throw spout.section.error("channel", "the spout \"" + first->second + "\" reads this driver's channel already",
                                 "let both bolts take their input from one spout");

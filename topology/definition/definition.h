@@ -41,12 +41,19 @@ struct ReadingOptions {
 /// What a bolt does with a tuple for a driver that is not there.
 enum class UnknownDriver { ack, fail };
 
+/// When a bolt that sends acks a tuple.
+enum class AckWhen {
+  confirmed,  ///< the broker has the message
+  accepted,   ///< the publisher has it
+};
+
 /// Properties of a bolt that sends to a broker.
 struct SendingOptions {
   bool keep_newest = false;  ///< whenFull: keep_newest drops the oldest that waits; block holds tuples back
   int capacity = 1024;       ///< messages that may wait for the broker, for each channel
   std::chrono::milliseconds deadline{0};              ///< older messages are worthless; 0 = none
   UnknownDriver unknown_driver = UnknownDriver::ack;  ///< unknownDriver; counted either way
+  AckWhen ack_when = AckWhen::confirmed;              ///< ackWhen; accepted with keep_newest, unless it says otherwise
 };
 
 /// A spout or bolt that faces brokers: the paper's keys.
@@ -59,6 +66,7 @@ struct EndpointDefinition {
   std::vector<FieldRole> roles;  ///< one for each field; exactly one payload
   PayloadForm form = PayloadForm::bytes;
   std::string stream = default_stream;  ///< spouts: what they emit to
+  std::string group;                    ///< spouts: shares its messages with others of this group; empty: with nobody
   ReadingOptions reading;               ///< spouts
   SendingOptions sending;               ///< bolts
 };

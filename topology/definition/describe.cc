@@ -43,7 +43,8 @@ std::string origin_of(const ComponentDefinition* definition, bool spout) {
   const EndpointDefinition& endpoint = *definition->endpoint;
   return std::string(spout ? "reads" : "sends to") + " channel \"" + endpoint.channel + "\" of driver \"" +
          endpoint.driver + "\"" + (endpoint.where.everything() ? "" : " where " + on_one_line(endpoint.where.text())) +
-         ", broker \"" + endpoint.broker + "\"";
+         ", broker \"" + endpoint.broker + "\"" +
+         (endpoint.group.empty() ? "" : ", shared with all of group \"" + endpoint.group + "\"");
 }
 
 std::string describe_input(const Subscription& input, const InputDefinition* definition) {

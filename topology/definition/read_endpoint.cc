@@ -88,6 +88,9 @@ void read_sending_options(Section& section, SendingOptions& options) {
   auto properties = section.optional_section("properties");
   if (!properties) return;
   options.keep_newest = properties->choice_or("whenFull", "block", {"keep_newest", "block"}) == "keep_newest";
+  const std::string ack_when =
+      properties->choice_or("ackWhen", options.keep_newest ? "accepted" : "confirmed", {"confirmed", "accepted"});
+  options.ack_when = ack_when == "accepted" ? AckWhen::accepted : AckWhen::confirmed;
   options.capacity = static_cast<int>(properties->int_or("capacity", options.capacity, 1, 1'000'000));
   options.deadline =
       std::chrono::duration_cast<std::chrono::milliseconds>(properties->duration_or("deadline", options.deadline));

@@ -8,7 +8,7 @@
 namespace iotcloud::topology {
 
 /// Sends tuples to a driver's channel: each to the driver instance that its field driverID names, its field `time`
-/// carried on. A tuple is acked when its message was accepted.
+/// carried on. A tuple is acked when its message is safe (ChannelSender).
 class BrokerBolt final : public Bolt {
  public:
   BrokerBolt(EndpointServicesPtr services, std::shared_ptr<RouteTable> routes, EndpointDefinition endpoint)

@@ -4,6 +4,16 @@
 
 namespace iotcloud::topology {
 
+namespace {
+
+/// Whether the message is where it should be, or nobody wants it there any more. One that was fenced may be another
+/// worker's by now.
+bool succeeded(brokers::Outcome outcome, const std::string& reason) {
+  return outcome == brokers::Outcome::confirmed || (outcome == brokers::Outcome::dropped && reason != "fenced");
+}
+
+}  // namespace
+
 void SenderMeters::lost(const std::string& reason) {
   config::Labels labels = labels_;
   labels["reason"] = reason;
@@ -11,16 +21,19 @@ void SenderMeters::lost(const std::string& reason) {
 }
 
 std::shared_ptr<ChannelSender> ChannelSender::open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
-                                                   brokers::PublisherOptions options,
+                                                   brokers::PublisherOptions options, AckWhen ack_when,
                                                    std::shared_ptr<SenderMeters> meters,
                                                    std::shared_ptr<const Fence> fence) {
-  std::shared_ptr<ChannelSender> sender(new ChannelSender(meters, fence));
+  std::shared_ptr<ChannelSender> sender(new ChannelSender(ack_when, meters, fence));
   options.void_before = [fence] { return fence->since(); };
-  options.on_outcome = [meters](std::uint64_t, brokers::Outcome outcome, const std::string& reason) {
-    if (outcome == brokers::Outcome::confirmed) return;
-    meters->lost(outcome == brokers::Outcome::refused   ? "refused"
-                 : outcome == brokers::Outcome::unknown ? "unknown"
-                                                        : reason);
+  options.on_outcome = [meters, weak = std::weak_ptr(sender)](std::uint64_t number, brokers::Outcome outcome,
+                                                              const std::string& reason) {
+    if (outcome != brokers::Outcome::confirmed) {
+      meters->lost(outcome == brokers::Outcome::refused   ? "refused"
+                   : outcome == brokers::Outcome::unknown ? "unknown"
+                                                          : reason);
+    }
+    if (const auto self = weak.lock()) self->on_outcome(number, succeeded(outcome, reason));
   };
   options.on_writable = [weak = std::weak_ptr(sender)] {
     if (const auto self = weak.lock()) self->on_writable();
@@ -54,17 +67,25 @@ void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
     const auto publisher = publisher_;
     sending_ = held.collector;
     writable_again_ = false;
+    // Kept before it is published: the outcome may come before publish() returns. Nobody hears of an untracked tuple.
+    const bool awaited = ack_when_ == AckWhen::confirmed && held.tuple.data()->tree != nullptr;
+    if (awaited) under_way_.push_back({accepted_ + 1, held.tuple, held.collector});
     lock.unlock();
     const bool is_void = this->is_void(held.tuple);
     const auto status = is_void ? brokers::PublishStatus::closed : publisher->publish(held.message);
     if (status == brokers::PublishStatus::accepted) {
       meters_->accepted();
-      held.collector->ack(held.tuple);
+      if (!awaited) held.collector->ack(held.tuple);
     } else if (status == brokers::PublishStatus::closed) {
       meters_->lost(is_void ? "fenced" : "closed");
       held.collector->fail(held.tuple);
     }
     lock.lock();
+    if (status == brokers::PublishStatus::accepted) {
+      ++accepted_;
+    } else if (awaited) {
+      under_way_.pop_back();
+    }
     sending_ = nullptr;
     sent_.notify_all();
     if (status != brokers::PublishStatus::would_block) continue;
@@ -82,6 +103,30 @@ bool ChannelSender::is_void(const Tuple& tuple) const {
   return born != 0 && fence_->voids(Fence::Instant(std::chrono::nanoseconds(born)));
 }
 
+void ChannelSender::on_outcome(std::uint64_t number, bool succeeded) {
+  Tuple tuple;
+  OutputCollector* collector = nullptr;
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = std::lower_bound(under_way_.begin(), under_way_.end(), number,
+                                        [](const UnderWay& one, std::uint64_t sought) { return one.number < sought; });
+    if (found == under_way_.end() || found->number != number) return;
+    tuple = std::move(found->tuple);
+    collector = std::exchange(found->collector, nullptr);
+    while (!under_way_.empty() && under_way_.front().collector == nullptr) under_way_.pop_front();
+    if (collector == nullptr) return;
+    answering_.push_back(collector);
+  }
+  if (succeeded) {
+    collector->ack(tuple);
+  } else {
+    collector->fail(tuple);
+  }
+  const std::lock_guard lock(mutex_);
+  answering_.erase(std::find(answering_.begin(), answering_.end(), collector));
+  sent_.notify_all();
+}
+
 void ChannelSender::on_writable() {
   std::unique_lock lock(mutex_);
   full_ = false;
@@ -95,12 +140,23 @@ void ChannelSender::on_writable() {
 void ChannelSender::reset_timeouts() {
   const std::lock_guard lock(mutex_);
   for (const auto& held : held_) held.collector->reset_timeout(held.tuple);
+  for (const auto& one : under_way_) {
+    if (one.collector != nullptr) one.collector->reset_timeout(one.tuple);
+  }
 }
 
 void ChannelSender::forget(const OutputCollector& collector) {
   std::deque<Held> gone;
+  std::deque<Tuple> forgotten;
   std::unique_lock lock(mutex_);
-  sent_.wait(lock, [&] { return sending_ != &collector; });
+  sent_.wait(lock, [&] {
+    return sending_ != &collector && std::count(answering_.begin(), answering_.end(), &collector) == 0;
+  });
+  for (auto& one : under_way_) {
+    if (one.collector != &collector) continue;
+    one.collector = nullptr;
+    forgotten.push_back(std::move(one.tuple));
+  }
   std::deque<Held> kept;
   for (auto& held : held_) (held.collector == &collector ? gone : kept).push_back(std::move(held));
   held_ = std::move(kept);

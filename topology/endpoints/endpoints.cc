@@ -8,6 +8,9 @@ EndpointFactories endpoint_factories(EndpointServicesPtr services) {
   EndpointFactories factories;
   factories.spout = [services](const ComponentDefinition& spout) -> SpoutFactory {
     auto placement = std::make_shared<SpoutPlacement>(services, spout.id, *spout.endpoint);
+    services->after_stop.emplace_back([services = services.get(), endpoint = *spout.endpoint] {
+      ReadingGroup::clear_up(*services->registry, readers_path(endpoint, *services));
+    });
     std::shared_ptr<DeadLetters> dead_letters;
     const std::string& topic = spout.endpoint->reading.dead_letter;
     if (!topic.empty()) dead_letters = std::make_shared<DeadLetters>(services, spout.id, topic);

@@ -1,5 +1,7 @@
 #include <algorithm>
 
+#include <fmt/format.h>
+
 #include <iotcloud/config/log.h>
 #include <iotcloud/topology/endpoints/route_table.h>
 
@@ -8,8 +10,8 @@ namespace iotcloud::topology {
 namespace {
 
 const config::Logger logger{"topology.endpoints"};
-/// A burst is over when nothing of its kind came for so long.
-constexpr std::chrono::seconds burst_end{10};
+/// Between two lines in the log about drivers that are not there.
+constexpr std::chrono::seconds quiet_time{10};
 /// So many ids of instances that went are remembered.
 constexpr std::size_t most_departed = 10'000;
 
@@ -175,17 +177,23 @@ void RouteTable::give_up(const std::deque<Waiting>& late) {
 
 void RouteTable::unknown(const std::string& driver_id, const Tuple& tuple, OutputCollector& collector) {
   bool say_it = false;
+  std::size_t untold = 0;
   {
     const std::lock_guard lock(mutex_);
     unknown_->add();
     const auto now = services_->clock->now();
-    say_it = !last_unknown_ || now - *last_unknown_ > burst_end;
-    last_unknown_ = now;
+    say_it = !last_unknown_ || now - *last_unknown_ >= quiet_time;
+    if (say_it) {
+      last_unknown_ = now;
+      untold = std::exchange(untold_unknown_, 0);
+    } else {
+      ++untold_unknown_;
+    }
   }
   if (say_it) {
-    logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"{}; further ones are only counted",
-                component_, endpoint_.driver, driver_id, endpoint_.channel,
-                endpoint_.where.everything() ? "" : " that \"where\" chooses");
+    logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"{}{}", component_, endpoint_.driver,
+                driver_id, endpoint_.channel, endpoint_.where.everything() ? "" : " that \"where\" chooses",
+                untold == 0 ? "" : fmt::format("; {} more such tuples since the last such line", untold));
   }
   if (endpoint_.sending.unknown_driver == UnknownDriver::fail) {
     collector.fail(tuple);
@@ -280,8 +288,8 @@ std::shared_ptr<ChannelSender> RouteTable::sender_for(const discovery::ChannelRe
   options.deadline = endpoint_.sending.deadline;
   options.priority = priority_of(channel);
   try {
-    auto sender =
-        ChannelSender::open(broker_at(key.first, *services_), key.second, options, std::move(meters), services_->fence);
+    auto sender = ChannelSender::open(broker_at(key.first, *services_), key.second, options, endpoint_.sending.ack_when,
+                                      std::move(meters), services_->fence);
     const std::lock_guard lock(mutex_);
     senders_[key] = sender;
     return sender;

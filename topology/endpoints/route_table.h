@@ -23,8 +23,8 @@ namespace iotcloud::topology {
 /// tasks of one bolt in a worker. Thread safe.
 ///
 /// A driver's first message may be here before the registry has told of its channels: what is for an id that was never
-/// seen waits `grace` for it. What is for one that is not there is counted, said once a burst, and acked or failed as
-/// the endpoint's `unknownDriver` says.
+/// seen waits `grace` for it. What is for one that is not there is counted, said in the log (a line every ten seconds
+/// at most, with how many there were), and acked or failed as the endpoint's `unknownDriver` says.
 class RouteTable {
  public:
   RouteTable(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
@@ -94,7 +94,8 @@ class RouteTable {
   std::size_t waiting_count_ = 0;                               ///< guarded by mutex_
   OutputCollector* sending_ = nullptr;                  ///< guarded by mutex_; whose waiting tuple is being sent
   bool no_grace_ = false;                               ///< guarded by mutex_
-  std::optional<config::Clock::Instant> last_unknown_;  ///< guarded by mutex_
+  std::optional<config::Clock::Instant> last_unknown_;  ///< when the log was told; guarded by mutex_
+  std::size_t untold_unknown_ = 0;                      ///< since then; guarded by mutex_
 };
 
 }  // namespace iotcloud::topology

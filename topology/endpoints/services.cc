@@ -30,6 +30,14 @@ brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const
   return address;
 }
 
+const std::string& group_of(const EndpointDefinition& endpoint, const EndpointServices& services) {
+  return endpoint.group.empty() ? services.topology : endpoint.group;
+}
+
+std::string readers_path(const EndpointDefinition& endpoint, const EndpointServices& services) {
+  return services.paths.readers(group_of(endpoint, services), endpoint.driver, endpoint.channel);
+}
+
 std::uint8_t priority_of(const discovery::ChannelRecord& channel) {
   const std::string text = property(channel, "priority");
   const bool digit = text.size() == 1 && text[0] >= '0' && text[0] <= '9';

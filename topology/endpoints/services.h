@@ -11,13 +11,14 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/fence.h>
 
 namespace iotcloud::topology {
 
 /// What the endpoints of a worker share. Filled by the worker before the topology starts, constant from then on.
 struct EndpointServices {
-  std::string topology;                     ///< name: the group that reads, and part of every election's path
+  std::string topology;                     ///< name: the group that reads, where the spout names no other
   std::string worker;                       ///< this worker's name below Paths::workers(topology)
   discovery::Registry* registry = nullptr;  ///< outlives the topology's run
   discovery::Paths paths;
@@ -29,12 +30,17 @@ struct EndpointServices {
   config::Metrics* metrics = nullptr;
   std::shared_ptr<Fence> fence = std::make_shared<Fence>();  ///< never null
   std::vector<std::function<void()>> before_stop;            ///< the worker calls them before it stops the topology
+  std::vector<std::function<void()>> after_stop;             ///< and when it has left the registry
 };
 using EndpointServicesPtr = std::shared_ptr<EndpointServices>;
 
 /// Where a channel's messages are.
 brokers::Topic topic_of(const discovery::ChannelRecord& channel);
 brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const EndpointServices& services);
+/// Who reads together: what the broker knows the readers by.
+const std::string& group_of(const EndpointDefinition& endpoint, const EndpointServices& services);
+/// Where the records of those readers are.
+std::string readers_path(const EndpointDefinition& endpoint, const EndpointServices& services);
 /// The channel's priority, as its driver says.
 std::uint8_t priority_of(const discovery::ChannelRecord& channel);
 /// The broker of an address. \throws config::Error when it cannot be used.

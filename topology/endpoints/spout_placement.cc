@@ -1,7 +1,6 @@
 #include <algorithm>
 
 #include <iotcloud/config/log.h>
-#include <iotcloud/topology/endpoints/fair_shares.h>
 #include <iotcloud/topology/endpoints/spout_placement.h>
 
 namespace iotcloud::topology {
@@ -12,6 +11,9 @@ const config::Logger logger{"topology.endpoints"};
 
 /// Units that come or go within so short a time are shared out together.
 constexpr std::chrono::milliseconds gathering{5};
+
+/// Units that are taken or given up within so short a time stand in one line of the log.
+constexpr std::chrono::seconds gathering_for_the_log{1};
 
 /// A driver instance for an exclusive channel, a gateway for a shared one.
 std::string unit_of(const discovery::ChannelRecord& channel) {
@@ -29,7 +31,7 @@ struct SpoutPlacement::Search {
   Fence& fence;
   int listener = 0;
   discovery::GuardPtr session;
-  discovery::GuardPtr workers;
+  std::unique_ptr<ReadingGroup> group;
   std::unique_ptr<discovery::DriverDirectory> directory;
 };
 
@@ -43,9 +45,9 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
     const std::lock_guard lock(mutex_);
     inboxes_[task_index] = std::move(inbox);
     if (inboxes_.size() < static_cast<std::size_t>(task_count)) return;
-    workers_ = {services_->worker};
-    loads_.assign(inboxes_.size(), 0);
+    loads_ = TaskLoads(inboxes_.size());
   }
+  path_ = readers_path(endpoint_, *services_);
   // Callbacks come on the dispatcher and wait for mutex_: it is not held here, nor in leave() while the watches die.
   auto& registry = *services_->registry;
   auto search = std::make_unique<Search>(*services_->fence);
@@ -57,9 +59,16 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
                                                              [this] { in_turn([&] { subscribe_anew(); }); }));
   });
   search->session = registry.on_session([this](discovery::SessionState state) { in_turn([&] { on_session(state); }); });
-  search->workers = registry.watch_children(services_->paths.workers(services_->topology), [this](const auto& names) {
-    in_turn([&] { on_workers(names.value_or(std::vector<std::string>())); });
-  });
+  ReadingGroup::Member self;
+  self.sharer = {services_->worker, task_count};
+  self.topology = services_->topology;
+  self.shares = !endpoint_.group.empty();
+  self.broker = endpoint_.broker;
+  self.where = endpoint_.where.everything() ? "" : endpoint_.where.text();
+  self.since_ms = services_->clock->wall_ms();
+  search->group = std::make_unique<ReadingGroup>(
+      registry, path_, std::move(self),
+      [this](const auto& sharers, const std::string& problem) { in_turn([&] { on_sharers(sharers, problem); }); });
   discovery::DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const discovery::ChannelRecord& channel) { in_turn([&] { on_channel(channel); }); };
   callbacks.on_channel_gone = [this](const discovery::ChannelRecord& channel) {
@@ -77,21 +86,22 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
 
 void SpoutPlacement::leave() {
   std::map<std::string, Unit> units;
-  discovery::GuardPtr sharing;
-  discovery::GuardPtr anew;
+  discovery::GuardPtr sharing, telling, anew;
   {
     const std::lock_guard lock(mutex_);
     if (std::exchange(over_, true)) return;
     units.swap(units_);
     sharing.swap(sharing_);
     anew.swap(anew_);
+    telling.swap(telling_);
     inboxes_.clear();
   }
   search_.reset();
   sharing.reset();
   anew.reset();
+  telling.reset();
   for (auto& [name, unit] : units) {
-    stop_reading(unit);
+    close_readers(unit);
     unit.election.reset();
   }
 }
@@ -131,9 +141,10 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
   const std::string name = unit_of(channel);
   const bool fresh = !units_.contains(name);
   Unit& unit = units_[name];
+  unit.kind = channel.shared ? UnitKind::gateway : UnitKind::instance;
   unit.channels[channel.instance] = channel;
-  if (fresh && workers_.size() == 1) stand(name, unit);
-  if (fresh && workers_.size() > 1) share_out_soon();
+  if (fresh && alone()) stand(name, unit);
+  if (fresh && !alone()) share_out_soon();
   if (unit.task >= 0) read(unit);
   report();
 }
@@ -144,19 +155,20 @@ void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
   if (!found->second.channels.empty()) {
     if (found->second.task >= 0) read(found->second);
   } else {
-    release(found->second);
+    release(found->first, found->second);
     units_.erase(found);
     share_out_soon();
   }
   report();
 }
 
-void SpoutPlacement::on_workers(const std::vector<std::string>& workers) {
-  workers_ = workers;
-  // Not listed yet, or not any more while the session is renewed: this worker counts all the same.
-  if (std::find(workers_.begin(), workers_.end(), services_->worker) == workers_.end()) {
-    workers_.push_back(services_->worker);
+void SpoutPlacement::on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) {
+  if (problem != problem_ && !problem.empty()) {
+    logger.error("{}: channel {} of driver {} is not read here: {}", component_, endpoint_.channel, endpoint_.driver,
+                 problem);
   }
+  problem_ = problem;
+  sharers_ = sharers;
   share_out();
   balance();
   report();
@@ -175,18 +187,23 @@ void SpoutPlacement::share_out_soon() {
 }
 
 void SpoutPlacement::share_out() {
-  if (workers_.size() == 1) {
+  if (sharers_.empty()) return;
+  if (alone()) {
     for (auto& [name, unit] : units_) stand(name, unit);
     return;
   }
-  std::vector<std::string> names;
-  for (const auto& [name, unit] : units_) names.push_back(name);
-  const auto shares = fair_shares(std::move(names), workers_);
-  for (auto& [name, unit] : units_) {
-    if (shares.at(name) == services_->worker) {
-      stand(name, unit);
-    } else if (unit.election && !unit.frozen) {
-      release(unit);
+  std::vector<std::vector<std::string>> names(unit_kinds);
+  for (const auto& [name, unit] : units_) names[static_cast<std::size_t>(unit.kind)].push_back(name);
+  const auto shares = fair_shares(names, sharers_);
+  for (std::size_t kind = 0; kind < unit_kinds; ++kind) {
+    for (std::size_t i = 0; i < names[kind].size(); ++i) {
+      const std::string& name = names[kind][i];
+      Unit& unit = units_.at(name);
+      if (sharers_[shares[kind][i]].worker == services_->worker) {
+        stand(name, unit);
+      } else if (unit.election && !unit.frozen) {
+        release(name, unit);
+      }
     }
   }
 }
@@ -196,9 +213,9 @@ void SpoutPlacement::stand(const std::string& name, Unit& unit) {
   discovery::Election::Callbacks callbacks;
   callbacks.on_elected = [this, name](std::int64_t) { in_turn([&] { on_elected(name); }); };
   callbacks.on_lost = [this, name] { in_turn([&] { on_lost(name); }); };
-  unit.election = std::make_unique<discovery::Election>(
-      *services_->registry, services_->paths.topology(services_->topology) + "/readers/" + component_ + "/" + name,
-      services_->worker, std::move(callbacks), discovery::Succession::whoever_is_first);
+  unit.election = std::make_unique<discovery::Election>(*services_->registry, ReadingGroup::election(path_, name),
+                                                        services_->worker, std::move(callbacks),
+                                                        discovery::Succession::whoever_is_first);
 }
 
 void SpoutPlacement::on_elected(const std::string& name) {
@@ -208,8 +225,12 @@ void SpoutPlacement::on_elected(const std::string& name) {
   unit.leads = true;
   unit.frozen = false;
   if (unit.task < 0) {
-    unit.task = static_cast<int>(std::min_element(loads_.begin(), loads_.end()) - loads_.begin());
-    ++loads_[static_cast<std::size_t>(unit.task)];
+    const std::size_t task = loads_.idlest(unit.kind);
+    loads_.add(task, unit.kind);
+    unit.task = static_cast<int>(task);
+    ++taken_;
+    tell_soon();
+    logger.debug("{}: {} is read here, by task {}", component_, name, task);
   }
   read(unit);
   report();
@@ -224,7 +245,7 @@ void SpoutPlacement::on_lost(const std::string& name) {
     unit.frozen = true;
     return;
   }
-  stop_reading(unit);
+  stop_reading(name, unit);
   balance();
   report();
 }
@@ -241,7 +262,7 @@ void SpoutPlacement::on_session(discovery::SessionState state) {
   }
   if (state != discovery::SessionState::connected) return;
   for (auto& [name, unit] : units_) {
-    if (std::exchange(unit.frozen, false) && !unit.leads) stop_reading(unit);
+    if (std::exchange(unit.frozen, false) && !unit.leads) stop_reading(name, unit);
   }
   share_out();
   balance();
@@ -252,27 +273,33 @@ void SpoutPlacement::on_session(discovery::SessionState state) {
 void SpoutPlacement::subscribe_anew() {
   for (auto& [name, unit] : units_) {
     if (unit.task < 0) continue;
-    for (const auto& [key, reader] : unit.readers) reader->close();
-    reader_count_ -= unit.readers.size();
-    unit.readers.clear();
+    close_readers(unit);
     read(unit);
   }
 }
 
 /// First the readers, then the right to read: the next reader finds the topic free.
-void SpoutPlacement::release(Unit& unit) {
-  stop_reading(unit);
+void SpoutPlacement::release(const std::string& name, Unit& unit) {
+  stop_reading(name, unit);
   if (unit.election) resigned_.push_back(std::move(unit.election));
   unit.leads = false;
   unit.frozen = false;
 }
 
-void SpoutPlacement::stop_reading(Unit& unit) {
+void SpoutPlacement::stop_reading(const std::string& name, Unit& unit) {
+  close_readers(unit);
+  if (unit.task < 0) return;
+  loads_.remove(static_cast<std::size_t>(unit.task), unit.kind);
+  unit.task = -1;
+  ++given_up_;
+  tell_soon();
+  logger.debug("{}: {} is read here no longer", component_, name);
+}
+
+void SpoutPlacement::close_readers(Unit& unit) {
   for (const auto& [key, reader] : unit.readers) reader->close();
   reader_count_ -= unit.readers.size();
   unit.readers.clear();
-  if (unit.task >= 0) --loads_[static_cast<std::size_t>(unit.task)];
-  unit.task = -1;
 }
 
 /// Makes the unit's readers those that its channels want.
@@ -302,7 +329,7 @@ void SpoutPlacement::read(Unit& unit) {
 std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::ChannelRecord& channel,
                                                            const ReaderKey& key, int task) {
   brokers::SubscriptionOptions options;
-  options.group = services_->topology;
+  options.group = group_of(endpoint_, *services_);
   options.automatic_ack = endpoint_.reading.automatic_ack;
   options.prefetch = static_cast<std::uint16_t>(endpoint_.reading.prefetch);
   options.keep_last = static_cast<std::size_t>(endpoint_.reading.keep_last);
@@ -318,19 +345,19 @@ std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::Chan
   }
 }
 
-/// Moves units from the busiest task to the idlest while they differ by more than one.
+/// Moves units between this worker's tasks while they are uneven.
 void SpoutPlacement::balance() {
-  for (;;) {
-    const auto [least, most] = std::minmax_element(loads_.begin(), loads_.end());
-    if (*most - *least <= 1) return;
-    const int from = static_cast<int>(most - loads_.begin());
-    const int to = static_cast<int>(least - loads_.begin());
-    const auto moved =
-        std::find_if(units_.begin(), units_.end(), [&](const auto& entry) { return entry.second.task == from; });
-    stop_reading(moved->second);
-    moved->second.task = to;
-    ++loads_[static_cast<std::size_t>(to)];
-    read(moved->second);
+  while (const auto move = loads_.next_move()) {
+    const auto moved = std::find_if(units_.begin(), units_.end(), [&](const auto& entry) {
+      return entry.second.kind == move->kind && entry.second.task == static_cast<int>(move->from);
+    });
+    Unit& unit = moved->second;
+    close_readers(unit);
+    loads_.remove(move->from, unit.kind);
+    loads_.add(move->to, unit.kind);
+    unit.task = static_cast<int>(move->to);
+    read(unit);
+    logger.debug("{}: {} moves from task {} to {}", component_, moved->first, move->from, move->to);
   }
 }
 
@@ -339,6 +366,20 @@ void SpoutPlacement::report() {
       ->gauge("iotcloud_spout_channels", "Channels that this worker reads",
               {{"topology", services_->topology}, {"component", component_}})
       .set(static_cast<std::int64_t>(reader_count_));
+}
+
+/// Units come by the thousand: one line in the log for all of them.
+void SpoutPlacement::tell_soon() {
+  if (std::exchange(telling_soon_, true)) return;
+  telling_ = services_->registry->after(gathering_for_the_log, [this] {
+    in_turn([&] {
+      telling_soon_ = false;
+      const auto read =
+          std::count_if(units_.begin(), units_.end(), [](const auto& unit) { return unit.second.task >= 0; });
+      logger.info("{}: units taken {}, given up {}; {} of {} are read here", component_, std::exchange(taken_, 0),
+                  std::exchange(given_up_, 0), read, units_.size());
+    });
+  });
 }
 
 }  // namespace iotcloud::topology

@@ -11,7 +11,9 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/channel_reader.h>
+#include <iotcloud/topology/endpoints/reading_group.h>
 #include <iotcloud/topology/endpoints/services.h>
+#include <iotcloud/topology/endpoints/task_loads.h>
 #include <iotcloud/topology/endpoints/verdicts.h>
 
 namespace iotcloud::topology {
@@ -19,10 +21,10 @@ namespace iotcloud::topology {
 /// Finds the channels that one spout component reads, and places them on its tasks; one object for each component and
 /// worker. The unit of placement is a driver instance (exclusive channels) or a driver on a gateway (shared ones).
 ///
-/// Each worker stands for election for its fair share of the units, so that over all workers, and within one over its
-/// tasks, nobody has more than one unit more than another; the election lets a unit have one reader, and the broker's
-/// exclusive consumer makes sure of it. While the registry is away nothing moves and reading goes on.
-/// Thread safe.
+/// Each worker of the group (`group`, or else the topology) stands for election for its fair share of the units, so
+/// that over all tasks of all workers nobody has more than one unit more than another, of either kind and in all; the
+/// election lets a unit have one reader, and the broker's exclusive consumer makes sure of it. While the registry is
+/// away nothing moves and reading goes on. Thread safe.
 class SpoutPlacement {
  public:
   SpoutPlacement(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
@@ -38,6 +40,7 @@ class SpoutPlacement {
  private:
   using ReaderKey = std::pair<brokers::BrokerAddress, brokers::Topic>;
   struct Unit {
+    UnitKind kind = UnitKind::instance;
     std::map<std::string, discovery::ChannelRecord> channels;  ///< by driver instance
     std::unique_ptr<discovery::Election> election;             ///< null: another worker's share
     bool leads = false;
@@ -54,7 +57,7 @@ class SpoutPlacement {
   // From here on with mutex_ held, on the registry's dispatcher.
   void on_channel(const discovery::ChannelRecord& channel);
   void on_channel_gone(const discovery::ChannelRecord& channel);
-  void on_workers(const std::vector<std::string>& workers);
+  void on_sharers(const std::vector<Sharer>& sharers, const std::string& problem);
   void on_elected(const std::string& unit);
   void on_lost(const std::string& unit);
   void on_session(discovery::SessionState state);
@@ -63,30 +66,39 @@ class SpoutPlacement {
   void share_out_soon();
   void share_out();
   void stand(const std::string& name, Unit& unit);
-  void release(Unit& unit);
-  void stop_reading(Unit& unit);
+  void release(const std::string& name, Unit& unit);
+  void stop_reading(const std::string& name, Unit& unit);
+  void close_readers(Unit& unit);
   void read(Unit& unit);
   void balance();
   std::shared_ptr<ChannelReader> open_reader(const discovery::ChannelRecord& channel, const ReaderKey& key, int task);
   void report();
+  void tell_soon();
+  bool alone() const { return sharers_.size() == 1 && sharers_.front().worker == services_->worker; }
 
   const EndpointServicesPtr services_;
   const std::string component_;
   const EndpointDefinition endpoint_;
   const std::shared_ptr<Verdicts> verdicts_ = std::make_shared<Verdicts>();
 
+  std::string path_;  ///< of the group's records; set by the last join()
+
   std::mutex mutex_;
   std::map<int, std::shared_ptr<Inbox>> inboxes_;               ///< by task index; guarded by mutex_
   bool over_ = false;                                           ///< guarded by mutex_
-  std::vector<std::string> workers_;                            ///< guarded by mutex_
+  std::vector<Sharer> sharers_;                                 ///< empty: not known yet; guarded by mutex_
   std::map<std::string, Unit> units_;                           ///< guarded by mutex_
   std::set<std::string> complained_;                            ///< guarded by mutex_
-  std::vector<int> loads_;                                      ///< units that each task reads; guarded by mutex_
+  TaskLoads loads_;                                             ///< guarded by mutex_
   std::size_t reader_count_ = 0;                                ///< guarded by mutex_
   std::vector<std::unique_ptr<discovery::Election>> resigned_;  ///< of released units; guarded by mutex_
   bool sharing_soon_ = false;                                   ///< share_out() will be called; guarded by mutex_
   discovery::GuardPtr anew_;                                    ///< calls subscribe_anew(); guarded by mutex_
   discovery::GuardPtr sharing_;                                 ///< that call; guarded by mutex_
+  std::size_t taken_ = 0, given_up_ = 0;                        ///< units, since the log told; guarded by mutex_
+  bool telling_soon_ = false;                                   ///< the log will be told; guarded by mutex_
+  discovery::GuardPtr telling_;                                 ///< that call; guarded by mutex_
+  std::string problem_;                                         ///< why there is no share here; guarded by mutex_
   std::unique_ptr<Search> search_;                              ///< set by the last join(), taken by the first leave()
 };
 

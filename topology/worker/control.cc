@@ -292,7 +292,6 @@ void WorkerControl::leave() {
       return;
     }
     registry_.remove(paths.workers(name));
-    discovery::remove_tree(registry_, paths.topology(name) + "/readers");
     registry_.remove(paths.topology(name));
   } catch (const RegistryError& error) {
     if (error.code() != RegistryErrorCode::not_empty) {

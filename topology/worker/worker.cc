@@ -182,6 +182,7 @@ struct Worker::Impl {
       logger.warn("topology {}: not everything was done within {} ms", topology.name, drain.count());
     alone.reset();
     if (control) control->leave();
+    for (const auto& clear_up : services->after_stop) clear_up();
     heart = {};
   }
 
