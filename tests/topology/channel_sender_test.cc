@@ -1,5 +1,6 @@
 // When a bolt that sends answers for its tuples: with a publisher that does what the test says.
 #include <deque>
+#include <functional>
 #include <memory>
 #include <set>
 #include <string>
@@ -25,6 +26,7 @@ struct Script {
   std::vector<std::string> published;
   bool full = false;
   bool confirm_before_publish_returns = false;
+  std::function<void()> during_publish;
   int alive = 0;
   std::set<std::uint64_t> open;  ///< publish numbers without an outcome
 
@@ -46,6 +48,7 @@ class ScriptedPublisher final : public brokers::Publisher {
     script_.published.emplace_back(message.payload.text());
     const std::uint64_t number = script_.published.size();
     script_.open.insert(number);
+    if (script_.during_publish) script_.during_publish();
     if (script_.confirm_before_publish_returns) {
       std::thread([&] { script_.outcome(number, Outcome::confirmed); }).join();
     }
@@ -176,6 +179,14 @@ TEST_F(SentTuples, FailWhenTheChannelGoesBeforeTheBrokerHasAnswered) {
   EXPECT_EQ(lost("closed"), 1);
   send(3);
   EXPECT_THAT(answers_.failed, testing::Contains(3));
+}
+
+TEST_F(SentTuples, FailWhenTheChannelGoesWhileTheyAreBeingSent) {
+  open();
+  script_.during_publish = [&] { std::thread([&] { sender_->close(); }).join(); };
+  send(1);
+  EXPECT_THAT(answers_.failed, ElementsAre(1));
+  EXPECT_EQ(script_.alive, 0);
 }
 
 TEST_F(SentTuples, AreAckedWhenTheChannelsOwnPolicyDropsTheirMessages) {

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <atomic>
 #include <condition_variable>
 #include <mutex>
 #include <regex>
@@ -68,6 +69,7 @@ TEST_F(Endpoints, LeaveWhatASlowTopologyCannotTakeInTheBroker) {
 }
 
 TEST_F(Endpoints, FinishWhatIsUnderWayWhenTheWorkerStops) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
   run();
   show_driver("one");
   Gate::set(false);
@@ -133,21 +135,19 @@ TEST_F(Endpoints, SayHowManyUnitsWereTakenNotWhichOnes) {
   testing::internal::CaptureStderr();
   run();
   for (int i = 0; i < 50; ++i) show_driver("i" + std::to_string(i));
-  std::string said;
-  const auto taken = [&] {
-    said += testing::internal::GetCapturedStderr();
-    testing::internal::CaptureStderr();
-    static const std::regex line("in: units taken ([0-9]+), given up 0; [0-9]+ of [0-9]+ are read here\n");
-    int sum = 0;
-    for (std::sregex_iterator found(said.begin(), said.end(), line), end; found != end; ++found) {
-      sum += std::stoi((*found)[1]);
-    }
-    return sum;
-  };
-  const bool told = eventually([&] { return taken() == 50; });
+  const bool all = eventually([&] { return metric("iotcloud_spout_channels") == 50; });
+  std::atomic<bool> told{false};  // behind the line about the last one, which waits a second at most
+  const auto later = registry_->after(std::chrono::milliseconds(1100), [&] { told = true; });
+  const bool waited = eventually([&] { return told.load(); });
   workers_.clear();
-  said += testing::internal::GetCapturedStderr();
-  EXPECT_TRUE(told) << said;
+  const std::string said = testing::internal::GetCapturedStderr();
+  ASSERT_TRUE(all && waited) << said;
+  const std::regex line("in: units taken ([0-9]+), given up 0; [0-9]+ of [0-9]+ are read here\n");
+  int taken = 0;
+  for (std::sregex_iterator found(said.begin(), said.end(), line), end; found != end; ++found) {
+    taken += std::stoi((*found)[1]);
+  }
+  EXPECT_EQ(taken, 50) << said;
   EXPECT_LT(std::count(said.begin(), said.end(), '\n'), 40) << said;
 }
 

@@ -64,7 +64,7 @@ void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
   while (!held_.empty() && publisher_) {
     Held held = std::move(held_.front());
     held_.pop_front();
-    const auto publisher = publisher_;
+    auto publisher = publisher_;
     sending_ = held.collector;
     writable_again_ = false;
     // Kept before it is published: the outcome may come before publish() returns. Nobody hears of an untracked tuple.
@@ -80,6 +80,7 @@ void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
       meters_->lost(is_void ? "fenced" : "closed");
       held.collector->fail(held.tuple);
     }
+    publisher.reset();  // closed meanwhile it is the last one, and its end tells outcomes, which take the lock
     lock.lock();
     if (status == brokers::PublishStatus::accepted) {
       ++accepted_;
