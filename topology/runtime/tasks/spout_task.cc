@@ -119,7 +119,7 @@ bool SpoutTask::ask(Lane& lane) {
   while (may_ask()) {
     woken_.store(false, std::memory_order_relaxed);
     bool more = true;
-    std::chrono::microseconds pause = spout_->poll_period();
+    std::chrono::microseconds pause{0};
     std::size_t calls = 0;
     for (; more && calls < chunk_ && !lane.wants_flush() && (calls == 0 || may_ask()); ++calls) {
       if (!guarded("next_tuple()", [&] { more = spout_->next_tuple(); })) {
@@ -136,6 +136,7 @@ bool SpoutTask::ask(Lane& lane) {
     note_each(static_cast<std::int64_t>(took_ns / std::max<std::size_t>(calls, 1)));
     chunk_ = next_chunk(chunk_, calls, took_ns);
     if (!more && !woken_.load(std::memory_order_acquire)) {
+      if (pause.count() == 0) pause = spout_->poll_period();  // now, not before: next_tuple() may have changed it
       if (pause.count() > 0 && !poll_armed_) {
         poll_armed_ = true;
         around_.timers->add(around_.clock->now() + pause, *this, poll_due);
