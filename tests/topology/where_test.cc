@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <iotcloud/brokers/embedded/server.h>
 #include <iotcloud/tests/topology/endpoints_fixture.h>
 
 namespace iotcloud::topology {
@@ -86,11 +87,13 @@ TEST_F(Where, FollowsADriverThatEntersAndLeaves) {
   ASSERT_TRUE(reads(1));
   Mailbox down(*broker_, topic("robot", "down"));
   const auto robot = device("robot");
+  const auto up = brokers::embedded::Server::named(url_.substr(11));
   for (int round = 0; round < 3; ++round) {
     tell("robot", {{"position", "9,0"}, {"battery", "90"}});
     ASSERT_TRUE(reads(2));
     robot->publish(message("inside " + std::to_string(round), "robot"));
     ASSERT_TRUE(down.wait_for(static_cast<std::size_t>(round) + 1));
+    ASSERT_TRUE(eventually([&] { return up.depth(topic("robot", "up"), "t") == 0; }));  // or it would come again
     tell("robot", {{"position", "11,0"}, {"battery", "90"}});
     ASSERT_TRUE(reads(1));
   }
