@@ -102,7 +102,8 @@ class SentTuples : public testing::Test {
   };
 
   void open(AckWhen ack_when = AckWhen::confirmed) {
-    sender_ = ChannelSender::open(std::make_shared<ScriptedBroker>(script_), {"", "t", false}, {}, ack_when, meters_);
+    sender_ = ChannelSender::open(std::make_shared<ScriptedBroker>(script_), {"", "t", false}, {}, ack_when, meters_,
+                                  std::make_shared<Fence>());
   }
   void TearDown() override {
     if (sender_) sender_->close();
