@@ -2,9 +2,9 @@
 
 #include <utility>
 
+#include "iotcloud/brokers/activemq/connection/io_loop.h"
 #include "iotcloud/brokers/activemq/consuming/consume_link.h"
 #include "iotcloud/brokers/activemq/publishing/publish_link.h"
-#include "iotcloud/brokers/activemq/connection/io_loop.h"
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"

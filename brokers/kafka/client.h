@@ -75,7 +75,8 @@ using PartitionList = std::unique_ptr<rd_kafka_topic_partition_list_t, Partition
 
 /// Whether this error is about reaching the servers, rather than about what was asked of them.
 bool is_about_connection(rd_kafka_resp_err_t error);
-/// What an error event says, without how long this attempt took and how often it failed before: each time the same words.
+/// What an error event says, without how long this attempt took and how often it failed before: each time the same
+/// words.
 std::string lasting_words(rd_kafka_event_t* event);
 
 /// Asks the servers to make topics; the answer comes to `queue` as RD_KAFKA_EVENT_CREATETOPICS_RESULT.
