@@ -96,8 +96,10 @@ void IoLoop::stand_by(std::unique_lock<std::mutex>& lock) {
 
 int IoLoop::wait_ms(Instant until) const {
   if (until == Instant::max()) return -1;
-  const auto wait = std::chrono::ceil<std::chrono::milliseconds>(until - clock_.now());
-  return static_cast<int>(std::clamp<std::int64_t>(wait.count(), 0, 60'000));
+  const Instant now = clock_.now();
+  if (until <= now) return 0;  // also min(), from which nothing can be subtracted
+  const auto wait = std::chrono::ceil<std::chrono::milliseconds>(until - now);
+  return static_cast<int>(std::min<std::int64_t>(wait.count(), 60'000));
 }
 
 void IoLoop::round() {
