@@ -136,6 +136,11 @@ class Bench(Plan):
             if not self.given.keep_noisy and max(line["others_cpu"] for line in lines.values()) > NOISE:
                 thrown += 1
                 continue
+            stalled = [name for name, line in lines.items() if line["count"] == 0 and not variants[name][1].get("idle")]
+            if stalled:
+                print(f"{self.kind}, {title}: nothing came back to {' and '.join(stalled)} in a whole round", flush=True)
+                self.report.failed = True
+                continue
             late = [name for name, line in lines.items() if not line["sustained"]]
             if late:
                 print(f"{self.kind}, {title}: more than {' and '.join(late)} can send through it", flush=True)
