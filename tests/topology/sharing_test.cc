@@ -219,8 +219,10 @@ TEST_P(TopologiesOnOneDriver, GetEachMessageOnceInAllWhenTheyNameOneGroupAndTake
     const auto heard = heard_later();
     return std::includes(heard.begin(), heard.end(), later.begin(), later.end());
   }));
-  if (kind_ == "kafka") return;  // a group that is just changing may refuse what its leaving member wants to commit
-  EXPECT_EQ(heard_later(), later) << "what was done before came again";
+  std::set<std::string> allowed = later;
+  // A group that is just changing may refuse what its leaving member wants to commit: at least once, then.
+  if (kind_ == "kafka") allowed.insert(sent.begin(), sent.end());
+  EXPECT_THAT(heard_later(), testing::IsSubsetOf(allowed)) << "what was done before came again";
 }
 
 using GroupsThatDiffer = Sharing;
