@@ -140,6 +140,32 @@ struct TTopologyResponse {
   5: string text
 }
 
+// One change of state of one driver instance.
+struct TDriverChange {
+  1: string gateway
+  2: string instance
+  3: string driver
+  // As in TSensor.exactState.
+  4: string state
+  5: string reason
+  // Wall time, milliseconds since 1970 UTC.
+  6: i64 timeMs
+}
+
+struct TDriverHistory {
+  // The oldest first.
+  1: list<TDriverChange> changes
+  // Gateways that could not be asked, and why.
+  2: map<string, string> silent
+}
+
+struct TLogPart {
+  // Whole lines, unless one is longer than what was asked for.
+  1: string text
+  // Where to go on reading.
+  2: string position
+}
+
 struct TMasterStatus {
   1: string id
   2: bool leading
@@ -180,6 +206,12 @@ service TMasterAPIService {
   // With exactState, reason and sinceMs.
   list<records.TSensor> listDrivers() throws (1: TMasterError error)
   list<TTopology> listTopologies() throws (1: TMasterError error)
+  // The latest changes of state, as the gateways remember them since their start. instance: empty for all; gateways:
+  // empty for all.
+  TDriverHistory getHistory(1: string instance, 2: list<string> gateways) throws (1: TMasterError error)
+  // What the driver host of an instance logs. position: of an earlier part; empty: the end of the log.
+  TLogPart readLog(1: string gateway, 2: string instance, 3: string position, 4: i32 mostBytes)
+    throws (1: TMasterError error)
   TOrderResponse deploy(1: TDeployRequest request)
   TOrderResponse undeploy(1: TInstanceSelection selection)
   TOrderResponse start(1: TInstanceSelection selection)

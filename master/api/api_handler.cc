@@ -8,6 +8,7 @@
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/api/gateway_pages.h>
 #include <iotcloud/master/api/wire.h>
 #include <iotcloud/master/master.h>
 
@@ -31,6 +32,17 @@ bool same_token(const std::string& a, const std::string& b) {
   for (std::size_t i = 0; i < a.size(); ++i)
     different |= static_cast<unsigned char>(a[i]) ^ static_cast<unsigned char>(b[i]);
   return different == 0;
+}
+
+wire::TDriverChange wire_change(const DriverChange& change) {
+  wire::TDriverChange told;
+  told.__set_gateway(change.gateway);
+  told.__set_instance(change.instance);
+  told.__set_driver(change.driver);
+  told.__set_state(change.state);
+  told.__set_reason(change.reason);
+  told.__set_timeMs(change.time_ms);
+  return told;
 }
 
 /// One connection.
@@ -127,6 +139,23 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   void listTopologies(std::vector<wire::TTopology>& out) override {
     read([&] {
       for (const auto& topology : master_.topologies()) out.push_back(to_wire(topology));
+    });
+  }
+
+  void getHistory(wire::TDriverHistory& out, const std::string& instance,
+                  const std::vector<std::string>& gateways) override {
+    read([&] {
+      auto history = read_history(master_, instance, gateways);
+      for (auto& change : history.changes) out.changes.push_back(wire_change(change));
+      out.__set_silent(std::move(history.silent));
+    });
+  }
+  void readLog(wire::TLogPart& out, const std::string& gateway, const std::string& instance,
+               const std::string& position, std::int32_t most_bytes) override {
+    read([&] {
+      auto part = read_log(master_, gateway, instance, position, most_bytes);
+      out.__set_text(std::move(part.text));
+      out.__set_position(std::move(part.position));
     });
   }
 

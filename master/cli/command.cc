@@ -11,6 +11,7 @@
 
 #include <iotcloud/master/cli/command.h>
 #include <iotcloud/master/cli/drivers_command.h>
+#include <iotcloud/master/cli/history_command.h>
 #include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/master/cli/output.h>
 #include <iotcloud/master/cli/topology/topology_command.h>
@@ -206,6 +207,12 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
         return show_gateways(command, master, out);
       case Verb::drivers:
         return show_drivers(command, where, master, out);
+      case Verb::describe:
+        return describe(command, master, out, err);
+      case Verb::history:
+        return show_history(command, master, out, err);
+      case Verb::logs:
+        return show_logs(command, master, out, err);
       case Verb::topologies:
         return show_topologies(command, master, out);
       case Verb::status:

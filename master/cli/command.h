@@ -19,6 +19,9 @@ enum class Verb {
   start,
   stop,
   metadata,
+  describe,
+  history,
+  logs,
   topology_show,
   topology_activate,
   topology_deactivate,
@@ -55,6 +58,9 @@ struct Command {
   std::int64_t samples = 0;                ///< tap: ends after so many; 0: when interrupted
   double watch_s = 0;                      ///< metrics: again and again after so many seconds; 0: once
   std::string file;                        ///< check
+  bool follow = false;                     ///< logs: go on until interrupted
+  bool whole_host = false;                 ///< logs: every line of its driver host, not only those that name it
+  std::int64_t lines = 100;                ///< logs: of what there is already, at most
   /// How long an order is offered again while no master leads: longer than an election takes after a leader died.
   std::chrono::milliseconds election_patience{20'000};
 };
@@ -67,7 +73,7 @@ enum ExitStatus {
   exit_unreachable = 3,  ///< no master answers
 };
 
-/// Ends what goes on until it is interrupted (metrics --watch, tap), in order. For a signal handler.
+/// Ends what goes on until it is interrupted (metrics --watch, tap, logs --follow), in order. For a signal handler.
 void interrupt();
 
 /// Does what the command says. Results go to `out`, complaints to `err`. \return the exit status

@@ -42,14 +42,6 @@ std::map<std::string, std::string> metadata_of(const TSensor& driver) {
   return metadata;
 }
 
-std::string metadata_words(const TSensor& driver) {
-  std::vector<std::string> words;
-  for (const auto& [key, value] : metadata_of(driver)) {
-    words.push_back(value.find(' ') == std::string::npos ? key + "=" + value : key + "=\"" + value + "\"");
-  }
-  return fmt::format("{}", fmt::join(words, " "));
-}
-
 /// What an expression may ask about.
 discovery::DriverRecord record_of(const TSensor& driver) {
   discovery::DriverRecord record;
@@ -59,6 +51,25 @@ discovery::DriverRecord record_of(const TSensor& driver) {
   record.state = discovery::parse_driver_state(driver.exactState);
   record.metadata = metadata_of(driver);
   return record;
+}
+
+/// Drivers in the order in which people look for them.
+std::vector<TSensor> sorted_drivers(MasterClient& master) {
+  auto drivers = master.drivers();
+  std::sort(drivers.begin(), drivers.end(), [](const auto& a, const auto& b) {
+    return std::tie(a.name, a.siteId, a.sensorId) < std::tie(b.name, b.siteId, b.sensorId);
+  });
+  return drivers;
+}
+
+}  // namespace
+
+std::string metadata_words(const TSensor& driver) {
+  std::vector<std::string> words;
+  for (const auto& [key, value] : metadata_of(driver)) {
+    words.push_back(value.find(' ') == std::string::npos ? key + "=" + value : key + "=\"" + value + "\"");
+  }
+  return fmt::format("{}", fmt::join(words, " "));
 }
 
 Json to_json(const TSensor& driver) {
@@ -75,17 +86,6 @@ Json to_json(const TSensor& driver) {
           {"state", driver.exactState},      {"reason", driver.reason},        {"since_ms", driver.sinceMs},
           {"metadata", metadata_of(driver)}, {"channels", std::move(channels)}};
 }
-
-/// Drivers in the order in which people look for them.
-std::vector<TSensor> sorted_drivers(MasterClient& master) {
-  auto drivers = master.drivers();
-  std::sort(drivers.begin(), drivers.end(), [](const auto& a, const auto& b) {
-    return std::tie(a.name, a.siteId, a.sensorId) < std::tie(b.name, b.siteId, b.sensorId);
-  });
-  return drivers;
-}
-
-}  // namespace
 
 discovery::Selection where_of(const Command& command) {
   if (command.where.empty()) return {};

@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include <nlohmann/json_fwd.hpp>
+
 #include <iotcloud/discovery/selection/selection.h>
 #include <iotcloud/master/cli/command.h>
 #include <iotcloud/master/cli/master_client.h>
@@ -22,6 +24,10 @@ discovery::Selection where_of(const Command& command);
 
 /// `iotcloud drivers`. \throws Unreachable, Failed
 int show_drivers(const Command& command, const discovery::Selection& where, MasterClient& master, std::ostream& out);
+
+/// One driver's record as JSON, and as it stands in tables.
+nlohmann::ordered_json to_json(const discovery::wire::TSensor& driver);
+std::string metadata_words(const discovery::wire::TSensor& driver);
 
 /// Ids in full from their beginnings. One that no record has is passed on: its order may not have been taken up yet.
 /// \throws Ambiguous, Unreachable, Failed

@@ -99,6 +99,25 @@ void add_reads(CLI::App& app, Command& command) {
           "only those for which it holds: site == \"lab\" and battery > 20 and within(location, 39.17, -86.52, 500 m)")
       ->type_name("EXPRESSION")
       ->check(CLI::Validator([](std::string& text) { return text.empty() ? "it is empty" : ""; }, ""));
+  const auto of_one = [&](Verb verb, const char* name, const char* what, const char* example) -> CLI::App& {
+    auto& sub = add(app, command, verb, name, what, example);
+    sub.add_option("ID", command.instances, "the id of an instance, or how it begins")->required()->expected(1);
+    return sub;
+  };
+  of_one(Verb::describe, "describe", "Show all that is known of a driver instance: its record, channels and history",
+         "iotcloud describe 3f2a9c");
+  auto& history = add(app, command, Verb::history, "history",
+                      "List the latest changes of state, of instances that are gone too, with time and reason",
+                      "iotcloud history --gateway lab1");
+  history.add_option("ID", command.instances, "of one instance: its id, or how it begins")->expected(0, 1);
+  add_gateways(history, command, "only on these gateways");
+  auto& logs = of_one(Verb::logs, "logs", "Show what a driver instance logs", "iotcloud logs 3f2a9c --follow");
+  logs.add_flag("-f,--follow", command.follow, "go on until interrupted");
+  logs.add_flag("--whole-host", command.whole_host, "every line of its driver host, not only those that name it");
+  logs.add_option("-n,--lines", command.lines, "of what there is already, at most")
+      ->check(CLI::Range(0, 100'000))
+      ->default_str("100")
+      ->type_name("N");
   add(app, command, Verb::topologies, "topologies", "List the topologies that run, and their workers",
       "iotcloud topologies -o json");
   add(app, command, Verb::status, "status", "Show who leads, gateways, drivers by state, and topologies",
@@ -274,7 +293,7 @@ int main(int argc, char** argv) {
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? iotcloud::master::cli::exit_ok : iotcloud::master::cli::exit_usage;
   }
-  if (command.verb == Verb::topology_tap || command.watch_s > 0)
+  if (command.verb == Verb::topology_tap || command.follow || command.watch_s > 0)
     std::signal(SIGINT, [](int) { iotcloud::master::cli::interrupt(); });
   return iotcloud::master::cli::run(command, std::cout, std::cerr);
 }

@@ -196,6 +196,23 @@ std::vector<wire::TTopology> MasterClient::topologies() {
   });
 }
 
+wire::TDriverHistory MasterClient::history(const std::string& instance, const std::vector<std::string>& gateways) {
+  return impl_->read([&](auto& client) {
+    wire::TDriverHistory out;
+    client.getHistory(out, instance, gateways);
+    return out;
+  });
+}
+
+wire::TLogPart MasterClient::read_log(const std::string& gateway, const std::string& instance,
+                                      const std::string& position, std::int32_t most_bytes) {
+  return impl_->read([&](auto& client) {
+    wire::TLogPart out;
+    client.readLog(out, gateway, instance, position, most_bytes);
+    return out;
+  });
+}
+
 wire::TOrderResponse MasterClient::deploy(const wire::TDeployRequest& request) {
   return impl_->order(request.waitMs, [&](auto& client, auto& answer) { client.deploy(answer, request); });
 }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <memory>
@@ -42,6 +43,9 @@ class MasterClient {
   std::vector<discovery::wire::TSite> gateways();
   std::vector<discovery::wire::TSensor> drivers();
   std::vector<wire::TTopology> topologies();
+  wire::TDriverHistory history(const std::string& instance, const std::vector<std::string>& gateways);
+  wire::TLogPart read_log(const std::string& gateway, const std::string& instance, const std::string& position,
+                          std::int32_t most_bytes);
 
   /// Gives an order to the master that leads. An order is sent once: when its answer is lost, it is not repeated.
   /// \throws Unreachable, Failed

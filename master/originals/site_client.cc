@@ -8,6 +8,7 @@
 #include <thrift/transport/TTransportException.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
+#include <iotcloud/config/error.h>
 #include <iotcloud/master/originals/site_client.h>
 
 namespace iotcloud::master {
@@ -24,19 +25,37 @@ namespace {
 
 constexpr std::chrono::milliseconds connect_limit{2'000};
 
+/// A client on a connection of its own. \throws TException
+TSensorSiteServiceClient connect(const SiteAddress& site, std::chrono::milliseconds limit) {
+  auto socket = std::make_shared<TSocket>(site.host, site.port);
+  const int limit_ms = static_cast<int>(std::max(limit, std::chrono::milliseconds{1}).count());
+  socket->setConnTimeout(static_cast<int>(std::min(limit, connect_limit).count()));
+  socket->setRecvTimeout(limit_ms);
+  socket->setSendTimeout(limit_ms);
+  auto transport = std::make_shared<TFramedTransport>(socket);
+  transport->open();
+  return TSensorSiteServiceClient(std::make_shared<TBinaryProtocol>(transport));
+}
+
+/// A question; errors become one kind.
+template <typename Question>
+void put(const SiteAddress& site, std::chrono::milliseconds limit, Question&& question) {
+  try {
+    auto client = connect(site, limit);
+    question(client);
+  } catch (const gateway::wire::TSiteError& e) {
+    throw config::Error(e.reason);
+  } catch (const apache::thrift::TException& e) {
+    throw config::Error(fmt::format("{}:{} does not answer: {}", site.host, site.port, e.what()));
+  }
+}
+
 template <typename Call>
 SiteAnswer ask(const SiteAddress& site, std::chrono::milliseconds limit, Call&& call) {
   bool connected = false;
   try {
-    auto socket = std::make_shared<TSocket>(site.host, site.port);
-    const int limit_ms = static_cast<int>(std::max(limit, std::chrono::milliseconds{1}).count());
-    socket->setConnTimeout(static_cast<int>(std::min(limit, connect_limit).count()));
-    socket->setRecvTimeout(limit_ms);
-    socket->setSendTimeout(limit_ms);
-    auto transport = std::make_shared<TFramedTransport>(socket);
-    transport->open();
+    auto client = connect(site, limit);
     connected = true;
-    TSensorSiteServiceClient client(std::make_shared<TBinaryProtocol>(transport));
     TResponse response;
     call(client, response);
     return {response.state == TResponseState::SUCCESS ? Outcome::done : Outcome::failed, response.statusMessage};
@@ -81,6 +100,25 @@ SiteAnswer site_change(const SiteAddress& site, const std::string& instance, Cha
         return client.stopSensor(response, instance);
     }
   });
+}
+
+std::vector<DriverChange> site_changes(const SiteAddress& site, const std::string& instance,
+                                       std::chrono::milliseconds limit) {
+  std::vector<gateway::wire::TStateChange> told;
+  put(site, limit, [&](auto& client) { client.getChanges(told, instance); });
+  std::vector<DriverChange> changes;
+  for (auto& change : told) {
+    changes.push_back({"", std::move(change.instance), std::move(change.driver), std::move(change.state),
+                       std::move(change.reason), change.timeMs});
+  }
+  return changes;
+}
+
+LogPart site_read_log(const SiteAddress& site, const std::string& instance, const std::string& position,
+                      std::int32_t most_bytes, std::chrono::milliseconds limit) {
+  gateway::wire::TLogPart part;
+  put(site, limit, [&](auto& client) { client.readLog(part, instance, position, most_bytes); });
+  return {std::move(part.text), std::move(part.position)};
 }
 
 }  // namespace iotcloud::master

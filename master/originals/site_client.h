@@ -1,7 +1,9 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <string>
+#include <vector>
 
 #include <iotcloud/master/orders/orders.h>
 
@@ -24,5 +26,26 @@ SiteAnswer site_heartbeat(const SiteAddress& site, std::chrono::milliseconds lim
 SiteAnswer site_deploy(const SiteAddress& site, const DeployRequest& request, std::chrono::milliseconds limit);
 SiteAnswer site_change(const SiteAddress& site, const std::string& instance, Change change,
                        std::chrono::milliseconds limit);
+
+/// One change of state of one driver instance, as a gateway remembers it.
+struct DriverChange {
+  std::string gateway;
+  std::string instance;
+  std::string driver;
+  std::string state;
+  std::string reason;
+  std::int64_t time_ms = 0;  ///< wall time
+};
+
+struct LogPart {
+  std::string text;
+  std::string position;  ///< where to go on
+};
+
+/// Questions to a gateway of this system. \throws config::Error with the gateway's own words, or because it is silent.
+std::vector<DriverChange> site_changes(const SiteAddress& site, const std::string& instance,
+                                       std::chrono::milliseconds limit);
+LogPart site_read_log(const SiteAddress& site, const std::string& instance, const std::string& position,
+                      std::int32_t most_bytes, std::chrono::milliseconds limit);
 
 }  // namespace iotcloud::master

@@ -284,7 +284,8 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
 }
 
 TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
-  for (const char* command : {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop"}) {
+  for (const char* command : {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop",
+                              "metadata", "describe", "history", "logs"}) {
     const auto done = run({command, "--help"});
     EXPECT_EQ(done.status, 0) << command;
     EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud "))) << command;

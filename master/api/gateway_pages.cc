@@ -1,0 +1,72 @@
+#include <algorithm>
+#include <chrono>
+#include <future>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/master/api/gateway_pages.h>
+#include <iotcloud/master/master.h>
+
+namespace iotcloud::master {
+
+namespace {
+
+constexpr std::chrono::milliseconds answer_limit{3000};
+
+/// Where the gateway answers. \throws config::Error when it cannot be asked.
+SiteAddress address_of(const discovery::GatewayStatus& gateway) {
+  if (!gateway.alive) throw config::Error(fmt::format("gateway {} is lost", gateway.record.id));
+  if (gateway.record.port == 0) {
+    throw config::Error(
+        fmt::format("gateway {} has no Thrift service; give it one (thrift: {{port: 12905}})", gateway.record.id));
+  }
+  return {gateway.record.host, gateway.record.port};
+}
+
+const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>& gateways, const std::string& id) {
+  const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
+  if (at == gateways.end()) throw config::Error(fmt::format("no gateway \"{}\"", id));
+  return *at;
+}
+
+}  // namespace
+
+DriverHistory read_history(const Master& master, const std::string& instance,
+                           const std::vector<std::string>& gateways) {
+  const auto known = master.gateways();
+  std::vector<const discovery::GatewayStatus*> asked;
+  for (const auto& id : gateways) asked.push_back(&find(known, id));
+  if (gateways.empty()) {
+    for (const auto& gateway : known) asked.push_back(&gateway);
+  }
+  std::vector<std::pair<std::string, std::future<std::vector<DriverChange>>>> answers;
+  for (const auto* gateway : asked) {
+    answers.emplace_back(gateway->record.id, std::async(std::launch::async, [gateway, &instance] {
+                           return site_changes(address_of(*gateway), instance, answer_limit);
+                         }));
+  }
+  DriverHistory history;
+  for (auto& [id, answer] : answers) {
+    try {
+      for (auto& change : answer.get()) {
+        change.gateway = id;
+        history.changes.push_back(std::move(change));
+      }
+    } catch (const config::Error& e) {
+      history.silent[id] = e.what();
+    }
+  }
+  std::stable_sort(history.changes.begin(), history.changes.end(),
+                   [](const auto& a, const auto& b) { return a.time_ms < b.time_ms; });
+  return history;
+}
+
+LogPart read_log(const Master& master, const std::string& gateway, const std::string& instance,
+                 const std::string& position, std::int32_t most_bytes) {
+  const auto known = master.gateways();
+  return site_read_log(address_of(find(known, gateway)), instance, position, most_bytes, answer_limit);
+}
+
+}  // namespace iotcloud::master
