@@ -206,9 +206,10 @@ service TMasterAPIService {
   // With exactState, reason and sinceMs.
   list<records.TSensor> listDrivers() throws (1: TMasterError error)
   list<TTopology> listTopologies() throws (1: TMasterError error)
-  // The latest changes of state, as the gateways remember them since their start. instance: empty for all; gateways:
-  // empty for all.
-  TDriverHistory getHistory(1: string instance, 2: list<string> gateways) throws (1: TMasterError error)
+  // The latest changes of state, as the gateways remember them since their start. instances: ids, or how they begin;
+  // empty for all. gateways: empty for all. most: so many of the latest; 0, and more than 10000: 10000.
+  TDriverHistory getHistory(1: list<string> instances, 2: list<string> gateways, 3: i32 most)
+    throws (1: TMasterError error)
   // What the driver host of an instance logs. position: of an earlier part; empty: the end of the log.
   TLogPart readLog(1: string gateway, 2: string instance, 3: string position, 4: i32 mostBytes)
     throws (1: TMasterError error)

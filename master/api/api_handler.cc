@@ -142,10 +142,10 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     });
   }
 
-  void getHistory(wire::TDriverHistory& out, const std::string& instance,
-                  const std::vector<std::string>& gateways) override {
+  void getHistory(wire::TDriverHistory& out, const std::vector<std::string>& instances,
+                  const std::vector<std::string>& gateways, std::int32_t most) override {
     read([&] {
-      auto history = read_history(master_, instance, gateways);
+      auto history = read_history(master_, instances, gateways, most);
       for (auto& change : history.changes) out.changes.push_back(wire_change(change));
       out.__set_silent(std::move(history.silent));
     });

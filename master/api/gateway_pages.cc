@@ -14,6 +14,7 @@ namespace iotcloud::master {
 namespace {
 
 constexpr std::chrono::milliseconds answer_limit{3000};
+constexpr std::int32_t most_changes = 10'000;
 
 /// Where the gateway answers. \throws config::Error when it cannot be asked.
 SiteAddress address_of(const discovery::GatewayStatus& gateway) {
@@ -33,26 +34,30 @@ const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>
 
 }  // namespace
 
-DriverHistory read_history(const Master& master, const std::string& instance,
-                           const std::vector<std::string>& gateways) {
+DriverHistory read_history(const Master& master, const std::vector<std::string>& instances,
+                           const std::vector<std::string>& gateways, std::int32_t most) {
   const auto known = master.gateways();
   std::vector<const discovery::GatewayStatus*> asked;
   for (const auto& id : gateways) asked.push_back(&find(known, id));
   if (gateways.empty()) {
     for (const auto& gateway : known) asked.push_back(&gateway);
   }
+  // The beginning of an id of one that is gone can only be looked up in the gateway's answer.
   std::vector<std::pair<std::string, std::future<std::vector<DriverChange>>>> answers;
   for (const auto* gateway : asked) {
-    answers.emplace_back(gateway->record.id, std::async(std::launch::async, [gateway, &instance] {
-                           return site_changes(address_of(*gateway), instance, answer_limit);
+    answers.emplace_back(gateway->record.id, std::async(std::launch::async, [gateway] {
+                           return site_changes(address_of(*gateway), gateway->record.id, "", answer_limit);
                          }));
   }
+  const auto wanted = [&](const DriverChange& change) {
+    const auto begins = [&](const std::string& id) { return change.instance.starts_with(id); };
+    return instances.empty() || std::any_of(instances.begin(), instances.end(), begins);
+  };
   DriverHistory history;
   for (auto& [id, answer] : answers) {
     try {
       for (auto& change : answer.get()) {
-        change.gateway = id;
-        history.changes.push_back(std::move(change));
+        if (wanted(change)) history.changes.push_back(std::move(change));
       }
     } catch (const config::Error& e) {
       history.silent[id] = e.what();
@@ -60,13 +65,17 @@ DriverHistory read_history(const Master& master, const std::string& instance,
   }
   std::stable_sort(history.changes.begin(), history.changes.end(),
                    [](const auto& a, const auto& b) { return a.time_ms < b.time_ms; });
+  const auto kept = static_cast<std::size_t>(most <= 0 ? most_changes : std::min(most, most_changes));
+  if (const auto count = history.changes.size(); count > kept) {
+    history.changes.erase(history.changes.begin(), history.changes.end() - static_cast<std::ptrdiff_t>(kept));
+  }
   return history;
 }
 
 LogPart read_log(const Master& master, const std::string& gateway, const std::string& instance,
                  const std::string& position, std::int32_t most_bytes) {
   const auto known = master.gateways();
-  return site_read_log(address_of(find(known, gateway)), instance, position, most_bytes, answer_limit);
+  return site_read_log(address_of(find(known, gateway)), gateway, instance, position, most_bytes, answer_limit);
 }
 
 }  // namespace iotcloud::master

@@ -17,9 +17,11 @@ struct DriverHistory {
 };
 
 /// What gateways remember of their instances' states since they started; all are asked at the same time.
-/// \param instance empty: of all. \param gateways empty: all that are registered.
+/// \param instances ids, or how they begin; empty: of all. \param gateways empty: all that are registered.
+/// \param most so many of the latest at most; 0, and more than 10 000: 10 000.
 /// \throws config::Error when the registry is away or a gateway is not registered.
-DriverHistory read_history(const Master& master, const std::string& instance, const std::vector<std::string>& gateways);
+DriverHistory read_history(const Master& master, const std::vector<std::string>& instances,
+                           const std::vector<std::string>& gateways, std::int32_t most);
 
 /// What the driver host of an instance logs. \param position of an earlier part; empty: the end of the log.
 /// \throws config::Error when it cannot be had, with the reason.

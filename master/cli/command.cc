@@ -212,7 +212,7 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::history:
         return show_history(command, master, out, err);
       case Verb::logs:
-        return show_logs(command, master, out, err);
+        return show_logs(command, master, out);
       case Verb::topologies:
         return show_topologies(command, master, out);
       case Verb::status:

@@ -60,7 +60,7 @@ struct Command {
   std::string file;                        ///< check
   bool follow = false;                     ///< logs: go on until interrupted
   bool whole_host = false;                 ///< logs: every line of its driver host, not only those that name it
-  std::int64_t lines = 100;                ///< logs: of what there is already, at most
+  std::int32_t lines = 100;                ///< logs, history, describe: so many of the latest lines or changes
   /// How long an order is offered again while no master leads: longer than an election takes after a leader died.
   std::chrono::milliseconds election_patience{20'000};
 };

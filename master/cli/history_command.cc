@@ -7,6 +7,7 @@
 
 #include <fmt/chrono.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/master/cli/drivers_command.h>
@@ -28,6 +29,7 @@ constexpr std::chrono::milliseconds follow_pause{500};
 
 /// Wall time as people read it, UTC.
 std::string moment(std::int64_t time_ms) {
+  if (time_ms <= 0) return "-";
   constexpr std::int64_t ms = 1000;
   return fmt::format("{:%Y-%m-%dT%H:%M:%S}.{:03}Z", fmt::gmtime(static_cast<std::time_t>(time_ms / ms)), time_ms % ms);
 }
@@ -85,13 +87,13 @@ void print_record(const TSensor& driver, std::ostream& out) {
 }
 
 /// The last `most` lines of the text that are of interest.
-std::string last_lines(const std::string& text, const std::string& word, std::int64_t most) {
+std::string last_lines(const std::string& text, const std::string& word, std::size_t most) {
   std::deque<std::string> lines;
   std::istringstream in(text);
   for (std::string line; std::getline(in, line);) {
     if (!word.empty() && line.find(word) == std::string::npos) continue;
     lines.push_back(std::move(line));
-    if (static_cast<std::int64_t>(lines.size()) > most) lines.pop_front();
+    if (lines.size() > most) lines.pop_front();
   }
   std::string out;
   for (const auto& line : lines) out += printable(line) + '\n';
@@ -102,7 +104,7 @@ std::string last_lines(const std::string& text, const std::string& word, std::in
 
 int describe(const Command& command, MasterClient& master, std::ostream& out, std::ostream& err) {
   const auto driver = find_driver(command.instances.front(), master);
-  const auto history = master.history(driver.sensorId, {driver.siteId});
+  const auto history = master.history({driver.sensorId}, {driver.siteId}, command.lines);
   if (command.format != Format::table) {
     Json json = to_json(driver);
     json["history"] = to_json(history);
@@ -121,8 +123,13 @@ int describe(const Command& command, MasterClient& master, std::ostream& out, st
 }
 
 int show_history(const Command& command, MasterClient& master, std::ostream& out, std::ostream& err) {
-  const std::string id = command.instances.empty() ? "" : full_ids(command.instances, master).front();
-  const auto history = master.history(id, command.gateways);
+  const auto history = master.history(command.instances, command.gateways, command.lines);
+  if (history.changes.empty() && history.silent.empty() && !command.instances.empty()) {
+    throw Failed(
+        fmt::format("no gateway remembers a change of state of \"{}\"; they remember the latest since they "
+                    "started, `iotcloud history` lists them",
+                    fmt::join(command.instances, "\", \"")));
+  }
   if (command.format == Format::table) {
     Rows rows;
     for (const auto& change : history.changes) {
@@ -136,12 +143,14 @@ int show_history(const Command& command, MasterClient& master, std::ostream& out
   return name_silent(history, err);
 }
 
-int show_logs(const Command& command, MasterClient& master, std::ostream& out, std::ostream&) {
+int show_logs(const Command& command, MasterClient& master, std::ostream& out) {
   const auto driver = find_driver(command.instances.front(), master);
   const std::string word = command.whole_host ? "" : driver.sensorId;
   auto part = master.read_log(driver.siteId, driver.sensorId, "", most_at_once);
-  out << last_lines(part.text, word, command.lines) << std::flush;
-  while (command.follow && pause(part.text.empty() ? follow_pause : std::chrono::milliseconds{0})) {
+  // What is left of an earlier part comes at once.
+  const auto rest = [&] { return part.text.size() < most_at_once / 2 ? follow_pause : std::chrono::milliseconds{0}; };
+  out << last_lines(part.text, word, static_cast<std::size_t>(command.lines)) << std::flush;
+  while (command.follow && pause(rest())) {
     part = master.read_log(driver.siteId, driver.sensorId, part.position, most_at_once);
     out << last_lines(part.text, word, most_at_once) << std::flush;
   }

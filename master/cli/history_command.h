@@ -14,6 +14,6 @@ int describe(const Command& command, MasterClient& master, std::ostream& out, st
 /// `iotcloud history`: the latest changes of state.
 int show_history(const Command& command, MasterClient& master, std::ostream& out, std::ostream& err);
 /// `iotcloud logs`: what an instance logs; goes on until interrupted when asked to follow.
-int show_logs(const Command& command, MasterClient& master, std::ostream& out, std::ostream& err);
+int show_logs(const Command& command, MasterClient& master, std::ostream& out);
 
 }  // namespace iotcloud::master::cli

@@ -104,20 +104,25 @@ void add_reads(CLI::App& app, Command& command) {
     sub.add_option("ID", command.instances, "the id of an instance, or how it begins")->required()->expected(1);
     return sub;
   };
+  const auto add_lines = [&](CLI::App& sub, int least, const char* what) {
+    sub.add_option("-n,--lines", command.lines, what)
+        ->check(CLI::Range(least, 10'000))
+        ->default_str("100")
+        ->type_name("N");
+  };
   of_one(Verb::describe, "describe", "Show all that is known of a driver instance: its record, channels and history",
          "iotcloud describe 3f2a9c");
   auto& history = add(app, command, Verb::history, "history",
                       "List the latest changes of state, of instances that are gone too, with time and reason",
                       "iotcloud history --gateway lab1");
-  history.add_option("ID", command.instances, "of one instance: its id, or how it begins")->expected(0, 1);
+  history.add_option("ID", command.instances, "only of these: ids, or how they begin");
   add_gateways(history, command, "only on these gateways");
+  add_lines(history, 1, "the latest so many");
   auto& logs = of_one(Verb::logs, "logs", "Show what a driver instance logs", "iotcloud logs 3f2a9c --follow");
+  logs.remove_option(logs.get_option("--output"));  // lines as they were logged
   logs.add_flag("-f,--follow", command.follow, "go on until interrupted");
   logs.add_flag("--whole-host", command.whole_host, "every line of its driver host, not only those that name it");
-  logs.add_option("-n,--lines", command.lines, "of what there is already, at most")
-      ->check(CLI::Range(0, 100'000))
-      ->default_str("100")
-      ->type_name("N");
+  add_lines(logs, 0, "of what there is already, at most, looked for in the last 128 KiB of its host's log");
   add(app, command, Verb::topologies, "topologies", "List the topologies that run, and their workers",
       "iotcloud topologies -o json");
   add(app, command, Verb::status, "status", "Show who leads, gateways, drivers by state, and topologies",

@@ -196,10 +196,11 @@ std::vector<wire::TTopology> MasterClient::topologies() {
   });
 }
 
-wire::TDriverHistory MasterClient::history(const std::string& instance, const std::vector<std::string>& gateways) {
+wire::TDriverHistory MasterClient::history(const std::vector<std::string>& instances,
+                                           const std::vector<std::string>& gateways, std::int32_t most) {
   return impl_->read([&](auto& client) {
     wire::TDriverHistory out;
-    client.getHistory(out, instance, gateways);
+    client.getHistory(out, instances, gateways, most);
     return out;
   });
 }

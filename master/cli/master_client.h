@@ -43,7 +43,8 @@ class MasterClient {
   std::vector<discovery::wire::TSite> gateways();
   std::vector<discovery::wire::TSensor> drivers();
   std::vector<wire::TTopology> topologies();
-  wire::TDriverHistory history(const std::string& instance, const std::vector<std::string>& gateways);
+  wire::TDriverHistory history(const std::vector<std::string>& instances, const std::vector<std::string>& gateways,
+                               std::int32_t most);
   wire::TLogPart read_log(const std::string& gateway, const std::string& instance, const std::string& position,
                           std::int32_t most_bytes);
 

@@ -2,6 +2,7 @@
 #include <memory>
 
 #include <fmt/format.h>
+#include <thrift/TApplicationException.h>
 #include <thrift/protocol/TBinaryProtocol.h>
 #include <thrift/transport/TBufferTransports.h>
 #include <thrift/transport/TSocket.h>
@@ -13,6 +14,7 @@
 
 namespace iotcloud::master {
 
+using apache::thrift::TApplicationException;
 using apache::thrift::protocol::TBinaryProtocol;
 using apache::thrift::transport::TFramedTransport;
 using apache::thrift::transport::TSocket;
@@ -37,14 +39,26 @@ TSensorSiteServiceClient connect(const SiteAddress& site, std::chrono::milliseco
   return TSensorSiteServiceClient(std::make_shared<TBinaryProtocol>(transport));
 }
 
-/// A question; errors become one kind.
+/// A question to this gateway and no other; errors become one kind.
 template <typename Question>
-void put(const SiteAddress& site, std::chrono::milliseconds limit, Question&& question) {
+void put(const SiteAddress& site, const std::string& gateway, std::chrono::milliseconds limit, Question&& question) {
   try {
     auto client = connect(site, limit);
+    gateway::wire::TPing answer;
+    client.ping(answer);
+    if (answer.gateway != gateway) {
+      throw config::Error(
+          fmt::format("at {}:{} another gateway answers ({}); a gateway's Thrift service is reached from its own "
+                      "machine only: ask a master that runs there",
+                      site.host, site.port, answer.gateway));
+    }
     question(client);
   } catch (const gateway::wire::TSiteError& e) {
     throw config::Error(e.reason);
+  } catch (const TApplicationException& e) {
+    if (e.getType() != TApplicationException::UNKNOWN_METHOD) throw config::Error(e.what());
+    throw config::Error(
+        fmt::format("gateway {} is of the original system, which tells neither history nor logs", gateway));
   } catch (const apache::thrift::TException& e) {
     throw config::Error(fmt::format("{}:{} does not answer: {}", site.host, site.port, e.what()));
   }
@@ -102,22 +116,22 @@ SiteAnswer site_change(const SiteAddress& site, const std::string& instance, Cha
   });
 }
 
-std::vector<DriverChange> site_changes(const SiteAddress& site, const std::string& instance,
+std::vector<DriverChange> site_changes(const SiteAddress& site, const std::string& gateway, const std::string& instance,
                                        std::chrono::milliseconds limit) {
   std::vector<gateway::wire::TStateChange> told;
-  put(site, limit, [&](auto& client) { client.getChanges(told, instance); });
+  put(site, gateway, limit, [&](auto& client) { client.getChanges(told, instance); });
   std::vector<DriverChange> changes;
   for (auto& change : told) {
-    changes.push_back({"", std::move(change.instance), std::move(change.driver), std::move(change.state),
+    changes.push_back({gateway, std::move(change.instance), std::move(change.driver), std::move(change.state),
                        std::move(change.reason), change.timeMs});
   }
   return changes;
 }
 
-LogPart site_read_log(const SiteAddress& site, const std::string& instance, const std::string& position,
-                      std::int32_t most_bytes, std::chrono::milliseconds limit) {
+LogPart site_read_log(const SiteAddress& site, const std::string& gateway, const std::string& instance,
+                      const std::string& position, std::int32_t most_bytes, std::chrono::milliseconds limit) {
   gateway::wire::TLogPart part;
-  put(site, limit, [&](auto& client) { client.readLog(part, instance, position, most_bytes); });
+  put(site, gateway, limit, [&](auto& client) { client.readLog(part, instance, position, most_bytes); });
   return {std::move(part.text), std::move(part.position)};
 }
 

@@ -42,10 +42,12 @@ struct LogPart {
   std::string position;  ///< where to go on
 };
 
-/// Questions to a gateway of this system. \throws config::Error with the gateway's own words, or because it is silent.
-std::vector<DriverChange> site_changes(const SiteAddress& site, const std::string& instance,
+/// Questions to a gateway of this system; `limit` is for each answer on the way. Thread safe.
+/// \param gateway its id: an address on loopback may lead to another gateway, which is not asked.
+/// \throws config::Error with the gateway's own words, or why it could not be asked.
+std::vector<DriverChange> site_changes(const SiteAddress& site, const std::string& gateway, const std::string& instance,
                                        std::chrono::milliseconds limit);
-LogPart site_read_log(const SiteAddress& site, const std::string& instance, const std::string& position,
-                      std::int32_t most_bytes, std::chrono::milliseconds limit);
+LogPart site_read_log(const SiteAddress& site, const std::string& gateway, const std::string& instance,
+                      const std::string& position, std::int32_t most_bytes, std::chrono::milliseconds limit);
 
 }  // namespace iotcloud::master

@@ -3,6 +3,7 @@
 #include <thrift/TProcessor.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
+#include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 
 namespace iotcloud::master::test {
@@ -15,6 +16,7 @@ using ::testing::Not;
 /// The Thrift service of a gateway that remembers what the test says.
 class PlayedSite final : public gateway::wire::TSensorSiteServiceNull {
  public:
+  void ping(gateway::wire::TPing& answer) override { answer.__set_gateway(gateway); }
   void getChanges(std::vector<gateway::wire::TStateChange>& answer, const std::string& instance) override {
     for (const auto& change : changes) {
       if (instance.empty() || change.instance == instance) answer.push_back(change);
@@ -22,13 +24,14 @@ class PlayedSite final : public gateway::wire::TSensorSiteServiceNull {
   }
   void readLog(gateway::wire::TLogPart& part, const std::string& instance, const std::string& position,
                std::int32_t) override {
-    if (log.empty()) {
+    if (log.empty() || position == "2") {
       gateway::wire::TSiteError error;
-      error.__set_reason("there is no log yet");
+      error.__set_reason(log.empty() ? "there is no log yet" : "it is gone");
       throw error;
     }
-    if (position.empty()) part.__set_text(log + "2026 info  gateway.host: " + instance + ": active\n");
-    part.__set_position("1:1");
+    const std::string word = position.empty() ? ": active\n" : ": went on\n";
+    part.__set_text(log + "2026 info  gateway.host: " + instance + word);
+    part.__set_position(position.empty() ? "1" : "2");
   }
   void remember(const std::string& instance, const std::string& state, std::int64_t time_ms,
                 const std::string& reason = "") {
@@ -40,6 +43,7 @@ class PlayedSite final : public gateway::wire::TSensorSiteServiceNull {
     change.__set_reason(reason);
   }
 
+  std::string gateway = "lab1";
   std::vector<gateway::wire::TStateChange> changes;
   std::string log = "2026 info  gateway.host: other: active\n";
 };
@@ -89,7 +93,51 @@ TEST_F(CliHistory, HistoryHasThoseThatAreGoneAndIsInTheOrderOfTime) {
   EXPECT_EQ(json[0]["instance"], "early");
   EXPECT_EQ(json[2]["state"], "undeployed");
   EXPECT_EQ(json[2]["gateway"], "lab1");
-  EXPECT_EQ(run_json({"history", "gone"}).size(), 2u);
+  EXPECT_EQ(run_json({"history", "go"}).size(), 2u) << "how an id begins is enough";
+  EXPECT_EQ(run_json({"history", "gone", "early", "--gateway", "lab1"}).size(), 3u);
+}
+
+TEST_F(CliHistory, OfManyChangesTheLatestAreShown) {
+  for (int time_ms = 1; time_ms <= 120; ++time_ms) site_->remember("busy", "active", time_ms);
+  EXPECT_EQ(run_json({"history"}).size(), 100u);
+  const auto last = run_json({"history", "-n", "2"});
+  ASSERT_EQ(last.size(), 2u);
+  EXPECT_EQ(last[0]["time_ms"], 119);
+  EXPECT_EQ(last[1]["time_ms"], 120);
+}
+
+TEST_F(CliHistory, AGatewayOfTheOriginalSystemIsNamedAsOne) {
+  const FakeGateway old(url, "lab2");
+  const ThriftServer knows_no_history(
+      ThriftServerOptions{},
+      std::make_shared<apache::thrift::TSingletonProcessorFactory>(
+          std::make_shared<wire::TMasterAPIServiceProcessor>(std::make_shared<wire::TMasterAPIServiceNull>())));
+  serve("lab2", knows_no_history.port());
+  const auto done = run({"history", "--gateway", "lab2"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.err, HasSubstr("lab2 is of the original system"));
+}
+
+TEST_F(CliHistory, WhatNobodyRemembersIsSaid) {
+  site_->remember("gone", "active", 2000);
+  auto done = run({"history", "never"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.err, AllOf(HasSubstr("\"never\""), HasSubstr("since they started")));
+  done = run({"history", "--gateway", "nowhere"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.err, HasSubstr("no gateway \"nowhere\""));
+}
+
+TEST_F(CliHistory, AnotherGatewayAtTheSameAddressIsNotTakenForIt) {
+  const auto id = deploy("lab1");
+  site_->remember(id, "active", 1000);
+  site_->gateway = "elsewhere";
+  const auto done = run({"history"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.out, Not(HasSubstr(id)));
+  EXPECT_THAT(done.err,
+              AllOf(HasSubstr("the history of lab1 is missing"), HasSubstr("another gateway"), HasSubstr("elsewhere")));
+  EXPECT_EQ(run({"logs", id}).status, 1);
 }
 
 TEST_F(CliHistory, AGatewayThatCannotBeAskedIsNamedAndTheOthersAnswer) {
@@ -112,6 +160,14 @@ TEST_F(CliHistory, LogsAreThoseOfTheInstanceOrOfItsWholeHost) {
   EXPECT_THAT(run({"logs", id, "--whole-host", "--lines", "1"}).out, Not(HasSubstr("other: active")));
 }
 
+TEST_F(CliHistory, FollowingGoesOnWhereItWasUntilTheGatewayTellsNoMore) {
+  const auto id = deploy("lab1");
+  const auto done = run({"logs", id, "--follow"});
+  EXPECT_THAT(done.out, AllOf(HasSubstr(id + ": active"), HasSubstr(id + ": went on"), Not(HasSubstr("other"))));
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.err, HasSubstr("it is gone"));
+}
+
 TEST_F(CliHistory, WhatTheGatewayCannotReadIsSaidInItsWords) {
   const auto id = deploy("lab1");
   site_->log.clear();
@@ -120,6 +176,7 @@ TEST_F(CliHistory, WhatTheGatewayCannotReadIsSaidInItsWords) {
   EXPECT_THAT(done.err, HasSubstr("there is no log yet"));
   EXPECT_EQ(run({"describe", "nobody"}).status, 1);
   EXPECT_EQ(run({"logs"}).status, 2);
+  EXPECT_EQ(run({"logs", id, "-o", "json"}).status, 2) << "lines are what they are";
 }
 
 }  // namespace
