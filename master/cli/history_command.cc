@@ -47,6 +47,15 @@ Json to_json(const wire::TDriverHistory& history) {
   return changes;
 }
 
+/// For people's eyes: a broker's URL without the password in it.
+std::string without_password(const std::string& url) {
+  const auto scheme = url.find("://");
+  const auto at = url.rfind('@');
+  if (scheme == std::string::npos || at == std::string::npos) return url;
+  const auto colon = url.find(':', scheme + 3);
+  return colon < at ? url.substr(0, colon + 1) + "***" + url.substr(at) : url;
+}
+
 /// \return the exit status.
 int name_silent(const wire::TDriverHistory& history, std::ostream& err) {
   for (const auto& [gateway, why] : history.silent) {
@@ -81,7 +90,7 @@ void print_record(const TSensor& driver, std::ostream& out) {
   for (const auto& channel : driver.channels) {
     rows.push_back({printable(channel.name), channel.direction == TDirection::OUT ? "out" : "in",
                     channel.grouped ? "shared" : "exclusive", printable(channel.transport),
-                    printable(channel.brokerUrl)});
+                    printable(without_password(channel.brokerUrl))});
   }
   print_table(out, {"CHANNEL", "DIRECTION", "KIND", "BROKER", "URL"}, rows);
 }

@@ -60,7 +60,8 @@ void put(const SiteAddress& site, const std::string& gateway, std::chrono::milli
     throw config::Error(
         fmt::format("gateway {} is of the original system, which tells neither history nor logs", gateway));
   } catch (const apache::thrift::TException& e) {
-    throw config::Error(fmt::format("{}:{} does not answer: {}", site.host, site.port, e.what()));
+    throw config::Error(
+        fmt::format("gateway {} at {}:{} does not answer: {}", gateway, site.host, site.port, e.what()));
   }
 }
 

@@ -70,6 +70,7 @@ DriverRecord FakeGateway::record(const OrderRecord& order, DriverState state, co
   discovery::ChannelRecord channel;
   channel.name = "kinect";
   channel.transport = "rabbitmq";
+  channel.broker_url = "amqp://robot:secret@127.0.0.1:5672/";
   channel.gateway = id_;
   channel.driver = record.name;
   channel.instance = order.instance;

@@ -77,6 +77,7 @@ TEST_F(CliHistory, DescribeShowsTheRecordTheChannelsAndEveryChangeWithTimeAndRea
   const auto done = run({"describe", id.substr(0, 8)});
   EXPECT_EQ(done.status, 0) << done.err;
   EXPECT_THAT(done.out, AllOf(HasSubstr(id), HasSubstr("lab1"), HasSubstr("active"), HasSubstr("CHANNEL"),
+                              HasSubstr("amqp://robot:***@127.0.0.1:5672/"), Not(HasSubstr("secret")),
                               HasSubstr("2001-09-09T01:46:40.000Z"), HasSubstr("its driver host crashed")));
   const auto json = run_json({"describe", id});
   EXPECT_EQ(json["instance"], id);
