@@ -172,7 +172,8 @@ int show_order(const Command& command, const wire::TOrderResponse& answer, std::
   return ok ? exit_ok : exit_failed;
 }
 
-int order(const Command& command, MasterClient& master, std::ostream& out, std::ostream& err) {
+int order(const Command& command, const discovery::Selection& where, MasterClient& master, std::ostream& out,
+          std::ostream& err) {
   if (command.verb == Verb::deploy) {
     wire::TDeployRequest request;
     request.__set_gateways(command.gateways);
@@ -185,7 +186,8 @@ int order(const Command& command, MasterClient& master, std::ostream& out, std::
     return show_order(command, master.deploy(request), out, err);
   }
   wire::TInstanceSelection selection;
-  selection.__set_instances(full_ids(command.instances, master));
+  selection.__set_instances(command.instances.empty() ? fitting_ids(command, where, master)
+                                                      : full_ids(command.instances, master));
   selection.__set_gateways(command.gateways);
   selection.__set_waitMs(command.wait_ms);
   const auto answer = command.verb == Verb::metadata   ? master.update_metadata(selection, command.metadata)
@@ -222,7 +224,7 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::start:
       case Verb::stop:
       case Verb::metadata:
-        return order(command, master, out, err);
+        return order(command, where, master, out, err);
       case Verb::topology_show:
       case Verb::topology_activate:
       case Verb::topology_deactivate:

@@ -40,10 +40,10 @@ struct Command {
   std::string token;
   Format format = Format::table;
   std::vector<std::string> gateways;   ///< drivers: only on these; orders: on these
-  std::vector<std::string> instances;  ///< ids or their beginnings
-  std::string state;                   ///< drivers: only in this state
-  std::string where;                   ///< drivers: only those for which this expression holds; empty: all
-  std::string driver;                  ///< drivers: only of this name; deploy: the driver's name
+  std::vector<std::string> instances;  ///< ids or their beginnings; orders: empty: what the next three leave
+  std::string state;                   ///< only those in this state
+  std::string where;                   ///< only those for which this expression holds; empty: all
+  std::string driver;                  ///< only those of this name; deploy: the driver's name
   std::string plugin;
   std::map<std::string, std::string> properties;
   std::map<std::string, std::string> metadata;  ///< deploy: what it is; metadata: what to change

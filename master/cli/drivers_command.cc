@@ -62,6 +62,20 @@ std::vector<TSensor> sorted_drivers(MasterClient& master) {
   return drivers;
 }
 
+/// Those that the command's options leave.
+std::vector<TSensor> fitting_drivers(const Command& command, const discovery::Selection& where, MasterClient& master) {
+  auto drivers = sorted_drivers(master);
+  std::erase_if(drivers, [&](const TSensor& driver) {
+    const auto begins = [&](const std::string& id) { return driver.sensorId.starts_with(id); };
+    return (!command.instances.empty() && std::none_of(command.instances.begin(), command.instances.end(), begins)) ||
+           (!command.gateways.empty() && !among(command.gateways, driver.siteId)) ||
+           (!command.driver.empty() && command.driver != driver.name) ||
+           (!command.state.empty() && command.state != driver.exactState) ||
+           (!where.everything() && !where.matches(record_of(driver)));
+  });
+  return drivers;
+}
+
 }  // namespace
 
 std::string metadata_words(const TSensor& driver) {
@@ -99,15 +113,7 @@ discovery::Selection where_of(const Command& command) {
 }
 
 int show_drivers(const Command& command, const discovery::Selection& where, MasterClient& master, std::ostream& out) {
-  auto drivers = sorted_drivers(master);
-  std::erase_if(drivers, [&](const TSensor& driver) {
-    const auto begins = [&](const std::string& id) { return driver.sensorId.starts_with(id); };
-    return (!command.instances.empty() && std::none_of(command.instances.begin(), command.instances.end(), begins)) ||
-           (!command.gateways.empty() && !among(command.gateways, driver.siteId)) ||
-           (!command.driver.empty() && command.driver != driver.name) ||
-           (!command.state.empty() && command.state != driver.exactState) ||
-           (!where.everything() && !where.matches(record_of(driver)));
-  });
+  const auto drivers = fitting_drivers(command, where, master);
   if (command.format == Format::table) {
     std::set<std::string> lost;
     for (const auto& gateway : master.gateways())
@@ -125,6 +131,13 @@ int show_drivers(const Command& command, const discovery::Selection& where, Mast
   for (const auto& driver : drivers) json.push_back(to_json(driver));
   print_data(out, command.format, json);
   return exit_ok;
+}
+
+std::vector<std::string> fitting_ids(const Command& command, const discovery::Selection& where, MasterClient& master) {
+  std::vector<std::string> ids;
+  for (const auto& driver : fitting_drivers(command, where, master)) ids.push_back(driver.sensorId);
+  if (ids.empty()) throw Failed("no driver instance is chosen by these options; `iotcloud drivers` takes them too");
+  return ids;
 }
 
 std::vector<std::string> full_ids(const std::vector<std::string>& beginnings, MasterClient& master) {

@@ -29,6 +29,10 @@ int show_drivers(const Command& command, const discovery::Selection& where, Mast
 nlohmann::ordered_json to_json(const discovery::wire::TSensor& driver);
 std::string metadata_words(const discovery::wire::TSensor& driver);
 
+/// Ids of the instances that the options of `iotcloud drivers` leave. \throws Unreachable; Failed, also when there is
+/// none.
+std::vector<std::string> fitting_ids(const Command& command, const discovery::Selection& where, MasterClient& master);
+
 /// Ids in full from their beginnings. One that no record has is passed on: its order may not have been taken up yet.
 /// \throws Ambiguous, Unreachable, Failed
 std::vector<std::string> full_ids(const std::vector<std::string>& beginnings, MasterClient& master);

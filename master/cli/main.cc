@@ -82,6 +82,19 @@ void add_wait(CLI::App& sub, Words& words) {
       ->type_name("SECONDS");
 }
 
+/// What chooses drivers by what they are.
+void add_choice(CLI::App& sub, Command& command) {
+  sub.add_option("--driver", command.driver, "only of this driver")->type_name("NAME");
+  sub.add_option("--state", command.state, "only in this state")
+      ->check(CLI::IsMember({"deployed", "starting", "active", "stopping", "inactive", "failed", "undeployed"}))
+      ->type_name("STATE");
+  sub.add_option(
+         "--where", command.where,
+         "only those for which it holds: site == \"lab\" and battery > 20 and within(location, 39.17, -86.52, 500 m)")
+      ->type_name("EXPRESSION")
+      ->check(CLI::Validator([](std::string& text) { return text.empty() ? "it is empty" : ""; }, ""));
+}
+
 void add_reads(CLI::App& app, Command& command) {
   add(app, command, Verb::gateways, "gateways", "List the gateways, and whether they live", "iotcloud gateways");
   auto& drivers =
@@ -89,16 +102,7 @@ void add_reads(CLI::App& app, Command& command) {
           "iotcloud drivers --where 'site == \"lab\" and battery > 20'");
   drivers.add_option("ID", command.instances, "ids, or how they begin");
   add_gateways(drivers, command, "only on these gateways");
-  drivers.add_option("--driver", command.driver, "only of this driver")->type_name("NAME");
-  drivers.add_option("--state", command.state, "only in this state")
-      ->check(CLI::IsMember({"deployed", "starting", "active", "stopping", "inactive", "failed", "undeployed"}))
-      ->type_name("STATE");
-  drivers
-      .add_option(
-          "--where", command.where,
-          "only those for which it holds: site == \"lab\" and battery > 20 and within(location, 39.17, -86.52, 500 m)")
-      ->type_name("EXPRESSION")
-      ->check(CLI::Validator([](std::string& text) { return text.empty() ? "it is empty" : ""; }, ""));
+  add_choice(drivers, command);
   const auto of_one = [&](Verb verb, const char* name, const char* what, const char* example) -> CLI::App& {
     auto& sub = add(app, command, verb, name, what, example);
     sub.add_option("ID", command.instances, "the id of an instance, or how it begins")->required()->expected(1);
@@ -227,9 +231,16 @@ void describe(Command& command, const Words& words) {
   for (const auto& word : words.description) {
     (word.find('=') == std::string::npos ? command.instances : changes).push_back(word);
   }
-  if (command.instances.empty()) throw CLI::RequiredError("ID");
   if (changes.empty()) throw CLI::RequiredError("KEY=VALUE");
   command.metadata = pairs(changes, "KEY=VALUE");
+}
+
+/// An order is for ids or for what the options choose; for all only when that is said. \throws CLI::ParseError
+void check_choice(const Command& command, const Words& words) {
+  const bool chosen = words.all || !command.driver.empty() || !command.state.empty() || !command.where.empty();
+  if (command.instances.empty() && !chosen) throw CLI::RequiredError("ID, or --where, --driver, --state or --all,");
+  if (!command.instances.empty() && chosen)
+    throw CLI::ValidationError("ID", "give ids, or --where, --driver, --state or --all, not both");
 }
 
 /// What the options cannot check one by one. \throws CLI::ParseError
@@ -239,6 +250,9 @@ void finish(Command& command, const Words& words) {
   command.properties = pairs(words.properties, "--property");
   command.metadata = pairs(words.metadata, "--metadata");
   if (command.verb == Verb::metadata) describe(command, words);
+  if (command.verb == Verb::metadata || command.verb == Verb::undeploy || command.verb == Verb::start ||
+      command.verb == Verb::stop)
+    check_choice(command, words);
   command.parallelism = parallelism_of(words.parallelism);
   command.drain_ms = static_cast<std::int64_t>(words.drain_s * 1000);
   if (!words.token_file.empty()) command.token = first_line(words.token_file);
@@ -246,13 +260,18 @@ void finish(Command& command, const Words& words) {
 }
 
 void add_changes(CLI::App& app, Command& command, Words& words) {
-  const auto change = [&](Verb verb, const char* name, const char* what, const char* example) {
-    auto& sub = add(app, command, verb, name, what, example);
-    sub.add_option("ID", command.instances, "ids of instances, or how they begin")->required();
+  const auto choose = [&](CLI::App& sub) {
     add_gateways(sub, command, "the instances must be on one of these gateways");
+    add_choice(sub, command);
+    sub.add_flag("--all", words.all, "all instances, or all on the gateways that are named");
     add_wait(sub, words);
   };
-  change(Verb::undeploy, "undeploy", "Take driver instances away", "iotcloud undeploy 3f2a9c");
+  const auto change = [&](Verb verb, const char* name, const char* what, const char* example) {
+    auto& sub = add(app, command, verb, name, what, example);
+    sub.add_option("ID", command.instances, "ids of instances, or how they begin");
+    choose(sub);
+  };
+  change(Verb::undeploy, "undeploy", "Take driver instances away", "iotcloud undeploy --state failed --gateway lab1");
   change(Verb::start, "start", "Let driver instances produce again", "iotcloud start 3f2a9c");
   auto& metadata =
       add(app, command, Verb::metadata, "metadata",
@@ -262,9 +281,9 @@ void add_changes(CLI::App& app, Command& command, Words& words) {
       .add_option("ID KEY=VALUE", words.description,
                   "ids of instances, or how they begin, and what to change; \"KEY=\" takes the key away")
       ->required();
-  add_gateways(metadata, command, "the instances must be on one of these gateways");
-  add_wait(metadata, words);
-  change(Verb::stop, "stop", "Let driver instances pause; they stay deployed", "iotcloud stop 3f2a9c 77b1");
+  choose(metadata);
+  change(Verb::stop, "stop", "Let driver instances pause; they stay deployed",
+         "iotcloud stop 3f2a9c 77b1\n  iotcloud stop --where 'site == \"lab\"'");
 }
 
 }  // namespace

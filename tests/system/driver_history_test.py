@@ -72,7 +72,7 @@ class Fleet:
 
 def check_crash(fleet, instance):
     """A crash is in the history with its reason, and so is the new start."""
-    require(fleet.states(instance) == ["deployed", "starting", "active"], fleet.json("history", instance))
+    wait_for("the first start is remembered", lambda: fleet.states(instance) == ["deployed", "starting", "active"])
     os.kill(fleet.host_of("gateway-1"), signal.SIGSEGV)
     wait_for("the instance is active again", lambda: fleet.states(instance)[-1] == "active" and
              len(fleet.states(instance)) > 3)
@@ -101,7 +101,7 @@ def check_logs(fleet, instance):
 def check_gone(fleet, instance):
     """An instance that was taken away still has its history."""
     fleet.cluster.cli("undeploy", instance)
-    require(fleet.states(instance[:8])[-1] == "undeployed", fleet.json("history", instance))
+    wait_for("its end is remembered", lambda: fleet.states(instance[:8])[-1] == "undeployed")
     for words in (("describe", instance), ("logs", instance)):
         done = fleet.run(*words)
         require(done.returncode == 1 and "no driver instance" in done.stderr, done)

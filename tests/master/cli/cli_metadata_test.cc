@@ -72,5 +72,34 @@ TEST_F(CliMetadata, WantsAnIdAndAChange) {
   EXPECT_THAT(unknown.err, HasSubstr("no driver instance \"nobody\""));
 }
 
+TEST_F(CliMetadata, OrdersAreForWhatTheOptionsChooseAndForNothingElse) {
+  const auto lab = deploy_with({"site=lab"});
+  const auto roof = deploy_with({"site=roof"});
+  EXPECT_EQ(run({"stop", "--where", "site == 'lab'"}).status, 0);
+  auto inactive = run_json({"drivers", "--state", "inactive"});
+  ASSERT_THAT(inactive, SizeIs(1));
+  EXPECT_EQ(inactive[0]["instance"], lab);
+  EXPECT_EQ(run({"metadata", "--driver", "turtle", "--state", "active", "floor=2"}).status, 0);
+  const auto changed = run_json({"drivers", "--where", "floor == 2"});
+  ASSERT_THAT(changed, SizeIs(1));
+  EXPECT_EQ(changed[0]["instance"], roof);
+  EXPECT_EQ(run({"undeploy", "--state", "inactive"}).status, 0);
+  EXPECT_THAT(run_json({"drivers"}), SizeIs(1));
+}
+
+TEST_F(CliMetadata, AllOfOneGatewayCanBeTakenAwayAndThereIsNoneToTakeThen) {
+  const FakeGateway second(url, "lab2");
+  deploy_with({});
+  deploy_with({});
+  ASSERT_EQ(run({"deploy", "turtle.so", "-g", "lab2"}).status, 0);
+  EXPECT_THAT(run_json({"undeploy", "--all", "--gateway", "lab1"})["outcomes"], SizeIs(2));
+  const auto left = run_json({"drivers"});
+  ASSERT_THAT(left, SizeIs(1));
+  EXPECT_EQ(left[0]["gateway"], "lab2");
+  const auto none = run({"undeploy", "--all", "--gateway", "lab1"});
+  EXPECT_EQ(none.status, 1);
+  EXPECT_THAT(none.err, HasSubstr("no driver instance is chosen"));
+}
+
 }  // namespace
 }  // namespace iotcloud::master
