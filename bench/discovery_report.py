@@ -30,7 +30,7 @@ class Bench:
         """One round with real servers: what the programs say, by figure. Each in a registry and queues of its own."""
         self.runs += 1
         with Children(Path(self.servers) / f"run{self.runs}") as children:
-            zookeeper, rabbitmq = children.server("zookeeper"), children.server("rabbitmq")
+            zookeeper, rabbitmq = children.server("zookeeper", "--steady"), children.server("rabbitmq")
             options = self.options(f"{zookeeper}/bench", rabbitmq, kind == "shared")
             lines = {"fill": self.programs.run("bare", "fill", *options)[0],
                      "read": self.programs.run("bare", "read", *options)[0],
@@ -69,6 +69,8 @@ def figures(bench, report, kind, rounds):
     report.compare(f"{title}: worker's memory", "MB", of(real, "ready", "resident_mb"))
     report.compare(f"{title}: a new driver is read, p50", "ms", of(real, "new", "p50_ms"))
     report.compare(f"{title}: a new driver is read, p99", "ms", of(real, "new", "p99_ms"), at_most=200)
+    report.compare(f"{title}: of that one, waiting for a CPU", "ms", of(real, "new", "p99_waited_ms"))
+    report.compare(f"{title}: other processes meanwhile", "CPUs", of(real, "new", "others_cpu"))
     report.compare(f"{title}: requests for a new driver", "", of(real, "new", "requests_each"))
     report.compare(f"{title}: worker at rest", "% CPU", of(real, "rest", "cpu_percent"), at_most=1)
     report.compare(f"{title}: servers at rest", "% CPU", of(real, "rest", "server_cpu_percent"))

@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include <fmt/core.h>
+#include <unistd.h>
 
 #include <iotcloud/bench/discovery/bare_rabbitmq.h>
 #include <iotcloud/bench/discovery/bare_zookeeper.h>
@@ -120,6 +121,13 @@ class Run {
     return all;
   }
 
+  /// Of all threads of this process and of the servers.
+  double waited_seconds() const {
+    double all = waited_seconds_of(getpid());
+    for (const pid_t process : options_.server) all += waited_seconds_of(process);
+    return all;
+  }
+
   void rest() {
     sleep_until(now_ns() + 2000 * ms);  // what still settles
     const Usage before = Usage::now();
@@ -135,29 +143,40 @@ class Run {
   /// One driver at a time; from the moment when its nodes stand in the registry until the broker has a reader for it.
   /// The broker is not asked before there can be one, so that it has nothing else to do.
   void newcomers() {
-    std::vector<double> took_ms;
-    const Usage before = Usage::now();
+    struct Newcomer {
+      double took_ms, waited_ms;
+      bool operator<(const Newcomer& other) const { return took_ms < other.took_ms; }
+    };
+    std::vector<Newcomer> all;
     const ServerCounts asked_before = counts();
+    const double server_before = server_cpu();
+    const double machine_before = machine_cpu_seconds();
+    const Usage before = Usage::now();
     for (int i = options_.instances; i < options_.instances + options_.fresh; ++i) {
       const int expected = readers() + 1;
+      const double waited = waited_seconds();
       appear(i);
       const std::int64_t begin = now_ns();
       wait_for("a new driver's reader", ms / 2, [&] { return readers() >= expected && is_read(i); });
-      took_ms.push_back(static_cast<double>(now_ns() - begin) / 1e6);
+      const double took = seconds_since(begin);
+      all.push_back({1000 * took, 1000 * (waited_seconds() - waited)});
     }
-    if (took_ms.empty()) return;
-    const double each = 1 / static_cast<double>(took_ms.size());
+    if (all.empty()) return;
+    const double each = 1 / static_cast<double>(all.size());
     const Usage after = Usage::now();
+    const double own = after.cpu_seconds - before.cpu_seconds;
+    const double others = machine_cpu_seconds() - machine_before - (server_cpu() - server_before) - own;
     const ServerCounts asked = counts();
-    std::sort(took_ms.begin(), took_ms.end());
+    std::sort(all.begin(), all.end());
     const auto quantile = [&](double q) {
-      return took_ms[std::min(took_ms.size() - 1, static_cast<std::size_t>(q * static_cast<double>(took_ms.size())))];
+      return all[std::min(all.size() - 1, static_cast<std::size_t>(q * static_cast<double>(all.size())))];
     };
     std::printf(
         "{\"figure\": \"new\", \"count\": %zu, \"p50_ms\": %.3f, \"p99_ms\": %.3f, \"max_ms\": %.3f, "
-        "\"cpu_ms_each\": %.3f, \"requests_each\": %.2f, \"writes_each\": %.2f}\n",
-        took_ms.size(), quantile(0.5), quantile(0.99), took_ms.back(),
-        1000 * each * (after.cpu_seconds - before.cpu_seconds),
+        "\"p99_waited_ms\": %.1f, \"others_cpu\": %.3f, \"cpu_ms_each\": %.3f, \"requests_each\": %.2f, "
+        "\"writes_each\": %.2f}\n",
+        all.size(), quantile(0.5).took_ms, quantile(0.99).took_ms, all.back().took_ms, quantile(0.99).waited_ms,
+        std::max(0.0, others / (static_cast<double>(after.at_ns - before.at_ns) * 1e-9)), 1000 * each * own,
         each * static_cast<double>(asked.requests - asked_before.requests),
         each * static_cast<double>(asked.writes - asked_before.writes));
     std::fflush(stdout);

@@ -1,7 +1,9 @@
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <string>
+#include <system_error>
 
 #include <sys/prctl.h>
 #include <sys/resource.h>
@@ -63,6 +65,20 @@ double cpu_seconds_of(pid_t process) {
     return 0;
   }
   return ticks_to_seconds(static_cast<double>(user + system));
+}
+
+double waited_seconds_of(pid_t process) {
+  double nanoseconds = 0;
+  std::error_code gone;
+  const std::filesystem::path threads = "/proc/" + std::to_string(process) + "/task";
+  for (auto thread = std::filesystem::directory_iterator(threads, gone);
+       !gone && thread != std::filesystem::directory_iterator(); thread.increment(gone)) {
+    unsigned long long waited = 0;
+    if (std::sscanf(read_text(thread->path() / "schedstat").c_str(), "%*u %llu", &waited) == 1) {
+      nanoseconds += static_cast<double>(waited);
+    }
+  }
+  return nanoseconds * 1e-9;
 }
 
 double machine_cpu_seconds() {

@@ -32,6 +32,9 @@ struct Usage {
 
 /// CPU seconds, user and system, that a process has used since it began; in steps of 10 ms. 0: it is gone.
 double cpu_seconds_of(pid_t process);
+/// Seconds for which threads of a process could have run and had no CPU, since they began; all that live are added up.
+/// 0: it is gone.
+double waited_seconds_of(pid_t process);
 /// CPU seconds that all of this machine has used since it booted, interrupts and what a hypervisor took included.
 double machine_cpu_seconds();
 

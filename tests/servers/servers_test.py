@@ -76,6 +76,9 @@ class ServersTest(unittest.TestCase):
     def test_zookeeper(self):
         self.obeys("zookeeper.py")
 
+    def test_zookeeper_for_benchmarks(self):
+        self.obeys("zookeeper.py", "--steady")
+
     def test_a_zookeeper_ensemble(self):
         self.obeys("zookeeper_cluster.py")
 
