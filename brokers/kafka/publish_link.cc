@@ -27,6 +27,7 @@ PublishLink::PublishLink(KafkaOptions options, Meters& meters, const config::Clo
 }
 
 PublishLink::~PublishLink() {
+  burst_target_->close();
   {
     const Lock lock(mutex_);
     closing_ = true;
@@ -78,7 +79,8 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   }
   Outgoing outgoing = outbox->accept(std::move(message), now, past);
   Route& route = routes_[outbox->topic.name];
-  if (outbox->idle() && outbox->may_send() && may_send() && takes_one(route)) {
+  Burst* const burst = route.under_way > 0 ? Burst::of_this_thread() : nullptr;
+  if (burst == nullptr && outbox->idle() && outbox->may_send() && may_send() && takes_one(route)) {
     outbox->sent_directly();
     route.handed_over_at = now;
     UnderWay& entry = add_under_way(outbox, route, std::move(outgoing));
@@ -94,8 +96,9 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   outbox->add_waiting(std::move(outgoing));
   reporter_.note(outbox);
   make_runnable(outbox, route);
-  // What waits for an answer goes on when that comes.
-  const bool now_runs = outbox->in_runnable && may_send() && takes_wave(route, now);
+  // What waits for an answer goes on when that comes, at the latest: so does a burst whose handler runs long.
+  if (burst != nullptr && outbox->in_runnable) burst->add(burst_target_);
+  const bool now_runs = burst == nullptr && outbox->in_runnable && may_send() && takes_wave(route, now);
   if (timed || outbox->has_report() || now_runs) wake();
   return PublishStatus::accepted;
 }

@@ -9,6 +9,7 @@
 #include <mutex>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "iotcloud/brokers/client/backoff.h"
@@ -16,6 +17,7 @@
 #include "iotcloud/brokers/client/outcome_reporter.h"
 #include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/envelope.h"
+#include "iotcloud/brokers/kafka/burst.h"
 #include "iotcloud/brokers/kafka/client.h"
 #include "iotcloud/brokers/meters.h"
 
@@ -34,9 +36,9 @@ using client::WakeEvent;
 /// while none is, messages wait in their Outbox, under the channel's own policy. What the library has when the
 /// connection breaks stays there: it sends it again itself, without duplicates and in order.
 ///
-/// The library gets of one topic what it can send at once, and no more: one request's worth (a wave) when all before it
-/// was answered, or single messages while few are under way. What it could not send would make its thread spin, see
-/// publish_link_waves.cc; meanwhile messages wait here and the next wave is larger.
+/// The library gets of one topic what it can send at once, and no more: single messages, or one request's worth of them
+/// (a wave), while few are under way. What it could not send would make its thread spin, see publish_link_waves.cc;
+/// meanwhile messages wait here and the next wave is larger. What a thread publishes in a Burst goes as one wave.
 class PublishLink {
  public:
   PublishLink(KafkaOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log);
@@ -111,6 +113,10 @@ class PublishLink {
   void answered(Route& route);
   void send_waiting(Lock& lock);
   void send_wave(Route& route, Lock& lock);
+  void send_burst();
+  /// What the library did not take.
+  using Failed = std::vector<std::pair<UnderWay*, rd_kafka_resp_err_t>>;
+  Failed hand_over_all(const std::vector<UnderWay*>& wave, rd_kafka_topic_t* topic, const Now& now) const;
   std::vector<UnderWay*> take_wave(Route& route, Instant now);
   void make_runnable(const std::shared_ptr<Outbox>& outbox);
   void make_runnable(const std::shared_ptr<Outbox>& outbox, Route& route);
@@ -123,6 +129,7 @@ class PublishLink {
   const config::Clock& clock_;
   ConnectionLog& log_;
   WakeEvent wake_event_;
+  const std::shared_ptr<Burst::Target> burst_target_{std::make_shared<Burst::Target>([this] { send_burst(); })};
 
   mutable std::mutex mutex_;
   std::condition_variable changed_;  ///< a callback ended

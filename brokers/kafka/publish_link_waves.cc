@@ -2,11 +2,14 @@
 //
 // An idempotent producer of librdkafka 2.0 (and later ones) has one request of a partition under way once five messages
 // of it are (its issue 4989: it counts messages where it means requests). What it is given meanwhile it keeps, and
-// until the answer comes its thread polls without sleeping, because with a linger of 0 that is due. So it gets single
-// messages while fewer than five are under way, which go at once; otherwise they wait here until all is answered, and
-// then go together, as one request: of no more than are handed over before that thread wakes up, as long as the server
-// answers so soon that this is enough. For a partition whose server does not answer the others of its topic wait no
-// longer than longest_wait.
+// until the answer comes its thread polls without sleeping, because with a linger of 0 that is due. So it gets
+// something only while fewer than five are under way: then that goes at once, as one request as long as all of it is
+// handed over before that thread wakes up. Otherwise messages wait here, and go together after the next answers. For a
+// partition whose server does not answer the others of its topic wait no longer than longest_wait.
+//
+// Each request costs client and server many times what a message in it does. So of what a handler's thread publishes
+// only the first goes alone, when nothing is under way; the rest goes in one wave when the thread has handled what came
+// with it, or when the first was answered.
 #include <algorithm>
 #include <utility>
 
@@ -18,7 +21,7 @@ namespace {
 
 constexpr std::size_t most_singles = 5;  // RD_KAFKA_IDEMP_MAX_INFLIGHT
 // Of one wave: below the library's batch.size (1 MB), so that it is one request.
-constexpr std::size_t most_in_wave = 128;
+constexpr std::size_t most_in_wave = 1024;
 constexpr std::size_t most_in_slow_wave = 4096;
 constexpr std::chrono::milliseconds slow_answer{2};
 constexpr std::size_t most_bytes_in_wave = 900'000;
@@ -34,7 +37,7 @@ bool PublishLink::takes_one(const Route& route) const {
 }
 
 bool PublishLink::takes_wave(const Route& route, Instant now) const {
-  return route.under_way == 0 || now >= opens_at(route);
+  return !route.in_wave && (route.under_way < most_singles || now >= opens_at(route));
 }
 
 Instant PublishLink::opens_at(const Route& route) {
@@ -122,21 +125,47 @@ void PublishLink::send_wave(Route& route, Lock& lock) {
   route.in_wave = true;
   // Publishers go on meanwhile. Reports, which end entries, come to this thread only.
   lock.unlock();
+  const Failed failed = hand_over_all(wave, topic.get(), now);
+  lock.lock();
+  route.in_wave = false;
+  route.handed_over_at = clock_.now();
+  for (const auto& [entry, error] : failed) settle(*entry, error);
+}
+
+void PublishLink::send_burst() {
+  const Lock lock(mutex_);
+  if (!may_send()) return;
+  const Now now{clock_.now(), clock_.wall_ms()};
+  for (std::size_t left = runnable_.size(); left > 0 && may_send(); --left) {
+    Route& route = *runnable_.front();
+    runnable_.pop_front();
+    route.in_runnable = false;
+    if (takes_wave(route, now.instant)) {
+      // The lock is held, as for a single message: the client stays, and no report ends what is handed over.
+      const std::vector<UnderWay*> wave = take_wave(route, now.instant);
+      route.handed_over_at = now.instant;
+      const std::shared_ptr<rd_kafka_topic_t> topic = route.topic;
+      for (const auto& [entry, error] : hand_over_all(wave, topic.get(), now)) settle(*entry, error);
+    }
+    if (!route.runnable.empty() && !std::exchange(route.in_runnable, true)) runnable_.push_back(&route);
+  }
+  if (reporter_.due()) wake();
+}
+
+PublishLink::Failed PublishLink::hand_over_all(const std::vector<UnderWay*>& wave, rd_kafka_topic_t* topic,
+                                               const Now& now) const {
   // All is ready before the library sees the first of them: its thread takes what is there when it wakes up.
   for (UnderWay* entry : wave) prepare(*entry);
-  std::vector<std::pair<UnderWay*, rd_kafka_resp_err_t>> failed;
+  Failed failed;
   for (UnderWay* entry : wave) {
     // What came later from the same publisher must not overtake one that has to wait.
     const auto before = std::find_if(failed.begin(), failed.end(), [&](const auto& other) {
       return other.first->outbox == entry->outbox && !is_refusal(other.second);
     });
-    const auto error = before != failed.end() ? before->second : hand_over(*entry, topic.get(), now);
+    const auto error = before != failed.end() ? before->second : hand_over(*entry, topic, now);
     if (error != RD_KAFKA_RESP_ERR_NO_ERROR) failed.emplace_back(entry, error);
   }
-  lock.lock();
-  route.in_wave = false;
-  route.handed_over_at = clock_.now();
-  for (const auto& [entry, error] : failed) settle(*entry, error);
+  return failed;
 }
 
 }  // namespace iotcloud::brokers::kafka

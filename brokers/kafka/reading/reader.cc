@@ -6,6 +6,7 @@
 
 #include <pthread.h>
 
+#include "iotcloud/brokers/kafka/burst.h"
 #include "iotcloud/brokers/kafka/record.h"
 #include <iotcloud/config/log.h>
 
@@ -62,6 +63,7 @@ void Reader::news(std::shared_ptr<Feed> feed) {
   {
     const std::lock_guard lock(news_mutex_);
     news_.push_back(std::move(feed));
+    if (news_.size() > 1) return;  // the thread was signalled and did not look yet
   }
   wake_event_.signal();
 }
@@ -117,10 +119,16 @@ void Reader::accept(Feed& feed, std::uint64_t tag) {
 }
 
 void Reader::run() {
+  Burst burst;  // of all that the handlers publish, before there is nothing to hand on for now
   Lock lock(mutex_);
   while (!closing_) {
     take_news();
     hand_on(lock, batch);
+    if (!burst.empty()) {
+      lock.unlock();
+      burst.end();
+      lock.lock();
+    }
     if (!ready_.empty() || closing_) continue;
     sleeping_ = true;
     lock.unlock();
