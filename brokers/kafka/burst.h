@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include <iotcloud/config/clock.h>
+
 namespace iotcloud::brokers::kafka {
 
 /// What one thread publishes while it handles records that came together: it goes to the library together, as one
@@ -14,6 +16,8 @@ namespace iotcloud::brokers::kafka {
 /// Lives on that thread, which calls all of it, targets apart.
 class Burst {
  public:
+  using Instant = config::Clock::Instant;
+
   /// Whoever keeps messages back for a burst. Thread safe.
   class Target {
    public:
@@ -41,10 +45,16 @@ class Burst {
 
   /// That of the calling thread; null when it has none.
   static Burst* of_this_thread() { return current_; }
-  void add(const std::shared_ptr<Target>& target) {
+  /// Whether more records wait behind the one that is handled now.
+  void more_follow(bool more) { more_follow_ = more; }
+  bool more_follow() const { return more_follow_; }
+  void add(const std::shared_ptr<Target>& target, Instant now) {
+    if (targets_.empty()) began_ = now;
     if (targets_.empty() || targets_.back() != target) targets_.push_back(target);
   }
   bool empty() const { return targets_.empty(); }
+  /// When the first message was kept back, of a burst that is not empty.
+  Instant began() const { return began_; }
   /// All that was kept back may be sent; the next one begins.
   void end() {
     for (const auto& target : std::exchange(targets_, {})) target->end();
@@ -53,6 +63,8 @@ class Burst {
  private:
   inline static thread_local Burst* current_ = nullptr;
   Burst* const outer_;
+  bool more_follow_ = false;
+  Instant began_{};
   std::vector<std::shared_ptr<Target>> targets_;
 };
 

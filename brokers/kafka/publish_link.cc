@@ -79,7 +79,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   }
   Outgoing outgoing = outbox->accept(std::move(message), now, past);
   Route& route = routes_[outbox->topic.name];
-  Burst* const burst = route.under_way > 0 ? Burst::of_this_thread() : nullptr;
+  Burst* const burst = burst_for(*outbox, route);
   if (burst == nullptr && outbox->idle() && outbox->may_send() && may_send() && takes_one(route)) {
     outbox->sent_directly();
     route.handed_over_at = now;
@@ -96,8 +96,8 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   outbox->add_waiting(std::move(outgoing));
   reporter_.note(outbox);
   make_runnable(outbox, route);
-  // What waits for an answer goes on when that comes, at the latest: so does a burst whose handler runs long.
-  if (burst != nullptr && outbox->in_runnable) burst->add(burst_target_);
+  // What waits for an answer goes on when that comes.
+  if (burst != nullptr && outbox->in_runnable) burst->add(burst_target_, now);
   const bool now_runs = burst == nullptr && outbox->in_runnable && may_send() && takes_wave(route, now);
   if (timed || outbox->has_report() || now_runs) wake();
   return PublishStatus::accepted;
@@ -182,6 +182,8 @@ std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
     limit =
         std::clamp(std::chrono::ceil<std::chrono::milliseconds>(instant - now), std::chrono::milliseconds(0), limit);
   };
+  watching_ = last_burst_ != Instant{} && now - last_burst_ < bursts_again;
+  if (watching_) limit = std::min(limit, watch_period);
   if (send_again_at_ != Instant{}) until(send_again_at_);
   if (!under_way_.empty()) limit = std::min(limit, longest_wait);
   if (may_send()) {

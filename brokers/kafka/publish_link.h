@@ -57,6 +57,8 @@ class PublishLink {
  private:
   /// After so long without all answers the library gets more of a topic.
   static constexpr std::chrono::milliseconds longest_wait{50};
+  /// So long after a burst the link's thread sleeps this long at most.
+  static constexpr std::chrono::milliseconds bursts_again{100}, watch_period{2};
 
   using Lock = std::unique_lock<std::mutex>;
   struct TopicDestroyer {
@@ -113,6 +115,7 @@ class PublishLink {
   void answered(Route& route);
   void send_waiting(Lock& lock);
   void send_wave(Route& route, Lock& lock);
+  Burst* burst_for(const Outbox& outbox, const Route& route) const;
   void send_burst();
   /// What the library did not take.
   using Failed = std::vector<std::pair<UnderWay*, rd_kafka_resp_err_t>>;
@@ -148,6 +151,8 @@ class PublishLink {
   bool broken_ = false;   ///< the client said that it is of no use any more
   bool full_ = false;     ///< the library takes no more before the next delivery report
   bool sleeping_ = false;
+  Instant last_burst_{};
+  bool watching_ = false;    ///< the link's thread looks again within watch_period
   Instant send_again_at_{};  ///< a message was turned down for a reason that may pass
   Instant ask_topics_at_{};
   Backoff send_backoff_{std::chrono::milliseconds(20), std::chrono::milliseconds(1000)};

@@ -7,9 +7,9 @@
 // handed over before that thread wakes up. Otherwise messages wait here, and go together after the next answers. For a
 // partition whose server does not answer the others of its topic wait no longer than longest_wait.
 //
-// Each request costs client and server many times what a message in it does. So of what a handler's thread publishes
-// only the first goes alone, when nothing is under way; the rest goes in one wave when the thread has handled what came
-// with it, or when the first was answered.
+// Each request costs client and server many times what a message in it does. So what a handler's thread publishes goes
+// in one wave when the thread has handled what came together. A handler may run for long, or wait for an outcome: so a
+// message is kept back only where the link's thread looks soon anyway, for an answer or because there were bursts.
 #include <algorithm>
 #include <utility>
 
@@ -132,8 +132,15 @@ void PublishLink::send_wave(Route& route, Lock& lock) {
   for (const auto& [entry, error] : failed) settle(*entry, error);
 }
 
+Burst* PublishLink::burst_for(const Outbox& outbox, const Route& route) const {
+  Burst* const burst = Burst::of_this_thread();
+  if (burst == nullptr || route.under_way > 0) return burst;
+  return watching_ && (burst->more_follow() || !outbox.idle()) ? burst : nullptr;
+}
+
 void PublishLink::send_burst() {
   const Lock lock(mutex_);
+  last_burst_ = clock_.now();
   if (!may_send()) return;
   const Now now{clock_.now(), clock_.wall_ms()};
   for (std::size_t left = runnable_.size(); left > 0 && may_send(); --left) {

@@ -6,7 +6,6 @@
 
 #include <pthread.h>
 
-#include "iotcloud/brokers/kafka/burst.h"
 #include "iotcloud/brokers/kafka/record.h"
 #include <iotcloud/config/log.h>
 
@@ -19,6 +18,8 @@ const config::Logger logger{"brokers.kafka"};
 constexpr std::size_t batch = 64;
 // Records taken from one partition in a row.
 constexpr std::size_t records_in_a_row = 64;
+// What handlers publish is kept back no longer, but for one handler that takes longer itself.
+constexpr std::chrono::microseconds longest_burst{200};
 // Behind one that is not settled for ever: so many are remembered, then the partition waits for it.
 constexpr std::size_t longest_window = 65536;
 
@@ -123,7 +124,7 @@ void Reader::run() {
   Lock lock(mutex_);
   while (!closing_) {
     take_news();
-    hand_on(lock, batch);
+    hand_on(lock, burst);
     if (!burst.empty()) {
       lock.unlock();
       burst.end();
@@ -208,8 +209,8 @@ void Reader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) 
   }
 }
 
-void Reader::hand_on(Lock& lock, std::size_t most) {
-  for (std::size_t i = 0; i < most && !ready_.empty() && !closing_; ++i) {
+void Reader::hand_on(Lock& lock, Burst& burst) {
+  for (std::size_t i = 0; i < batch && !ready_.empty() && !closing_; ++i) {
     const std::shared_ptr<Feed> feed = std::move(ready_.front());
     ready_.pop_front();
     feed->in_ready = false;
@@ -230,8 +231,10 @@ void Reader::hand_on(Lock& lock, std::size_t most) {
     make_ready(feed);  // in turn with the others
     const std::uint64_t tag = feed->public_tag(arrived.tag);
     inlet->running = feed->running = true;
+    burst.more_follow(feed->progress.waiting() > 0);
     lock.unlock();
     run_handler(*inlet, std::move(arrived), std::move(settler), tag);
+    if (!burst.empty() && clock_.now() - burst.began() > longest_burst) burst.end();
     lock.lock();
     inlet->running = feed->running = false;
     handler_ended_.notify_all();

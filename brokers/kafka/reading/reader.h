@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "iotcloud/brokers/client/wake_event.h"
+#include "iotcloud/brokers/kafka/burst.h"
 #include "iotcloud/brokers/kafka/reading/feed.h"
 #include "iotcloud/brokers/meters.h"
 #include <iotcloud/config/clock.h>
@@ -80,7 +81,7 @@ class Reader : public std::enable_shared_from_this<Reader> {
   void pull(Feed& feed);
   void take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record);
   void accept(Feed& feed, std::uint64_t tag);
-  void hand_on(Lock& lock, std::size_t most);
+  void hand_on(Lock& lock, Burst& burst);
   void run_handler(const Inlet& inlet, Arrived arrived, std::shared_ptr<Settler> settler, std::uint64_t tag);
   void give_to(Feed& feed, std::shared_ptr<Inlet> inlet);
   void mark_dirty(Feed& feed);
