@@ -1,0 +1,117 @@
+// What handlers publish is kept back until what came together is handled, and never longer than that may take.
+#include "iotcloud/brokers/kafka/burst.h"
+
+#include <atomic>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/servers/private_server.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+TEST(KafkaBurst, EndsEachTargetOnceAndBeginsAnew) {
+  int ended = 0;
+  const auto target = std::make_shared<kafka::Burst::Target>([&] { ++ended; });
+  kafka::Burst burst;
+  ASSERT_EQ(kafka::Burst::of_this_thread(), &burst);
+  burst.add(target, kafka::Burst::Instant{std::chrono::seconds(1)});
+  burst.add(target, kafka::Burst::Instant{std::chrono::seconds(2)});
+  EXPECT_EQ(burst.began(), kafka::Burst::Instant{std::chrono::seconds(1)});
+  burst.end();
+  EXPECT_EQ(ended, 1);
+  EXPECT_TRUE(burst.empty());
+  burst.end();
+  EXPECT_EQ(ended, 1);
+}
+
+TEST(KafkaBurst, CallsNoTargetThatIsClosed) {
+  int ended = 0;
+  const auto target = std::make_shared<kafka::Burst::Target>([&] { ++ended; });
+  kafka::Burst burst;
+  burst.add(target, {});
+  target->close();
+  burst.end();
+  EXPECT_EQ(ended, 0);
+}
+
+class KafkaBurstServer : public testing::Test {
+ protected:
+  static constexpr int messages = 300;
+
+  KafkaBurstServer() {
+    BrokerOptions options;
+    options.urls = {server_.url()};
+    options.heartbeat = std::chrono::seconds(2);
+    broker_ = make_broker(options);
+  }
+  Topic topic(const std::string& name) const { return {"", "gw.driver." + name, false}; }
+  void send_all() {
+    source_ = broker_->publisher(topic("in"), {});
+    for (int i = 0; i < messages; ++i) {
+      ASSERT_EQ(source_->publish(text_message(std::to_string(i))), PublishStatus::accepted);
+    }
+    ASSERT_TRUE(source_->drain(patience));
+  }
+
+  tests::PrivateServer server_{"kafka.py", {"--partitions", "1"}};
+  std::unique_ptr<Broker> broker_;
+  std::unique_ptr<Publisher> source_;
+};
+
+TEST_F(KafkaBurstServer, WhatHandlersPublishArrivesInOrder) {
+  const auto out = broker_->publisher(topic("out"), {});
+  Inbox inbox;
+  const auto reader = broker_->subscribe(topic("out"), {}, inbox.handler());
+  const auto echo = broker_->subscribe(topic("in"), {}, [&](Delivery delivery) {
+    EXPECT_EQ(out->publish(delivery.message), PublishStatus::accepted);
+    delivery.settle(Settlement::accept);
+  });
+  send_all();
+  ASSERT_TRUE(inbox.wait_for(messages));
+  std::vector<std::string> expected;
+  for (int i = 0; i < messages; ++i) expected.push_back(std::to_string(i));
+  EXPECT_EQ(inbox.bodies(), expected);
+  EXPECT_TRUE(out->drain(patience));
+}
+
+TEST_F(KafkaBurstServer, AHandlerMayWaitForTheOutcomeOfWhatItPublishes) {
+  send_all();
+  const auto out = broker_->publisher(topic("out"), {});
+  std::atomic<int> handled = 0, confirmed = 0;
+  const auto echo = broker_->subscribe(topic("in"), {}, [&](Delivery delivery) {
+    const int number = ++handled;
+    out->publish(delivery.message);
+    // In between bursts, so that the next one is kept back from its first message on.
+    if (number % 7 == 0 && out->drain(patience)) ++confirmed;
+    delivery.settle(Settlement::accept);
+  });
+  EXPECT_TRUE(tests::eventually([&] { return handled == messages; }, patience));
+  EXPECT_EQ(confirmed, messages / 7);
+}
+
+TEST_F(KafkaBurstServer, AHandlerMayEndTheBrokerThatItPublishedTo) {
+  send_all();
+  BrokerOptions options;
+  options.urls = {server_.url()};
+  std::atomic<int> handled = 0;
+  const auto echo = broker_->subscribe(topic("in"), {}, [&](Delivery delivery) {
+    if (handled < 3) {
+      const auto other = make_broker(options);
+      const auto out = other->publisher(topic("out"), {});
+      for (int i = 0; i < 10; ++i) out->publish(delivery.message);
+      EXPECT_TRUE(out->drain(patience));
+      for (int i = 0; i < 10; ++i) out->publish(delivery.message);
+    }
+    ++handled;
+    delivery.settle(Settlement::accept);
+  });
+  EXPECT_TRUE(tests::eventually([&] { return handled == messages; }, patience));
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers
