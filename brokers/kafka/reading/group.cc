@@ -18,6 +18,9 @@ constexpr std::chrono::milliseconds probe_limit{100};
 constexpr std::chrono::milliseconds committed_limit{3000};
 constexpr std::chrono::milliseconds handler_limit{1000};  // for handlers of partitions that leave
 constexpr std::chrono::milliseconds commit_period{100};
+constexpr std::chrono::milliseconds last_commit_limit{3000};  // a group that is just changing refuses it for so long
+constexpr std::chrono::milliseconds last_commit_pause{50};
+constexpr std::chrono::milliseconds leave_limit{5000};  // then the server finds out for itself
 constexpr std::size_t most_complaints = 100;
 constexpr std::chrono::milliseconds usual_session{6000};  // the shortest that servers allow unless told otherwise
 
@@ -93,7 +96,7 @@ std::chrono::milliseconds Group::serve() {
     return std::chrono::milliseconds(0);
   }
   const Instant now = clock_.now();
-  if (closing_) return std::chrono::milliseconds(20);
+  if (closing_) return serve_closing(now);
   follow_subscriptions(now);
   commit_settled(now);
   return time_to_sleep(now);
@@ -123,7 +126,9 @@ void Group::start_client() {
 
 void Group::end_client() {
   if (!client_) return;
-  leave(assigned_, false);
+  stop_reading(assigned_);
+  assigned_.clear();
+  unsaved_.clear();
   reader_->set_connected(*member_, false);
   connected_ = false;
   subscribed_.clear();
@@ -138,9 +143,33 @@ void Group::watch(const Queue& queue) const {
   rd_kafka_queue_io_event_enable(queue.get(), wake_.descriptor(), &one, sizeof(one));
 }
 
-void Group::close() {
-  closing_ = true;
-  if (!client_) return;
+std::chrono::milliseconds Group::serve_closing(Instant now) {
+  if (close_by_ == Instant{}) {
+    stop_reading(assigned_);
+    close_by_ = now + last_commit_limit;
+  }
+  if (leaving_) {
+    if (now < close_by_) return std::chrono::milliseconds(20);
+    logger.warn("group {}: its server does not let this member go; the group waits {} ms for it", member_->name,
+                session_.count());
+    end_client();
+    return std::chrono::milliseconds(0);
+  }
+  // While the group changes a commit is refused; the members that stay take part until that is over.
+  const bool may_commit = connected_ && rd_kafka_assignment_lost(client_->get()) == 0;
+  const rd_kafka_resp_err_t error = may_commit ? commit_unsaved(assigned_) : RD_KAFKA_RESP_ERR__STATE;
+  if (error != RD_KAFKA_RESP_ERR_NO_ERROR && may_commit && now < close_by_) return last_commit_pause;
+  warn_of_unsaved(error);
+  leave_group();
+  close_by_ = now + leave_limit;
+  return std::chrono::milliseconds(0);
+}
+
+void Group::leave_group() {
+  leaving_ = true;
+  // A subscription that waits for the end of a rebalance would outlive the closing of librdkafka 2.0.2: an assertion
+  // there, or a member that joins again for ever. Unsubscribing takes it back.
+  rd_kafka_unsubscribe(client_->get());
   // The library hands on its last events by way of a queue that is not its own.
   Queue last(rd_kafka_queue_new(client_->get()));
   watch(last);
@@ -302,8 +331,8 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
     entry.offset = progress.start() >= 0                 ? progress.start()
                    : error == RD_KAFKA_RESP_ERR_NO_ERROR ? RD_KAFKA_OFFSET_BEGINNING
                                                          : RD_KAFKA_OFFSET_STORED;
-    reader_->assigned(std::make_shared<Feed>(reader_, member_, client_, key, std::move(progress)));
     assigned_.insert(key);
+    if (!closing_) reader_->assigned(std::make_shared<Feed>(reader_, member_, client_, key, std::move(progress)));
   }
   if (cooperative()) {
     check(rd_kafka_incremental_assign(client_->get(), list.get()), "take partitions");
@@ -315,7 +344,12 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
 void Group::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
   std::set<PartitionKey> keys;
   for (const auto& entry : entries(partitions)) keys.emplace(entry.topic, entry.partition);
-  leave(keys, connected_ && rd_kafka_assignment_lost(client_->get()) == 0);
+  stop_reading(keys);
+  if (connected_ && rd_kafka_assignment_lost(client_->get()) == 0) warn_of_unsaved(commit_unsaved(keys));
+  for (const PartitionKey& key : keys) {
+    assigned_.erase(key);
+    unsaved_.erase(key);
+  }
   if (cooperative()) {
     check(rd_kafka_incremental_unassign(client_->get(), &partitions), "give partitions back");
   } else {
@@ -323,15 +357,29 @@ void Group::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
   }
 }
 
-void Group::leave(const std::set<PartitionKey>& keys, bool commit) {
-  const std::vector<CommitOf> commits = reader_->leave(*member_, keys, handler_limit);
-  for (const PartitionKey& key : std::set<PartitionKey>(keys)) assigned_.erase(key);
-  if (!commit || commits.empty()) return;
-  const rd_kafka_resp_err_t error = rd_kafka_commit(client_->get(), list_of(commits).get(), 0);
-  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) {
-    logger.warn("group {}: cannot commit what was read: {}; the next reader gets some of it again", member_->name,
-                rd_kafka_err2str(error));
+void Group::stop_reading(const std::set<PartitionKey>& keys) {
+  for (CommitOf& commit : reader_->leave(*member_, keys, handler_limit)) {
+    unsaved_[commit.key] = std::move(commit.committed);
   }
+}
+
+rd_kafka_resp_err_t Group::commit_unsaved(const std::set<PartitionKey>& keys) {
+  std::vector<CommitOf> commits;
+  for (const auto& [key, committed] : unsaved_) {
+    if (keys.contains(key)) commits.push_back({key, committed});
+  }
+  if (commits.empty()) return RD_KAFKA_RESP_ERR_NO_ERROR;
+  const rd_kafka_resp_err_t error = rd_kafka_commit(client_->get(), list_of(commits).get(), 0);
+  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
+    for (const CommitOf& commit : commits) unsaved_.erase(commit.key);
+  }
+  return error;
+}
+
+void Group::warn_of_unsaved(rd_kafka_resp_err_t error) const {
+  if (error == RD_KAFKA_RESP_ERR_NO_ERROR || unsaved_.empty()) return;
+  logger.warn("group {}: cannot commit what was read: {}; the next reader gets some of it again", member_->name,
+              rd_kafka_err2str(error));
 }
 
 void Group::commit_settled(Instant now) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <map>
 #include <memory>
 #include <set>
 #include <string>
@@ -33,8 +34,9 @@ class Group {
   const std::shared_ptr<Member>& member() const { return member_; }
   /// Does what is due; waits a second or so when servers do not answer. \return how long nothing is due
   std::chrono::milliseconds serve();
-  /// Begins to leave the group; go on with serve() until closed().
-  void close();
+  /// Begins to leave the group, after a last commit; go on with serve() until closed(), which takes some seconds at
+  /// most.
+  void close() { closing_ = true; }
   bool closed() const;
 
  private:
@@ -49,8 +51,12 @@ class Group {
   void on_revoke(const rd_kafka_topic_partition_list_t& partitions);
   void on_topics(rd_kafka_event_t* event);
   void follow_subscriptions(Instant now);
-  void leave(const std::set<PartitionKey>& keys, bool commit);
+  void stop_reading(const std::set<PartitionKey>& keys);
+  rd_kafka_resp_err_t commit_unsaved(const std::set<PartitionKey>& keys);
+  void warn_of_unsaved(rd_kafka_resp_err_t error) const;
   void commit_settled(Instant now);
+  std::chrono::milliseconds serve_closing(Instant now);
+  void leave_group();
   bool cooperative() const;
 
   const KafkaOptions& options_;
@@ -69,14 +75,17 @@ class Group {
   bool closing_ = false;
   std::string last_error_;
   std::set<PartitionKey> assigned_;
-  std::set<std::string> made_;        ///< topics that were asked for with success
-  std::set<std::string> there_;       ///< those of them that servers tell of
-  std::set<std::string> subscribed_;  ///< what the group was told
-  std::vector<std::string> asked_;    ///< topics of the one request that is under way
-  std::set<std::string> complaints_;  ///< those that were logged
+  std::map<PartitionKey, Committed> unsaved_;  ///< to commit, of assigned partitions that are not read any more
+  std::set<std::string> made_;                 ///< topics that were asked for with success
+  std::set<std::string> there_;                ///< those of them that servers tell of
+  std::set<std::string> subscribed_;           ///< what the group was told
+  std::vector<std::string> asked_;             ///< topics of the one request that is under way
+  std::set<std::string> complaints_;           ///< those that were logged
   Instant ask_topics_at_{};
   Instant commit_at_{};
   Instant start_at_{};
+  bool leaving_ = false;  ///< closing, and the last commit was made or given up
+  Instant close_by_{};    ///< closing: until then the last commit may take, later how long leaving may
   Backoff topic_backoff_{std::chrono::milliseconds(20), std::chrono::milliseconds(2000)};
 };
 

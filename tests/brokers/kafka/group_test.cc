@@ -120,6 +120,27 @@ TEST_F(KafkaGroup, PartitionsMoveToAReaderThatComesAndBackWhenItGoes) {
   EXPECT_EQ(total, 2400U);
 }
 
+TEST_F(KafkaGroup, LetsAMemberGoWhileItIsStillToldOfTopics) {
+  constexpr std::size_t topics = 4;
+  Inbox inbox;
+  for (std::size_t round = 0; round < 5 * topics; ++round) {
+    auto goes = this->broker();
+    std::vector<std::unique_ptr<Subscription>> all;
+    for (std::size_t number = 0; number < topics; ++number) {
+      Topic another = topic();
+      another.name += std::to_string(number);
+      all.push_back(goes->subscribe(another, readers(), inbox.handler()));
+    }
+    // The group changes for each topic as it is told of it: a member leaves amid that, at different moments.
+    ASSERT_TRUE(becomes_active(*all[round % topics]));
+    const auto gone = std::async(std::launch::async, [&] {
+      all.clear();
+      goes.reset();
+    });
+    ASSERT_EQ(gone.wait_for(patience), std::future_status::ready) << "it does not come back from its group";
+  }
+}
+
 TEST_F(KafkaGroup, AMemberHasAllPartitionsOfATopicThatItAloneReadsWhateverItsGroupReadsElse) {
   const auto one = this->broker(4);
   const auto other = this->broker(4);
