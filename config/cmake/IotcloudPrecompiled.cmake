@@ -1,5 +1,5 @@
-# Precompiled headers, for presets that compile everything anew: parsing headers is a third of their time. The preset
-# `release` does without, so a source that forgets an include does not build there.
+# Precompiled headers: parsing headers is a third of the time to compile. In the preset `release` the rooms do without,
+# so one of their sources that forgets an include does not build there.
 #   iotcloud_precompiled(TARGET rooms|tests)
 # Code of a library and of a program is compiled with different flags (-fPIC, -fPIE), so there is one header for each.
 set(_iotcloud_precompiled_rooms
@@ -8,7 +8,7 @@ set(_iotcloud_precompiled_rooms
 set(_iotcloud_precompiled_tests ${_iotcloud_precompiled_rooms} <filesystem> <fstream> <future> <gmock/gmock.h> <gtest/gtest.h>)
 
 function(iotcloud_precompiled target kind)
-  if(NOT IOTCLOUD_PRECOMPILE)
+  if(NOT kind IN_LIST IOTCLOUD_PRECOMPILE)
     return()
   endif()
   set(header iotcloud_precompiled_${kind})
@@ -16,7 +16,7 @@ function(iotcloud_precompiled target kind)
     file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/${header}.cc CONTENT "")
     if(kind STREQUAL tests)
       add_executable(${header} EXCLUDE_FROM_ALL ${PROJECT_BINARY_DIR}/${header}.cc)
-      target_link_libraries(${header} PRIVATE GTest::gmock_main)
+      target_link_libraries(${header} PRIVATE iotcloud_test_options GTest::gmock_main)
     else()
       add_library(${header} STATIC EXCLUDE_FROM_ALL ${PROJECT_BINARY_DIR}/${header}.cc)
     endif()

@@ -73,7 +73,7 @@ function(iotcloud_test)
     set(arg_TIMEOUT 120)
   endif()
   add_executable(${arg_NAME} ${arg_SOURCES})
-  _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} GTest::gmock_main)
+  _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} iotcloud_test_options GTest::gmock_main)
   iotcloud_precompiled(${arg_NAME} tests)
   # Test sources may share helpers of their own folder tree: <iotcloud/tests/...>. Scripts that they run stand here:
   target_compile_definitions(${arg_NAME} PRIVATE IOTCLOUD_TEST_SERVERS="${PROJECT_SOURCE_DIR}/tests/servers"
