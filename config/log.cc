@@ -1,15 +1,28 @@
+#include <atomic>
 #include <memory>
 #include <string>
 
+#include <nlohmann/json.hpp>
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/log_settings.h>
 
 namespace iotcloud::config {
 
 namespace {
+
+constexpr const char* text_pattern = "%Y-%m-%dT%H:%M:%S.%e %^%-5l%$ %v";
+constexpr const char* json_pattern = R"({"time":"%Y-%m-%dT%H:%M:%S.%e%z","level":"%l",%v})";
+
+std::atomic<LogFormat> line_format{LogFormat::text};
+
+/// As a JSON string, quotes included. Bytes that are no UTF-8 are replaced.
+std::string quoted(std::string_view text) {
+  return nlohmann::json(text).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+}
 
 spdlog::level::level_enum to_spdlog(LogLevel level) {
   switch (level) {
@@ -31,7 +44,7 @@ spdlog::logger& sink() {
   // Never destroyed: threads may still log while the process ends.
   static spdlog::logger& logger = *[] {
     auto made = new spdlog::logger("iotcloud", std::make_shared<spdlog::sinks::stderr_sink_mt>());
-    made->set_pattern("%Y-%m-%dT%H:%M:%S.%e %^%-5l%$ %v");
+    made->set_pattern(text_pattern);
     made->set_level(spdlog::level::info);
     made->flush_on(spdlog::level::debug);
     return made;
@@ -43,13 +56,22 @@ spdlog::logger& sink() {
 
 void log_line(LogLevel level, std::string_view part, std::string_view text) noexcept {
   try {
-    sink().log(to_spdlog(level), "{}: {}", part, text);
+    if (line_format == LogFormat::json) {
+      sink().log(to_spdlog(level), R"("part":{},"text":{})", quoted(part), quoted(text));
+    } else {
+      sink().log(to_spdlog(level), "{}: {}", part, text);
+    }
   } catch (...) {  // a line that cannot be written must not stop the one who speaks
   }
 }
 
 void set_log_level(LogLevel level) {
   sink().set_level(to_spdlog(level));
+}
+
+void set_log_format(LogFormat format) {
+  sink().set_pattern(format == LogFormat::json ? json_pattern : text_pattern);
+  line_format = format;
 }
 
 LogLevel log_level() {

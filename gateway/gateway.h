@@ -8,7 +8,7 @@
 #include <vector>
 
 #include <iotcloud/config/clock.h>
-#include <iotcloud/config/daemon.h>
+#include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/gateway/fleet/host_fleet.h>

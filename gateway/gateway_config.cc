@@ -1,6 +1,7 @@
 #include <filesystem>
 
 #include <iotcloud/brokers/broker_setting.h>
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/gateway/gateway_config.h>
@@ -116,6 +117,7 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
     config.metrics_address = metrics->require_string("address");
     metrics->finish();
   }
+  config::read_log_settings(file);  // the frame of the daemons applies them
   file.finish();
   return config;
 }

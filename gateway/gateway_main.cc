@@ -2,7 +2,7 @@
 #include <memory>
 #include <optional>
 
-#include <iotcloud/config/daemon.h>
+#include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/processes/state_folder.h>
@@ -24,7 +24,6 @@ class GatewayDaemon final : public config::Service {
       config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
       of_hosts_ = config::process_metrics().add_source(
           [hosts = config_.hosts.metrics](std::vector<config::Sample>& samples) { hosts->append(samples); });
-      metrics_.emplace(config_.metrics_address, config::process_metrics());
     }
     registry_ = discovery::make_registry(config_.registry);
     auto options = config_.gateway;
@@ -34,13 +33,20 @@ class GatewayDaemon final : public config::Service {
     gateway_.emplace(std::move(options));
     gateway_->start();
     service_.emplace(config_.thrift, *gateway_, *registry_, config_.gateway.paths);
+    if (!config_.metrics_address.empty())
+      metrics_.emplace(config_.metrics_address, config::process_metrics(), [this] { return trouble(); });
   }
 
   void stop(std::chrono::milliseconds limit) override {
+    metrics_.reset();
     gateway_->stop(limit - thrift_share);
     service_.reset();
     gateway_.reset();
     registry_.reset();
+  }
+
+  std::string trouble() const override {
+    return registry_->session() == discovery::SessionState::connected ? "" : "the registry is away";
   }
 
  private:

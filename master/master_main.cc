@@ -1,4 +1,4 @@
-#include <iotcloud/config/daemon.h>
+#include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/master/master_service.h>
 
 int main(int argc, char** argv) {

@@ -7,6 +7,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/records.h>
@@ -77,11 +78,17 @@ class MasterService final : public config::Service {
     gateways_ = std::make_unique<ThriftServer>(
         gateways, serve_original_gateways(*original_, [this] { return master_->status(); }));
     if (!config_.metrics_address.empty())
-      metrics_ = std::make_unique<config::MetricsEndpoint>(config_.metrics_address, config::process_metrics());
+      metrics_ = std::make_unique<config::MetricsEndpoint>(config_.metrics_address, config::process_metrics(),
+                                                           [this] { return trouble(); });
     logger.info("{}: API on {}:{}, registry {}", config_.id, api.host, api_->port(), config_.registry.url);
   }
 
   void stop(milliseconds) override { end(); }
+  std::string trouble() const override {
+    const MasterStatus status = master_->status();
+    if (status.registry_away) return "the registry is away";
+    return status.leading || !status.leader.empty() ? "" : "no master leads";
+  }
   ~MasterService() override { end(); }  // start() may have thrown half way
 
  private:
@@ -138,6 +145,7 @@ MasterDaemonConfig load_master_config(const std::string& file) {
         orders->choice_or("for_lost_gateways", "record", {"record", "refuse"}) == "record";
     orders->finish();
   }
+  config::read_log_settings(top);  // the frame of the daemons applies them
   top.finish();
   return config;
 }

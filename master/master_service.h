@@ -4,7 +4,7 @@
 #include <memory>
 #include <string>
 
-#include <iotcloud/config/daemon.h>
+#include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/discovery/registry.h>
 
 namespace iotcloud::master {

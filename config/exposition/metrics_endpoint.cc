@@ -1,9 +1,11 @@
 #include <map>
+#include <utility>
 
 #include <prometheus/client_metric.h>
 #include <prometheus/metric_family.h>
 #include <prometheus/text_serializer.h>
 
+#include <iotcloud/config/exposition/health_page.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
 
 namespace iotcloud::config {
@@ -63,7 +65,8 @@ HttpHandler metrics_page(const Metrics& metrics) {
   };
 }
 
-MetricsEndpoint::MetricsEndpoint(const std::string& address, const Metrics& metrics)
-    : server_(address, {{"/metrics", metrics_page(metrics)}}) {}
+MetricsEndpoint::MetricsEndpoint(const std::string& address, const Metrics& metrics,
+                                 std::function<std::string()> trouble)
+    : server_(address, {{"/metrics", metrics_page(metrics)}, {"/healthz", health_page(std::move(trouble))}}) {}
 
 }  // namespace iotcloud::config

@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """The frame of the daemons, from outside: usage: daemon_test.py TINY_DAEMON"""
 
+import json
 import os
 import signal
 import socket
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import unittest
+import urllib.error
 import urllib.request
 
 PROGRAM = sys.argv.pop(1)
@@ -27,8 +29,9 @@ class Daemon(unittest.TestCase):
     def run_to_end(self, *words):
         return subprocess.run([PROGRAM, *words], capture_output=True, text=True, timeout=30)
 
-    def start(self, text):
-        daemon = subprocess.Popen([PROGRAM, "--config", self.config(text)], stderr=subprocess.PIPE, text=True)
+    def start(self, text, **environment):
+        daemon = subprocess.Popen([PROGRAM, "--config", self.config(text)], stderr=subprocess.PIPE, text=True,
+                                  env={**os.environ, **environment})
         self.addCleanup(daemon.stderr.close)
         self.addCleanup(daemon.wait)
         self.addCleanup(daemon.kill)
@@ -38,7 +41,7 @@ class Daemon(unittest.TestCase):
     def await_line(self, daemon, word):
         for line in daemon.stderr:
             if word in line:
-                return
+                return line
         self.fail(f'"{word}" was never logged; status {daemon.wait()}')
 
     def test_help_and_version_are_printed(self):
@@ -83,10 +86,65 @@ class Daemon(unittest.TestCase):
         self.assertEqual(daemon.wait(30), 1)
         self.assertNotIn("did not stop within its limit", daemon.stderr.read())
 
-    def test_metrics_are_served_in_the_text_format(self):
+    def free_port(self):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
+            return probe.getsockname()[1]
+
+    def test_sighup_reads_how_to_log_again(self):
+        daemon = self.start("log: {level: info}")
+        self.config("log: {format: json}")
+        daemon.send_signal(signal.SIGHUP)
+        line = json.loads(self.await_line(daemon, "SIGHUP received"))
+        self.assertEqual((line["level"], line["part"]), ("info", "tiny-daemon"))
+        daemon.send_signal(signal.SIGTERM)
+        self.assertEqual(daemon.wait(30), 0)
+
+    def test_sighup_with_a_file_that_is_wrong_changes_nothing(self):
+        daemon = self.start("log: {level: info}")
+        self.config("log: {level: loud}")
+        daemon.send_signal(signal.SIGHUP)
+        self.assertRegex(self.await_line(daemon, "nothing changes"), r"tiny\.yaml:1:\d+: log\.level")
+        daemon.send_signal(signal.SIGTERM)
+        self.await_line(daemon, "stopping")  # still on level info
+
+    def test_options_go_before_the_file(self):
+        done = self.run_to_end("--config", self.config("log: {format: text}\na: 1"), "--log-format", "xml")
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("use text or json", done.stderr)
+        path = self.config(f'metrics: "127.0.0.1:{self.free_port()}"\nlog: {{format: text}}')
+        daemon = subprocess.Popen([PROGRAM, "--config", path, "--log-format", "json"], stderr=subprocess.PIPE, text=True)
+        self.addCleanup(daemon.stderr.close)
+        self.addCleanup(daemon.wait)
+        self.addCleanup(daemon.kill)
+        self.assertEqual(json.loads(daemon.stderr.readline())["text"], "ready")
+
+    def test_systemd_is_told_how_it_goes(self):
+        manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.addCleanup(manager.close)
+        manager.bind(os.path.join(self.directory.name, "notify"))
+        manager.settimeout(30)
+        daemon = self.start("trouble: a wheel is loose", NOTIFY_SOCKET=manager.getsockname(), WATCHDOG_USEC="200000")
+        self.assertIn("READY=1", manager.recv(1000).decode())
+        for _ in range(3):  # one would do for READY, not for a watchdog
+            self.assertEqual(manager.recv(1000).decode(), "WATCHDOG=1\nSTATUS=running; a wheel is loose")
+        daemon.send_signal(signal.SIGTERM)
+        while "STOPPING=1" not in (said := manager.recv(1000).decode()):
+            self.assertIn("WATCHDOG=1", said)
+
+    def test_health_is_a_page_of_its_own(self):
+        port = self.free_port()
+        self.start(f'metrics: "127.0.0.1:{port}"')
+        self.assertEqual(urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=10).read(), b"ok\n")
+        port = self.free_port()
+        self.start(f'metrics: "127.0.0.1:{port}"\ntrouble: a wheel is loose')
+        with self.assertRaises(urllib.error.HTTPError) as answer:
+            urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=10)
+        self.assertEqual(answer.exception.code, 503)
+        self.assertEqual(answer.exception.read(), b"a wheel is loose\n")
+
+    def test_metrics_are_served_in_the_text_format(self):
+        port = self.free_port()
         self.start(f'metrics: "127.0.0.1:{port}"')
         text = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10).read().decode()
         self.assertIn('tiny_total{kind="a"} 3', text)

@@ -1,10 +1,12 @@
 #include <chrono>
 #include <memory>
 #include <optional>
+#include <string>
 #include <thread>
 
-#include <iotcloud/config/daemon.h>
+#include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/yaml.h>
 
 namespace {
@@ -20,19 +22,23 @@ class TinyService : public Service {
     auto top = Section::load_file(file);
     stop_ = top.choice_or("stop", "at once", {"at once", "hang"});
     metrics_ = top.optional_string("metrics");
+    trouble_ = top.string_or("trouble", "");
+    iotcloud::config::read_log_settings(top);
     top.finish();
   }
   void start() override {
     iotcloud::config::process_metrics().counter("tiny_total", "Tiny things", {{"kind", "a"}}).add(3);
     iotcloud::config::process_metrics().histogram("tiny_seconds", "Tiny times").record_ns(2'000'000);
-    if (metrics_) endpoint_.emplace(*metrics_, iotcloud::config::process_metrics());
+    if (metrics_) endpoint_.emplace(*metrics_, iotcloud::config::process_metrics(), [this] { return trouble(); });
   }
   void stop(std::chrono::milliseconds) override {
     while (stop_ == "hang") std::this_thread::yield();
   }
+  std::string trouble() const override { return trouble_; }
 
  private:
   std::string stop_;
+  std::string trouble_;
   std::optional<std::string> metrics_;
   std::optional<MetricsEndpoint> endpoint_;
 };

@@ -3,6 +3,7 @@
 #include <tuple>
 
 #include <iotcloud/brokers/broker_setting.h>
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/definition/read_endpoint.h>
@@ -260,6 +261,7 @@ TopologyDefinition read(Section root, const std::string& file) {
     definition.metrics_address = metrics->require_string("address");
     metrics->finish();
   }
+  config::read_log_settings(root);  // the frame of the daemons applies them
   const auto names = broker_names(definition.brokers);
   for (auto& [id, section] : root.sections("spouts")) definition.spouts.push_back(read_spout(id, section, names));
   for (auto& [id, section] : root.sections("bolts")) definition.bolts.push_back(read_bolt(id, section, names));

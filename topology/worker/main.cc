@@ -1,3 +1,4 @@
+#include <atomic>
 #include <csignal>
 #include <cstdio>
 #include <filesystem>
@@ -8,7 +9,8 @@
 
 #include <unistd.h>
 
-#include <iotcloud/config/daemon.h>
+#include <iotcloud/config/daemon/daemon.h>
+#include <iotcloud/config/exposition/health_page.h>
 #include <iotcloud/config/exposition/http_server.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
 #include <iotcloud/topology/worker/check.h>
@@ -30,7 +32,7 @@ std::string pages_address(const topology::TopologyDefinition& definition) {
       "127.0.0.1:9406; from elsewhere use a tunnel, for example ssh -L 9406:127.0.0.1:9406 HOST");
 }
 
-/// The worker and its pages: /metrics for Prometheus, /topology and /tap for `iotcloud topology`.
+/// The worker and its pages: /metrics for Prometheus, /healthz, /topology and /tap for `iotcloud topology`.
 class WorkerService final : public config::Service {
  public:
   explicit WorkerService(topology::WorkerOptions options)
@@ -38,12 +40,15 @@ class WorkerService final : public config::Service {
   void start() override {
     pages_.emplace(address_, std::map<std::string, config::HttpHandler>{
                                  {"/metrics", config::metrics_page(config::process_metrics())},
+                                 {"/healthz", config::health_page([this] { return trouble(); })},
                                  {"/topology", [this](const auto&) { return describe(); }},
                                  {"/tap", [this](const auto& request) { return tap(request); }}});
     worker_.show_http_address(pages_->address());
     worker_.start();
+    started_ = true;
   }
   void stop(std::chrono::milliseconds limit) override { worker_.stop(limit); }
+  std::string trouble() const override { return started_ ? worker_.trouble() : "starting"; }
 
  private:
   config::HttpAnswer describe() const { return {200, "application/json", worker_.describe()}; }
@@ -69,6 +74,7 @@ class WorkerService final : public config::Service {
 
   const std::string address_;
   topology::Worker worker_;
+  std::atomic<bool> started_{false};
   std::optional<config::HttpServer> pages_;  ///< goes first: it asks the worker
 };
 

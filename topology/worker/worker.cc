@@ -220,6 +220,10 @@ void Worker::stop(std::chrono::milliseconds limit) {
   impl_->stop(limit);
 }
 
+std::string Worker::trouble() const {
+  return impl_->options.registry->session() == discovery::SessionState::connected ? "" : "the registry is away";
+}
+
 void Worker::show_http_address(std::string address) {
   impl_->http_address = std::move(address);
 }

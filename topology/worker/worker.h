@@ -7,7 +7,7 @@
 #include <vector>
 
 #include <iotcloud/config/clock.h>
-#include <iotcloud/config/daemon.h>
+#include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
@@ -51,6 +51,7 @@ class Worker final : public config::Service {
   void start() override;
   /// Takes nothing in any more, lets what is under way finish, leaves the registry.
   void stop(std::chrono::milliseconds limit) override;
+  std::string trouble() const override;
 
   /// Before start(): where this worker's pages are, for its record. \param address "127.0.0.1:port"
   void show_http_address(std::string address);

@@ -1,3 +1,4 @@
+#include <cerrno>
 #include <condition_variable>
 #include <cstdio>
 #include <cstdlib>
@@ -9,9 +10,11 @@
 #include <signal.h>
 #include <unistd.h>
 
-#include <iotcloud/config/daemon.h>
+#include "iotcloud/config/daemon/service_manager.h"
+#include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/memory.h>
 #include <iotcloud/config/version.h>
 
@@ -21,12 +24,34 @@ namespace {
 
 enum ExitStatus { exit_ok = 0, exit_failed = 1, exit_usage = 2 };
 
-sigset_t stop_signals() {
+sigset_t awaited_signals() {
   sigset_t set;
   sigemptyset(&set);
   sigaddset(&set, SIGTERM);
   sigaddset(&set, SIGINT);
+  sigaddset(&set, SIGHUP);
   return set;
+}
+
+/// \param limit zero: none. \return the signal; 0: none came in time.
+int await_signal(const sigset_t& signals, std::chrono::microseconds limit) {
+  for (;;) {
+    const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(limit);
+    const timespec wait{seconds.count(), std::chrono::nanoseconds(limit - seconds).count()};
+    const int received = limit.count() > 0 ? sigtimedwait(&signals, nullptr, &wait) : sigwaitinfo(&signals, nullptr);
+    if (received > 0) return received;
+    if (errno == EAGAIN) return 0;  // otherwise EINTR: a debugger, say
+  }
+}
+
+/// What SIGHUP asks for. A file that is wrong changes nothing.
+void read_again(const std::string& file, const Logger& log) {
+  try {
+    apply(load_log_settings(file));
+    log.info("SIGHUP received: read the section \"log\" of {} again; the rest of it takes a restart", file);
+  } catch (const std::exception& error) {
+    log.error("SIGHUP received, and nothing changes: {}", error.what());
+  }
 }
 
 /// Ends the process when stopping takes longer than it may: what hangs cannot be asked to end.
@@ -61,24 +86,28 @@ void end_at_second_signal() {
   action.sa_handler = [](int) { _exit(exit_failed); };
   sigaction(SIGTERM, &action, nullptr);
   sigaction(SIGINT, &action, nullptr);
-  const sigset_t set = stop_signals();
+  sigset_t set = awaited_signals();
+  sigdelset(&set, SIGHUP);
   pthread_sigmask(SIG_UNBLOCK, &set, nullptr);
 }
 
 }  // namespace
 
 int run_daemon(int argc, char** argv, const DaemonOptions& options) {
-  const sigset_t signals = stop_signals();
+  const sigset_t signals = awaited_signals();
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   signal(SIGPIPE, SIG_IGN);
   keep_freed_memory();
 
   CLI::App app{options.description, options.name};
-  std::string file, level = "info";
+  std::string file, level, format;
   bool check_only = false;
   app.add_option("--config", file, "the configuration file (YAML)")->required();
   app.add_flag("--check-config", check_only, "read and check the configuration, say what is wrong, and end");
-  app.add_option("--log-level", level, "debug, info, warn, error or off")->default_val(level);
+  app.add_option("--log-level", level,
+                 "debug, info, warn, error or off; without it what the file says (log: {level: ...}), or info");
+  app.add_option("--log-format", format,
+                 "text, or json: an object on each line; without it what the file says (log: {format: ...}), or text");
   app.set_version_flag("--version", options.name + " " + version);
   try {
     app.parse(argc, argv);
@@ -89,7 +118,10 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   const Logger log{options.name};
   std::unique_ptr<Service> service;
   try {
-    set_log_level(parse_log_level(level));
+    LogSettings settings = load_log_settings(file);
+    if (!level.empty()) settings.level = parse_log_level(level);
+    if (!format.empty()) settings.format = parse_log_format(format);
+    apply(settings);
     service = options.build(file);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "%s: %s\n", options.name.c_str(), e.what());
@@ -100,6 +132,7 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
     return exit_ok;
   }
 
+  const ServiceManager manager;
   try {
     service->start();
   } catch (const std::exception& e) {
@@ -107,8 +140,20 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
     return exit_failed;
   }
   log.info("ready");
+  manager.ready();
   int received = 0;
-  sigwait(&signals, &received);
+  while (received == 0 || received == SIGHUP) {
+    received = await_signal(signals, manager.period());
+    if (received == 0) {
+      const std::string trouble = service->trouble();
+      manager.alive(trouble.empty() ? "running" : "running; " + trouble);
+    } else if (received == SIGHUP) {
+      manager.reloading();
+      read_again(file, log);
+      manager.ready();
+    }
+  }
+  manager.stopping();
   log.info("{} received, stopping", received == SIGTERM ? "SIGTERM" : "SIGINT");
   end_at_second_signal();
 

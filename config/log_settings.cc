@@ -1,0 +1,34 @@
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/log_settings.h>
+
+namespace iotcloud::config {
+
+LogFormat parse_log_format(std::string_view name) {
+  if (name == "text") return LogFormat::text;
+  if (name == "json") return LogFormat::json;
+  throw ConfigError({}, "log format", "\"" + std::string(name) + "\" is none", "use text or json");
+}
+
+LogSettings read_log_settings(Section& top) {
+  LogSettings settings;
+  auto log = top.optional_section("log");
+  if (!log) return settings;
+  if (log->has("level")) {
+    settings.level = parse_log_level(log->require_choice("level", {"debug", "info", "warn", "error", "off"}));
+  }
+  if (log->has("format")) settings.format = parse_log_format(log->require_choice("format", {"text", "json"}));
+  log->finish();
+  return settings;
+}
+
+LogSettings load_log_settings(const std::string& file) {
+  Section top = Section::load_file(file);
+  return read_log_settings(top);
+}
+
+void apply(const LogSettings& settings) {
+  if (settings.level) set_log_level(*settings.level);
+  if (settings.format) set_log_format(*settings.format);
+}
+
+}  // namespace iotcloud::config
