@@ -92,7 +92,7 @@ Json to_json(const TSensor& driver) {
     channels.push_back({{"name", channel.name},
                         {"direction", channel.direction == TDirection::OUT ? "out" : "in"},
                         {"broker", channel.transport},
-                        {"broker_url", channel.brokerUrl},
+                        {"broker_url", without_password(channel.brokerUrl)},
                         {"shared", channel.grouped},
                         {"properties", channel.properties}});
   }

@@ -47,15 +47,6 @@ Json to_json(const wire::TDriverHistory& history) {
   return changes;
 }
 
-/// For people's eyes: a broker's URL without the password in it.
-std::string without_password(const std::string& url) {
-  const auto scheme = url.find("://");
-  const auto at = url.rfind('@');
-  if (scheme == std::string::npos || at == std::string::npos) return url;
-  const auto colon = url.find(':', scheme + 3);
-  return colon < at ? url.substr(0, colon + 1) + "***" + url.substr(at) : url;
-}
-
 /// \return the exit status.
 int name_silent(const wire::TDriverHistory& history, std::ostream& err) {
   for (const auto& [gateway, why] : history.silent) {

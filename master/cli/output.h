@@ -27,4 +27,7 @@ std::string age(std::int64_t since_ms, std::int64_t now_ms);
 /// For people's eyes: control characters of what others wrote cannot steer the terminal.
 std::string printable(const std::string& text);
 
+/// A broker's URL with *** for the password in it.
+std::string without_password(const std::string& url);
+
 }  // namespace iotcloud::master::cli

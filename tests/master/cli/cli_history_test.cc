@@ -83,6 +83,7 @@ TEST_F(CliHistory, DescribeShowsTheRecordTheChannelsAndEveryChangeWithTimeAndRea
   EXPECT_EQ(json["instance"], id);
   ASSERT_EQ(json["history"].size(), 1u);
   EXPECT_EQ(json["history"][0]["state"], "starting");
+  EXPECT_THAT(json.dump(), AllOf(HasSubstr("amqp://robot:***@"), Not(HasSubstr("secret"))));
 }
 
 TEST_F(CliHistory, HistoryHasThoseThatAreGoneAndIsInTheOrderOfTime) {
