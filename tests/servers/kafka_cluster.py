@@ -28,53 +28,27 @@ import struct
 import time
 
 import kafka
+import nodes
 import private_server
 
 SMALL = ["-Xms64m", "-Xmx256m", "-XX:TieredStopAtLevel=1"]
 LEADER_LIMIT_S = 30
 
 
-class KafkaCluster:
+class KafkaCluster(nodes.Nodes):
     def __init__(self, folder, count, partitions):
         folder = os.path.abspath(folder)
-        self.nodes = [kafka.Kafka(os.path.join(folder, "node%d" % number), 0, partitions, False, SMALL)
-                      for number in range(1, count + 1)]
+        super().__init__([kafka.Kafka(os.path.join(folder, "node%d" % number), 0, partitions, False, SMALL)
+                          for number in range(1, count + 1)])
         controllers = {number: node.controller_port for number, node in enumerate(self.nodes, 1)}
         for number, node in enumerate(self.nodes, 1):
-            node.name = "node %d" % number
             node.configure(number, controllers)
 
-    def chosen(self, number):
-        if number is None:
-            return self.nodes
-        if not number.isdigit() or not 1 <= int(number) <= len(self.nodes):
-            raise RuntimeError("there is no node %s; there are 1 to %d" % (number, len(self.nodes)))
-        return [self.nodes[int(number) - 1]]
-
     def start(self, number=None):
-        """All at once: the controllers wait for each other."""
-        nodes = [node for node in self.chosen(number) if number is not None or not node.runs()]
-        for node in nodes:
-            node.launch()
-        for node in nodes:
+        for node in self.launch(number):
             node.peers = sum(peer.runs() for peer in self.nodes)
             node.wait_until_ready()
-        return "READY " + " ".join(node.url() for node in self.nodes)
-
-    def each(self, number, action):
-        answers = [action(node) for node in self.chosen(number) if number is not None or node.runs()]
-        if not answers:
-            raise RuntimeError("the cluster does not run")
-        return answers[0]
-
-    def kill(self, number=None):
-        return self.each(number, kafka.Kafka.kill)
-
-    def pause(self, number=None):
-        return self.each(number, kafka.Kafka.pause)
-
-    def resume(self, number=None):
-        return self.each(number, kafka.Kafka.resume)
+        return "READY " + self.urls()
 
     def leader_of(self, topic):
         """The number of the living node that leads the topic's partition 0, once there is one."""
@@ -105,8 +79,8 @@ class KafkaCluster:
         return "STOPPED"
 
     def commands(self):
-        return {"kill": self.kill, "kill-leader": self.kill_leader, "start": self.start, "pause": self.pause,
-                "pause-leader": self.pause_leader, "resume": self.resume, "leader": self.leader}
+        return {**super().commands(), "kill-leader": self.kill_leader, "pause-leader": self.pause_leader,
+                "leader": self.leader}
 
 
 def main():

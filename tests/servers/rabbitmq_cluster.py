@@ -23,52 +23,26 @@ replicated is the client's choice: `x-queue-type: quorum`.
 """
 import os
 
+import nodes
 import private_server
 import rabbitmq
 
 
-class RabbitMqCluster:
+class RabbitMqCluster(nodes.Nodes):
     def __init__(self, folder, count):
         folder = os.path.abspath(folder)
         self.mapper = rabbitmq.PortMapper(folder)
-        self.nodes = [rabbitmq.RabbitMq(os.path.join(folder, "node%d" % number), mapper=self.mapper, home=folder)
-                      for number in range(1, count + 1)]
-        for number, node in enumerate(self.nodes, 1):
-            node.name = "node %d" % number
+        super().__init__([rabbitmq.RabbitMq(os.path.join(folder, "node%d" % number), mapper=self.mapper, home=folder)
+                          for number in range(1, count + 1)])
+        for node in self.nodes:
             node.peers = [peer.node_name for peer in self.nodes]
 
-    def chosen(self, number):
-        if number is None:
-            return self.nodes
-        if not number.isdigit() or not 1 <= int(number) <= len(self.nodes):
-            raise RuntimeError("there is no node %s; there are 1 to %d" % (number, len(self.nodes)))
-        return [self.nodes[int(number) - 1]]
-
     def start(self, number=None):
-        """All at once: each waits for the others."""
-        nodes = [node for node in self.chosen(number) if number is not None or not node.runs()]
-        for node in nodes:
-            node.launch()
-        for node in nodes:
+        for node in self.launch(number):
             node.wait_until_ready()
         self.nodes[0 if number is None else int(number) - 1].control(
             "await_online_nodes", str(sum(node.runs() for node in self.nodes)))
-        return "READY " + " ".join(node.url() for node in self.nodes)
-
-    def each(self, number, action):
-        answers = [action(node) for node in self.chosen(number) if number is not None or node.runs()]
-        if not answers:
-            raise RuntimeError("the cluster does not run")
-        return answers[0]
-
-    def kill(self, number=None):
-        return self.each(number, rabbitmq.RabbitMq.kill)
-
-    def pause(self, number=None):
-        return self.each(number, rabbitmq.RabbitMq.pause)
-
-    def resume(self, number=None):
-        return self.each(number, rabbitmq.RabbitMq.resume)
+        return "READY " + self.urls()
 
     def stop(self):
         """Hard: a cluster that is shut down node by node would wait for its members."""
@@ -76,9 +50,6 @@ class RabbitMqCluster:
             if node.runs():
                 node.kill()
         return self.mapper.stop()
-
-    def commands(self):
-        return {"kill": self.kill, "start": self.start, "pause": self.pause, "resume": self.resume}
 
 
 def main():

@@ -23,24 +23,23 @@ The end of stdin means `stop`. A command that fails answers `ERROR text`. `leade
 import os
 import time
 
+import nodes
 import private_server
 import zookeeper
 
 LEADER_LIMIT_S = 60
 
 
-class ZooKeeperCluster:
+class ZooKeeperCluster(nodes.Nodes):
     def __init__(self, folder, count):
         folder = os.path.abspath(folder)
         ports = private_server.free_ports(3 * count)
         members = ["server.%d=127.0.0.1:%d:%d" % (number, ports[count + number - 1], ports[2 * count + number - 1])
                    for number in range(1, count + 1)]
-        self.nodes = []
-        for number in range(1, count + 1):
-            node = zookeeper.ZooKeeper(os.path.join(folder, "node%d" % number), ports[number - 1], members)
-            node.name = "node %d" % number
+        super().__init__([zookeeper.ZooKeeper(os.path.join(folder, "node%d" % number), ports[number - 1], members)
+                          for number in range(1, count + 1)])
+        for number, node in enumerate(self.nodes, 1):
             node.write("data/myid", ["%d" % number])
-            self.nodes.append(node)
 
     def url(self):
         return "zookeeper://" + ",".join("127.0.0.1:%d" % node.port for node in self.nodes)
@@ -58,41 +57,16 @@ class ZooKeeperCluster:
             time.sleep(0.05)
         raise RuntimeError("no node leads within %d s" % LEADER_LIMIT_S)
 
-    def chosen(self, word):
-        if word is None:
-            return self.nodes
-        if word == "leader":
-            return [self.leading()]
-        if not word.isdigit() or not 1 <= int(word) <= len(self.nodes):
-            raise RuntimeError("there is no node %s; there are 1 to %d" % (word, len(self.nodes)))
-        return [self.nodes[int(word) - 1]]
+    def chosen(self, number):
+        return [self.leading()] if number == "leader" else super().chosen(number)
 
-    def start(self, word=None):
-        """All at once: each waits for the others."""
-        nodes = [node for node in self.chosen(word) if word is not None or not node.runs()]
-        for node in nodes:
-            node.launch()
-        for node in nodes:
+    def start(self, number=None):
+        for node in self.launch(number):
             node.wait_until_ready()
         return "READY " + self.url()
 
     def leader(self):
         return "LEADER %d" % (self.nodes.index(self.leading()) + 1)
-
-    def each(self, word, action):
-        answers = [action(node) for node in self.chosen(word) if word is not None or node.runs()]
-        if not answers:
-            raise RuntimeError("the ensemble does not run")
-        return answers[0]
-
-    def kill(self, word=None):
-        return self.each(word, zookeeper.ZooKeeper.kill)
-
-    def pause(self, word=None):
-        return self.each(word, zookeeper.ZooKeeper.pause)
-
-    def resume(self, word=None):
-        return self.each(word, zookeeper.ZooKeeper.resume)
 
     def stop(self):
         for node in self.nodes:
@@ -101,8 +75,7 @@ class ZooKeeperCluster:
         return "STOPPED"
 
     def commands(self):
-        return {"leader": self.leader, "kill": self.kill, "start": self.start, "pause": self.pause,
-                "resume": self.resume}
+        return {**super().commands(), "leader": self.leader}
 
 
 def main():
