@@ -22,7 +22,7 @@ std::shared_ptr<ChannelReader> ChannelReader::open(std::shared_ptr<brokers::Brok
   const std::lock_guard lock(reader->mutex_);
   reader->broker_ = std::move(broker);
   reader->subscription_ = std::move(subscription);
-  if (reader->paused_) reader->subscription_->pause();  // the handler ran before this line
+  if (reader->paused_ || reader->draining_) reader->subscription_->pause();  // the handler ran before this line
   return reader;
 }
 
@@ -47,7 +47,13 @@ void ChannelReader::pause() {
 void ChannelReader::resume() {
   const std::lock_guard lock(mutex_);
   paused_ = false;
-  if (subscription_) subscription_->resume();
+  if (subscription_ && !draining_) subscription_->resume();
+}
+
+void ChannelReader::drain() {
+  const std::lock_guard lock(mutex_);
+  draining_ = true;
+  if (subscription_) subscription_->pause();
 }
 
 void ChannelReader::close() {

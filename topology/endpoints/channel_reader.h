@@ -23,6 +23,10 @@ class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
 
   void pause();
   void resume();
+  /// Takes nothing more from the broker, and keeps the topic; until it is closed.
+  void drain();
+  /// Whether a message from here is on its way in the topology: not settled, nor given back.
+  bool has_in_hand() const { return in_hand_ > 0; }
   /// Returns when nothing comes any more (unless called from within a handler); what waits goes back to the broker.
   void close();
   bool closed() const;
@@ -44,6 +48,9 @@ class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
         inbox_(std::move(inbox)),
         fence_(std::move(fence)),
         opened_at_(fence_->count()) {}
+  friend class HeldReader;
+  void take_in_hand() { ++in_hand_; }
+  void let_go() { --in_hand_; }
   void take(brokers::Delivery delivery);
 
   const brokers::Topic topic_;
@@ -53,9 +60,11 @@ class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
   const std::shared_ptr<const Fence> fence_;
   const std::uint64_t opened_at_;  ///< the fence's count
   std::atomic<bool> said_first_{false};
+  std::atomic<std::size_t> in_hand_{0};
   mutable std::mutex mutex_;
   bool closed_ = false;                                  ///< guarded by mutex_
   bool paused_ = false;                                  ///< guarded by mutex_
+  bool draining_ = false;                                ///< guarded by mutex_
   std::vector<brokers::Delivery> withheld_;              ///< came when all was void already; guarded by mutex_
   std::shared_ptr<brokers::Broker> broker_;              ///< guarded by mutex_; outlives the subscription
   std::unique_ptr<brokers::Subscription> subscription_;  ///< guarded by mutex_; null until open() and after close()

@@ -39,7 +39,8 @@ void DeadLetters::send(Arrival arrival) {
     }
     sender = known;
   }
-  sender->box.send(std::move(letter), std::move(arrival.delivery), std::move(arrival.reader));
+  sender->box.send(std::move(letter), std::move(arrival.delivery),
+                   std::make_shared<HeldReader>(std::move(arrival.reader)));
 }
 
 void DeadLetters::drain(std::chrono::milliseconds limit) {

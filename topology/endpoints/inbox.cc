@@ -5,12 +5,26 @@
 
 namespace iotcloud::topology {
 
+HeldReader::HeldReader(std::shared_ptr<ChannelReader> reader) : reader_(std::move(reader)) {
+  if (reader_) reader_->take_in_hand();
+}
+
+HeldReader::~HeldReader() {
+  if (reader_) reader_->let_go();
+}
+
+HeldReader& HeldReader::operator=(HeldReader&& other) noexcept {
+  std::swap(reader_, other.reader_);
+  return *this;
+}
+
 void Inbox::push(Arrival arrival) {
   {
     const std::lock_guard lock(mutex_);
     if (closed_) return;
-    if (waiting_.size() + 1 >= limit_ && std::find(paused_.begin(), paused_.end(), arrival.reader) == paused_.end()) {
-      paused_.push_back(arrival.reader);
+    if (waiting_.size() + 1 >= limit_ &&
+        std::find(paused_.begin(), paused_.end(), arrival.reader.shared()) == paused_.end()) {
+      paused_.push_back(arrival.reader.shared());
       arrival.reader->pause();  // under the lock, as is resume(), so that neither overtakes the other
     }
     waiting_.push_back(std::move(arrival));
@@ -33,7 +47,8 @@ void Inbox::forget(const ChannelReader& reader) {
   std::deque<Arrival> dropped;  // given back outside the lock
   const std::lock_guard lock(mutex_);
   std::deque<Arrival> kept;
-  for (auto& arrival : waiting_) (arrival.reader.get() == &reader ? dropped : kept).push_back(std::move(arrival));
+  for (auto& arrival : waiting_)
+    (arrival.reader.shared().get() == &reader ? dropped : kept).push_back(std::move(arrival));
   waiting_ = std::move(kept);
   std::erase_if(paused_, [&](const auto& paused) { return paused.get() == &reader; });
   resume_when_half_empty();

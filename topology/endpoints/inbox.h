@@ -19,14 +19,28 @@ class ChannelReader;
 /// The help text of iotcloud_spout_rejected_total, which is counted in two places.
 inline constexpr const char* rejected_help = "Messages given up after their last try, and rejected";
 
+/// A reader that has something in hand here as long as this lives. Movable.
+class HeldReader {
+ public:
+  explicit HeldReader(std::shared_ptr<ChannelReader> reader);
+  ~HeldReader();
+  HeldReader(HeldReader&&) noexcept = default;
+  HeldReader& operator=(HeldReader&& other) noexcept;
+  ChannelReader* operator->() const { return reader_.get(); }
+  const std::shared_ptr<ChannelReader>& shared() const { return reader_; }
+
+ private:
+  std::shared_ptr<ChannelReader> reader_;  ///< null: moved from
+};
+
 /// A message on its way from a channel into the topology.
 struct Arrival {
   Arrival(brokers::Delivery received, std::shared_ptr<ChannelReader> from)
-      : delivery(std::move(received)), reader(std::move(from)) {}
+      : reader(std::move(from)), delivery(std::move(received)) {}
 
-  brokers::Delivery delivery;
-  std::shared_ptr<ChannelReader> reader;
-  int tries = 0;  ///< how often it was emitted
+  HeldReader reader;
+  brokers::Delivery delivery;  ///< goes first: what is not settled goes back before the reader has it no more in hand
+  int tries = 0;               ///< how often it was emitted
 
   // Of Retries:
   std::uint64_t sequence = 0;  ///< its place among those of its task

@@ -9,9 +9,6 @@ namespace {
 
 const config::Logger logger{"topology.endpoints"};
 
-/// Units that come or go within so short a time are shared out together.
-constexpr std::chrono::milliseconds gathering{5};
-
 /// Units that are taken or given up within so short a time stand in one line of the log.
 constexpr std::chrono::seconds gathering_for_the_log{1};
 
@@ -86,7 +83,7 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<Inbox>
 
 void SpoutPlacement::leave() {
   std::map<std::string, Unit> units;
-  discovery::GuardPtr sharing, telling, anew;
+  discovery::GuardPtr sharing, telling, anew, looking;
   {
     const std::lock_guard lock(mutex_);
     if (std::exchange(over_, true)) return;
@@ -94,25 +91,18 @@ void SpoutPlacement::leave() {
     sharing.swap(sharing_);
     anew.swap(anew_);
     telling.swap(telling_);
+    looking.swap(looking_);
     inboxes_.clear();
   }
   search_.reset();
   sharing.reset();
   anew.reset();
   telling.reset();
+  looking.reset();
   for (auto& [name, unit] : units) {
     close_readers(unit);
     unit.election.reset();
   }
-}
-
-template <typename Function>
-void SpoutPlacement::in_turn(Function function) {
-  std::vector<std::unique_ptr<discovery::Election>> dying;  // outside the lock: they wait for their callbacks
-  const std::lock_guard lock(mutex_);
-  if (over_) return;
-  function();
-  dying.swap(resigned_);
 }
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
@@ -172,50 +162,6 @@ void SpoutPlacement::on_sharers(const std::vector<Sharer>& sharers, const std::s
   share_out();
   balance();
   report();
-}
-
-void SpoutPlacement::share_out_soon() {
-  if (std::exchange(sharing_soon_, true)) return;
-  sharing_ = services_->registry->after(gathering, [this] {
-    in_turn([&] {
-      sharing_soon_ = false;
-      share_out();
-      balance();
-      report();
-    });
-  });
-}
-
-void SpoutPlacement::share_out() {
-  if (sharers_.empty()) return;
-  if (alone()) {
-    for (auto& [name, unit] : units_) stand(name, unit);
-    return;
-  }
-  std::vector<std::vector<std::string>> names(unit_kinds);
-  for (const auto& [name, unit] : units_) names[static_cast<std::size_t>(unit.kind)].push_back(name);
-  const auto shares = fair_shares(names, sharers_);
-  for (std::size_t kind = 0; kind < unit_kinds; ++kind) {
-    for (std::size_t i = 0; i < names[kind].size(); ++i) {
-      const std::string& name = names[kind][i];
-      Unit& unit = units_.at(name);
-      if (sharers_[shares[kind][i]].worker == services_->worker) {
-        stand(name, unit);
-      } else if (unit.election && !unit.frozen) {
-        release(name, unit);
-      }
-    }
-  }
-}
-
-void SpoutPlacement::stand(const std::string& name, Unit& unit) {
-  if (unit.election) return;
-  discovery::Election::Callbacks callbacks;
-  callbacks.on_elected = [this, name](std::int64_t) { in_turn([&] { on_elected(name); }); };
-  callbacks.on_lost = [this, name] { in_turn([&] { on_lost(name); }); };
-  unit.election = std::make_unique<discovery::Election>(*services_->registry, ReadingGroup::election(path_, name),
-                                                        services_->worker, std::move(callbacks),
-                                                        discovery::Succession::whoever_is_first);
 }
 
 void SpoutPlacement::on_elected(const std::string& name) {
@@ -278,16 +224,9 @@ void SpoutPlacement::subscribe_anew() {
   }
 }
 
-/// First the readers, then the right to read: the next reader finds the topic free.
-void SpoutPlacement::release(const std::string& name, Unit& unit) {
-  stop_reading(name, unit);
-  if (unit.election) resigned_.push_back(std::move(unit.election));
-  unit.leads = false;
-  unit.frozen = false;
-}
-
 void SpoutPlacement::stop_reading(const std::string& name, Unit& unit) {
   close_readers(unit);
+  unit.move = Move::none;
   if (unit.task < 0) return;
   loads_.remove(static_cast<std::size_t>(unit.task), unit.kind);
   unit.task = -1;
@@ -317,6 +256,7 @@ void SpoutPlacement::read(Unit& unit) {
     place = unit.readers.erase(place);
     --reader_count_;
   }
+  if (unit.move != Move::none) return;  // opened where it goes
   for (const auto& [key, channel] : wanted) {
     if (unit.readers.contains(key)) continue;
     if (auto reader = open_reader(*channel, key, unit.task)) {
@@ -342,22 +282,6 @@ std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::Chan
       logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());
     }
     return nullptr;
-  }
-}
-
-/// Moves units between this worker's tasks while they are uneven.
-void SpoutPlacement::balance() {
-  while (const auto move = loads_.next_move()) {
-    const auto moved = std::find_if(units_.begin(), units_.end(), [&](const auto& entry) {
-      return entry.second.kind == move->kind && entry.second.task == static_cast<int>(move->from);
-    });
-    Unit& unit = moved->second;
-    close_readers(unit);
-    loads_.remove(move->from, unit.kind);
-    loads_.add(move->to, unit.kind);
-    unit.task = static_cast<int>(move->to);
-    read(unit);
-    logger.debug("{}: {} moves from task {} to {}", component_, moved->first, move->from, move->to);
   }
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -23,8 +24,8 @@ namespace iotcloud::topology {
 ///
 /// Each worker of the group (`group`, or else the topology) stands for election for its fair share of the units, so
 /// that over all tasks of all workers nobody has more than one unit more than another, of either kind and in all; the
-/// election lets a unit have one reader, and the broker's exclusive consumer makes sure of it. While the registry is
-/// away nothing moves and reading goes on. Thread safe.
+/// election lets a unit have one reader, and the broker's exclusive consumer makes sure of it. A unit that moves is
+/// drained before. While the registry is away nothing moves and reading goes on. Thread safe.
 class SpoutPlacement {
  public:
   SpoutPlacement(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
@@ -39,6 +40,10 @@ class SpoutPlacement {
 
  private:
   using ReaderKey = std::pair<brokers::BrokerAddress, brokers::Topic>;
+  /// A unit that moves takes nothing in any more, until what it brought is settled or drain_limit is over; then it is
+  /// read there.
+  enum class Move { none, to_task, to_worker };
+  static constexpr std::chrono::milliseconds look_period{10}, drain_limit{2000};
   struct Unit {
     UnitKind kind = UnitKind::instance;
     std::map<std::string, discovery::ChannelRecord> channels;  ///< by driver instance
@@ -46,13 +51,21 @@ class SpoutPlacement {
     bool leads = false;
     bool frozen = false;  ///< leadership was lost with the registry: reading goes on until it is back
     int task = -1;        ///< -1: not read here
+    Move move = Move::none;
+    int looks_left = 0;  ///< while it moves
     std::map<ReaderKey, std::shared_ptr<ChannelReader>> readers;
   };
   struct Search;  ///< the watches
 
   /// Runs a callback of the registry, unless everything is over.
   template <typename Function>
-  void in_turn(Function function);
+  void in_turn(Function function) {
+    std::vector<std::unique_ptr<discovery::Election>> dying;  // outside the lock: they wait for their callbacks
+    const std::lock_guard lock(mutex_);
+    if (over_) return;
+    function();
+    dying.swap(resigned_);
+  }
 
   // From here on with mutex_ held, on the registry's dispatcher.
   void on_channel(const discovery::ChannelRecord& channel);
@@ -66,6 +79,9 @@ class SpoutPlacement {
   void share_out_soon();
   void share_out();
   void stand(const std::string& name, Unit& unit);
+  void move(const std::string& name, Unit& unit, Move where);
+  void look_soon();
+  void look_at_moves();
   void release(const std::string& name, Unit& unit);
   void stop_reading(const std::string& name, Unit& unit);
   void close_readers(Unit& unit);
@@ -95,6 +111,9 @@ class SpoutPlacement {
   bool sharing_soon_ = false;                                   ///< share_out() will be called; guarded by mutex_
   discovery::GuardPtr anew_;                                    ///< calls subscribe_anew(); guarded by mutex_
   discovery::GuardPtr sharing_;                                 ///< that call; guarded by mutex_
+  std::set<std::string> moving_;                                ///< units; guarded by mutex_
+  bool looking_soon_ = false;                                   ///< look_at_moves() will be called; guarded by mutex_
+  discovery::GuardPtr looking_;                                 ///< that call; guarded by mutex_
   std::size_t taken_ = 0, given_up_ = 0;                        ///< units, since the log told; guarded by mutex_
   bool telling_soon_ = false;                                   ///< the log will be told; guarded by mutex_
   discovery::GuardPtr telling_;                                 ///< that call; guarded by mutex_
