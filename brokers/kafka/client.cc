@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
+#include <string_view>
 
 #include <fmt/core.h>
 
@@ -173,8 +174,15 @@ void Client::refresh_credentials(const KafkaOptions& options) const {
 }
 
 std::string lasting_words(rd_kafka_event_t* event) {
-  const std::string words = rd_kafka_event_error_string(event);
-  return words.substr(0, words.find(" (after "));
+  std::string words = rd_kafka_event_error_string(event);
+  words.resize(std::min({words.size(), words.find(" (after "), words.find('\n')}));
+  // Of one handshake the library speaks in several ways; what OpenSSL said of it is in all of them.
+  constexpr std::string_view openssl = ":SSL routines::";
+  const auto place = words.find(openssl);
+  if (place == std::string::npos) return words;
+  const auto error = std::min(words.rfind("error:", place), place);
+  const auto server = std::min(words.find(": ") + 2, error);
+  return words.substr(0, server) + words.substr(error, words.find(':', place + openssl.size()) - error);
 }
 
 bool is_about_connection(rd_kafka_resp_err_t error) {
