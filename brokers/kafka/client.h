@@ -2,6 +2,7 @@
 
 #include <map>
 #include <memory>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -72,6 +73,9 @@ struct PartitionListDestroyer {
   void operator()(rd_kafka_topic_partition_list_t* list) const { rd_kafka_topic_partition_list_destroy(list); }
 };
 using PartitionList = std::unique_ptr<rd_kafka_topic_partition_list_t, PartitionListDestroyer>;
+inline std::span<const rd_kafka_topic_partition_t> entries_of(const rd_kafka_topic_partition_list_t& list) {
+  return {list.elems, static_cast<std::size_t>(list.cnt)};
+}
 
 /// Whether this error is about reaching the servers, rather than about what was asked of them.
 bool is_about_connection(rd_kafka_resp_err_t error);

@@ -20,7 +20,8 @@ constexpr std::chrono::milliseconds handler_limit{1000};  // for handlers of par
 constexpr std::chrono::milliseconds commit_period{100};
 constexpr std::chrono::milliseconds last_commit_limit{3000};  // a group that is just changing refuses it for so long
 constexpr std::chrono::milliseconds last_commit_pause{50};
-constexpr std::chrono::milliseconds leave_limit{5000};  // then the server finds out for itself
+constexpr std::chrono::milliseconds subscription_pause{20};
+constexpr std::chrono::milliseconds leave_limit{5000};    // then the server finds out for itself
 constexpr std::size_t most_complaints = 100;
 constexpr std::chrono::milliseconds usual_session{6000};  // the shortest that servers allow unless told otherwise
 
@@ -52,10 +53,6 @@ PartitionList list_of(const std::vector<CommitOf>& commits) {
     std::copy(commit.committed.metadata.begin(), commit.committed.metadata.end(), static_cast<char*>(entry->metadata));
   }
   return list;
-}
-
-std::span<const rd_kafka_topic_partition_t> entries(const rd_kafka_topic_partition_list_t& list) {
-  return {list.elems, static_cast<std::size_t>(list.cnt)};
 }
 
 void check(rd_kafka_error_t* error, const char* doing) {
@@ -110,6 +107,7 @@ std::chrono::milliseconds Group::time_to_sleep(Instant now) const {
         std::clamp(std::chrono::ceil<std::chrono::milliseconds>(instant - now), std::chrono::milliseconds(0), limit);
   };
   if (now < ask_topics_at_) until(ask_topics_at_);
+  if (!subscribed_.empty() && !subscription_is_taken_) until(now + subscription_pause);
   if (reader_->dirty(*member_)) until(commit_at_);
   return limit;
 }
@@ -219,7 +217,7 @@ void Group::on_event(rd_kafka_event_t* event) {
     }
     case RD_KAFKA_EVENT_OFFSET_COMMIT:
       if (rd_kafka_event_error(event) == RD_KAFKA_RESP_ERR_NO_ERROR) return;
-      for (const auto& entry : entries(*rd_kafka_event_topic_partition_list(event))) {
+      for (const auto& entry : entries_of(*rd_kafka_event_topic_partition_list(event))) {
         reader_->commit_failed(*member_, {entry.topic, entry.partition});
       }
       return;
@@ -265,55 +263,6 @@ void Group::on_error(rd_kafka_event_t* event) {
   }
 }
 
-void Group::follow_subscriptions(Instant now) {
-  if (!connected_) return;
-  const std::set<std::string> wanted = reader_->topics(*member_);
-  if (asked_.empty() && ask_topics_at_ <= now) {
-    std::set_difference(wanted.begin(), wanted.end(), made_.begin(), made_.end(), std::back_inserter(asked_));
-    if (!asked_.empty()) request_topics(*client_, events_.get(), asked_, options_);
-    for (const std::string& topic : made_) {
-      if (there_.contains(topic)) continue;
-      // A group that subscribes too early looks again only after a long while.
-      if (!client_->knows(topic, options_.broker.rpc_timeout)) {
-        made_ = there_;  // so it is asked for again
-        ask_topics_at_ = clock_.now() + topic_backoff_.next();
-        break;
-      }
-      topic_backoff_.reset();
-      there_.insert(topic);
-    }
-  }
-  std::set<std::string> topics;
-  std::set_intersection(wanted.begin(), wanted.end(), there_.begin(), there_.end(),
-                        std::inserter(topics, topics.end()));
-  if (topics == subscribed_ || topics.empty()) return;
-  const PartitionList list(rd_kafka_topic_partition_list_new(static_cast<int>(topics.size())));
-  for (const std::string& topic : topics) {
-    rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
-  }
-  const rd_kafka_resp_err_t error = rd_kafka_subscribe(client_->get(), list.get());
-  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
-    subscribed_ = std::move(topics);
-  } else if (complaints_.insert(rd_kafka_err2str(error)).second) {
-    logger.warn("group {}: cannot subscribe: {}", member_->name, rd_kafka_err2str(error));
-  }
-}
-
-void Group::on_topics(rd_kafka_event_t* event) {
-  for (const MadeTopic& made : made_topics(event, asked_)) {
-    if (!made.complaint.empty() && complaints_.insert(made.name + made.complaint).second) {
-      logger.warn("cannot make the topic {}: {}; {}", made.name, made.complaint,
-                  made.there ? "using it if it is there" : "trying again");
-    }
-    if (made.there) {
-      made_.insert(made.name);
-    } else {
-      ask_topics_at_ = clock_.now() + topic_backoff_.next();
-    }
-  }
-  asked_.clear();
-}
-
 void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
   const PartitionList list(rd_kafka_topic_partition_list_copy(&partitions));
   const rd_kafka_resp_err_t error =
@@ -343,7 +292,7 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
 
 void Group::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
   std::set<PartitionKey> keys;
-  for (const auto& entry : entries(partitions)) keys.emplace(entry.topic, entry.partition);
+  for (const auto& entry : entries_of(partitions)) keys.emplace(entry.topic, entry.partition);
   stop_reading(keys);
   if (connected_ && rd_kafka_assignment_lost(client_->get()) == 0) warn_of_unsaved(commit_unsaved(keys));
   for (const PartitionKey& key : keys) {

@@ -51,6 +51,7 @@ class Group {
   void on_revoke(const rd_kafka_topic_partition_list_t& partitions);
   void on_topics(rd_kafka_event_t* event);
   void follow_subscriptions(Instant now);
+  std::set<std::string> subscription() const;  ///< what the library says
   void stop_reading(const std::set<PartitionKey>& keys);
   rd_kafka_resp_err_t commit_unsaved(const std::set<PartitionKey>& keys);
   void warn_of_unsaved(rd_kafka_resp_err_t error) const;
@@ -79,6 +80,7 @@ class Group {
   std::set<std::string> made_;                 ///< topics that were asked for with success
   std::set<std::string> there_;                ///< those of them that servers tell of
   std::set<std::string> subscribed_;           ///< what the group was told
+  bool subscription_is_taken_ = false;         ///< and what the library goes by
   std::vector<std::string> asked_;             ///< topics of the one request that is under way
   std::set<std::string> complaints_;           ///< those that were logged
   Instant ask_topics_at_{};
