@@ -75,7 +75,8 @@ def main():
     killed = {"worker": 0, "driver host": 0, "ZooKeeper": 0}
     kills, disturbances = [], []
     with FaultCluster(given.build, "kill-long" if given.long else "kill", registry) as cluster:
-        cluster.start(gateways=2)
+        # Their hosts are killed more often than a gateway starts one again that fails by itself.
+        cluster.start(gateways=2, more="host_restart: {give_up_after: 0}")
         workers = [cluster.worker() for _ in range(WORKERS)]
         cluster.wait_until_ready()
         cluster.wait_for_workers(WORKERS)

@@ -107,8 +107,9 @@ class PrivateCluster(Children):
         super().__init__(out)
         self.bin, self.plugins = Path(bin_dir).resolve(), Path(plugin_dir).resolve()
 
-    def start(self, gateways=2, brokers=None):
-        """`brokers`: lines of YAML below that key of the gateways' configuration; None: a private RabbitMQ."""
+    def start(self, gateways=2, brokers=None, more=""):
+        """`brokers`: lines of YAML below that key of the gateways' configuration; None: a private RabbitMQ. `more`: lines
+        of that configuration beside."""
         self.zookeeper = self.server("zookeeper")
         if brokers is None:
             self.rabbitmq = self.server("rabbitmq")
@@ -129,6 +130,7 @@ registry: "{self.zookeeper}"
 thrift: {{host: 127.0.0.1, port: {free_port()}}}
 plugins: "{self.plugins}"
 state: "{self.out / 'state' / name}"
+{more}
 brokers:
 {listed}
 """)
