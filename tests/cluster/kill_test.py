@@ -75,8 +75,8 @@ def main():
     killed = {"worker": 0, "driver host": 0, "ZooKeeper": 0}
     kills, disturbances = [], []
     with FaultCluster(given.build, "kill-long" if given.long else "kill", registry) as cluster:
-        # Their hosts are killed more often than a gateway starts one again that fails by itself.
-        cluster.start(gateways=2, more="host_restart: {give_up_after: 0}")
+        # Their hosts are killed more often than a gateway starts again what fails by itself, and not at once.
+        cluster.start(gateways=2, more="host_restart: {longest: 1s, give_up_after: 0}")
         workers = [cluster.worker() for _ in range(WORKERS)]
         cluster.wait_until_ready()
         cluster.wait_for_workers(WORKERS)
