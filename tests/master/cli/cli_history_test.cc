@@ -1,4 +1,6 @@
 // describe, history and logs: what the command line has from a gateway, by way of the master.
+#include <mutex>
+
 #include <gmock/gmock.h>
 #include <thrift/TProcessor.h>
 
@@ -13,29 +15,35 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
 
-/// The Thrift service of a gateway that remembers what the test says.
+/// The Thrift service of a gateway that remembers what the test says. Thread safe.
 class PlayedSite final : public gateway::wire::TSensorSiteServiceNull {
  public:
-  void ping(gateway::wire::TPing& answer) override { answer.__set_gateway(gateway); }
+  void ping(gateway::wire::TPing& answer) override {
+    const std::lock_guard lock(mutex_);
+    answer.__set_gateway(gateway_);
+  }
   void getChanges(std::vector<gateway::wire::TStateChange>& answer, const std::string& instance) override {
-    for (const auto& change : changes) {
+    const std::lock_guard lock(mutex_);
+    for (const auto& change : changes_) {
       if (instance.empty() || change.instance == instance) answer.push_back(change);
     }
   }
   void readLog(gateway::wire::TLogPart& part, const std::string& instance, const std::string& position,
                std::int32_t) override {
-    if (log.empty() || position == "2") {
+    const std::lock_guard lock(mutex_);
+    if (log_.empty() || position == "2") {
       gateway::wire::TSiteError error;
-      error.__set_reason(log.empty() ? "there is no log yet" : "it is gone");
+      error.__set_reason(log_.empty() ? "there is no log yet" : "it is gone");
       throw error;
     }
     const std::string word = position.empty() ? ": active\n" : ": went on\n";
-    part.__set_text(log + "2026 info  gateway.host: " + instance + word);
+    part.__set_text(log_ + "2026 info  gateway.host: " + instance + word);
     part.__set_position(position.empty() ? "1" : "2");
   }
   void remember(const std::string& instance, const std::string& state, std::int64_t time_ms,
                 const std::string& reason = "") {
-    auto& change = changes.emplace_back();
+    const std::lock_guard lock(mutex_);
+    auto& change = changes_.emplace_back();
     change.__set_instance(instance);
     change.__set_driver("turtle");
     change.__set_state(state);
@@ -43,9 +51,20 @@ class PlayedSite final : public gateway::wire::TSensorSiteServiceNull {
     change.__set_reason(reason);
   }
 
-  std::string gateway = "lab1";
-  std::vector<gateway::wire::TStateChange> changes;
-  std::string log = "2026 info  gateway.host: other: active\n";
+  void be(const std::string& gateway) {
+    const std::lock_guard lock(mutex_);
+    gateway_ = gateway;
+  }
+  void forget_log() {
+    const std::lock_guard lock(mutex_);
+    log_.clear();
+  }
+
+ private:
+  std::mutex mutex_;
+  std::string gateway_ = "lab1";                                  ///< guarded by mutex_
+  std::vector<gateway::wire::TStateChange> changes_;              ///< guarded by mutex_
+  std::string log_ = "2026 info  gateway.host: other: active\n";  ///< guarded by mutex_
 };
 
 class CliHistory : public Cli {
@@ -133,7 +152,7 @@ TEST_F(CliHistory, WhatNobodyRemembersIsSaid) {
 TEST_F(CliHistory, AnotherGatewayAtTheSameAddressIsNotTakenForIt) {
   const auto id = deploy("lab1");
   site_->remember(id, "active", 1000);
-  site_->gateway = "elsewhere";
+  site_->be("elsewhere");
   const auto done = run({"history"});
   EXPECT_EQ(done.status, 1);
   EXPECT_THAT(done.out, Not(HasSubstr(id)));
@@ -172,7 +191,7 @@ TEST_F(CliHistory, FollowingGoesOnWhereItWasUntilTheGatewayTellsNoMore) {
 
 TEST_F(CliHistory, WhatTheGatewayCannotReadIsSaidInItsWords) {
   const auto id = deploy("lab1");
-  site_->log.clear();
+  site_->forget_log();
   const auto done = run({"logs", id});
   EXPECT_EQ(done.status, 1);
   EXPECT_THAT(done.err, HasSubstr("there is no log yet"));
