@@ -21,7 +21,7 @@ constexpr std::chrono::milliseconds commit_period{100};
 constexpr std::chrono::milliseconds last_commit_limit{3000};  // a group that is just changing refuses it for so long
 constexpr std::chrono::milliseconds last_commit_pause{50};
 constexpr std::chrono::milliseconds subscription_pause{20};
-constexpr std::chrono::milliseconds leave_limit{5000};    // then the server finds out for itself
+constexpr std::chrono::milliseconds leave_limit{5000};  // then the server finds out for itself
 constexpr std::size_t most_complaints = 100;
 constexpr std::chrono::milliseconds usual_session{6000};  // the shortest that servers allow unless told otherwise
 
