@@ -9,6 +9,7 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -21,6 +22,25 @@ class StartError(Exception):
 
 class Unavailable(Exception):
     """A server cannot be had on this machine now; what needs it is skipped."""
+
+
+def require(condition, text):
+    """Ends a test that saw something wrong."""
+    if not condition:
+        sys.exit(f"wrong: {text}")
+
+
+def wait_for(what, condition, limit=60):
+    """Ends a test in which `condition` does not become true. A master that does not answer yet is asked again."""
+    deadline = time.monotonic() + limit
+    while time.monotonic() < deadline:
+        try:
+            if condition():
+                return
+        except StartError:
+            pass
+        time.sleep(0.1)
+    sys.exit(f"not within {limit} s: {what}")
 
 
 def free_port():

@@ -15,7 +15,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError  # noqa: E402
+from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
 
 TOPOLOGY = """
 zk.servers: ["{zookeeper}"]
@@ -31,20 +31,6 @@ bolts:
     parallelism: 3
     inputs: [{from: receive, grouping: fields, fields: [driverID]}]
 """
-
-
-def require(condition, text):
-    if not condition:
-        sys.exit(f"wrong: {text}")
-
-
-def wait_for(what, condition, limit=30):
-    deadline = time.monotonic() + limit
-    while time.monotonic() < deadline:
-        if condition():
-            return
-        time.sleep(0.1)
-    sys.exit(f"not within {limit} s: {what}")
 
 
 class Control:

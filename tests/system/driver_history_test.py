@@ -11,30 +11,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError  # noqa: E402
-
-
-def require(condition, text):
-    if not condition:
-        sys.exit(f"wrong: {text}")
-
-
-def wait_for(what, condition, limit=30):
-    deadline = time.monotonic() + limit
-    while time.monotonic() < deadline:
-        try:
-            if condition():
-                return
-        except StartError:
-            pass  # the master does not answer yet
-        time.sleep(0.1)
-    sys.exit(f"not within {limit} s: {what}")
+from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
 
 
 class Fleet:

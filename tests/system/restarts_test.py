@@ -16,7 +16,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError, free_port  # noqa: E402
+from private_cluster import PrivateCluster, free_port, wait_for  # noqa: E402
 
 COUNT, RATE = 2500, 100
 REGISTRY = """
@@ -38,18 +38,6 @@ bolts:
     fields: [data, driverID, time]
     inputs: [{from: receive, grouping: fields, fields: [driverID]}]
 """
-
-
-def wait_for(what, condition, limit=60):
-    deadline = time.monotonic() + limit
-    while time.monotonic() < deadline:
-        try:
-            if condition():
-                return
-        except StartError:
-            pass  # the master is away
-        time.sleep(0.1)
-    sys.exit(f"not within {limit} s: {what}")
 
 
 def result_of(report):
