@@ -1,5 +1,9 @@
 #include <filesystem>
 
+#include <fmt/format.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/yaml.h>
@@ -61,6 +65,36 @@ void read_thrift(config::Section& file, SiteService::Options& thrift) {
   section->finish();
 }
 
+/// What driver hosts give up. Whether that can be is seen here, not when the first driver comes.
+void read_confinement(config::Section& file, Confinement& confinement) {
+  confinement.no_new_privileges = true;
+  confinement.filter_calls = file.bool_or("host_call_filter", true);
+  confinement.debuggable = file.bool_or("host_debugging", false);
+  confinement.user = file.string_or("host_user", "");
+  constexpr std::int64_t fewest_files = 64, most_files = 1 << 20;
+  confinement.open_files = static_cast<std::uint64_t>(file.int_or("host_open_files", 0, 0, most_files));
+  if (confinement.open_files > 0 && confinement.open_files < fewest_files) {
+    throw file.error("host_open_files", "a driver host alone needs some", fmt::format("at least {}", fewest_files));
+  }
+  rlimit now{};
+  getrlimit(RLIMIT_NOFILE, &now);
+  if (geteuid() != 0 && confinement.open_files > now.rlim_max) {
+    throw file.error("host_open_files",
+                     fmt::format("only root may give more than the {} that this user has", now.rlim_max));
+  }
+  if (confinement.user.empty()) return;
+  checked(file, "host_user", [&] {
+    const Account account = find_account(confinement.user);
+    if (account.user == 0) throw config::Error("driver hosts would run as root: name a user with no rights");
+    if (geteuid() == 0 || geteuid() == account.user) return;
+    throw config::Error(
+        fmt::format(
+            "only a gateway that runs as root can run its driver hosts as " {} "; start it so, or "
+                                                                               "leave this out",
+            confinement.user));
+  });
+}
+
 void read_hosts(config::Section& file, GatewayConfig& config) {
   const auto time = [](config::Section& section, const std::string& key, milliseconds& value) {
     value = duration_cast<milliseconds>(section.duration_or(key, value));
@@ -71,6 +105,7 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
   time(file, "host_spin_limit", hosts.limits.spin);
   constexpr std::int64_t most_mb = 1 << 20;
   hosts.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("host_memory_limit_mb", 0, 0, most_mb)) << 20;
+  read_confinement(file, hosts.confinement);
   if (auto log = file.optional_section("host_log")) {
     constexpr int most_kept = 1000;
     hosts.log_limit_mb = static_cast<int>(log->int_or("limit_mb", hosts.log_limit_mb, 1, most_mb));

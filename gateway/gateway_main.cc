@@ -2,14 +2,19 @@
 #include <memory>
 #include <optional>
 
+#include <unistd.h>
+
 #include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
+#include <iotcloud/config/log.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/processes/state_folder.h>
 
 namespace {
 
 using namespace iotcloud;
+
+constexpr config::Logger log{"gateway"};
 
 /// The daemon's parts, in the order in which they depend on each other.
 class GatewayDaemon final : public config::Service {
@@ -20,6 +25,12 @@ class GatewayDaemon final : public config::Service {
     state_.emplace(config_.hosts.state_dir);
     config_.hosts.state_dir = state_->path();
     config_.thrift.log_folder = state_->path();
+    if (geteuid() == 0 && config_.hosts.confinement.user.empty()) {
+      log.warn(
+          "this gateway runs as root, and so does every driver: name a user with no rights in host_user, as which "
+          "driver "
+          "hosts are to run");
+    }
     if (!config_.metrics_address.empty()) {
       config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
       of_hosts_ = config::process_metrics().add_source(

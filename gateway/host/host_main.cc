@@ -42,6 +42,12 @@ int main(int argc, char** argv) {
   app.add_option("--log", options.log.path, "the file that stdout and stderr go to, which is kept within bounds");
   app.add_option("--log-limit-mb", log_limit_mb, "how large it grows before a new one is begun");
   app.add_option("--logs-kept", options.log.kept, "how many older ones are kept");
+  auto& confinement = options.confinement;
+  app.add_option("--user", confinement.user, "the account to become before the plugin is loaded");
+  app.add_option("--open-files", confinement.open_files, "how many files and sockets it may have open");
+  app.add_flag("--no-new-privileges", confinement.no_new_privileges, "set-user-id programs gain nothing");
+  app.add_flag("!--no-debugging", confinement.debuggable, "no core dumps, no debuggers of the same user");
+  app.add_flag("--filter-calls", confinement.filter_calls, "refuse system calls that no driver needs");
   CLI11_PARSE(app, argc, argv);
   if (log_limit_mb > 0) options.log.most_bytes = static_cast<std::uint64_t>(log_limit_mb) << 20;
   options.order.plugin = options.plugin_path.substr(options.plugin_path.rfind('/') + 1);

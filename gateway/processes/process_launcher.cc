@@ -67,6 +67,16 @@ class Spawning {
   posix_spawnattr_t attributes_;
 };
 
+void add_confinement(std::vector<std::string>& arguments, const Confinement& confinement) {
+  if (!confinement.user.empty()) arguments.insert(arguments.end(), {"--user", confinement.user});
+  if (confinement.open_files > 0) {
+    arguments.insert(arguments.end(), {"--open-files", std::to_string(confinement.open_files)});
+  }
+  if (confinement.no_new_privileges) arguments.emplace_back("--no-new-privileges");
+  if (!confinement.debuggable) arguments.emplace_back("--no-debugging");
+  if (confinement.filter_calls) arguments.emplace_back("--filter-calls");
+}
+
 std::optional<protocol::Event> hello_of(const OwnedDescriptor& socket) {
   protocol::FrameReader frames;
   const auto deadline = std::chrono::steady_clock::now() + hello_limit;
@@ -82,7 +92,8 @@ std::optional<protocol::Event> hello_of(const OwnedDescriptor& socket) {
 }
 
 /// The host behind a socket of an earlier life, when it is one to go on with. One that is not is ended.
-std::optional<RunningHost> examine(const std::string& folder, const std::string& name, const std::string& gateway) {
+std::optional<RunningHost> examine(const std::string& folder, const std::string& name, const std::string& gateway,
+                                   const HostAccount* account) {
   const OwnedDescriptor socket = connect_in(folder, name);
   if (!socket) {
     unlink((folder + "/" + name).c_str());  // its host is dead
@@ -92,10 +103,15 @@ std::optional<RunningHost> examine(const std::string& folder, const std::string&
   std::string problem;
   try {
     const auto hello = hello_of(socket);
-    if (hello && hello->version == protocol::version && hello->order.gateway == gateway) {
+    if (!hello) {
+      problem = "it does not answer";
+    } else if (hello->version != protocol::version || hello->order.gateway != gateway) {
+      problem = "it is of another version or another gateway";
+    } else if (account != nullptr && !account->runs(process)) {
+      problem = "it runs as another user than host_user says";
+    } else {
       return RunningHost{name, hello->order, hello->instances};
     }
-    problem = !hello ? "it does not answer" : "it is of another version or another gateway";
   } catch (const config::Error& e) {
     problem = e.what();
   }
@@ -116,14 +132,27 @@ ProcessLauncher::ProcessLauncher(Options options) : options_(std::move(options))
   if (!std::filesystem::is_directory(options_.plugin_dir)) {
     throw config::Error(fmt::format("the plugin folder {} is not there", options_.plugin_dir));
   }
+  if (!options_.confinement.user.empty() && geteuid() == 0) {
+    account_ = std::make_shared<HostAccount>(options_.confinement.user, options_.state_dir);
+  }
+}
+
+LogFile::Options ProcessLauncher::log_of(const std::string& plugin) const {
+  return {fmt::format("{}/{}.log", options_.state_dir, plugin.substr(0, plugin.rfind('.'))),
+          static_cast<std::uint64_t>(options_.log_limit_mb) << 20, options_.logs_kept};
+}
+
+std::function<void()> ProcessLauncher::log_keeper(const std::string& plugin) const {
+  if (!account_) return {};
+  return [account = account_, log_file = log_of(plugin)] { account->keep_within_bounds(log_file); };
 }
 
 std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEvents events) try {
   check_plugin_file_name(order.plugin);
-  const std::string stem = order.plugin.substr(0, order.plugin.rfind('.'));
   // A name of its own for each host: one that ends and its successor do not get in each other's way.
   const std::string socket = discovery::new_instance_id().substr(0, 12) + std::string(socket_suffix);
-  const std::string log_file = options_.state_dir + "/" + stem + ".log";
+  const std::string log_file = log_of(order.plugin).path;
+  if (account_) account_->make_log(log_file);
   // clang-format off
   std::vector<std::string> arguments = {
       options_.host_program,
@@ -136,9 +165,11 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEv
       "--logs-kept", std::to_string(options_.logs_kept)};
   // clang-format on
   if (order.isolated) arguments.emplace_back("--isolated");
+  add_confinement(arguments, options_.confinement);
   const pid_t process = Spawning(log_file).spawn(std::move(arguments));
   log.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);
-  return std::make_unique<ProcessLink>(options_, order, socket, process, true, std::move(events));
+  return std::make_unique<ProcessLink>(options_, order, socket, process, true, std::move(events),
+                                       log_keeper(order.plugin));
 } catch (const config::Error& e) {
   events.on_ended({HostEnd::How::refused, e.what(), ""});
   return link_to_nothing();
@@ -150,14 +181,15 @@ std::vector<RunningHost> ProcessLauncher::running(const std::string& gateway) {
   for (const auto& file : std::filesystem::directory_iterator(options_.state_dir, error)) {
     const std::string name = file.path().filename();
     if (!name.ends_with(socket_suffix)) continue;
-    if (auto host = examine(options_.state_dir, name, gateway)) hosts.push_back(std::move(*host));
+    if (auto host = examine(options_.state_dir, name, gateway, account_.get())) hosts.push_back(std::move(*host));
   }
   return hosts;
 }
 
 std::unique_ptr<HostLink> ProcessLauncher::adopt(const RunningHost& host, HostEvents events) {
   const int process = peer_process(connect_in(options_.state_dir, host.name));
-  return std::make_unique<ProcessLink>(options_, host.order, host.name, process, false, std::move(events));
+  return std::make_unique<ProcessLink>(options_, host.order, host.name, process, false, std::move(events),
+                                       log_keeper(host.order.plugin));
 }
 
 }  // namespace iotcloud::gateway

@@ -35,13 +35,14 @@ std::string how_it_ended(int status) {
 }  // namespace
 
 ProcessLink::ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
-                         int process, bool child, HostEvents events)
+                         int process, bool child, HostEvents events, std::function<void()> keep_log)
     : options_(options),
       order_(order),
       socket_name_(std::move(socket_name)),
       process_(process),
       child_(child),
       events_(std::move(events)),
+      keep_log_(std::move(keep_log)),
       process_descriptor_(static_cast<int>(syscall(SYS_pidfd_open, process, 0))),
       last_heard_(Steady::now()),
       next_ping_(Steady::now()),
@@ -210,6 +211,7 @@ void ProcessLink::ping() {
   next_ping_ = now + options_.ping_period;
   send({Command::Kind::ping, "", {}, 1});
   ask_for_metrics(now);
+  if (keep_log_) keep_log_();
   const std::string excess = vitals_.examine(now);
   if (excess.empty() || !killed_.empty()) return;
   killed_ = excess;

@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -19,8 +20,9 @@ class ProcessLink final : public HostLink {
  public:
   /// \param socket_name in the state folder; the host may not listen yet. \param process its id.
   /// \param child whether it is this process's child, whose exit status can be had.
+  /// \param keep_log called about once in each ping period, on the link's thread; may be empty.
   ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name, int process,
-              bool child, HostEvents events);
+              bool child, HostEvents events, std::function<void()> keep_log);
   ~ProcessLink() override;
 
   void create(const InstanceSpec& spec) override;
@@ -56,6 +58,7 @@ class ProcessLink final : public HostLink {
   const int process_;
   const bool child_;
   const HostEvents events_;
+  const std::function<void()> keep_log_;
   OwnedDescriptor process_descriptor_;  ///< readable when the process has ended
   Waker waker_;
   std::atomic<bool> leaving_{false};

@@ -66,6 +66,28 @@ TEST_F(GatewayConfigTest, WhatHostsMayTakeAndHowTheyAreStartedAgainIsRead) {
   EXPECT_THAT(error_of(with("hosts", "host_restart: {after: 1s}")), HasSubstr("after"));
 }
 
+TEST_F(GatewayConfigTest, WhatHostsGiveUpIsRead) {
+  const auto usual = load(with("hosts", "")).hosts.confinement;
+  EXPECT_TRUE(usual.no_new_privileges && usual.filter_calls && !usual.debuggable);
+  EXPECT_EQ(usual.user, "");
+  EXPECT_EQ(usual.open_files, 0u);
+  const auto loose = load(with("hosts", "host_call_filter: false\nhost_debugging: true\nhost_open_files: 100"));
+  EXPECT_TRUE(loose.hosts.confinement.debuggable && !loose.hosts.confinement.filter_calls);
+  EXPECT_EQ(loose.hosts.confinement.open_files, 100u);
+}
+
+TEST_F(GatewayConfigTest, TheUserOfHostsMustBeThereAndHaveFewerRights) {
+  EXPECT_THAT(error_of(with("hosts", "host_user: no-such-user")),
+              AllOf(HasSubstr("host_user"), HasSubstr("no-such-user"), HasSubstr("gateway.yaml:")));
+  EXPECT_THAT(error_of(with("hosts", "host_user: root")), AllOf(HasSubstr("host_user"), HasSubstr("root")));
+  EXPECT_THAT(error_of(with("hosts", "host_open_files: 3")), AllOf(HasSubstr("host_open_files"), HasSubstr("64")));
+  if (geteuid() == 0) {
+    EXPECT_EQ(load(with("hosts", "host_user: nobody")).hosts.confinement.user, "nobody");
+  } else {
+    EXPECT_THAT(error_of(with("hosts", "host_user: nobody")), HasSubstr("only a gateway that runs as root"));
+  }
+}
+
 TEST_F(GatewayConfigTest, AGoodFileIsRead) {
   const auto config = load(with("thrift", "thrift: {port: 4000}"));
   EXPECT_EQ(config.gateway.id, "gw");

@@ -31,6 +31,7 @@ struct ControlServer::Impl {
   explicit Impl(Options given)
       : options(std::move(given)), log_file(options.log), listener(listen_in(options.folder, options.socket_name)) {
     try {
+      confine(options.confinement);
       DriverHost::Options host_options;
       host_options.gateway = options.order.gateway;
       host_options.isolated = options.order.isolated;

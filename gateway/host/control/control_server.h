@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 
+#include <iotcloud/gateway/host/confinement.h>
 #include <iotcloud/gateway/host/control/log_file.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 
@@ -20,8 +21,10 @@ class ControlServer {
     /// A host without instances and without a gateway is of no use: it ends after this long.
     std::chrono::milliseconds orphan_limit{30000};
     LogFile::Options log;
+    Confinement confinement;  ///< from when it listens on, before it loads the plugin
   };
-  /// \throws config::Error when it cannot listen. A plugin that cannot be loaded is told to the gateway.
+  /// \throws config::Error when it cannot listen. A plugin that cannot be loaded is told to the gateway, and so is a
+  /// confinement that cannot be.
   explicit ControlServer(Options options);
   ~ControlServer();
 

@@ -27,27 +27,28 @@ void LogFile::look() const {
   if (stat(options_.path.c_str(), &named) != 0 || !is_the_same(written, named)) {
     follow();
   } else if (static_cast<std::uint64_t>(written.st_size) > options_.most_bytes) {
-    move_on();
+    move_log(options_, STDOUT_FILENO);
+    follow();
   }
 }
 
-/// The file's own lock decides which of its writers moves it; it is gone when the last descriptor of it here is closed.
-void LogFile::move_on() const {
-  if (flock(STDOUT_FILENO, LOCK_EX | LOCK_NB) != 0) return;
-  struct stat written {};
+/// The file's own lock is gone when the last descriptor of it here is closed.
+bool move_log(const LogFile::Options& options, int written) {
+  if (flock(written, LOCK_EX | LOCK_NB) != 0) return false;
+  struct stat open_one {};
   struct stat named {};
-  const bool still_here =
-      fstat(STDOUT_FILENO, &written) == 0 && stat(options_.path.c_str(), &named) == 0 && is_the_same(written, named);
-  if (still_here) {
-    const auto older = [&](int number) {
-      return number == 0 ? options_.path : fmt::format("{}.{}", options_.path, number);
-    };
-    for (int number = options_.kept; number > 0; --number) {
-      static_cast<void>(std::rename(older(number - 1).c_str(), older(number).c_str()));
-    }
-    if (options_.kept == 0) unlink(options_.path.c_str());
+  const bool grown = fstat(written, &open_one) == 0 && stat(options.path.c_str(), &named) == 0 &&
+                     is_the_same(open_one, named) && static_cast<std::uint64_t>(open_one.st_size) > options.most_bytes;
+  if (!grown) return false;
+  const auto older = [&](int number) {
+    return number == 0 ? options.path : fmt::format("{}.{}", options.path, number);
+  };
+  if (options.kept == 0) return unlink(options.path.c_str()) == 0;
+  bool moved = false;
+  for (int number = options.kept; number > 0; --number) {
+    moved = std::rename(older(number - 1).c_str(), older(number).c_str()) == 0;
   }
-  follow();
+  return moved;
 }
 
 void LogFile::follow() const {

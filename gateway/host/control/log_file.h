@@ -21,10 +21,14 @@ class LogFile {
   void look() const;
 
  private:
-  void move_on() const;
   void follow() const;
 
   const Options options_;
 };
+
+/// Moves a log that has grown past its limit: <path> becomes <path>.1 and so on. `written` is an open descriptor of it,
+/// whose lock decides which of several processes does it; it keeps the lock until it is closed. Nothing happens when
+/// the log is not there any more, or may not be moved. \return whether it was moved.
+bool move_log(const LogFile::Options& options, int written);
 
 }  // namespace iotcloud::gateway

@@ -46,6 +46,8 @@ class ProcessTest : public GatewayFixture {
     options.hang_limit = hang_limit_;
     options.own_thread_hang_limit = own_thread_hang_limit_;
     options.limits = limits_;
+    options.confinement = confinement_;
+    options.log_limit_mb = 1;
     options.metrics = metrics_;
     options.metrics_period = std::chrono::milliseconds{20};
     return std::make_shared<ProcessLauncher>(options);
@@ -80,6 +82,7 @@ class ProcessTest : public GatewayFixture {
   std::filesystem::path folder_, state_, plugins_;
   std::chrono::milliseconds hang_limit_{20000}, own_thread_hang_limit_{60000};
   VitalLimits limits_;
+  Confinement confinement_;
   const std::shared_ptr<HostMetrics> metrics_ = std::make_shared<HostMetrics>();
 };
 

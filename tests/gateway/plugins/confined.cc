@@ -1,0 +1,103 @@
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <iostream>
+#include <string>
+#include <thread>
+
+#include <fcntl.h>
+#include <grp.h>
+#include <sched.h>
+#include <spawn.h>
+#include <sys/prctl.h>
+#include <sys/ptrace.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <sys/uio.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <iotcloud/drivers/plugin.h>
+
+namespace iotcloud::gateway {
+
+using namespace std::chrono_literals;
+
+/// A driver that tries what its process may do, and says what came of it in its metadata: "ok", or the error's name.
+///   forbidden_file: a path at which it tries to make a file
+///   chatter: "true": it writes 16 KiB to stdout every 2 ms
+class ConfinedDriver final : public drivers::Driver {
+ public:
+  std::vector<drivers::ChannelSpec> channels(const drivers::PropertyMap&) override { return {}; }
+
+  void open(drivers::DriverContext& context) override {
+    const auto& properties = context.properties();
+    if (properties.contains("chatter")) {
+      context.every(2ms, [] { std::cout << std::string(16383, '.') << std::endl; });
+    }
+    std::map<std::string, std::string> facts = {
+        {"user", std::to_string(geteuid())},
+        {"group", std::to_string(getegid())},
+        {"groups_of_root", has_group(0) ? "yes" : "no"},
+        {"root_again", outcome(setuid(0))},
+        {"open_files", limit(RLIMIT_NOFILE)},
+        {"core", limit(RLIMIT_CORE)},
+        {"no_new_privileges", std::to_string(prctl(PR_GET_NO_NEW_PRIVS, 0, 0, 0, 0))},
+        {"dumpable", std::to_string(prctl(PR_GET_DUMPABLE, 0, 0, 0, 0))},
+        {"unshare", outcome(unshare(0))},
+        {"ptrace", outcome(ptrace(PTRACE_PEEKDATA, getpid(), nullptr, nullptr))},
+        {"process_vm_readv", outcome(read_own_memory())},
+        {"thread", outcome(thread())},
+        {"program", outcome(program())},
+    };
+    if (const auto file = properties.find("forbidden_file"); file != properties.end()) {
+      facts["forbidden_file"] = outcome(::open(file->second.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600));
+    }
+    context.update_metadata(facts);
+  }
+
+ private:
+  static std::string outcome(long result) { return result >= 0 ? "ok" : strerrorname_np(errno); }
+
+  static bool has_group(gid_t wanted) {
+    std::array<gid_t, 1024> groups{};
+    const int count = getgroups(static_cast<int>(groups.size()), groups.data());
+    for (int i = 0; i < count; ++i) {
+      if (groups.at(static_cast<std::size_t>(i)) == wanted) return true;
+    }
+    return getgid() == wanted;
+  }
+
+  static std::string limit(__rlimit_resource resource) {
+    rlimit now{};
+    getrlimit(resource, &now);
+    return std::to_string(now.rlim_max);
+  }
+
+  static long read_own_memory() {
+    char from = 'x', to = ' ';
+    const iovec local{&to, 1}, remote{&from, 1};
+    return process_vm_readv(getpid(), &local, 1, &remote, 1, 0);
+  }
+
+  static long thread() {
+    int result = -1;
+    std::thread([&] { result = 0; }).join();
+    return result;
+  }
+
+  static long program() {
+    std::string name = "/bin/true";
+    std::array<char*, 2> arguments = {name.data(), nullptr};
+    pid_t child = 0;
+    errno = posix_spawn(&child, name.c_str(), nullptr, nullptr, arguments.data(), environ);
+    if (errno != 0) return -1;
+    int status = -1;
+    return waitpid(child, &status, 0) == child && status == 0 ? 0 : -1;
+  }
+};
+
+}  // namespace iotcloud::gateway
+
+IOTCLOUD_DRIVER(iotcloud::gateway::ConfinedDriver, "confined", "1.0")
