@@ -31,12 +31,41 @@ void OrderFeed::start() {
         if (names) now.insert(names->begin(), names->end());
         loop_.post([this, now] { names_changed(now); });
       });
+  session_listener_ = registry_.on_session([this](discovery::SessionState state) {
+    if (state == discovery::SessionState::connected) loop_.post([this] { catch_up(); });
+  });
 }
 
 void OrderFeed::stop() {
   stopped_ = true;
+  session_listener_.reset();
   names_watch_.reset();
   order_watches_.clear();
+}
+
+/// What came while the registry was out of reach is of one or several masters that led one after the other, and is read
+/// here in no order of theirs: an older epoch says nothing.
+void OrderFeed::catch_up() {
+  if (stopped_ || !names_known_) return;
+  try {
+    const auto names = registry_.children(paths_.orders(gateway_)).value_or(std::vector<std::string>());
+    std::vector<std::string> paths;
+    for (const auto& name : names) paths.push_back(paths_.order(gateway_, name));
+    const auto nodes = registry_.get_all(paths);
+    names_changed({names.begin(), names.end()});
+    for (std::size_t i = 0; i < names.size(); ++i) {
+      if (!nodes[i] || is_handled(names[i], *nodes[i])) continue;
+      initial_.insert(names[i]);
+      order_changed(names[i], nodes[i]);
+    }
+  } catch (const discovery::RegistryError& e) {
+    log.debug("orders that were missed are read when the registry is there: {}", e.what());
+  }
+}
+
+bool OrderFeed::is_handled(const std::string& instance, const discovery::Node& node) const {
+  const auto found = handled_.find(instance);
+  return found != handled_.end() && found->second == std::make_pair(node.created, node.version);
 }
 
 void OrderFeed::names_changed(const std::set<std::string>& names) {
@@ -66,11 +95,10 @@ void OrderFeed::names_changed(const std::set<std::string>& names) {
 
 void OrderFeed::order_changed(const std::string& instance, const std::optional<discovery::Node>& node) {
   if (stopped_ || !node || !order_watches_.contains(instance)) return;  // its going is seen by its name's going
-  const auto writing = std::make_pair(node->created, node->version);
-  if (const auto found = handled_.find(instance); found != handled_.end() && found->second == writing) return;
+  if (is_handled(instance, *node)) return;
   try {
     read(instance, *node);
-    handled_[instance] = writing;
+    handled_[instance] = {node->created, node->version};
   } catch (const std::exception& e) {
     log.error("an order is ignored: {}", e.what());
   }

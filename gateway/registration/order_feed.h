@@ -17,8 +17,8 @@ namespace iotcloud::gateway {
 
 /// Follows the orders of one gateway in the registry (/iot/gateways/<id>/orders) and hands each writing of one on once.
 /// An order of an older epoch than one seen before is ignored, since its master leads no more; those that stood when
-/// the feed started may be of any epoch. Used on one event loop, on which the listener is called, unless said
-/// otherwise.
+/// the feed started, or when the registry was there again after it had been out of reach, may be of any epoch. Used on
+/// one event loop, on which the listener is called, unless said otherwise.
 class OrderFeed {
  public:
   struct Listener {
@@ -40,9 +40,11 @@ class OrderFeed {
   std::int64_t epoch() const { return epoch_; }
 
  private:
+  void catch_up();
   void names_changed(const std::set<std::string>& names);
   void order_changed(const std::string& instance, const std::optional<discovery::Node>& node);
   void read(const std::string& instance, const discovery::Node& node);
+  bool is_handled(const std::string& instance, const discovery::Node& node) const;
 
   discovery::Registry& registry_;
   const discovery::Paths paths_;
@@ -50,12 +52,13 @@ class OrderFeed {
   EventLoop& loop_;
   const Listener listener_;
   std::atomic<std::int64_t> epoch_{0};
-  std::set<std::string> initial_;                                         ///< that stood at the start, not yet read
+  /// That stood at the start, or when the registry was there again, and are not read yet.
+  std::set<std::string> initial_;
   std::map<std::string, std::pair<std::int64_t, std::int64_t>> handled_;  ///< creation and version of what was read
   bool names_known_ = false;
   bool stopped_ = false;
   std::map<std::string, discovery::GuardPtr> order_watches_;
-  discovery::GuardPtr names_watch_;
+  discovery::GuardPtr names_watch_, session_listener_;
 };
 
 }  // namespace iotcloud::gateway

@@ -1,4 +1,5 @@
 #include <iotcloud/config/error.h>
+#include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 
 namespace iotcloud::gateway {
@@ -164,6 +165,32 @@ TEST_F(GatewayTest, OrdersThatStoodBeforeTheGatewayCameAreFollowedWhateverTheirE
   EXPECT_TRUE(comes_to("a", DriverState::active));
   EXPECT_TRUE(comes_to("b", DriverState::active));
   EXPECT_EQ(gateway_->epoch(), 9);
+}
+
+TEST_F(GatewayTest, OrdersGivenWhileTheRegistryWasOutOfReachAreFollowedWhateverTheirEpoch) {
+  const auto server = discovery::embedded::Server::named(name_);
+  ASSERT_TRUE(eventually([&] { return server->sessions().size() == 1; }));
+  const auto own = new_session();
+  ASSERT_TRUE(eventually([&] { return server->sessions().size() == 2; }));
+  const auto session = server->sessions().back();
+  auto of_its_own = options();
+  of_its_own.registry = own.get();
+  gateway_.emplace(std::move(of_its_own));
+  gateway_->start();
+  give(order("first"));
+  ASSERT_TRUE(comes_to("first", DriverState::active));
+  server->partition(session);
+  // A master led, and another one after it; they are read in the order of their names.
+  for (const auto& [instance, epoch] : std::map<std::string, std::int64_t>{{"a", 9}, {"b", 2}}) {
+    auto wanted = order(instance);
+    wanted.epoch = epoch;
+    give(wanted);
+  }
+  server->restore(session);
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+  EXPECT_TRUE(comes_to("b", DriverState::active));
+  EXPECT_EQ(gateway_->epoch(), 9);
+  gateway_.reset();
 }
 
 TEST_F(GatewayTest, AnOrderThatCannotBeReadIsIgnored) {
