@@ -27,6 +27,8 @@ namespace {
 
 constexpr int connect_timeout_ms = 3'000;
 constexpr int read_timeout_ms = 30'000;
+/// For the first answer on a connection: a master that waits for its registry takes three seconds.
+constexpr int first_answer_timeout_ms = 5'000;
 /// What a master takes for an order on top of the wait it was asked for.
 constexpr int order_margin_ms = 30'000;
 /// Longest wait of a master that is not asked for one.
@@ -63,15 +65,30 @@ struct MasterClient::Impl {
     const auto [host, port] = split(to);
     socket = std::make_shared<TSocket>(host, port);
     socket->setConnTimeout(connect_timeout_ms);
-    socket->setRecvTimeout(read_timeout_ms);
+    socket->setRecvTimeout(first_answer_timeout_ms);
     socket->setSendTimeout(read_timeout_ms);
     auto transport = std::make_shared<TFramedTransport>(socket);
     transport->open();
-    client = std::make_unique<TMasterAPIServiceClient>(std::make_shared<TBinaryProtocol>(transport));
+    auto fresh = std::make_unique<TMasterAPIServiceClient>(std::make_shared<TBinaryProtocol>(transport));
+    open(*fresh, to);
+    socket->setRecvTimeout(read_timeout_ms);
+    client = std::move(fresh);
     address = to;
-    if (token.empty()) return;
+  }
+
+  /// A master that hangs still takes connections: one is there when it has answered something.
+  void open(TMasterAPIServiceClient& fresh, const std::string& to) const {
+    if (token.empty()) {
+      try {
+        wire::TMasterStatus ignored;
+        fresh.getStatus(ignored);
+      } catch (const wire::TMasterError&) {
+        // That is an answer.
+      }
+      return;
+    }
     discovery::wire::TResponse answer;
-    client->authenticate(answer, token);
+    fresh.authenticate(answer, token);
     if (answer.state != discovery::wire::TResponseState::SUCCESS)
       throw Failed(fmt::format("master {}: {}", to, answer.statusMessage));
   }
