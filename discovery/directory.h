@@ -44,6 +44,11 @@ struct GatewayStatus {
 
 /// One-time queries, for the master and tests. \throws RegistryError.
 std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths);  ///< with their channels
+/// What list_drivers() is made of: the paths of all instances; the record in such a node (nullopt: it is gone, or
+/// cannot be read); and channels for those records that name none.
+std::vector<std::string> list_instances(Registry& registry, const Paths& paths);
+std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std::string& path);
+void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<DriverRecord>& drivers);
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths);
 struct TopologyStatus {
   TopologyRecord record;

@@ -1,3 +1,4 @@
+#include <map>
 #include <utility>
 
 #include <iotcloud/config/log.h>
@@ -47,28 +48,42 @@ void for_each_child(Registry& registry, const std::string& path,
 
 }  // namespace
 
-/// Four rounds, whatever there is: names of drivers, names of instances, their records and names of channels, their
-/// records.
+std::vector<std::string> list_instances(Registry& registry, const Paths& paths) {
+  return below(registry, below(registry, {paths.sensors}));
+}
+
+std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std::string& path) {
+  auto driver = record_of(node, path, decode_driver);
+  if (driver && driver->instance.empty()) driver->instance = name_of(path);
+  return driver;
+}
+
+void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<DriverRecord>& drivers) {
+  std::vector<std::string> unnamed;             // instances whose channels are not in their records
+  std::map<std::string, std::size_t> place_of;  // in `drivers`, of these
+  for (std::size_t i = 0; i < drivers.size(); ++i) {
+    if (!drivers[i].channels.empty()) continue;
+    unnamed.push_back(paths.instance(drivers[i].name, drivers[i].instance));
+    place_of[unnamed.back()] = i;
+  }
+  const auto channels = below(registry, unnamed);
+  const auto nodes = registry.get_all(channels);
+  for (std::size_t i = 0; i < channels.size(); ++i) {
+    auto channel = record_of(nodes[i], channels[i], decode_channel);
+    if (channel) drivers[place_of.at(parent_of(channels[i]))].channels.push_back(std::move(*channel));
+  }
+}
+
+/// Three rounds, whatever there is: names of drivers, names of instances, their records. Two more look below those
+/// whose records name no channels.
 std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths) {
   std::vector<DriverRecord> drivers;
-  const auto instances = below(registry, below(registry, {paths.sensors}));
+  const auto instances = list_instances(registry, paths);
   const auto nodes = registry.get_all(instances);
-  const auto channels = below(registry, instances);
-  const auto channel_nodes = registry.get_all(channels);
-  std::size_t channel = 0;
   for (std::size_t i = 0; i < instances.size(); ++i) {
-    std::vector<ChannelRecord> own;
-    for (; channel < channels.size() && parent_of(channels[channel]) == instances[i]; ++channel) {
-      if (auto record = record_of(channel_nodes[channel], channels[channel], decode_channel)) {
-        own.push_back(std::move(*record));
-      }
-    }
-    auto driver = record_of(nodes[i], instances[i], decode_driver);
-    if (!driver) continue;
-    if (driver->instance.empty()) driver->instance = name_of(instances[i]);
-    if (!own.empty()) driver->channels = std::move(own);
-    drivers.push_back(std::move(*driver));
+    if (auto driver = driver_of(nodes[i], instances[i])) drivers.push_back(std::move(*driver));
   }
+  read_unnamed_channels(registry, paths, drivers);
   return drivers;
 }
 

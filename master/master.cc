@@ -86,11 +86,13 @@ void Master::Impl::settle(OrderResult& result, OutcomeWatch& watch, DirectCalls&
     if (verdict != verdicts.end()) set_verdict(outcome, verdict->second);  // the others are known already
   }
   for (auto& call : calls) result.outcomes.push_back(call.get());
-  for (const auto& outcome : result.outcomes)
+  for (const auto& outcome : result.outcomes) {
+    view.ordered(outcome.instance);
     config::process_metrics()
         .counter("iotcloud_master_orders_total", "Orders by what became of them, one for each instance",
                  {{"order", order}, {"outcome", to_string(outcome.outcome)}})
         .add();
+  }
   logger.info("{}: {}", order, result.summary());
 }
 
@@ -108,7 +110,7 @@ void Master::close() {
 }
 
 std::vector<DriverRecord> Master::drivers() const {
-  return discovery::list_drivers(impl_->registry, impl_->options.paths);
+  return impl_->view.list();
 }
 
 std::vector<GatewayStatus> Master::gateways() const {

@@ -13,6 +13,7 @@
 
 #include <fmt/format.h>
 
+#include <iotcloud/master/listing/driver_view.h>
 #include <iotcloud/master/master.h>
 #include <iotcloud/master/orders/direct_gateways.h>
 #include <iotcloud/master/orders/node_name.h>
@@ -151,6 +152,7 @@ struct Master::Impl {
 
   discovery::Registry& registry;
   const MasterOptions options;
+  DriverView view{registry, options.paths};
   std::stop_source closing;
   std::atomic<std::int64_t> epoch{0};
   std::mutex mutex;

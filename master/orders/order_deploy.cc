@@ -83,7 +83,14 @@ Master::Impl::MaybeVerdict Master::Impl::order_deployment(const GatewayStatus& g
   if (!gateway.alive && (!options.record_for_lost_gateways || is_direct(gateway.record.id)))
     return OutcomeWatch::Verdict{Outcome::failed, lost_and_not_recorded_text};
   return written([&]() -> MaybeVerdict {
-    registry.create(options.paths.order(gateway.record.id, order.instance), encode(order));
+    const auto path = options.paths.order(gateway.record.id, order.instance);
+    registry.create(path, encode(order));
+    if (leading_epoch() != order.epoch) {
+      // A master that was frozen, say, wrote it when another one led already. Gateways that know the other one ignore
+      // it, and none is to find it later.
+      registry.remove(path);
+      return OutcomeWatch::Verdict{Outcome::failed, "this master's lead ended meanwhile; the order was taken back"};
+    }
     if (!gateway.alive) return OutcomeWatch::Verdict{Outcome::pending, lost_text};
     watch.expect(order.instance, order.driver, std::nullopt);
     return std::nullopt;
