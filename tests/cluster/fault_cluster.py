@@ -150,9 +150,10 @@ class FaultCluster(PrivateCluster):
                 continue  # it ended meanwhile
         return False
 
-    def drivers(self, number, count, rate):
+    def drivers(self, number, count, rate, name="report"):
+        """Deploys load generators; `name` begins the files of their reports."""
         for _ in range(number):
-            report = self.work / f"report-{len(self.reports)}.json"
+            report = self.work / f"{name}-{len(self.reports)}.json"
             gateway = len(self.reports) % self.gateways + 1
             self.reports.append(report)
             self.deploy("loadgen.so", f"gateway-{gateway}", {"count": count, "rate": rate, "report": report})

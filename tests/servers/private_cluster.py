@@ -14,6 +14,9 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+from private_server import free_ports  # noqa: E402
 
 
 class StartError(Exception):
@@ -66,8 +69,8 @@ class Children:
     def log(self, name):
         return self.out / f"{name}.log"
 
-    def spawn(self, name, command, **options):
-        with open(self.log(name), "w") as log:
+    def spawn(self, name, command, log_mode="w", **options):
+        with open(self.log(name), log_mode) as log:
             child = subprocess.Popen([str(word) for word in command], stderr=log, start_new_session=True, **options)
         self.children.append((name, child))
         return child
@@ -121,33 +124,41 @@ class Children:
 
 
 class PrivateCluster(Children):
-    """RabbitMQ, ZooKeeper, a master, gateways named gateway-1, gateway-2, ... and topology workers."""
+    """RabbitMQ, ZooKeeper, masters, gateways named gateway-1, gateway-2, ... and topology workers."""
 
     def __init__(self, out, bin_dir, plugin_dir):
         super().__init__(out)
         self.bin, self.plugins = Path(bin_dir).resolve(), Path(plugin_dir).resolve()
+        # By the daemons' names: ports of the masters' two services, of the gateways' one, and command lines.
+        self.apis, self.for_gateways, self.thrift_ports, self.commands = {}, {}, {}, {}
 
-    def start(self, gateways=2, brokers=None, more=""):
+    def start(self, gateways=2, brokers=None, more="", masters=1, of_masters=""):
         """`brokers`: lines of YAML below that key of the gateways' configuration; None: a private RabbitMQ. `more`: lines
-        of that configuration beside."""
+        of that configuration beside. `masters`: one is named master, several master-1, master-2, ...; `of_masters`: lines
+        of their configuration beside."""
         self.zookeeper = self.server("zookeeper")
         if brokers is None:
             self.rabbitmq = self.server("rabbitmq")
             brokers = [f'rabbitmq: {{type: rabbitmq, urls: ["{self.rabbitmq}"]}}']
         listed = "\n".join("  " + line for line in brokers)
-        self.api_port = free_port()
-        self.daemon("iotcloud-master", "master", f"""
-id: private-master
+        ports = iter(free_ports(2 * masters + gateways))  # that nobody takes while a daemon is dead
+        for name in ["master"] if masters == 1 else [f"master-{number}" for number in range(1, masters + 1)]:
+            self.apis[name], self.for_gateways[name] = next(ports), next(ports)
+            self.daemon("iotcloud-master", name, f"""
+id: private-{name}
 registry: "{self.zookeeper}"
-api: {{host: 127.0.0.1, port: {self.api_port}}}
-gateways: {{host: 127.0.0.1, port: {free_port()}}}
+api: {{host: 127.0.0.1, port: {self.apis[name]}}}
+gateways: {{host: 127.0.0.1, port: {self.for_gateways[name]}}}
+{of_masters}
 """)
+        self.api_port = next(iter(self.apis.values()))
         for number in range(1, gateways + 1):
             name = f"gateway-{number}"
+            self.thrift_ports[name] = next(ports)
             self.daemon("iotcloud-gateway", name, f"""
 id: {name}
 registry: "{self.zookeeper}"
-thrift: {{host: 127.0.0.1, port: {free_port()}}}
+thrift: {{host: 127.0.0.1, port: {self.thrift_ports[name]}}}
 plugins: "{self.plugins}"
 state: "{self.out / 'state' / name}"
 {more}
@@ -160,20 +171,40 @@ brokers:
         """`enter`: the words before the program's own, which start it (in another network, say)."""
         file = self.out / f"{name}.yaml"
         file.write_text(configuration.lstrip())
-        return self.spawn(name, [*enter, self.bin / program, "--config", file, *options])
+        self.commands[name] = [*enter, self.bin / program, "--config", file, *options]
+        return self.spawn(name, self.commands[name])
+
+    def again(self, name):
+        """Starts a daemon that was killed as it was started before; its log goes on."""
+        return self.spawn(name, self.commands[name], "a")
 
     def topology(self, name, configuration):
         """A worker; `configuration` is its YAML with the registry written as {zookeeper} in zk.servers."""
         servers = self.zookeeper.removeprefix("zookeeper://")
         return self.daemon("iotcloud-topology", name, configuration.replace("{zookeeper}", servers))
 
+    def run_cli(self, *words, limit=60):
+        """What came of a command of the CLI, which knows all masters. Raises StartError when nothing comes in time."""
+        masters = ",".join(f"127.0.0.1:{port}" for port in self.apis.values() or [self.api_port])
+        try:
+            return subprocess.run([str(self.bin / "iotcloud"), "--master", masters, *map(str, words)],
+                                  capture_output=True, text=True, timeout=limit)
+        except subprocess.TimeoutExpired as error:
+            raise StartError(f"iotcloud {' '.join(map(str, words))}: no answer within {error.timeout} s") from error
+
     def cli(self, *words):
         """What the CLI printed. Raises StartError with what it complained about."""
-        done = subprocess.run([str(self.bin / "iotcloud"), "--master", f"127.0.0.1:{self.api_port}", *map(str, words)],
-                              capture_output=True, text=True, timeout=60)
+        done = self.run_cli(*words)
         if done.returncode:
             raise StartError(f"iotcloud {' '.join(map(str, words))}: {done.stderr.strip() or done.stdout.strip()}")
         return done.stdout
+
+    def answer(self, *words, limit=60):
+        """What became of an order: the JSON that the CLI prints whether it was done or not."""
+        done = self.run_cli(*words, "-o", "json", limit=limit)
+        if not done.stdout:
+            raise StartError(f"iotcloud {' '.join(map(str, words))}: {done.stderr.strip()}")
+        return json.loads(done.stdout)
 
     def deploy(self, plugin, gateway, properties):
         self.cli("deploy", plugin, "--gateway", gateway, *(f"--property={k}={v}" for k, v in properties.items()))

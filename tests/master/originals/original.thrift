@@ -56,3 +56,22 @@ service TMasterAPIService {
   list<TSensor> getSensors(1: string siteId)
   list<TSensor> getAllSensors()
 }
+
+service TMasterService {
+  TResponse registerSite(1: TSite site)
+  TResponse unRegisterSite(1: TSite site)
+  TResponse registerSensor(1: string siteId, 2: TSensor sensor)
+  TResponse unRegisterSensor(1: string siteId, 2: string id)
+  TResponse updateSensor(1: string siteId, 2: TSensor sensor)
+}
+
+struct THeartBeatRequest { 1: i32 sensors }
+struct THeartBeatResponse { 1: i32 totalSensors, 2: i32 responsiveSonsor }
+
+service TSensorSiteService {
+  THeartBeatResponse hearbeat(1: THeartBeatRequest heartBeat)
+  TResponse deploySensor(1: TSensorDeployDescriptor deployDescriptor)
+  TResponse unDeploySensor(1: string id)
+  TResponse startSensor(1: string id)
+  TResponse stopSensor(1: string id)
+}

@@ -1,0 +1,90 @@
+#!/usr/bin/python3
+"""A driver is deployed and undeployed again and again, once into a host that stays and once into a host of its own that
+ends with it. File descriptors, threads and memory of the gateway, of the host that stays and of the master are flat: the
+last fifth of the cycles beside the fifth in the middle.
+
+usage: cycles_test.py BUILD_DIR [--cycles N]
+"""
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
+
+from master_api import MasterApi, compile_idl  # noqa: E402
+from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
+
+# A connection or a thread that comes and goes may be there when it is counted.
+MORE = {"descriptors": 2, "threads": 2}
+GROWTH_MB, GROWTH = 1.0, 0.03  # of memory: allocators settle slowly; the larger of both
+
+
+def measure(process):
+    folder = Path("/proc", str(process))
+    anonymous = next(line for line in (folder / "status").read_text().splitlines() if line.startswith("RssAnon:"))
+    return {"descriptors": len(list((folder / "fd").iterdir())), "threads": len(list((folder / "task").iterdir())),
+            "memory MB": int(anonymous.split()[1]) / 1024}
+
+
+def host_process(gateway):
+    """The only driver host of that gateway: it is not its group's, but its child."""
+    children = Path(f"/proc/{gateway}/task").glob("*/children")
+    found = [int(word) for file in children for word in file.read_text().split()]
+    return found[0] if len(found) == 1 else None
+
+
+def judge(name, samples):
+    """Prints and judges what one process took, sampled after each cycle. Returns what is wrong."""
+    fifth, wrong = len(samples) // 5, []
+    middle, tail = samples[2 * fifth:3 * fifth], samples[-fifth:]
+    for figure in samples[0]:
+        before, after = (statistics.median(sample[figure] for sample in part) for part in (middle, tail))
+        allowed = MORE.get(figure, max(GROWTH_MB, GROWTH * before))
+        print(f"{name}: {figure}: {before:.4g} in the middle, {after:.4g} in the end, {allowed:.2g} more are allowed")
+        if after - before > allowed:
+            wrong.append(f"{name}: {figure}")
+    return wrong
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("build", type=Path)
+    parser.add_argument("--cycles", type=int, default=50)
+    given = parser.parse_args()
+    build = given.build.resolve()
+    compile_idl(build)
+    with PrivateCluster(build / "cycles", build / "bin", build / "plugins") as cluster:
+        cluster.start(gateways=1, more="host_debugging: true")  # what a host holds is read in /proc, by its user
+        wait_for("the gateway is ready", lambda: [
+            gateway["state"] for gateway in json.loads(cluster.cli("gateways", "-o", "json"))] == ["ready"])
+        cluster.deploy("loadgen.so", "gateway-1", {"rate": 1})
+        processes = {name: child.pid for name, child in cluster.children if name in ("master", "gateway-1")}
+        wait_for("the host runs", lambda: host_process(processes["gateway-1"]))
+        processes["driver host"] = host_process(processes["gateway-1"])
+        samples = {name: [] for name in processes}
+        api = MasterApi(cluster.apis["master"], 60)
+        began = time.monotonic()
+        for number in range(given.cycles):
+            for properties in ({"rate": "50"}, {"rate": "50", "isolation": "instance"}):
+                instances = api.deploy("loadgen.so", "gateway-1", properties)
+                api.undeploy(instances)
+            for name, process in processes.items():
+                samples[name].append(measure(process))
+        took = time.monotonic() - began
+        api.close()
+        cluster.require_alive()
+        require(len(json.loads(cluster.cli("drivers", "-o", "json"))) == 1, "drivers are left over")
+        wait_for("only the host that stays is left",
+                 lambda: host_process(processes["gateway-1"]) == processes["driver host"], 10)
+    print(f"{given.cycles} cycles of two deployments in {took:.0f} s")
+    wrong = [text for name in samples for text in judge(name, samples[name])]
+    if wrong:
+        sys.exit("not flat: " + ", ".join(wrong))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+#!/usr/bin/python3
+"""A fleet of gateways on one machine, of which one is frozen (SIGSTOP). Orders for all of them are followed by the others
+as fast as before: compared with orders of the same run, by the times in the drivers' records. The frozen one is `lost`
+after its session's time-out and `ready` again when it goes on, and follows then what it missed.
+
+usage: frozen_gateway_test.py BUILD_DIR [--gateways N]
+"""
+
+import argparse
+import json
+import signal
+import statistics
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
+
+from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
+
+SESSION_S = 4
+WAIT_S = 1  # that orders wait for the frozen one
+# Who waits for the frozen one takes WAIT_S more, which is many times what it takes without.
+RATIO = 3
+
+
+class Fleet(PrivateCluster):
+    def gateway_states(self):
+        return {gateway["gateway"]: gateway["state"] for gateway in json.loads(self.cli("gateways", "-o", "json"))}
+
+    def drivers(self):
+        return {driver["gateway"]: driver for driver in json.loads(self.cli("drivers", "-o", "json"))
+                if not driver["metadata"]}
+
+    def ordered(self, verb, state, but=None):
+        """Orders it for all; seconds from the order until the last gateway, of all or of all but one, had followed."""
+        instances = [driver["instance"] for driver in self.drivers().values()]
+        began = time.time()
+        outcomes = self.outcomes(verb, *instances)
+        others = {gateway: outcome for gateway, outcome in outcomes.items() if gateway != but}
+        require(set(others.values()) == {"done"}, f"{verb}: {outcomes}")
+        records = self.drivers()
+        require({records[gateway]["state"] for gateway in others} == {state}, f"{verb}: {records}")
+        return max(records[gateway]["since_ms"] for gateway in others) / 1000 - began, outcomes.get(but)
+
+    def outcomes(self, *words):
+        """What became of an order on each gateway, whatever the CLI's exit status."""
+        self.last_answer = self.answer(*words, "--wait", WAIT_S)
+        return {outcome["gateway"]: outcome["outcome"] for outcome in self.last_answer["outcomes"]}
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("build", type=Path)
+    parser.add_argument("--gateways", type=int, default=20)
+    given = parser.parse_args()
+    build = given.build.resolve()
+    with Fleet(build / "frozen-gateway", build / "bin", build / "tests/gateway/plugins") as fleet:
+        # The drivers have no channels.
+        fleet.start(given.gateways, ['rabbitmq: {type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}'],
+                    f"registry.session_timeout: {SESSION_S}s")
+        wait_for("all gateways are ready", lambda: list(fleet.gateway_states().values()) == ["ready"] * given.gateways)
+        fleet.cli("deploy", "probe.so", "--all", "--property", "channels=none")
+        both = (("stop", "inactive"), ("start", "active"))
+        for order in both:
+            fleet.ordered(*order)  # to warm up
+        usual = [fleet.ordered(*order)[0] for _ in range(3) for order in both]
+
+        frozen = f"gateway-{given.gateways // 2}"
+        process = next(child for name, child in fleet.children if name == frozen)
+        began = time.monotonic()
+        process.send_signal(signal.SIGSTOP)
+        try:
+            beside, unknown = [], 0
+            while fleet.gateway_states()[frozen] == "ready":
+                for order in both:
+                    took, of_frozen = fleet.ordered(*order, but=frozen)
+                    beside.append(took)
+                    unknown += of_frozen == "unknown"
+            lost = time.monotonic() - began
+            require("(lost)" in fleet.cli("drivers"), "the frozen gateway's driver is not shown as lost")
+            require(fleet.ordered("stop", "inactive", but=frozen)[1] == "pending", fleet.last_answer)
+            deployed = fleet.outcomes("deploy", "probe.so", "--all", "--property", "channels=none", "--metadata", "late=yes")
+            require(deployed.pop(frozen) == "pending" and set(deployed.values()) == {"done"}, fleet.last_answer)
+        finally:
+            process.send_signal(signal.SIGCONT)
+        returned = time.monotonic()
+        wait_for("the frozen gateway is ready again", lambda: fleet.gateway_states()[frozen] == "ready", 30)
+        back = time.monotonic() - returned
+        wait_for("it follows what it missed: a stop", lambda: fleet.drivers()[frozen]["state"] == "inactive", 30)
+        wait_for("it follows what it missed: a deployment", lambda: [
+            driver["state"] for driver in json.loads(fleet.cli("drivers", "-o", "json", "--gateway", frozen))
+            if driver["metadata"].get("late")] == ["active"], 30)
+        followed = time.monotonic() - returned
+        fleet.require_alive()
+    ratio = statistics.median(beside) / statistics.median(usual)
+    print(f"{given.gateways} gateways: the last one followed an order after {1000 * statistics.median(usual):.0f} ms; "
+          f"beside a frozen one {1000 * statistics.median(beside):.0f} ms ({ratio:.2f} x, {RATIO} x are allowed; {len(beside)} "
+          f"orders, of which {unknown} knew nothing of the frozen one). It was lost after {lost:.1f} s (session's time-out "
+          f"{SESSION_S} s), ready {back:.1f} s after it went on, and had followed all after {followed:.1f} s")
+    require(unknown > 0, "no order was given while the frozen gateway counted as ready")
+    require(ratio <= RATIO, "a frozen gateway delays the others")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,235 @@
+#!/usr/bin/python3
+"""Three masters, of which the leader is killed (kill -9), or frozen past its session's time-out (SIGSTOP) and continued,
+again and again, while orders are given through the CLI and load generators run through a topology.
+
+usage: leaders_test.py BUILD_DIR [--kills N] [--stops N] [--seed N]
+
+Judged: how long until another one leads (the session's time-out plus two seconds); that the orders of a leader that was
+frozen, given to it before it knew better, are followed by nobody; that the CLI, which is told of all masters, finds the
+one that leads by itself; and that the data plane notices nothing: no message lost, none late.
+"""
+
+import argparse
+import json
+import random
+import signal
+import statistics
+import threading
+import time
+
+from fault_cluster import GRACE_S, LIMIT_S, SESSION_S, FaultCluster, StartError, finish, sentence, wait_for
+from master_api import MasterApi, compile_idl
+
+DRIVERS, RATE = 4, 100
+# The data plane has nothing to wait for. What a machine that others use adds is far less than a session's time-out.
+LATE_S = SESSION_S / 2
+KILL_S, STOP_S = LIMIT_S + 2, LIMIT_S + 6  # a fault, and what comes after it until the next, at most
+STALE = 5  # orders to each frozen leader
+
+
+class Orders(threading.Thread):
+    """Deploys on both gateways, stops, starts and undeploys there, one order after the other, until the block ends. An
+    order that is under way when its master freezes is waited for until that goes on."""
+
+    def __init__(self, cluster):
+        super().__init__()
+        self.cluster, self.over = cluster, threading.Event()
+        self.done = 0
+        self.failed = []  # what the CLI complained about
+        self.looks, self.not_ready = 0, 0  # at the gateways
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self.over.set()
+        self.join()
+
+    def order(self, *words):
+        """What the CLI answers; None when the order was not done, or nobody knows."""
+        try:
+            answer = self.cluster.cli(*words, "--wait", "10", "-o", "json")
+        except StartError as error:
+            self.failed.append(str(error))
+            return None
+        self.done += 1
+        return json.loads(answer)
+
+    def deploy(self):
+        """The ids of what was deployed on both gateways; empty when that is not known."""
+        deployed = self.order("deploy", "loadgen.so", "--all", "--property", "rate=1", "--metadata", "purpose=orders")
+        return [outcome["instance"] for outcome in deployed["outcomes"]] if deployed else []
+
+    def run(self):
+        while not self.over.is_set():
+            instances = self.deploy()
+            for verb in ("stop", "start", "undeploy") if instances else ():
+                self.order(verb, *instances)
+            try:
+                states = [gateway["state"] for gateway in json.loads(self.cluster.cli("gateways", "-o", "json"))]
+                self.looks += 1
+                self.not_ready += states != ["ready"] * self.cluster.gateways
+            except StartError:
+                continue  # the master that it asked died
+
+    def follow(self):
+        """A new command must find the new leader at once. Its order tells the gateways the new epoch."""
+        instances = self.deploy()
+        if not instances:
+            raise SystemExit(f"an order to the new leader was not done: {self.failed[-1]}")
+        self.order("undeploy", *instances)
+
+
+class Masters(FaultCluster):
+    def status_of(self, name):
+        """None when it does not answer."""
+        from thrift.Thrift import TException
+
+        try:
+            api = MasterApi(self.apis[name])
+            try:
+                return api.status()
+            finally:
+                api.close()
+        except TException:
+            return None
+
+    def leader(self, among=None, above=0):
+        """(name, epoch) of the one that says it leads; None when none does."""
+        for name in among or self.apis:
+            status = self.status_of(name)
+            if status and status.leading and status.epoch > above:
+                return name, status.epoch
+        return None
+
+    def next_leader(self, former, epoch, since):
+        """The one that leads after it, and how long that took."""
+        others, found = [name for name in self.apis if name != former], []
+        deadline = since + 3 * LIMIT_S
+        while not found and time.monotonic() < deadline:
+            time.sleep(0.02)
+            found = self.leader(others, epoch) or []
+        if not found:
+            raise SystemExit(f"no other master led within {3 * LIMIT_S} s; see {self.out}")
+        return found, time.monotonic() - since
+
+    def purposes(self):
+        return [driver["metadata"].get("purpose") for driver in json.loads(self.cli("drivers", "-o", "json"))]
+
+    def ignored_by_gateways(self):
+        return sum(self.said(f"gateway-{number}", "its master leads no more") for number in range(1, self.gateways + 1))
+
+
+def kill_leader(cluster, orders, leader):
+    name, epoch = leader
+    since = time.monotonic()
+    cluster.kill(name)
+    following, took = cluster.next_leader(name, epoch, since)
+    orders.follow()
+    cluster.again(name)
+    wait_for(f"{name} is back", lambda: cluster.status_of(name), 30)
+    return following, took
+
+
+def stop_leader(cluster, orders, leader):
+    """Returns the next leader, how long that took, and what became of the stale orders."""
+    name, epoch = leader
+    stale = [MasterApi(cluster.apis[name]) for _ in range(STALE)]
+    for api in stale:
+        api.status()
+    process = cluster.process(name)
+    since = time.monotonic()
+    process.send_signal(signal.SIGSTOP)
+    try:
+        for number, api in enumerate(stale):  # read when it goes on, before it can know that it leads no more
+            api.send_deploy("loadgen.so", f"gateway-{number % cluster.gateways + 1}", "stale", 2)
+        following, took = cluster.next_leader(name, epoch, since)
+        orders.follow()
+    finally:
+        process.send_signal(signal.SIGCONT)
+    answers = []
+    for api in stale:
+        answers.append(api.answer(40))
+        api.close()
+    wait_for(f"{name} knows that it leads no more",
+             lambda: (status := cluster.status_of(name)) and not status.leading and status.leader, 30)
+    return following, took, answers
+
+
+def judge(name, times):
+    if not times:
+        return
+    print(f"{name} {len(times)} times: another one led after {statistics.median(times):.2f} s (median), "
+          f"{max(times):.2f} s at the latest; {LIMIT_S} s are allowed (session's time-out {SESSION_S} s + {GRACE_S} s)",
+          flush=True)
+    if max(times) > LIMIT_S:
+        raise SystemExit("that is too long")
+
+
+def judge_stale(cluster, answers):
+    if not answers:
+        return
+    refused = sum(refusal != "NONE" for refusal, _ in answers)
+    done = sum("DONE" in outcomes for _, outcomes in answers)
+    print(f"stale orders: {len(answers)}, refused by the former leader {refused}, by the registry or the gateways "
+          f"{len(answers) - refused - done} (ignored by a gateway for their epoch: {cluster.ignored_by_gateways()}), "
+          f"followed {done}", flush=True)
+    if done or "stale" in cluster.purposes():
+        raise SystemExit("an order of a master that led no more was followed")
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("build")
+    parser.add_argument("--kills", type=int, default=2)
+    parser.add_argument("--stops", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=int(time.time()))
+    given = parser.parse_args()
+    compile_idl(given.build)
+    choose = random.Random(given.seed)
+    print(f"seed {given.seed}", flush=True)
+    killed, stopped, answers = [], [], []
+    with Masters(given.build, "leaders") as cluster:
+        cluster.start(gateways=2, masters=3, of_masters=f"registry.session_timeout: {SESSION_S}s")
+        cluster.worker()
+        wait_for("one master leads", cluster.leader, 30)
+        cluster.wait_until_ready()
+        cluster.drivers(DRIVERS, 5 * RATE, RATE)
+        usual = cluster.totals(60)
+        cluster.undeploy_all()
+        cluster.reports = []
+        seconds = given.kills * KILL_S + given.stops * STOP_S
+        cluster.drivers(DRIVERS, seconds * RATE, RATE, "faults")
+        leader = cluster.leader()
+        faults = ["kill"] * given.kills + ["stop"] * given.stops
+        choose.shuffle(faults)
+        with Orders(cluster) as orders:
+            for fault in faults:
+                time.sleep(choose.uniform(0, 1))  # in the middle of whichever order
+                if fault == "kill":
+                    leader, took = kill_leader(cluster, orders, leader)
+                    killed.append(took)
+                else:
+                    leader, took, answered = stop_leader(cluster, orders, leader)
+                    stopped.append(took)
+                    answers += answered
+        cluster.require_alive()
+        judge_stale(cluster, answers)
+        totals = cluster.totals(seconds + 60)
+    judge("leader killed", killed)
+    judge("leader frozen", stopped)
+    print(f"orders meanwhile: {orders.done} done, {len(orders.failed)} not, or not known: "
+          + "; ".join(sorted(set(text[:160] for text in orders.failed))))
+    print(f"gateways: all ready at {orders.looks - orders.not_ready} of {orders.looks} looks")
+    if orders.not_ready:
+        raise SystemExit("a gateway was lost with a master")
+    print(sentence("with nothing wrong", usual))
+    finish("masters killed and frozen", totals)
+    if totals["max_s"] > LATE_S:
+        raise SystemExit(f"a message took {totals['max_s']:.2f} s; {LATE_S:.0f} s are allowed: the data plane waited for a "
+                         "master")
+
+
+if __name__ == "__main__":
+    main()
