@@ -4,6 +4,7 @@
 usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench builds what this needs)
        report.py brokers [--quick] [--only BROKER] [--rounds N] [--keep-noisy] [--build DIR] [--json FILE]
        report.py discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
+       report.py fleet [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
        report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
 
 Everything here is measured: the programs take turns, round by round, a ratio is the median of the ratios of one round,
@@ -22,6 +23,7 @@ from pathlib import Path
 from brokers_report import BROKERS, run_brokers
 from discovery_report import run_discovery
 from figures import ProgramFailed, commit, machine
+from fleet_report import run_fleet
 from runtime_report import run_runtime, run_soak
 
 
@@ -30,8 +32,9 @@ def main():
     root = Path(__file__).resolve().parent.parent
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     commands = options.add_subparsers(dest="what", required=True)
-    runtime, soak, brokers, discovery = map(commands.add_parser, ("runtime", "soak", "brokers", "discovery"))
-    for command in (runtime, soak, brokers, discovery):
+    names = ("runtime", "soak", "brokers", "discovery", "fleet")
+    runtime, soak, brokers, discovery, fleet = map(commands.add_parser, names)
+    for command in (runtime, soak, brokers, discovery, fleet):
         command.add_argument("--build", type=Path, default=root / "build/release")
         command.add_argument("--json", type=Path)
     runtime.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
@@ -44,6 +47,9 @@ def main():
     discovery.add_argument("--quick", action="store_true", help="one round, 50 new drivers")
     discovery.add_argument("--rounds", type=int, help="default: 3, with --quick 1")
     discovery.add_argument("--instances", type=int, default=10_000, help="driver instances, of two channels each")
+    fleet.add_argument("--quick", action="store_true", help="one round")
+    fleet.add_argument("--rounds", type=int, help="default: 3, with --quick 1")
+    fleet.add_argument("--instances", type=int, default=10_000, help="idle driver instances in one host")
     given = options.parse_args()
     file = given.json or root / f"build/bench/{given.what}.json"
 
@@ -52,7 +58,8 @@ def main():
     if facts["load_average_before"] > 0.5:
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
-    benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery}
+    benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery,
+                  "fleet": run_fleet}
     try:
         report, verdict = benchmarks[given.what](given)
     except ProgramFailed as failure:
