@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
 
 from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
 
-SESSION_S = 4
-WAIT_S = 1  # that orders wait for the frozen one
+SESSION_S = 8
+WAIT_S = 3  # that orders wait for the frozen one
 # Who waits for the frozen one takes WAIT_S more, which is many times what it takes without.
 RATIO = 3
 
