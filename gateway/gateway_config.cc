@@ -88,10 +88,8 @@ void read_confinement(config::Section& file, Confinement& confinement) {
     if (account.user == 0) throw config::Error("driver hosts would run as root: name a user with no rights");
     if (geteuid() == 0 || geteuid() == account.user) return;
     throw config::Error(
-        fmt::format(
-            "only a gateway that runs as root can run its driver hosts as " {} "; start it so, or "
-                                                                               "leave this out",
-            confinement.user));
+        fmt::format("only a gateway that runs as root can run its driver hosts as {}; start it so, or leave this out",
+                    confinement.user));
   });
 }
 

@@ -27,9 +27,8 @@ class GatewayDaemon final : public config::Service {
     config_.thrift.log_folder = state_->path();
     if (geteuid() == 0 && config_.hosts.confinement.user.empty()) {
       log.warn(
-          "this gateway runs as root, and so does every driver: name a user with no rights in host_user, as which "
-          "driver "
-          "hosts are to run");
+          "this gateway runs as root, and so does every driver: name a user with no rights in host_user, as which its "
+          "driver hosts are to run");
     }
     if (!config_.metrics_address.empty()) {
       config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
