@@ -30,6 +30,10 @@ Number parse(const std::string& name, const std::string& value, Number min, Numb
   return number;
 }
 
+bool is_of_host(const std::string& name) {
+  return name.starts_with("channel.") || name == "thread" || name == "hang_limit" || name == "isolation";
+}
+
 std::string list(const auto& words) {
   std::string text;
   for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
@@ -75,7 +79,7 @@ std::string PropertyReader::choice(const std::string& name, const std::string& f
 
 void PropertyReader::finish() const {
   for (const auto& [name, value] : properties_) {
-    if (name.starts_with("channel.") || known_.contains(name)) continue;
+    if (is_of_host(name) || known_.contains(name)) continue;
     throw std::invalid_argument("unknown property \"" + name + "\"; this driver knows: " + list(known_) +
                                 " (and channel.NAME.* for its channels)");
   }

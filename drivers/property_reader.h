@@ -26,7 +26,7 @@ class PropertyReader {
   std::string choice(const std::string& name, const std::string& fallback, const std::vector<std::string>& choices);
 
   /// \throws std::invalid_argument for a property that was not asked for; the message lists those that were. Properties
-  /// that begin with "channel." are the driver host's and pass.
+  /// that begin with "channel." are the driver host's and pass; so are `thread`, `hang_limit` and `isolation`.
   void finish() const;
 
  private:

@@ -8,6 +8,7 @@ usage: cycles_test.py BUILD_DIR [--cycles N]
 
 import argparse
 import json
+import shutil
 import statistics
 import sys
 import time
@@ -56,8 +57,10 @@ def main():
     parser.add_argument("--cycles", type=int, default=50)
     given = parser.parse_args()
     build = given.build.resolve()
+    work = build / "cycles"
+    shutil.rmtree(work, ignore_errors=True)
     compile_idl(build)
-    with PrivateCluster(build / "cycles", build / "bin", build / "plugins") as cluster:
+    with PrivateCluster(work, build / "bin", build / "plugins") as cluster:
         cluster.start(gateways=1, more="host_debugging: true")  # what a host holds is read in /proc, by its user
         wait_for("the gateway is ready", lambda: [
             gateway["state"] for gateway in json.loads(cluster.cli("gateways", "-o", "json"))] == ["ready"])

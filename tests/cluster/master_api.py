@@ -1,6 +1,7 @@
 """A master's Thrift API, by a connection that is kept: for questions that are asked often, and for orders whose answers
 are fetched later."""
 
+import logging
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ def compile_idl(build):
     subprocess.run(["thrift", "-r", "-gen", "py", "-I", includes, "-out", out, includes / "iotcloud/master/master.thrift"],
                    check=True)
     sys.path.insert(0, str(out))
+    logging.getLogger("thrift").setLevel(logging.CRITICAL)  # every error comes as an exception too
 
 
 class MasterApi:

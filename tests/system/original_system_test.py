@@ -7,6 +7,7 @@ usage: original_system_test.py BUILD_DIR
 """
 
 import json
+import shutil
 import subprocess
 import sys
 import threading
@@ -19,7 +20,8 @@ from private_cluster import PrivateCluster, free_port, require, wait_for  # noqa
 
 BUILD = Path(sys.argv[1]).resolve()
 GENERATED = BUILD / "original-system" / "thrift"
-GENERATED.mkdir(parents=True, exist_ok=True)
+shutil.rmtree(GENERATED.parent, ignore_errors=True)
+GENERATED.mkdir(parents=True)
 subprocess.run(["thrift", "-gen", "py", "-out", GENERATED, HERE.parent / "master/originals/original.thrift"], check=True)
 sys.path.insert(0, str(GENERATED))
 
@@ -31,6 +33,8 @@ from thrift.server import TServer  # noqa: E402
 from thrift.transport import TSocket, TTransport  # noqa: E402
 
 SITE = "java1"
+# What the original looks for: its topologies read the channels of a driver that is deployed.
+ACTIVE = TSensorState.DEPLOY
 
 
 class Client:
@@ -123,7 +127,7 @@ def check_gateway_of_the_original(cluster):
         succeeds(master.stopSiteSensors([SITE], number))
         require(master.getSensors(SITE)[0].state == TSensorState.DE_ACTIVATE, "it was not stopped")
         succeeds(master.startSensor([SITE], number))
-        require(master.getSensors(SITE)[0].state == TSensorState.ACTIVE, "it was not started")
+        require(master.getSensors(SITE)[0].state == ACTIVE, "it was not started")
         succeeds(master.unDeploySensor([SITE], number))
         require(master.getSensors(SITE) == [], "it was not undeployed")
     require(gateway.calls == ["deploy turtle.jar"] + [f"{verb} {number}" for verb in ("stop", "start", "undeploy")],
@@ -140,7 +144,7 @@ def check_our_gateway(cluster):
     with Client(TMasterAPIService, cluster.apis["master"]) as master:
         succeeds(master.deploySensor(["gateway-1"], loadgen))
         through_master = master.getAllSensors()
-        require([(sensor.name, sensor.state) for sensor in through_master] == [("loadgen", TSensorState.ACTIVE)],
+        require([(sensor.name, sensor.state) for sensor in through_master] == [("loadgen", ACTIVE)],
                 through_master)
         require(sorted(channel.name for channel in through_master[0].channels) == ["data", "echo"], through_master)
         succeeds(master.stopAllSensors(through_master[0].sensorId))
