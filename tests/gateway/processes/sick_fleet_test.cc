@@ -28,9 +28,9 @@ const std::array<Illness, 4> illnesses = {{{"segfault", "crashed (signal 11"},
 class SickFleet : public ProcessTest {
  protected:
   SickFleet() {
-    hang_limit_ = 500ms;
+    hang_limit_ = 4s;  // longer than a busy machine takes to give memory to the one that leaks
     limits_.memory_bytes = std::uint64_t{600} << 20;  // a sanitizer takes much for itself
-    limits_.spin = 6s;  // on a busy machine the one that leaks takes seconds, and does not sleep meanwhile
+    limits_.spin = 10s;                               // and it does not sleep meanwhile
   }
 
   std::string trigger(const std::string& illness) const { return folder_ / ("trigger-" + illness); }
@@ -51,7 +51,7 @@ class SickFleet : public ProcessTest {
 
 TEST_F(SickFleet, EachIsToldApartAndRunsAgainAndTheHealthyOneMissesNothing) {
   auto with_policy = options();
-  with_policy.restart = {1ms, 50ms, 1h, 100};
+  with_policy.restart = {500ms, 500ms, 1h, 100};  // long enough for `starting` to be seen
   gateway_.emplace(std::move(with_policy));
   gateway_->start();
   const std::string diary = folder_ / "diary";
