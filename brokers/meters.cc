@@ -54,6 +54,13 @@ void Meters::conflated() {
   conflated_.add();
 }
 
+void Meters::overtook() {
+  metrics_
+      .counter("iotcloud_broker_overtook_total",
+               "Messages that the server confirmed before earlier ones of their topic", {{"broker", kind_}})
+      .add();
+}
+
 void Meters::skipped(const std::string& reason) {
   metrics_
       .counter("iotcloud_broker_skipped_total", "Received records that no handler got",

@@ -31,6 +31,8 @@ class Meters {
   void outcome(Outcome outcome, const std::string& reason);
   void received(bool redelivered);
   void conflated();  ///< a delivery that keep_last skipped
+  /// A message that the server confirmed before an earlier one of its topic: readers may have got them in that order.
+  void overtook();
   /// A record that no handler got: undecodable, or beyond its deadline where the server knows none.
   void skipped(const std::string& reason);
 

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private ActiveMQ Classic for tests and benchmarks, on loopback only, that leaves nothing behind.
 
-    activemq.py --dir DIR [--port N] [--tls] [--throughput]
+    activemq.py --dir DIR [--port N] [--tls] [--throughput] [--memory-mb N] [--flow-control]
 
 Runs one broker that speaks AMQP 1.0, with its data and log below DIR, on a free port. Its jars come from Maven Central
 (maven_jars.py). When it takes connections it prints one line on stdout:
@@ -21,6 +21,9 @@ The end of stdin means `stop`, so the server ends with whoever started it. A com
 Data of an earlier run in DIR are kept: a confirmed durable message is on the disk. A client that is silent for 4 s is
 cut off.
 
+With --flow-control it is as it comes: while its memory (--memory-mb) is full it puts messages aside, and may change their
+order (brokers/activemq/README.md).
+
 With --tls the URL is activemqs://localhost:PORT: the server wants a client certificate, and user and password
 (certificates.py; the files are in DIR).
 """
@@ -38,6 +41,13 @@ CONFIGURATION = """\
       http://www.springframework.org/schema/beans http://www.springframework.org/schema/beans/spring-beans.xsd
       http://activemq.apache.org/schema/core http://activemq.apache.org/schema/core/activemq-core.xsd">
   <broker xmlns="http://activemq.apache.org/schema/core" brokerName="iotcloud" useJmx="false" dataDirectory={data}>
+    <destinationPolicy>
+      <policyMap>
+        <policyEntries>
+          <policyEntry queue=">" producerFlowControl={flow_control}/>
+        </policyEntries>
+      </policyMap>
+    </destinationPolicy>
     <persistenceAdapter>
       <!-- Synchronous: with less a broker that is killed loses what it has confirmed. -->
       <kahaDB directory={data} journalMaxFileLength="32mb" journalDiskSyncStrategy="always"/>
@@ -48,7 +58,7 @@ CONFIGURATION = """\
     </plugins>{security}
     <systemUsage>
       <systemUsage>
-        <memoryUsage><memoryUsage limit="192 mb"/></memoryUsage>
+        <memoryUsage><memoryUsage limit={memory}/></memoryUsage>
         <storeUsage><storeUsage limit="4 gb"/></storeUsage>
         <tempUsage><tempUsage limit="1 gb"/></tempUsage>
       </systemUsage>
@@ -76,7 +86,7 @@ SECURITY = """
 class ActiveMq(private_server.Server):
     name = "ActiveMQ"
 
-    def __init__(self, folder, port, tls, jvm=private_server.QUICK_START):
+    def __init__(self, folder, port, tls, jvm=private_server.QUICK_START, memory_mb=192, flow_control=False):
         super().__init__(folder)
         self.jvm = jvm
         self.class_path = maven_jars.fetch("activemq")
@@ -88,7 +98,8 @@ class ActiveMq(private_server.Server):
             self.certificates = certificates.Certificates(self.folder)
             connector = connector.replace("amqp:", "amqp+ssl:") + "&transport.needClientAuth=true"
         self.config = self.write("activemq.xml", CONFIGURATION.format(
-            data=quoted(self.path("data")), connector=quoted(connector),
+            data=quoted(self.path("data")), connector=quoted(connector), memory=quoted("%d mb" % memory_mb),
+            flow_control=quoted(str(flow_control).lower()),
             users=self.users() if tls else "", security=self.security() if tls else "").splitlines())
 
     @staticmethod
@@ -122,8 +133,10 @@ def main():
     parser = private_server.options("A private ActiveMQ")
     private_server.add_client_options(parser)
     private_server.add_jvm_options(parser)
+    parser.add_argument("--memory-mb", type=int, default=192, help="of messages that wait")
+    parser.add_argument("--flow-control", action="store_true", help="the server's own, its default")
     given = parser.parse_args()
-    private_server.run(lambda: ActiveMq(given.dir, given.port, given.tls, given.jvm))
+    private_server.run(lambda: ActiveMq(given.dir, given.port, given.tls, given.jvm, given.memory_mb, given.flow_control))
 
 
 if __name__ == "__main__":

@@ -267,12 +267,7 @@ void PublishLink::on_route(const std::shared_ptr<Outlet>& outlet, const std::vec
   outlet->asked_at = now();
   outlet->route = queues.empty() ? Outlet::Route::unknown : Outlet::Route::known;
   if (queues.empty() && !outlet->idle() && outlet->may_send()) {
-    Outgoing next = outlet->take_next();
-    if (next.resent) {  // somebody may have got it before: it stays marked
-      outlet->put_off(std::move(next), now());
-    } else {
-      outlet->returned(std::move(next), now());
-    }
+    outlet->returned(outlet->take_next(), now());
   }
   note(outlet);
   make_runnable(outlet);
@@ -300,6 +295,7 @@ void PublishLink::on_outcome(pn_delivery_t* delivery, std::uint64_t outcome) {
   Outlet& outlet = *entry->outlet;
   if (!outlet.closed) {
     if (outcome == PN_ACCEPTED) {
+      check_order(*entry);
       outlet.confirmed(entry->outgoing.number);
     } else if (outcome == PN_REJECTED) {
       outlet.refused(entry->outgoing.number, "the server rejected it");
@@ -310,6 +306,23 @@ void PublishLink::on_outcome(pn_delivery_t* delivery, std::uint64_t outcome) {
     make_runnable(entry->outlet);
   }
   while (!under_way_.empty() && under_way_.front().answered) under_way_.pop_front();
+}
+
+void PublishLink::check_order(const UnderWay& accepted) {
+  for (const UnderWay& earlier : under_way_) {
+    if (&earlier == &accepted) return;
+    if (earlier.answered || earlier.outlet != accepted.outlet) continue;
+    meters_.overtook();
+    if (std::exchange(said_overtook_, true)) return;
+    logger.warn(
+        "the server took a message for {} before an earlier one: its memory is full, and unless its flow control is "
+        "off "
+        "readers get them in that order; <policyEntry queue=\">\" producerFlowControl=\"false\"/> has it keep messages "
+        "on "
+        "disk instead (brokers/activemq/README.md)",
+        accepted.outlet->topic.name);
+    return;
+  }
 }
 
 }  // namespace iotcloud::brokers::activemq

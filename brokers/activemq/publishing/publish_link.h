@@ -67,6 +67,8 @@ class PublishLink final : public ServerLink {
   void send_now();
   void find_route(const std::shared_ptr<Outlet>& outlet);
   void on_route(const std::shared_ptr<Outlet>& outlet, const std::vector<QueueFacts>& queues);
+  /// Of a message that was just accepted: whether an earlier one of its topic was not.
+  void check_order(const UnderWay& accepted);
   bool route_is_old(const Outlet& outlet) const;
   void make_runnable(const std::shared_ptr<Outlet>& outlet);
   void note(const std::shared_ptr<Outlet>& outlet);
@@ -81,6 +83,7 @@ class PublishLink final : public ServerLink {
   std::vector<std::shared_ptr<Outlet>> outlets_;
   std::deque<std::shared_ptr<Outlet>> runnable_;
   std::deque<UnderWay> under_way_;  ///< entries stay where they are: their deliveries refer to them
+  bool said_overtook_ = false;
   std::size_t one_by_one_ = 0;  ///< so many messages still go alone: one of them made the server close the connection
   std::thread::id reporting_;   ///< calls callbacks
 };
