@@ -97,7 +97,6 @@ void Outbox::returned(Outgoing outgoing, Instant now) {
   if (!retry_at_) retry_at_ = now + (++unread_tries_ <= eager_tries ? eager_ : patient_).next();
   proven_ = false;
   unread_ = true;
-  outgoing.resent = false;  // nobody got it
   insert(std::move(outgoing));
   trim();
 }

@@ -86,6 +86,20 @@ TEST_F(OutboxTest, TriesWhatTheServerCouldNotStoreAgainAfterAWhileAndMarksIt) {
   EXPECT_EQ(send().size(), 2U);
 }
 
+TEST_F(OutboxTest, WhatWasLostStaysMarkedWhenItComesBackUnreadLater) {
+  Outbox& outbox = make(WhenFull::block, 10);
+  add(1);
+  outbox.lost(std::move(send().at(0)));
+  outbox.disconnected();
+  outbox.ready = true;
+  outbox.returned(std::move(send().at(0)), now_);
+  now_ = outbox.next_timer().value();
+  outbox.fire_timer(now_);
+  const std::vector<Outgoing> again = send();
+  ASSERT_EQ(again.size(), 1U);
+  EXPECT_TRUE(again[0].resent) << "it may have been read before the connection was lost";
+}
+
 TEST_F(OutboxTest, PutsWhatWasLostBackInOrderAndMarksIt) {
   Outbox& outbox = make(WhenFull::block, 10);
   prove();
