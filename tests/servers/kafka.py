@@ -75,6 +75,9 @@ class Kafka(private_server.Server):
             # A killed node that comes back is let in at once: its earlier life holds the registration no longer.
             "broker.session.timeout.ms=1500",
             "num.network.threads=2", "num.io.threads=2", "background.threads=2", "log.cleaner.enable=false",
+            # A benchmark writes hundreds of megabytes a second; nobody reads what is gigabytes old.
+            "log.retention.bytes=2147483648", "log.retention.check.interval.ms=2000",
+            "log.segment.delete.delay.ms=1000", "log.initial.task.delay.ms=2000",
             "log.segment.bytes=67108864", "log.index.size.max.bytes=1048576", "auto.include.jmx.reporter=false",
             "metadata.max.idle.interval.ms=0"] + (self.security() if self.certificates else []))
 
