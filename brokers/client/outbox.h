@@ -59,8 +59,8 @@ class Outbox {
 
   void confirmed(std::uint64_t number);
   void refused(std::uint64_t number, const std::string& reason);
-  /// Came back unread: it waits again and is tried after a while. Whether an earlier sending of it was read is as unknown
-  /// as before.
+  /// Came back unread: it waits again and is tried after a while. Whether an earlier sending of it was read is as
+  /// unknown as before.
   void returned(Outgoing outgoing, Instant now);
   /// The server could not store it now (a queue without its leader, one that is full): tried again after a while,
   /// marked as sent before, because another queue may have it.
