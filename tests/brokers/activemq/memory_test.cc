@@ -91,7 +91,7 @@ TEST(ActiveMqMemory, ThatIsFullChangesNoOrder) {
 
 TEST(ActiveMqMemory, ThatIsFullChangesTheOrderUnderTheServersOwnFlowControlAndThatIsCounted) {
   FullServer server({"--memory-mb", "8", "--flow-control"});
-  for (int i = 0; i < 20 && server.in_order(); ++i) ASSERT_NO_FATAL_FAILURE(server.send(100));
+  for (int i = 0; i < 100 && server.in_order(); ++i) ASSERT_NO_FATAL_FAILURE(server.send(100));
   EXPECT_FALSE(server.in_order());
   EXPECT_GT(server.overtook(), 0U);
 }
