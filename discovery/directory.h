@@ -40,6 +40,14 @@ class DriverDirectory {
 struct GatewayStatus {
   GatewayRecord record;
   bool alive = false;
+  bool draining = false;  ///< takes no new instances; those that it has are stopped
+  bool original = false;  ///< of the original system: called, not ordered. Known to a master only
+};
+
+/// What is wanted of one instance, and where.
+struct PlacedOrder {
+  std::string gateway;
+  OrderRecord order;
 };
 
 /// One-time queries, for the master and tests. \throws RegistryError.
@@ -50,6 +58,8 @@ std::vector<std::string> list_instances(Registry& registry, const Paths& paths);
 std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std::string& path);
 void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<DriverRecord>& drivers);
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths);
+/// \param gateways ids; empty: of all. Those that are not there have none.
+std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<std::string>& gateways);
 struct TopologyStatus {
   TopologyRecord record;
   std::optional<TopologyOrder> order;  ///< nullopt: nobody ordered anything

@@ -89,16 +89,37 @@ std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths) {
 
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths) {
   std::vector<GatewayStatus> gateways;
-  std::vector<std::string> alive;
+  std::vector<std::string> alive, draining;
   for_each_child(registry, paths.gateways, decode_gateway, [&](const std::string& id, GatewayRecord record) {
     GatewayStatus status;
     status.record = std::move(record);
     alive.push_back(paths.gateway_alive(id));
+    draining.push_back(paths.gateway_draining(id));
     gateways.push_back(std::move(status));
   });
-  const auto nodes = registry.get_all(alive);
-  for (std::size_t i = 0; i < gateways.size(); ++i) gateways[i].alive = nodes[i].has_value();
+  const auto lives = registry.get_all(alive);
+  const auto marks = registry.get_all(draining);
+  for (std::size_t i = 0; i < gateways.size(); ++i) {
+    gateways[i].alive = lives[i].has_value();
+    gateways[i].draining = marks[i].has_value();
+  }
   return gateways;
+}
+
+std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<std::string>& gateways) {
+  auto ids = gateways;
+  if (ids.empty()) ids = registry.children(paths.gateways).value_or(std::vector<std::string>());
+  std::vector<std::string> parents;
+  for (const std::string& id : ids) parents.push_back(paths.orders(id));
+  std::vector<PlacedOrder> orders;
+  const auto places = below(registry, parents);
+  const auto nodes = registry.get_all(places);
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    if (auto order = record_of(nodes[i], places[i], decode_order)) {
+      orders.push_back({name_of(parent_of(parent_of(places[i]))), std::move(*order)});
+    }
+  }
+  return orders;
 }
 
 std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths) {

@@ -52,13 +52,16 @@ class Reader {
 }  // namespace
 
 std::string encode(const OrderRecord& record) {
-  return to_text({{"instance", record.instance},
-                  {"driver", record.driver},
-                  {"plugin", record.plugin},
-                  {"active", record.active},
-                  {"properties", record.properties},
-                  {"metadata", record.metadata},
-                  {"epoch", record.epoch}});
+  Json json{{"instance", record.instance}, {"driver", record.driver},         {"plugin", record.plugin},
+            {"active", record.active},     {"properties", record.properties}, {"metadata", record.metadata},
+            {"epoch", record.epoch}};
+  if (!record.name.empty()) {
+    json["name"] = record.name;
+    json["index"] = record.index;
+  }
+  if (!record.manager.empty()) json["manager"] = record.manager;
+  if (record.drained) json["drained"] = true;
+  return to_text(json);
 }
 
 OrderRecord decode_order(const std::string& bytes, const std::string& path) {
@@ -70,6 +73,22 @@ OrderRecord decode_order(const std::string& bytes, const std::string& path) {
   reader.optional("active", record.active);
   reader.optional("properties", record.properties);
   reader.optional("metadata", record.metadata);
+  reader.optional("epoch", record.epoch);
+  reader.optional("name", record.name);
+  reader.optional("index", record.index);
+  reader.optional("manager", record.manager);
+  reader.optional("drained", record.drained);
+  return record;
+}
+
+std::string encode(const DrainRecord& record) {
+  return to_text({{"since_ms", record.since_ms}, {"epoch", record.epoch}});
+}
+
+DrainRecord decode_drain(const std::string& bytes, const std::string& path) {
+  const Reader reader(bytes, path, "the mark of a gateway that drains");
+  DrainRecord record;
+  reader.optional("since_ms", record.since_ms);
   reader.optional("epoch", record.epoch);
   return record;
 }

@@ -51,6 +51,9 @@ std::string Paths::gateway(const std::string& id) const {
 std::string Paths::gateway_alive(const std::string& id) const {
   return gateway(id) + "/alive";
 }
+std::string Paths::gateway_draining(const std::string& id) const {
+  return gateway(id) + "/draining";
+}
 std::string Paths::orders(const std::string& id) const {
   return gateway(id) + "/orders";
 }

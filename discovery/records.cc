@@ -175,6 +175,10 @@ std::string encode(const DriverRecord& record) {
   sensor.__set_exactState(to_string(record.state));
   sensor.__set_reason(record.reason);
   sensor.__set_sinceMs(record.since_ms);
+  if (!record.deployment.empty()) {
+    sensor.__set_deployment(record.deployment);
+    sensor.__set_index(record.index);
+  }
   return to_bytes(sensor);
 }
 
@@ -187,6 +191,8 @@ DriverRecord decode_driver(const std::string& bytes, const std::string& path) {
   record.gateway = std::move(sensor.siteId);
   record.reason = std::move(sensor.reason);
   record.since_ms = sensor.sinceMs;
+  record.deployment = std::move(sensor.deployment);
+  record.index = sensor.index;
   record.metadata = metadata_from_json(sensor.metadata);
   for (wire::TChannel& channel : sensor.channels) record.channels.push_back(from_wire(std::move(channel), path));
   return record;

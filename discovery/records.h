@@ -40,6 +40,8 @@ struct DriverRecord {
   std::int64_t since_ms = 0;                    ///< wall time of the last change; field 102
   std::map<std::string, std::string> metadata;  ///< TSensor.metadata, as JSON
   std::vector<ChannelRecord> channels;
+  std::string deployment;  ///< OrderRecord::name; field 106
+  int index = 0;           ///< OrderRecord::index; field 107
   friend bool operator==(const DriverRecord&, const DriverRecord&) = default;
 };
 
@@ -63,8 +65,20 @@ struct OrderRecord {
   std::map<std::string, std::string> properties;
   std::map<std::string, std::string> metadata;
   std::int64_t epoch =
-      0;  ///< fencing: the issuing master's; a gateway ignores orders of an older epoch than it has seen
+      0;                 ///< fencing: the issuing master's; a gateway ignores orders of an older epoch than it has seen
+  std::string name;      ///< of its deployment; empty: it has none
+  int index = 0;         ///< from 1 on, unique within name and gateway; 0: it has no name
+  std::string manager;   ///< the manifest that it belongs to; empty: a person deployed it
+  bool drained = false;  ///< inactive only while its gateway drains; wanted active after that
   friend bool operator==(const OrderRecord&, const OrderRecord&) = default;
+};
+
+/// A gateway that drains takes no new instances, and those that it has are stopped: /iot/gateways/<id>/draining, JSON,
+/// persistent. No node: it does not.
+struct DrainRecord {
+  std::int64_t since_ms = 0;
+  std::int64_t epoch = 0;  ///< the issuing master's
+  friend bool operator==(const DrainRecord&, const DrainRecord&) = default;
 };
 
 /// One running topology: /iot/topologies/<name>, JSON; its workers are ephemeral below .../workers.
@@ -120,6 +134,7 @@ std::string encode(const DriverRecord& record);
 std::string encode(const ChannelRecord& record);
 std::string encode(const GatewayRecord& record);
 std::string encode(const OrderRecord& record);
+std::string encode(const DrainRecord& record);
 std::string encode(const TopologyRecord& record);
 std::string encode(const TopologyOrder& order);
 std::string encode(const WorkerRecord& record);
@@ -127,6 +142,7 @@ DriverRecord decode_driver(const std::string& bytes, const std::string& path);
 ChannelRecord decode_channel(const std::string& bytes, const std::string& path);
 GatewayRecord decode_gateway(const std::string& bytes, const std::string& path);
 OrderRecord decode_order(const std::string& bytes, const std::string& path);
+DrainRecord decode_drain(const std::string& bytes, const std::string& path);
 TopologyRecord decode_topology(const std::string& bytes, const std::string& path);
 TopologyOrder decode_topology_order(const std::string& bytes, const std::string& path);
 WorkerRecord decode_worker(const std::string& bytes, const std::string& path);
@@ -139,6 +155,7 @@ struct Paths {
   std::string channel(const std::string& driver, const std::string& instance, const std::string& channel) const;
   std::string gateway(const std::string& id) const;  ///< /iot/gateways/<id>
   std::string gateway_alive(const std::string& id) const;
+  std::string gateway_draining(const std::string& id) const;
   std::string orders(const std::string& id) const;
   std::string order(const std::string& id, const std::string& instance) const;
   std::string masters() const;                          ///< /iot/masters: the election's path

@@ -49,6 +49,9 @@ struct TSensor {
   101: optional string reason
   // Wall time of the last change, milliseconds since 1970 UTC.
   102: optional i64 sinceMs
+  // The name that it was deployed under, and its number within that name on its gateway, from 1 on.
+  106: optional string deployment
+  107: optional i32 index
 }
 
 struct TBroker {
@@ -67,6 +70,10 @@ struct TSite {
   100: optional i64 sinceMs
   // In answers of the master: whether the gateway's process lives. Not set in the registry.
   101: optional bool alive
+  // In answers of the master: whether it drains (takes no new instances, and those that it has are stopped), and
+  // whether it is of the original system (it is called, and follows no orders).
+  103: optional bool draining
+  104: optional bool original
 }
 
 struct TResponse {

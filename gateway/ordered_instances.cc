@@ -161,6 +161,8 @@ DriverRecord OrderedInstances::record_for(const Entry& entry) const {
   record.metadata = entry.status.metadata;
   record.metadata.insert(entry.order.metadata.begin(), entry.order.metadata.end());  // the driver's own go before
   record.channels = entry.status.channels;
+  record.deployment = entry.order.name;
+  record.index = entry.order.index;
   return record;
 }
 

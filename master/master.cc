@@ -114,7 +114,13 @@ std::vector<DriverRecord> Master::drivers() const {
 }
 
 std::vector<GatewayStatus> Master::gateways() const {
-  return discovery::list_gateways(impl_->registry, impl_->options.paths);
+  auto gateways = discovery::list_gateways(impl_->registry, impl_->options.paths);
+  for (auto& gateway : gateways) gateway.original = impl_->is_direct(gateway.record.id);
+  return gateways;
+}
+
+std::vector<discovery::PlacedOrder> Master::orders() const {
+  return discovery::list_orders(impl_->registry, impl_->options.paths, {});
 }
 
 std::vector<discovery::TopologyStatus> Master::topologies() const {

@@ -59,6 +59,11 @@ class Master {
   /// Done when the gateways have written it into the instances' records. What a driver itself says of a key goes
   /// before.
   OrderResult update_metadata(const InstanceSelection& selection, const MetadataChanges& changes);
+  OrderResult change_deployment(const DeploymentChange& change);
+  /// Marks gateways as draining and stops their instances: `all` passes such a gateway by, naming it is refused, and
+  /// what is started there waits. Undrain ends that; what drain stopped starts again. Both may be repeated.
+  OrderResult drain(const GatewaySelection& selection);
+  OrderResult undrain(const GatewaySelection& selection);
   /// The same for a topology: answers when all of its workers that run now have followed, or ended.
   TopologyResult order(const TopologyRequest& request);
 
@@ -66,7 +71,8 @@ class Master {
   std::vector<discovery::DriverRecord> drivers() const;
   std::vector<discovery::GatewayStatus> gateways() const;
   std::vector<discovery::TopologyStatus> topologies() const;
-  MasterStatus status() const;  ///< does not throw
+  std::vector<discovery::PlacedOrder> orders() const;  ///< what is wanted of every instance; not of the original's
+  MasterStatus status() const;                         ///< does not throw
 
   /// Ends all waiting: orders under way answer `unknown`, later ones too. For a stop in time.
   void close();

@@ -59,6 +59,48 @@ struct TDeployRequest {
   6: i32 count = 1
   // How long to wait for the outcomes, milliseconds; 0: as long as the master thinks fit.
   7: i64 waitMs
+  // Of the deployment. With the gateway and a number from 1 to `count` it names an instance, which is not deployed twice.
+  // Empty: the instances have no names.
+  9: string name
+  // With a name: these numbers, not 1 to `count`.
+  10: list<i32> indexes
+  // The manifest that the instances belong to; empty: a person deploys.
+  11: string manager
+  // false: they are deployed, and wait to be started.
+  12: bool active = true
+}
+
+// What is wanted of one instance.
+struct TOrder {
+  1: string gateway
+  2: string instance
+  // Empty: the plugin's own.
+  3: string driver
+  4: string plugin
+  5: map<string, string> properties
+  6: map<string, string> metadata
+  // Active, once its gateway does not drain.
+  7: bool active
+  // Its name and its number, from 1 on; empty and 0: it has none.
+  8: string name
+  9: i32 index
+  // The manifest that it belongs to; empty: a person deployed it.
+  10: string manager
+}
+
+// What instances were deployed with, to be changed. They keep their ids; those whose properties change are made anew.
+struct TDeploymentChange {
+  1: list<string> instances
+  // All of them. Not set: as they are.
+  2: optional map<string, string> properties
+  // The manifest that they belong to from now on. Not set: as it is.
+  3: optional string manager
+  4: i64 waitMs
+}
+
+struct TGatewaySelection {
+  1: list<string> gateways
+  2: i64 waitMs
 }
 
 struct TInstanceSelection {
@@ -219,6 +261,12 @@ service TMasterAPIService {
   TOrderResponse stop(1: TInstanceSelection selection)
   // An empty value takes the key away.
   TOrderResponse updateMetadata(1: TInstanceSelection selection, 2: map<string, string> changes)
+  TOrderResponse changeDeployment(1: TDeploymentChange change)
+  // What is wanted of every instance. Not of those on gateways of the original system.
+  list<TOrder> listOrders() throws (1: TMasterError error)
+  // Nothing is deployed on a gateway that drains, and its instances are stopped; undrain starts those again.
+  TOrderResponse drain(1: TGatewaySelection selection)
+  TOrderResponse undrain(1: TGatewaySelection selection)
   TTopologyResponse orderTopology(1: TTopologyRequest request)
 }
 

@@ -68,6 +68,12 @@ void SiteHandler::deploySensor(Response& answer, const discovery::wire::TSensorD
     if (!order.driver.empty()) check_name("driver name", order.driver);
     order.properties = descriptor.properties;
     order.epoch = gateway_.epoch();
+    if (registry_.get(paths_.gateway_draining(gateway_.id()))) {
+      throw config::Error(
+          fmt::format("the gateway {0} is draining, so nothing is deployed on it; `iotcloud undrain {0}` "
+                      "ends that",
+                      gateway_.id()));
+    }
     const std::string path = paths_.order(gateway_.id(), order.instance);
     registry_.create(path, encode(order));
     const auto outcome = await(answer, order.instance, -1, DriverState::active);

@@ -175,6 +175,20 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
                       const std::map<std::string, std::string>& changes) override {
     order(out, [&] { return master_.update_metadata(from_wire(selection), changes); });
   }
+  void changeDeployment(wire::TOrderResponse& out, const wire::TDeploymentChange& change) override {
+    order(out, [&] { return master_.change_deployment(from_wire(change)); });
+  }
+  void listOrders(std::vector<wire::TOrder>& out) override {
+    read([&] {
+      for (const auto& placed : master_.orders()) out.push_back(to_wire(placed));
+    });
+  }
+  void drain(wire::TOrderResponse& out, const wire::TGatewaySelection& selection) override {
+    order(out, [&] { return master_.drain(from_wire(selection)); });
+  }
+  void undrain(wire::TOrderResponse& out, const wire::TGatewaySelection& selection) override {
+    order(out, [&] { return master_.undrain(from_wire(selection)); });
+  }
   void orderTopology(wire::TTopologyResponse& out, const wire::TTopologyRequest& request) override {
     order(out, [&] { return master_.order(from_wire(request)); });
   }

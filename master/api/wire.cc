@@ -126,7 +126,24 @@ discovery::wire::TSensor to_wire(const discovery::DriverRecord& record) {
 discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway) {
   auto site = parse<discovery::wire::TSite>(encode(gateway.record));
   site.__set_alive(gateway.alive);
+  site.__set_draining(gateway.draining);
+  site.__set_original(gateway.original);
   return site;
+}
+
+wire::TOrder to_wire(const discovery::PlacedOrder& placed) {
+  wire::TOrder out;
+  out.__set_gateway(placed.gateway);
+  out.__set_instance(placed.order.instance);
+  out.__set_driver(placed.order.driver);
+  out.__set_plugin(placed.order.plugin);
+  out.__set_properties(placed.order.properties);
+  out.__set_metadata(placed.order.metadata);
+  out.__set_active(placed.order.active || placed.order.drained);
+  out.__set_name(placed.order.name);
+  out.__set_index(placed.order.index);
+  out.__set_manager(placed.order.manager);
+  return out;
 }
 
 wire::TTopology to_wire(const discovery::TopologyStatus& topology) {
@@ -188,7 +205,24 @@ DeployRequest from_wire(const wire::TDeployRequest& request) {
   out.metadata = request.metadata;
   out.count = request.count;
   out.wait = wait_limit(request.waitMs);
+  out.name = request.name;
+  out.indexes.assign(request.indexes.begin(), request.indexes.end());
+  out.manager = request.manager;
+  out.active = request.active;
   return out;
+}
+
+DeploymentChange from_wire(const wire::TDeploymentChange& change) {
+  DeploymentChange out;
+  out.instances = change.instances;
+  if (change.__isset.properties) out.properties = change.properties;
+  if (change.__isset.manager) out.manager = change.manager;
+  out.wait = wait_limit(change.waitMs);
+  return out;
+}
+
+GatewaySelection from_wire(const wire::TGatewaySelection& selection) {
+  return {selection.gateways, wait_limit(selection.waitMs)};
 }
 
 InstanceSelection from_wire(const wire::TInstanceSelection& selection) {

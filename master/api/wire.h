@@ -14,6 +14,7 @@ namespace iotcloud::master {
 discovery::wire::TSensor to_wire(const discovery::DriverRecord& record);
 discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway);
 wire::TTopology to_wire(const discovery::TopologyStatus& topology);
+wire::TOrder to_wire(const discovery::PlacedOrder& placed);
 wire::TOrderResponse to_wire(const OrderResult& result);
 wire::TTopologyResponse to_wire(const TopologyResult& result);
 discovery::wire::TResponse to_response(const OrderResult& result);
@@ -23,6 +24,8 @@ discovery::wire::TResponse failure(const std::string& text);
 
 DeployRequest from_wire(const wire::TDeployRequest& request);
 InstanceSelection from_wire(const wire::TInstanceSelection& selection);
+DeploymentChange from_wire(const wire::TDeploymentChange& change);
+GatewaySelection from_wire(const wire::TGatewaySelection& selection);
 TopologyRequest from_wire(const wire::TTopologyRequest& request);
 /// \throws config::Error when there is something in them that cannot be.
 discovery::GatewayRecord from_wire(const discovery::wire::TSite& site);

@@ -9,8 +9,10 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <iotcloud/config/error.h>
 #include <iotcloud/master/cli/command.h>
 #include <iotcloud/master/cli/drivers_command.h>
+#include <iotcloud/master/cli/fleet/fleet_command.h>
 #include <iotcloud/master/cli/history_command.h>
 #include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/master/cli/output.h>
@@ -35,6 +37,10 @@ const char* state_of(const TSite& gateway) {
   return gateway.alive ? "ready" : "lost";
 }
 
+std::string state_and_draining(const TSite& gateway) {
+  return std::string(state_of(gateway)) + (gateway.draining ? ", draining" : "");
+}
+
 std::vector<std::string> broker_names(const TSite& gateway) {
   std::vector<std::string> names;
   for (const auto& broker : gateway.brokers) names.push_back(broker.name);
@@ -46,9 +52,9 @@ int show_gateways(const Command& command, MasterClient& master, std::ostream& ou
   if (command.format == Format::table) {
     Rows rows;
     for (const auto& gateway : gateways)
-      rows.push_back({printable(gateway.siteId), state_of(gateway), fmt::format("{}:{}", gateway.host, gateway.port),
-                      printable(fmt::format("{}", fmt::join(broker_names(gateway), ","))),
-                      age(gateway.sinceMs, now_ms())});
+      rows.push_back(
+          {printable(gateway.siteId), state_and_draining(gateway), fmt::format("{}:{}", gateway.host, gateway.port),
+           printable(fmt::format("{}", fmt::join(broker_names(gateway), ","))), age(gateway.sinceMs, now_ms())});
     print_table(out, {"GATEWAY", "STATE", "ADDRESS", "BROKERS", "SINCE"}, rows);
     return exit_ok;
   }
@@ -56,6 +62,7 @@ int show_gateways(const Command& command, MasterClient& master, std::ostream& ou
   for (const auto& gateway : gateways)
     json.push_back({{"gateway", gateway.siteId},
                     {"state", state_of(gateway)},
+                    {"draining", gateway.draining},
                     {"host", gateway.host},
                     {"port", gateway.port},
                     {"brokers", broker_names(gateway)},
@@ -159,7 +166,11 @@ int show_order(const Command& command, const wire::TOrderResponse& answer, std::
     Rows rows;
     for (const auto& outcome : answer.outcomes)
       rows.push_back({outcome.instance, printable(outcome.gateway), word(outcome.outcome), printable(outcome.reason)});
-    print_table(out, {"INSTANCE", "GATEWAY", "OUTCOME", "REASON"}, rows);
+    if (rows.empty()) {
+      out << "done; no instance had to change\n";
+    } else {
+      print_table(out, {"INSTANCE", "GATEWAY", "OUTCOME", "REASON"}, rows);
+    }
     return ok ? exit_ok : exit_failed;
   }
   Json outcomes = Json::array();
@@ -183,7 +194,15 @@ int order(const Command& command, const discovery::Selection& where, MasterClien
     request.__set_metadata(command.metadata);
     request.__set_count(command.count);
     request.__set_waitMs(command.wait_ms);
+    request.__set_name(command.name);
     return show_order(command, master.deploy(request), out, err);
+  }
+  if (command.verb == Verb::drain || command.verb == Verb::undrain) {
+    wire::TGatewaySelection selection;
+    selection.__set_gateways(command.gateways);
+    selection.__set_waitMs(command.wait_ms);
+    return show_order(command, command.verb == Verb::drain ? master.drain(selection) : master.undrain(selection), out,
+                      err);
   }
   wire::TInstanceSelection selection;
   selection.__set_instances(command.instances.empty() ? fitting_ids(command, where, master)
@@ -203,7 +222,11 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
   try {
     if (command.verb == Verb::topology_check) return check_topology(command, err);
     const auto where = where_of(command);  // before a master is asked
-    MasterClient master(command.masters, command.token, command.election_patience);
+    const auto connect = [&] {
+      return std::make_unique<MasterClient>(command.masters, command.token, command.election_patience);
+    };
+    const auto connection = connect();
+    auto& master = *connection;
     switch (command.verb) {
       case Verb::gateways:
         return show_gateways(command, master, out);
@@ -224,6 +247,8 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::start:
       case Verb::stop:
       case Verb::metadata:
+      case Verb::drain:
+      case Verb::undrain:
         return order(command, where, master, out, err);
       case Verb::topology_show:
       case Verb::topology_activate:
@@ -234,8 +259,14 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::topology_tap:
       case Verb::topology_check:
         return run_topology(command, master, out, err);
+      case Verb::diff:
+      case Verb::apply:
+        return run_fleet(command, connect, out, err);
     }
   } catch (const Ambiguous& e) {
+    err << "iotcloud: " << e.what() << '\n';
+    return exit_usage;
+  } catch (const config::ConfigError& e) {
     err << "iotcloud: " << e.what() << '\n';
     return exit_usage;
   } catch (const std::invalid_argument& e) {

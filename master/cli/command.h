@@ -19,6 +19,10 @@ enum class Verb {
   start,
   stop,
   metadata,
+  drain,
+  undrain,
+  diff,
+  apply,
   describe,
   history,
   logs,
@@ -43,7 +47,8 @@ struct Command {
   std::vector<std::string> instances;  ///< ids or their beginnings; orders: empty: what the next three leave
   std::string state;                   ///< only those in this state
   std::string where;                   ///< only those for which this expression holds; empty: all
-  std::string driver;                  ///< only those of this name; deploy: the driver's name
+  std::string driver;                  ///< only those of this driver; deploy: the driver's name
+  std::string name;                    ///< only those of this deployment; deploy: the deployment's name
   std::string plugin;
   std::map<std::string, std::string> properties;
   std::map<std::string, std::string> metadata;  ///< deploy: what it is; metadata: what to change
@@ -57,7 +62,10 @@ struct Command {
   double rate = 10;                        ///< tap: samples a second of each task at most
   std::int64_t samples = 0;                ///< tap: ends after so many; 0: when interrupted
   double watch_s = 0;                      ///< metrics: again and again after so many seconds; 0: once
-  std::string file;                        ///< check
+  std::string file;                        ///< check, diff, apply
+  bool prune = true;                       ///< diff, apply: what the manifest does not name any more goes
+  bool adopt = false;                      ///< diff, apply: what others deployed under its names becomes the manifest's
+  bool dry_run = false;                    ///< apply: as diff
   bool follow = false;                     ///< logs: go on until interrupted
   bool whole_host = false;                 ///< logs: every line of its driver host, not only those that name it
   std::int32_t lines = 100;                ///< logs, history, describe: so many of the latest lines or changes
@@ -71,6 +79,7 @@ enum ExitStatus {
   exit_failed = 1,       ///< the order failed, for all or for some; or the master could not answer
   exit_usage = 2,        ///< the command line is wrong, or the beginning of an id fits several
   exit_unreachable = 3,  ///< no master answers
+  exit_differs = 4,      ///< diff, apply --dry-run: the fleet is not as the manifest says
 };
 
 /// Ends what goes on until it is interrupted (metrics --watch, tap, logs --follow), in order. For a signal handler.

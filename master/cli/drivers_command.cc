@@ -70,6 +70,7 @@ std::vector<TSensor> fitting_drivers(const Command& command, const discovery::Se
     return (!command.instances.empty() && std::none_of(command.instances.begin(), command.instances.end(), begins)) ||
            (!command.gateways.empty() && !among(command.gateways, driver.siteId)) ||
            (!command.driver.empty() && command.driver != driver.name) ||
+           (!command.name.empty() && command.name != driver.deployment) ||
            (!command.state.empty() && command.state != driver.exactState) ||
            (!where.everything() && !where.matches(record_of(driver)));
   });
@@ -86,6 +87,10 @@ std::string metadata_words(const TSensor& driver) {
   return fmt::format("{}", fmt::join(words, " "));
 }
 
+std::string full_name(const TSensor& driver) {
+  return driver.deployment.empty() ? "-" : fmt::format("{}/{}", driver.deployment, driver.index);
+}
+
 Json to_json(const TSensor& driver) {
   Json channels = Json::array();
   for (const auto& channel : driver.channels) {
@@ -96,9 +101,10 @@ Json to_json(const TSensor& driver) {
                         {"shared", channel.grouped},
                         {"properties", channel.properties}});
   }
-  return {{"instance", driver.sensorId},     {"driver", driver.name},          {"gateway", driver.siteId},
-          {"state", driver.exactState},      {"reason", driver.reason},        {"since_ms", driver.sinceMs},
-          {"metadata", metadata_of(driver)}, {"channels", std::move(channels)}};
+  return {{"instance", driver.sensorId},    {"name", driver.deployment},  {"index", driver.index},
+          {"driver", driver.name},          {"gateway", driver.siteId},   {"state", driver.exactState},
+          {"reason", driver.reason},        {"since_ms", driver.sinceMs}, {"metadata", metadata_of(driver)},
+          {"channels", std::move(channels)}};
 }
 
 discovery::Selection where_of(const Command& command) {
@@ -121,10 +127,10 @@ int show_drivers(const Command& command, const discovery::Selection& where, Mast
     const std::int64_t now = wall_ms();
     Rows rows;
     for (const auto& driver : drivers)
-      rows.push_back({driver.sensorId, printable(driver.name),
+      rows.push_back({driver.sensorId, printable(full_name(driver)), printable(driver.name),
                       printable(driver.siteId) + (lost.contains(driver.siteId) ? " (lost)" : ""), driver.exactState,
                       age(driver.sinceMs, now), printable(metadata_words(driver)), printable(driver.reason)});
-    print_table(out, {"INSTANCE", "DRIVER", "GATEWAY", "STATE", "SINCE", "METADATA", "REASON"}, rows);
+    print_table(out, {"INSTANCE", "NAME", "DRIVER", "GATEWAY", "STATE", "SINCE", "METADATA", "REASON"}, rows);
     return exit_ok;
   }
   Json json = Json::array();

@@ -28,6 +28,8 @@ int show_drivers(const Command& command, const discovery::Selection& where, Mast
 /// One driver's record as JSON, and as it stands in tables.
 nlohmann::ordered_json to_json(const discovery::wire::TSensor& driver);
 std::string metadata_words(const discovery::wire::TSensor& driver);
+/// Its name and number: "camera/2"; "-" when it was deployed without one.
+std::string full_name(const discovery::wire::TSensor& driver);
 
 /// Ids of the instances that the options of `iotcloud drivers` leave. \throws Unreachable; Failed, also when there is
 /// none.

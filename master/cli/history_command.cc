@@ -69,7 +69,8 @@ TSensor find_driver(const std::string& beginning, MasterClient& master) {
 
 void print_record(const TSensor& driver, std::ostream& out) {
   print_table(out, {"instance", driver.sensorId},
-              {{"driver", printable(driver.name)},
+              {{"name", printable(full_name(driver))},
+               {"driver", printable(driver.name)},
                {"gateway", printable(driver.siteId)},
                {"state", driver.exactState},
                {"since", moment(driver.sinceMs)},
@@ -87,7 +88,7 @@ void print_record(const TSensor& driver, std::ostream& out) {
 }
 
 /// The last `most` lines of the text that are of interest.
-std::string last_lines(const std::string& text, const std::string& word, std::size_t most) {
+std::deque<std::string> last_lines(const std::string& text, const std::string& word, std::size_t most) {
   std::deque<std::string> lines;
   std::istringstream in(text);
   for (std::string line; std::getline(in, line);) {
@@ -95,9 +96,20 @@ std::string last_lines(const std::string& text, const std::string& word, std::si
     lines.push_back(std::move(line));
     if (lines.size() > most) lines.pop_front();
   }
-  std::string out;
-  for (const auto& line : lines) out += printable(line) + '\n';
-  return out;
+  return lines;
+}
+
+/// Lines as a stream: JSON has a text on each line, YAML an item of a list.
+void print_lines(const std::deque<std::string>& lines, Format format, std::ostream& out) {
+  for (const auto& line : lines) {
+    if (format == Format::table) {
+      out << printable(line) << '\n';
+    } else {
+      out << (format == Format::yaml ? "- " : "") << Json(line).dump(-1, ' ', false, Json::error_handler_t::replace)
+          << '\n';
+    }
+  }
+  out << std::flush;
 }
 
 }  // namespace
@@ -149,10 +161,15 @@ int show_logs(const Command& command, MasterClient& master, std::ostream& out) {
   auto part = master.read_log(driver.siteId, driver.sensorId, "", most_at_once);
   // What is left of an earlier part comes at once.
   const auto rest = [&] { return part.text.size() < most_at_once / 2 ? follow_pause : std::chrono::milliseconds{0}; };
-  out << last_lines(part.text, word, static_cast<std::size_t>(command.lines)) << std::flush;
+  const auto lines = last_lines(part.text, word, static_cast<std::size_t>(command.lines));
+  if (!command.follow && command.format == Format::json) {
+    print_data(out, command.format, lines);
+    return exit_ok;
+  }
+  print_lines(lines, command.format, out);
   while (command.follow && pause(rest())) {
     part = master.read_log(driver.siteId, driver.sensorId, part.position, most_at_once);
-    out << last_lines(part.text, word, most_at_once) << std::flush;
+    print_lines(last_lines(part.text, word, most_at_once), command.format, out);
   }
   return exit_ok;
 }

@@ -1,7 +1,5 @@
-#include <chrono>
 #include <csignal>
 #include <cstdlib>
-#include <fstream>
 #include <iostream>
 #include <map>
 #include <string>
@@ -9,91 +7,21 @@
 #include <CLI/CLI.hpp>
 
 #include <iotcloud/config/version.h>
+#include <iotcloud/master/cli/arguments.h>
 #include <iotcloud/master/cli/command.h>
+#include <iotcloud/master/cli/completion.h>
+#include <iotcloud/master/cli/fleet/channel_options.h>
+#include <iotcloud/master/cli/fleet/fleet_arguments.h>
 
-using iotcloud::master::cli::Command;
-using iotcloud::master::cli::Format;
-using iotcloud::master::cli::Verb;
+using namespace iotcloud::master::cli;
 
 namespace {
 
 constexpr const char* footer =
-    "Exit status: 0 done; 1 failed, for all or for some; 2 wrong usage; 3 no master answers.\n"
+    "Exit status: 0 done; 1 failed, for all or for some, or the outcome is not known; 2 wrong usage, or a manifest "
+    "that\n"
+    "cannot be used; 3 no master answers; 4 diff and apply --dry-run: the fleet is not as the manifest says.\n"
     "Environment: IOTCLOUD_MASTER as --master, IOTCLOUD_TOKEN_FILE as --token-file.";
-
-/// "k=v" words into a map. \throws CLI::ValidationError
-std::map<std::string, std::string> pairs(const std::vector<std::string>& words, const char* option) {
-  std::map<std::string, std::string> out;
-  for (const auto& word : words) {
-    const auto equals = word.find('=');
-    if (equals == 0 || equals == std::string::npos)
-      throw CLI::ValidationError(option, "\"" + word + "\" is not of the form NAME=VALUE");
-    if (!out.emplace(word.substr(0, equals), word.substr(equals + 1)).second)
-      throw CLI::ValidationError(option, word.substr(0, equals) + " is given twice");
-  }
-  return out;
-}
-
-std::string first_line(const std::string& file) {
-  std::ifstream in(file);
-  std::string line;
-  if (!std::getline(in, line)) throw CLI::ValidationError("--token-file", "cannot read a line from " + file);
-  return line;
-}
-
-/// What the command line is parsed into before it becomes a Command.
-struct Words {
-  std::vector<std::string> properties;
-  std::vector<std::string> metadata;
-  std::vector<std::string> description;
-  std::string token_file;
-  bool all = false;
-  double wait_s = 0;
-  std::vector<std::string> parallelism;
-  double drain_s = 10;
-};
-
-void add_output(CLI::App& app, Command& command) {
-  app.add_option_function<std::string>(
-         "-o,--output",
-         [&command](const std::string& format) {
-           command.format = format == "json" ? Format::json : format == "yaml" ? Format::yaml : Format::table;
-         },
-         "table, json or yaml")
-      ->check(CLI::IsMember({"table", "json", "yaml"}).description(""))
-      ->type_name("FORMAT");
-}
-
-CLI::App& add(CLI::App& app, Command& command, Verb verb, const char* name, const char* what, const char* example) {
-  auto& sub = *app.add_subcommand(name, what);
-  sub.footer(std::string("Example:\n  ") + example);
-  sub.callback([&command, verb] { command.verb = verb; });
-  add_output(sub, command);
-  return sub;
-}
-
-void add_gateways(CLI::App& sub, Command& command, const char* what) {
-  sub.add_option("-g,--gateway", command.gateways, what)->delimiter(',')->allow_extra_args(false)->type_name("GATEWAY");
-}
-
-void add_wait(CLI::App& sub, Words& words) {
-  sub.add_option("--wait", words.wait_s, "seconds to wait for the outcome; the master decides when it is not given")
-      ->check(CLI::Range(0.001, 600.0))
-      ->type_name("SECONDS");
-}
-
-/// What chooses drivers by what they are.
-void add_choice(CLI::App& sub, Command& command) {
-  sub.add_option("--driver", command.driver, "only of this driver")->type_name("NAME");
-  sub.add_option("--state", command.state, "only in this state")
-      ->check(CLI::IsMember({"deployed", "starting", "active", "stopping", "inactive", "failed", "undeployed"}))
-      ->type_name("STATE");
-  sub.add_option(
-         "--where", command.where,
-         "only those for which it holds: site == \"lab\" and battery > 20 and within(location, 39.17, -86.52, 500 m)")
-      ->type_name("EXPRESSION")
-      ->check(CLI::Validator([](std::string& text) { return text.empty() ? "it is empty" : ""; }, ""));
-}
 
 void add_reads(CLI::App& app, Command& command) {
   add(app, command, Verb::gateways, "gateways", "List the gateways, and whether they live", "iotcloud gateways");
@@ -123,7 +51,6 @@ void add_reads(CLI::App& app, Command& command) {
   add_gateways(history, command, "only on these gateways");
   add_lines(history, 1, "the latest so many");
   auto& logs = of_one(Verb::logs, "logs", "Show what a driver instance logs", "iotcloud logs 3f2a9c --follow");
-  logs.remove_option(logs.get_option("--output"));  // lines as they were logged
   logs.add_flag("-f,--follow", command.follow, "go on until interrupted");
   logs.add_flag("--whole-host", command.whole_host, "every line of its driver host, not only those that name it");
   add_lines(logs, 0, "of what there is already, at most, looked for in the last 128 KiB of its host's log");
@@ -133,17 +60,35 @@ void add_reads(CLI::App& app, Command& command) {
       "iotcloud --master lab1:12904,lab2:12904 status");
 }
 
+std::string joined(const std::vector<std::string>& words) {
+  std::string text;
+  for (const auto& word : words) text += (text.empty() ? "" : ", ") + word;
+  return text;
+}
+
 void add_deploy(CLI::App& app, Command& command, Words& words) {
   auto& deploy = add(app, command, Verb::deploy, "deploy", "Deploy a driver; answers when the outcome is known",
-                     "iotcloud deploy turtle.so --gateway lab1 --property source=simulation");
+                     "iotcloud deploy turtle.so --gateway lab1 --name robot --property source=simulation");
   deploy.add_option("PLUGIN", command.plugin, "file name in the gateways' plugin folder")->required();
   add_gateways(deploy, command, "on these gateways");
   deploy.add_flag("--all", words.all, "on all gateways")->excludes("--gateway");
-  deploy.add_option("--name", command.driver, "the driver's name; the plugin's own when it is not given")
+  deploy
+      .add_option(
+          "--name", command.name,
+          "what these instances are called: NAME/1, NAME/2, ... on each gateway; one that is there already is not "
+          "deployed again")
       ->type_name("NAME");
+  deploy.add_option("--driver", command.driver, "the driver's name; the plugin's own when it is not given")
+      ->type_name("DRIVER");
   deploy.add_option("-p,--property", words.properties, "a property of the driver; may be repeated")
       ->allow_extra_args(false)
       ->type_name("NAME=VALUE");
+  deploy
+      .add_option("-c,--channel", words.channels,
+                  "what a channel's messages are worth, such as data.deadline_ms=100; may be repeated. Options: " +
+                      joined(channel_options()))
+      ->allow_extra_args(false)
+      ->type_name("CHANNEL.OPTION=VALUE");
   deploy.add_option("-m,--metadata", words.metadata, "what others see in the driver's record; may be repeated")
       ->allow_extra_args(false)
       ->type_name("NAME=VALUE");
@@ -160,7 +105,7 @@ void add_topology(CLI::App& app, Command& command, Words& words) {
       "iotcloud topology list -o json");
   const auto one = [&](Verb verb, const char* name, const char* what, const char* example) -> CLI::App& {
     auto& sub = add(topology, command, verb, name, what, example);
-    sub.add_option("NAME", command.topology, "the topology")->required();
+    sub.add_option("TOPOLOGY", command.topology, "the topology")->required();
     return sub;
   };
   const auto change = [&](Verb verb, const char* name, const char* what, const char* example) -> CLI::App& {
@@ -213,6 +158,7 @@ void add_topology(CLI::App& app, Command& command, Words& words) {
       add(topology, command, Verb::topology_check, "check",
           "Check a topology's YAML file, and show its graph; asks no master", "iotcloud topology check follower.yaml");
   check.add_option("FILE", command.file, "the file")->required();
+  check.remove_option(check.get_option("--output"));  // another program answers
 }
 
 /// "component=2" words. \throws CLI::ValidationError
@@ -237,10 +183,32 @@ void describe(Command& command, const Words& words) {
 
 /// An order is for ids or for what the options choose; for all only when that is said. \throws CLI::ParseError
 void check_choice(const Command& command, const Words& words) {
-  const bool chosen = words.all || !command.driver.empty() || !command.state.empty() || !command.where.empty();
-  if (command.instances.empty() && !chosen) throw CLI::RequiredError("ID, or --where, --driver, --state or --all,");
+  const bool chosen =
+      words.all || !command.name.empty() || !command.driver.empty() || !command.state.empty() || !command.where.empty();
+  if (command.instances.empty() && !chosen)
+    throw CLI::RequiredError("ID, or --where, --name, --driver, --state or --all,");
   if (!command.instances.empty() && chosen)
-    throw CLI::ValidationError("ID", "give ids, or --where, --driver, --state or --all, not both");
+    throw CLI::ValidationError("ID", "give ids, or --where, --name, --driver, --state or --all, not both");
+}
+
+/// What channels are to do becomes properties. \throws CLI::ValidationError
+void add_channels(Command& command, const std::map<std::string, std::string>& settings) {
+  for (const auto& [setting, value] : settings) {
+    auto problem = channel_setting_problem(setting, value);
+    const auto dot = setting.rfind('.');
+    const auto property =
+        dot == std::string::npos ? setting : channel_property(setting.substr(0, dot), setting.substr(dot + 1));
+    if (problem.empty() && !command.properties.emplace(property, value).second)
+      problem = property + " is given as a --property too";
+    if (!problem.empty()) throw CLI::ValidationError("--channel", problem);
+  }
+  for (const auto& [setting, value] : settings) {
+    const auto dot = setting.rfind('.');
+    const auto when_full = command.properties.find(channel_property(setting.substr(0, dot), "when_full"));
+    const auto problem =
+        spool_option_problem(setting.substr(dot + 1), when_full == command.properties.end() ? "" : when_full->second);
+    if (!problem.empty()) throw CLI::ValidationError("--channel", problem);
+  }
 }
 
 /// What the options cannot check one by one. \throws CLI::ParseError
@@ -248,6 +216,8 @@ void finish(Command& command, const Words& words) {
   if (command.verb == Verb::deploy && command.gateways.empty() && !words.all)
     throw CLI::RequiredError("--gateway GATEWAY or --all");
   command.properties = pairs(words.properties, "--property");
+  add_channels(command, pairs(words.channels, "--channel"));
+  if (command.verb == Verb::drain && words.undo) command.verb = Verb::undrain;
   command.metadata = pairs(words.metadata, "--metadata");
   if (command.verb == Verb::metadata) describe(command, words);
   if (command.verb == Verb::metadata || command.verb == Verb::undeploy || command.verb == Verb::start ||
@@ -310,14 +280,23 @@ int main(int argc, char** argv) {
   add_reads(app, command);
   add_deploy(app, command, words);
   add_changes(app, command, words);
+  add_fleet(app, command, words);
   add_topology(app, command, words);
+  add_completion(app, words);
+  if (argc > 1 && argv[1] == std::string("__complete")) {
+    return answer_shell(app, {argv + 2, argv + argc}, [&] {
+      finish(command, words);
+      return command;
+    });
+  }
   try {
     app.parse(argc, argv);
     finish(command, words);
   } catch (const CLI::ParseError& e) {
-    return app.exit(e) == 0 ? iotcloud::master::cli::exit_ok : iotcloud::master::cli::exit_usage;
+    return app.exit(e) == 0 ? exit_ok : exit_usage;
   }
+  if (!words.shell.empty()) return print_completion(words.shell, std::cout);
   if (command.verb == Verb::topology_tap || command.follow || command.watch_s > 0)
-    std::signal(SIGINT, [](int) { iotcloud::master::cli::interrupt(); });
-  return iotcloud::master::cli::run(command, std::cout, std::cerr);
+    std::signal(SIGINT, [](int) { interrupt(); });
+  return run(command, std::cout, std::cerr);
 }

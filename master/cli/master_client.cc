@@ -213,6 +213,14 @@ std::vector<wire::TTopology> MasterClient::topologies() {
   });
 }
 
+std::vector<wire::TOrder> MasterClient::orders() {
+  return impl_->read([](auto& client) {
+    std::vector<wire::TOrder> out;
+    client.listOrders(out);
+    return out;
+  });
+}
+
 wire::TDriverHistory MasterClient::history(const std::vector<std::string>& instances,
                                            const std::vector<std::string>& gateways, std::int32_t most) {
   return impl_->read([&](auto& client) {
@@ -251,6 +259,18 @@ wire::TOrderResponse MasterClient::update_metadata(const wire::TInstanceSelectio
                                                    const std::map<std::string, std::string>& changes) {
   return impl_->order(selection.waitMs,
                       [&](auto& client, auto& answer) { client.updateMetadata(answer, selection, changes); });
+}
+
+wire::TOrderResponse MasterClient::change_deployment(const wire::TDeploymentChange& change) {
+  return impl_->order(change.waitMs, [&](auto& client, auto& answer) { client.changeDeployment(answer, change); });
+}
+
+wire::TOrderResponse MasterClient::drain(const wire::TGatewaySelection& selection) {
+  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.drain(answer, selection); });
+}
+
+wire::TOrderResponse MasterClient::undrain(const wire::TGatewaySelection& selection) {
+  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.undrain(answer, selection); });
 }
 
 wire::TTopologyResponse MasterClient::order(const wire::TTopologyRequest& request) {

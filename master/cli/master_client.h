@@ -43,6 +43,7 @@ class MasterClient {
   std::vector<discovery::wire::TSite> gateways();
   std::vector<discovery::wire::TSensor> drivers();
   std::vector<wire::TTopology> topologies();
+  std::vector<wire::TOrder> orders();
   wire::TDriverHistory history(const std::vector<std::string>& instances, const std::vector<std::string>& gateways,
                                std::int32_t most);
   wire::TLogPart read_log(const std::string& gateway, const std::string& instance, const std::string& position,
@@ -56,6 +57,9 @@ class MasterClient {
   wire::TOrderResponse stop(const wire::TInstanceSelection& selection);
   wire::TOrderResponse update_metadata(const wire::TInstanceSelection& selection,
                                        const std::map<std::string, std::string>& changes);
+  wire::TOrderResponse change_deployment(const wire::TDeploymentChange& change);
+  wire::TOrderResponse drain(const wire::TGatewaySelection& selection);
+  wire::TOrderResponse undrain(const wire::TGatewaySelection& selection);
   wire::TTopologyResponse order(const wire::TTopologyRequest& request);
 
   /// The master that was spoken with last.

@@ -5,8 +5,11 @@
 #include <cstddef>
 #include <functional>
 #include <future>
+#include <map>
 #include <mutex>
 #include <optional>
+#include <set>
+#include <shared_mutex>
 #include <stop_token>
 #include <string>
 #include <vector>
@@ -100,6 +103,13 @@ struct Master::Impl {
   std::optional<OrderResult> refuse_deployment(const DeployRequest& request) const;
   discovery::OrderRecord order_for(const DeployRequest& request) const;
   OrderResult deploy(const DeployRequest& request);
+  /// Where a request is for. \return why that cannot be; nullopt: they are in `targets`.
+  std::optional<OrderResult> find_targets(const DeployRequest& request,
+                                          const std::vector<discovery::GatewayStatus>& known,
+                                          std::vector<const discovery::GatewayStatus*>& targets) const;
+  /// Orders all instances of a request on one gateway.
+  void order_instances(const DeployRequest& request, const discovery::GatewayStatus& gateway, OrderResult& result,
+                       OutcomeWatch& watch);
   MaybeVerdict order_deployment(const discovery::GatewayStatus& gateway, const discovery::OrderRecord& order,
                                 OutcomeWatch& watch);
 
@@ -111,7 +121,9 @@ struct Master::Impl {
     std::string driver;                     ///< empty: no record yet
     std::optional<discovery::Node> record;  ///< nullopt: no record yet
   };
-  std::optional<Located> locate(const std::string& instance, const std::vector<discovery::GatewayStatus>& known);
+  /// Those of the instances that are anywhere, in a few rounds whatever there is.
+  std::map<std::string, Located> locate(const std::set<std::string>& instances,
+                                        const std::vector<discovery::GatewayStatus>& known);
 
   /// Finds all that are selected before the first order is written: a mistyped id changes nothing.
   /// \return why that cannot be; nullopt: they are in `instances`.
@@ -132,6 +144,17 @@ struct Master::Impl {
   OrderResult update_metadata(const InstanceSelection& selection, const MetadataChanges& changes);
   MaybeVerdict order_metadata(const Located& where, const discovery::GatewayStatus* gateway,
                               const MetadataChanges& changes, OutcomeWatch& watch);
+
+  // order_deployment_change.cc
+  OrderResult change_deployment(const DeploymentChange& change);
+  MaybeVerdict order_deployment_change(const Located& where, const discovery::GatewayStatus* gateway,
+                                       const DeploymentChange& change, OutcomeWatch& watch);
+
+  // order_drain.cc
+  OrderResult drain(const GatewaySelection& selection, bool undo);
+  void mark_draining(const std::string& gateway, bool undo);
+  MaybeVerdict order_drain(const Located& where, const discovery::GatewayStatus& gateway, bool undo,
+                           OutcomeWatch& watch);
 
   // topology_orders.cc
   TopologyResult order(const TopologyRequest& request);
@@ -154,6 +177,9 @@ struct Master::Impl {
   const MasterOptions options;
   DriverView view{registry, options.paths};
   std::stop_source closing;
+  /// Shared while deployments are written, exclusive while gateways are marked as draining: a drain sees them or they
+  /// it.
+  std::shared_mutex placing;
   std::atomic<std::int64_t> epoch{0};
   std::mutex mutex;
   std::condition_variable idle;

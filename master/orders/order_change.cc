@@ -40,26 +40,40 @@ OrderResult Master::stop(const InstanceSelection& selection) {
   return impl_->guarded([&] { return impl_->change(selection, Change::stop); });
 }
 
-std::optional<Master::Impl::Located> Master::Impl::locate(const std::string& instance,
-                                                          const std::vector<GatewayStatus>& known) {
-  if (!is_node_name(instance)) return std::nullopt;
-  Located where;
-  where.instance = instance;
-  for (const auto& driver : registry.children(options.paths.sensors).value_or(std::vector<std::string>{})) {
-    const auto path = options.paths.instance(driver, instance);
-    auto node = registry.get(path);
-    if (!node || node->data.empty()) continue;
-    where.gateway = discovery::decode_driver(node->data, path).gateway;
-    where.driver = driver;
-    where.record = std::move(node);
-    return where;
+std::map<std::string, Master::Impl::Located> Master::Impl::locate(const std::set<std::string>& instances,
+                                                                  const std::vector<GatewayStatus>& known) {
+  using Names = std::vector<std::string>;
+  const auto drivers = registry.children(options.paths.sensors).value_or(Names{});
+  Names parents;
+  for (const auto& driver : drivers) parents.push_back(options.paths.driver(driver));
+  const auto records = registry.children_of_all(parents);
+  std::vector<Located> found;
+  Names paths;
+  for (std::size_t i = 0; i < drivers.size(); ++i) {
+    for (const auto& instance : records[i].value_or(Names{})) {
+      if (!instances.contains(instance)) continue;
+      found.push_back({instance, "", drivers[i], std::nullopt});
+      paths.push_back(options.paths.instance(drivers[i], instance));
+    }
   }
-  for (const auto& gateway : known) {
-    if (!registry.get(options.paths.order(gateway.record.id, instance))) continue;
-    where.gateway = gateway.record.id;
-    return where;
+  auto nodes = registry.get_all(paths);
+  std::map<std::string, Located> located;
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    if (!nodes[i] || nodes[i]->data.empty()) continue;
+    found[i].gateway = discovery::decode_driver(nodes[i]->data, paths[i]).gateway;
+    found[i].record = std::move(nodes[i]);
+    located.emplace(found[i].instance, std::move(found[i]));
   }
-  return std::nullopt;
+  if (located.size() == instances.size()) return located;
+  Names orders;
+  for (const auto& gateway : known) orders.push_back(options.paths.orders(gateway.record.id));
+  const auto ordered = registry.children_of_all(orders);
+  for (std::size_t i = 0; i < known.size(); ++i) {
+    for (const auto& instance : ordered[i].value_or(Names{})) {
+      if (instances.contains(instance)) located.emplace(instance, Located{instance, known[i].record.id, "", {}});
+    }
+  }
+  return located;
 }
 
 std::optional<OrderResult> Master::Impl::find_selected(const InstanceSelection& selection,
@@ -69,18 +83,19 @@ std::optional<OrderResult> Master::Impl::find_selected(const InstanceSelection& 
   for (const auto& id : selection.gateways) {
     if (!find(known, id)) return refuse_gateway(id, known);
   }
+  auto located = locate({selection.instances.begin(), selection.instances.end()}, known);
   std::set<std::string> seen;
   for (const auto& id : selection.instances) {
     if (!seen.insert(id).second) continue;
-    auto where = locate(id, known);
-    if (!where)
+    const auto where = located.find(id);
+    if (where == located.end())
       return refuse(Refusal::unknown_instance,
                     fmt::format("no driver instance \"{}\"; `iotcloud drivers` lists them", id));
-    if (!selection.gateways.empty() &&
-        std::find(selection.gateways.begin(), selection.gateways.end(), where->gateway) == selection.gateways.end())
+    if (!selection.gateways.empty() && std::find(selection.gateways.begin(), selection.gateways.end(),
+                                                 where->second.gateway) == selection.gateways.end())
       return refuse(Refusal::unknown_instance, fmt::format("instance {} is on gateway {}, not on {}", id,
-                                                           where->gateway, fmt::join(selection.gateways, ", ")));
-    instances.push_back(std::move(*where));
+                                                           where->second.gateway, fmt::join(selection.gateways, ", ")));
+    instances.push_back(std::move(where->second));
   }
   return std::nullopt;
 }
@@ -114,11 +129,17 @@ Master::Impl::MaybeVerdict Master::Impl::order_change(const Located& where, cons
   if (!gateway.alive && (!options.record_for_lost_gateways || is_direct(where.gateway)))
     return OutcomeWatch::Verdict{Outcome::failed, lost_and_not_recorded_text};
   return written([&]() -> MaybeVerdict {
+    const bool later = gateway.draining && change == Change::start;
     const auto verdict =
-        change == Change::undeploy
-            ? remove_order(where)
-            : rewrite_order(where, [&](OrderRecord& order) { order.active = change == Change::start; });
+        change == Change::undeploy ? remove_order(where) : rewrite_order(where, [&](OrderRecord& order) {
+          order.drained = later && !order.active;
+          order.active = change == Change::start && !order.drained;
+        });
     if (verdict) return verdict;
+    if (later)
+      return OutcomeWatch::Verdict{
+          Outcome::pending,
+          fmt::format("gateway is draining; it starts after that (iotcloud undrain {})", where.gateway)};
     if (!gateway.alive) return OutcomeWatch::Verdict{Outcome::pending, lost_text};
     watch.expect(where.instance, where.driver, where.record);
     return std::nullopt;

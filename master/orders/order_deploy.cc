@@ -1,5 +1,6 @@
 #include <set>
 
+#include <iotcloud/master/orders/instance_id.h>
 #include <iotcloud/master/orders/master_impl.h>
 
 namespace iotcloud::master {
@@ -23,6 +24,19 @@ std::optional<OrderResult> Master::Impl::refuse_deployment(const DeployRequest& 
   if (request.count < 1 || request.count > DeployRequest::max_count)
     return refuse(Refusal::bad_request,
                   fmt::format("count is {}, must be from 1 to {}", request.count, DeployRequest::max_count));
+  if (request.name.empty() && (!request.indexes.empty() || !request.manager.empty()))
+    return refuse(Refusal::bad_request, "numbers of instances, and a manifest that they belong to, need a name");
+  for (const auto& [what, text] :
+       {std::pair("a deployment", &request.name), std::pair("a manifest", &request.manager)}) {
+    if (!text->empty() && !is_node_name(*text))
+      return refuse(Refusal::bad_request,
+                    fmt::format("\"{}\" cannot be the name of {}: no '/' and no control characters", *text, what));
+  }
+  for (const int index : request.indexes) {
+    if (index < 1 || index > DeployRequest::max_count)
+      return refuse(Refusal::bad_request,
+                    fmt::format("an instance's number is {}, must be from 1 to {}", index, DeployRequest::max_count));
+  }
   const auto size = encode(order_for(request)).size();
   if (size > largest_order)
     return refuse(Refusal::bad_request, fmt::format("properties and metadata take {} bytes, more than {}: pass large "
@@ -38,44 +52,101 @@ OrderRecord Master::Impl::order_for(const DeployRequest& request) const {
   order.properties = request.properties;
   order.metadata = request.metadata;
   order.epoch = leading_epoch();
+  order.active = request.active;
+  order.name = request.name;
+  order.manager = request.manager;
   return order;
 }
 
-OrderResult Master::Impl::deploy(const DeployRequest& request) {
-  if (auto refusal = refuse_deployment(request)) return *refusal;
-  const auto known = discovery::list_gateways(registry, options.paths);
-  std::vector<const GatewayStatus*> targets;
+std::optional<OrderResult> Master::Impl::find_targets(const DeployRequest& request,
+                                                      const std::vector<GatewayStatus>& known,
+                                                      std::vector<const GatewayStatus*>& targets) const {
   std::set<std::string> seen;
   for (const auto& id : request.gateways) {
     const auto* gateway = find(known, id);
     if (!gateway) return refuse_gateway(id, known);
+    if (gateway->draining)
+      return refuse(Refusal::bad_request,
+                    fmt::format("gateway {0} is draining, so nothing is deployed on it; `iotcloud undrain {0}` ends "
+                                "that",
+                                id));
     if (seen.insert(id).second) targets.push_back(gateway);
   }
-  if (request.gateways.empty())
-    for (const auto& gateway : known) targets.push_back(&gateway);
-  if (targets.empty()) return refuse_gateway("", known);
+  if (!request.gateways.empty()) return std::nullopt;
+  for (const auto& gateway : known) {
+    if (!gateway.draining) targets.push_back(&gateway);
+  }
+  if (known.empty()) return refuse_gateway("", known);
+  if (targets.empty())
+    return refuse(Refusal::bad_request, "all gateways are draining; `iotcloud undrain GATEWAY` ends that");
+  return std::nullopt;
+}
 
+OrderResult Master::Impl::deploy(const DeployRequest& request) {
+  if (auto refusal = refuse_deployment(request)) return *refusal;
   OrderResult result;
-  OutcomeWatch watch(registry, options.paths, OutcomeWatch::Wanted::active);
+  OutcomeWatch watch(registry, options.paths,
+                     request.active ? OutcomeWatch::Wanted::active : OutcomeWatch::Wanted::inactive);
   DirectCalls calls;
-  auto order = order_for(request);
-  for (const auto* gateway : targets) {
-    const auto& id = gateway->record.id;
-    for (int i = 0; i < request.count; ++i) {
-      if (is_direct(id) && gateway->alive) {
-        calls.push_back(std::async(std::launch::async, [this, id, &request] {
-          return options.direct->deploy(id, request, limit(request.wait));
-        }));
-        continue;
+  {
+    const std::shared_lock lock(placing);
+    const auto known = discovery::list_gateways(registry, options.paths);
+    std::vector<const GatewayStatus*> targets;
+    if (auto refusal = find_targets(request, known, targets)) return *refusal;
+    for (const auto* gateway : targets) {
+      const auto& id = gateway->record.id;
+      if (!is_direct(id) || !gateway->alive) {
+        order_instances(request, *gateway, result, watch);
+      } else if (!request.name.empty()) {
+        result.outcomes.push_back({id, "", Outcome::failed,
+                                   "its gateway is of the original system, which knows no names: deploy without one"});
+      } else {
+        for (int i = 0; i < request.count; ++i)
+          calls.push_back(std::async(std::launch::async, [this, id, &request] {
+            return options.direct->deploy(id, request, limit(request.wait));
+          }));
       }
-      order.instance = discovery::new_instance_id();
-      InstanceOutcome outcome{id, order.instance, Outcome::unknown, ""};
-      set_verdict(outcome, order_deployment(*gateway, order, watch));
-      result.outcomes.push_back(std::move(outcome));
     }
   }
   settle(result, watch, calls, request.wait, "deploy");
   return result;
+}
+
+void Master::Impl::order_instances(const DeployRequest& request, const GatewayStatus& gateway, OrderResult& result,
+                                   OutcomeWatch& watch) {
+  const auto& id = gateway.record.id;
+  auto order = order_for(request);
+  if (request.name.empty()) {
+    for (int i = 0; i < request.count; ++i) {
+      order.instance = discovery::new_instance_id();
+      InstanceOutcome outcome{id, order.instance, Outcome::unknown, ""};
+      set_verdict(outcome, order_deployment(gateway, order, watch));
+      result.outcomes.push_back(std::move(outcome));
+    }
+    return;
+  }
+  std::set<int> indexes(request.indexes.begin(), request.indexes.end());
+  for (int i = 1; request.indexes.empty() && i <= request.count; ++i) indexes.insert(i);
+  std::set<std::string> instances;
+  for (const int index : indexes) instances.insert(named_instance_id(id, request.name, index));
+  const auto there = locate(instances, {gateway});
+  for (const int index : indexes) {
+    order.index = index;
+    order.instance = named_instance_id(id, request.name, index);
+    InstanceOutcome outcome{id, order.instance, Outcome::failed, ""};
+    if (!there.contains(order.instance)) {
+      outcome.outcome = Outcome::unknown;
+      set_verdict(outcome, order_deployment(gateway, order, watch));
+    } else if (registry.get(options.paths.order(id, order.instance))) {
+      outcome.reason = fmt::format(
+          "{} {} is deployed there already; `iotcloud apply` changes it, `iotcloud undeploy` "
+          "takes it away",
+          request.name, index);
+    } else {
+      outcome.reason = fmt::format("{} {} is still being undeployed; try again in a moment", request.name, index);
+    }
+    result.outcomes.push_back(std::move(outcome));
+  }
 }
 
 Master::Impl::MaybeVerdict Master::Impl::order_deployment(const GatewayStatus& gateway, const OrderRecord& order,

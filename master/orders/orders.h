@@ -65,7 +65,27 @@ struct DeployRequest {
   std::map<std::string, std::string> metadata;
   int count = 1;  ///< instances on each gateway, 1 to max_count
   WaitLimit wait;
+  /// Of the deployment. With the gateway and a number from 1 to `count` it names an instance: what is deployed already
+  /// is not deployed again, its outcome is `failed`. Empty: the instances have no names.
+  std::string name;
+  std::vector<int> indexes;  ///< with a name: these numbers, not 1 to `count`
+  std::string manager;       ///< the manifest that the instances belong to; empty: a person deploys
+  bool active = true;        ///< false: they are deployed, and wait to be started
   static constexpr int max_count = 10'000;
+};
+
+/// Changes what instances were deployed with. They keep their ids; those whose properties change are made anew.
+struct DeploymentChange {
+  std::vector<std::string> instances;                            ///< ids in full
+  std::optional<std::map<std::string, std::string>> properties;  ///< all of them; nullopt: as they are
+  std::optional<std::string> manager;  ///< the manifest that they belong to from now on; nullopt: as it is
+  WaitLimit wait;
+};
+
+/// Gateways that are to drain, or no longer.
+struct GatewaySelection {
+  std::vector<std::string> gateways;  ///< at least one
+  WaitLimit wait;
 };
 
 /// What others are to see of instances from now on: values by key; an empty value takes the key away.

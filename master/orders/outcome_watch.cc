@@ -26,6 +26,10 @@ void OutcomeWatch::expect(const std::string& instance, const std::string& driver
     std::lock_guard lock(mutex_);
     auto& expected = expected_[instance];
     if (before) expected.before = {before->created, before->version};
+    if (before && wanted_ == Wanted::anew) {
+      const auto record = discovery::decode_driver(before->data, instance);
+      expected.state_before = {record.state, record.since_ms};
+    }
     ++open_;
     if (driver.empty()) {
       anywhere_.insert(instance);
@@ -90,13 +94,14 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, con
     if (expected.before == std::pair(node->created, node->version)) return std::nullopt;
     return judge_metadata(expected, record);
   }
+  if (expected.state_before == std::pair(record.state, record.since_ms)) return std::nullopt;
   expected.last_state =
       fmt::format("last state: {}{}{}", to_string(record.state), record.reason.empty() ? "" : ", ", record.reason);
   switch (record.state) {
     case DriverState::active:
-      return wanted_ == Wanted::active ? std::optional(done) : std::nullopt;
+      return wanted_ == Wanted::active || wanted_ == Wanted::anew ? std::optional(done) : std::nullopt;
     case DriverState::inactive:
-      return wanted_ == Wanted::inactive ? std::optional(done) : std::nullopt;
+      return wanted_ == Wanted::inactive || wanted_ == Wanted::anew ? std::optional(done) : std::nullopt;
     case DriverState::undeployed:
       if (wanted_ == Wanted::gone) return done;
       return Verdict{Outcome::failed, "it was undeployed meanwhile"};

@@ -21,7 +21,8 @@ namespace iotcloud::master {
 /// Use: write an instance's order, expect() it, and at last wait() for all. Used by one thread.
 class OutcomeWatch {
  public:
-  enum class Wanted { active, inactive, gone, described };
+  /// anew: active or inactive, reached after the order was written.
+  enum class Wanted { active, inactive, gone, described, anew };
 
   /// The references outlive the watch.
   OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, Wanted wanted);
@@ -46,6 +47,8 @@ class OutcomeWatch {
  private:
   struct Expected {
     std::optional<std::pair<std::int64_t, std::int64_t>> before;  ///< created, version
+    /// What the record said before, and since when; with `anew` only.
+    std::optional<std::pair<discovery::DriverState, std::int64_t>> state_before;
     std::optional<Verdict> verdict;
     std::string last_state;  ///< what was seen last, for the text of `unknown`
   };

@@ -58,15 +58,18 @@ void FakeGateway::behave(Behaviour behaviour) {
   behaviour_ = std::move(behaviour);
 }
 
-DriverRecord FakeGateway::record(const OrderRecord& order, DriverState state, const std::string& reason) const {
+DriverRecord FakeGateway::record(const OrderRecord& order, DriverState state, const std::string& reason,
+                                 int made_anew) const {
   DriverRecord record;
   record.name = order.driver.empty() ? order.plugin.substr(0, order.plugin.find('.')) : order.driver;
   record.instance = order.instance;
   record.gateway = id_;
   record.state = state;
   record.reason = reason;
-  record.since_ms = 1'000;
+  record.since_ms = 1'000 + made_anew;
   record.metadata = order.metadata;
+  record.deployment = order.name;
+  record.index = order.index;
   discovery::ChannelRecord channel;
   channel.name = "kinect";
   channel.transport = "rabbitmq";
@@ -82,7 +85,7 @@ void FakeGateway::report(const std::string& instance, DriverState state, const s
   DriverRecord told;
   {
     std::lock_guard lock(mutex_);
-    told = record(orders_.at(instance), state, reason);
+    told = record(orders_.at(instance), state, reason, made_anew_[instance]);
   }
   for (const auto& channel : told.channels)
     discovery::put(*registry_, paths_.channel(told.name, instance, channel.name), encode(channel));
@@ -121,6 +124,8 @@ void FakeGateway::on_order(const std::string& instance, const std::optional<disc
     std::lock_guard lock(mutex_);
     if (node) {
       const auto order = discovery::decode_order(node->data, paths_.order(id_, instance));
+      const auto before = orders_.find(instance);
+      if (before != orders_.end() && before->second.properties != order.properties) ++made_anew_[instance];
       orders_[instance] = order;
       ++seen_;
       report_now = behaviour_(order);
@@ -131,7 +136,7 @@ void FakeGateway::on_order(const std::string& instance, const std::optional<disc
   }
   changed_.notify_all();
   if (report_now) report(instance, report_now->first, report_now->second);
-  if (gone) discovery::remove_tree(*registry_, paths_.instance(record(*gone, {}, "").name, instance));
+  if (gone) discovery::remove_tree(*registry_, paths_.instance(record(*gone, {}, "", 0).name, instance));
 }
 
 MasterOptions TestMaster::quick() {

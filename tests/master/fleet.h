@@ -54,7 +54,7 @@ class FakeGateway {
   void on_names(const std::vector<std::string>& names);
   void on_order(const std::string& instance, const std::optional<discovery::Node>& node);
   discovery::DriverRecord record(const discovery::OrderRecord& order, discovery::DriverState state,
-                                 const std::string& reason) const;
+                                 const std::string& reason, int made_anew) const;
 
   const std::string id_;
   const discovery::Paths paths_;
@@ -63,6 +63,7 @@ class FakeGateway {
   mutable std::condition_variable changed_;
   Behaviour behaviour_;                                   ///< guarded by mutex_
   std::map<std::string, discovery::OrderRecord> orders_;  ///< guarded by mutex_
+  std::map<std::string, int> made_anew_;                  ///< guarded by mutex_: how often its properties changed
   int seen_ = 0;                                          ///< guarded by mutex_
   std::map<std::string, discovery::GuardPtr> watches_;    ///< of the registry's dispatcher
   discovery::GuardPtr alive_;

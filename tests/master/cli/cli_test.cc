@@ -35,17 +35,21 @@ using testing::StartsWith;
 
 TEST_F(Cli, DeploysAndListsAsJson) {
   FakeGateway gateway(url, "lab1");
-  const auto answer = run_json({"deploy", "turtle.so", "--gateway", "lab1", "--name", "robot", "--property=map=a=b",
-                                "-p", "speed=1", "-m", "room=12", "--count", "2"});
+  const auto answer = run_json({"deploy", "turtle.so", "--gateway", "lab1", "--driver", "robot", "--name", "rover",
+                                "--property=map=a=b", "-c", "kinect.deadline_ms=100", "-p", "speed=1", "-m", "room=12",
+                                "--count", "2"});
   EXPECT_EQ(answer["ok"], true);
   ASSERT_THAT(answer["outcomes"], SizeIs(2));
   EXPECT_EQ(answer["outcomes"][0]["outcome"], "done");
   EXPECT_EQ(gateway.orders().at(0).properties.at("map"), "a=b");
   EXPECT_EQ(gateway.orders().at(0).properties.at("speed"), "1");
 
+  EXPECT_EQ(gateway.orders().at(0).properties.at("channel.kinect.deadline_ms"), "100");
+
   const auto drivers = run_json({"drivers"});
   ASSERT_THAT(drivers, SizeIs(2));
   EXPECT_EQ(drivers[0]["driver"], "robot");
+  EXPECT_EQ(drivers[0]["name"], "rover");
   EXPECT_EQ(drivers[0]["gateway"], "lab1");
   EXPECT_EQ(drivers[0]["state"], "active");
   EXPECT_EQ(drivers[0]["metadata"]["room"], "12");
@@ -159,7 +163,8 @@ TEST_F(Cli, YamlSaysTheSameAsJson) {
   const auto done = run({"gateways", "-o", "yaml"});
   EXPECT_EQ(done.status, 0);
   EXPECT_EQ(done.out,
-            "- gateway: lab1\n  state: ready\n  host: \"127.0.0.1\"\n  port: 12905\n  brokers:\n    - rabbitmq\n"
+            "- gateway: lab1\n  state: ready\n  draining: false\n  host: \"127.0.0.1\"\n  port: 12905\n  brokers:\n    "
+            "- rabbitmq\n"
             "  since_ms: 1\n");
 }
 
@@ -259,29 +264,40 @@ TEST_F(Cli, AMasterThatWantsATokenGetsItFromAFile) {
 }
 
 TEST_F(Cli, WrongUsageHasExitStatusTwo) {
-  for (const std::vector<std::string>& words : {std::vector<std::string>{},
-                                                {"deploi"},
-                                                {"deploy"},
-                                                {"deploy", "turtle.so"},
-                                                {"undeploy"},
-                                                {"undeploy", "--gateway", "lab1"},
-                                                {"undeploy", "3f2a", "--all"},
-                                                {"stop", "3f2a", "--where", "site == 'lab'"},
-                                                {"stop", "--where", "site == lab"},
-                                                {"start", "--state", "lost"},
-                                                {"drivers", "-o", "xml"},
-                                                {"deploy", "turtle.so", "--all", "-p", "novalue"},
-                                                {"deploy", "turtle.so", "--all", "--gateway", "lab1"},
-                                                {"deploy", "turtle.so", "--all", "--count", "0"},
-                                                {"topology"},
-                                                {"topology", "kill"},
-                                                {"topology", "rebalance", "echo"},
-                                                {"topology", "rebalance", "echo", "in"},
-                                                {"topology", "rebalance", "echo", "in=0"},
-                                                {"topology", "rebalance", "echo", "in=1", "in=2"},
-                                                {"topology", "tap", "echo"},
-                                                {"topology", "tap", "echo", "in", "--rate", "0"},
-                                                {"--master", "nowhere", "status"}}) {
+  for (const std::vector<std::string>& words :
+       {std::vector<std::string>{},
+        {"deploi"},
+        {"deploy"},
+        {"deploy", "turtle.so"},
+        {"undeploy"},
+        {"undeploy", "--gateway", "lab1"},
+        {"undeploy", "3f2a", "--all"},
+        {"stop", "3f2a", "--where", "site == 'lab'"},
+        {"stop", "--where", "site == lab"},
+        {"start", "--state", "lost"},
+        {"drivers", "-o", "xml"},
+        {"deploy", "turtle.so", "--all", "-p", "novalue"},
+        {"deploy", "turtle.so", "--all", "--gateway", "lab1"},
+        {"deploy", "turtle.so", "--all", "--count", "0"},
+        {"deploy", "turtle.so", "--all", "-c", "kinect.dead_line=1"},
+        {"deploy", "turtle.so", "--all", "-c", "kinect.priority=10"},
+        {"deploy", "turtle.so", "--all", "-c", "priority=1"},
+        {"deploy", "turtle.so", "--all", "-c", "a.priority=1", "-p", "channel.a.priority=1"},
+        {"deploy", "turtle.so", "--all", "-c", "a.spool_full=block", "-c", "a.when_full=block"},
+        {"drain"},
+        {"diff"},
+        {"apply"},
+        {"diff", "-f", "/nonexistent/fleet.yaml"},
+        {"completion", "fish"},
+        {"topology"},
+        {"topology", "kill"},
+        {"topology", "rebalance", "echo"},
+        {"topology", "rebalance", "echo", "in"},
+        {"topology", "rebalance", "echo", "in=0"},
+        {"topology", "rebalance", "echo", "in=1", "in=2"},
+        {"topology", "tap", "echo"},
+        {"topology", "tap", "echo", "in", "--rate", "0"},
+        {"--master", "nowhere", "status"}}) {
     const auto done = run(words);
     EXPECT_EQ(done.status, 2) << testing::PrintToString(words) << done.out << done.err;
     EXPECT_FALSE(done.err.empty());
@@ -289,8 +305,9 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
 }
 
 TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
-  for (const char* command : {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop",
-                              "metadata", "describe", "history", "logs"}) {
+  for (const char* command :
+       {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop", "metadata", "describe",
+        "history", "logs", "drain", "undrain", "diff", "apply", "completion"}) {
     const auto done = run({command, "--help"});
     EXPECT_EQ(done.status, 0) << command;
     EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud "))) << command;

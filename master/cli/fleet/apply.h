@@ -1,0 +1,37 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <iotcloud/master/cli/fleet/plan.h>
+
+namespace iotcloud::master::cli {
+
+class MasterClient;
+
+/// What became of one step of a plan.
+struct StepOutcome {
+  std::string outcome;  ///< "done", "failed", "pending", "unknown"
+  std::string reason;   ///< for people; empty when there is nothing to say
+};
+
+struct ApplyOptions {
+  /// Makes another connection to the masters; called on the caller's thread.
+  std::function<std::unique_ptr<MasterClient>()> connect;
+  std::int64_t wait_ms = 0;  ///< for the outcome of one order; 0: as long as the master thinks fit
+  /// Called whenever some steps were done, on any thread, one at a time.
+  std::function<void(std::size_t done, std::size_t all)> progress;
+};
+
+/// Does the steps of a plan: those of one gateway one after the other, gateways beside each other, so that a slow one
+/// delays no other. A step that fails does not keep the others from being done; once a gateway has not answered in time
+/// the rest of its orders is given without waiting for what comes of it.
+/// Does not throw for what a master answers, or when none does: that is in the outcomes, which stand in the order of
+/// the steps.
+std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const ApplyOptions& options);
+
+}  // namespace iotcloud::master::cli

@@ -1,0 +1,249 @@
+#include <algorithm>
+#include <cctype>
+#include <set>
+#include <tuple>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <iotcloud/master/cli/fleet/plan.h>
+
+namespace iotcloud::master::cli {
+
+namespace {
+
+using Texts = std::map<std::string, std::string>;
+using Key = std::tuple<std::string, std::string, int>;  ///< gateway, name, index
+
+bool is_secret(const std::string& key) {
+  std::string lower = key;
+  std::transform(lower.begin(), lower.end(), lower.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  for (const char* word : {"password", "secret", "token"}) {
+    if (lower.find(word) != std::string::npos) return true;
+  }
+  return false;
+}
+
+/// What differs, each key once: "rate: 5 -> 10", "site: - -> lab".
+std::vector<std::string> differences(const Texts& from, const Texts& to) {
+  const auto shown = [](const Texts& texts, const std::string& key) -> std::string {
+    const auto found = texts.find(key);
+    if (found == texts.end()) return "-";
+    if (is_secret(key)) return "***";
+    return found->second.empty() ? "\"\"" : found->second;
+  };
+  std::vector<std::string> lines;
+  std::set<std::string> keys;
+  for (const auto* texts : {&from, &to}) {
+    for (const auto& [key, value] : *texts) keys.insert(key);
+  }
+  for (const auto& key : keys) {
+    const auto a = from.find(key);
+    const auto b = to.find(key);
+    if (a != from.end() && b != to.end() && a->second == b->second) continue;
+    lines.push_back(fmt::format("{}: {} -> {}", key, shown(from, key), shown(to, key)));
+  }
+  return lines;
+}
+
+Texts changes(const Texts& from, const Texts& to) {
+  Texts out;
+  for (const auto& [key, value] : from) {
+    if (!to.contains(key)) out[key] = "";
+  }
+  for (const auto& [key, value] : to) {
+    const auto found = from.find(key);
+    if (found == from.end() || found->second != value) out[key] = value;
+  }
+  return out;
+}
+
+std::string or_own(const std::string& driver) {
+  return driver.empty() ? "the plugin's own" : driver;
+}
+
+class Planner {
+ public:
+  Planner(const Manifest& manifest, const Fleet& fleet, const PlanOptions& options)
+      : manifest_(manifest), fleet_(fleet), options_(options) {
+    for (const auto& instance : fleet.instances) {
+      if (!instance.name.empty()) there_[{instance.gateway, instance.name, instance.index}] = &instance;
+    }
+  }
+
+  Plan plan() {
+    for (std::size_t i = 0; i < manifest_.deployments.size(); ++i) place(i);
+    prune();
+    const auto order = [](const Step& step) { return std::tie(step.gateway, step.kind, step.name, step.index); };
+    const auto before = [&](const Step& a, const Step& b) { return order(a) < order(b); };
+    std::sort(plan_.steps.begin(), plan_.steps.end(), before);
+    std::sort(plan_.kept.begin(), plan_.kept.end(), before);
+    plan_.passed_by.assign(passed_by_.begin(), passed_by_.end());
+    return std::move(plan_);
+  }
+
+ private:
+  void place(std::size_t number) {
+    const auto& deployment = manifest_.deployments[number];
+    if (deployment.all_gateways) {
+      for (const auto& gateway : fleet_.gateways) {
+        if (!gateway.original) place_on(number, gateway);
+      }
+      return;
+    }
+    for (const auto& id : deployment.gateways) {
+      const auto gateway =
+          std::find_if(fleet_.gateways.begin(), fleet_.gateways.end(), [&](const auto& g) { return g.id == id; });
+      if (gateway == fleet_.gateways.end()) {
+        complain(id, deployment, unknown_gateway_text());
+      } else if (gateway->original) {
+        complain(id, deployment, "the gateway is of the original system, which knows no names: use iotcloud deploy");
+      } else {
+        place_on(number, *gateway);
+      }
+    }
+  }
+
+  std::string unknown_gateway_text() const {
+    std::vector<std::string> ids;
+    for (const auto& gateway : fleet_.gateways) ids.push_back(gateway.id);
+    return ids.empty() ? "no gateway is registered: start iotcloud-gateway"
+                       : fmt::format("there is no such gateway; there are {}", fmt::join(ids, ", "));
+  }
+
+  void place_on(std::size_t number, const Fleet::Gateway& gateway) {
+    const auto& deployment = manifest_.deployments[number];
+    bool complained = false;
+    for (int index = 1; index <= deployment.count; ++index) {
+      const Key key{gateway.id, deployment.name, index};
+      wanted_.insert(key);
+      const auto found = there_.find(key);
+      if (found != there_.end()) {
+        compare(number, *found->second, gateway);
+      } else if (!gateway.draining) {
+        add(StepKind::deploy, number, gateway.id, index, "");
+      } else if (deployment.all_gateways) {
+        passed_by_.insert(gateway.id);
+      } else if (!std::exchange(complained, true)) {
+        complain(gateway.id, deployment, drains_text(gateway.id));
+      }
+    }
+  }
+
+  static std::string drains_text(const std::string& gateway) {
+    return fmt::format("the gateway is draining, so nothing is deployed on it; `iotcloud undrain {}` ends that",
+                       gateway);
+  }
+
+  void compare(std::size_t number, const Fleet::Instance& there, const Fleet::Gateway& gateway) {
+    const auto& wanted = manifest_.deployments[number];
+    const auto to_do = [&](StepKind kind) -> Step& {
+      return add(kind, number, there.gateway, there.index, there.instance);
+    };
+    if (there.manager != manifest_.fleet) {
+      const auto whose = there.manager.empty() ? std::string("a person deployed it")
+                                               : fmt::format("it belongs to the manifest \"{}\"", there.manager);
+      if (!options_.adopt) {
+        complain(there.gateway, wanted,
+                 fmt::format("{}/{} is not this manifest's: {}; --adopt takes it over, another name leaves it alone",
+                             there.name, there.index, whose));
+        return;
+      }
+      to_do(StepKind::adopt).what = {whose};
+    }
+    if (there.plugin != wanted.plugin || there.driver != wanted.driver) {
+      if (gateway.draining) {
+        complain(gateway.id, wanted, drains_text(gateway.id));
+        return;
+      }
+      auto& step = to_do(StepKind::replace);
+      if (there.plugin != wanted.plugin)
+        step.what.push_back(fmt::format("plugin: {} -> {}", there.plugin, wanted.plugin));
+      if (there.driver != wanted.driver)
+        step.what.push_back(fmt::format("driver: {} -> {}", or_own(there.driver), or_own(wanted.driver)));
+      return;
+    }
+    const std::size_t before = plan_.steps.size();
+    const bool anew = there.properties != wanted.properties;
+    if (anew) to_do(StepKind::change).what = differences(there.properties, wanted.properties);
+    if (there.metadata != wanted.metadata) {
+      auto& step = to_do(StepKind::describe);
+      step.what = differences(there.metadata, wanted.metadata);
+      step.metadata = changes(there.metadata, wanted.metadata);
+    }
+    if (there.active != wanted.active) {
+      to_do(wanted.active ? StepKind::start : StepKind::stop);
+    } else if (wanted.active && !there.failure.empty() && !gateway.draining && !anew) {
+      to_do(StepKind::start).what = {"it failed: " + there.failure};
+    }
+    if (plan_.steps.size() == before) ++plan_.same;
+  }
+
+  void prune() {
+    for (const auto& there : fleet_.instances) {
+      if (there.manager != manifest_.fleet || wanted_.contains({there.gateway, there.name, there.index})) continue;
+      Step step;
+      step.kind = StepKind::undeploy;
+      step.gateway = there.gateway;
+      step.name = there.name;
+      step.index = there.index;
+      step.instance = there.instance;
+      (options_.prune ? plan_.steps : plan_.kept).push_back(std::move(step));
+    }
+  }
+
+  Step& add(StepKind kind, std::size_t number, const std::string& gateway, int index, const std::string& instance) {
+    auto& step = plan_.steps.emplace_back();
+    step.kind = kind;
+    step.gateway = gateway;
+    step.name = manifest_.deployments[number].name;
+    step.index = index;
+    step.instance = instance;
+    step.deployment = number;
+    return step;
+  }
+
+  void complain(const std::string& gateway, const Deployment& deployment, std::string text) {
+    plan_.problems.push_back({gateway, deployment.name, std::move(text)});
+  }
+
+  const Manifest& manifest_;
+  const Fleet& fleet_;
+  const PlanOptions& options_;
+  std::map<Key, const Fleet::Instance*> there_;
+  std::set<Key> wanted_;
+  std::set<std::string> passed_by_;
+  Plan plan_;
+};
+
+}  // namespace
+
+std::string to_string(StepKind kind) {
+  switch (kind) {
+    case StepKind::undeploy:
+      return "undeploy";
+    case StepKind::stop:
+      return "stop";
+    case StepKind::adopt:
+      return "adopt";
+    case StepKind::replace:
+      return "replace";
+    case StepKind::change:
+      return "change";
+    case StepKind::describe:
+      return "describe";
+    case StepKind::start:
+      return "start";
+    case StepKind::deploy:
+      return "deploy";
+  }
+  return "";
+}
+
+Plan make_plan(const Manifest& manifest, const Fleet& fleet, const PlanOptions& options) {
+  return Planner(manifest, fleet, options).plan();
+}
+
+}  // namespace iotcloud::master::cli

@@ -1,0 +1,222 @@
+#include <gmock/gmock.h>
+
+#include <iotcloud/master/cli/fleet/plan.h>
+
+namespace iotcloud::master::cli {
+namespace {
+
+using testing::AllOf;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+using testing::Pair;
+using testing::SizeIs;
+using testing::UnorderedElementsAre;
+
+Deployment deployment(const std::string& name, std::vector<std::string> gateways, int count = 1) {
+  Deployment deployment;
+  deployment.name = name;
+  deployment.plugin = "meter.so";
+  deployment.all_gateways = gateways.empty();
+  deployment.gateways = std::move(gateways);
+  deployment.count = count;
+  deployment.properties = {{"rate", "5"}};
+  deployment.metadata = {{"site", "lab"}};
+  return deployment;
+}
+
+/// As that deployment orders it.
+Fleet::Instance instance(const Deployment& from, const std::string& gateway, int index,
+                         const std::string& manager = "lab") {
+  return {gateway,
+          gateway + from.name + std::to_string(index),
+          from.name,
+          index,
+          manager,
+          from.driver,
+          from.plugin,
+          from.active,
+          from.properties,
+          from.metadata,
+          ""};
+}
+
+std::vector<std::string> words(const Plan& plan) {
+  std::vector<std::string> out;
+  for (const auto& step : plan.steps)
+    out.push_back(to_string(step.kind) + " " + step.gateway + " " + step.name + "/" + std::to_string(step.index));
+  return out;
+}
+
+class FleetPlan : public testing::Test {
+ protected:
+  FleetPlan() {
+    fleet.gateways = {{"lab1", false, false}, {"lab2", false, false}};
+    manifest.fleet = "lab";
+  }
+  Plan plan(const PlanOptions& options = {}) const { return make_plan(manifest, fleet, options); }
+
+  Manifest manifest;
+  Fleet fleet;
+};
+
+TEST_F(FleetPlan, WhatIsMissingIsDeployedAndOnlyThat) {
+  manifest.deployments = {deployment("meter", {"lab1", "lab2"}, 2)};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 2)};
+  const auto made = plan();
+  EXPECT_THAT(words(made), ElementsAre("deploy lab1 meter/1", "deploy lab2 meter/1", "deploy lab2 meter/2"));
+  EXPECT_EQ(made.same, 1U);
+  EXPECT_THAT(made.problems, IsEmpty());
+}
+
+TEST_F(FleetPlan, AFleetAsTheManifestSaysNeedsNothing) {
+  manifest.deployments = {deployment("meter", {}, 3)};
+  for (const char* gateway : {"lab1", "lab2"})
+    for (int i = 1; i <= 3; ++i) fleet.instances.push_back(instance(manifest.deployments[0], gateway, i));
+  const auto made = plan();
+  EXPECT_THAT(made.steps, IsEmpty());
+  EXPECT_EQ(made.same, 6U);
+}
+
+TEST_F(FleetPlan, AllMeansEveryGatewayThatFollowsOrders) {
+  fleet.gateways.push_back({"java", false, true});
+  manifest.deployments = {deployment("meter", {})};
+  EXPECT_THAT(words(plan()), ElementsAre("deploy lab1 meter/1", "deploy lab2 meter/1"));
+}
+
+TEST_F(FleetPlan, WhatTheManifestDeployedAndDoesNotNameAnyMoreGoesAndNothingElse) {
+  auto old = deployment("old", {"lab1"});
+  manifest.deployments = {deployment("meter", {"lab1"}, 1)};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1),
+                     instance(manifest.deployments[0], "lab1", 2),  // there were two once
+                     instance(manifest.deployments[0], "lab2", 1),  // it was there once
+                     instance(old, "lab1", 1),                      // it was named once
+                     instance(old, "lab2", 1, ""),                  // a person's
+                     instance(old, "lab2", 2, "other")};            // another manifest's
+  fleet.instances.push_back({"lab1", "nameless", "", 0, "", "", "meter.so", true, {}, {}, ""});
+  EXPECT_THAT(words(plan()), ElementsAre("undeploy lab1 meter/2", "undeploy lab1 old/1", "undeploy lab2 meter/1"));
+  const auto kept = plan({.prune = false, .adopt = false});
+  EXPECT_THAT(kept.steps, IsEmpty());
+  EXPECT_THAT(kept.kept, SizeIs(3));
+}
+
+TEST_F(FleetPlan, OtherPropertiesAreAChangeThatSaysWhatDiffers) {
+  manifest.deployments = {deployment("meter", {"lab1"})};
+  auto there = instance(manifest.deployments[0], "lab1", 1);
+  there.properties = {{"rate", "4"}, {"gone", "1"}};
+  manifest.deployments[0].properties["new"] = "";
+  fleet.instances = {there};
+  const auto made = plan();
+  EXPECT_THAT(words(made), ElementsAre("change lab1 meter/1"));
+  EXPECT_THAT(made.steps[0].what, ElementsAre("gone: 1 -> -", "new: - -> \"\"", "rate: 4 -> 5"));
+  EXPECT_EQ(made.steps[0].instance, there.instance);
+}
+
+TEST_F(FleetPlan, SecretsAreNotShown) {
+  manifest.deployments = {deployment("meter", {"lab1"})};
+  auto there = instance(manifest.deployments[0], "lab1", 1);
+  there.properties["api_Token"] = "old secret";
+  manifest.deployments[0].properties["api_Token"] = "new secret";
+  fleet.instances = {there};
+  EXPECT_THAT(plan().steps.at(0).what, ElementsAre("api_Token: *** -> ***"));
+}
+
+TEST_F(FleetPlan, OtherMetadataIsChangedInPlaceByKeys) {
+  manifest.deployments = {deployment("meter", {"lab1"})};
+  auto there = instance(manifest.deployments[0], "lab1", 1);
+  there.metadata = {{"site", "roof"}, {"note", "x"}};
+  fleet.instances = {there};
+  const auto made = plan();
+  EXPECT_THAT(words(made), ElementsAre("describe lab1 meter/1"));
+  EXPECT_THAT(made.steps[0].metadata, UnorderedElementsAre(Pair("site", "lab"), Pair("note", "")));
+}
+
+TEST_F(FleetPlan, AnotherStateIsStartedOrStopped) {
+  manifest.deployments = {deployment("a", {"lab1"}), deployment("b", {"lab1"})};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[1], "lab1", 1)};
+  fleet.instances[0].active = false;
+  manifest.deployments[1].active = false;
+  EXPECT_THAT(words(plan()), ElementsAre("stop lab1 b/1", "start lab1 a/1"));
+}
+
+TEST_F(FleetPlan, AnInstanceThatFailedIsStartedAgainUnlessItIsMadeAnewOrMayNotRun) {
+  manifest.deployments = {deployment("a", {"lab1"}), deployment("b", {"lab1"}), deployment("c", {"lab2"})};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[1], "lab1", 1),
+                     instance(manifest.deployments[2], "lab2", 1)};
+  for (auto& instance : fleet.instances) instance.failure = "no device";
+  manifest.deployments[1].properties["rate"] = "7";
+  fleet.gateways[1].draining = true;
+  const auto made = plan();
+  EXPECT_THAT(words(made), ElementsAre("change lab1 b/1", "start lab1 a/1"));
+  EXPECT_THAT(made.steps[1].what, ElementsAre("it failed: no device"));
+}
+
+TEST_F(FleetPlan, AnotherPluginOrDriverIsAReplacement) {
+  manifest.deployments = {deployment("a", {"lab1"}), deployment("b", {"lab1"})};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[1], "lab1", 1)};
+  fleet.instances[0].plugin = "old.so";
+  fleet.instances[0].active = false;
+  manifest.deployments[1].driver = "thermometer";
+  const auto made = plan();
+  EXPECT_THAT(words(made), ElementsAre("replace lab1 a/1", "replace lab1 b/1"));
+  EXPECT_THAT(made.steps[0].what, ElementsAre("plugin: old.so -> meter.so"));
+  EXPECT_THAT(made.steps[1].what, ElementsAre("driver: the plugin's own -> thermometer"));
+}
+
+TEST_F(FleetPlan, WhatOthersDeployedUnderANameOfItsIsAProblemUntilItMayBeAdopted) {
+  manifest.deployments = {deployment("meter", {"lab1"}, 2)};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1, ""),
+                     instance(manifest.deployments[0], "lab1", 2, "other")};
+  fleet.instances[0].active = false;
+  const auto made = plan();
+  EXPECT_THAT(made.steps, IsEmpty());
+  ASSERT_THAT(made.problems, SizeIs(2));
+  EXPECT_THAT(made.problems[0].text, AllOf(HasSubstr("meter/1"), HasSubstr("a person"), HasSubstr("--adopt")));
+  EXPECT_THAT(made.problems[1].text, HasSubstr("\"other\""));
+  const auto adopting = plan({.prune = true, .adopt = true});
+  EXPECT_THAT(adopting.problems, IsEmpty());
+  EXPECT_THAT(words(adopting), ElementsAre("adopt lab1 meter/1", "adopt lab1 meter/2", "start lab1 meter/1"));
+}
+
+TEST_F(FleetPlan, AGatewayThatDrainsKeepsWhatItHasAndGetsNothingNew) {
+  fleet.gateways[0].draining = true;
+  manifest.deployments = {deployment("meter", {}, 2)};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[0], "lab2", 1),
+                     instance(manifest.deployments[0], "lab2", 2)};
+  fleet.instances[0].metadata["site"] = "roof";
+  const auto made = plan();
+  EXPECT_THAT(words(made), ElementsAre("describe lab1 meter/1"));
+  EXPECT_THAT(made.passed_by, ElementsAre("lab1"));
+  EXPECT_THAT(made.problems, IsEmpty());
+
+  manifest.deployments[0].all_gateways = false;
+  manifest.deployments[0].gateways = {"lab1", "lab2"};
+  const auto named = plan();
+  ASSERT_THAT(named.problems, SizeIs(1));
+  EXPECT_THAT(named.problems[0].text, HasSubstr("iotcloud undrain lab1"));
+  manifest.deployments[0].plugin = "new.so";
+  EXPECT_THAT(words(plan()), ElementsAre("replace lab2 meter/1", "replace lab2 meter/2"));
+}
+
+TEST_F(FleetPlan, AGatewayThatCannotBeUsedIsAProblemAndTheOthersAreServed) {
+  fleet.gateways.push_back({"java", false, true});
+  manifest.deployments = {deployment("meter", {"lab3", "java", "lab1"})};
+  const auto made = plan();
+  EXPECT_THAT(words(made), ElementsAre("deploy lab1 meter/1"));
+  ASSERT_THAT(made.problems, SizeIs(2));
+  EXPECT_THAT(made.problems[0].text, HasSubstr("there are lab1, lab2"));
+  EXPECT_THAT(made.problems[1].text, HasSubstr("original system"));
+}
+
+TEST_F(FleetPlan, OnAGatewayInstancesGoBeforeOthersCome) {
+  manifest.deployments = {deployment("a", {}), deployment("b", {"lab1"})};
+  fleet.instances = {instance(deployment("z", {}), "lab1", 1), instance(manifest.deployments[1], "lab1", 1),
+                     instance(deployment("z", {}), "lab2", 1)};
+  fleet.instances[1].properties.clear();
+  EXPECT_THAT(words(plan()), ElementsAre("undeploy lab1 z/1", "change lab1 b/1", "deploy lab1 a/1", "undeploy lab2 z/1",
+                                         "deploy lab2 a/1"));
+}
+
+}  // namespace
+}  // namespace iotcloud::master::cli
