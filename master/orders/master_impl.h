@@ -177,8 +177,8 @@ struct Master::Impl {
   const MasterOptions options;
   DriverView view{registry, options.paths};
   std::stop_source closing;
-  /// Shared while deployments are written, exclusive while gateways are marked as draining: a drain sees them or they
-  /// it.
+  /// Shared while what makes instances run is written, exclusive while gateways are marked as draining: one of them
+  /// sees the other.
   std::shared_mutex placing;
   std::atomic<std::int64_t> epoch{0};
   std::mutex mutex;

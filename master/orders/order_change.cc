@@ -101,13 +101,13 @@ std::optional<OrderResult> Master::Impl::find_selected(const InstanceSelection& 
 }
 
 OrderResult Master::Impl::change(const InstanceSelection& selection, Change change) {
-  const auto known = discovery::list_gateways(registry, options.paths);
-  std::vector<Located> instances;
-  if (auto refusal = find_selected(selection, known, instances)) return *refusal;
-
   OrderResult result;
   OutcomeWatch watch(registry, options.paths, wanted_by(change));
+  std::vector<Located> instances;
   DirectCalls calls;
+  std::shared_lock lock(placing);  // what starts is seen by a drain, or sees it
+  const auto known = discovery::list_gateways(registry, options.paths);
+  if (auto refusal = find_selected(selection, known, instances)) return *refusal;
   for (const auto& where : instances) {
     const auto* gateway = find(known, where.gateway);
     if (gateway && gateway->alive && is_direct(where.gateway)) {
@@ -120,6 +120,7 @@ OrderResult Master::Impl::change(const InstanceSelection& selection, Change chan
     set_verdict(outcome, gateway ? order_change(where, *gateway, change, watch) : clear_away(where, change));
     result.outcomes.push_back(std::move(outcome));
   }
+  lock.unlock();
   settle(result, watch, calls, selection.wait, to_string(change));
   return result;
 }

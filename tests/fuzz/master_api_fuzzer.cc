@@ -68,7 +68,7 @@ class Fleet {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   config::set_log_level(config::LogLevel::off);
   static auto fleet = std::make_unique<Fleet>();
-  constexpr master::ThriftServerOptions limits;
+  const master::ThriftServerOptions limits;
   fuzz::serve(fleet->processors(), data, size, limits.max_message_bytes, limits.max_items);
   if (fleet->is_full()) {
     fleet.reset();

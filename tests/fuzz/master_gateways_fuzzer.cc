@@ -47,7 +47,7 @@ class Originals {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   config::set_log_level(config::LogLevel::off);
   static auto originals = std::make_unique<Originals>();
-  constexpr master::ThriftServerOptions limits;
+  const master::ThriftServerOptions limits;
   fuzz::serve(originals->processors(), data, size, limits.max_message_bytes, limits.max_items);
   if (originals->is_full()) {
     originals.reset();

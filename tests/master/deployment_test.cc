@@ -17,6 +17,8 @@ using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::SizeIs;
 
+using Texts = std::map<std::string, std::string>;
+
 DeployRequest meter(std::vector<std::string> gateways = {"lab1"}, int count = 1) {
   DeployRequest request;
   request.plugin = "meter.so";
@@ -107,7 +109,7 @@ TEST_F(MasterDeployments, NamesThatCannotBeAreRefused) {
 TEST_F(MasterDeployments, OtherPropertiesMakeInstancesAnewUnderTheirIds) {
   FakeGateway gateway(url, "lab1");
   const auto ids = instances(master->deploy(meter()));
-  const auto result = master->change_deployment({ids, {{{"rate", "9"}}}, "lab", {}});
+  const auto result = master->change_deployment({ids, Texts{{"rate", "9"}}, "lab", {}});
   ASSERT_TRUE(result.all_done()) << result.summary();
   EXPECT_EQ(master->orders().at(0).order.properties.at("rate"), "9");
   EXPECT_EQ(master->orders().at(0).order.manager, "lab");
@@ -118,7 +120,7 @@ TEST_F(MasterDeployments, AChangeIsNotDoneBeforeTheInstanceWasMadeAnew) {
   FakeGateway gateway(url, "lab1");
   const auto ids = instances(master->deploy(meter()));
   gateway.behave(FakeGateway::say_nothing());
-  const auto result = master->change_deployment({ids, {{{"rate", "9"}}}, {}, std::chrono::milliseconds(50)});
+  const auto result = master->change_deployment({ids, Texts{{"rate", "9"}}, {}, std::chrono::milliseconds(50)});
   EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::unknown) << "the record still says active, of the life before";
 }
 
@@ -126,7 +128,7 @@ TEST_F(MasterDeployments, AnInstanceThatDoesNotComeUpWithItsNewPropertiesHasFail
   FakeGateway gateway(url, "lab1");
   const auto ids = instances(master->deploy(meter()));
   gateway.behave(FakeGateway::fail("rate is no number"));
-  const auto result = master->change_deployment({ids, {{{"rate", "x"}}}, {}, {}});
+  const auto result = master->change_deployment({ids, Texts{{"rate", "x"}}, {}, {}});
   EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::failed);
   EXPECT_EQ(result.outcomes.at(0).reason, "rate is no number");
 }
@@ -135,7 +137,7 @@ TEST_F(MasterDeployments, WhatDoesNotDifferIsDoneAtOnce) {
   FakeGateway gateway(url, "lab1");
   const auto ids = instances(master->deploy(meter()));
   gateway.behave(FakeGateway::say_nothing());
-  EXPECT_TRUE(master->change_deployment({ids, std::map<std::string, std::string>{}, "lab", {}}).all_done());
+  EXPECT_TRUE(master->change_deployment({ids, Texts{}, "lab", {}}).all_done());
   EXPECT_EQ(master->change_deployment({ids, {}, {}, {}}).refusal, Refusal::bad_request);
 }
 

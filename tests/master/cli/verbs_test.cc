@@ -115,7 +115,6 @@ TEST_F(CliVerbs, JsonAndYamlSayTheSame) {
                                               {"stop", "--name", "m"},
                                               {"start", "--name", "m"},
                                               {"metadata", "--name", "m", "a=b"},
-                                              {"undeploy", "--name", "m"},
                                               {"deploy", "a.so", "--all"}}) {
     auto words = verb;
     words.insert(words.end(), {"-o", "json"});
