@@ -90,6 +90,7 @@ TEST_F(MasterDrain, WhatIsStartedMeanwhileStartsAfterwardsAndWhatIsStoppedDoesNo
 }
 
 TEST_F(MasterDrain, OutlivesTheMasterAndTheGateway) {
+  const auto kept = test::open_registry(url);  // which ends with its last session
   std::string instance;
   {
     FakeGateway gateway(url, "lab1");

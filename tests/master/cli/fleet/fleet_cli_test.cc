@@ -38,7 +38,8 @@ class CliFleet : public Cli {
   std::vector<std::string> changes(const Finished& done, int status) const {
     EXPECT_EQ(done.status, status) << done.out << done.err;
     std::vector<std::string> words;
-    for (const auto& change : json::parse(done.out)["changes"])
+    const auto answer = json::parse(done.out);
+    for (const auto& change : answer["changes"])
       words.push_back(change["change"].get<std::string>() + " " + change["gateway"].get<std::string>() + " " +
                       change["name"].get<std::string>() + "/" + std::to_string(change["index"].get<int>()));
     return words;
