@@ -146,7 +146,7 @@ TopologyOrder Master::Impl::changed_order(const std::optional<Node>& node, const
       for (const auto& [component, parallelism] : request.parallelism) order.parallelism[component] = parallelism;
       break;
     case TopologyChange::kill:
-      order.kill.emplace();
+      order.kill = TopologyOrder::Kill{};
       for (const WorkerRecord& worker : workers) order.kill->workers.push_back(worker.name);
       order.kill->drain_ms = request.drain.count();
       order.kill->awaited_until_ms = config::system_clock().wall_ms() + wait.count() + 1000;
