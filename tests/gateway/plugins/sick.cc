@@ -55,7 +55,7 @@ class SickDriver final : public drivers::Driver {
     } else if (illness_ == "hang") {
       for (;;) std::this_thread::sleep_for(1h);
     } else if (illness_ == "leak") {
-      context_->every(2ms, [this] { leak(); });
+      context_->every(20ms, [this] { leak(); });
     } else if (illness_ == "spin") {
       spin();
     } else if (illness_ == "exit") {
@@ -63,6 +63,7 @@ class SickDriver final : public drivers::Driver {
     }
   }
 
+  /// Slowly enough that the thread sleeps between two pieces, on a busy machine too: else it would count as spinning.
   void leak() {
     constexpr std::size_t piece = std::size_t{2} << 20;
     leaked_.push_back(std::make_unique<char[]>(piece));
