@@ -8,7 +8,9 @@
 #include <yaml-cpp/yaml.h>
 
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/config/yaml_document.h>
 #include <iotcloud/config/yaml_place.h>
+#include <iotcloud/config/yaml_text.h>
 
 namespace iotcloud::config {
 
@@ -23,10 +25,7 @@ struct Section::Impl {
 
 namespace {
 
-Location location(const std::string& file, const YAML::Mark& mark) {
-  if (mark.is_null()) return {file, 0, 0};
-  return {file, mark.line + 1, mark.column + 1};
-}
+using internal::location;
 
 std::string join(const std::string& path, const std::string& key) {
   return path.empty() ? key : path + "." + key;
@@ -52,33 +51,6 @@ std::string list_of(const std::vector<std::string>& words) {
   std::string text;
   for (const auto& word : words) text += (text.empty() ? "\"" : ", \"") + word + "\"";
   return text;
-}
-
-/// Duplicate keys, everywhere below `node`: yaml-cpp would let the first one win in silence. And nesting without end,
-/// which an alias within its own anchor makes.
-void refuse_duplicates(const YAML::Node& node, const std::string& file, const std::string& path, int depth = 0) {
-  constexpr int deepest = 32;
-  if (depth > deepest) {
-    throw ConfigError(location(file, node.Mark()), "", "this is nested too deeply", "does an alias contain itself?");
-  }
-  if (node.IsMap()) {
-    std::set<std::string> seen;
-    for (const auto& entry : node) {
-      if (!entry.first.IsScalar()) {
-        throw ConfigError(location(file, entry.first.Mark()), path, "a key must be a single word", "quote it");
-      }
-      const std::string& key = entry.first.Scalar();
-      if (!seen.insert(key).second) {
-        throw ConfigError(location(file, entry.first.Mark()), join(path, key), "this key stands here twice",
-                          "remove one of them");
-      }
-      refuse_duplicates(entry.second, file, join(path, key), depth + 1);
-    }
-  } else if (node.IsSequence()) {
-    for (std::size_t i = 0; i < node.size(); ++i) {
-      refuse_duplicates(node[i], file, path + "[" + std::to_string(i) + "]", depth + 1);
-    }
-  }
 }
 
 template <typename Number>
@@ -107,32 +79,24 @@ std::optional<std::chrono::microseconds> parse_duration(const std::string& text)
 Section Section::parse(std::string_view text, const std::string& name) {
   auto impl = std::make_shared<Impl>();
   impl->file = name;
-  impl->source = std::make_shared<const std::string>(text);
-  try {
-    const std::vector<YAML::Node> documents = YAML::LoadAll(*impl->source);
-    if (documents.size() > 1) {
-      throw ConfigError(location(name, documents[1].Mark()), "", "a second document begins here",
-                        "remove the line \"---\"; only one document is read");
-    }
-    if (!documents.empty()) impl->node = documents.front();
-  } catch (const YAML::Exception& e) {
-    throw ConfigError(location(name, e.mark), "", "this is not YAML: " + e.msg, "");
-  }
+  impl->source = std::make_shared<const std::string>(internal::checked_text(text, name));
+  impl->node = internal::read_document(*impl->source, name);
   if (!impl->node.IsMap()) {
     throw ConfigError({name, 1, 1}, "", std::string("a mapping is expected at the top, not ") + kind_of(impl->node),
                       "write lines of the form \"key: value\"");
   }
-  refuse_duplicates(impl->node, name, "");
   return Section(std::move(impl));
 }
 
 Section Section::load_file(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
-  std::ostringstream text;
-  if (!file || !(text << file.rdbuf())) {
+  std::string text(internal::most_text_bytes + 1, '\0');  // one more than is read: enough to refuse it
+  if (file) file.read(text.data(), static_cast<std::streamsize>(text.size()));
+  if (!file.eof() && file.fail()) {
     throw ConfigError({path, 0, 0}, "", "this file cannot be read", "check its name and permissions");
   }
-  return parse(text.str(), path);
+  text.resize(static_cast<std::size_t>(file.gcount()));
+  return parse(text, path);
 }
 
 namespace {

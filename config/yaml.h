@@ -20,7 +20,8 @@ namespace iotcloud::config {
 /// dotted key and what would be right. Duplicate keys are errors. Not thread safe; cheap to copy (shares the document).
 class Section {
  public:
-  /// \throws ConfigError when the file cannot be read, is not YAML, or is not a mapping at the top.
+  /// \throws ConfigError when the file cannot be read, is not YAML, or is not a mapping at the top. Refused, too, is
+  /// what no editor writes: other than UTF-8, control characters, more than 4 MiB, 32 levels or 500'000 values.
   static Section load_file(const std::string& path);
   /// \param name stands for the file in messages.
   static Section parse(std::string_view text, const std::string& name);
