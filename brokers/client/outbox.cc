@@ -1,6 +1,7 @@
 #include "iotcloud/brokers/client/outbox.h"
 
 #include <algorithm>
+#include <random>
 #include <utility>
 
 #include "iotcloud/brokers/meters.h"
@@ -20,11 +21,17 @@ PublisherOptions with_some_capacity(PublisherOptions options) {
   return options;
 }
 
+std::uint64_t new_id() {
+  std::random_device random;
+  return std::uniform_int_distribution<std::uint64_t>()(random);
+}
+
 }  // namespace
 
 Outbox::Outbox(Topic to, PublisherOptions how)
     : topic(std::move(to)),
       options(with_some_capacity(std::move(how))),
+      id(new_id()),
       eager_(first_retry, last_eager_retry),
       patient_(last_retry, last_retry),
       backoff_(first_retry, last_retry) {}

@@ -41,6 +41,7 @@ class Outbox {
 
   const Topic topic;
   const PublisherOptions options;
+  const std::uint64_t id;  ///< by chance, so that it tells this publisher from all others anywhere
 
   /// Numbers the message. Null: would_block. Otherwise it is the caller's to send or to add_waiting().
   bool has_room() const;

@@ -1,9 +1,11 @@
 #include <array>
+#include <limits>
 #include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
 
+#include "iotcloud/brokers/rabbitmq/consuming/resent_marks.h"
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
 
 namespace iotcloud::brokers::rabbitmq {
@@ -79,17 +81,19 @@ TEST(RabbitMqHeadersTest, AreNamedAsInTheOriginal) {
   }
 }
 
-TEST(RabbitMqHeadersTest, CarryDurabilityExpiryTagAndResentMark) {
+TEST(RabbitMqHeadersTest, CarryDurabilityExpiryOriginAndResentMark) {
   MessageProperties encoder;
   MessageProperties::Delivery delivery;
   delivery.durable = true;
   delivery.resent = true;
   delivery.expires_in = std::chrono::milliseconds(250);
-  delivery.publish_tag = 77;
+  delivery.origin = {0x00ab, 77};
   const amqp_basic_properties_t& properties = encoder.encode(Message{}, delivery);
   EXPECT_EQ(properties.delivery_mode, AMQP_DELIVERY_PERSISTENT);
   EXPECT_EQ(std::string(static_cast<const char*>(properties.expiration.bytes), properties.expiration.len), "250");
-  EXPECT_EQ(publish_tag_of(properties), 77U);
+  EXPECT_EQ(std::string(static_cast<const char*>(properties.message_id.bytes), properties.message_id.len),
+            "00000000000000ab-77");
+  EXPECT_EQ(origin_of(properties), (Origin{0x00ab, 77}));
   Message received;
   EXPECT_TRUE(decode_properties(properties, received));
   EXPECT_TRUE(received.properties.empty()) << "the mark is ours, not the user's";
@@ -155,7 +159,54 @@ TEST(RabbitMqHeadersTest, NoHeadersAtAllAreFine) {
   amqp_basic_properties_t properties{};
   Message message;
   EXPECT_FALSE(decode_properties(properties, message));
-  EXPECT_EQ(publish_tag_of(properties), 0U);
+  EXPECT_EQ(origin_of(properties), std::nullopt);
+}
+
+TEST(RabbitMqHeadersTest, TheLargestOriginFits) {
+  constexpr auto largest = std::numeric_limits<std::uint64_t>::max();
+  MessageProperties encoder;
+  MessageProperties::Delivery delivery;
+  delivery.origin = {largest, largest};
+  EXPECT_EQ(origin_of(encoder.encode(Message{}, delivery)), (Origin{largest, largest}));
+}
+
+TEST(RabbitMqHeadersTest, AMessageIdThatIsNotOursIsNoOrigin) {
+  for (std::string id : {"", "77", "ID:host-1", "00000000000000ab", "00000000000000ab-", "00000000000000ab-x",
+                         "00000000000000xb-1", "00000000000000ab-18446744073709551616"}) {
+    amqp_basic_properties_t properties{};
+    properties.message_id = {id.size(), id.data()};
+    properties._flags = AMQP_BASIC_MESSAGE_ID_FLAG;
+    EXPECT_EQ(origin_of(properties), std::nullopt) << id;
+  }
+}
+
+TEST(ResentMarksTest, CopiesThatComeAfterAMarkedOneMayHaveBeenRead) {
+  ResentMarks marks;
+  const std::uint64_t one = 1;
+  const std::uint64_t other = 2;
+  EXPECT_FALSE(marks.may_be_a_copy(Origin{one, 5}, false));
+  EXPECT_TRUE(marks.may_be_a_copy(Origin{one, 6}, true));
+  EXPECT_TRUE(marks.may_be_a_copy(Origin{one, 7}, true));
+  EXPECT_FALSE(marks.may_be_a_copy(Origin{one, 8}, false)) << "new";
+  EXPECT_TRUE(marks.may_be_a_copy(Origin{one, 6}, false));
+  EXPECT_TRUE(marks.may_be_a_copy(Origin{one, 7}, false));
+  EXPECT_FALSE(marks.may_be_a_copy(Origin{other, 7}, false));
+}
+
+TEST(ResentMarksTest, WhatOthersPublishHasOnlyItsMark) {
+  ResentMarks marks;
+  EXPECT_TRUE(marks.may_be_a_copy(std::nullopt, true));
+  EXPECT_FALSE(marks.may_be_a_copy(std::nullopt, false));
+}
+
+TEST(ResentMarksTest, ThePublisherOfNowIsNotForgottenForTheManyBefore) {
+  ResentMarks marks;
+  constexpr std::uint64_t many = 100'000;
+  for (std::uint64_t publisher = many; publisher > 0; --publisher) {
+    marks.may_be_a_copy(Origin{publisher, 3}, true);
+    ASSERT_TRUE(marks.may_be_a_copy(Origin{publisher, 2}, false));
+  }
+  EXPECT_FALSE(marks.may_be_a_copy(Origin{many, 2}, false)) << "what is kept is bounded";
 }
 
 }  // namespace

@@ -41,7 +41,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   Pool pool;
   const amqp_basic_properties_t* const properties = decode(input, pool);
   if (properties == nullptr) return 0;
-  brokers::rabbitmq::publish_tag_of(*properties);
+  brokers::rabbitmq::origin_of(*properties);
   brokers::Message message;
   brokers::rabbitmq::decode_properties(*properties, message);
   if (brokers::refusal(message) != nullptr) return 0;

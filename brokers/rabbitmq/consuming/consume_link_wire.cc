@@ -45,7 +45,7 @@ void ConsumeLink::on_frame(const amqp_frame_t& frame) {
   const std::shared_ptr<Inlet> inlet = found->second;
   std::optional<Arrived> complete;
   if (frame.frame_type == AMQP_FRAME_HEADER) {
-    complete = inlet->assembly.header(frame);
+    complete = inlet->assembly.header(frame, inlet->resent);
   } else if (frame.frame_type == AMQP_FRAME_BODY) {
     complete = inlet->assembly.body(frame.payload.body_fragment);
   }

@@ -25,13 +25,16 @@ void Assembly::begin(const amqp_basic_deliver_t& deliver) {
   expects_header_ = true;
 }
 
-std::optional<Arrived> Assembly::header(const amqp_frame_t& frame) {
+std::optional<Arrived> Assembly::header(const amqp_frame_t& frame, ResentMarks& resent) {
   if (!std::exchange(expects_header_, false)) throw LinkError("a message's header without a delivery");
   const std::uint64_t size = frame.payload.properties.body_size;
   if (size > body_limit) throw LinkError("a message of " + std::to_string(size) + " bytes");
   const auto& properties = *static_cast<const amqp_basic_properties_t*>(frame.payload.properties.decoded);
   hostile_ = (properties._flags & AMQP_BASIC_HEADERS_FLAG) != 0 && properties.headers.num_entries > header_limit;
-  if (!hostile_ && decode_properties(properties, arrived_.message)) arrived_.redelivered = true;
+  if (!hostile_) {
+    const bool marked = decode_properties(properties, arrived_.message);
+    if (resent.may_be_a_copy(origin_of(properties), marked)) arrived_.redelivered = true;
+  }
   size_ = static_cast<std::size_t>(size);
   if (size_ == 0) return finish();
   bytes_ = std::shared_ptr<std::byte[]>(new std::byte[size_]);  // not cleared: it is all overwritten

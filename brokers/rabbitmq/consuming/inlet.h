@@ -10,6 +10,7 @@
 
 #include "iotcloud/brokers/client/ack_window.h"
 #include "iotcloud/brokers/client/backoff.h"
+#include "iotcloud/brokers/rabbitmq/consuming/resent_marks.h"
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/clock.h>
 
@@ -26,7 +27,7 @@ class Assembly {
  public:
   void begin(const amqp_basic_deliver_t& deliver);
   /// Both return the message when it is complete. \throws LinkError when the frames make no sense.
-  std::optional<Arrived> header(const amqp_frame_t& frame);
+  std::optional<Arrived> header(const amqp_frame_t& frame, ResentMarks& resent);
   std::optional<Arrived> body(amqp_bytes_t piece);
   /// Whether the delivery under way, or the one returned last, is one that no handler should get: it has more headers
   /// than a sane one, and they were not read.
@@ -74,6 +75,7 @@ class Inlet final : public Settler, public std::enable_shared_from_this<Inlet> {
   std::string complaint;  ///< the last that was logged, so that it is logged once
   AckWindow window;
   Assembly assembly;
+  ResentMarks resent;
   bool read_before = false;  ///< was active once, on whatever channel
   /// Messages to come that may have been handed on already although the server does not say so: a server that was
   /// killed forgets what it had delivered. What waits in the queue when we come back is counted as such.

@@ -211,7 +211,7 @@ void PublishLink::send(Lock& lock, const std::shared_ptr<Outbox>& outbox, Outgoi
   delivery.durable = outbox->topic.durable;
   delivery.resent = outgoing.resent || outgoing.old;
   delivery.priority = outbox->options.priority;
-  delivery.publish_tag = first_tag_ + under_way_.size();
+  delivery.origin = {outbox->id, outgoing.number};
   if (outbox->options.deadline.count() > 0) {
     const auto left = outgoing.accepted + outbox->options.deadline - clock_.now();
     delivery.expires_in = std::max(std::chrono::milliseconds(1), std::chrono::ceil<std::chrono::milliseconds>(left));

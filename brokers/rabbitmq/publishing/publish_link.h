@@ -87,6 +87,7 @@ class PublishLink {
 
   void read_frames();
   void on_method(const amqp_method_t& method, amqp_channel_t channel);
+  void on_returned(const amqp_basic_properties_t& properties);
   void on_answer(std::uint64_t tag, bool multiple, bool good);
   void on_channel_closed(const amqp_channel_close_t& closed);
   void settle(UnderWay& entry, bool good, Instant now);
@@ -120,8 +121,7 @@ class PublishLink {
   // The wire: used by its owner only; replaced by the link's thread, with the mutex held too.
   std::unique_ptr<AmqpLink> wire_;
   MessageProperties properties_;
-  std::uint64_t returned_tag_ = 0;  ///< of the message whose return is being read
-  bool reading_return_ = false;
+  bool reading_return_ = false;  ///< the header of a message that came back is next
 
   mutable std::mutex mutex_;
   std::condition_variable changed_;  ///< the wire became free, a callback ended

@@ -223,16 +223,21 @@ void PublishLink::read_frames() {
     if (frame->frame_type == AMQP_FRAME_METHOD) {
       on_method(frame->payload.method, frame->channel);
     } else if (frame->frame_type == AMQP_FRAME_HEADER && reading_return_) {
-      const auto& properties = *static_cast<const amqp_basic_properties_t*>(frame->payload.properties.decoded);
-      returned_tag_ = publish_tag_of(properties);
-      const Lock lock(mutex_);
-      if (returned_tag_ >= first_tag_ && returned_tag_ < first_tag_ + under_way_.size()) {
-        under_way_[returned_tag_ - first_tag_].returned = true;
-      }
+      on_returned(*static_cast<const amqp_basic_properties_t*>(frame->payload.properties.decoded));
       reading_return_ = false;  // its body follows and is of no interest: we still have the message
     }
     wire_->release(frame->channel);
   } while (wire_->has_buffered());
+}
+
+/// Its confirmation is still to come, so it is among the first of those that have no answer.
+void PublishLink::on_returned(const amqp_basic_properties_t& properties) {
+  const std::optional<Origin> origin = origin_of(properties);
+  const Lock lock(mutex_);
+  const auto found = std::find_if(under_way_.begin(), under_way_.end(), [&](const UnderWay& entry) {
+    return Origin{entry.outbox->id, entry.outgoing.number} == origin;
+  });
+  if (found != under_way_.end()) found->returned = true;
 }
 
 void PublishLink::on_method(const amqp_method_t& method, amqp_channel_t channel) {

@@ -4,7 +4,7 @@
 #include <optional>
 #include <string_view>
 
-#include <fmt/core.h>
+#include <fmt/format.h>
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
@@ -67,11 +67,13 @@ std::optional<std::string> text_of(const amqp_field_value_t& field) {
   }
 }
 
+/// nullopt unless all of the text is one number.
 template <typename Number>
-Number to_number(std::string_view text) {
+std::optional<Number> parsed(std::string_view text, int base = 10) {
   Number number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  return error == std::errc() && end == text.data() + text.size() ? number : 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number, base);
+  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
+  return number;
 }
 
 }  // namespace
@@ -102,7 +104,9 @@ const amqp_basic_properties_t& MessageProperties::encode(const Message& message,
   }
   properties_.headers = {static_cast<int>(entries_.size()), entries_.data()};
   properties_.delivery_mode = delivery.durable ? AMQP_DELIVERY_PERSISTENT : AMQP_DELIVERY_NONPERSISTENT;
-  properties_.message_id = publish_tag_.of(static_cast<std::int64_t>(delivery.publish_tag));
+  const char* const end =
+      fmt::format_to(message_id_.data(), "{:016x}-{}", delivery.origin.publisher, delivery.origin.number);
+  properties_.message_id = {static_cast<std::size_t>(end - message_id_.data()), message_id_.data()};
   properties_._flags = AMQP_BASIC_HEADERS_FLAG | AMQP_BASIC_DELIVERY_MODE_FLAG | AMQP_BASIC_MESSAGE_ID_FLAG;
   if (delivery.priority != normal_priority) {
     properties_.priority = delivery.priority;
@@ -128,7 +132,7 @@ bool decode_properties(const amqp_basic_properties_t& properties, Message& messa
     } else if (name == gateway_header) {
       message.gateway_id = std::move(*value);
     } else if (name == time_header) {
-      message.time_ms = to_number<std::int64_t>(*value);
+      message.time_ms = parsed<std::int64_t>(*value).value_or(0);
     } else if (name == resent_header) {
       resent = true;
     } else {
@@ -138,9 +142,15 @@ bool decode_properties(const amqp_basic_properties_t& properties, Message& messa
   return resent;
 }
 
-std::uint64_t publish_tag_of(const amqp_basic_properties_t& properties) {
-  if ((properties._flags & AMQP_BASIC_MESSAGE_ID_FLAG) == 0) return 0;
-  return to_number<std::uint64_t>(view(properties.message_id));
+std::optional<Origin> origin_of(const amqp_basic_properties_t& properties) {
+  constexpr std::size_t publisher_digits = 16;
+  if ((properties._flags & AMQP_BASIC_MESSAGE_ID_FLAG) == 0) return std::nullopt;
+  const std::string_view id = view(properties.message_id);
+  if (id.size() <= publisher_digits || id[publisher_digits] != '-') return std::nullopt;
+  const auto publisher = parsed<std::uint64_t>(id.substr(0, publisher_digits), 16);
+  const auto number = parsed<std::uint64_t>(id.substr(publisher_digits + 1));
+  if (!publisher || !number) return std::nullopt;
+  return Origin{*publisher, *number};
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

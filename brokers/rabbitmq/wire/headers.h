@@ -3,6 +3,7 @@
 #include <array>
 #include <chrono>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -11,6 +12,13 @@
 #include <iotcloud/brokers/broker.h>
 
 namespace iotcloud::brokers::rabbitmq {
+
+/// Which message it is, however often it is sent: the AMQP property message-id, `<publisher, 16 hex digits>-<number>`.
+struct Origin {
+  std::uint64_t publisher = 0;  ///< Outbox::id
+  std::uint64_t number = 0;     ///< of that publisher, ascending
+  bool operator==(const Origin&) const = default;
+};
 
 /// The AMQP properties of one message (REFERENCE.md 4: headers sensorID, siteID, time and the custom properties).
 /// Points into itself and into the message: both must outlive its use. Reuse one object for many messages.
@@ -21,7 +29,7 @@ class MessageProperties {
     bool resent = false;                      ///< sent before, to a connection that was lost: possibly a duplicate
     std::chrono::milliseconds expires_in{0};  ///< 0 = never
     std::uint8_t priority = normal_priority;
-    std::uint64_t publish_tag = 0;  ///< finds the message again when the server returns it
+    Origin origin;
   };
   const amqp_basic_properties_t& encode(const Message& message, const Delivery& delivery);
 
@@ -38,14 +46,15 @@ class MessageProperties {
 
   amqp_basic_properties_t properties_{};
   std::vector<amqp_table_entry_t> entries_;
-  Digits time_, expiration_, publish_tag_;
+  Digits time_, expiration_;
+  std::array<char, 40> message_id_{};
 };
 
 /// Fills the message's metadata from what a server sent, whoever published it: values that are no strings are written
 /// as text, nested tables and arrays are skipped. \return whether it is marked as sent before (see `resent`).
 bool decode_properties(const amqp_basic_properties_t& properties, Message& message);
 
-/// The publish tag of a returned message; 0 when it has none.
-std::uint64_t publish_tag_of(const amqp_basic_properties_t& properties);
+/// nullopt: another program published it.
+std::optional<Origin> origin_of(const amqp_basic_properties_t& properties);
 
 }  // namespace iotcloud::brokers::rabbitmq

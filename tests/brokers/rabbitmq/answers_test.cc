@@ -71,6 +71,30 @@ TEST_F(RabbitMqAnswers, MessagesThatAreNeverConfirmedAreSentAgainMarkedOnAnother
   EXPECT_GT(inbox.size(), 10U) << "they were sent again";
 }
 
+TEST_F(RabbitMqAnswers, CopiesThatTheServerTakesLateFromALostConnectionAreMarked) {
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic("late"), {}, inbox.handler());
+  ASSERT_TRUE(eventually([&] { return subscription->active(); }));
+  const auto publisher = broker->publisher(topic("late"), {});
+  const auto publish = [&](int from, int to) {
+    for (int i = from; i <= to; ++i) publisher->publish(text_message(std::to_string(i)));
+    ASSERT_TRUE(publisher->drain(patience));
+  };
+  publish(1, 5);
+  proxy_.withhold_messages();
+  publish(6, 10);
+  ASSERT_TRUE(inbox.wait_for(10)) << "through another connection";
+  proxy_.release_messages();
+  ASSERT_TRUE(inbox.wait_for(15)) << "again, from the lost one";
+  publish(11, 12);
+  ASSERT_TRUE(inbox.wait_for(17));
+  const auto all = inbox.all();
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    EXPECT_EQ(all[i].redelivered, i >= 5 && i < 15) << all[i].body << " at " << i;
+  }
+}
+
 TEST_F(RabbitMqAnswers, AConnectionWithNothingUnderWayIsNotMadeAnew) {
   const auto broker = this->broker();
   PublisherOptions options;

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <stdexcept>
+#include <utility>
 
 #include <arpa/inet.h>
 #include <fmt/core.h>
@@ -55,6 +56,9 @@ struct FrameProxy::Pair {
   const int client;
   const int server;
   bool greeted = false;
+  bool exempt = false;       ///< made while messages were withheld
+  bool client_gone = false;  ///< and what it published is withheld, or has arrived late
+  std::string withheld;
   std::string from_client;  ///< of a frame that is not complete
   std::string from_server;
 };
@@ -88,7 +92,8 @@ void FrameProxy::run() {
   while (!ending_) {
     std::vector<pollfd> waiting{{listener_, POLLIN, 0}};
     for (const auto& pair : pairs_) {
-      waiting.push_back({pair->client, POLLIN, 0});
+      if (!withholding_ && !pair->withheld.empty()) send_all(pair->server, std::exchange(pair->withheld, {}));
+      waiting.push_back({pair->client_gone ? -1 : pair->client, POLLIN, 0});
       waiting.push_back({holding_ ? -1 : pair->server, POLLIN, 0});
     }
     if (::poll(waiting.data(), waiting.size(), look_every_ms) <= 0) continue;
@@ -107,6 +112,7 @@ void FrameProxy::accept_one() {
   auto pair = std::make_unique<Pair>(client, ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
   const sockaddr_in address = loopback(server_port_);
   if (::connect(pair->server, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) return;
+  pair->exempt = withholding_;
   ++connections_;
   pairs_.push_back(std::move(pair));
 }
@@ -114,7 +120,11 @@ void FrameProxy::accept_one() {
 bool FrameProxy::pass_on(Pair& pair, bool from_server) {
   std::array<char, 65536> chunk{};
   const ssize_t size = ::recv(from_server ? pair.server : pair.client, chunk.data(), chunk.size(), 0);
-  if (size <= 0) return false;
+  if (size <= 0) {
+    pair.client_gone = !from_server && !pair.withheld.empty();
+    return pair.client_gone;
+  }
+  if (pair.client_gone) return true;  // nobody is there to read it
   std::string& bytes = from_server ? pair.from_server : pair.from_client;
   bytes.append(chunk.data(), static_cast<std::size_t>(size));
   std::string out;
@@ -124,11 +134,13 @@ bool FrameProxy::pass_on(Pair& pair, bool from_server) {
     bytes.erase(0, greeting);
   }
   std::size_t at = 0;
+  bool withhold = !pair.withheld.empty();
   while (pair.greeted && bytes.size() - at >= frame_overhead) {
     const std::size_t length = number_at(bytes, at + 3) + frame_overhead;
     if (bytes.size() - at < length) break;
     const bool is_method = bytes[at] == AMQP_FRAME_METHOD;
     const amqp_method_number_t method = is_method ? number_at(bytes, at + frame_head) : 0;
+    withhold = withhold || (withholding_ && !pair.exempt && method == AMQP_BASIC_PUBLISH_METHOD);
     const bool swallow = from_server && swallowing_ && method == AMQP_BASIC_ACK_METHOD;
     if (!swallow) out.append(bytes, at, length);
     if (is_method && !swallow) {
@@ -138,6 +150,10 @@ bool FrameProxy::pass_on(Pair& pair, bool from_server) {
     at += length;
   }
   bytes.erase(0, at);
+  if (withhold && !from_server) {
+    pair.withheld += out;
+    return true;
+  }
   return send_all(from_server ? pair.client : pair.server, out);
 }
 

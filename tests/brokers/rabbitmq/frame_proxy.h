@@ -15,7 +15,7 @@
 namespace iotcloud::brokers {
 
 /// Stands between a client and a RabbitMQ server, on loopback, and hands AMQP frames on; counts their methods, and can
-/// hold the server's answers up or swallow its confirmations. Thread safe.
+/// hold the server's answers up, swallow its confirmations, or withhold messages. Thread safe.
 class FrameProxy {
  public:
   /// \param server_url of a server without TLS
@@ -31,6 +31,10 @@ class FrameProxy {
   /// From now on nothing that the server says arrives, until release().
   void hold_answers() { holding_ = true; }
   void release_answers() { holding_ = false; }
+  /// From now on what the connections that there are publish, and whatever follows it, does not arrive, until
+  /// release_messages(): then it does, even when the client has given the connection up.
+  void withhold_messages() { withholding_ = true; }
+  void release_messages() { withholding_ = false; }
   /// From now on no basic.ack of the server arrives, on any connection.
   void swallow_confirmations(bool swallow) { swallowing_ = swallow; }
 
@@ -45,7 +49,7 @@ class FrameProxy {
   int server_port_;
   int listener_;
   std::atomic<int> connections_ = 0;
-  std::atomic<bool> holding_ = false, swallowing_ = false, ending_ = false;
+  std::atomic<bool> holding_ = false, swallowing_ = false, withholding_ = false, ending_ = false;
   mutable std::mutex mutex_;
   std::map<amqp_method_number_t, int> seen_;  ///< guarded by mutex_
   std::vector<std::unique_ptr<Pair>> pairs_;  ///< the thread's own
