@@ -206,7 +206,7 @@ TEST(ResentMarksTest, ThePublisherOfNowIsNotForgottenForTheManyBefore) {
     marks.may_be_a_copy(Origin{publisher, 3}, true);
     ASSERT_TRUE(marks.may_be_a_copy(Origin{publisher, 2}, false));
   }
-  EXPECT_FALSE(marks.may_be_a_copy(Origin{many, 2}, false)) << "what is kept is bounded";
+  EXPECT_FALSE(marks.may_be_a_copy(Origin{2, 2}, false)) << "what is kept is bounded";
 }
 
 }  // namespace
