@@ -80,10 +80,10 @@ std::string_view checked_text(std::string_view text, const std::string& name) {
                         "save the text as UTF-8, or remove the byte");
     }
     if (!is_allowed(character.code)) {
-      throw ConfigError(place(text, at, name), "",
-                        fmt::format("YAML does not allow the character U+{:04X}, byte {} of the text", character.code,
-                                    at + 1),
-                        fmt::format("remove it, or write \\u{:04x} within double quotes", character.code));
+      throw ConfigError(
+          place(text, at, name), "",
+          fmt::format("YAML does not allow the character U+{:04X}, byte {} of the text", character.code, at + 1),
+          fmt::format("remove it, or write \\u{:04x} within double quotes", character.code));
     }
     at += character.bytes;
   }

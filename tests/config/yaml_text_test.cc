@@ -1,5 +1,5 @@
-// Texts that nobody writes by hand, and that must not keep a daemon busy: what the reader refuses before yaml-cpp builds
-// anything of it.
+// Texts that nobody writes by hand, and that must not keep a daemon busy: what the reader refuses before yaml-cpp
+// builds anything of it.
 #include <filesystem>
 #include <fstream>
 #include <string>
@@ -50,8 +50,9 @@ TEST(YamlText, says_that_only_utf8_is_read) {
 }
 
 TEST(YamlText, refuses_a_byte_that_is_no_utf8_with_its_place) {
-  EXPECT_EQ(refusal_of("a: b\nc: \xE9t\xE9\n"),
-            "t.yaml:2:4: the byte 0xe9, byte 9 of the text, is no valid UTF-8; save the text as UTF-8, or remove the byte");
+  EXPECT_EQ(
+      refusal_of("a: b\nc: \xE9t\xE9\n"),
+      "t.yaml:2:4: the byte 0xe9, byte 9 of the text, is no valid UTF-8; save the text as UTF-8, or remove the byte");
 }
 
 TEST(YamlText, takes_utf8_as_the_standard_has_it_and_nothing_else) {
@@ -67,9 +68,10 @@ TEST(YamlText, takes_utf8_as_the_standard_has_it_and_nothing_else) {
 }
 
 TEST(YamlText, refuses_control_characters_that_yaml_does_not_allow_with_their_place) {
-  EXPECT_EQ(refusal_of("a: b\nc: d\x04"),
-            "t.yaml:2:5: YAML does not allow the character U+0004, byte 10 of the text; remove it, or write \\u0004 within "
-            "double quotes");
+  EXPECT_EQ(
+      refusal_of("a: b\nc: d\x04"),
+      "t.yaml:2:5: YAML does not allow the character U+0004, byte 10 of the text; remove it, or write \\u0004 within "
+      "double quotes");
   EXPECT_THAT(refusal_of("a: \0b"s), HasSubstr("t.yaml:1:4: YAML does not allow the character U+0000"));
   EXPECT_THAT(refusal_of("a: \x7F"), HasSubstr("U+007F"));
   EXPECT_THAT(refusal_of("a: \xC2\x80"), HasSubstr("U+0080"));
@@ -81,7 +83,8 @@ TEST(YamlText, refuses_control_characters_that_yaml_does_not_allow_with_their_pl
 TEST(YamlText, refuses_what_yaml_cpp_would_read_as_documents_without_end) {
   EXPECT_THAT(refusal_of(","), AllOf(StartsWith("t.yaml:1:1: "), HasSubstr("a comma or colon too many")));
   EXPECT_THAT(refusal_of("# fleet\n---\n, a: b\n"), StartsWith("t.yaml:3:1: what begins here does not belong to what"));
-  EXPECT_THAT(refusal_of("- a\nb: 1\n"), StartsWith("t.yaml:2:1: what begins here does not belong to what stands before"));
+  EXPECT_THAT(refusal_of("- a\nb: 1\n"),
+              StartsWith("t.yaml:2:1: what begins here does not belong to what stands before"));
 }
 
 TEST(YamlText, refuses_nesting_without_sense_where_it_becomes_too_deep) {
