@@ -74,6 +74,10 @@ void set_log_format(LogFormat format) {
   line_format = format;
 }
 
+LogFormat log_format() {
+  return line_format;
+}
+
 LogLevel log_level() {
   switch (sink().level()) {
     case spdlog::level::trace:

@@ -31,4 +31,13 @@ void apply(const LogSettings& settings) {
   if (settings.format) set_log_format(*settings.format);
 }
 
+std::vector<std::string> log_options() {
+  std::vector<std::string> options;
+  for (const auto* name : {"debug", "info", "warn", "error", "off"}) {
+    if (parse_log_level(name) == log_level()) options = {"--log-level", name};
+  }
+  options.insert(options.end(), {"--log-format", log_format() == LogFormat::json ? "json" : "text"});
+  return options;
+}
+
 }  // namespace iotcloud::config

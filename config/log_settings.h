@@ -3,6 +3,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/yaml.h>
@@ -16,6 +17,7 @@ enum class LogFormat {
 
 /// How log lines are written from now on. Default: text. Thread safe.
 void set_log_format(LogFormat format);
+LogFormat log_format();
 /// \throws ConfigError for a name that is none.
 LogFormat parse_log_format(std::string_view name);
 
@@ -32,5 +34,9 @@ LogSettings read_log_settings(Section& top);
 LogSettings load_log_settings(const std::string& file);
 
 void apply(const LogSettings& settings);
+
+/// The options by which a program that this process starts logs as this one does at present:
+/// {"--log-level", "info", "--log-format", "json"}. Thread safe.
+std::vector<std::string> log_options();
 
 }  // namespace iotcloud::config

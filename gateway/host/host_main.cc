@@ -9,7 +9,7 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/log.h>
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/memory.h>
 #include <iotcloud/gateway/host/control/control_server.h>
 
@@ -42,6 +42,10 @@ int main(int argc, char** argv) {
   app.add_option("--log", options.log.path, "the file that stdout and stderr go to, which is kept within bounds");
   app.add_option("--log-limit-mb", log_limit_mb, "how large it grows before a new one is begun");
   app.add_option("--logs-kept", options.log.kept, "how many older ones are kept");
+  std::string log_level = "info";
+  std::string log_format = "text";
+  app.add_option("--log-level", log_level, "debug, info, warn, error or off");
+  app.add_option("--log-format", log_format, "text, or json: an object on each line");
   auto& confinement = options.confinement;
   app.add_option("--user", confinement.user, "the account to become before the plugin is loaded");
   app.add_option("--open-files", confinement.open_files, "how many files and sockets it may have open");
@@ -56,6 +60,8 @@ int main(int argc, char** argv) {
   const std::string socket = options.folder + "/" + options.socket_name;
   int status = 1;
   try {
+    iotcloud::config::set_log_level(iotcloud::config::parse_log_level(log_level));
+    iotcloud::config::set_log_format(iotcloud::config::parse_log_format(log_format));
     iotcloud::gateway::ControlServer server(std::move(options));
     status = server.run(signals);
     unlink(socket.c_str());

@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/gateway/processes/process_launcher.h>
 #include <iotcloud/gateway/processes/process_link.h>
 
@@ -165,6 +166,8 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEv
       "--logs-kept", std::to_string(options_.logs_kept)};
   // clang-format on
   if (order.isolated) arguments.emplace_back("--isolated");
+  const auto as_this_process = config::log_options();
+  arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
   add_confinement(arguments, options_.confinement);
   const pid_t process = Spawning(log_file).spawn(std::move(arguments));
   log.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);

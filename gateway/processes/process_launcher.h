@@ -15,7 +15,8 @@ namespace iotcloud::gateway {
 
 /// Runs each driver host as a process of its own, iotcloud-driver-host, detached: it survives the gateway and is found
 /// again by its socket in the state folder. A host that hangs, spins or takes too much memory is killed and counts as
-/// crashed. What hosts log goes to <state folder>/<plugin>.log, older ones are <plugin>.log.1 and so on.
+/// crashed. What hosts log goes to <state folder>/<plugin>.log, older ones are <plugin>.log.1 and so on, in the format
+/// and from the level on that this process has when it starts the host.
 class ProcessLauncher final : public HostLauncher {
  public:
   struct Options {

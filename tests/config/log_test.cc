@@ -73,6 +73,7 @@ TEST_F(Log, is_set_by_the_section_log_of_a_file) {
   EXPECT_NO_THROW(top.finish());
   apply(settings);
   EXPECT_EQ(log_level(), LogLevel::error);
+  EXPECT_THAT(log_options(), testing::ElementsAre("--log-level", "error", "--log-format", "json"));
   apply({});
   EXPECT_EQ(log_level(), LogLevel::error) << "what is not said stays";
   auto wrong = Section::parse("log:\n  level: loud", "a.yaml");

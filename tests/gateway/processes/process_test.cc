@@ -3,9 +3,11 @@
 #include <filesystem>
 #include <fstream>
 
+#include <nlohmann/json.hpp>
 #include <signal.h>
 #include <unistd.h>
 
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/tests/gateway/processes/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
@@ -194,6 +196,24 @@ TEST_F(ProcessTest, AHostOutlivesItsLinkAndIsAdoptedWithItsInstances) {
     return end.has_value();
   }));
   EXPECT_EQ(end->how, HostEnd::How::stopped);
+}
+
+TEST_F(ProcessTest, AHostLogsAsItsGatewayDoesWhenItStartsIt) {
+  const auto before = config::log_level();
+  config::set_log_format(config::LogFormat::json);
+  config::set_log_level(config::LogLevel::debug);
+  start_gateway();
+  give(quiet("a", "probe.so", {{"says", "battery=90"}}));
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return sockets().empty(); }));
+  config::set_log_format(config::LogFormat::text);
+  config::set_log_level(before);
+  std::ifstream file(state_ / "probe.log");
+  std::string line;
+  std::size_t lines = 0;
+  for (; std::getline(file, line); ++lines) EXPECT_TRUE(nlohmann::json::parse(line).contains("text")) << line;
+  EXPECT_GT(lines, 0u);
 }
 
 TEST_F(ProcessTest, TheHostOfAnotherGatewayInTheFolderIsEnded) {
