@@ -3,6 +3,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <map>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <vector>
@@ -21,11 +23,16 @@ struct StateChange {
   friend bool operator==(const StateChange&, const StateChange&) = default;
 };
 
+class ChangeFile;
+
 /// The latest changes of state of all instances of a gateway, of those that are gone too. Thread safe.
 class ChangeLog {
  public:
-  explicit ChangeLog(std::size_t most) : most_(most) {}
+  /// \param file where they outlive the gateway, see ChangeFile; empty: they do not.
+  explicit ChangeLog(std::size_t most, const std::string& file = "");
+  ~ChangeLog();
 
+  /// What an earlier life told of the instance at last is not told again: so it is with one that was adopted.
   void add(StateChange change);
   /// Of the instance, or of all when it is empty; the oldest first.
   std::vector<StateChange> of(const std::string& instance) const;
@@ -33,7 +40,9 @@ class ChangeLog {
  private:
   const std::size_t most_;
   mutable std::mutex mutex_;
-  std::deque<StateChange> changes_;  ///< guarded by mutex_
+  std::deque<StateChange> changes_;                  ///< guarded by mutex_
+  std::map<std::string, StateChange> earlier_life_;  ///< guarded by mutex_; the last of each instance not seen since
+  std::unique_ptr<ChangeFile> file_;                 ///< guarded by mutex_; null: none
 };
 
 }  // namespace iotcloud::gateway

@@ -50,7 +50,7 @@ struct Gateway::Impl {
               [this](const discovery::OrderRecord& order, std::int64_t version) { instances.follow(order, version); },
               [this](const std::string& instance) { instances.forget(instance); }}),
         instances({options.id, options.registry, options.paths, options.launcher.get(), options.brokers,
-                   options.restart, &clock},
+                   options.restart, &clock, options.history_file},
                   loop) {}
 
   // Everything below runs on the loop unless it says otherwise.

@@ -27,6 +27,7 @@ struct GatewayOptions {
   discovery::Paths paths;
   std::shared_ptr<HostLauncher> launcher;  ///< not null
   std::string state_id;                    ///< see Membership::Options
+  std::string history_file;                ///< where changes of state outlive the gateway; empty: they do not
   std::chrono::milliseconds session_timeout{10000};
   RestartPolicy restart;
   const config::Clock* clock = nullptr;  ///< nullptr: the system's

@@ -39,6 +39,7 @@ class GatewayDaemon final : public config::Service {
     auto options = config_.gateway;
     options.registry = registry_.get();
     options.state_id = state_->id();
+    options.history_file = state_->path() + "/history.jsonl";
     options.launcher = std::make_shared<gateway::ProcessLauncher>(config_.hosts);
     gateway_.emplace(std::move(options));
     gateway_->start();

@@ -26,6 +26,7 @@ bool differs_in_making(const OrderRecord& a, const OrderRecord& b) {
 OrderedInstances::OrderedInstances(Options options, EventLoop& loop)
     : options_(std::move(options)),
       records_(*options_.registry, options_.paths),
+      changes_(most_changes, options_.history_file),
       fleet_(loop, *options_.launcher, Placement(options_.brokers),
              {options_.gateway, options_.restart, options_.clock},
              [this](const InstanceStatus& status) { heard(status); }) {}

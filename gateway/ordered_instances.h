@@ -32,6 +32,7 @@ class OrderedInstances {
     std::vector<brokers::BrokerSetting> brokers;
     RestartPolicy restart;
     const config::Clock* clock;  ///< not null
+    std::string history_file;    ///< see ChangeLog
   };
   OrderedInstances(Options options, EventLoop& loop);
 
@@ -93,7 +94,7 @@ class OrderedInstances {
   bool stopping_ = false;
 
   static constexpr std::size_t most_changes = 10'000;
-  ChangeLog changes_{most_changes};
+  ChangeLog changes_;
 
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;

@@ -6,8 +6,8 @@
 
 namespace iotcloud::gateway {
 
-/// The folder in which a gateway keeps what outlives it: the sockets and logs of its driver hosts, and a name by which
-/// its next life is known. One gateway at a time.
+/// The folder in which a gateway keeps what outlives it: the sockets and logs of its driver hosts, the history of its
+/// instances, and a name by which its next life is known. One gateway at a time.
 class StateFolder {
  public:
   /// Makes the folder when it is missing (for its owner only) and locks it.

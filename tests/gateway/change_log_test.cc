@@ -1,4 +1,10 @@
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+
 #include <gmock/gmock.h>
+#include <stdlib.h>
+#include <unistd.h>
 
 #include <iotcloud/gateway/change_log.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
@@ -8,6 +14,7 @@ namespace {
 
 using discovery::DriverState;
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
 std::vector<DriverState> states(const std::vector<StateChange>& changes) {
@@ -23,6 +30,118 @@ TEST(ChangeLog, KeepsTheLatestOfAllAndTellsThemByInstance) {
   EXPECT_EQ(log.of("a").size(), 1u);
   EXPECT_EQ(log.of("b").size(), 2u);
   EXPECT_THAT(log.of("c"), IsEmpty());
+}
+
+/// A change log in a file, several lives long.
+class ChangesOnDisk : public ::testing::Test {
+ protected:
+  ChangesOnDisk() {
+    std::string pattern = std::filesystem::temp_directory_path() / "iotcloud-changes-XXXXXX";
+    folder_ = mkdtemp(pattern.data());
+    file_ = folder_ / "history.jsonl";
+  }
+  ~ChangesOnDisk() override { std::filesystem::remove_all(folder_); }
+
+  static StateChange change(const std::string& instance, std::int64_t time_ms, const std::string& reason = "") {
+    return {instance, "d", DriverState::active, reason, time_ms};
+  }
+  /// What a next life knows.
+  std::vector<StateChange> found() const { return ChangeLog(most, file_).of(""); }
+  std::string text() const {
+    std::ifstream file(file_);
+    return {std::istreambuf_iterator<char>(file), {}};
+  }
+  std::size_t lines() const {
+    const std::string all = text();
+    return static_cast<std::size_t>(std::count(all.begin(), all.end(), '\n'));
+  }
+
+  static constexpr std::size_t most = 3;
+  std::filesystem::path folder_;
+  std::string file_;
+};
+
+TEST_F(ChangesOnDisk, AreKnownToTheNextLifeAsTheyWere) {
+  const StateChange odd{"b", "e", DriverState::failed, "a \"quote\", a line\nbreak", 1'700'000'000'000};
+  {
+    ChangeLog log(most, file_);
+    log.add(change("a", 1));
+    log.add(odd);
+  }
+  EXPECT_THAT(found(), ElementsAre(change("a", 1), odd));
+  ChangeLog log(most, file_);
+  log.add(change("a", 2));
+  EXPECT_THAT(found(), ElementsAre(change("a", 1), odd, change("a", 2)));
+}
+
+TEST_F(ChangesOnDisk, AreThereAtOnceForALifeThatIsKilled) {
+  ChangeLog log(most, file_);
+  for (int i = 1; i <= 3; ++i) {
+    log.add(change("a", i));
+    EXPECT_EQ(found(), log.of(""));
+  }
+}
+
+TEST_F(ChangesOnDisk, AreBoundedInNumberAndInTheLengthOfTheirReasons) {
+  ChangeLog log(most, file_);
+  for (int i = 1; i <= 100; ++i) {
+    log.add(change("a", i, std::string(100'000, 'x')));
+    EXPECT_LE(lines(), 2 * most);
+  }
+  EXPECT_LT(text().size(), 2 * most * 2'200);
+  EXPECT_EQ(found().size(), most);
+  EXPECT_EQ(found().back().time_ms, 100);
+  EXPECT_FALSE(std::filesystem::exists(file_ + ".new"));
+}
+
+TEST_F(ChangesOnDisk, WithATornLastLineAreKnownButForThatOne) {
+  { ChangeLog(most, file_).add(change("a", 1)); }
+  std::ofstream(file_, std::ios::app) << R"({"driver":"d","insta)";
+  EXPECT_THAT(found(), ElementsAre(change("a", 1)));
+  { ChangeLog(most, file_).add(change("a", 2)); }
+  EXPECT_THAT(found(), ElementsAre(change("a", 1), change("a", 2)));
+}
+
+TEST_F(ChangesOnDisk, ThatAreDamagedAreSetAsideWithAWarningAndWhatStoodBeforeIsKept) {
+  for (const auto* damage : {"nonsense\n", "{}\n", "[1]\n", "\n",
+                             R"({"driver":"d","instance":"a","reason":"","state":"merry","time_ms":1})"
+                             "\n"}) {
+    std::filesystem::remove(file_);
+    { ChangeLog(most, file_).add(change("a", 1)); }
+    std::ofstream(file_, std::ios::app) << damage;
+    const std::string damaged = text();
+    ::testing::internal::CaptureStderr();
+    EXPECT_THAT(found(), ElementsAre(change("a", 1))) << damage;
+    EXPECT_THAT(::testing::internal::GetCapturedStderr(),
+                ::testing::AllOf(HasSubstr(file_), HasSubstr("damaged in line 2"), HasSubstr("set aside as")));
+    EXPECT_FALSE(std::filesystem::exists(file_));
+    std::ifstream aside(file_ + ".damaged");
+    EXPECT_EQ(std::string(std::istreambuf_iterator<char>(aside), {}), damaged);
+  }
+}
+
+TEST_F(ChangesOnDisk, ThatCannotBeWrittenAreKeptInMemoryUntilTheyCan) {
+  std::filesystem::create_directory(file_ + ".new");  // in the way of the file that would become the real one
+  ChangeLog log(most, file_);
+  ::testing::internal::CaptureStderr();
+  log.add(change("a", 1));
+  log.add(change("a", 2));
+  const std::string said = ::testing::internal::GetCapturedStderr();
+  EXPECT_THAT(said, HasSubstr("cannot be written"));
+  EXPECT_EQ(said.find("cannot be written"), said.rfind("cannot be written")) << "said once";
+  EXPECT_EQ(log.of("").size(), 2u);
+  std::filesystem::remove(file_ + ".new");
+  log.add(change("a", 3));
+  EXPECT_EQ(found(), log.of(""));
+}
+
+TEST_F(ChangesOnDisk, AreNotToldAgainOfAnInstanceThatIsAsItWas) {
+  { ChangeLog(most, file_).add(change("a", 1)); }
+  ChangeLog log(most, file_);
+  log.add(change("a", 1));
+  EXPECT_THAT(log.of(""), ElementsAre(change("a", 1)));
+  log.add(change("a", 1));
+  EXPECT_EQ(log.of("").size(), 2u) << "it was something else meanwhile, or somebody means it";
 }
 
 class DriverHistory : public GatewayFixture {};
@@ -46,6 +165,28 @@ TEST_F(DriverHistory, HasEveryStateOfAnInstanceWithItsTimeItsEndToo) {
     EXPECT_GE(changes[i].time_ms, changes[i == 0 ? 0 : i - 1].time_ms);
   }
   EXPECT_EQ(changes.back().reason, "as ordered");
+}
+
+TEST_F(DriverHistory, OutlivesTheGateway) {
+  const auto file = std::filesystem::temp_directory_path() / ("iotcloud-history-" + std::to_string(getpid()));
+  const auto live = [&] {
+    auto with_file = options();
+    with_file.history_file = file;
+    gateway_.emplace(with_file);
+    gateway_->start();
+  };
+  live();
+  give(order("a", {{"channels", "none"}}));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  gateway_.reset();
+  live();
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  const auto told = states(gateway_->changes("a"));
+  gateway_.reset();
+  std::filesystem::remove(file);
+  EXPECT_THAT(told,
+              ElementsAre(DriverState::deployed, DriverState::starting, DriverState::active, DriverState::stopping,
+                          DriverState::inactive, DriverState::deployed, DriverState::starting, DriverState::active));
 }
 
 TEST_F(DriverHistory, SaysWhyAnInstanceFailed) {
