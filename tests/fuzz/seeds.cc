@@ -1,4 +1,6 @@
 // Writes the first inputs of the fuzzers, made by the encoders themselves: seeds FOLDER
+#include "iotcloud/tests/fuzz/seeds.h"
+
 #include <filesystem>
 #include <fstream>
 #include <string>
@@ -90,16 +92,17 @@ std::string nested_tables(int depth) {
   return std::string("\x20\0", 2) + table;  // the flag of headers
 }
 
-void write(const std::filesystem::path& folder, const std::string& name, const std::string& bytes) {
+}  // namespace
+
+void iotcloud::fuzz::write(const std::filesystem::path& folder, const std::string& name, const std::string& bytes) {
   std::filesystem::create_directories(folder);
   std::ofstream(folder / name, std::ios::binary) << bytes;
 }
 
-}  // namespace
-
 int main(int argc, char** argv) {
   if (argc != 2) return 2;
   const std::filesystem::path folder = argv[1];
+  using fuzz::write;
   for (int i = 0; i < 4; ++i) {
     const std::string name = std::to_string(i);
     write(folder / "spool_record_fuzzer", name, record(static_cast<std::uint64_t>(i)));
@@ -122,4 +125,5 @@ int main(int argc, char** argv) {
   write(folder / "spool_folder_fuzzer", "torn", part("") + part(first) + second.substr(0, second.size() - 5));
   write(folder / "spool_folder_fuzzer", "gap",
         part(mark(1)) + part(file_start() + record(2)) + file_start() + record(4));
+  fuzz::write_control_plane_seeds(folder);
 }

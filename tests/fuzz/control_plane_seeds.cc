@@ -1,0 +1,167 @@
+#include <memory>
+
+#include <thrift/protocol/TBinaryProtocol.h>
+#include <thrift/transport/TBufferTransports.h>
+
+#include "iotcloud/gateway/TSensorSiteService.h"
+#include "iotcloud/master/TMasterAPIService.h"
+#include "iotcloud/master/TMasterService.h"
+#include "iotcloud/tests/fuzz/seeds.h"
+
+namespace iotcloud::fuzz {
+
+namespace {
+
+using apache::thrift::protocol::TBinaryProtocol;
+using apache::thrift::transport::TFramedTransport;
+using apache::thrift::transport::TMemoryBuffer;
+
+/// The bytes that a client sends.
+template <typename Client, typename Calls>
+std::string sent(const Calls& calls) {
+  const auto buffer = std::make_shared<TMemoryBuffer>();
+  Client client(std::make_shared<TBinaryProtocol>(std::make_shared<TFramedTransport>(buffer)));
+  calls(client);
+  return buffer->getBufferAsString();
+}
+
+discovery::wire::TSensorDeployDescriptor descriptor() {
+  discovery::wire::TSensorDeployDescriptor descriptor;
+  descriptor.__set_filename("turtle.so");
+  descriptor.__set_className("turtle");
+  descriptor.__set_properties({{"rate", "5"}});
+  return descriptor;
+}
+
+void write_api_seeds(const std::filesystem::path& folder) {
+  using Client = master::wire::TMasterAPIServiceClient;
+  master::wire::TDeployRequest deployment;
+  deployment.__set_gateways({"lab1"});
+  deployment.__set_plugin("turtle.so");
+  deployment.__set_properties({{"channel.data.deadline_ms", "100"}});
+  deployment.__set_metadata({{"site", "lab"}});
+  deployment.__set_name("robot");
+  deployment.__set_indexes({2, 3});
+  master::wire::TInstanceSelection selection;
+  selection.__set_instances({"0a1b"});
+  selection.__set_waitMs(1);
+  master::wire::TDeploymentChange change;
+  change.__set_instances({"0a1b"});
+  change.__set_properties({{"rate", "6"}});
+  change.__set_manager("lab");
+  master::wire::TGatewaySelection gateways;
+  gateways.__set_gateways({"lab1"});
+  master::wire::TTopologyRequest topology;
+  topology.__set_topology("echo");
+  topology.__set_change(master::wire::TTopologyChange::REBALANCE);
+  topology.__set_parallelism({{"in", 2}});
+  write(folder, "reads", sent<Client>([&](Client& client) {
+          client.send_authenticate("token");
+          client.send_getStatus();
+          client.send_getSites();
+          client.send_getSite("lab1");
+          client.send_listGateways();
+          client.send_listDrivers();
+          client.send_listOrders();
+          client.send_listTopologies();
+          client.send_getHistory({"0a"}, {"lab1"}, 5);
+          client.send_readLog("lab1", "0a1b", "", 100);
+        }));
+  write(folder, "orders", sent<Client>([&](Client& client) {
+          client.send_deploy(deployment);
+          client.send_stop(selection);
+          client.send_start(selection);
+          client.send_updateMetadata(selection, {{"site", "roof"}, {"note", ""}});
+          client.send_changeDeployment(change);
+          client.send_drain(gateways);
+          client.send_undrain(gateways);
+          client.send_undeploy(selection);
+        }));
+  write(folder, "deploy", sent<Client>([&](Client& client) { client.send_deploy(deployment); }));
+  write(folder, "change", sent<Client>([&](Client& client) { client.send_changeDeployment(change); }));
+  write(folder, "topology", sent<Client>([&](Client& client) { client.send_orderTopology(topology); }));
+  write(folder, "original", sent<Client>([&](Client& client) {
+          client.send_deploySensor({"lab1"}, descriptor());
+          client.send_startSensor({"lab1"}, "0a1b");
+          client.send_getSensors("lab1");
+          client.send_unDeployAllSensor("0a1b");
+        }));
+}
+
+void write_gateway_seeds(const std::filesystem::path& folder) {
+  using Client = master::wire::TMasterServiceClient;
+  discovery::wire::TBroker broker;
+  broker.__set_name("rabbitmq");
+  discovery::wire::TSite site;
+  site.__set_siteId("java");
+  site.__set_host("127.0.0.1");
+  site.__set_port(12905);
+  site.__set_brokers({broker});
+  discovery::wire::TChannel channel;
+  channel.__set_name("kinect");
+  channel.__set_transport("rabbitmq");
+  channel.__set_properties({{"queueName", "kinect"}});
+  discovery::wire::TSensor sensor;
+  sensor.__set_name("turtle");
+  sensor.__set_sensorId("0a1b");
+  sensor.__set_siteId("java");
+  sensor.__set_channels({channel});
+  write(folder, "life", sent<Client>([&](Client& client) {
+          client.send_registerSite(site);
+          client.send_registerSensor("java", sensor);
+          client.send_updateSensor("java", sensor);
+          client.send_unRegisterSensor("java", "0a1b");
+          client.send_unRegisterSite(site);
+        }));
+  write(folder, "register", sent<Client>([&](Client& client) { client.send_registerSite(site); }));
+  write(folder, "sensor", sent<Client>([&](Client& client) { client.send_registerSensor("java", sensor); }));
+}
+
+void write_site_seeds(const std::filesystem::path& folder) {
+  using Client = gateway::wire::TSensorSiteServiceClient;
+  write(folder, "original", sent<Client>([](Client& client) {
+          client.send_hearbeat({});
+          client.send_deploySensor(descriptor());
+          client.send_startSensor("0a1b");
+          client.send_stopSensor("0a1b");
+          client.send_unDeploySensor("0a1b");
+        }));
+  write(folder, "reads", sent<Client>([](Client& client) {
+          client.send_ping();
+          client.send_getChanges("");
+          client.send_readLog("0a1b", "1:2", 100);
+        }));
+}
+
+void write_manifest_seeds(const std::filesystem::path& folder) {
+  write(folder, "empty", "fleet: lab\ndeployments: {}\n");
+  write(folder, "documents without end", ", fleet: lab\n");
+  write(folder, "aliases of aliases", "a: &a [x, x]\nb: &b [*a, *a]\nfleet: [*b, *b]\n");
+  write(folder, "whole",
+        "fleet: lab\n"
+        "deployments:\n"
+        "  meter:\n"
+        "    plugin: meter.so\n"
+        "    driver: thermometer\n"
+        "    gateways: [lab1, lab2]\n"
+        "    count: 2\n"
+        "    state: inactive\n"
+        "    properties: {rate: 5, text: \"a: b\"}\n"
+        "    metadata: {site: lab}\n"
+        "    channels:\n"
+        "      data: {when_full: spool, spool_bytes: 65536, spool_fsync: never, spool_full: block, priority: 7}\n"
+        "      control: {keep_last: 1, deadline_ms: 100, durable: true, shared: false, broker: b, interop: java}\n"
+        "  all: &all {plugin: a.so, gateways: all}\n"
+        "  again: *all\n");
+}
+
+}  // namespace
+
+void write_control_plane_seeds(const std::filesystem::path& folder) {
+  write_api_seeds(folder / "master_api_fuzzer");
+  write_gateway_seeds(folder / "master_gateways_fuzzer");
+  write_site_seeds(folder / "gateway_site_fuzzer");
+  write_manifest_seeds(folder / "manifest_fuzzer");
+}
+
+}  // namespace iotcloud::fuzz

@@ -1,0 +1,62 @@
+// What anybody may send to a gateway's Thrift service: a gateway on an embedded registry that has no plugin.
+#include <optional>
+
+#include "iotcloud/config/log.h"
+#include "iotcloud/discovery/registry.h"
+#include "iotcloud/gateway/fleet/in_process_launcher.h"
+#include "iotcloud/gateway/gateway.h"
+#include "iotcloud/gateway/site/site_handler.h"
+#include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/thrift_frames.h"
+
+using namespace iotcloud;
+
+namespace {
+
+class Site {
+ public:
+  Site() {
+    gateway::InProcessLauncher::Options hosts;
+    hosts.plugin_dir = "/nonexistent";
+    gateway::GatewayOptions options;
+    options.id = "lab1";
+    options.brokers.push_back({"local", "embedded", {}});
+    options.brokers.back().options.urls = {"embedded://fuzz-site"};
+    options.registry = registry_.get();
+    options.launcher = std::make_shared<gateway::InProcessLauncher>(hosts);
+    gateway_.emplace(options);
+    gateway_->start();
+    processors_ = std::make_shared<apache::thrift::TSingletonProcessorFactory>(
+        std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(std::make_shared<gateway::SiteHandler>(
+            std::chrono::milliseconds(100), "/nonexistent", *gateway_, *registry_, discovery::Paths())));
+  }
+
+  apache::thrift::TProcessorFactory& processors() { return *processors_; }
+  bool is_full() { return gateway_->instances().size() > 1'000; }
+
+ private:
+  static std::unique_ptr<discovery::Registry> fresh_registry() {
+    static int number = 0;
+    discovery::RegistryOptions options;
+    options.url = "embedded://fuzz-site-" + std::to_string(number++);
+    return discovery::make_registry(options);
+  }
+
+  std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
+  std::optional<gateway::Gateway> gateway_;
+  std::shared_ptr<apache::thrift::TProcessorFactory> processors_;
+};
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  config::set_log_level(config::LogLevel::off);
+  static auto site = std::make_unique<Site>();
+  const gateway::SiteService::Options limits;
+  fuzz::serve(site->processors(), data, size, limits.max_message_bytes, limits.max_items);
+  if (site->is_full()) {
+    site.reset();
+    site = std::make_unique<Site>();
+  }
+  return 0;
+}

@@ -1,0 +1,57 @@
+// What gateways of the original system, or anybody in their place, may send to a master.
+#include "iotcloud/config/log.h"
+#include "iotcloud/discovery/records.h"
+#include "iotcloud/discovery/registry.h"
+#include "iotcloud/master/api/thrift_server.h"
+#include "iotcloud/master/master.h"
+#include "iotcloud/master/originals/gateway_handler.h"
+#include "iotcloud/master/originals/original_gateways.h"
+#include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/thrift_frames.h"
+
+using namespace iotcloud;
+
+namespace {
+
+class Originals {
+ public:
+  apache::thrift::TProcessorFactory& processors() { return *processors_; }
+  /// Each has a thread, and its records stay in the registry.
+  bool is_full() { return registry_->children(discovery::Paths().gateways).value_or(Names{}).size() > 50; }
+
+ private:
+  using Names = std::vector<std::string>;
+  static std::unique_ptr<discovery::Registry> fresh_registry() {
+    static int number = 0;
+    discovery::RegistryOptions options;
+    options.url = "embedded://fuzz-originals-" + std::to_string(number++);
+    return discovery::make_registry(options);
+  }
+  static master::OriginalGatewaysOptions never_called() {
+    master::OriginalGatewaysOptions options;
+    options.heartbeat_interval = std::chrono::hours(24);  // nobody is to be called at the addresses that come
+    return options;
+  }
+
+  std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
+  master::OriginalGateways gateways_{*registry_, never_called()};
+  std::shared_ptr<apache::thrift::TProcessorFactory> processors_ = master::serve_original_gateways(gateways_, [] {
+    master::MasterStatus status;
+    status.leading = true;
+    return status;
+  });
+};
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  config::set_log_level(config::LogLevel::off);
+  static auto originals = std::make_unique<Originals>();
+  const master::ThriftServerOptions limits;
+  fuzz::serve(originals->processors(), data, size, limits.max_message_bytes, limits.max_items);
+  if (originals->is_full()) {
+    originals.reset();
+    originals = std::make_unique<Originals>();
+  }
+  return 0;
+}
