@@ -31,6 +31,7 @@ complete -F _iotcloud iotcloud
 
 constexpr const char* zsh_script = R"(#compdef iotcloud
 # Completion of iotcloud for zsh. In ~/.zshrc, after compinit: source <(iotcloud completion zsh)
+# Or as the file _iotcloud in a folder of $fpath, which zsh then reads at the first completion.
 _iotcloud() {
   local -a found
   found=("${(@f)$("${words[1]}" __complete "${(@)words[2,CURRENT]}" 2>/dev/null)}")
@@ -40,7 +41,11 @@ _iotcloud() {
     compadd -a found
   fi
 }
-compdef _iotcloud iotcloud
+if [[ "${funcstack[1]}" == _iotcloud ]]; then
+  _iotcloud "$@"
+else
+  compdef _iotcloud iotcloud
+fi
 )";
 
 /// Where the last word stands.
