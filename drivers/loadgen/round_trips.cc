@@ -19,7 +19,9 @@ double Latencies::middle_ns(std::size_t bucket) {
 
 void Latencies::add(std::chrono::nanoseconds duration) {
   const auto ns = static_cast<std::uint64_t>(std::max<std::int64_t>(0, duration.count()));
-  ++buckets_[bucket(ns)];
+  const std::size_t at = bucket(ns);
+  if (at >= buckets_.size()) buckets_.resize(at + 1);
+  ++buckets_[at];
   ++count_;
   sum_us_ += static_cast<double>(ns) / 1000;
   largest_ns_ = std::max(largest_ns_, ns);

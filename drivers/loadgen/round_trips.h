@@ -1,6 +1,5 @@
 #pragma once
 
-#include <array>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -22,7 +21,7 @@ class Latencies {
   static constexpr std::size_t steps = 32;  ///< buckets for each octave
   static std::size_t bucket(std::uint64_t ns);
   static double middle_ns(std::size_t bucket);
-  std::array<std::uint64_t, 64 * steps> buckets_{};
+  std::vector<std::uint64_t> buckets_;  ///< up to the largest that was needed: generators may be thousands
   std::uint64_t count_ = 0, largest_ns_ = 0;
   double sum_us_ = 0;
 };
