@@ -61,6 +61,8 @@ std::string encode(const OrderRecord& record) {
   }
   if (!record.manager.empty()) json["manager"] = record.manager;
   if (record.drained) json["drained"] = true;
+  if (!record.sha256.empty()) json["sha256"] = record.sha256;
+  if (record.previous) json["previous"] = {{"plugin", record.previous->file}, {"sha256", record.previous->sha256}};
   return to_text(json);
 }
 
@@ -78,6 +80,15 @@ OrderRecord decode_order(const std::string& bytes, const std::string& path) {
   reader.optional("index", record.index);
   reader.optional("manager", record.manager);
   reader.optional("drained", record.drained);
+  reader.optional("sha256", record.sha256);
+  Json previous;
+  reader.optional("previous", previous);
+  if (!previous.is_null()) {
+    const Reader detail(to_text(previous), path, "the version before an update");
+    record.previous = PluginVersion{};
+    detail.required("plugin", record.previous->file);
+    detail.optional("sha256", record.previous->sha256);
+  }
   return record;
 }
 

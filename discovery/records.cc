@@ -179,6 +179,9 @@ std::string encode(const DriverRecord& record) {
     sensor.__set_deployment(record.deployment);
     sensor.__set_index(record.index);
   }
+  if (!record.plugin.empty()) sensor.__set_plugin(record.plugin);
+  if (!record.sha256.empty()) sensor.__set_sha256(record.sha256);
+  if (!record.signed_by.empty()) sensor.__set_signedBy(record.signed_by);
   return to_bytes(sensor);
 }
 
@@ -193,6 +196,9 @@ DriverRecord decode_driver(const std::string& bytes, const std::string& path) {
   record.since_ms = sensor.sinceMs;
   record.deployment = std::move(sensor.deployment);
   record.index = sensor.index;
+  record.plugin = std::move(sensor.plugin);
+  record.sha256 = std::move(sensor.sha256);
+  record.signed_by = std::move(sensor.signedBy);
   record.metadata = metadata_from_json(sensor.metadata);
   for (wire::TChannel& channel : sensor.channels) record.channels.push_back(from_wire(std::move(channel), path));
   return record;

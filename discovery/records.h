@@ -40,8 +40,11 @@ struct DriverRecord {
   std::int64_t since_ms = 0;                    ///< wall time of the last change; field 102
   std::map<std::string, std::string> metadata;  ///< TSensor.metadata, as JSON
   std::vector<ChannelRecord> channels;
-  std::string deployment;  ///< OrderRecord::name; field 106
-  int index = 0;           ///< OrderRecord::index; field 107
+  std::string deployment;   ///< OrderRecord::name; field 106
+  int index = 0;            ///< OrderRecord::index; field 107
+  std::string plugin{};     ///< its file's name; empty: not said
+  std::string sha256{};     ///< of the plugin's bytes, in hexadecimal digits; empty: not known
+  std::string signed_by{};  ///< the trusted key that signed the plugin; empty: none
   friend bool operator==(const DriverRecord&, const DriverRecord&) = default;
 };
 
@@ -55,21 +58,32 @@ struct GatewayRecord {
   friend bool operator==(const GatewayRecord&, const GatewayRecord&) = default;
 };
 
+/// Which plugin an instance runs.
+struct PluginVersion {
+  std::string file;    ///< plain file name ("turtle.so")
+  std::string sha256;  ///< of an uploaded file, which the gateway keeps by it; empty: of the gateway's plugin folder
+  friend bool operator==(const PluginVersion&, const PluginVersion&) = default;
+};
+
 /// What the master wants of one instance on one gateway: /iot/gateways/<id>/orders/<instance>, JSON.
 /// The gateway makes it so and reports in the DriverRecord. Removing the node is the order to undeploy.
 struct OrderRecord {
   std::string instance;
   std::string driver;  ///< name; empty: the plugin's own
-  std::string plugin;  ///< file name in the gateway's plugin folder ("turtle.so")
+  std::string plugin;  ///< file name ("turtle.so"), in the gateway's plugin folder unless `sha256` is given
   bool active = true;  ///< wanted: active or inactive
   std::map<std::string, std::string> properties;
   std::map<std::string, std::string> metadata;
   std::int64_t epoch =
-      0;                 ///< fencing: the issuing master's; a gateway ignores orders of an older epoch than it has seen
-  std::string name;      ///< of its deployment; empty: it has none
-  int index = 0;         ///< from 1 on, unique within name and gateway; 0: it has no name
-  std::string manager;   ///< the manifest that it belongs to; empty: a person deployed it
-  bool drained = false;  ///< inactive only while its gateway drains; wanted active after that
+      0;               ///< fencing: the issuing master's; a gateway ignores orders of an older epoch than it has seen
+  std::string name{};  ///< of its deployment; empty: it has none
+  int index = 0;       ///< from 1 on, unique within name and gateway; 0: it has no name
+  std::string manager{};  ///< the manifest that it belongs to; empty: a person deployed it
+  bool drained = false;   ///< inactive only while its gateway drains; wanted active after that
+  std::string sha256{};   ///< of an uploaded plugin, see PluginVersion
+  /// While an update is under way: what ran before, which the gateway keeps so that the update can go back.
+  std::optional<PluginVersion> previous{};
+  PluginVersion version() const { return {plugin, sha256}; }
   friend bool operator==(const OrderRecord&, const OrderRecord&) = default;
 };
 

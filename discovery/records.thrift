@@ -49,6 +49,10 @@ struct TSensor {
   101: optional string reason
   // Wall time of the last change, milliseconds since 1970 UTC.
   102: optional i64 sinceMs
+  // The plugin's file name, the SHA-256 of its bytes, and the trusted key that signed it.
+  103: optional string plugin
+  104: optional string sha256
+  105: optional string signedBy
   // The name that it was deployed under, and its number within that name on its gateway, from 1 on.
   106: optional string deployment
   107: optional i32 index

@@ -11,6 +11,7 @@ namespace {
 
 using testing::AllOf;
 using testing::HasSubstr;
+using testing::Not;
 
 /// Thrift's binary protocol by hand: a field is its type, its id (two bytes, big endian) and its value.
 class Bytes {
@@ -251,6 +252,26 @@ TEST(Records, OrdersAndTopologiesAreJson) {
   topology.spouts = {"kinect"};
   topology.bolts = {"follow", "send"};
   EXPECT_EQ(decode_topology(encode(topology), "/t"), topology);
+}
+
+TEST(Records, WhichPluginAnInstanceRunsIsInItsOrderAndItsRecord) {
+  OrderRecord order;
+  order.instance = "0123";
+  order.plugin = "turtle-2.so";
+  EXPECT_THAT(encode(order), Not(HasSubstr("sha256"))) << "programs before know nothing of it";
+  order.sha256 = std::string(64, '2');
+  order.previous = PluginVersion{"turtle.so", std::string(64, '1')};
+  EXPECT_EQ(decode_order(encode(order), "/o"), order);
+  EXPECT_EQ(order.version(), (PluginVersion{"turtle-2.so", std::string(64, '2')}));
+  EXPECT_THAT(refusal(decode_order, R"({"instance":"1","plugin":"p","previous":{"sha256":""}})"),
+              HasSubstr("\"plugin\" is missing"));
+  DriverRecord record = example_driver();
+  record.plugin = "turtle-2.so";
+  record.sha256 = order.sha256;
+  record.signed_by = "lab";
+  EXPECT_EQ(decode_driver(encode(record), "/d").sha256, order.sha256);
+  EXPECT_EQ(decode_driver(encode(record), "/d").plugin, "turtle-2.so");
+  EXPECT_EQ(decode_driver(encode(record), "/d").signed_by, "lab");
 }
 
 TEST(Records, OrdersToTopologiesAndWhatWorkersSayAreJson) {
