@@ -20,6 +20,7 @@ namespace {
 constexpr config::Logger log{"gateway"};
 constexpr milliseconds retry_pause{1000};
 constexpr milliseconds taken_pause{250};
+constexpr milliseconds cleaning_pause{10'000};
 constexpr milliseconds record_share_of_stop{500};
 
 const config::Clock& clock_of(const GatewayOptions& options) {
@@ -156,6 +157,11 @@ void Gateway::Impl::joined() {
     if (state == discovery::SessionState::connected) loop.post([this] { instances.write_records(); });
   });
   loop.start_timer(retry_pause, retry_pause, [this] { instances.write_records(); });
+  if (options.plugins) {
+    loop.start_timer(cleaning_pause, cleaning_pause, [this] {
+      if (const auto named = instances.plugins_named()) options.plugins->clean(*named);
+    });
+  }
   feed.start();
 }
 
@@ -188,6 +194,10 @@ void Gateway::Impl::finish_stop(const std::shared_ptr<std::promise<void>>& done)
   membership.leave();
   log.info("the gateway {} has stopped", options.id);
   done->set_value();
+}
+
+PluginStore* Gateway::plugins() const {
+  return impl_->options.plugins.get();
 }
 
 std::int64_t Gateway::epoch() const {

@@ -15,6 +15,7 @@
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/placement.h>
 #include <iotcloud/gateway/ordered_instances.h>
+#include <iotcloud/gateway/plugins/plugin_store.h>
 
 namespace iotcloud::gateway {
 
@@ -26,6 +27,7 @@ struct GatewayOptions {
   discovery::Registry* registry = nullptr;  ///< not null; outlives the gateway
   discovery::Paths paths;
   std::shared_ptr<HostLauncher> launcher;  ///< not null
+  std::shared_ptr<PluginStore> plugins;    ///< that are sent; null: none can be
   std::string state_id;                    ///< see Membership::Options
   std::string history_file;                ///< where changes of state outlive the gateway; empty: they do not
   std::chrono::milliseconds session_timeout{10000};
@@ -51,6 +53,8 @@ class Gateway final : public config::Service {
   void stop(std::chrono::milliseconds limit) override;
 
   const std::string& id() const;
+  /// Where plugins that are sent are kept; null: nowhere.
+  PluginStore* plugins() const;
   /// The highest epoch of the orders seen: what an order given here must carry.
   std::int64_t epoch() const;
   /// Instances as they are.

@@ -29,6 +29,18 @@ struct TLogPart {
   2: string position
 }
 
+// A plugin that somebody wants to send.
+struct TPluginOffer {
+  // Plain file name.
+  1: string plugin
+  // Of all its bytes, 64 hexadecimal digits in lower case.
+  2: string sha256
+  // Bytes.
+  3: i64 size
+  // Ed25519, of all its bytes; empty: not signed.
+  4: binary signature
+}
+
 // A question that cannot be answered.
 exception TSiteError {
   1: string reason
@@ -57,4 +69,11 @@ service TSensorSiteService {
   list<TStateChange> getChanges(1: string instance) throws (1: TSiteError error)
   // What the driver host of the instance logs. position: of an earlier part; empty: the end of the log.
   TLogPart readLog(1: string instance, 2: string position, 3: i32 mostBytes) throws (1: TSiteError error)
+  // A plugin is sent in pieces, which fit into a message of 1 MB each. The answer is the upload's id; empty: the plugin
+  // is here already. An upload that nobody goes on with for a minute ends.
+  string offerPlugin(1: TPluginOffer offer) throws (1: TSiteError error)
+  // The bytes from `offset` on: all of them, in order. An error ends the upload.
+  void sendPlugin(1: string upload, 2: i64 offset, 3: binary bytes) throws (1: TSiteError error)
+  // Orders may name the plugin when this has answered.
+  void finishPlugin(1: string upload) throws (1: TSiteError error)
 }

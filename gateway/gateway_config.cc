@@ -93,6 +93,22 @@ void read_confinement(config::Section& file, Confinement& confinement) {
   });
 }
 
+void read_plugins(config::Section& file, GatewayConfig& config) {
+  config.hosts.plugin_dir = file.require_string("plugins");
+  checked(file, "plugins", [&] {
+    if (std::filesystem::is_directory(config.hosts.plugin_dir)) return;
+    throw file.error("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there",
+                     "make it, or name another");
+  });
+  constexpr std::int64_t usual_mb = 64, most_mb = 4096;
+  config.plugin_upload_limit = file.int_or("plugins.upload_limit_mb", usual_mb, 1, most_mb) << 20;
+  PluginTrust::Options trust;
+  trust.require_signature = file.bool_or("plugins.require_signature", false);
+  trust.trusted_keys = file.strings_or("plugins.trusted_keys", {});
+  checked(file, trust.trusted_keys.empty() ? "plugins.require_signature" : "plugins.trusted_keys",
+          [&] { config.hosts.trust = std::make_shared<const PluginTrust>(trust); });
+}
+
 void read_hosts(config::Section& file, GatewayConfig& config) {
   const auto time = [](config::Section& section, const std::string& key, milliseconds& value) {
     value = duration_cast<milliseconds>(section.duration_or(key, value));
@@ -138,13 +154,8 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   read_thrift(file, config.thrift);
   gateway.host = config.thrift.host;
   gateway.port = config.thrift.port;
-  config.hosts.plugin_dir = file.require_string("plugins");
+  read_plugins(file, config);
   config.hosts.state_dir = file.require_string("state");
-  checked(file, "plugins", [&] {
-    if (std::filesystem::is_directory(config.hosts.plugin_dir)) return;
-    throw file.error("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there",
-                     "make it, or name another");
-  });
   read_hosts(file, config);
   if (auto metrics = file.optional_section("metrics")) {
     config.metrics_address = metrics->require_string("address");

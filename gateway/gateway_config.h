@@ -13,7 +13,8 @@ namespace iotcloud::gateway {
 struct GatewayConfig {
   GatewayOptions gateway;  ///< without registry and launcher
   discovery::RegistryOptions registry;
-  ProcessLauncher::Options hosts;
+  ProcessLauncher::Options hosts;        ///< with whose plugins are trusted; without the store
+  std::int64_t plugin_upload_limit = 0;  ///< bytes of a plugin that is sent
   SiteService::Options thrift;
   std::string metrics_address;  ///< host:port; empty: none
 

@@ -30,6 +30,11 @@ class GatewayDaemon final : public config::Service {
           "this gateway runs as root, and so does every driver: name a user with no rights in host_user, as which its "
           "driver hosts are to run");
     }
+    gateway::PluginStore::Options plugins;
+    plugins.folder = state_->path() + "/plugins";
+    plugins.most_bytes = config_.plugin_upload_limit;
+    plugins.trust = config_.hosts.trust;
+    config_.hosts.store = std::make_shared<gateway::PluginStore>(plugins);
     if (!config_.metrics_address.empty()) {
       config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
       of_hosts_ = config::process_metrics().add_source(
@@ -41,6 +46,7 @@ class GatewayDaemon final : public config::Service {
     options.state_id = state_->id();
     options.history_file = state_->path() + "/history.jsonl";
     options.launcher = std::make_shared<gateway::ProcessLauncher>(config_.hosts);
+    options.plugins = config_.hosts.store;
     gateway_.emplace(std::move(options));
     gateway_->start();
     service_.emplace(config_.thrift, *gateway_, *registry_, config_.gateway.paths);

@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/gateway/host/plugin.h>
 #include <iotcloud/gateway/ordered_instances.h>
@@ -18,7 +19,7 @@ constexpr config::Logger log{"gateway"};
 
 /// Whether a running instance must be replaced to follow the new order.
 bool differs_in_making(const OrderRecord& a, const OrderRecord& b) {
-  return a.driver != b.driver || a.plugin != b.plugin || a.properties != b.properties;
+  return a.driver != b.driver || a.version() != b.version() || a.properties != b.properties;
 }
 
 }  // namespace
@@ -41,6 +42,7 @@ void OrderedInstances::adopt() {
 }
 
 void OrderedInstances::ordered_at_first(const std::set<std::string>& names) {
+  unread_ = names;
   remove_stale_records(names);
   std::vector<std::string> not_ordered;
   for (const auto& [instance, entry] : entries_) {
@@ -50,6 +52,7 @@ void OrderedInstances::ordered_at_first(const std::set<std::string>& names) {
 }
 
 void OrderedInstances::follow(const OrderRecord& order, std::int64_t version) {
+  if (unread_) unread_->erase(order.instance);
   const auto found = entries_.find(order.instance);
   if (found == entries_.end()) {
     create(order, version);
@@ -83,6 +86,8 @@ void OrderedInstances::create(const OrderRecord& order, std::int64_t version) {
     check_name("instance id", order.instance);
     check_plugin_file_name(order.plugin);
     if (!order.driver.empty()) check_name("driver name", order.driver);
+    if (!order.sha256.empty() && !config::is_sha256(order.sha256))
+      throw config::Error("its order names a plugin by \"" + order.sha256 + "\", which is no SHA-256");
   } catch (const config::Error& e) {
     refuse(entry, e.what());
     return;
@@ -116,6 +121,7 @@ void OrderedInstances::replace(Entry& entry, const OrderRecord& order) {
 }
 
 void OrderedInstances::forget(const std::string& instance) {
+  if (unread_) unread_->erase(instance);
   const auto found = entries_.find(instance);
   if (found == entries_.end()) return;
   Entry& entry = found->second;
@@ -164,6 +170,9 @@ DriverRecord OrderedInstances::record_for(const Entry& entry) const {
   record.channels = entry.status.channels;
   record.deployment = entry.order.name;
   record.index = entry.order.index;
+  record.plugin = entry.order.plugin;
+  record.sha256 = entry.order.sha256.empty() ? entry.status.plugin.sha256 : entry.order.sha256;
+  record.signed_by = entry.status.plugin.signed_by;
   return record;
 }
 
@@ -212,6 +221,20 @@ void OrderedInstances::remove_stale_records(const std::set<std::string>& ordered
   } catch (const config::Error& e) {
     log.warn("records of an earlier life of this gateway may have stayed: {}", e.what());
   }
+}
+
+std::optional<std::set<std::string>> OrderedInstances::plugins_named() const {
+  if (!unread_ || !unread_->empty()) return std::nullopt;
+  std::set<std::string> named;
+  const auto name = [&](const OrderRecord& order) {
+    named.insert(order.sha256);
+    if (order.previous) named.insert(order.previous->sha256);
+  };
+  for (const auto& [instance, entry] : entries_) {
+    name(entry.order);
+    if (entry.next) name(*entry.next);
+  }
+  return named;
 }
 
 std::vector<DriverRecord> OrderedInstances::all() const {

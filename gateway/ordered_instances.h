@@ -46,6 +46,8 @@ class OrderedInstances {
   void forget(const std::string& instance);
   /// Writes records that could not be written.
   void write_records() { records_.flush(); }
+  /// The SHA-256 of the plugins that orders name, also to go back to; nullopt while not all orders are known.
+  std::optional<std::set<std::string>> plugins_named() const;
   /// Ends all instances, whose records say `inactive`; orders stay. `done` is called once when that is so.
   void stop(std::chrono::milliseconds limit, std::function<void()> done);
 
@@ -91,6 +93,7 @@ class OrderedInstances {
   const Options options_;
   RecordWriter records_;
   std::map<std::string, Entry> entries_;
+  std::optional<std::set<std::string>> unread_;  ///< of the orders that stood at the start; nullopt: not known yet
   bool stopping_ = false;
 
   static constexpr std::size_t most_changes = 10'000;

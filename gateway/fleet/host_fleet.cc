@@ -19,6 +19,15 @@ std::string driver_name(const discovery::OrderRecord& order) {
   return order.driver.empty() ? order.plugin.substr(0, order.plugin.rfind('.')) : order.driver;
 }
 
+/// Instances with the same one share a host. A plugin that was sent is named by its bytes too: other bytes, another
+/// host.
+std::string key_of(const HostOrder& order, const std::string& instance) {
+  std::string key = order.plugin;
+  if (!order.sha256.empty()) key += "@" + order.sha256;
+  if (order.isolated) key += "#" + instance;
+  return key;
+}
+
 bool isolated(const discovery::OrderRecord& order) {
   const auto property = order.properties.find("isolation");
   return property != order.properties.end() && property->second == "instance";
@@ -55,11 +64,9 @@ std::vector<HostedInstance> HostFleet::adopt() {
     auto host = std::make_shared<Host>();
     host->order = running.order;
     host->started = options_.clock->now();
-    host->key = running.order.plugin;
-    if (running.order.isolated && !running.instances.empty()) {
-      host->key += "#" + running.instances.front().spec.order.instance;
-    }
-    for (const auto& instance : running.instances) {
+    host->key = key_of(running.order, running.instances.empty() ? "" : running.instances.front().spec.order.instance);
+    for (auto instance : running.instances) {
+      instance.status.plugin = running.order.identity;
       const std::string& id = instance.spec.order.instance;
       if (members_.contains(id)) continue;
       placement_.learn(instance.status.driver, instance.spec.brokers);
@@ -76,13 +83,13 @@ std::vector<HostedInstance> HostFleet::adopt() {
 }
 
 std::shared_ptr<HostFleet::Host> HostFleet::host_for(const discovery::OrderRecord& order) {
-  const bool own = isolated(order);
-  const std::string key = own ? order.plugin + "#" + order.instance : order.plugin;
+  const HostOrder wanted{order.plugin, options_.gateway, isolated(order), order.sha256, {}};
+  const std::string key = key_of(wanted, order.instance);
   auto& host = hosts_[key];
   if (!host) {
     host = std::make_shared<Host>();
     host->key = key;
-    host->order = HostOrder{order.plugin, options_.gateway, own};
+    host->order = wanted;
     launch(host);
   }
   return host;
@@ -107,6 +114,7 @@ HostEvents HostFleet::events_of(const std::shared_ptr<Host>& host) {
 void HostFleet::launch(const std::shared_ptr<Host>& host) {
   host->started = options_.clock->now();
   host->link = launcher_.launch(host->order, events_of(host));
+  host->order.identity = host->link->plugin();
 }
 
 void HostFleet::create(const discovery::OrderRecord& order) {
@@ -148,6 +156,7 @@ void HostFleet::report(Member& member, DriverState state, const std::string& rea
   member.status.reason = reason;
   member.status.since_ms = options_.clock->wall_ms();
   member.status.channels.clear();
+  if (member.host) member.status.plugin = member.host->order.identity;
   on_status_(member.status);
 }
 
@@ -160,6 +169,7 @@ void HostFleet::heard(const std::shared_ptr<Host>& host, const InstanceStatus& s
     return;
   }
   found->second.status = status;
+  found->second.status.plugin = host->order.identity;
   if (status.state == DriverState::active && host->reviving.erase(status.instance) > 0 && status.reason.empty()) {
     found->second.status.reason = fmt::format("again, after its driver host {}", host->last_end);
   }

@@ -39,6 +39,8 @@ std::unique_ptr<HostLink> InProcessLauncher::launch(const HostOrder& order, Host
   std::shared_ptr<const Plugin> plugin;
   try {
     check_plugin_file_name(order.plugin);
+    if (!order.sha256.empty())
+      throw config::Error(order.plugin + " was sent, and a gateway inside a process keeps no plugins that are sent");
     const auto linked_in = options_.linked_in.find(order.plugin);
     plugin = linked_in != options_.linked_in.end() ? Plugin::wrap(*linked_in->second, order.plugin)
                                                    : Plugin::load(options_.plugin_dir + "/" + order.plugin);

@@ -34,6 +34,8 @@ class HostLink {
  public:
   /// No event is under way or comes after it returned. A host process lives on; one in this process is stopped.
   virtual ~HostLink() = default;
+  /// What the host was started with, as far as it is known.
+  virtual PluginIdentity plugin() const { return {}; }
   virtual void create(const InstanceSpec& spec) = 0;
   virtual void activate(const std::string& instance) = 0;
   virtual void deactivate(const std::string& instance) = 0;

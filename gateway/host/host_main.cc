@@ -34,6 +34,11 @@ int main(int argc, char** argv) {
   CLI::App app{"Runs the instances of one driver plugin for an IoTCloud gateway, which starts it.",
                "iotcloud-driver-host"};
   app.add_option("--plugin", options.plugin_path, "the driver's shared library")->required();
+  app.add_option("--name", options.order.plugin, "how orders name the plugin; its file's name when it is not given");
+  app.add_option("--ordered", options.order.sha256, "the SHA-256 by which orders name it");
+  app.add_option("--sha256", options.order.identity.sha256, "of its bytes, as the gateway has found them");
+  app.add_option("--signed-by", options.order.identity.signed_by, "the trusted key that signed these bytes");
+  app.add_flag("--exactly", options.exactly, "refuse other bytes than those");
   app.add_option("--gateway", options.order.gateway, "id of the gateway")->required();
   app.add_option("--state", options.folder, "the gateway's state folder")->required();
   app.add_option("--socket", options.socket_name, "name of the socket to listen on in the state folder")->required();
@@ -54,7 +59,8 @@ int main(int argc, char** argv) {
   app.add_flag("--filter-calls", confinement.filter_calls, "refuse system calls that no driver needs");
   CLI11_PARSE(app, argc, argv);
   if (log_limit_mb > 0) options.log.most_bytes = static_cast<std::uint64_t>(log_limit_mb) << 20;
-  options.order.plugin = options.plugin_path.substr(options.plugin_path.rfind('/') + 1);
+  if (options.order.plugin.empty())
+    options.order.plugin = options.plugin_path.substr(options.plugin_path.rfind('/') + 1);
 
   const int signals = signal_descriptor();
   const std::string socket = options.folder + "/" + options.socket_name;

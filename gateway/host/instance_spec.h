@@ -30,11 +30,20 @@ struct InstanceSpec {
   friend bool operator==(const InstanceSpec&, const InstanceSpec&) = default;
 };
 
+/// Which bytes a plugin is.
+struct PluginIdentity {
+  std::string sha256{};     ///< empty: not known
+  std::string signed_by{};  ///< the trusted key; empty: none
+  friend bool operator==(const PluginIdentity&, const PluginIdentity&) = default;
+};
+
 /// What a host is started for.
 struct HostOrder {
-  std::string plugin;     ///< plain file name ("turtle.so")
-  std::string gateway;    ///< id
-  bool isolated = false;  ///< for one instance only (`isolation: instance`)
+  std::string plugin;         ///< plain file name ("turtle.so")
+  std::string gateway;        ///< id
+  bool isolated = false;      ///< for one instance only (`isolation: instance`)
+  std::string sha256{};       ///< as ordered, of a plugin that was sent; empty: of the gateway's plugin folder
+  PluginIdentity identity{};  ///< as found when it was started
 };
 
 /// What a driver host says of one instance.
@@ -46,6 +55,7 @@ struct InstanceStatus {
   std::int64_t since_ms = 0;  ///< wall time of the last change
   std::vector<discovery::ChannelRecord> channels;
   std::map<std::string, std::string> metadata;  ///< what the driver itself says
+  PluginIdentity plugin{};                      ///< said by the fleet, not by the host
   friend bool operator==(const InstanceStatus&, const InstanceStatus&) = default;
 };
 

@@ -1,9 +1,16 @@
 #include <algorithm>
+#include <cerrno>
 #include <cstring>
+#include <vector>
 
 #include <dlfcn.h>
+#include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/mman.h>
+#include <unistd.h>
 
+#include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/gateway/host/control/unix_socket.h>
 #include <iotcloud/gateway/host/plugin.h>
 
 namespace iotcloud::gateway {
@@ -40,21 +47,70 @@ bool has_control_characters(const std::string& text) {
   return std::any_of(text.begin(), text.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
 }
 
+/// Reads the file once: what is hashed is what is copied, into memory that can then not be written any more.
+/// \return the copy's descriptor.
+int sealed_copy(const std::string& path, const std::string& sha256, const std::string& name) {
+  const auto fail = [&](const char* what) {
+    throw config::Error(
+        fmt::format("the driver plugin {} ({}) cannot be {}: {}", name, path, what, std::strerror(errno)));
+  };
+  const OwnedDescriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  if (!file) fail("opened");
+  constexpr std::size_t longest_name = 200;  // the kernel allows 249 bytes
+  OwnedDescriptor copy(memfd_create(name.substr(0, longest_name).c_str(), MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  if (!copy) fail("copied into memory");
+  config::Sha256 sha;
+  std::vector<char> buffer(std::size_t{256} * 1024);
+  for (;;) {
+    const auto got = read(file.get(), buffer.data(), buffer.size());
+    if (got == 0) break;
+    if (got < 0) fail("read");
+    sha.add({buffer.data(), static_cast<std::size_t>(got)});
+    for (ssize_t done = 0; done < got;) {
+      const auto written = write(copy.get(), buffer.data() + done, static_cast<std::size_t>(got - done));
+      if (written < 0) fail("copied into memory");
+      done += written;
+    }
+  }
+  if (fcntl(copy.get(), F_ADD_SEALS, F_SEAL_WRITE | F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0) fail("sealed");
+  if (const auto found = sha.hex(); found != sha256)
+    throw config::Error(
+        fmt::format("the driver plugin {} ({}) was changed after the gateway had checked it: its SHA-256 is "
+                    "{}, not {}",
+                    name, path, config::short_sha256(found), config::short_sha256(sha256)));
+  return copy.release();
+}
+
 }  // namespace
 
 std::shared_ptr<const Plugin> Plugin::load(const std::string& path) {
+  return open(path, path);
+}
+
+std::shared_ptr<const Plugin> Plugin::load_exactly(const std::string& path, const std::string& sha256,
+                                                   const std::string& name) {
+  // Left open: the library's name is that of the descriptor, which must not become another file's.
+  const int copy = sealed_copy(path, sha256, name);
+  return open(fmt::format("/proc/self/fd/{}", copy), fmt::format("{} ({})", name, path));
+}
+
+std::shared_ptr<const Plugin> Plugin::open(const std::string& path, const std::string& origin) {
   // RTLD_LOCAL: two plugins with a class of the same name do not see each other's.
   void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
-  if (library == nullptr) throw config::Error(fmt::format("the driver plugin cannot be loaded: {}", dlerror()));
+  if (library == nullptr) {
+    const std::string reason = dlerror();
+    throw config::Error(
+        fmt::format("the driver plugin {}cannot be loaded: {}", path == origin ? "" : origin + " ", reason));
+  }
   auto* const symbol = dlsym(library, drivers::descriptor_symbol);
   if (symbol == nullptr) {
     dlclose(library);
-    throw config::Error(fmt::format("{}: not a driver plugin, it exports no {}; use the macro IOTCLOUD_DRIVER", path,
+    throw config::Error(fmt::format("{}: not a driver plugin, it exports no {}; use the macro IOTCLOUD_DRIVER", origin,
                                     drivers::descriptor_symbol));
   }
   const auto* descriptor = reinterpret_cast<const Descriptor* (*)()>(symbol)();
-  if (descriptor == nullptr) throw config::Error(fmt::format("{}: its descriptor is null", path));
-  return wrap(*descriptor, path);
+  if (descriptor == nullptr) throw config::Error(fmt::format("{}: its descriptor is null", origin));
+  return wrap(*descriptor, origin);
 }
 
 std::shared_ptr<const Plugin> Plugin::wrap(const Descriptor& descriptor, const std::string& origin) {

@@ -15,6 +15,11 @@ class Plugin {
   /// Opens a shared library and checks its descriptor before any C++ call into it.
   /// \throws config::Error: no such file, no descriptor, or built for another SDK (names both sides).
   static std::shared_ptr<const Plugin> load(const std::string& path);
+  /// The same of a file whose bytes were checked before: what is opened is a copy of them that nobody can change.
+  /// \param sha256 of the bytes that were checked. \param name of the plugin, for messages.
+  /// \throws config::Error as above, and when the file has other bytes by now.
+  static std::shared_ptr<const Plugin> load_exactly(const std::string& path, const std::string& sha256,
+                                                    const std::string& name);
   /// A linked-in driver. `descriptor` outlives the plugin. \throws config::Error as above.
   static std::shared_ptr<const Plugin> wrap(const drivers::Descriptor& descriptor, const std::string& origin);
 
@@ -23,6 +28,7 @@ class Plugin {
   const std::string& origin() const { return origin_; }  ///< path, for messages
 
  private:
+  static std::shared_ptr<const Plugin> open(const std::string& path, const std::string& origin);
   Plugin(const drivers::Descriptor* descriptor, std::string origin)
       : descriptor_(descriptor), origin_(std::move(origin)) {}
   const drivers::Descriptor* descriptor_;

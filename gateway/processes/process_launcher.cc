@@ -124,7 +124,8 @@ std::optional<RunningHost> examine(const std::string& folder, const std::string&
 
 }  // namespace
 
-ProcessLauncher::ProcessLauncher(Options options) : options_(std::move(options)) {
+ProcessLauncher::ProcessLauncher(Options options)
+    : options_(std::move(options)), source_(options_.plugin_dir, options_.store, options_.trust) {
   if (options_.host_program.empty()) options_.host_program = beside_own_program();
   if (access(options_.host_program.c_str(), X_OK) != 0) {
     throw config::Error(fmt::format("the driver host program {} cannot be run: {}; it belongs beside the gateway's own",
@@ -148,8 +149,10 @@ std::function<void()> ProcessLauncher::log_keeper(const std::string& plugin) con
   return [account = account_, log_file = log_of(plugin)] { account->keep_within_bounds(log_file); };
 }
 
-std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEvents events) try {
-  check_plugin_file_name(order.plugin);
+std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostEvents events) try {
+  const auto found = source_.find(wanted);
+  HostOrder order = wanted;
+  order.identity = found.identity;
   // A name of its own for each host: one that ends and its successor do not get in each other's way.
   const std::string socket = discovery::new_instance_id().substr(0, 12) + std::string(socket_suffix);
   const std::string log_file = log_of(order.plugin).path;
@@ -157,7 +160,9 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEv
   // clang-format off
   std::vector<std::string> arguments = {
       options_.host_program,
-      "--plugin", options_.plugin_dir + "/" + order.plugin,
+      "--plugin", found.path,
+      "--name=" + order.plugin,  // in one word: it may begin with a dash
+      "--sha256", order.identity.sha256,
       "--gateway", order.gateway,
       "--state", options_.state_dir,
       "--socket", socket,
@@ -169,6 +174,9 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& order, HostEv
   const auto as_this_process = config::log_options();
   arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
   add_confinement(arguments, options_.confinement);
+  if (found.exactly) arguments.emplace_back("--exactly");
+  if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
+  if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
   const pid_t process = Spawning(log_file).spawn(std::move(arguments));
   log.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);
   return std::make_unique<ProcessLink>(options_, order, socket, process, true, std::move(events),

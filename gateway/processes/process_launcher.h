@@ -7,6 +7,7 @@
 
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/host/confinement.h>
+#include <iotcloud/gateway/plugins/plugin_source.h>
 #include <iotcloud/gateway/processes/host_account.h>
 #include <iotcloud/gateway/processes/host_metrics.h>
 #include <iotcloud/gateway/processes/vitals.h>
@@ -21,8 +22,10 @@ class ProcessLauncher final : public HostLauncher {
  public:
   struct Options {
     std::string plugin_dir;
-    std::string state_dir;     ///< of a locked StateFolder
-    std::string host_program;  ///< empty: iotcloud-driver-host beside this process's own program
+    std::shared_ptr<PluginStore> store;        ///< of plugins that are sent; null: there are none
+    std::shared_ptr<const PluginTrust> trust;  ///< null: no signature is asked for
+    std::string state_dir;                     ///< of a locked StateFolder
+    std::string host_program;                  ///< empty: iotcloud-driver-host beside this process's own program
     std::chrono::milliseconds ping_period{1000};
     /// A host whose control thread, or shared event thread, has not come round for this long hangs; so does one with an
     /// instance that has not come back to its own thread (`thread: own`) for so long.
@@ -50,6 +53,7 @@ class ProcessLauncher final : public HostLauncher {
 
   Options options_;
   std::shared_ptr<const HostAccount> account_;  ///< null: they run as this process does
+  PluginSource source_;
 };
 
 }  // namespace iotcloud::gateway

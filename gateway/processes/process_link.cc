@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/gateway/processes/process_link.h>
 
 namespace iotcloud::gateway {
@@ -32,6 +33,12 @@ std::string how_it_ended(int status) {
   return fmt::format("exited with status {}", WEXITSTATUS(status));
 }
 
+/// Two versions of a plugin that was sent may run beside each other.
+std::string name_in_metrics(const HostOrder& order) {
+  const std::string name = order.plugin.substr(0, order.plugin.rfind('.'));
+  return order.sha256.empty() ? name : name + "@" + config::short_sha256(order.sha256);
+}
+
 }  // namespace
 
 ProcessLink::ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
@@ -47,7 +54,7 @@ ProcessLink::ProcessLink(const ProcessLauncher::Options& options, const HostOrde
       last_heard_(Steady::now()),
       next_ping_(Steady::now()),
       next_metrics_(Steady::now()),
-      name_(order.plugin.substr(0, order.plugin.rfind('.'))),
+      name_(name_in_metrics(order)),
       vitals_(fmt::format("/proc/{}", process), options.limits),
       thread_([this] { run(); }) {}
 

@@ -25,6 +25,7 @@ class ProcessLink final : public HostLink {
               bool child, HostEvents events, std::function<void()> keep_log);
   ~ProcessLink() override;
 
+  PluginIdentity plugin() const override { return order_.identity; }
   void create(const InstanceSpec& spec) override;
   void activate(const std::string& instance) override;
   void deactivate(const std::string& instance) override;

@@ -30,6 +30,9 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   void getChanges(std::vector<wire::TStateChange>& answer, const std::string& instance) override;
   void readLog(wire::TLogPart& answer, const std::string& instance, const std::string& position,
                std::int32_t most_bytes) override;
+  void offerPlugin(std::string& upload, const wire::TPluginOffer& offer) override;
+  void sendPlugin(const std::string& upload, std::int64_t offset, const std::string& bytes) override;
+  void finishPlugin(const std::string& upload) override;
 
  private:
   void set_active(Response& answer, const std::string& id, bool active);

@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/signing/ed25519.h>
 #include <iotcloud/gateway/gateway_config.h>
 
 namespace iotcloud::gateway {
@@ -106,6 +107,20 @@ TEST_F(GatewayConfigTest, WhatIsWrongIsNamedWithItsPlace) {
               HasSubstr("local mode"));
   EXPECT_THAT(error_of(with("id", "id: a/b")), AllOf(HasSubstr("id"), HasSubstr("slash")));
   EXPECT_THAT(error_of(with("brokerz", "brokerz: {}")), HasSubstr("did you mean \"brokers\"?"));
+}
+
+TEST_F(GatewayConfigTest, WhosePluginsRunIsRead) {
+  EXPECT_EQ(load(with("thrift", "")).plugin_upload_limit, 64 << 20);
+  EXPECT_FALSE(load(with("thrift", "")).hosts.trust->requires_signature());
+  std::ofstream(folder_ / "lab.pub") << config::new_key_pair().public_pem;
+  const std::string trusted = "plugins.trusted_keys: [" + (folder_ / "lab.pub").string() + "]\n";
+  const auto config = load(with("thrift", trusted + "plugins.require_signature: true\nplugins.upload_limit_mb: 3"));
+  EXPECT_TRUE(config.hosts.trust->requires_signature());
+  EXPECT_EQ(config.plugin_upload_limit, 3 << 20);
+  EXPECT_THAT(error_of(with("thrift", "plugins.require_signature: true")),
+              AllOf(HasSubstr("plugins.require_signature"), HasSubstr("no key is trusted")));
+  EXPECT_THAT(error_of(with("thrift", "plugins.trusted_keys: /nowhere.pub")),
+              AllOf(HasSubstr("plugins.trusted_keys"), HasSubstr("/nowhere.pub")));
 }
 
 TEST_F(GatewayConfigTest, TheFileThatWeShipIsGood) {

@@ -36,7 +36,10 @@ struct ControlServer::Impl {
       host_options.gateway = options.order.gateway;
       host_options.isolated = options.order.isolated;
       host_options.state_folder = options.folder;
-      host.emplace(host_options, Plugin::load(options.plugin_path), [this](const InstanceStatus& status) {
+      const auto& order = options.order;
+      auto plugin = options.exactly ? Plugin::load_exactly(options.plugin_path, order.identity.sha256, order.plugin)
+                                    : Plugin::load(options.plugin_path);
+      host.emplace(host_options, std::move(plugin), [this](const InstanceStatus& status) {
         Event event;
         event.kind = Event::Kind::status;
         event.status = status;

@@ -16,6 +16,7 @@ class ControlServer {
   struct Options {
     HostOrder order;
     std::string plugin_path;
+    bool exactly = false;     ///< the plugin is the bytes of order.identity.sha256, or it is refused
     std::string folder;       ///< the gateway's state folder
     std::string socket_name;  ///< of the socket in it
     /// A host without instances and without a gateway is of no use: it ends after this long.

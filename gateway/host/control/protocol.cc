@@ -196,6 +196,8 @@ std::string encode(const Event& event) {
                    {"plugin", event.order.plugin},
                    {"gateway", event.order.gateway},
                    {"isolated", event.order.isolated},
+                   {"sha256", event.order.sha256},
+                   {"found", {event.order.identity.sha256, event.order.identity.signed_by}},
                    {"instances", instances}});
       break;
     }
@@ -225,7 +227,9 @@ Event decode_event(const std::string& bytes) {
       case Event::Kind::hello:
         event.version = body.at("version");
         if (event.version != protocol::version) break;  // nothing else may be relied on
-        event.order = {body.at("plugin"), body.at("gateway"), body.at("isolated")};
+        event.order = {body.at("plugin"), body.at("gateway"), body.at("isolated"), {}, {}};
+        event.order.sha256 = body.value("sha256", "");  // an older host says nothing of it
+        if (body.contains("found")) event.order.identity = {body.at("found").at(0), body.at("found").at(1)};
         for (const auto& i : body.at("instances")) {
           event.instances.push_back({to_spec(i.at("spec")), to_status(i.at("status"))});
         }

@@ -1,0 +1,77 @@
+#include <cerrno>
+#include <cstring>
+
+#include <fmt/format.h>
+#include <sys/stat.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/gateway/plugins/durable_file.h>
+#include <iotcloud/gateway/plugins/plugin_source.h>
+
+namespace iotcloud::gateway {
+
+PluginSource::PluginSource(std::string folder, std::shared_ptr<PluginStore> store,
+                           std::shared_ptr<const PluginTrust> trust)
+    : folder_(std::move(folder)),
+      store_(std::move(store)),
+      trust_(trust ? std::move(trust) : std::make_shared<const PluginTrust>()) {}
+
+/// Of a file that is not there: all zero.
+PluginSource::Stamp PluginSource::stamp_of(const std::string& path) {
+  struct stat status {};
+  if (stat(path.c_str(), &status) != 0) return {};
+  constexpr std::int64_t second = 1'000'000'000;
+  return {status.st_dev, status.st_ino, status.st_size, status.st_mtim.tv_sec * second + status.st_mtim.tv_nsec,
+          status.st_ctim.tv_sec * second + status.st_ctim.tv_nsec};
+}
+
+PluginSource::Found PluginSource::find(const HostOrder& order) {
+  check_plugin_file_name(order.plugin);
+  Found found;
+  std::string signature;
+  if (order.sha256.empty()) {
+    found.path = folder_ + "/" + order.plugin;
+    signature = found.path + ".sig";
+    struct stat status {};
+    if (stat(found.path.c_str(), &status) != 0)
+      throw config::Error(
+          fmt::format("there is no plugin {} in the gateway's folder {}: {}; put it there, or send a file "
+                      "with `iotcloud deploy --plugin ./{}`",
+                      order.plugin, folder_, std::strerror(errno), order.plugin));
+  } else {
+    if (!store_)
+      throw config::Error(fmt::format("{} was sent, and this gateway keeps no plugins that are sent", order.plugin));
+    found.path = store_->path_of(order.sha256, order.plugin);
+    signature = store_->signature_path_of(order.sha256);
+  }
+  found.identity = examine(found.path, signature, order);
+  found.exactly = trust_->requires_signature() || !order.sha256.empty();
+  return found;
+}
+
+PluginIdentity PluginSource::examine(const std::string& path, const std::string& signature_path,
+                                     const HostOrder& order) {
+  const std::pair stamps{stamp_of(path), stamp_of(signature_path)};
+  {
+    const std::lock_guard lock(mutex_);
+    const auto known = examined_.find(path);
+    if (known != examined_.end() && known->second.first == stamps) return known->second.second;
+  }
+  const std::string content = read_file(path, 0);
+  PluginIdentity identity;
+  identity.sha256 = config::sha256_hex(content);
+  if (!order.sha256.empty() && identity.sha256 != order.sha256)
+    throw config::Error(
+        fmt::format("{}: it was sent with the SHA-256 {}, but {} has another now; send it again: iotcloud "
+                    "update --plugin ./{} ID",
+                    order.plugin, config::short_sha256(order.sha256), path, order.plugin));
+  const std::string signature = stamps.second == Stamp{} ? "" : read_file(signature_path, 0);
+  identity.signed_by = trust_->admit(order.plugin, content, signature);
+  const std::lock_guard lock(mutex_);
+  examined_[path] = {stamps, identity};
+  return identity;
+}
+
+}  // namespace iotcloud::gateway
