@@ -86,6 +86,10 @@ void Master::Impl::settle(OrderResult& result, OutcomeWatch& watch, DirectCalls&
     if (verdict != verdicts.end()) set_verdict(outcome, verdict->second);  // the others are known already
   }
   for (auto& call : calls) result.outcomes.push_back(call.get());
+  tell(result, order);
+}
+
+void Master::Impl::tell(const OrderResult& result, const std::string& order) {
   for (const auto& outcome : result.outcomes) {
     view.ordered(outcome.instance);
     config::process_metrics()
@@ -107,6 +111,10 @@ Master::~Master() {
 
 void Master::close() {
   impl_->closing.request_stop();
+}
+
+std::optional<OrderResult> Master::refusal() const {
+  return impl_->refuse_unless_leading();
 }
 
 std::vector<DriverRecord> Master::drivers() const {

@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -64,8 +65,16 @@ class Master {
   /// what is started there waits. Undrain ends that; what drain stopped starts again. Both may be repeated.
   OrderResult drain(const GatewaySelection& selection);
   OrderResult undrain(const GatewaySelection& selection);
+  /// Gives instances another version of their plugin, one gateway (or `at_once` instances) after the other. Each must
+  /// come to what it was, active or inactive; when one does not, it and all that were updated before go back, and their
+  /// outcomes are `failed`. What every instance is to run stands in its order at any time: when this master ends in the
+  /// middle, each keeps the version that it has by then, and the same update can be given again.
+  OrderResult update(const UpdateRequest& request);
   /// The same for a topology: answers when all of its workers that run now have followed, or ended.
   TopologyResult order(const TopologyRequest& request);
+
+  /// Why this master takes no orders now; nullopt: it takes them. Does not throw.
+  std::optional<OrderResult> refusal() const;
 
   /// \throws discovery::RegistryError when the registry is away.
   std::vector<discovery::DriverRecord> drivers() const;

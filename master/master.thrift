@@ -49,7 +49,7 @@ struct TOrderResponse {
 struct TDeployRequest {
   // Empty: all that are registered.
   1: list<string> gateways
-  // File name in the gateway's plugin folder.
+  // File name, in the gateway's plugin folder unless `sha256` is given.
   2: string plugin
   // The driver's name; empty: the plugin's own.
   3: string driver
@@ -59,6 +59,8 @@ struct TDeployRequest {
   6: i32 count = 1
   // How long to wait for the outcomes, milliseconds; 0: as long as the master thinks fit.
   7: i64 waitMs
+  // Of a plugin that was sent with offerPlugin and so on; empty: of the gateways' folders.
+  8: string sha256
   // Of the deployment. With the gateway and a number from 1 to `count` it names an instance, which is not deployed twice.
   // Empty: the instances have no names.
   9: string name
@@ -86,6 +88,8 @@ struct TOrder {
   9: i32 index
   // The manifest that it belongs to; empty: a person deployed it.
   10: string manager
+  // Of a plugin that was sent; empty: of the gateway's folder.
+  11: string sha256
 }
 
 // What instances were deployed with, to be changed. They keep their ids; those whose properties change are made anew.
@@ -108,6 +112,50 @@ struct TInstanceSelection {
   // When not empty, the instances must be on one of these.
   2: list<string> gateways
   3: i64 waitMs
+}
+
+struct TUpdateRequest {
+  // waitMs: for each step, and as long again to go back.
+  1: TInstanceSelection selection
+  2: string plugin
+  // As in TDeployRequest.
+  3: string sha256
+  // Instances in one step; 0: all of one gateway.
+  4: i32 atOnce
+  // How long those of a step must stay up before the next one, milliseconds.
+  5: i64 settleMs
+}
+
+// A plugin that somebody wants to send.
+struct TPluginOffer {
+  // Plain file name.
+  1: string plugin
+  // Of all its bytes, 64 hexadecimal digits in lower case.
+  2: string sha256
+  // Bytes.
+  3: i64 size
+  // Ed25519, of all its bytes; empty: not signed.
+  4: binary signature
+}
+
+// What became of the sending, for one gateway.
+struct TPluginTarget {
+  1: string gateway
+  // Why it does not take the plugin; empty: it does, or has it.
+  2: string problem
+  // The plugin is there.
+  3: bool has
+}
+
+struct TUploadResponse {
+  // FAILURE: nothing was sent to any gateway, or there is no such upload.
+  1: records.TResponse response
+  2: TRefusal refusal
+  3: optional string leader
+  // Empty: there is nothing (more) to be sent.
+  4: string upload
+  // All gateways that were named.
+  5: list<TPluginTarget> targets
 }
 
 // Of one worker.
@@ -268,6 +316,13 @@ service TMasterAPIService {
   TOrderResponse drain(1: TGatewaySelection selection)
   TOrderResponse undrain(1: TGatewaySelection selection)
   TTopologyResponse orderTopology(1: TTopologyRequest request)
+  // A plugin is sent to gateways in pieces of half a megabyte at most, one after the other, by way of one master. It
+  // passes them on; an upload that nobody goes on with for a minute ends. gateways: empty for all.
+  TUploadResponse offerPlugin(1: TPluginOffer offer, 2: list<string> gateways)
+  TUploadResponse sendPlugin(1: string upload, 2: i64 offset, 3: binary bytes)
+  TUploadResponse finishPlugin(1: string upload)
+  // Instances keep id, properties and metadata. All that were updated go back when one does not come to its state.
+  TOrderResponse update(1: TUpdateRequest request)
 }
 
 // For gateways of the original system; port 12903. Gateways of this one write to the registry themselves.

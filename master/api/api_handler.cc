@@ -11,6 +11,7 @@
 #include <iotcloud/master/api/gateway_pages.h>
 #include <iotcloud/master/api/wire.h>
 #include <iotcloud/master/master.h>
+#include <iotcloud/master/plugins/plugin_uploads.h>
 
 namespace iotcloud::master {
 
@@ -48,7 +49,8 @@ wire::TDriverChange wire_change(const DriverChange& change) {
 /// One connection.
 class ApiHandler final : public wire::TMasterAPIServiceIf {
  public:
-  ApiHandler(Master& master, const std::string& token) : master_(master), token_(token), open_(token.empty()) {}
+  ApiHandler(Master& master, PluginUploads& uploads, const std::string& token)
+      : master_(master), uploads_(uploads), token_(token), open_(token.empty()) {}
 
   // ---- of the original
 
@@ -189,6 +191,20 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   void undrain(wire::TOrderResponse& out, const wire::TGatewaySelection& selection) override {
     order(out, [&] { return master_.undrain(from_wire(selection)); });
   }
+  void offerPlugin(wire::TUploadResponse& out, const wire::TPluginOffer& offer,
+                   const std::vector<std::string>& gateways) override {
+    order(out, [&] { return uploads_.offer(from_wire(offer), gateways); });
+  }
+  void sendPlugin(wire::TUploadResponse& out, const std::string& upload, std::int64_t offset,
+                  const std::string& bytes) override {
+    order(out, [&] { return uploads_.send(upload, offset, bytes); });
+  }
+  void finishPlugin(wire::TUploadResponse& out, const std::string& upload) override {
+    order(out, [&] { return uploads_.finish(upload); });
+  }
+  void update(wire::TOrderResponse& out, const wire::TUpdateRequest& request) override {
+    order(out, [&] { return master_.update(from_wire(request)); });
+  }
   void orderTopology(wire::TTopologyResponse& out, const wire::TTopologyRequest& request) override {
     order(out, [&] { return master_.order(from_wire(request)); });
   }
@@ -232,15 +248,16 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   }
 
   Master& master_;
+  PluginUploads& uploads_;
   const std::string& token_;
   bool open_;
 };
 
 class ApiHandlers final : public wire::TMasterAPIServiceIfFactory {
  public:
-  ApiHandlers(Master& master, std::string token) : master_(master), token_(std::move(token)) {}
+  ApiHandlers(Master& master, std::string token) : master_(master), uploads_(master), token_(std::move(token)) {}
   wire::TMasterAPIServiceIf* getHandler(const apache::thrift::TConnectionInfo&) override {
-    return std::make_unique<ApiHandler>(master_, token_).release();
+    return std::make_unique<ApiHandler>(master_, uploads_, token_).release();
   }
   void releaseHandler(wire::TMasterAPIServiceIf* handler) override {
     std::unique_ptr<wire::TMasterAPIServiceIf> owned(handler);
@@ -248,6 +265,7 @@ class ApiHandlers final : public wire::TMasterAPIServiceIfFactory {
 
  private:
   Master& master_;
+  PluginUploads uploads_;
   const std::string token_;
 };
 

@@ -16,7 +16,14 @@ namespace {
 constexpr std::chrono::milliseconds answer_limit{3000};
 constexpr std::int32_t most_changes = 10'000;
 
-/// Where the gateway answers. \throws config::Error when it cannot be asked.
+const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>& gateways, const std::string& id) {
+  const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
+  if (at == gateways.end()) throw config::Error(fmt::format("no gateway \"{}\"", id));
+  return *at;
+}
+
+}  // namespace
+
 SiteAddress address_of(const discovery::GatewayStatus& gateway) {
   if (!gateway.alive) throw config::Error(fmt::format("gateway {} is lost", gateway.record.id));
   if (gateway.record.port == 0) {
@@ -25,14 +32,6 @@ SiteAddress address_of(const discovery::GatewayStatus& gateway) {
   }
   return {gateway.record.host, gateway.record.port};
 }
-
-const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>& gateways, const std::string& id) {
-  const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
-  if (at == gateways.end()) throw config::Error(fmt::format("no gateway \"{}\"", id));
-  return *at;
-}
-
-}  // namespace
 
 DriverHistory read_history(const Master& master, const std::vector<std::string>& instances,
                            const std::vector<std::string>& gateways, std::int32_t most) {

@@ -5,11 +5,15 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/discovery/directory.h>
 #include <iotcloud/master/originals/site_client.h>
 
 namespace iotcloud::master {
 
 class Master;
+
+/// Where the gateway's Thrift service answers. \throws config::Error when it cannot be asked, with the reason.
+SiteAddress address_of(const discovery::GatewayStatus& gateway);
 
 struct DriverHistory {
   std::vector<DriverChange> changes;          ///< the oldest first

@@ -143,6 +143,7 @@ wire::TOrder to_wire(const discovery::PlacedOrder& placed) {
   out.__set_name(placed.order.name);
   out.__set_index(placed.order.index);
   out.__set_manager(placed.order.manager);
+  out.__set_sha256(placed.order.sha256);
   return out;
 }
 
@@ -196,6 +197,22 @@ wire::TOrderResponse to_wire(const OrderResult& result) {
   return out;
 }
 
+wire::TUploadResponse to_wire(const UploadResult& result) {
+  wire::TUploadResponse out;
+  out.__set_response(result.refusal.refusal == Refusal::none ? success() : failure(result.refusal.text));
+  out.__set_refusal(to_wire(result.refusal.refusal));
+  if (!result.refusal.leader.empty()) out.__set_leader(result.refusal.leader);
+  out.__set_upload(result.upload);
+  for (const auto& target : result.targets) {
+    wire::TPluginTarget one;
+    one.__set_gateway(target.gateway);
+    one.__set_problem(target.problem);
+    one.__set_has(target.has);
+    out.targets.push_back(std::move(one));
+  }
+  return out;
+}
+
 DeployRequest from_wire(const wire::TDeployRequest& request) {
   DeployRequest out;
   out.gateways = request.gateways;
@@ -209,6 +226,7 @@ DeployRequest from_wire(const wire::TDeployRequest& request) {
   out.indexes.assign(request.indexes.begin(), request.indexes.end());
   out.manager = request.manager;
   out.active = request.active;
+  out.sha256 = request.sha256;
   return out;
 }
 
@@ -223,6 +241,20 @@ DeploymentChange from_wire(const wire::TDeploymentChange& change) {
 
 GatewaySelection from_wire(const wire::TGatewaySelection& selection) {
   return {selection.gateways, wait_limit(selection.waitMs)};
+}
+
+UpdateRequest from_wire(const wire::TUpdateRequest& request) {
+  UpdateRequest out;
+  out.selection = from_wire(request.selection);
+  out.plugin = request.plugin;
+  out.sha256 = request.sha256;
+  out.at_once = request.atOnce;
+  out.settle = std::chrono::milliseconds(std::max<std::int64_t>(0, request.settleMs));
+  return out;
+}
+
+PluginOffer from_wire(const wire::TPluginOffer& offer) {
+  return {offer.plugin, offer.sha256, offer.size, offer.signature};
 }
 
 InstanceSelection from_wire(const wire::TInstanceSelection& selection) {

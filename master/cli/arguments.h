@@ -26,6 +26,7 @@ struct Words {
   double wait_s = 0;
   std::vector<std::string> parallelism;
   double drain_s = 10;
+  double settle_s = 1;
 };
 
 /// "k=v" words into a map. \throws CLI::ValidationError

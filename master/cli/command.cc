@@ -16,6 +16,9 @@
 #include <iotcloud/master/cli/history_command.h>
 #include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/master/cli/output.h>
+#include <iotcloud/master/cli/plugins/plugin_file.h>
+#include <iotcloud/master/cli/plugins/plugin_sending.h>
+#include <iotcloud/master/cli/plugins/signing_command.h>
 #include <iotcloud/master/cli/topology/topology_command.h>
 
 namespace iotcloud::master::cli {
@@ -183,20 +186,87 @@ int show_order(const Command& command, const wire::TOrderResponse& answer, std::
   return ok ? exit_ok : exit_failed;
 }
 
+/// Gateways that did not take the plugin are outcomes of their own.
+void add_failures(wire::TOrderResponse& answer, const SentPlugin& sent) {
+  if (sent.failures.empty()) return;
+  answer.outcomes.insert(answer.outcomes.end(), sent.failures.begin(), sent.failures.end());
+  answer.response.state = discovery::wire::TResponseState::FAILURE;
+  answer.response.statusMessage +=
+      fmt::format("{}{} gateway{} did not take the plugin", answer.response.statusMessage.empty() ? "" : "; ",
+                  sent.failures.size(), sent.failures.size() == 1 ? "" : "s");
+}
+
+wire::TOrderResponse failed_to_send(const SentPlugin& sent) {
+  wire::TOrderResponse answer;
+  answer.__set_refusal(wire::TRefusal::NONE);
+  add_failures(answer, sent);
+  return answer;
+}
+
+/// Nothing is changed unless all gateways of the instances have the plugin.
+int update(const Command& command, const wire::TInstanceSelection& selection, MasterClient& master, std::ostream& out,
+           std::ostream& err) {
+  const std::set<std::string> chosen(selection.instances.begin(), selection.instances.end());
+  std::set<std::string> gateways;
+  for (const auto& driver : master.drivers()) {
+    if (chosen.contains(driver.sensorId)) gateways.insert(driver.siteId);
+  }
+  wire::TUpdateRequest request;
+  request.__set_selection(selection);
+  request.__set_atOnce(command.at_once);
+  request.__set_settleMs(command.settle_ms);
+  SentPlugin sent;
+  sent.plugin = command.plugin;
+  if (!gateways.empty())
+    sent = send_plugin(command.plugin, {gateways.begin(), gateways.end()}, master, command.progress ? &err : nullptr);
+  if (!sent.failures.empty()) {
+    err << "iotcloud: not all gateways took the plugin, so no instance was updated\n";
+    return show_order(command, failed_to_send(sent), out, err);
+  }
+  request.__set_plugin(sent.plugin);
+  request.__set_sha256(sent.sha256);
+  const auto per_step = static_cast<std::size_t>(command.at_once);
+  const std::size_t steps = per_step == 0 ? gateways.size() : (chosen.size() + per_step - 1) / per_step;
+  return show_order(command, master.update(request, steps), out, err);
+}
+
+/// A plugin that is sent to all gateways passes those by that drain, as the order does.
+std::vector<std::string> gateways_to_send_to(const Command& command, MasterClient& master) {
+  if (!command.gateways.empty()) return command.gateways;
+  std::vector<std::string> ids;
+  bool draining = false;
+  for (const auto& gateway : master.gateways()) {
+    draining = draining || gateway.draining;
+    if (!gateway.draining) ids.push_back(gateway.siteId);
+  }
+  if (ids.empty() && draining) throw Failed("all gateways are draining; `iotcloud undrain GATEWAY` ends that");
+  return ids;
+}
+
+int deploy(const Command& command, MasterClient& master, std::ostream& out, std::ostream& err) {
+  SentPlugin sent;
+  sent.plugin = command.plugin;
+  if (is_local_plugin(command.plugin))
+    sent = send_plugin(command.plugin, gateways_to_send_to(command, master), master, command.progress ? &err : nullptr);
+  if (!sent.sha256.empty() && sent.gateways.empty()) return show_order(command, failed_to_send(sent), out, err);
+  wire::TDeployRequest request;
+  request.__set_gateways(sent.sha256.empty() ? command.gateways : sent.gateways);
+  request.__set_plugin(sent.plugin);
+  request.__set_sha256(sent.sha256);
+  request.__set_driver(command.driver);
+  request.__set_properties(command.properties);
+  request.__set_metadata(command.metadata);
+  request.__set_count(command.count);
+  request.__set_waitMs(command.wait_ms);
+  request.__set_name(command.name);
+  auto answer = master.deploy(request);
+  add_failures(answer, sent);
+  return show_order(command, answer, out, err);
+}
+
 int order(const Command& command, const discovery::Selection& where, MasterClient& master, std::ostream& out,
           std::ostream& err) {
-  if (command.verb == Verb::deploy) {
-    wire::TDeployRequest request;
-    request.__set_gateways(command.gateways);
-    request.__set_plugin(command.plugin);
-    request.__set_driver(command.driver);
-    request.__set_properties(command.properties);
-    request.__set_metadata(command.metadata);
-    request.__set_count(command.count);
-    request.__set_waitMs(command.wait_ms);
-    request.__set_name(command.name);
-    return show_order(command, master.deploy(request), out, err);
-  }
+  if (command.verb == Verb::deploy) return deploy(command, master, out, err);
   if (command.verb == Verb::drain || command.verb == Verb::undrain) {
     wire::TGatewaySelection selection;
     selection.__set_gateways(command.gateways);
@@ -209,6 +279,7 @@ int order(const Command& command, const discovery::Selection& where, MasterClien
                                                       : full_ids(command.instances, master));
   selection.__set_gateways(command.gateways);
   selection.__set_waitMs(command.wait_ms);
+  if (command.verb == Verb::update) return update(command, selection, master, out, err);
   const auto answer = command.verb == Verb::metadata   ? master.update_metadata(selection, command.metadata)
                       : command.verb == Verb::undeploy ? master.undeploy(selection)
                       : command.verb == Verb::start    ? master.start(selection)
@@ -221,6 +292,8 @@ int order(const Command& command, const discovery::Selection& where, MasterClien
 int run(const Command& command, std::ostream& out, std::ostream& err) {
   try {
     if (command.verb == Verb::topology_check) return check_topology(command, err);
+    if (command.verb == Verb::keys_new) return make_keys(command, out);
+    if (command.verb == Verb::sign) return sign_plugin(command, out);
     const auto where = where_of(command);  // before a master is asked
     const auto connect = [&] {
       return std::make_unique<MasterClient>(command.masters, command.token, command.election_patience);
@@ -249,6 +322,7 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::metadata:
       case Verb::drain:
       case Verb::undrain:
+      case Verb::update:
         return order(command, where, master, out, err);
       case Verb::topology_show:
       case Verb::topology_activate:
@@ -258,6 +332,8 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::topology_metrics:
       case Verb::topology_tap:
       case Verb::topology_check:
+      case Verb::keys_new:
+      case Verb::sign:
         return run_topology(command, master, out, err);
       case Verb::diff:
       case Verb::apply:
@@ -275,6 +351,9 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
   } catch (const Unreachable& e) {
     err << "iotcloud: " << e.what() << '\n';
     return exit_unreachable;
+  } catch (const config::Error& e) {
+    err << "iotcloud: " << e.what() << '\n';
+    return exit_failed;
   } catch (const Failed& e) {
     err << "iotcloud: " << e.what() << '\n';
     return exit_failed;

@@ -23,6 +23,9 @@ enum class Verb {
   undrain,
   diff,
   apply,
+  update,
+  keys_new,
+  sign,
   describe,
   history,
   logs,
@@ -49,7 +52,11 @@ struct Command {
   std::string where;                   ///< only those for which this expression holds; empty: all
   std::string driver;                  ///< only those of this driver; deploy: the driver's name
   std::string name;                    ///< only those of this deployment; deploy: the deployment's name
-  std::string plugin;
+  std::string plugin;                  ///< with a slash: a file of this machine, which is sent
+  int at_once = 0;                     ///< update: instances in one step; 0: all of one gateway
+  std::int64_t settle_ms = 1'000;      ///< update: how long those of a step must stay up
+  std::string key;                     ///< sign: file with the private key
+  bool progress = false;               ///< show on `err`, which is a terminal, how far a plugin is sent
   std::map<std::string, std::string> properties;
   std::map<std::string, std::string> metadata;  ///< deploy: what it is; metadata: what to change
   int count = 1;
@@ -62,7 +69,7 @@ struct Command {
   double rate = 10;                        ///< tap: samples a second of each task at most
   std::int64_t samples = 0;                ///< tap: ends after so many; 0: when interrupted
   double watch_s = 0;                      ///< metrics: again and again after so many seconds; 0: once
-  std::string file;                        ///< check, diff, apply
+  std::string file;                        ///< check, diff, apply, sign; keys new: how the files' names begin
   bool prune = true;                       ///< diff, apply: what the manifest does not name any more goes
   bool adopt = false;                      ///< diff, apply: what others deployed under its names becomes the manifest's
   bool dry_run = false;                    ///< apply: as diff

@@ -9,6 +9,7 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/master/cli/drivers_command.h>
 #include <iotcloud/master/cli/output.h>
 
@@ -91,6 +92,13 @@ std::string full_name(const TSensor& driver) {
   return driver.deployment.empty() ? "-" : fmt::format("{}/{}", driver.deployment, driver.index);
 }
 
+std::string plugin_words(const TSensor& driver) {
+  if (driver.plugin.empty()) return "-";
+  if (driver.sha256.empty()) return driver.plugin;
+  return fmt::format("{} (SHA-256 {}..., {})", driver.plugin, config::short_sha256(driver.sha256),
+                     driver.signedBy.empty() ? "not signed by a trusted key" : "signed by " + driver.signedBy);
+}
+
 Json to_json(const TSensor& driver) {
   Json channels = Json::array();
   for (const auto& channel : driver.channels) {
@@ -101,10 +109,17 @@ Json to_json(const TSensor& driver) {
                         {"shared", channel.grouped},
                         {"properties", channel.properties}});
   }
-  return {{"instance", driver.sensorId},    {"name", driver.deployment},  {"index", driver.index},
-          {"driver", driver.name},          {"gateway", driver.siteId},   {"state", driver.exactState},
-          {"reason", driver.reason},        {"since_ms", driver.sinceMs}, {"metadata", metadata_of(driver)},
-          {"channels", std::move(channels)}};
+  return {{"instance", driver.sensorId},
+          {"name", driver.deployment},
+          {"index", driver.index},
+          {"driver", driver.name},
+          {"gateway", driver.siteId},
+          {"state", driver.exactState},
+          {"reason", driver.reason},
+          {"since_ms", driver.sinceMs},
+          {"metadata", metadata_of(driver)},
+          {"channels", std::move(channels)},
+          {"plugin", {{"file", driver.plugin}, {"sha256", driver.sha256}, {"signed_by", driver.signedBy}}}};
 }
 
 discovery::Selection where_of(const Command& command) {

@@ -30,6 +30,8 @@ nlohmann::ordered_json to_json(const discovery::wire::TSensor& driver);
 std::string metadata_words(const discovery::wire::TSensor& driver);
 /// Its name and number: "camera/2"; "-" when it was deployed without one.
 std::string full_name(const discovery::wire::TSensor& driver);
+/// Which plugin it runs, and whether somebody who is trusted signed it.
+std::string plugin_words(const discovery::wire::TSensor& driver);
 
 /// Ids of the instances that the options of `iotcloud drivers` leave. \throws Unreachable; Failed, also when there is
 /// none.

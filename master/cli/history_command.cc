@@ -75,6 +75,7 @@ void print_record(const TSensor& driver, std::ostream& out) {
                {"state", driver.exactState},
                {"since", moment(driver.sinceMs)},
                {"reason", driver.reason.empty() ? "-" : printable(driver.reason)},
+               {"plugin", printable(plugin_words(driver))},
                {"metadata", printable(metadata_words(driver))}});
   if (driver.channels.empty()) return;
   out << '\n';

@@ -5,6 +5,7 @@
 #include <string>
 
 #include <CLI/CLI.hpp>
+#include <unistd.h>
 
 #include <iotcloud/config/version.h>
 #include <iotcloud/master/cli/arguments.h>
@@ -66,10 +67,20 @@ std::string joined(const std::vector<std::string>& words) {
   return text;
 }
 
+CLI::App& add_plugin(CLI::App& sub, Command& command) {
+  sub.add_option(
+         "--plugin", command.plugin,
+         "a name (turtle.so): a file in the gateways' plugin folder; a path, with a slash (./turtle.so): a file of "
+         "this machine, which is sent with its signature (./turtle.so.sig)")
+      ->type_name("FILE");
+  return sub;
+}
+
 void add_deploy(CLI::App& app, Command& command, Words& words) {
   auto& deploy = add(app, command, Verb::deploy, "deploy", "Deploy a driver; answers when the outcome is known",
-                     "iotcloud deploy turtle.so --gateway lab1 --name robot --property source=simulation");
-  deploy.add_option("PLUGIN", command.plugin, "file name in the gateways' plugin folder")->required();
+                     "iotcloud deploy turtle.so --gateway lab1 --name robot --property source=simulation\n"
+                     "  iotcloud deploy --plugin ./turtle.so --all");
+  add_plugin(deploy, command).add_option("PLUGIN", command.plugin, "as --plugin")->excludes("--plugin");
   add_gateways(deploy, command, "on these gateways");
   deploy.add_flag("--all", words.all, "on all gateways")->excludes("--gateway");
   deploy
@@ -219,11 +230,14 @@ void finish(Command& command, const Words& words) {
   add_channels(command, pairs(words.channels, "--channel"));
   if (command.verb == Verb::drain && words.undo) command.verb = Verb::undrain;
   command.metadata = pairs(words.metadata, "--metadata");
+  if ((command.verb == Verb::deploy || command.verb == Verb::update) && command.plugin.empty())
+    throw CLI::RequiredError("--plugin");
   if (command.verb == Verb::metadata) describe(command, words);
-  if (command.verb == Verb::metadata || command.verb == Verb::undeploy || command.verb == Verb::start ||
-      command.verb == Verb::stop)
+  if (command.verb == Verb::metadata || command.verb == Verb::update || command.verb == Verb::undeploy ||
+      command.verb == Verb::start || command.verb == Verb::stop)
     check_choice(command, words);
   command.parallelism = parallelism_of(words.parallelism);
+  command.settle_ms = static_cast<std::int64_t>(words.settle_s * 1000);
   command.drain_ms = static_cast<std::int64_t>(words.drain_s * 1000);
   if (!words.token_file.empty()) command.token = first_line(words.token_file);
   command.wait_ms = static_cast<std::int64_t>(words.wait_s * 1000);
@@ -236,10 +250,11 @@ void add_changes(CLI::App& app, Command& command, Words& words) {
     sub.add_flag("--all", words.all, "all instances, or all on the gateways that are named");
     add_wait(sub, words);
   };
-  const auto change = [&](Verb verb, const char* name, const char* what, const char* example) {
+  const auto change = [&](Verb verb, const char* name, const char* what, const char* example) -> CLI::App& {
     auto& sub = add(app, command, verb, name, what, example);
     sub.add_option("ID", command.instances, "ids of instances, or how they begin");
     choose(sub);
+    return sub;
   };
   change(Verb::undeploy, "undeploy", "Take driver instances away", "iotcloud undeploy --state failed --gateway lab1");
   change(Verb::start, "start", "Let driver instances produce again", "iotcloud start 3f2a9c");
@@ -252,8 +267,36 @@ void add_changes(CLI::App& app, Command& command, Words& words) {
                   "ids of instances, or how they begin, and what to change; \"KEY=\" takes the key away")
       ->required();
   choose(metadata);
+  auto& update =
+      change(Verb::update, "update",
+             "Give driver instances another version of their plugin, one gateway after the other. When one does "
+             "not come up with it, all go back to the version before",
+             "iotcloud update --plugin ./turtle-2.so --driver turtle");
+  add_plugin(update, command);
+  update.add_option("--at-once", command.at_once, "so many instances in one step, not all of one gateway")
+      ->check(CLI::Range(1, 10'000))
+      ->type_name("N");
+  update.add_option("--settle", words.settle_s, "seconds that those of a step must stay up before the next one")
+      ->check(CLI::Range(0.0, 600.0))
+      ->default_str("1")
+      ->type_name("SECONDS");
   change(Verb::stop, "stop", "Let driver instances pause; they stay deployed",
          "iotcloud stop 3f2a9c 77b1\n  iotcloud stop --where 'site == \"lab\"'");
+}
+
+void add_signing(CLI::App& app, Command& command) {
+  auto& keys = *app.add_subcommand("keys", "Keys with which plugins are signed");
+  keys.require_subcommand(1);
+  auto& make = add(keys, command, Verb::keys_new, "new",
+                   "Make a pair of Ed25519 keys: NAME.key signs, and is yours alone; NAME.pub is for the gateways",
+                   "iotcloud keys new ~/keys/lab");
+  make.add_option("NAME", command.file, "how the files' names begin; a path")->required();
+  make.remove_option(make.get_option("--output"));
+  auto& sign = add(app, command, Verb::sign, "sign", "Sign a plugin: writes FILE.sig, which goes where FILE goes",
+                   "iotcloud sign turtle.so --key ~/keys/lab.key");
+  sign.add_option("FILE", command.file, "the plugin")->required();
+  sign.add_option("--key", command.key, "a private Ed25519 key in PEM")->required()->type_name("KEY");
+  sign.remove_option(sign.get_option("--output"));
 }
 
 }  // namespace
@@ -282,6 +325,7 @@ int main(int argc, char** argv) {
   add_changes(app, command, words);
   add_fleet(app, command, words);
   add_topology(app, command, words);
+  add_signing(app, command);
   add_completion(app, words);
   if (argc > 1 && argv[1] == std::string("__complete")) {
     return answer_shell(app, {argv + 2, argv + argc}, [&] {
@@ -289,6 +333,7 @@ int main(int argc, char** argv) {
       return command;
     });
   }
+  command.progress = isatty(STDERR_FILENO) != 0;
   try {
     app.parse(argc, argv);
     finish(command, words);

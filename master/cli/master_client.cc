@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <limits>
 #include <thread>
 #include <utility>
 
@@ -124,12 +125,13 @@ struct MasterClient::Impl {
   }
 
   template <typename Answer = wire::TOrderResponse, typename Give>
-  Answer order(std::int64_t wait_ms, Give&& give) {
+  Answer order(std::int64_t wait_ms, Give&& give, std::size_t steps = 1) {
     const auto patience = std::chrono::steady_clock::now() + election_patience;
     connect_any();
     while (true) {
       const auto own_wait = wait_ms > 0 ? std::min<std::int64_t>(wait_ms, longest_own_wait_ms) : longest_own_wait_ms;
-      socket->setRecvTimeout(static_cast<int>(own_wait) + order_margin_ms);
+      const auto longest = own_wait * static_cast<std::int64_t>(steps) + order_margin_ms;
+      socket->setRecvTimeout(static_cast<int>(std::min<std::int64_t>(longest, std::numeric_limits<int>::max())));
       Answer answer;
       try {
         give(*client, answer);
@@ -271,6 +273,35 @@ wire::TOrderResponse MasterClient::drain(const wire::TGatewaySelection& selectio
 
 wire::TOrderResponse MasterClient::undrain(const wire::TGatewaySelection& selection) {
   return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.undrain(answer, selection); });
+}
+
+wire::TOrderResponse MasterClient::update(const wire::TUpdateRequest& request, std::size_t steps) {
+  return impl_->order(
+      request.selection.waitMs > 0 ? request.selection.waitMs + request.settleMs : 0,
+      [&](auto& client, auto& answer) { client.update(answer, request); }, 2 * steps + 1);
+}
+
+wire::TUploadResponse MasterClient::offer_plugin(const wire::TPluginOffer& offer,
+                                                 const std::vector<std::string>& gateways) {
+  return impl_->order<wire::TUploadResponse>(
+      read_timeout_ms, [&](auto& client, auto& answer) { client.offerPlugin(answer, offer, gateways); });
+}
+
+wire::TUploadResponse MasterClient::send_plugin(const std::string& upload, std::int64_t offset,
+                                                const std::string& bytes) {
+  return impl_->read([&](auto& client) {
+    wire::TUploadResponse out;
+    client.sendPlugin(out, upload, offset, bytes);
+    return out;
+  });
+}
+
+wire::TUploadResponse MasterClient::finish_plugin(const std::string& upload) {
+  return impl_->read([&](auto& client) {
+    wire::TUploadResponse out;
+    client.finishPlugin(out, upload);
+    return out;
+  });
 }
 
 wire::TTopologyResponse MasterClient::order(const wire::TTopologyRequest& request) {

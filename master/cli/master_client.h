@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -60,7 +61,15 @@ class MasterClient {
   wire::TOrderResponse change_deployment(const wire::TDeploymentChange& change);
   wire::TOrderResponse drain(const wire::TGatewaySelection& selection);
   wire::TOrderResponse undrain(const wire::TGatewaySelection& selection);
+  /// \param steps that the master takes one after the other, each for as long as the request waits, and back again.
+  wire::TOrderResponse update(const wire::TUpdateRequest& request, std::size_t steps);
   wire::TTopologyResponse order(const wire::TTopologyRequest& request);
+
+  /// A plugin is offered to the master that leads, and sent to the one that took the offer.
+  /// \throws Unreachable, Failed
+  wire::TUploadResponse offer_plugin(const wire::TPluginOffer& offer, const std::vector<std::string>& gateways);
+  wire::TUploadResponse send_plugin(const std::string& upload, std::int64_t offset, const std::string& bytes);
+  wire::TUploadResponse finish_plugin(const std::string& upload);
 
   /// The master that was spoken with last.
   const std::string& address() const;

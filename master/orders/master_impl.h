@@ -35,6 +35,8 @@ const discovery::GatewayStatus* find(const std::vector<discovery::GatewayStatus>
 OrderResult refuse(Refusal refusal, std::string text);
 /// The refusal of a gateway that is not registered, naming those that are.
 OrderResult refuse_gateway(const std::string& id, const std::vector<discovery::GatewayStatus>& known);
+/// The refusal of a plugin's name or hash that cannot be.
+std::optional<OrderResult> refuse_plugin(const std::string& plugin, const std::string& sha256);
 void set_verdict(InstanceOutcome& outcome, const std::optional<OutcomeWatch::Verdict>& verdict);
 
 struct Master::Impl {
@@ -156,6 +158,9 @@ struct Master::Impl {
   MaybeVerdict order_drain(const Located& where, const discovery::GatewayStatus& gateway, bool undo,
                            OutcomeWatch& watch);
 
+  // order_update.cc
+  class RollingUpdate;
+
   // topology_orders.cc
   TopologyResult order(const TopologyRequest& request);
   std::optional<TopologyResult> refuse_unknown_topology(const std::string& name);
@@ -172,6 +177,8 @@ struct Master::Impl {
   /// Waits for all outcomes, then logs and counts them.
   void settle(OrderResult& result, OutcomeWatch& watch, DirectCalls& calls, const WaitLimit& wait,
               const std::string& order);
+  /// Logs and counts what became of an order.
+  void tell(const OrderResult& result, const std::string& order);
 
   discovery::Registry& registry;
   const MasterOptions options;
@@ -183,8 +190,9 @@ struct Master::Impl {
   std::atomic<std::int64_t> epoch{0};
   std::mutex mutex;
   std::condition_variable idle;
-  int under_way = 0;             ///< guarded by mutex
-  discovery::Election election;  ///< last: its callbacks use the others
+  int under_way = 0;               ///< guarded by mutex
+  std::set<std::string> updating;  ///< guarded by mutex: instances of which an update is under way
+  discovery::Election election;    ///< last: its callbacks use the others
 };
 
 }  // namespace iotcloud::master

@@ -1,5 +1,6 @@
 #include <set>
 
+#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/master/orders/instance_id.h>
 #include <iotcloud/master/orders/master_impl.h>
 
@@ -12,12 +13,19 @@ OrderResult Master::deploy(const DeployRequest& request) {
   return impl_->guarded([&] { return impl_->deploy(request); });
 }
 
-std::optional<OrderResult> Master::Impl::refuse_deployment(const DeployRequest& request) const {
-  if (!is_node_name(request.plugin))
+std::optional<OrderResult> refuse_plugin(const std::string& plugin, const std::string& sha256) {
+  if (!is_node_name(plugin))
     return refuse(Refusal::bad_request,
                   fmt::format("\"{}\" is no plugin: give the name of a file in the gateway's plugin folder, "
                               "such as turtle.so, without its path",
-                              request.plugin));
+                              plugin));
+  if (!sha256.empty() && !config::is_sha256(sha256))
+    return refuse(Refusal::bad_request, fmt::format("{}: a SHA-256 has 64 hexadecimal digits in lower case", plugin));
+  return std::nullopt;
+}
+
+std::optional<OrderResult> Master::Impl::refuse_deployment(const DeployRequest& request) const {
+  if (auto refusal = refuse_plugin(request.plugin, request.sha256)) return refusal;
   if (!request.driver.empty() && !is_node_name(request.driver))
     return refuse(Refusal::bad_request,
                   fmt::format("\"{}\" cannot be a driver's name: no '/' and no control characters", request.driver));
@@ -49,6 +57,7 @@ OrderRecord Master::Impl::order_for(const DeployRequest& request) const {
   OrderRecord order;
   order.driver = request.driver;
   order.plugin = request.plugin;
+  order.sha256 = request.sha256;
   order.properties = request.properties;
   order.metadata = request.metadata;
   order.epoch = leading_epoch();
@@ -95,7 +104,10 @@ OrderResult Master::Impl::deploy(const DeployRequest& request) {
     if (auto refusal = find_targets(request, known, targets)) return *refusal;
     for (const auto* gateway : targets) {
       const auto& id = gateway->record.id;
-      if (!is_direct(id) || !gateway->alive) {
+      if (is_direct(id) && !request.sha256.empty()) {
+        result.outcomes.push_back(
+            {id, "", Outcome::failed, "its gateway is of the original system, which takes no plugin file"});
+      } else if (!is_direct(id) || !gateway->alive) {
         order_instances(request, *gateway, result, watch);
       } else if (!request.name.empty()) {
         result.outcomes.push_back({id, "", Outcome::failed,

@@ -59,8 +59,9 @@ using WaitLimit = std::optional<std::chrono::milliseconds>;
 
 struct DeployRequest {
   std::vector<std::string> gateways;  ///< empty: all that are registered
-  std::string plugin;                 ///< file name in the gateway's plugin folder ("turtle.so")
-  std::string driver;                 ///< name of the driver; empty: the plugin's own
+  std::string plugin;    ///< file name ("turtle.so"), in the gateway's plugin folder unless `sha256` is given
+  std::string sha256{};  ///< of a plugin that was sent to the gateways before
+  std::string driver;    ///< name of the driver; empty: the plugin's own
   std::map<std::string, std::string> properties;
   std::map<std::string, std::string> metadata;
   int count = 1;  ///< instances on each gateway, 1 to max_count
@@ -96,6 +97,17 @@ struct InstanceSelection {
   std::vector<std::string> instances;  ///< ids in full
   std::vector<std::string> gateways;   ///< when not empty, the instances must be on one of these
   WaitLimit wait;
+};
+
+/// Another version of their plugin for instances that are deployed; they keep id, properties and metadata.
+struct UpdateRequest {
+  InstanceSelection selection;  ///< `wait`: how long each step may take, and as long again to go back
+  std::string plugin;           ///< as in DeployRequest
+  std::string sha256{};         ///< as in DeployRequest
+  int at_once = 0;              ///< instances in one step, up to max_at_once; 0: all of one gateway
+  /// How long those of a step must stay up before the next one; at most ten minutes. 0: a moment is enough.
+  std::chrono::milliseconds settle{0};
+  static constexpr int max_at_once = 10'000;
 };
 
 }  // namespace iotcloud::master

@@ -20,7 +20,18 @@ OutcomeWatch::~OutcomeWatch() {
   record_guards_.clear();
 }
 
-void OutcomeWatch::expect(const std::string& instance, const std::string& driver, const std::optional<Node>& before) {
+namespace {
+
+bool runs(const discovery::DriverRecord& record, const AwaitedVersion& version) {
+  if (record.plugin != version.plugin) return false;
+  return version.sha256.empty() ? version.not_sha256.empty() || record.sha256 != version.not_sha256
+                                : record.sha256 == version.sha256;
+}
+
+}  // namespace
+
+void OutcomeWatch::expect(const std::string& instance, const std::string& driver, const std::optional<Node>& before,
+                          AwaitedVersion version) {
   std::vector<std::string> names;
   {
     std::lock_guard lock(mutex_);
@@ -30,6 +41,7 @@ void OutcomeWatch::expect(const std::string& instance, const std::string& driver
       const auto record = discovery::decode_driver(before->data, instance);
       expected.state_before = {record.state, record.since_ms};
     }
+    expected.version = std::move(version);
     ++open_;
     if (driver.empty()) {
       anywhere_.insert(instance);
@@ -97,11 +109,20 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, con
   if (expected.state_before == std::pair(record.state, record.since_ms)) return std::nullopt;
   expected.last_state =
       fmt::format("last state: {}{}{}", to_string(record.state), record.reason.empty() ? "" : ", ", record.reason);
+  const bool updated = wanted_ == Wanted::updated;
+  if (updated && !runs(record, expected.version)) {
+    expected.last_state = fmt::format("it does not run {} yet; {}", expected.version.plugin, expected.last_state);
+    return std::nullopt;
+  }
   switch (record.state) {
     case DriverState::active:
-      return wanted_ == Wanted::active || wanted_ == Wanted::anew ? std::optional(done) : std::nullopt;
+      return wanted_ == Wanted::active || wanted_ == Wanted::anew || (updated && expected.version.active)
+                 ? std::optional(done)
+                 : std::nullopt;
     case DriverState::inactive:
-      return wanted_ == Wanted::inactive || wanted_ == Wanted::anew ? std::optional(done) : std::nullopt;
+      return wanted_ == Wanted::inactive || wanted_ == Wanted::anew || (updated && !expected.version.active)
+                 ? std::optional(done)
+                 : std::nullopt;
     case DriverState::undeployed:
       if (wanted_ == Wanted::gone) return done;
       return Verdict{Outcome::failed, "it was undeployed meanwhile"};

@@ -17,12 +17,20 @@
 
 namespace iotcloud::master {
 
+/// What an instance runs when an update has come to it.
+struct AwaitedVersion {
+  std::string plugin;
+  std::string sha256;      ///< empty: any other than `not_sha256`
+  std::string not_sha256;  ///< of the version before; may be empty
+  bool active = true;      ///< or inactive, as ordered
+};
+
 /// Reads from the registry what becomes of one order for some instances, all at the same time.
 /// Use: write an instance's order, expect() it, and at last wait() for all. Used by one thread.
 class OutcomeWatch {
  public:
-  /// anew: active or inactive, reached after the order was written.
-  enum class Wanted { active, inactive, gone, described, anew };
+  /// anew: active or inactive, reached after the order was written. updated: see AwaitedVersion.
+  enum class Wanted { active, inactive, gone, described, anew, updated };
 
   /// The references outlive the watch.
   OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, Wanted wanted);
@@ -34,8 +42,10 @@ class OutcomeWatch {
 
   /// \param driver the name that its record stands under; empty: not known yet, so all drivers are watched.
   /// \param before the record's node before the order: a failure that stands there already is not the order's.
+  /// \param version for `updated`.
   /// \throws discovery::RegistryError
-  void expect(const std::string& instance, const std::string& driver, const std::optional<discovery::Node>& before);
+  void expect(const std::string& instance, const std::string& driver, const std::optional<discovery::Node>& before,
+              AwaitedVersion version = {});
 
   struct Verdict {
     Outcome outcome = Outcome::unknown;
@@ -49,6 +59,7 @@ class OutcomeWatch {
     std::optional<std::pair<std::int64_t, std::int64_t>> before;  ///< created, version
     /// What the record said before, and since when; with `anew` only.
     std::optional<std::pair<discovery::DriverState, std::int64_t>> state_before;
+    AwaitedVersion version;
     std::optional<Verdict> verdict;
     std::string last_state;  ///< what was seen last, for the text of `unknown`
   };

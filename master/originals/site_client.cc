@@ -58,7 +58,9 @@ void put(const SiteAddress& site, const std::string& gateway, std::chrono::milli
   } catch (const TApplicationException& e) {
     if (e.getType() != TApplicationException::UNKNOWN_METHOD) throw config::Error(e.what());
     throw config::Error(
-        fmt::format("gateway {} is of the original system, which tells neither history nor logs", gateway));
+        fmt::format("gateway {} is of the original system, which tells neither history nor logs and takes no "
+                    "plugin files",
+                    gateway));
   } catch (const apache::thrift::TException& e) {
     throw config::Error(
         fmt::format("gateway {} at {}:{} does not answer: {}", gateway, site.host, site.port, e.what()));
@@ -134,6 +136,28 @@ LogPart site_read_log(const SiteAddress& site, const std::string& gateway, const
   gateway::wire::TLogPart part;
   put(site, gateway, limit, [&](auto& client) { client.readLog(part, instance, position, most_bytes); });
   return {std::move(part.text), std::move(part.position)};
+}
+
+std::string site_offer_plugin(const SiteAddress& site, const std::string& gateway, const PluginOffer& offer,
+                              std::chrono::milliseconds limit) {
+  gateway::wire::TPluginOffer wire_offer;
+  wire_offer.__set_plugin(offer.plugin);
+  wire_offer.__set_sha256(offer.sha256);
+  wire_offer.__set_size(offer.size);
+  wire_offer.__set_signature(offer.signature);
+  std::string upload;
+  put(site, gateway, limit, [&](auto& client) { client.offerPlugin(upload, wire_offer); });
+  return upload;
+}
+
+void site_send_plugin(const SiteAddress& site, const std::string& gateway, const std::string& upload,
+                      std::int64_t offset, const std::string& bytes, std::chrono::milliseconds limit) {
+  put(site, gateway, limit, [&](auto& client) { client.sendPlugin(upload, offset, bytes); });
+}
+
+void site_finish_plugin(const SiteAddress& site, const std::string& gateway, const std::string& upload,
+                        std::chrono::milliseconds limit) {
+  put(site, gateway, limit, [&](auto& client) { client.finishPlugin(upload); });
 }
 
 }  // namespace iotcloud::master

@@ -42,6 +42,14 @@ struct LogPart {
   std::string position;  ///< where to go on
 };
 
+/// A plugin's file.
+struct PluginOffer {
+  std::string plugin;     ///< plain file name
+  std::string sha256;     ///< of all its bytes
+  std::int64_t size = 0;  ///< bytes
+  std::string signature;  ///< empty: not signed
+};
+
 /// Questions to a gateway of this system; `limit` is for each answer on the way. Thread safe.
 /// \param gateway its id: an address on loopback may lead to another gateway, which is not asked.
 /// \throws config::Error with the gateway's own words, or why it could not be asked.
@@ -49,5 +57,14 @@ std::vector<DriverChange> site_changes(const SiteAddress& site, const std::strin
                                        std::chrono::milliseconds limit);
 LogPart site_read_log(const SiteAddress& site, const std::string& gateway, const std::string& instance,
                       const std::string& position, std::int32_t most_bytes, std::chrono::milliseconds limit);
+
+/// A plugin that is sent to a gateway (gateway.thrift). The same way; \return the upload's id, empty when the gateway
+/// has the plugin already.
+std::string site_offer_plugin(const SiteAddress& site, const std::string& gateway, const PluginOffer& offer,
+                              std::chrono::milliseconds limit);
+void site_send_plugin(const SiteAddress& site, const std::string& gateway, const std::string& upload,
+                      std::int64_t offset, const std::string& bytes, std::chrono::milliseconds limit);
+void site_finish_plugin(const SiteAddress& site, const std::string& gateway, const std::string& upload,
+                        std::chrono::milliseconds limit);
 
 }  // namespace iotcloud::master

@@ -70,6 +70,8 @@ DriverRecord FakeGateway::record(const OrderRecord& order, DriverState state, co
   record.metadata = order.metadata;
   record.deployment = order.name;
   record.index = order.index;
+  record.plugin = order.plugin;
+  record.sha256 = order.sha256;
   discovery::ChannelRecord channel;
   channel.name = "kinect";
   channel.transport = "rabbitmq";

@@ -1,0 +1,92 @@
+#include <filesystem>
+#include <ostream>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/master/cli/output.h>
+#include <iotcloud/master/cli/plugins/plugin_file.h>
+#include <iotcloud/master/cli/plugins/plugin_sending.h>
+
+namespace iotcloud::master::cli {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr std::size_t piece = std::size_t{512} * 1024;  // what master.thrift asks for
+constexpr std::size_t worth_a_bar = std::size_t{2} << 20;
+constexpr double megabyte = 1 << 20;
+
+/// How far it is, on a terminal.
+class Progress {
+ public:
+  Progress(const std::string& file, std::size_t size, std::ostream* terminal)
+      : file_(printable(file)), size_(size), terminal_(size >= worth_a_bar ? terminal : nullptr) {}
+  ~Progress() {
+    if (terminal_ != nullptr) *terminal_ << "\r\033[K" << std::flush;
+  }
+  Progress(const Progress&) = delete;
+  Progress& operator=(const Progress&) = delete;
+  void at(std::size_t sent) {
+    if (terminal_ == nullptr) return;
+    *terminal_ << fmt::format("\rsending {}: {:.1f} of {:.1f} MB", file_, static_cast<double>(sent) / megabyte,
+                              static_cast<double>(size_) / megabyte)
+               << std::flush;
+  }
+
+ private:
+  const std::string file_;
+  const std::size_t size_;
+  std::ostream* const terminal_;
+};
+
+wire::TUploadResponse accepted(wire::TUploadResponse answer) {
+  if (answer.refusal != wire::TRefusal::NONE) throw Failed(answer.response.statusMessage);
+  return answer;
+}
+
+wire::TInstanceOutcome failure_of(const wire::TPluginTarget& target) {
+  wire::TInstanceOutcome outcome;
+  outcome.__set_gateway(target.gateway);
+  outcome.__set_outcome(wire::TOutcome::FAILED);
+  outcome.__set_reason(target.problem.empty() ? "it did not say that it has the plugin" : target.problem);
+  return outcome;
+}
+
+}  // namespace
+
+SentPlugin send_plugin(const std::string& plugin, const std::vector<std::string>& gateways, MasterClient& master,
+                       std::ostream* terminal) {
+  SentPlugin sent;
+  sent.plugin = plugin;
+  if (!is_local_plugin(plugin)) return sent;
+  const std::string bytes = plugin_bytes(plugin);
+  sent.plugin = fs::path(plugin).filename();
+  sent.sha256 = config::sha256_hex(bytes);
+  wire::TPluginOffer offer;
+  offer.__set_plugin(sent.plugin);
+  offer.__set_sha256(sent.sha256);
+  offer.__set_size(static_cast<std::int64_t>(bytes.size()));
+  offer.__set_signature(plugin_signature(plugin));
+  auto answer = accepted(master.offer_plugin(offer, gateways));
+  const std::string upload = answer.upload;
+  {
+    Progress progress(sent.plugin, bytes.size(), terminal);
+    for (std::size_t offset = 0; offset < bytes.size() && !answer.upload.empty(); offset += piece) {
+      progress.at(offset);
+      answer = accepted(master.send_plugin(upload, static_cast<std::int64_t>(offset), bytes.substr(offset, piece)));
+    }
+    if (!answer.upload.empty()) answer = accepted(master.finish_plugin(upload));
+  }
+  for (const auto& target : answer.targets) {
+    if (target.has) {
+      sent.gateways.push_back(target.gateway);
+    } else {
+      sent.failures.push_back(failure_of(target));
+    }
+  }
+  return sent;
+}
+
+}  // namespace iotcloud::master::cli

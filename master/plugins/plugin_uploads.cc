@@ -1,0 +1,190 @@
+#include <algorithm>
+#include <functional>
+#include <future>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/master/api/gateway_pages.h>
+#include <iotcloud/master/master.h>
+#include <iotcloud/master/plugins/plugin_uploads.h>
+
+namespace iotcloud::master {
+
+using config::Clock;
+
+namespace {
+
+/// One gateway to which a plugin goes.
+struct Receiver {
+  UploadTarget target;
+  SiteAddress site;
+  std::string upload;  ///< the gateway's own id of it; empty: it gets nothing (more)
+};
+
+struct Upload {
+  Clock::Instant last;  ///< guarded by the owner's mutex
+  std::mutex mutex;
+  std::vector<Receiver> receivers;  ///< guarded by mutex
+};
+
+/// Does something with every receiver that still gets the plugin, with all at the same time. One with which that fails
+/// gets no more.
+void with_each(std::vector<Receiver>& receivers, const std::function<void(Receiver&)>& action) {
+  std::vector<std::pair<Receiver*, std::future<void>>> calls;
+  for (auto& receiver : receivers) {
+    if (receiver.upload.empty()) continue;
+    calls.emplace_back(&receiver, std::async(std::launch::async, [&action, &receiver] { action(receiver); }));
+  }
+  for (auto& [receiver, call] : calls) {
+    try {
+      call.get();
+    } catch (const std::exception& e) {
+      receiver->target.problem = e.what();
+      receiver->upload.clear();
+    }
+  }
+}
+
+UploadResult refused(Refusal refusal, std::string text) {
+  UploadResult result;
+  result.refusal.refusal = refusal;
+  result.refusal.text = std::move(text);
+  return result;
+}
+
+UploadResult answer(const std::string& id, const std::vector<Receiver>& receivers) {
+  UploadResult result;
+  for (const auto& receiver : receivers) {
+    result.targets.push_back(receiver.target);
+    if (!receiver.upload.empty()) result.upload = id;
+  }
+  return result;
+}
+
+}  // namespace
+
+struct PluginUploads::Impl {
+  Impl(const Master& of, const Options& given)
+      : master(of), options(given), clock(given.clock != nullptr ? *given.clock : config::system_clock()) {}
+
+  std::shared_ptr<Upload> find(const std::string& id);
+  UploadResult pass_on(const std::string& id, const std::function<void(Receiver&)>& action);
+  std::optional<UploadResult> receivers_of(const std::vector<std::string>& gateways, std::vector<Receiver>& receivers);
+
+  const Master& master;
+  const Options options;
+  const Clock& clock;
+  std::mutex mutex;
+  std::map<std::string, std::shared_ptr<Upload>> uploads;  ///< guarded by mutex
+};
+
+PluginUploads::PluginUploads(const Master& master, const Options& options)
+    : impl_(std::make_unique<Impl>(master, options)) {}
+
+PluginUploads::~PluginUploads() = default;
+
+/// \return why that cannot be; nullopt: they are in `receivers`, those that cannot be reached with their problem.
+std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<std::string>& gateways,
+                                                              std::vector<Receiver>& receivers) {
+  const auto known = master.gateways();
+  std::vector<std::string> names;
+  for (const auto& gateway : known) names.push_back(gateway.record.id);
+  for (const auto& id : gateways.empty() ? names : gateways) {
+    const auto at = std::find_if(known.begin(), known.end(), [&](const auto& g) { return g.record.id == id; });
+    if (at == known.end())
+      return refused(Refusal::unknown_gateway,
+                     fmt::format("no gateway \"{}\"; known gateways: {}", id, fmt::join(names, ", ")));
+    Receiver receiver;
+    receiver.target.gateway = id;
+    try {
+      receiver.site = address_of(*at);
+      receiver.upload = "wanted";
+    } catch (const config::Error& e) {
+      receiver.target.problem = fmt::format("the plugin cannot be sent to it: {}", e.what());
+    }
+    receivers.push_back(std::move(receiver));
+  }
+  if (receivers.empty()) return refused(Refusal::unknown_gateway, "no gateway is registered");
+  return std::nullopt;
+}
+
+UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<std::string>& gateways) try {
+  auto& self = *impl_;
+  if (auto refusal = self.master.refusal()) return {*refusal, "", {}};
+  {
+    const std::lock_guard lock(self.mutex);
+    std::erase_if(self.uploads,
+                  [&](const auto& one) { return self.clock.now() - one.second->last >= self.options.idle_limit; });
+    if (static_cast<int>(self.uploads.size()) >= self.options.most)
+      return refused(
+          Refusal::bad_request,
+          fmt::format("this master passes {} plugins on at a time; try again in a moment", self.options.most));
+  }
+  std::vector<Receiver> receivers;
+  if (auto refusal = self.receivers_of(gateways, receivers)) return *refusal;
+  with_each(receivers, [&](Receiver& receiver) {
+    receiver.upload = site_offer_plugin(receiver.site, receiver.target.gateway, offer, self.options.answer_limit);
+    receiver.target.has = receiver.upload.empty();
+  });
+  const std::string id = discovery::new_instance_id();
+  auto result = answer(id, receivers);
+  if (result.upload.empty()) return result;
+  auto upload = std::make_shared<Upload>();
+  upload->last = self.clock.now();
+  upload->receivers = std::move(receivers);
+  const std::lock_guard lock(self.mutex);
+  self.uploads[id] = std::move(upload);
+  return result;
+} catch (const config::Error& e) {
+  return refused(Refusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
+}
+
+std::shared_ptr<Upload> PluginUploads::Impl::find(const std::string& id) {
+  const std::lock_guard lock(mutex);
+  const auto found = uploads.find(id);
+  if (found == uploads.end()) return nullptr;
+  found->second->last = clock.now();
+  return found->second;
+}
+
+UploadResult PluginUploads::Impl::pass_on(const std::string& id, const std::function<void(Receiver&)>& action) {
+  const auto upload = find(id);
+  if (!upload)
+    return refused(Refusal::bad_request,
+                   "there is no such upload (any more); one that nobody goes on with ends after a while, and every one "
+                   "with its master: send the plugin again");
+  UploadResult result;
+  {
+    const std::lock_guard lock(upload->mutex);
+    with_each(upload->receivers, action);
+    result = answer(id, upload->receivers);
+  }
+  if (!result.upload.empty()) return result;
+  const std::lock_guard lock(mutex);
+  uploads.erase(id);
+  return result;
+}
+
+UploadResult PluginUploads::send(const std::string& id, std::int64_t offset, const std::string& bytes) {
+  return impl_->pass_on(id, [&](Receiver& receiver) {
+    site_send_plugin(receiver.site, receiver.target.gateway, receiver.upload, offset, bytes,
+                     impl_->options.answer_limit);
+  });
+}
+
+UploadResult PluginUploads::finish(const std::string& id) {
+  return impl_->pass_on(id, [&](Receiver& receiver) {
+    site_finish_plugin(receiver.site, receiver.target.gateway, receiver.upload, impl_->options.answer_limit);
+    receiver.target.has = true;
+    receiver.upload.clear();
+  });
+}
+
+}  // namespace iotcloud::master

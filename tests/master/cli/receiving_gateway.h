@@ -1,0 +1,109 @@
+#pragma once
+
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <thrift/TProcessor.h>
+
+#include "iotcloud/gateway/TSensorSiteService.h"
+#include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/master/api/thrift_server.h>
+#include <iotcloud/tests/master/fleet.h>
+
+namespace iotcloud::master::test {
+
+/// The Thrift service of a gateway that takes what is sent to it. Thread safe.
+class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
+ public:
+  explicit ReceivingSite(std::string gateway) : gateway_(std::move(gateway)) {}
+
+  void ping(gateway::wire::TPing& answer) override { answer.__set_gateway(gateway_); }
+  void offerPlugin(std::string& upload, const gateway::wire::TPluginOffer& offer) override {
+    const std::lock_guard lock(mutex_);
+    offers_.push_back(offer);
+    if (!refusal_.empty()) refuse();
+    received_.clear();
+    upload = finished_ == offer.sha256 ? "" : "u1";
+  }
+  void sendPlugin(const std::string& upload, std::int64_t offset, const std::string& bytes) override {
+    const std::lock_guard lock(mutex_);
+    if (upload != "u1" || offset != static_cast<std::int64_t>(received_.size())) {
+      refusal_ = "out of order";
+      refuse();
+    }
+    received_ += bytes;
+    ++pieces_;
+    if (!refusal_.empty()) refuse();
+  }
+  void finishPlugin(const std::string&) override {
+    const std::lock_guard lock(mutex_);
+    if (config::sha256_hex(received_) != offers_.back().sha256) {
+      refusal_ = "other bytes";
+      refuse();
+    }
+    finished_ = offers_.back().sha256;
+  }
+
+  void refuse_with(const std::string& reason) {
+    const std::lock_guard lock(mutex_);
+    refusal_ = reason;
+  }
+  std::string received() {
+    const std::lock_guard lock(mutex_);
+    return received_;
+  }
+  int pieces() {
+    const std::lock_guard lock(mutex_);
+    return pieces_;
+  }
+  gateway::wire::TPluginOffer offer() {
+    const std::lock_guard lock(mutex_);
+    return offers_.back();
+  }
+  std::size_t offers() {
+    const std::lock_guard lock(mutex_);
+    return offers_.size();
+  }
+
+ private:
+  void refuse() const {
+    gateway::wire::TSiteError error;
+    error.__set_reason(refusal_);
+    throw error;
+  }
+  const std::string gateway_;
+  std::mutex mutex_;
+  std::vector<gateway::wire::TPluginOffer> offers_;  ///< guarded by mutex_
+  std::string received_, finished_, refusal_;        ///< guarded by mutex_
+  int pieces_ = 0;                                   ///< guarded by mutex_
+};
+
+/// From now on the gateway's record says that its service is at this port.
+inline void serve_at(const std::string& url, const std::string& id, int port) {
+  const discovery::Paths paths;
+  auto registry = open_registry(url);
+  auto record = discovery::decode_gateway(registry->get(paths.gateway(id))->data, id);
+  record.port = port;
+  discovery::put(*registry, paths.gateway(id), encode(record));
+}
+
+/// A gateway that follows orders, and its Thrift service.
+struct ServedGateway {
+  ServedGateway(const std::string& url, const std::string& id)
+      : gateway(url, id),
+        site(std::make_shared<ReceivingSite>(id)),
+        service(ThriftServerOptions{},
+                std::make_shared<apache::thrift::TSingletonProcessorFactory>(
+                    std::make_shared<iotcloud::gateway::wire::TSensorSiteServiceProcessor>(site))) {
+    serve_at(url, id, service.port());
+  }
+  FakeGateway gateway;
+  const std::shared_ptr<ReceivingSite> site;
+  ThriftServer service;
+};
+
+}  // namespace iotcloud::master::test
