@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <atomic>
+#include <map>
 #include <mutex>
+#include <set>
 #include <span>
 #include <thread>
 #include <utility>
@@ -9,6 +11,7 @@
 
 #include <iotcloud/master/cli/fleet/apply.h>
 #include <iotcloud/master/cli/master_client.h>
+#include <iotcloud/master/cli/plugins/plugin_sending.h>
 #include <iotcloud/master/cli/topology/topology_command.h>
 
 namespace iotcloud::master::cli {
@@ -24,11 +27,46 @@ constexpr std::int64_t no_wait_ms = 1;
 
 using Steps = std::span<const Step>;
 
+/// Why gateways did not take a deployment's plugin, by its number and gateway.
+using NotSent = std::map<std::pair<std::size_t, std::string>, std::string>;
+
+bool needs_plugin(const Step& step) {
+  return step.kind == StepKind::deploy || step.kind == StepKind::replace;
+}
+
+/// Sends a deployment's plugin to gateways, before anything is ordered there.
+void send(const Deployment& deployment, std::size_t number, const std::set<std::string>& gateways, MasterClient& master,
+          std::ostream* terminal, NotSent& not_sent) {
+  try {
+    const auto sent = send_plugin(deployment.file, {gateways.begin(), gateways.end()}, master, terminal);
+    if (sent.sha256 != deployment.sha256)
+      throw Failed(fmt::format("{} changed while the manifest was applied; apply it again", deployment.file));
+    for (const auto& failure : sent.failures) not_sent[{number, failure.gateway}] = failure.reason;
+  } catch (const std::exception& e) {  // Unreachable, Failed, a file that is gone meanwhile
+    for (const auto& gateway : gateways) not_sent[{number, gateway}] = e.what();
+  }
+}
+
+NotSent send_plugins(const Manifest& manifest, const Plan& plan, const ApplyOptions& options) {
+  std::map<std::size_t, std::set<std::string>> wanted;
+  for (const auto& step : plan.steps) {
+    if (needs_plugin(step) && !manifest.deployments.at(step.deployment).file.empty())
+      wanted[step.deployment].insert(step.gateway);
+  }
+  NotSent not_sent;
+  if (wanted.empty()) return not_sent;
+  const auto master = options.connect();
+  for (const auto& [number, gateways] : wanted)
+    send(manifest.deployments.at(number), number, gateways, *master, options.terminal, not_sent);
+  return not_sent;
+}
+
 /// The steps of one gateway.
 class GatewaySteps {
  public:
-  GatewaySteps(const Manifest& manifest, Steps steps, std::span<StepOutcome> outcomes, const ApplyOptions& options)
-      : manifest_(manifest), steps_(steps), outcomes_(outcomes), options_(options) {}
+  GatewaySteps(const Manifest& manifest, Steps steps, std::span<StepOutcome> outcomes, const NotSent& not_sent,
+               const ApplyOptions& options)
+      : manifest_(manifest), steps_(steps), outcomes_(outcomes), not_sent_(not_sent), options_(options) {}
 
   /// \param did tells how many steps were done.
   void run(MasterClient& master, const std::function<void(std::size_t)>& did) {
@@ -50,6 +88,11 @@ class GatewaySteps {
   void give(MasterClient& master, std::size_t begin, std::size_t count) {
     const auto steps = steps_.subspan(begin, count);
     const auto outcomes = outcomes_.subspan(begin, count);
+    const auto lacking = not_sent_.find({steps.front().deployment, steps.front().gateway});
+    if (needs_plugin(steps.front()) && lacking != not_sent_.end()) {
+      for (auto& outcome : outcomes) outcome = {"failed", lacking->second};
+      return;
+    }
     try {
       if (steps.front().kind == StepKind::replace) {
         replace(master, steps, outcomes);
@@ -117,6 +160,7 @@ class GatewaySteps {
     wire::TDeployRequest request;
     request.__set_gateways({steps.front().gateway});
     request.__set_plugin(deployment.plugin);
+    request.__set_sha256(deployment.sha256);
     request.__set_driver(deployment.driver);
     request.__set_properties(deployment.properties);
     request.__set_metadata(deployment.metadata);
@@ -154,6 +198,7 @@ class GatewaySteps {
   const Manifest& manifest_;
   const Steps steps_;
   const std::span<StepOutcome> outcomes_;
+  const NotSent& not_sent_;
   const ApplyOptions& options_;
   bool silent_ = false;  ///< it did not answer in time
 };
@@ -162,12 +207,13 @@ class GatewaySteps {
 
 std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const ApplyOptions& options) {
   std::vector<StepOutcome> outcomes(plan.steps.size());
+  const auto not_sent = send_plugins(manifest, plan, options);
   std::vector<GatewaySteps> gateways;
   for (std::size_t begin = 0; begin < plan.steps.size();) {
     std::size_t end = begin + 1;
     while (end < plan.steps.size() && plan.steps[end].gateway == plan.steps[begin].gateway) ++end;
     gateways.emplace_back(manifest, Steps(plan.steps).subspan(begin, end - begin),
-                          std::span(outcomes).subspan(begin, end - begin), options);
+                          std::span(outcomes).subspan(begin, end - begin), not_sent, options);
     begin = end;
   }
   std::atomic<std::size_t> next{0};

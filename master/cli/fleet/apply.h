@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <iosfwd>
 #include <memory>
 #include <string>
 #include <vector>
@@ -25,13 +26,15 @@ struct ApplyOptions {
   std::int64_t wait_ms = 0;  ///< for the outcome of one order; 0: as long as the master thinks fit
   /// Called whenever some steps were done, on any thread, one at a time.
   std::function<void(std::size_t done, std::size_t all)> progress;
+  std::ostream* terminal = nullptr;  ///< shows how far a plugin is sent; nullptr: that is not shown
 };
 
-/// Does the steps of a plan: those of one gateway one after the other, gateways beside each other, so that a slow one
-/// delays no other. A step that fails does not keep the others from being done; once a gateway has not answered in time
-/// the rest of its orders is given without waiting for what comes of it.
-/// Does not throw for what a master answers, or when none does: that is in the outcomes, which stand in the order of
-/// the steps.
+/// Does the steps of a plan. Plugins that are files of this machine are sent first, to the gateways that need them;
+/// what a gateway does not take fails, and leaves there what runs. Then those of one gateway one after the other,
+/// gateways beside each other, so that a slow one delays no other. A step that fails does not keep the others from
+/// being done; once a gateway has not answered in time the rest of its orders is given without waiting for what comes
+/// of it. Does not throw for what a master answers, or when none does: that is in the outcomes, which stand in the
+/// order of the steps.
 std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const ApplyOptions& options);
 
 }  // namespace iotcloud::master::cli

@@ -32,7 +32,7 @@ Fleet read_fleet(MasterClient& master) {
   for (auto& order : master.orders()) {
     fleet.instances.push_back({order.gateway, order.instance, order.name, order.index, order.manager, order.driver,
                                order.plugin, order.active, std::move(order.properties), std::move(order.metadata),
-                               failures[order.instance]});
+                               failures[order.instance], order.sha256});
   }
   return fleet;
 }
@@ -169,6 +169,7 @@ int run_fleet(const Command& command, const std::function<std::unique_ptr<Master
   options.connect = connect;
   options.wait_ms = command.wait_ms;
   options.progress = progress_to(err);
+  if (command.progress) options.terminal = &err;
   return show_outcomes(command, manifest, plan, apply(manifest, plan, options), out, err);
 }
 

@@ -1,10 +1,13 @@
 #include <algorithm>
+#include <filesystem>
 #include <set>
 
 #include <fmt/format.h>
 
+#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/master/cli/fleet/channel_options.h>
 #include <iotcloud/master/cli/fleet/manifest.h>
+#include <iotcloud/master/cli/plugins/plugin_file.h>
 
 namespace iotcloud::master::cli {
 
@@ -25,13 +28,25 @@ std::string checked_name(Section& section, const std::string& key, const std::st
                       "1 to 200 characters, no slash and no control character");
 }
 
-/// The one place that says what a plugin may be; what is sent to the gateways before they are ordered would be
-/// recognised here.
-std::string read_plugin(Section& section) {
+/// The one place that says what a plugin may be.
+void read_plugin(Section& section, const FindPlugin& find_plugin, Deployment& deployment) {
   const auto plugin = section.require_string("plugin");
-  if (is_name(plugin)) return plugin;
-  throw section.error("plugin", fmt::format("\"{}\" is no plugin", plugin),
-                      "the name of a file in the gateways' plugin folder, such as turtle.so, without its path");
+  deployment.plugin = plugin;
+  if (find_plugin && is_local_plugin(plugin)) {
+    try {
+      auto found = find_plugin(plugin);
+      deployment.plugin = std::filesystem::path(plugin).filename();
+      deployment.file = std::move(found.path);
+      deployment.sha256 = std::move(found.sha256);
+    } catch (const std::exception& e) {
+      throw section.error("plugin", e.what(), "");
+    }
+  }
+  if (is_name(deployment.plugin)) return;
+  throw section.error(
+      "plugin", fmt::format("\"{}\" is no plugin", plugin),
+      "the name of a file in the gateways' plugin folder, such as turtle.so; or a file of this machine, "
+      "such as ./turtle.so, which is sent");
 }
 
 void read_gateways(Section& section, Deployment& deployment) {
@@ -88,10 +103,10 @@ void read_channels(Section& section, Deployment& deployment) {
   }
 }
 
-Deployment read_deployment(const std::string& name, Section& section) {
+Deployment read_deployment(const std::string& name, Section& section, const FindPlugin& find_plugin) {
   Deployment deployment;
   deployment.name = checked_name(section, "", name);
-  deployment.plugin = read_plugin(section);
+  read_plugin(section, find_plugin, deployment);
   if (const auto driver = section.optional_string("driver"))
     deployment.driver = checked_name(section, "driver", *driver);
   read_gateways(section, deployment);
@@ -106,20 +121,24 @@ Deployment read_deployment(const std::string& name, Section& section) {
 
 }  // namespace
 
-Manifest read_manifest(config::Section top) {
+Manifest read_manifest(config::Section top, const FindPlugin& find_plugin) {
   Manifest manifest;
   manifest.fleet = checked_name(top, "fleet", top.require_string("fleet"));
   if (!top.has("deployments"))
     throw top.error("", "the key \"deployments\" is missing",
                     "add \"deployments:\"; {} takes everything away that this manifest deployed");
   for (auto& [name, section] : top.sections("deployments"))
-    manifest.deployments.push_back(read_deployment(name, section));
+    manifest.deployments.push_back(read_deployment(name, section, find_plugin));
   top.finish();
   return manifest;
 }
 
 Manifest load_manifest(const std::string& file) {
-  return read_manifest(config::Section::load_file(file));
+  const auto folder = std::filesystem::path(file).parent_path();
+  return read_manifest(config::Section::load_file(file), [&](const std::string& named) {
+    const std::string path = folder / named;
+    return PluginFile{path, config::sha256_hex(plugin_bytes(path))};
+  });
 }
 
 }  // namespace iotcloud::master::cli

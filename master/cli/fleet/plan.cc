@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/master/cli/fleet/plan.h>
 
 namespace iotcloud::master::cli {
@@ -58,6 +59,11 @@ Texts changes(const Texts& from, const Texts& to) {
     if (found == from.end() || found->second != value) out[key] = value;
   }
   return out;
+}
+
+/// A plugin as people see it: two files of one name differ in their bytes.
+std::string version(const std::string& plugin, const std::string& sha256) {
+  return sha256.empty() ? plugin : fmt::format("{} ({})", plugin, config::short_sha256(sha256));
 }
 
 std::string or_own(const std::string& driver) {
@@ -153,14 +159,16 @@ class Planner {
       }
       to_do(StepKind::adopt).what = {whose};
     }
-    if (there.plugin != wanted.plugin || there.driver != wanted.driver) {
+    const bool other_plugin = there.plugin != wanted.plugin || there.sha256 != wanted.sha256;
+    if (other_plugin || there.driver != wanted.driver) {
       if (gateway.draining) {
         complain(gateway.id, wanted, drains_text(gateway.id));
         return;
       }
       auto& step = to_do(StepKind::replace);
-      if (there.plugin != wanted.plugin)
-        step.what.push_back(fmt::format("plugin: {} -> {}", there.plugin, wanted.plugin));
+      if (other_plugin)
+        step.what.push_back(fmt::format("plugin: {} -> {}", version(there.plugin, there.sha256),
+                                        version(wanted.plugin, wanted.sha256)));
       if (there.driver != wanted.driver)
         step.what.push_back(fmt::format("driver: {} -> {}", or_own(there.driver), or_own(wanted.driver)));
       return;

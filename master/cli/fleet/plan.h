@@ -27,7 +27,8 @@ struct Fleet {
     bool active = true;
     std::map<std::string, std::string> properties;
     std::map<std::string, std::string> metadata;
-    std::string failure;  ///< why it has failed; empty: it has not
+    std::string failure;   ///< why it has failed; empty: it has not
+    std::string sha256{};  ///< of a plugin that was sent; empty: of the gateway's folder
   };
   std::vector<Gateway> gateways;
   std::vector<Instance> instances;
@@ -38,7 +39,7 @@ enum class StepKind {
   undeploy,
   stop,
   adopt,     ///< it belongs to the manifest from now on
-  replace,   ///< another plugin or driver: undeployed, then deployed
+  replace,   ///< another plugin, or other bytes of it, or another driver: undeployed, then deployed
   change,    ///< other properties: made anew under its id
   describe,  ///< other metadata: it notices nothing
   start,     ///< it is stopped, or has failed

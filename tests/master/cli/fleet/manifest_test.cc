@@ -117,5 +117,22 @@ TEST(Manifest, OptionsOfChannelsAreChecked) {
   EXPECT_THAT(error_of("    properties: {channel.data.priority: 5}\n"), HasSubstr("say it under \"channels\""));
 }
 
+TEST(Manifest, APluginWithASlashIsAFileThatIsLookedFor) {
+  const auto top = [](const std::string& plugin) {
+    return config::Section::parse("fleet: lab\ndeployments:\n  meter: {plugin: " + plugin + ", gateways: all}\n",
+                                  "fleet.yaml");
+  };
+  const auto find = [](const std::string& named) { return PluginFile{"/builds/" + named, std::string(64, 'a')}; };
+  const auto sent = read_manifest(top("out/meter.so"), find).deployments.at(0);
+  EXPECT_EQ(sent.plugin, "meter.so");
+  EXPECT_EQ(sent.file, "/builds/out/meter.so");
+  EXPECT_EQ(sent.sha256, std::string(64, 'a'));
+  const auto theirs = read_manifest(top("meter.so"), find).deployments.at(0);
+  EXPECT_EQ(theirs.plugin, "meter.so");
+  EXPECT_EQ(theirs.file + theirs.sha256, "");
+  EXPECT_THROW(read_manifest(top("out/"), find), config::ConfigError) << "a folder's name";
+  EXPECT_THROW(read_manifest(top("out/meter.so")), config::ConfigError) << "nobody looks for files";
+}
+
 }  // namespace
 }  // namespace iotcloud::master::cli

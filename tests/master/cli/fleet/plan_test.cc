@@ -39,7 +39,8 @@ Fleet::Instance instance(const Deployment& from, const std::string& gateway, int
           from.active,
           from.properties,
           from.metadata,
-          ""};
+          "",
+          from.sha256};
 }
 
 std::vector<std::string> words(const Plan& plan) {
@@ -162,6 +163,19 @@ TEST_F(FleetPlan, AnotherPluginOrDriverIsAReplacement) {
   EXPECT_THAT(words(made), ElementsAre("replace lab1 a/1", "replace lab1 b/1"));
   EXPECT_THAT(made.steps[0].what, ElementsAre("plugin: old.so -> meter.so"));
   EXPECT_THAT(made.steps[1].what, ElementsAre("driver: the plugin's own -> thermometer"));
+}
+
+TEST_F(FleetPlan, OtherBytesUnderOneNameAreAnotherPlugin) {
+  const std::string one(64, '1'), two(64, '2');
+  manifest.deployments = {deployment("meter", {"lab1"}, 2)};
+  manifest.deployments[0].sha256 = one;
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[0], "lab1", 2)};
+  EXPECT_THAT(plan().steps, IsEmpty());
+  fleet.instances[1].sha256 = "";
+  EXPECT_THAT(words(plan()), ElementsAre("replace lab1 meter/2"));
+  EXPECT_THAT(plan().steps.at(0).what, ElementsAre("plugin: meter.so -> meter.so (111111111111)"));
+  manifest.deployments[0].sha256 = two;
+  EXPECT_THAT(plan().steps.at(0).what, ElementsAre("plugin: meter.so (111111111111) -> meter.so (222222222222)"));
 }
 
 TEST_F(FleetPlan, WhatOthersDeployedUnderANameOfItsIsAProblemUntilItMayBeAdopted) {
