@@ -288,15 +288,13 @@ void add_signing(CLI::App& app, Command& command) {
   auto& keys = *app.add_subcommand("keys", "Keys with which plugins are signed");
   keys.require_subcommand(1);
   auto& make = add(keys, command, Verb::keys_new, "new",
-                   "Make a pair of Ed25519 keys: NAME.key signs, and is yours alone; NAME.pub is for the gateways",
+                   "Make a pair of Ed25519 keys: PATH.key signs, and is yours alone; PATH.pub is for the gateways",
                    "iotcloud keys new ~/keys/lab");
-  make.add_option("NAME", command.file, "how the files' names begin; a path")->required();
-  make.remove_option(make.get_option("--output"));
+  make.add_option("PATH", command.file, "how the files' names begin")->required();
   auto& sign = add(app, command, Verb::sign, "sign", "Sign a plugin: writes FILE.sig, which goes where FILE goes",
                    "iotcloud sign turtle.so --key ~/keys/lab.key");
   sign.add_option("FILE", command.file, "the plugin")->required();
   sign.add_option("--key", command.key, "a private Ed25519 key in PEM")->required()->type_name("KEY");
-  sign.remove_option(sign.get_option("--output"));
 }
 
 }  // namespace

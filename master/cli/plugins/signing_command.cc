@@ -9,12 +9,14 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <nlohmann/json.hpp>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/signing/ed25519.h>
 #include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/master/cli/output.h>
 #include <iotcloud/master/cli/plugins/signing_command.h>
 
 namespace iotcloud::master::cli {
@@ -59,6 +61,10 @@ int make_keys(const Command& command, std::ostream& out) {
     unlink(secret.c_str());
     throw;
   }
+  if (command.format != Format::table) {
+    print_data(out, command.format, {{"private_key", secret}, {"public_key", open_one}});
+    return exit_ok;
+  }
   out << fmt::format(
       "{}: keep it to yourself; sign plugins with `iotcloud sign FILE --key {}`\n"
       "{}: name it in the gateways' plugins.trusted_keys\n",
@@ -75,7 +81,12 @@ int sign_plugin(const Command& command, std::ostream& out) {
   write_new(fresh, signature, for_all);
   if (std::rename(fresh.c_str(), place.c_str()) != 0)
     throw config::Error(fmt::format("{} cannot be written: {}", place, std::strerror(errno)));
-  out << fmt::format("{}: of the {} bytes with the SHA-256 {}\n", place, plugin.size(), config::sha256_hex(plugin));
+  const std::string sha256 = config::sha256_hex(plugin);
+  if (command.format != Format::table) {
+    print_data(out, command.format, {{"signature", place}, {"bytes", plugin.size()}, {"sha256", sha256}});
+    return exit_ok;
+  }
+  out << fmt::format("{}: of the {} bytes with the SHA-256 {}\n", place, plugin.size(), sha256);
   return exit_ok;
 }
 

@@ -93,6 +93,7 @@ TEST_F(CliPlugin, TheSignatureBesideAFileGoesWithIt) {
   const auto signing = run({"sign", path, "--key", folder_ / "lab.key"});
   EXPECT_EQ(signing.status, 0) << signing.err;
   EXPECT_THAT(signing.out, HasSubstr(config::sha256_hex("abc")));
+  EXPECT_EQ(run_json({"sign", path, "--key", folder_ / "lab.key"})["sha256"], config::sha256_hex("abc"));
   ASSERT_EQ(run({"deploy", "--plugin", path, "-g", "lab1"}).status, 0);
   const auto key = config::PublicKey::from_pem(read(folder_ / "lab.pub"), "lab.pub");
   EXPECT_TRUE(key.verifies("abc", lab1_.site->offer().signature));
