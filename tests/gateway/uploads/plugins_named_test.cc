@@ -15,7 +15,7 @@ class PluginsNamedTest : public GatewayFixture {
     const auto wanted = options();
     instances_ = std::make_unique<OrderedInstances>(
         OrderedInstances::Options{"gw", registry_.get(), paths_, launcher_.get(), wanted.brokers, wanted.restart,
-                                  &config::system_clock()},
+                                  &config::system_clock(), ""},
         loop_);
   }
   ~PluginsNamedTest() override {
