@@ -142,7 +142,7 @@ std::string PluginStore::offer(const Offer& offer) try {
   if (static_cast<int>(self.uploads.size()) >= self.options.most_uploads)
     throw config::Error(
         fmt::format("this gateway takes {} plugins at a time; try again in a moment", self.options.most_uploads));
-  const std::string id = discovery::new_instance_id();
+  std::string id = discovery::new_instance_id();
   auto upload = std::make_shared<Upload>(offer, self.incoming() + "/" + id);
   upload->last = now;
   self.uploads[id] = std::move(upload);
@@ -263,7 +263,7 @@ void PluginStore::Impl::keep(Upload& upload) {
 }
 
 std::string PluginStore::path_of(const std::string& sha256, const std::string& file) const {
-  const std::string path = impl_->kept(sha256) + "/" + content_name;
+  std::string path = impl_->kept(sha256) + "/" + content_name;
   if (config::is_sha256(sha256) && fs::exists(path)) return path;
   throw config::Error(
       fmt::format("the plugin {} (SHA-256 {}) is not on this gateway; send it again: iotcloud update --plugin ./{} ID",

@@ -191,8 +191,8 @@ bool Master::Impl::RollingUpdate::stays_up(const Range& range) {
     paths.push_back(master_.options.paths.instance(step->where.driver, step->where.instance));
   }
   std::map<std::string, std::int64_t> up_since;
-  std::mutex mutex;
-  std::unique_lock lock(mutex);
+  std::mutex asleep;
+  std::unique_lock lock(asleep);
   std::condition_variable_any waking;  // by the end of this master only
   const auto end = std::chrono::steady_clock::now() + std::min(request_.settle, longest_settle);
   while (std::chrono::steady_clock::now() < end && !master_.closing.stop_requested()) {
@@ -231,7 +231,7 @@ Master::Impl::MaybeVerdict Master::Impl::RollingUpdate::begin(Step& step, Outcom
         return Verdict{Outcome::done, "it runs this version already"};
     }
     step.ordered = true;  // even when no answer comes
-    const auto verdict = master_.rewrite_order(step.where, [&](OrderRecord& order) {
+    auto verdict = master_.rewrite_order(step.where, [&](OrderRecord& order) {
       step.before = order.version();
       step.active = order.active;
       // Its name is part of its topics: a file with another name must not change it.
@@ -274,7 +274,7 @@ void Master::Impl::RollingUpdate::go_back(Steps::iterator end) {
 Master::Impl::MaybeVerdict Master::Impl::RollingUpdate::begin_to_go_back(Step& step, OutcomeWatch& watch) {
   return master_.written([&]() -> MaybeVerdict {
     bool ours = false;
-    const auto verdict = master_.rewrite_order(step.where, [&](OrderRecord& order) {
+    auto verdict = master_.rewrite_order(step.where, [&](OrderRecord& order) {
       ours = order.version() == wanted_ && order.previous;
       if (!ours) return;
       step.before = *order.previous;

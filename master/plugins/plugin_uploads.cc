@@ -95,6 +95,7 @@ std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<
                                                               std::vector<Receiver>& receivers) {
   const auto known = master.gateways();
   std::vector<std::string> names;
+  names.reserve(known.size());
   for (const auto& gateway : known) names.push_back(gateway.record.id);
   for (const auto& id : gateways.empty() ? names : gateways) {
     const auto at = std::find_if(known.begin(), known.end(), [&](const auto& g) { return g.record.id == id; });

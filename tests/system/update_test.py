@@ -159,10 +159,17 @@ def check_restart(fleet, instances, second):
     dict(fleet.children)["gateway-1"].send_signal(signal.SIGSTOP)  # it does not start its host again
     os.kill(hosts[0], signal.SIGKILL)
     fleet.end("gateway-1", signal.SIGKILL)
+    before = {instance: driver["since_ms"] for instance, driver in fleet.drivers().items()}
     begun = time.monotonic()
     fleet.again("gateway-1")
-    wait_for("another host runs what was sent",
-             lambda: fleet.hosts_of("gateway-1") not in ([], hosts) and fleet.all_run(second, instances))
+
+    def started_again():
+        drivers = fleet.drivers()
+        return all(driver["since_ms"] > before[instance] for instance, driver in drivers.items()
+                   if driver["gateway"] == "gateway-1") and fleet.all_run(second, instances)
+
+    wait_for("another host runs what was sent", started_again)
+    require(fleet.hosts_of("gateway-1") not in ([], hosts), "gateway-1 has its former host")
     print(f"a gateway that lost its power ran what was sent again after {time.monotonic() - begun:.1f} s")
     fleet.check_flow("after the restart of a gateway")
 

@@ -228,6 +228,7 @@ std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const
   for (std::size_t i = 0; i < std::min(most_connections, gateways.size()); ++i) masters.push_back(options.connect());
   {
     std::vector<std::jthread> threads;
+    threads.reserve(masters.size());
     for (auto& master : masters) {
       threads.emplace_back([&next, &gateways, &did, &master = *master] {
         for (std::size_t at = next++; at < gateways.size(); at = next++) gateways[at].run(master, did);
