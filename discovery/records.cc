@@ -7,9 +7,8 @@
 #include <thrift/protocol/TBinaryProtocol.h>
 #include <thrift/transport/TBufferTransports.h>
 
-#include "iotcloud/discovery/records_types.h"
 #include <iotcloud/config/error.h>
-#include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/wire_records.h>
 
 namespace iotcloud::discovery {
 namespace {
@@ -164,7 +163,7 @@ DriverState parse_driver_state(const std::string& name) {
   throw config::Error("\"" + name + "\" is no driver state; there are: " + known);
 }
 
-std::string encode(const DriverRecord& record) {
+wire::TSensor to_wire(const DriverRecord& record) {
   wire::TSensor sensor;
   sensor.name = record.name;
   sensor.siteId = record.gateway;
@@ -182,7 +181,11 @@ std::string encode(const DriverRecord& record) {
   if (!record.plugin.empty()) sensor.__set_plugin(record.plugin);
   if (!record.sha256.empty()) sensor.__set_sha256(record.sha256);
   if (!record.signed_by.empty()) sensor.__set_signedBy(record.signed_by);
-  return to_bytes(sensor);
+  return sensor;
+}
+
+std::string encode(const DriverRecord& record) {
+  return to_bytes(to_wire(record));
 }
 
 DriverRecord decode_driver(const std::string& bytes, const std::string& path) {
@@ -212,7 +215,7 @@ ChannelRecord decode_channel(const std::string& bytes, const std::string& path) 
   return from_wire(from_bytes<wire::TChannel>(bytes, path, "a channel (TChannel)"), path);
 }
 
-std::string encode(const GatewayRecord& record) {
+wire::TSite to_wire(const GatewayRecord& record) {
   wire::TSite site;
   site.siteId = record.id;
   site.port = record.port;
@@ -221,7 +224,11 @@ std::string encode(const GatewayRecord& record) {
   for (std::size_t i = 0; i < brokers.size(); ++i) brokers[i].name = record.brokers[i];
   site.__set_brokers(brokers);
   site.__set_sinceMs(record.since_ms);
-  return to_bytes(site);
+  return site;
+}
+
+std::string encode(const GatewayRecord& record) {
+  return to_bytes(to_wire(record));
 }
 
 GatewayRecord decode_gateway(const std::string& bytes, const std::string& path) {

@@ -135,7 +135,9 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   }
   void listDrivers(std::vector<TSensor>& out) override {
     read([&] {
-      for (const auto& driver : master_.drivers()) out.push_back(to_wire(driver));
+      const auto drivers = master_.drivers();
+      out.reserve(drivers.size());
+      for (const auto& driver : drivers) out.push_back(to_wire(driver));
     });
   }
   void listTopologies(std::vector<wire::TTopology>& out) override {

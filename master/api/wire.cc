@@ -17,16 +17,6 @@ using discovery::wire::TResponseState;
 namespace {
 
 template <typename Struct>
-Struct parse(const std::string& bytes) {
-  auto buffer = std::make_shared<TMemoryBuffer>();
-  buffer->write(reinterpret_cast<const std::uint8_t*>(bytes.data()), static_cast<std::uint32_t>(bytes.size()));
-  TBinaryProtocol protocol(buffer);
-  Struct value;
-  value.read(&protocol);
-  return value;
-}
-
-template <typename Struct>
 std::string to_bytes(const Struct& value) {
   auto buffer = std::make_shared<TMemoryBuffer>();
   TBinaryProtocol protocol(buffer);
@@ -115,16 +105,8 @@ TResponse to_response(const OrderResult& result) {
   return result.all_done() ? success(result.summary()) : failure(result.summary());
 }
 
-discovery::wire::TSensor to_wire(const discovery::DriverRecord& record) {
-  auto sensor = parse<discovery::wire::TSensor>(encode(record));
-  sensor.channels.clear();
-  for (const auto& channel : record.channels)
-    sensor.channels.push_back(parse<discovery::wire::TChannel>(encode(channel)));
-  return sensor;
-}
-
 discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway) {
-  auto site = parse<discovery::wire::TSite>(encode(gateway.record));
+  auto site = to_wire(gateway.record);
   site.__set_alive(gateway.alive);
   site.__set_draining(gateway.draining);
   site.__set_original(gateway.original);

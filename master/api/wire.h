@@ -1,9 +1,8 @@
 #pragma once
 
-#include "iotcloud/discovery/records_types.h"
 #include "iotcloud/master/master_types.h"
 #include <iotcloud/discovery/directory.h>
-#include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/wire_records.h>
 #include <iotcloud/master/orders/orders.h>
 #include <iotcloud/master/plugins/plugin_uploads.h>
 #include <iotcloud/master/topologies/topology_orders.h>
@@ -11,8 +10,7 @@
 /// Between the master's own types and those that cross Thrift. Private to the server's sources: heavy to include.
 namespace iotcloud::master {
 
-/// As in the registry (one translation for both), with the channels inside.
-discovery::wire::TSensor to_wire(const discovery::DriverRecord& record);
+using discovery::to_wire;
 discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway);
 wire::TTopology to_wire(const discovery::TopologyStatus& topology);
 wire::TOrder to_wire(const discovery::PlacedOrder& placed);
