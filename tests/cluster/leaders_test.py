@@ -219,8 +219,9 @@ def main():
         totals = cluster.totals(seconds + 60)
     judge("leader killed", killed)
     judge("leader frozen", stopped)
-    print(f"orders meanwhile: {orders.done} done, {len(orders.failed)} not, or not known: "
-          + "; ".join(sorted(set(text[:160] for text in orders.failed))))
+    print(f"orders meanwhile: {orders.done} done, {len(orders.failed)} not, or not known" + (", such as:" if orders.failed else ""))
+    for text in orders.failed[:5]:
+        print("  " + " ".join(text.split())[:240])
     print(f"gateways: all ready at {orders.looks - orders.not_ready} of {orders.looks} looks")
     if orders.not_ready:
         raise SystemExit("a gateway was lost with a master")
