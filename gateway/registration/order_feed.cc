@@ -94,7 +94,12 @@ void OrderFeed::names_changed(const std::set<std::string>& names) {
 }
 
 void OrderFeed::order_changed(const std::string& instance, const std::optional<discovery::Node>& node) {
-  if (stopped_ || !node || !order_watches_.contains(instance)) return;  // its going is seen by its name's going
+  if (stopped_ || !order_watches_.contains(instance)) return;
+  if (!node) {
+    // The list of names says so too, but not when the order went before it was told with it: catch_up() was faster.
+    if (handled_.erase(instance) > 0) listener_.on_gone(instance);
+    return;
+  }
   if (is_handled(instance, *node)) return;
   try {
     read(instance, *node);
