@@ -25,6 +25,19 @@ std::string sent(const Calls& calls) {
   return buffer->getBufferAsString();
 }
 
+const std::string no_bytes_sha256 = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855";
+
+/// Of the master and of a gateway alike.
+template <typename Offer>
+Offer offer() {
+  Offer offer;
+  offer.__set_plugin("turtle.so");
+  offer.__set_sha256(no_bytes_sha256);
+  offer.__set_size(5);
+  offer.__set_signature(std::string(64, 's'));
+  return offer;
+}
+
 discovery::wire::TSensorDeployDescriptor descriptor() {
   discovery::wire::TSensorDeployDescriptor descriptor;
   descriptor.__set_filename("turtle.so");
@@ -51,6 +64,14 @@ void write_api_seeds(const std::filesystem::path& folder) {
   change.__set_manager("lab");
   master::wire::TGatewaySelection gateways;
   gateways.__set_gateways({"lab1"});
+  master::wire::TUpdateRequest update;
+  update.__set_selection(selection);
+  update.__set_plugin("turtle.so");
+  update.__set_sha256(no_bytes_sha256);
+  update.__set_atOnce(1);
+  update.__set_settleMs(1);
+  auto of_content = deployment;
+  of_content.__set_sha256(no_bytes_sha256);
   master::wire::TTopologyRequest topology;
   topology.__set_topology("echo");
   topology.__set_change(master::wire::TTopologyChange::REBALANCE);
@@ -79,6 +100,13 @@ void write_api_seeds(const std::filesystem::path& folder) {
         }));
   write(folder, "deploy", sent<Client>([&](Client& client) { client.send_deploy(deployment); }));
   write(folder, "change", sent<Client>([&](Client& client) { client.send_changeDeployment(change); }));
+  write(folder, "plugin", sent<Client>([&](Client& client) {
+          client.send_offerPlugin(offer<master::wire::TPluginOffer>(), {"lab1"});
+          client.send_sendPlugin("0a1b", 0, "bytes");
+          client.send_finishPlugin("0a1b");
+          client.send_deploy(of_content);
+        }));
+  write(folder, "update", sent<Client>([&](Client& client) { client.send_update(update); }));
   write(folder, "topology", sent<Client>([&](Client& client) { client.send_orderTopology(topology); }));
   write(folder, "original", sent<Client>([&](Client& client) {
           client.send_deploySensor({"lab1"}, descriptor());
@@ -130,6 +158,11 @@ void write_site_seeds(const std::filesystem::path& folder) {
           client.send_ping();
           client.send_getChanges("");
           client.send_readLog("0a1b", "1:2", 100);
+        }));
+  write(folder, "plugin", sent<Client>([](Client& client) {
+          client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
+          client.send_sendPlugin("0a1b", 0, "bytes");
+          client.send_finishPlugin("0a1b");
         }));
 }
 

@@ -1,5 +1,9 @@
-// What anybody may send to a gateway's Thrift service: a gateway on an embedded registry that has no plugin.
+// What anybody may send to a gateway's Thrift service: a gateway on an embedded registry that has no plugin, and takes
+// those that are sent.
+#include <filesystem>
 #include <optional>
+
+#include <unistd.h>
 
 #include "iotcloud/config/log.h"
 #include "iotcloud/discovery/registry.h"
@@ -23,6 +27,11 @@ class Site {
     options.brokers.push_back({"local", "embedded", {}});
     options.brokers.back().options.urls = {"embedded://fuzz-site"};
     options.registry = registry_.get();
+    gateway::PluginStore::Options plugins;
+    plugins.folder = folder_;
+    plugins.most_bytes = 1 << 16;
+    plugins.most_uploads = most_uploads;
+    options.plugins = std::make_shared<gateway::PluginStore>(plugins);
     options.launcher = std::make_shared<gateway::InProcessLauncher>(hosts);
     gateway_.emplace(options);
     gateway_->start();
@@ -30,11 +39,18 @@ class Site {
         std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(std::make_shared<gateway::SiteHandler>(
             std::chrono::milliseconds(100), "/nonexistent", *gateway_, *registry_, discovery::Paths())));
   }
+  ~Site() {
+    processors_.reset();
+    gateway_.reset();
+    std::filesystem::remove_all(folder_);
+  }
 
   apache::thrift::TProcessorFactory& processors() { return *processors_; }
-  bool is_full() { return gateway_->instances().size() > 1'000; }
+  bool is_full() { return gateway_->instances().size() > 1'000 || gateway_->plugins()->uploads() == most_uploads; }
 
  private:
+  static constexpr int most_uploads = 16;  // nobody knows their ids, so none ends
+
   static std::unique_ptr<discovery::Registry> fresh_registry() {
     static int number = 0;
     discovery::RegistryOptions options;
@@ -42,6 +58,8 @@ class Site {
     return discovery::make_registry(options);
   }
 
+  const std::filesystem::path folder_ =
+      std::filesystem::temp_directory_path() / ("iotcloud-fuzz-site-" + std::to_string(getpid()));
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   std::optional<gateway::Gateway> gateway_;
   std::shared_ptr<apache::thrift::TProcessorFactory> processors_;
