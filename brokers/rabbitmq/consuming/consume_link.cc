@@ -272,7 +272,6 @@ void ConsumeLink::forget_connection() {
   broken_ = false;
   moving_since_.reset();
   channels_.clear();
-  last_channel_ = 0;
   for (const auto& inlet : ready_) inlet->in_ready = false;
   ready_.clear();
   for (const auto& inlet : dirty_) inlet->in_dirty = false;

@@ -86,6 +86,7 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   void open(const std::shared_ptr<Inlet>& inlet);
   void request_queue(const Inlet& inlet);
   void close_channel(Inlet& inlet);
+  amqp_channel_t free_channel() const;
   void check_timers();
   void send_settlements(Inlet& inlet, std::size_t patience);
   bool settlements_due() const;
@@ -114,7 +115,6 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   bool handling_ = false;  ///< the thread runs a handler
   std::vector<std::shared_ptr<Inlet>> inlets_;
   std::map<amqp_channel_t, std::shared_ptr<Inlet>> channels_;  ///< null: closing, the answer is still to come
-  amqp_channel_t last_channel_ = 0;
   std::deque<std::shared_ptr<Inlet>> ready_;
   std::vector<std::shared_ptr<Inlet>> dirty_;
   config::Clock::Instant settled_at_{};               ///< when settlements were sent last

@@ -106,6 +106,17 @@ TEST_F(RabbitMqAnswers, AConnectionWithNothingUnderWayIsNotMadeAnew) {
   EXPECT_FALSE(eventually([&] { return proxy_.connections() > connections; }, std::chrono::milliseconds(2500)));
 }
 
+TEST_F(RabbitMqAnswers, TheChannelOfASubscriptionThatEndedIsUsedAgain) {
+  constexpr int rounds = 20;
+  const auto broker = this->broker();
+  for (int i = 0; i < rounds; ++i) {
+    Inbox inbox;
+    const auto subscription = broker->subscribe(topic("again"), {}, inbox.handler());
+    ASSERT_TRUE(eventually([&] { return subscription->active(); }));
+  }
+  EXPECT_LE(proxy_.highest_channel(), 2) << "one, while the one before is being closed";
+}
+
 TEST_F(RabbitMqAnswers, TheServerIsAskedForSixtyFourSubscriptionsAtOnceAtMost) {
   constexpr int at_once = 64;
   constexpr int all = 150;

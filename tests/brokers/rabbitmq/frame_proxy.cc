@@ -1,5 +1,6 @@
 #include "iotcloud/tests/brokers/rabbitmq/frame_proxy.h"
 
+#include <algorithm>
 #include <array>
 #include <stdexcept>
 #include <utility>
@@ -32,6 +33,10 @@ std::uint32_t number_at(const std::string& bytes, std::size_t at) {
   std::uint32_t number = 0;
   for (std::size_t i = at; i < at + 4; ++i) number = number << 8U | static_cast<unsigned char>(bytes[i]);
   return number;
+}
+
+amqp_channel_t channel_at(const std::string& frame, std::size_t at) {
+  return static_cast<amqp_channel_t>(number_at(frame, at) >> 8U & 0xFFFFU);
 }
 
 bool send_all(int socket, const std::string& bytes) {
@@ -140,6 +145,7 @@ bool FrameProxy::pass_on(Pair& pair, bool from_server) {
     if (bytes.size() - at < length) break;
     const bool is_method = bytes[at] == AMQP_FRAME_METHOD;
     const amqp_method_number_t method = is_method ? number_at(bytes, at + frame_head) : 0;
+    if (method == AMQP_CHANNEL_OPEN_METHOD) highest_channel_ = std::max(highest_channel_.load(), channel_at(bytes, at));
     withhold = withhold || (withholding_ && !pair.exempt && method == AMQP_BASIC_PUBLISH_METHOD);
     const bool swallow = from_server && swallowing_ && method == AMQP_BASIC_ACK_METHOD;
     if (!swallow) out.append(bytes, at, length);

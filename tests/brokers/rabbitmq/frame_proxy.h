@@ -28,6 +28,7 @@ class FrameProxy {
   int connections() const { return connections_; }  ///< that were ever made
   /// Frames with this method that the client has sent, or that came from the server and were handed on.
   int seen(amqp_method_number_t method) const;
+  amqp_channel_t highest_channel() const { return highest_channel_; }  ///< that a client has opened
   /// From now on nothing that the server says arrives, until release().
   void hold_answers() { holding_ = true; }
   void release_answers() { holding_ = false; }
@@ -49,6 +50,7 @@ class FrameProxy {
   int server_port_;
   int listener_;
   std::atomic<int> connections_ = 0;
+  std::atomic<amqp_channel_t> highest_channel_ = 0;
   std::atomic<bool> holding_ = false, swallowing_ = false, withholding_ = false, ending_ = false;
   mutable std::mutex mutex_;
   std::map<amqp_method_number_t, int> seen_;  ///< guarded by mutex_
