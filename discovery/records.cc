@@ -224,6 +224,7 @@ wire::TSite to_wire(const GatewayRecord& record) {
   for (std::size_t i = 0; i < brokers.size(); ++i) brokers[i].name = record.brokers[i];
   site.__set_brokers(brokers);
   site.__set_sinceMs(record.since_ms);
+  if (record.tls) site.__set_tls(true);
   return site;
 }
 
@@ -239,6 +240,7 @@ GatewayRecord decode_gateway(const std::string& bytes, const std::string& path) 
   record.port = site.port;
   for (wire::TBroker& broker : site.brokers) record.brokers.push_back(std::move(broker.name));
   record.since_ms = site.sinceMs;
+  record.tls = site.__isset.tls && site.tls;
   return record;
 }
 

@@ -55,6 +55,7 @@ struct GatewayRecord {
   int port = 0;                      ///< of its Thrift service
   std::vector<std::string> brokers;  ///< logical names
   std::int64_t since_ms = 0;
+  bool tls = false;  ///< whether its Thrift service speaks TLS
   friend bool operator==(const GatewayRecord&, const GatewayRecord&) = default;
 };
 

@@ -74,6 +74,8 @@ struct TSite {
   100: optional i64 sinceMs
   // In answers of the master: whether the gateway's process lives. Not set in the registry.
   101: optional bool alive
+  // Whether its Thrift service speaks TLS.
+  102: optional bool tls
   // In answers of the master: whether it drains (takes no new instances, and those that it has are stopped), and
   // whether it is of the original system (it is called, and follows no orders).
   103: optional bool draining

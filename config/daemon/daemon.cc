@@ -45,9 +45,11 @@ int await_signal(const sigset_t& signals, std::chrono::microseconds limit) {
 }
 
 /// What SIGHUP asks for. A file that is wrong changes nothing.
-void read_again(const std::string& file, const Logger& log) {
+void read_again(const std::string& file, Service& service, const Logger& log) {
   try {
-    apply(load_log_settings(file));
+    const LogSettings settings = load_log_settings(file);
+    service.reload();
+    apply(settings);
     log.info("SIGHUP received: read the section \"log\" of {} again; the rest of it takes a restart", file);
   } catch (const std::exception& error) {
     log.error("SIGHUP received, and nothing changes: {}", error.what());
@@ -149,7 +151,7 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
       manager.alive(trouble.empty() ? "running" : "running; " + trouble);
     } else if (received == SIGHUP) {
       manager.reloading();
-      read_again(file, log);
+      read_again(file, *service, log);
       manager.ready();
     }
   }

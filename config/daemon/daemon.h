@@ -15,6 +15,9 @@ class Service {
   virtual void start() = 0;
   /// Drains and stops; called once, from the main thread. Must return within `limit`.
   virtual void stop(std::chrono::milliseconds limit) = 0;
+  /// SIGHUP: reads again what can change while it runs, such as who may do what. From the main thread, between start()
+  /// and stop(). \throws Error: what could not be read stays as it was.
+  virtual void reload() {}
   /// Why it is not well, in one line ("the registry is away"); empty: it is. Between start() and stop(), on any thread;
   /// returns soon, and takes the locks that its work takes: who waits for the answer knows that nothing hangs there.
   virtual std::string trouble() const { return {}; }
@@ -31,10 +34,10 @@ struct DaemonOptions {
 
 /// The frame that every daemon shares: `--config FILE`, `--check-config`, `--log-level`, `--log-format`, `--version`,
 /// `--help`; SIGPIPE ignored; SIGTERM and SIGINT stop in order; a second signal ends at once; SIGHUP reads the section
-/// `log` of the configuration again (log_settings.h). When the service runs, "NAME ready" is logged, and systemd is
-/// told so; its watchdog is answered as long as trouble() returns. Blocks the signals before any other thread exists,
-/// so call it first in main(). \return the exit status: 0 stopped in order, 1 failed to start or to stop in time, 2 bad
-/// usage or bad configuration.
+/// `log` of the configuration again (log_settings.h), and calls reload(). When the service runs, "NAME ready" is
+/// logged, and systemd is told so; its watchdog is answered as long as trouble() returns. Blocks the signals before any
+/// other thread exists, so call it first in main(). \return the exit status: 0 stopped in order, 1 failed to start or
+/// to stop in time, 2 bad usage or bad configuration.
 int run_daemon(int argc, char** argv, const DaemonOptions& options);
 
 }  // namespace iotcloud::config

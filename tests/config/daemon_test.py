@@ -108,6 +108,18 @@ class Daemon(unittest.TestCase):
         daemon.send_signal(signal.SIGTERM)
         self.await_line(daemon, "stopping")  # still on level info
 
+    def test_sighup_makes_the_service_read_again_what_can_change(self):
+        daemon = self.start("")
+        daemon.send_signal(signal.SIGHUP)
+        self.await_line(daemon, "read again what it has")
+        daemon.send_signal(signal.SIGTERM)
+        self.assertEqual(daemon.wait(30), 0)
+        daemon = self.start("unreadable: the tokens are gone")
+        daemon.send_signal(signal.SIGHUP)
+        self.await_line(daemon, "nothing changes: the tokens are gone")
+        daemon.send_signal(signal.SIGTERM)
+        self.assertEqual(daemon.wait(30), 0)
+
     def test_options_go_before_the_file(self):
         done = self.run_to_end("--config", self.config("log: {format: text}\na: 1"), "--log-format", "xml")
         self.assertEqual(done.returncode, 2)

@@ -23,6 +23,7 @@ class TinyService : public Service {
     stop_ = top.choice_or("stop", "at once", {"at once", "hang"});
     metrics_ = top.optional_string("metrics");
     trouble_ = top.string_or("trouble", "");
+    unreadable_ = top.string_or("unreadable", "");
     iotcloud::config::read_log_settings(top);
     top.finish();
   }
@@ -34,11 +35,16 @@ class TinyService : public Service {
   void stop(std::chrono::milliseconds) override {
     while (stop_ == "hang") std::this_thread::yield();
   }
+  void reload() override {
+    if (!unreadable_.empty()) throw iotcloud::config::Error(unreadable_);
+    iotcloud::config::log_line(iotcloud::config::LogLevel::info, "tiny", "read again what it has");
+  }
   std::string trouble() const override { return trouble_; }
 
  private:
   std::string stop_;
   std::string trouble_;
+  std::string unreadable_;  ///< what cannot be read again, and why
   std::optional<std::string> metrics_;
   std::optional<MetricsEndpoint> endpoint_;
 };
