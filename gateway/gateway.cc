@@ -32,6 +32,7 @@ discovery::GatewayRecord record_of(const GatewayOptions& options) {
   record.id = options.id;
   record.host = options.host;
   record.port = options.port;
+  record.tls = options.tls;
   for (const auto& broker : options.brokers) record.brokers.push_back(broker.name);
   record.since_ms = clock_of(options).wall_ms();
   return record;

@@ -23,6 +23,7 @@ struct GatewayOptions {
   std::string id;
   std::string host = "127.0.0.1";  ///< where others reach its Thrift service
   int port = 0;                    ///< of its Thrift service; 0: none
+  bool tls = false;                ///< whether that speaks TLS
   std::vector<brokers::BrokerSetting> brokers;
   discovery::Registry* registry = nullptr;  ///< not null; outlives the gateway
   discovery::Paths paths;

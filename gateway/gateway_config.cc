@@ -10,6 +10,7 @@
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/gateway/plugins/plugin_folder.h>
 
 namespace iotcloud::gateway {
 
@@ -56,13 +57,22 @@ void checked(const config::Section& section, const std::string& key, Check&& che
   }
 }
 
-void read_thrift(config::Section& file, SiteService::Options& thrift) {
+void read_thrift(config::Section& file, GatewayConfig& config) {
+  auto& listen = config.thrift.listen;
+  config.gateway.host = listen.host;
+  config.gateway.port = listen.port;
   auto section = file.optional_section("thrift");
   if (!section) return;
-  thrift.host = section->string_or("host", thrift.host);
-  thrift.port = static_cast<int>(section->int_or("port", thrift.port, 0, 65535));
-  checked(*section, "host", [&] { SiteService::check_address(thrift.host); });
+  config::read_listen_settings(*section, listen, 0);
+  if (!listen.tokens.empty()) checked(*section, "tokens", [&] { config::read_tokens(listen.tokens); });
   section->finish();
+  config.gateway.host = listen.host;
+  config.gateway.port = listen.port;
+  config.gateway.tls = !listen.tls.empty();
+  if (listen.port == 0) return;
+  const auto reached = config::split_address(listen.advertise);
+  config.gateway.host = reached.host;
+  config.gateway.port = reached.port;
 }
 
 /// What driver hosts give up. Whether that can be is seen here, not when the first driver comes.
@@ -96,9 +106,11 @@ void read_confinement(config::Section& file, Confinement& confinement) {
 void read_plugins(config::Section& file, GatewayConfig& config) {
   config.hosts.plugin_dir = file.require_string("plugins");
   checked(file, "plugins", [&] {
-    if (std::filesystem::is_directory(config.hosts.plugin_dir)) return;
-    throw file.error("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there",
-                     "make it, or name another");
+    if (!std::filesystem::is_directory(config.hosts.plugin_dir)) {
+      throw file.error("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there",
+                       "make it, or name another");
+    }
+    check_plugin_folder(config.hosts.plugin_dir);
   });
   constexpr std::int64_t usual_mb = 64, most_mb = 4096;
   config.plugin_upload_limit = file.int_or("plugins.upload_limit_mb", usual_mb, 1, most_mb) << 20;
@@ -151,9 +163,7 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   gateway.session_timeout = config.registry.session_timeout;
   gateway.paths = discovery::Paths(file.string_or("zk.root", "/iot/sensors"));
   gateway.brokers = read_brokers(file, gateway.session_timeout);
-  read_thrift(file, config.thrift);
-  gateway.host = config.thrift.host;
-  gateway.port = config.thrift.port;
+  read_thrift(file, config);
   read_plugins(file, config);
   config.hosts.state_dir = file.require_string("state");
   read_hosts(file, config);

@@ -54,6 +54,8 @@ class GatewayDaemon final : public config::Service {
       metrics_.emplace(config_.metrics_address, config::process_metrics(), [this] { return trouble(); });
   }
 
+  void reload() override { service_->reload(); }
+
   void stop(std::chrono::milliseconds limit) override {
     metrics_.reset();
     gateway_->stop(limit - thrift_share);

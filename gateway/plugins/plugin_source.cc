@@ -8,6 +8,7 @@
 #include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/gateway/host/plugin.h>
 #include <iotcloud/gateway/plugins/durable_file.h>
+#include <iotcloud/gateway/plugins/plugin_folder.h>
 #include <iotcloud/gateway/plugins/plugin_source.h>
 
 namespace iotcloud::gateway {
@@ -40,6 +41,7 @@ PluginSource::Found PluginSource::find(const HostOrder& order) {
           fmt::format("there is no plugin {} in the gateway's folder {}: {}; put it there, or send a file "
                       "with `iotcloud deploy --plugin ./{}`",
                       order.plugin, folder_, std::strerror(errno), order.plugin));
+    check_plugin_file(folder_, order.plugin);
   } else {
     if (!store_)
       throw config::Error(fmt::format("{} was sent, and this gateway keeps no plugins that are sent", order.plugin));

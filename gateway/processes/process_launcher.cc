@@ -11,6 +11,7 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/log_settings.h>
+#include <iotcloud/gateway/plugins/plugin_folder.h>
 #include <iotcloud/gateway/processes/process_launcher.h>
 #include <iotcloud/gateway/processes/process_link.h>
 
@@ -134,6 +135,7 @@ ProcessLauncher::ProcessLauncher(Options options)
   if (!std::filesystem::is_directory(options_.plugin_dir)) {
     throw config::Error(fmt::format("the plugin folder {} is not there", options_.plugin_dir));
   }
+  check_plugin_folder(options_.plugin_dir);
   if (!options_.confinement.user.empty() && geteuid() == 0) {
     account_ = std::make_shared<HostAccount>(options_.confinement.user, options_.state_dir);
   }

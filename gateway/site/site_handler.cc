@@ -19,7 +19,7 @@ constexpr config::Logger log{"gateway.thrift"};
 
 }  // namespace
 
-void SiteHandler::answering(Response& answer, const std::function<void()>& method) {
+void SiteHandler::answering(Response& answer, const std::string& what, const std::function<void()>& method) {
   answer.__set_state(TResponseState::SUCCESS);
   try {
     method();
@@ -28,6 +28,7 @@ void SiteHandler::answering(Response& answer, const std::function<void()>& metho
     answer.__set_statusMessage(e.what());
     log.warn("an order was refused: {}", e.what());
   }
+  session_->note(what, answer.state == TResponseState::SUCCESS ? "done" : answer.statusMessage);
 }
 
 Gateway::Outcome SiteHandler::await(Response& answer, const std::string& id, std::int64_t order_version,
@@ -59,7 +60,7 @@ void SiteHandler::hearbeat(discovery::wire::THeartBeatResponse& answer, const di
 }
 
 void SiteHandler::deploySensor(Response& answer, const discovery::wire::TSensorDeployDescriptor& descriptor) {
-  answering(answer, [&] {
+  answering(answer, descriptor.filename, [&] {
     check_plugin_file_name(descriptor.filename);
     discovery::OrderRecord order;
     order.instance = discovery::new_instance_id();
@@ -86,7 +87,7 @@ void SiteHandler::deploySensor(Response& answer, const discovery::wire::TSensorD
 }
 
 void SiteHandler::unDeploySensor(Response& answer, const std::string& id) {
-  answering(answer, [&] {
+  answering(answer, id, [&] {
     check_name("instance id", id);
     if (!registry_.remove(paths_.order(gateway_.id(), id))) {
       throw config::Error(fmt::format("the gateway {} has no driver instance {}", gateway_.id(), id));
@@ -101,7 +102,7 @@ void SiteHandler::unDeploySensor(Response& answer, const std::string& id) {
 }
 
 void SiteHandler::set_active(Response& answer, const std::string& id, bool active) {
-  answering(answer, [&] {
+  answering(answer, id, [&] {
     check_name("instance id", id);
     const std::string path = paths_.order(gateway_.id(), id);
     const auto node = registry_.get(path);
@@ -114,9 +115,10 @@ void SiteHandler::set_active(Response& answer, const std::string& id, bool activ
   });
 }
 
-void SiteHandler::authenticate(Response& answer, const std::string&) {
-  answer.__set_state(TResponseState::SUCCESS);
-  answer.__set_statusMessage("no token is needed: this service is reached from its own machine only");
+void SiteHandler::authenticate(Response& answer, const std::string& token) {
+  const std::string problem = session_->authenticate(token);
+  answer.__set_state(problem.empty() ? TResponseState::SUCCESS : TResponseState::FAILURE);
+  answer.__set_statusMessage(problem);
 }
 
 void SiteHandler::getChanges(std::vector<wire::TStateChange>& answer, const std::string& instance) {

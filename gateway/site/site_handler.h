@@ -7,17 +7,18 @@
 
 namespace iotcloud::gateway {
 
-/// What the service's methods do. Thread safe.
+/// What the service's methods do, for one connection.
 class SiteHandler final : public wire::TSensorSiteServiceIf {
  public:
   using Response = discovery::wire::TResponse;
   SiteHandler(std::chrono::milliseconds outcome_limit, std::string log_folder, Gateway& gateway,
-              discovery::Registry& registry, discovery::Paths paths)
+              discovery::Registry& registry, discovery::Paths paths, std::shared_ptr<config::Session> session)
       : outcome_limit_(outcome_limit),
         log_folder_(std::move(log_folder)),
         gateway_(gateway),
         registry_(registry),
-        paths_(std::move(paths)) {}
+        paths_(std::move(paths)),
+        session_(std::move(session)) {}
 
   void hearbeat(discovery::wire::THeartBeatResponse& answer,
                 const discovery::wire::THeartBeatRequest& request) override;
@@ -39,14 +40,15 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   /// Waits for what came of an order, and puts it into the answer unless it is what was wanted.
   Gateway::Outcome await(Response& answer, const std::string& id, std::int64_t order_version,
                          discovery::DriverState wanted);
-  /// Runs a method; what it throws becomes the answer.
-  void answering(Response& answer, const std::function<void()>& method);
+  /// Runs a method; what it throws becomes the answer. \param what it is about, for the log of orders
+  void answering(Response& answer, const std::string& what, const std::function<void()>& method);
 
   const std::chrono::milliseconds outcome_limit_;
   const std::string log_folder_;
   Gateway& gateway_;
   discovery::Registry& registry_;
   const discovery::Paths paths_;
+  const std::shared_ptr<config::Session> session_;
 };
 
 }  // namespace iotcloud::gateway

@@ -99,8 +99,9 @@ TEST_F(GatewayConfigTest, AGoodFileIsRead) {
 }
 
 TEST_F(GatewayConfigTest, WhatIsWrongIsNamedWithItsPlace) {
-  EXPECT_THAT(error_of(with("thrift", "thrift: {host: 0.0.0.0}")),
-              AllOf(HasSubstr("thrift.host"), HasSubstr("loopback"), HasSubstr("gateway.yaml:")));
+  EXPECT_THAT(
+      error_of(with("thrift", "thrift: {host: 0.0.0.0}")),
+      AllOf(HasSubstr("thrift.host"), HasSubstr("TLS and tokens"), HasSubstr("127.0.0.1"), HasSubstr("gateway.yaml:")));
   EXPECT_THAT(error_of(with("plugins", "plugins: /nowhere")), AllOf(HasSubstr("plugins"), HasSubstr("/nowhere")));
   EXPECT_THAT(error_of(with("brokers", "brokers: {mine: {type: rabbit, urls: [x]}}")), HasSubstr("rabbitmq"));
   EXPECT_THAT(error_of(with("brokers", "brokers: {mine: {type: embedded, urls: [\"embedded://x\"]}}")),
@@ -121,6 +122,11 @@ TEST_F(GatewayConfigTest, WhosePluginsRunIsRead) {
               AllOf(HasSubstr("plugins.require_signature"), HasSubstr("no key is trusted")));
   EXPECT_THAT(error_of(with("thrift", "plugins.trusted_keys: /nowhere.pub")),
               AllOf(HasSubstr("plugins.trusted_keys"), HasSubstr("/nowhere.pub")));
+}
+
+TEST_F(GatewayConfigTest, APluginFolderThatEverybodyMayWriteIsRefused) {
+  std::filesystem::permissions(folder_, std::filesystem::perms::all);
+  EXPECT_THAT(error_of(with("thrift", "")), AllOf(HasSubstr("plugins"), HasSubstr("chmod o-w " + folder_.string())));
 }
 
 TEST_F(GatewayConfigTest, TheFileThatWeShipIsGood) {

@@ -1,10 +1,18 @@
+#include <fstream>
+#include <regex>
+#include <set>
+
 #include <gmock/gmock.h>
+#include <thrift/TApplicationException.h>
 #include <thrift/protocol/TBinaryProtocol.h>
 #include <thrift/transport/TBufferTransports.h>
 #include <thrift/transport/TSocket.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
+#include <iotcloud/config/access/tokens.h>
+#include <iotcloud/config/thrift/thrift_client.h>
 #include <iotcloud/gateway/site/site_service.h>
+#include <iotcloud/tests/config/access/certificates.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 
 namespace iotcloud::gateway {
@@ -21,7 +29,7 @@ class SiteServiceTest : public GatewayFixture {
   SiteServiceTest() {
     start_gateway();
     SiteService::Options options;
-    options.port = 0;
+    options.listen.port = 0;
     options.max_message_bytes = 10000;
     service_.emplace(options, *gateway_, *registry_, paths_);
     connect();
@@ -139,13 +147,61 @@ TEST_F(SiteServiceTest, AMessageThatIsTooLargeEndsItsConnectionAndNoOther) {
   EXPECT_EQ(ping.gateway, "gw");
 }
 
-TEST(SiteServiceAddress, OnlyLoopbackIsAllowed) {
-  for (const std::string host : {"127.0.0.1", "127.1.2.3", "localhost", "::1"}) {
-    EXPECT_NO_THROW(SiteService::check_address(host)) << host;
+TEST_F(SiteServiceTest, EveryMethodStatesItsRole) {
+  std::set<std::string> stated;
+  for (const auto& [method, rule] : SiteService::rules()) stated.insert(method);
+  std::ifstream in(GATEWAY_IDL);
+  std::set<std::string> methods;
+  bool inside = false;
+  for (std::string line; std::getline(in, line);) {
+    if (line.starts_with("service ")) inside = true;
+    std::smatch match;
+    if (inside && std::regex_search(line, match, std::regex(R"(^  [\w.<>, ]+ (\w+)\()"))) methods.insert(match[1]);
   }
-  for (const std::string host : {"0.0.0.0", "192.168.1.2", "::", "example.org", ""}) {
-    EXPECT_THROW(SiteService::check_address(host), config::Error) << host;
-  }
+  EXPECT_EQ(methods, stated);
+}
+
+TEST_F(SiteServiceTest, WithTlsAndTokensAViewerReadsAndDeploysNothing) {
+  const config::test::Certificates certificates;
+  const config::test::Folder folder;
+  SiteService::Options options;
+  options.listen = {"0.0.0.0", 0, certificates.of("lab1"), folder / "tokens", ""};
+  const auto token = config::add_token(options.listen.tokens, "vera", config::Role::viewer);
+  const SiteService guarded(options, *gateway_, *registry_, paths_);
+  config::ThriftClientOptions asking;
+  asking.host = "127.0.0.1";
+  asking.port = guarded.port();
+  EXPECT_THROW(
+      {
+        wire::TPing ping;
+        wire::TSensorSiteServiceClient(config::ThriftClient(asking).protocol()).ping(ping);
+      },
+      apache::thrift::TException);
+  asking.tls = certificates.of("operator");
+  client_.emplace(config::ThriftClient(asking).protocol());
+  wire::TPing ping;
+  EXPECT_THROW(client_->ping(ping), apache::thrift::TApplicationException);
+  TResponse answer;
+  client_->authenticate(answer, token);
+  ASSERT_EQ(answer.state, TResponseState::SUCCESS) << answer.statusMessage;
+  client_->ping(ping);
+  EXPECT_EQ(ping.gateway, "gw");
+  answer = deploy();
+  EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  EXPECT_THAT(answer.statusMessage, HasSubstr("vera is viewer"));
+  client_->stopSensor(answer, "x");
+  EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  std::string upload;
+  EXPECT_THROW(client_->offerPlugin(upload, {}), wire::TSiteError);
+  EXPECT_THROW(client_->sendPlugin("x", 0, "bytes"), wire::TSiteError);
+  EXPECT_TRUE(registry_->children(paths_.orders("gw"))->empty());
+}
+
+TEST_F(SiteServiceTest, AnAddressThatOthersReachIsRefusedWithoutTlsAndTokens) {
+  SiteService::Options options;
+  options.listen.host = "0.0.0.0";
+  options.listen.port = 0;
+  EXPECT_THROW(SiteService(options, *gateway_, *registry_, paths_), config::Error);
 }
 
 }  // namespace

@@ -146,6 +146,23 @@ TEST_F(ProcessTest, APluginOfAnotherSdkIsRefusedInItsRecordNamingBothSides) {
   EXPECT_TRUE(comes_to("b", DriverState::active));
 }
 
+TEST_F(ProcessTest, WhatEverybodyMayWriteIsNotRun) {
+  using enum fs::perms;
+  start_gateway();
+  fs::permissions(plugins_, all);
+  give(quiet("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::failed, "probe"));
+  EXPECT_THAT(record("a", "probe")->reason, HasSubstr("chmod o-w " + plugins_.string()));
+  EXPECT_THROW(new_launcher(), config::Error);
+
+  fs::permissions(plugins_, others_write, fs::perm_options::remove);
+  fs::permissions(plugins_ / "other.so", others_write, fs::perm_options::add);
+  give(quiet("b", "other.so"));
+  ASSERT_TRUE(comes_to("b", DriverState::failed, "other"));
+  EXPECT_THAT(record("b", "other")->reason, HasSubstr("chmod o-w " + (plugins_ / "other.so").string()));
+  EXPECT_TRUE(sockets().empty());
+}
+
 TEST_F(ProcessTest, StoppingTheGatewayEndsItsHosts) {
   start_gateway();
   give(quiet("a"));

@@ -35,7 +35,7 @@ class SitePluginsTest : public GatewayFixture {
     gateway_.emplace(std::move(wanted));
     gateway_->start();
     SiteService::Options listen;
-    listen.port = 0;
+    listen.listen.port = 0;
     service_.emplace(listen, *gateway_, *registry_, paths_);
     transport_ = std::make_shared<apache::thrift::transport::TFramedTransport>(
         std::make_shared<apache::thrift::transport::TSocket>("127.0.0.1", service_->port()));
