@@ -33,7 +33,9 @@ enum TRefusal {
   REGISTRY_AWAY = 5,
   // authenticate() first.
   NOT_AUTHENTICATED = 6,
-  UNKNOWN_TOPOLOGY = 7
+  UNKNOWN_TOPOLOGY = 7,
+  // The role of the token that was shown may not do this.
+  NOT_ALLOWED = 8
 }
 
 // SUCCESS only when every outcome is DONE.
@@ -150,10 +152,10 @@ struct TPluginTarget {
 struct TUploadResponse {
   // FAILURE: nothing was sent to any gateway, or there is no such upload.
   1: records.TResponse response
-  2: TRefusal refusal
-  3: optional string leader
   // Empty: there is nothing (more) to be sent.
-  4: string upload
+  2: string upload
+  3: TRefusal refusal
+  4: optional string leader
   // All gateways that were named.
   5: list<TPluginTarget> targets
 }

@@ -1,19 +1,22 @@
-#include <fstream>
+#include <filesystem>
+#include <memory>
 #include <optional>
 #include <utility>
 
 #include <fmt/format.h>
 
+#include <iotcloud/config/access/audit_log.h>
+#include <iotcloud/config/access/tokens.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/exposition/metrics_endpoint.h>
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/master/api/api_handler.h>
-#include <iotcloud/master/api/thrift_server.h>
 #include <iotcloud/master/master.h>
 #include <iotcloud/master/master_service.h>
 #include <iotcloud/master/originals/gateway_handler.h>
@@ -29,25 +32,35 @@ constexpr config::Logger logger{"master"};
 /// Less than a daemon may take to stop: a call that waits for an absent registry must not hold that up.
 constexpr milliseconds registry_timeout{3'000};
 
-/// Orders come in here, so only this machine may reach it: on a wire they would need TLS and a token.
-void read_address(config::Section& section, ListenAddress& address) {
+/// Gateways of the original system know neither TLS nor tokens, so only this machine may reach what they register with.
+void read_original_address(config::Section& section, config::ListenSettings& address) {
   address.host = section.string_or("host", address.host);
   address.port = static_cast<int>(section.int_or("port", address.port, 1, 65535));
-  if (is_loopback(address.host)) return;
+  if (config::is_loopback(address.host)) return;
   throw section.error("host",
-                      fmt::format("{} can be reached from other machines, and this master speaks no TLS: "
-                                  "anybody there could give orders",
+                      fmt::format("{} can be reached from other machines, and gateways of the original system speak no "
+                                  "TLS: anybody there could register one",
                                   address.host),
-                      "127.0.0.1; from elsewhere use a tunnel, for example ssh -L 12904:127.0.0.1:12904 HOST");
+                      "127.0.0.1; from elsewhere use a tunnel, for example ssh -L 12903:127.0.0.1:12903 HOST");
 }
 
-std::string first_line(const config::Section& section, const std::string& key, const std::string& file) {
-  std::ifstream in(file);
-  std::string line;
-  if (!std::getline(in, line) || line.empty())
-    throw section.error(key, fmt::format("cannot read a token from {}", file),
-                        "a file that the master may read, with the token as its first line");
-  return line;
+config::ThriftServerOptions server_options(const char* name, const config::ListenSettings& settings) {
+  config::ThriftServerOptions options;
+  options.name = name;
+  options.host = settings.host;
+  options.port = settings.port;
+  options.tls = settings.tls;
+  return options;
+}
+
+/// Runs a check whose error becomes one of this key.
+template <typename Check>
+void check_key(const config::Section& section, const std::string& key, Check&& check) {
+  try {
+    check();
+  } catch (const config::Error& e) {
+    throw section.error(key, e.what());
+  }
 }
 
 class MasterService final : public config::Service {
@@ -55,32 +68,40 @@ class MasterService final : public config::Service {
   explicit MasterService(MasterDaemonConfig config) : config_(std::move(config)) {}
 
   void start() override {
+    if (const auto problem = config::exposure(config_.api); !problem.empty()) throw config::Error(problem);
+    if (!config_.api.tokens.empty()) tokens_ = std::make_shared<config::TokenKeeper>(config_.api.tokens);
+    if (!config_.audit_file.empty()) audit_ = std::make_shared<config::AuditLog>(config_.audit_file);
     registry_ = discovery::make_registry(config_.registry);
     OriginalGatewaysOptions original_options;
     original_options.paths = discovery::Paths(config_.sensors_root);
     original_ = std::make_unique<OriginalGateways>(*registry_, original_options);
     MasterOptions options;
     options.id = config_.id;
-    options.address = config_.advertise;
+    options.address = config_.api.advertise;
     options.paths = discovery::Paths(config_.sensors_root);
     options.outcome_timeout = config_.outcome_timeout;
     options.record_for_lost_gateways = config_.record_for_lost_gateways;
     options.direct = original_.get();
     master_ = std::make_unique<Master>(*registry_, options);
-    ThriftServerOptions api;
-    api.host = config_.api.host;
-    api.port = config_.api.port;
-    api_ = std::make_unique<ThriftServer>(api, serve_api(*master_, config_.token));
+    ApiAccess access;
+    access.tokens = tokens_;
+    access.audit = audit_;
+    access.gateways = {config_.api.tls, config_.gateway_token_file};
+    api_ = std::make_unique<config::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));
     original_->start([this] { return master_->status().leading; });
-    ThriftServerOptions gateways;
-    gateways.host = config_.gateways.host;
-    gateways.port = config_.gateways.port;
-    gateways_ = std::make_unique<ThriftServer>(
-        gateways, serve_original_gateways(*original_, [this] { return master_->status(); }));
+    gateways_ = std::make_unique<config::ThriftServer>(
+        server_options("gateways", config_.gateways),
+        serve_original_gateways(*original_, [this] { return master_->status(); }));
     if (!config_.metrics_address.empty())
       metrics_ = std::make_unique<config::MetricsEndpoint>(config_.metrics_address, config::process_metrics(),
                                                            [this] { return trouble(); });
-    logger.info("{}: API on {}:{}, registry {}", config_.id, api.host, api_->port(), config_.registry.url);
+    logger.info("{}: API on {}:{} {}, registry {}", config_.id, config_.api.host, api_->port(),
+                config_.api.tls.empty() ? "without TLS" : "with TLS", config_.registry.url);
+  }
+
+  void reload() override {
+    if (tokens_) tokens_->reload();
+    if (audit_) audit_->reopen();
   }
 
   void stop(milliseconds) override { end(); }
@@ -104,11 +125,13 @@ class MasterService final : public config::Service {
   }
 
   const MasterDaemonConfig config_;
+  std::shared_ptr<config::TokenKeeper> tokens_;
+  std::shared_ptr<config::AuditLog> audit_;
   std::unique_ptr<discovery::Registry> registry_;
   std::unique_ptr<OriginalGateways> original_;
   std::unique_ptr<Master> master_;
-  std::unique_ptr<ThriftServer> api_;
-  std::unique_ptr<ThriftServer> gateways_;
+  std::unique_ptr<config::ThriftServer> api_;
+  std::unique_ptr<config::ThriftServer> gateways_;
   std::unique_ptr<config::MetricsEndpoint> metrics_;
 };
 
@@ -123,16 +146,22 @@ MasterDaemonConfig load_master_config(const std::string& file) {
   config.registry.operation_timeout = registry_timeout;
   config.sensors_root = top.string_or("zk.root", "/iot/sensors");
   if (auto api = top.optional_section("api")) {
-    read_address(*api, config.api);
-    config.advertise = api->string_or("advertise", "");
-    if (const auto token_file = api->optional_string("token_file"))
-      config.token = first_line(*api, "token_file", *token_file);
+    config::read_listen_settings(*api, config.api);
+    if (!config.api.tokens.empty()) check_key(*api, "tokens", [&] { config::read_tokens(config.api.tokens); });
+    config.gateway_token_file = api->string_or("gateway_token_file", "");
+    if (!config.gateway_token_file.empty() && !std::filesystem::exists(config.gateway_token_file))
+      throw api->error("gateway_token_file", "the file \"" + config.gateway_token_file + "\" is not there",
+                       "a file whose first line is a token that the gateways know");
     api->finish();
   }
-  if (config.advertise.empty()) config.advertise = fmt::format("{}:{}", config.api.host, config.api.port);
+  if (config.api.advertise.empty()) config.api.advertise = fmt::format("{}:{}", config.api.host, config.api.port);
   if (auto gateways = top.optional_section("gateways")) {
-    read_address(*gateways, config.gateways);
+    read_original_address(*gateways, config.gateways);
     gateways->finish();
+  }
+  if (auto audit = top.optional_section("audit")) {
+    config.audit_file = audit->require_string("file");
+    audit->finish();
   }
   if (auto metrics = top.optional_section("metrics")) {
     config.metrics_address = metrics->require_string("address");

@@ -5,26 +5,21 @@
 #include <string>
 
 #include <iotcloud/config/daemon/daemon.h>
+#include <iotcloud/config/thrift/listen_settings.h>
 #include <iotcloud/discovery/registry.h>
 
 namespace iotcloud::master {
-
-/// Where one Thrift service of the master listens.
-struct ListenAddress {
-  std::string host = "127.0.0.1";
-  int port = 0;
-};
 
 /// config/master.yaml, read and checked.
 struct MasterDaemonConfig {
   std::string id;
   discovery::RegistryOptions registry;
   std::string sensors_root;  ///< zk.root
-  ListenAddress api{"127.0.0.1", 12904};
-  ListenAddress gateways{"127.0.0.1", 12903};
-  std::string token;            ///< api.token_file's first line; empty: none is asked for
-  std::string metrics_address;  ///< host:port; empty: no metrics over HTTP
-  std::string advertise;        ///< host:port of the API as others reach it
+  config::ListenSettings api{"127.0.0.1", 12904, {}, "", ""};
+  config::ListenSettings gateways{"127.0.0.1", 12903, {}, "", ""};  ///< of the original system: on loopback
+  std::string gateway_token_file;                                   ///< what gateways are shown; empty: nothing
+  std::string audit_file;                                           ///< empty: no audit log
+  std::string metrics_address;                                      ///< host:port; empty: no metrics over HTTP
   std::chrono::milliseconds outcome_timeout{30'000};
   bool record_for_lost_gateways = true;
 };

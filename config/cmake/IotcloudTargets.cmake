@@ -137,9 +137,4 @@ function(iotcloud_thrift)
   list(TRANSFORM arg_USES PREPEND iotcloud_)
   target_link_libraries(iotcloud_${arg_NAME} PUBLIC PkgConfig::thrift ${arg_USES})
   target_include_directories(iotcloud_${arg_NAME} SYSTEM PUBLIC ${IOTCLOUD_GENERATED_DIR})
-  # Thrift reads a field's type from the bytes into an enum before it looks at it: with hostile bytes its headers and what
-  # it writes do what UBSan's check of enums forbids. GCC without -fstrict-enums gives that a meaning.
-  if(IOTCLOUD_SANITIZE MATCHES undefined)
-    target_compile_options(iotcloud_${arg_NAME} PUBLIC -fno-sanitize=enum)
-  endif()
 endfunction()

@@ -1,19 +1,26 @@
 #pragma once
 
-#include <memory>
-#include <string>
-
-namespace apache::thrift {
-class TProcessorFactory;
-}
+#include <iotcloud/config/access/session.h>
+#include <iotcloud/config/thrift/thrift_server.h>
+#include <iotcloud/master/api/gateway_pages.h>
 
 namespace iotcloud::master {
 
 class Master;
 
+/// What each method of TMasterAPIService asks of who calls it. A new method states it here, or answers nobody.
+const config::MethodRules& api_rules();
+
+/// Whom the API serves.
+struct ApiAccess {
+  std::shared_ptr<config::TokenKeeper> tokens;  ///< null: nobody is asked for one
+  std::shared_ptr<config::AuditLog> audit;      ///< null: none
+  GatewayAccess gateways;
+  std::chrono::milliseconds wrong_token_pause{1'000};
+};
+
 /// Serves TMasterAPIService from a master, with one handler for each connection.
-/// \param token what authenticate() must bring before anything else is answered; empty: nothing is asked for.
 /// \param master outlives all connections.
-std::shared_ptr<apache::thrift::TProcessorFactory> serve_api(Master& master, std::string token);
+config::ThriftService serve_api(Master& master, ApiAccess access = {});
 
 }  // namespace iotcloud::master

@@ -24,16 +24,23 @@ const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>
 
 }  // namespace
 
-SiteAddress address_of(const discovery::GatewayStatus& gateway) {
+SiteAddress address_of(const discovery::GatewayStatus& gateway, const GatewayAccess& access) {
   if (!gateway.alive) throw config::Error(fmt::format("gateway {} is lost", gateway.record.id));
   if (gateway.record.port == 0) {
     throw config::Error(
         fmt::format("gateway {} has no Thrift service; give it one (thrift: {{port: 12905}})", gateway.record.id));
   }
-  return {gateway.record.host, gateway.record.port};
+  if (!gateway.record.tls) return {gateway.record.host, gateway.record.port, {}, ""};
+  if (access.tls.empty()) {
+    throw config::Error(
+        fmt::format("gateway {} speaks TLS, and this master has no certificate; give it one "
+                    "(api: {{tls: {{ca, certificate, key}}}})",
+                    gateway.record.id));
+  }
+  return {gateway.record.host, gateway.record.port, access.tls, access.token_file};
 }
 
-DriverHistory read_history(const Master& master, const std::vector<std::string>& instances,
+DriverHistory read_history(const Master& master, const GatewayAccess& access, const std::vector<std::string>& instances,
                            const std::vector<std::string>& gateways, std::int32_t most) {
   const auto known = master.gateways();
   std::vector<const discovery::GatewayStatus*> asked;
@@ -44,8 +51,8 @@ DriverHistory read_history(const Master& master, const std::vector<std::string>&
   // The beginning of an id of one that is gone can only be looked up in the gateway's answer.
   std::vector<std::pair<std::string, std::future<std::vector<DriverChange>>>> answers;
   for (const auto* gateway : asked) {
-    answers.emplace_back(gateway->record.id, std::async(std::launch::async, [gateway] {
-                           return site_changes(address_of(*gateway), gateway->record.id, "", answer_limit);
+    answers.emplace_back(gateway->record.id, std::async(std::launch::async, [gateway, &access] {
+                           return site_changes(address_of(*gateway, access), gateway->record.id, "", answer_limit);
                          }));
   }
   const auto wanted = [&](const DriverChange& change) {
@@ -71,10 +78,10 @@ DriverHistory read_history(const Master& master, const std::vector<std::string>&
   return history;
 }
 
-LogPart read_log(const Master& master, const std::string& gateway, const std::string& instance,
-                 const std::string& position, std::int32_t most_bytes) {
+LogPart read_log(const Master& master, const GatewayAccess& access, const std::string& gateway,
+                 const std::string& instance, const std::string& position, std::int32_t most_bytes) {
   const auto known = master.gateways();
-  return site_read_log(address_of(find(known, gateway)), gateway, instance, position, most_bytes, answer_limit);
+  return site_read_log(address_of(find(known, gateway), access), gateway, instance, position, most_bytes, answer_limit);
 }
 
 }  // namespace iotcloud::master

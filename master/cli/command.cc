@@ -19,6 +19,7 @@
 #include <iotcloud/master/cli/plugins/plugin_file.h>
 #include <iotcloud/master/cli/plugins/plugin_sending.h>
 #include <iotcloud/master/cli/plugins/signing_command.h>
+#include <iotcloud/master/cli/security/security_command.h>
 #include <iotcloud/master/cli/topology/topology_command.h>
 
 namespace iotcloud::master::cli {
@@ -294,9 +295,11 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
     if (command.verb == Verb::topology_check) return check_topology(command, err);
     if (command.verb == Verb::keys_new) return make_keys(command, out);
     if (command.verb == Verb::sign) return sign_plugin(command, out);
+    if (is_security(command.verb)) return run_security(command, out);
     const auto where = where_of(command);  // before a master is asked
     const auto connect = [&] {
-      return std::make_unique<MasterClient>(command.masters, command.token, command.election_patience);
+      return std::make_unique<MasterClient>(command.masters, MasterAccess{command.tls, command.token},
+                                            command.election_patience);
     };
     const auto connection = connect();
     auto& master = *connection;
@@ -338,6 +341,12 @@ int run(const Command& command, std::ostream& out, std::ostream& err) {
       case Verb::diff:
       case Verb::apply:
         return run_fleet(command, connect, out, err);
+      case Verb::certs_init:
+      case Verb::certs_add:
+      case Verb::token_add:
+      case Verb::token_remove:
+      case Verb::token_list:
+        return run_security(command, out);
     }
   } catch (const Ambiguous& e) {
     err << "iotcloud: " << e.what() << '\n';

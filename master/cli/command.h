@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/thrift/tls.h>
+
 namespace iotcloud::master::cli {
 
 enum class Verb {
@@ -37,6 +39,11 @@ enum class Verb {
   topology_metrics,
   topology_tap,
   topology_check,
+  certs_init,
+  certs_add,
+  token_add,
+  token_remove,
+  token_list,
 };
 enum class Format { table, json, yaml };
 
@@ -44,6 +51,7 @@ enum class Format { table, json, yaml };
 struct Command {
   Verb verb = Verb::status;
   std::vector<std::string> masters;
+  config::TlsFiles tls;
   std::string token;
   Format format = Format::table;
   std::vector<std::string> gateways;   ///< drivers: only on these; orders: on these
@@ -69,13 +77,18 @@ struct Command {
   double rate = 10;                        ///< tap: samples a second of each task at most
   std::int64_t samples = 0;                ///< tap: ends after so many; 0: when interrupted
   double watch_s = 0;                      ///< metrics: again and again after so many seconds; 0: once
-  std::string file;                        ///< check, diff, apply, sign; keys new: how the files' names begin
-  bool prune = true;                       ///< diff, apply: what the manifest does not name any more goes
-  bool adopt = false;                      ///< diff, apply: what others deployed under its names becomes the manifest's
-  bool dry_run = false;                    ///< apply: as diff
-  bool follow = false;                     ///< logs: go on until interrupted
-  bool whole_host = false;                 ///< logs: every line of its driver host, not only those that name it
-  std::int32_t lines = 100;                ///< logs, history, describe: so many of the latest lines or changes
+  std::string file;      ///< check, diff, apply, sign; token: the token file; keys new: how the files' names begin
+  bool prune = true;     ///< diff, apply: what the manifest does not name any more goes
+  bool adopt = false;    ///< diff, apply: what others deployed under its names becomes the manifest's
+  bool dry_run = false;  ///< apply: as diff
+  std::string folder;    ///< certs: where they are
+  std::vector<std::string> hosts;    ///< certs: machines on which daemons run
+  std::vector<std::string> callers;  ///< certs add: those who only call
+  std::string token_name;            ///< token: whose
+  std::string role;                  ///< token add
+  bool follow = false;               ///< logs: go on until interrupted
+  bool whole_host = false;           ///< logs: every line of its driver host, not only those that name it
+  std::int32_t lines = 100;          ///< logs, history, describe: so many of the latest lines or changes
   /// How long an order is offered again while no master leads: longer than an election takes after a leader died.
   std::chrono::milliseconds election_patience{20'000};
 };

@@ -126,7 +126,7 @@ std::vector<std::string> values(const CLI::Option& option, const Names& names) {
   const auto is = [&](const std::string& word) {
     return type == word || option.get_name(true, false) == word || option.get_name(true, false).starts_with(word + " ");
   };
-  if (is("FILE") || is("PLUGIN") || is("KEY")) return {":files"};
+  if (is("FILE") || is("DIR") || is("PLUGIN") || is("KEY")) return {":files"};
   if (is("GATEWAY")) return names(NameKind::gateways);
   if (is("ID")) return names(NameKind::instances);
   if (is("DRIVER")) return names(NameKind::drivers);

@@ -13,6 +13,7 @@
 #include <iotcloud/master/cli/completion.h>
 #include <iotcloud/master/cli/fleet/channel_options.h>
 #include <iotcloud/master/cli/fleet/fleet_arguments.h>
+#include <iotcloud/master/cli/security/security_options.h>
 
 using namespace iotcloud::master::cli;
 
@@ -22,7 +23,8 @@ constexpr const char* footer =
     "Exit status: 0 done; 1 failed, for all or for some, or the outcome is not known; 2 wrong usage, or a manifest "
     "that\n"
     "cannot be used; 3 no master answers; 4 diff and apply --dry-run: the fleet is not as the manifest says.\n"
-    "Environment: IOTCLOUD_MASTER as --master, IOTCLOUD_TOKEN_FILE as --token-file.";
+    "Environment: IOTCLOUD_MASTER as --master; IOTCLOUD_CA, IOTCLOUD_CERTIFICATE and IOTCLOUD_KEY as --ca, "
+    "--certificate and --key; IOTCLOUD_TOKEN_FILE as --token-file, or the token itself in IOTCLOUD_TOKEN.";
 
 void add_reads(CLI::App& app, Command& command) {
   add(app, command, Verb::gateways, "gateways", "List the gateways, and whether they live", "iotcloud gateways");
@@ -182,6 +184,19 @@ std::map<std::string, int> parallelism_of(const std::vector<std::string>& words)
   return out;
 }
 
+/// Who one is to the masters. \throws CLI::ParseError
+void identify(Command& command, const Words& words) {
+  const char* token = std::getenv("IOTCLOUD_TOKEN");
+  if (!words.token_file.empty()) {
+    command.token = first_line(words.token_file);
+  } else if (token != nullptr) {
+    command.token = token;
+  }
+  const auto& tls = command.tls;
+  if (tls.empty() || (!tls.ca.empty() && !tls.certificate.empty() && !tls.key.empty())) return;
+  throw CLI::ValidationError("--ca, --certificate, --key", "give all three, or none: a master asks for a certificate");
+}
+
 /// Ids and KEY=VALUE words as they come. \throws CLI::ParseError
 void describe(Command& command, const Words& words) {
   std::vector<std::string> changes;
@@ -239,7 +254,7 @@ void finish(Command& command, const Words& words) {
   command.parallelism = parallelism_of(words.parallelism);
   command.settle_ms = static_cast<std::int64_t>(words.settle_s * 1000);
   command.drain_ms = static_cast<std::int64_t>(words.drain_s * 1000);
-  if (!words.token_file.empty()) command.token = first_line(words.token_file);
+  identify(command, words);
   command.wait_ms = static_cast<std::int64_t>(words.wait_s * 1000);
 }
 
@@ -318,12 +333,19 @@ int main(int argc, char** argv) {
   app.add_option("--token-file", words.token_file, "file whose first line is the master's token")
       ->envname("IOTCLOUD_TOKEN_FILE")
       ->type_name("FILE");
+  const auto add_identity = [&](const char* option, std::string& file, const char* what, const char* variable) {
+    app.add_option(option, file, what)->envname(variable)->type_name("FILE");
+  };
+  add_identity("--ca", command.tls.ca, "whom to trust: speak TLS with the masters", "IOTCLOUD_CA");
+  add_identity("--certificate", command.tls.certificate, "the certificate to show them", "IOTCLOUD_CERTIFICATE");
+  add_identity("--key", command.tls.key, "its private key", "IOTCLOUD_KEY");
   add_reads(app, command);
   add_deploy(app, command, words);
   add_changes(app, command, words);
   add_fleet(app, command, words);
   add_topology(app, command, words);
   add_signing(app, command);
+  add_security(app, command);
   add_completion(app, words);
   if (argc > 1 && argv[1] == std::string("__complete")) {
     return answer_shell(app, {argv + 2, argv + argc}, [&] {

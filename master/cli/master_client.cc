@@ -1,85 +1,88 @@
 #include <algorithm>
-#include <limits>
 #include <thread>
 #include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <thrift/TApplicationException.h>
-#include <thrift/TOutput.h>
-#include <thrift/protocol/TBinaryProtocol.h>
-#include <thrift/transport/TBufferTransports.h>
-#include <thrift/transport/TSocket.h>
 #include <thrift/transport/TTransportException.h>
 
 #include "iotcloud/master/TMasterAPIService.h"
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/thrift/listen_settings.h>
+#include <iotcloud/config/thrift/thrift_client.h>
 #include <iotcloud/master/cli/master_client.h>
 
 namespace iotcloud::master::cli {
 
+using apache::thrift::TApplicationException;
 using apache::thrift::TException;
-using apache::thrift::protocol::TBinaryProtocol;
-using apache::thrift::transport::TFramedTransport;
-using apache::thrift::transport::TSocket;
 using apache::thrift::transport::TTransportException;
+using std::chrono::milliseconds;
 using wire::TMasterAPIServiceClient;
 
 namespace {
 
-constexpr int connect_timeout_ms = 3'000;
-constexpr int read_timeout_ms = 30'000;
+constexpr milliseconds connect_limit{3'000};
+constexpr milliseconds read_limit{30'000};
 /// For the first answer on a connection: a master that waits for its registry takes three seconds.
-constexpr int first_answer_timeout_ms = 5'000;
+constexpr milliseconds first_answer_limit{5'000};
 /// What a master takes for an order on top of the wait it was asked for.
-constexpr int order_margin_ms = 30'000;
+constexpr milliseconds order_margin{30'000};
 /// Longest wait of a master that is not asked for one.
 constexpr int longest_own_wait_ms = 600'000;
-constexpr std::chrono::milliseconds election_pause{200};
+constexpr milliseconds election_pause{200};
 
-std::pair<std::string, int> split(const std::string& address) {
-  const auto colon = address.rfind(':');
+config::HostAndPort split(const std::string& address) {
   try {
-    std::size_t used = 0;
-    const int port = std::stoi(address.substr(colon == std::string::npos ? address.size() : colon + 1), &used);
-    if (colon > 0 && port > 0 && port < 65536 && colon + 1 + used == address.size())
-      return {address.substr(0, colon), port};
-  } catch (const std::logic_error&) {
-    // falls through to the message that names the whole address
+    return config::split_address(address);
+  } catch (const config::Error&) {
+    throw std::invalid_argument(
+        fmt::format("\"{}\" is no address of a master: give HOST:PORT, for example 127.0.0.1:12904", address));
   }
-  throw std::invalid_argument(
-      fmt::format("\"{}\" is no address of a master: give HOST:PORT, for example 127.0.0.1:12904", address));
 }
 
 }  // namespace
 
 struct MasterClient::Impl {
   std::vector<std::string> addresses;
-  std::string token;
-  std::chrono::milliseconds election_patience;
+  MasterAccess access;
+  milliseconds election_patience{};
   std::string address;  ///< of the connection, and of the last one after it broke
-  std::shared_ptr<TSocket> socket;
+  std::unique_ptr<config::ThriftClient> connection;
   std::unique_ptr<TMasterAPIServiceClient> client;
+
+  /// What went wrong, and what may be missing.
+  std::string text_of(const TException& e) const {
+    const auto* transport = dynamic_cast<const TTransportException*>(&e);
+    const bool no_tls = access.tls.empty() && transport != nullptr &&
+                        (transport->getType() == TTransportException::END_OF_FILE ||
+                         transport->getType() == TTransportException::CORRUPTED_DATA);
+    return no_tls ? fmt::format("{} (does it ask for TLS? --ca, --certificate and --key)", e.what()) : e.what();
+  }
 
   /// \throws TException when there is no master at this address.
   void connect(const std::string& to) {
     client.reset();
     const auto [host, port] = split(to);
-    socket = std::make_shared<TSocket>(host, port);
-    socket->setConnTimeout(connect_timeout_ms);
-    socket->setRecvTimeout(first_answer_timeout_ms);
-    socket->setSendTimeout(read_timeout_ms);
-    auto transport = std::make_shared<TFramedTransport>(socket);
-    transport->open();
-    auto fresh = std::make_unique<TMasterAPIServiceClient>(std::make_shared<TBinaryProtocol>(transport));
-    open(*fresh, to);
-    socket->setRecvTimeout(read_timeout_ms);
-    client = std::move(fresh);
+    config::ThriftClientOptions options;
+    options.host = host;
+    options.port = port;
+    options.tls = access.tls;
+    options.connect_limit = connect_limit;
+    options.answer_limit = first_answer_limit;
+    auto fresh = std::make_unique<config::ThriftClient>(options);
+    auto asking = std::make_unique<TMasterAPIServiceClient>(fresh->protocol());
+    open(*asking, to);
+    fresh->set_answer_limit(read_limit);
+    connection = std::move(fresh);
+    client = std::move(asking);
     address = to;
   }
 
   /// A master that hangs still takes connections: one is there when it has answered something.
   void open(TMasterAPIServiceClient& fresh, const std::string& to) const {
-    if (token.empty()) {
+    if (access.token.empty()) {
       try {
         wire::TMasterStatus ignored;
         fresh.getStatus(ignored);
@@ -89,7 +92,7 @@ struct MasterClient::Impl {
       return;
     }
     discovery::wire::TResponse answer;
-    fresh.authenticate(answer, token);
+    fresh.authenticate(answer, access.token);
     if (answer.state != discovery::wire::TResponseState::SUCCESS)
       throw Failed(fmt::format("master {}: {}", to, answer.statusMessage));
   }
@@ -102,7 +105,7 @@ struct MasterClient::Impl {
         connect(candidate);
         return;
       } catch (const TException& e) {
-        problems.push_back(fmt::format("{}: {}", candidate, e.what()));
+        problems.push_back(fmt::format("{}: {}", candidate, text_of(e)));
       }
     }
     throw Unreachable(
@@ -118,9 +121,11 @@ struct MasterClient::Impl {
       return ask(*client);
     } catch (const wire::TMasterError& e) {
       throw Failed(fmt::format("master {}: {}", address, e.reason));
+    } catch (const TApplicationException& e) {
+      throw Failed(fmt::format("master {}: {}", address, e.what()));
     } catch (const TException& e) {
       client.reset();
-      throw Failed(fmt::format("master {} did not answer the question: {}", address, e.what()));
+      throw Failed(fmt::format("master {} did not answer the question: {}", address, text_of(e)));
     }
   }
 
@@ -130,11 +135,12 @@ struct MasterClient::Impl {
     connect_any();
     while (true) {
       const auto own_wait = wait_ms > 0 ? std::min<std::int64_t>(wait_ms, longest_own_wait_ms) : longest_own_wait_ms;
-      const auto longest = own_wait * static_cast<std::int64_t>(steps) + order_margin_ms;
-      socket->setRecvTimeout(static_cast<int>(std::min<std::int64_t>(longest, std::numeric_limits<int>::max())));
+      connection->set_answer_limit(milliseconds{own_wait} * static_cast<std::int64_t>(steps) + order_margin);
       Answer answer;
       try {
         give(*client, answer);
+      } catch (const TApplicationException& e) {
+        throw Failed(fmt::format("master {}: {}", address, e.what()));
       } catch (const TException& e) {
         client.reset();
         throw Failed(
@@ -167,13 +173,11 @@ struct MasterClient::Impl {
   }
 };
 
-MasterClient::MasterClient(std::vector<std::string> addresses, std::string token,
-                           std::chrono::milliseconds election_patience)
+MasterClient::MasterClient(std::vector<std::string> addresses, MasterAccess access, milliseconds election_patience)
     : impl_(std::make_unique<Impl>()) {
-  apache::thrift::GlobalOutput.setOutputFunction([](const char*) {});  // every error comes as an exception too
   for (const auto& address : addresses) split(address);
   impl_->addresses = std::move(addresses);
-  impl_->token = std::move(token);
+  impl_->access = std::move(access);
   impl_->election_patience = election_patience;
 }
 
@@ -284,7 +288,7 @@ wire::TOrderResponse MasterClient::update(const wire::TUpdateRequest& request, s
 wire::TUploadResponse MasterClient::offer_plugin(const wire::TPluginOffer& offer,
                                                  const std::vector<std::string>& gateways) {
   return impl_->order<wire::TUploadResponse>(
-      read_timeout_ms, [&](auto& client, auto& answer) { client.offerPlugin(answer, offer, gateways); });
+      read_limit.count(), [&](auto& client, auto& answer) { client.offerPlugin(answer, offer, gateways); });
 }
 
 wire::TUploadResponse MasterClient::send_plugin(const std::string& upload, std::int64_t offset,

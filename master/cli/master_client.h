@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "iotcloud/master/master_types.h"
+#include <iotcloud/config/thrift/tls.h>
 
 namespace iotcloud::master::wire {
 class TMasterAPIServiceClient;
@@ -30,13 +31,18 @@ class Failed : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// Who one is to the masters. Both may be empty.
+struct MasterAccess {
+  config::TlsFiles tls;
+  std::string token;  ///< for authenticate()
+};
+
 /// Speaks with the masters of one fleet: asks any that answers, and follows the leader with orders. Used by one thread.
 class MasterClient {
  public:
   /// \param addresses "host:port" of some masters. \throws std::invalid_argument for one that is none.
-  /// \param token for authenticate(); empty: none.
   /// \param election_patience how long an order is offered again while no master leads.
-  MasterClient(std::vector<std::string> addresses, std::string token, std::chrono::milliseconds election_patience);
+  MasterClient(std::vector<std::string> addresses, MasterAccess access, std::chrono::milliseconds election_patience);
   ~MasterClient();
 
   /// \throws Unreachable, Failed

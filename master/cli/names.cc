@@ -4,7 +4,7 @@
 namespace iotcloud::master::cli {
 
 std::vector<std::string> names_of(NameKind kind, const Command& command) {
-  MasterClient master(command.masters, command.token, command.election_patience);
+  MasterClient master(command.masters, {command.tls, command.token}, command.election_patience);
   std::vector<std::string> names;
   switch (kind) {
     case NameKind::gateways:

@@ -62,10 +62,10 @@ class GatewayHandler final : public wire::TMasterServiceIf {
 
 }  // namespace
 
-std::shared_ptr<apache::thrift::TProcessorFactory> serve_original_gateways(OriginalGateways& gateways,
-                                                                           std::function<MasterStatus()> status) {
-  return std::make_shared<apache::thrift::TSingletonProcessorFactory>(
-      std::make_shared<wire::TMasterServiceProcessor>(std::make_shared<GatewayHandler>(gateways, std::move(status))));
+config::ThriftService serve_original_gateways(OriginalGateways& gateways, std::function<MasterStatus()> status) {
+  const auto processor =
+      std::make_shared<wire::TMasterServiceProcessor>(std::make_shared<GatewayHandler>(gateways, std::move(status)));
+  return [processor](const auto&) { return processor; };
 }
 
 }  // namespace iotcloud::master

@@ -32,7 +32,7 @@ constexpr config::Logger logger{"master.original"};
 struct OriginalGateways::Impl {
   /// One gateway that this master tends.
   struct Tended {
-    explicit Tended(GatewayRecord r) : record(std::move(r)), site{record.host, record.port} {}
+    explicit Tended(GatewayRecord r) : record(std::move(r)), site{record.host, record.port, {}, ""} {}
     const GatewayRecord record;
     const SiteAddress site;
     std::mutex deploying;             ///< one at a time, so that a new instance is known to be that order's

@@ -1,24 +1,17 @@
 #include <algorithm>
-#include <memory>
+#include <fstream>
 
 #include <fmt/format.h>
 #include <thrift/TApplicationException.h>
-#include <thrift/protocol/TBinaryProtocol.h>
-#include <thrift/transport/TBufferTransports.h>
-#include <thrift/transport/TSocket.h>
-#include <thrift/transport/TTransportException.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/thrift/thrift_client.h>
 #include <iotcloud/master/originals/site_client.h>
 
 namespace iotcloud::master {
 
 using apache::thrift::TApplicationException;
-using apache::thrift::protocol::TBinaryProtocol;
-using apache::thrift::transport::TFramedTransport;
-using apache::thrift::transport::TSocket;
-using apache::thrift::transport::TTransportException;
 using discovery::wire::TResponse;
 using discovery::wire::TResponseState;
 using gateway::wire::TSensorSiteServiceClient;
@@ -27,16 +20,28 @@ namespace {
 
 constexpr std::chrono::milliseconds connect_limit{2'000};
 
-/// A client on a connection of its own. \throws TException
+std::string first_line(const std::string& file) {
+  std::ifstream in(file);
+  std::string line;
+  if (!std::getline(in, line) || line.empty())
+    throw config::Error(fmt::format("cannot read a token from {}: its first line must be one", file));
+  return line;
+}
+
+/// A client on a connection of its own. \throws TException, config::Error
 TSensorSiteServiceClient connect(const SiteAddress& site, std::chrono::milliseconds limit) {
-  auto socket = std::make_shared<TSocket>(site.host, site.port);
-  const int limit_ms = static_cast<int>(std::max(limit, std::chrono::milliseconds{1}).count());
-  socket->setConnTimeout(static_cast<int>(std::min(limit, connect_limit).count()));
-  socket->setRecvTimeout(limit_ms);
-  socket->setSendTimeout(limit_ms);
-  auto transport = std::make_shared<TFramedTransport>(socket);
-  transport->open();
-  return TSensorSiteServiceClient(std::make_shared<TBinaryProtocol>(transport));
+  config::ThriftClientOptions options;
+  options.host = site.host;
+  options.port = site.port;
+  options.tls = site.tls;
+  options.answer_limit = std::max(limit, std::chrono::milliseconds{1});
+  options.connect_limit = std::min(options.answer_limit, connect_limit);
+  TSensorSiteServiceClient client(config::ThriftClient(options).protocol());
+  if (site.token_file.empty()) return client;
+  TResponse answer;
+  client.authenticate(answer, first_line(site.token_file));
+  if (answer.state != TResponseState::SUCCESS) throw config::Error(answer.statusMessage);
+  return client;
 }
 
 /// A question to this gateway and no other; errors become one kind.
@@ -47,10 +52,10 @@ void put(const SiteAddress& site, const std::string& gateway, std::chrono::milli
     gateway::wire::TPing answer;
     client.ping(answer);
     if (answer.gateway != gateway) {
-      throw config::Error(
-          fmt::format("at {}:{} another gateway answers ({}); a gateway's Thrift service is reached from its own "
-                      "machine only: ask a master that runs there",
-                      site.host, site.port, answer.gateway));
+      throw config::Error(fmt::format(
+          "at {}:{} another gateway answers ({}); a gateway whose Thrift service is on loopback can be asked "
+          "by a master of its own machine only: give it an address, TLS and tokens (config/gateway.yaml)",
+          site.host, site.port, answer.gateway));
     }
     question(client);
   } catch (const gateway::wire::TSiteError& e) {

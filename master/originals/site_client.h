@@ -5,14 +5,17 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/thrift/tls.h>
 #include <iotcloud/master/orders/orders.h>
 
 namespace iotcloud::master {
 
-/// Where a gateway's Thrift service is.
+/// Where a gateway's Thrift service is, and how one gets in.
 struct SiteAddress {
   std::string host;
   int port = 0;
+  config::TlsFiles tls;    ///< empty: it speaks none
+  std::string token_file;  ///< its first line is the token; empty: none is shown
 };
 
 /// What a gateway made of a call.

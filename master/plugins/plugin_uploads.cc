@@ -70,23 +70,38 @@ UploadResult answer(const std::string& id, const std::vector<Receiver>& receiver
 
 }  // namespace
 
+std::string UploadResult::summary() const {
+  if (refusal.refusal != Refusal::none) return refusal.summary();
+  std::vector<std::string> words;
+  for (const auto& target : targets)
+    words.push_back(fmt::format("{}{}", target.gateway,
+                                !target.problem.empty() ? ": " + target.problem
+                                : target.has            ? " has it"
+                                                        : " takes it"));
+  return fmt::format("{}", fmt::join(words, "; "));
+}
+
 struct PluginUploads::Impl {
-  Impl(const Master& of, const Options& given)
-      : master(of), options(given), clock(given.clock != nullptr ? *given.clock : config::system_clock()) {}
+  Impl(const Master& of, GatewayAccess shown, const Options& given)
+      : master(of),
+        access(std::move(shown)),
+        options(given),
+        clock(given.clock != nullptr ? *given.clock : config::system_clock()) {}
 
   std::shared_ptr<Upload> find(const std::string& id);
   UploadResult pass_on(const std::string& id, const std::function<void(Receiver&)>& action);
   std::optional<UploadResult> receivers_of(const std::vector<std::string>& gateways, std::vector<Receiver>& receivers);
 
   const Master& master;
+  const GatewayAccess access;
   const Options options;
   const Clock& clock;
   std::mutex mutex;
   std::map<std::string, std::shared_ptr<Upload>> uploads;  ///< guarded by mutex
 };
 
-PluginUploads::PluginUploads(const Master& master, const Options& options)
-    : impl_(std::make_unique<Impl>(master, options)) {}
+PluginUploads::PluginUploads(const Master& master, GatewayAccess access, const Options& options)
+    : impl_(std::make_unique<Impl>(master, std::move(access), options)) {}
 
 PluginUploads::~PluginUploads() = default;
 
@@ -105,7 +120,7 @@ std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<
     Receiver receiver;
     receiver.target.gateway = id;
     try {
-      receiver.site = address_of(*at);
+      receiver.site = address_of(*at, access);
       receiver.upload = "wanted";
     } catch (const config::Error& e) {
       receiver.target.problem = fmt::format("the plugin cannot be sent to it: {}", e.what());

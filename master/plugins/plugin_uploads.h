@@ -4,9 +4,11 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/config/clock.h>
+#include <iotcloud/master/api/gateway_pages.h>
 #include <iotcloud/master/orders/orders.h>
 #include <iotcloud/master/originals/site_client.h>
 
@@ -26,6 +28,9 @@ struct UploadResult {
   OrderResult refusal{};                ///< why nothing was passed on; Refusal::none: it was
   std::string upload{};                 ///< its id; empty: there is nothing (more) to be sent
   std::vector<UploadTarget> targets{};  ///< of all gateways that were named
+
+  /// One line for people: "lab1 has it; lab2: it is lost".
+  std::string summary() const;
 };
 
 /// Passes plugins that people send on to gateways' Thrift services, piece by piece and to all at the same time. Keeps
@@ -39,9 +44,9 @@ class PluginUploads {
     std::chrono::milliseconds answer_limit{10'000};  ///< of a gateway; one that has not answered gets no more
     const config::Clock* clock = nullptr;            ///< nullptr: the system's
   };
-  /// \param master outlives this.
-  explicit PluginUploads(const Master& master) : PluginUploads(master, Options()) {}
-  PluginUploads(const Master& master, const Options& options);
+  /// \param master outlives this. \param access how it shows gateways who it is.
+  PluginUploads(const Master& master, GatewayAccess access) : PluginUploads(master, std::move(access), Options()) {}
+  PluginUploads(const Master& master, GatewayAccess access, const Options& options);
   ~PluginUploads();
 
   /// Asks gateways whether they want it. \param gateways empty: all that are registered.

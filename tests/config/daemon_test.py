@@ -109,7 +109,7 @@ class Daemon(unittest.TestCase):
         self.await_line(daemon, "stopping")  # still on level info
 
     def test_sighup_makes_the_service_read_again_what_can_change(self):
-        daemon = self.start("")
+        daemon = self.start("stop: at once")
         daemon.send_signal(signal.SIGHUP)
         self.await_line(daemon, "read again what it has")
         daemon.send_signal(signal.SIGTERM)

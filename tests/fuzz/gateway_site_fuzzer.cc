@@ -35,17 +35,22 @@ class Site {
     options.launcher = std::make_shared<gateway::InProcessLauncher>(hosts);
     gateway_.emplace(options);
     gateway_->start();
-    processors_ = std::make_shared<apache::thrift::TSingletonProcessorFactory>(
-        std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(std::make_shared<gateway::SiteHandler>(
-            std::chrono::milliseconds(100), "/nonexistent", *gateway_, *registry_, discovery::Paths())));
+    access_.rules = gateway::SiteService::rules();
+    service_ = [this](const std::shared_ptr<config::ThriftPeer>& peer) {
+      auto session = std::make_shared<config::Session>(access_, peer);
+      return config::guarded(
+          std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(std::make_shared<gateway::SiteHandler>(
+              std::chrono::milliseconds(100), "/nonexistent", *gateway_, *registry_, discovery::Paths(), session)),
+          session);
+    };
   }
   ~Site() {
-    processors_.reset();
+    service_ = nullptr;
     gateway_.reset();
     std::filesystem::remove_all(folder_);
   }
 
-  apache::thrift::TProcessorFactory& processors() { return *processors_; }
+  const config::ThriftService& service() const { return service_; }
   bool is_full() { return gateway_->instances().size() > 1'000 || gateway_->plugins()->uploads() == most_uploads; }
 
  private:
@@ -62,7 +67,8 @@ class Site {
       std::filesystem::temp_directory_path() / ("iotcloud-fuzz-site-" + std::to_string(getpid()));
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   std::optional<gateway::Gateway> gateway_;
-  std::shared_ptr<apache::thrift::TProcessorFactory> processors_;
+  config::AccessOptions access_;
+  config::ThriftService service_;
 };
 
 }  // namespace
@@ -70,8 +76,11 @@ class Site {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   config::set_log_level(config::LogLevel::off);
   static auto site = std::make_unique<Site>();
-  const gateway::SiteService::Options limits;
-  fuzz::serve(site->processors(), data, size, limits.max_message_bytes, limits.max_items);
+  const gateway::SiteService::Options options;
+  config::ThriftServerOptions limits;
+  limits.max_message_bytes = options.max_message_bytes;
+  limits.max_items = options.max_items;
+  fuzz::serve(site->service(), data, size, limits);
   if (site->is_full()) {
     site.reset();
     site = std::make_unique<Site>();

@@ -7,7 +7,6 @@
 #include "iotcloud/discovery/records.h"
 #include "iotcloud/discovery/registry.h"
 #include "iotcloud/master/api/api_handler.h"
-#include "iotcloud/master/api/thrift_server.h"
 #include "iotcloud/master/master.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 #include "iotcloud/tests/fuzz/thrift_frames.h"
@@ -49,10 +48,10 @@ class Fleet {
     options.outcome_timeout = std::chrono::milliseconds(1);
     master_.emplace(*registry_, options);
     while (!master_->status().leading) std::this_thread::yield();
-    processors_ = master::serve_api(*master_, "");
+    service_ = master::serve_api(*master_);
   }
 
-  apache::thrift::TProcessorFactory& processors() { return *processors_; }
+  const config::ThriftService& service() const { return service_; }
   /// Orders stay in the registry: so many that it is time for another one.
   bool is_full() { return registry_->children(discovery::Paths().orders("lab1")).value_or(Names{}).size() > 20'000; }
 
@@ -60,7 +59,7 @@ class Fleet {
   using Names = std::vector<std::string>;
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   std::optional<master::Master> master_;
-  std::shared_ptr<apache::thrift::TProcessorFactory> processors_;
+  config::ThriftService service_;
 };
 
 }  // namespace
@@ -68,8 +67,7 @@ class Fleet {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   config::set_log_level(config::LogLevel::off);
   static auto fleet = std::make_unique<Fleet>();
-  const master::ThriftServerOptions limits;
-  fuzz::serve(fleet->processors(), data, size, limits.max_message_bytes, limits.max_items);
+  fuzz::serve(fleet->service(), data, size, {});
   if (fleet->is_full()) {
     fleet.reset();
     fleet = std::make_unique<Fleet>();

@@ -2,7 +2,6 @@
 #include "iotcloud/config/log.h"
 #include "iotcloud/discovery/records.h"
 #include "iotcloud/discovery/registry.h"
-#include "iotcloud/master/api/thrift_server.h"
 #include "iotcloud/master/master.h"
 #include "iotcloud/master/originals/gateway_handler.h"
 #include "iotcloud/master/originals/original_gateways.h"
@@ -15,7 +14,7 @@ namespace {
 
 class Originals {
  public:
-  apache::thrift::TProcessorFactory& processors() { return *processors_; }
+  const config::ThriftService& service() const { return service_; }
   /// Each has a thread, and its records stay in the registry.
   bool is_full() { return registry_->children(discovery::Paths().gateways).value_or(Names{}).size() > 50; }
 
@@ -35,7 +34,7 @@ class Originals {
 
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   master::OriginalGateways gateways_{*registry_, never_called()};
-  std::shared_ptr<apache::thrift::TProcessorFactory> processors_ = master::serve_original_gateways(gateways_, [] {
+  config::ThriftService service_ = master::serve_original_gateways(gateways_, [] {
     master::MasterStatus status;
     status.leading = true;
     return status;
@@ -47,8 +46,7 @@ class Originals {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   config::set_log_level(config::LogLevel::off);
   static auto originals = std::make_unique<Originals>();
-  const master::ThriftServerOptions limits;
-  fuzz::serve(originals->processors(), data, size, limits.max_message_bytes, limits.max_items);
+  fuzz::serve(originals->service(), data, size, {});
   if (originals->is_full()) {
     originals.reset();
     originals = std::make_unique<Originals>();

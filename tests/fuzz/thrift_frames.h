@@ -2,34 +2,33 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <memory>
+#include <string>
+#include <string_view>
 
-#include <thrift/TConfiguration.h>
 #include <thrift/TProcessor.h>
-#include <thrift/protocol/TBinaryProtocol.h>
-#include <thrift/transport/TBufferTransports.h>
+
+#include "iotcloud/config/thrift/connection.h"
+#include "iotcloud/config/thrift/thrift_server.h"
 
 namespace iotcloud::fuzz {
 
-/// What a server's thread does with the bytes of one connection, framed and binary, within the server's limits.
-inline void serve(apache::thrift::TProcessorFactory& processors, const std::uint8_t* data, std::size_t size,
-                  int max_bytes, int max_items) {
-  using namespace apache::thrift;
-  using transport::TFramedTransport;
-  using transport::TMemoryBuffer;
-  // The buffer is only read; its parameter is not const all the same.
-  const auto received = std::make_shared<TMemoryBuffer>(const_cast<std::uint8_t*>(data),  // NOLINT
-                                                        static_cast<std::uint32_t>(size), TMemoryBuffer::OBSERVE);
-  const auto sent = std::make_shared<TMemoryBuffer>();
-  const auto limits = std::make_shared<TConfiguration>(max_bytes, max_bytes);
-  protocol::TBinaryProtocolFactory protocols(max_bytes, max_items, false, true);
-  const auto in = protocols.getProtocol(std::make_shared<TFramedTransport>(received, limits));
-  const auto out = protocols.getProtocol(std::make_shared<TFramedTransport>(sent, limits));
-  const auto processor = processors.getProcessor({in, out, received});
+/// What a server does with the bytes of one connection that it knows already, within the server's limits.
+inline void serve(const config::ThriftService& service, const std::uint8_t* data, std::size_t size,
+                  const config::ThriftServerOptions& limits) {
+  constexpr std::size_t head = 4;  // the length of a message, the high byte first
+  const auto processor = service(std::make_shared<config::ThriftPeer>("127.0.0.1:1", ""));
+  std::string_view left(reinterpret_cast<const char*>(data), size);
   try {
-    while (processor->process(in, out, nullptr)) {
+    while (left.size() >= head) {
+      std::size_t length = 0;
+      for (std::size_t i = 0; i < head; ++i) length = length << 8 | static_cast<unsigned char>(left[i]);
+      left.remove_prefix(head);
+      if (length > static_cast<std::size_t>(limits.max_message_bytes) || length > left.size()) return;
+      std::string answer;
+      if (!config::answer_message(*processor, std::string(left.substr(0, length)), limits.max_items, answer)) return;
+      left.remove_prefix(length);
     }
-  } catch (const TException&) {  // NOLINT(bugprone-empty-catch): it closes the connection
+  } catch (const apache::thrift::TException&) {  // NOLINT(bugprone-empty-catch): it closes the connection
   }
 }
 

@@ -11,8 +11,8 @@
 
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/master/api/api_handler.h>
-#include <iotcloud/master/api/thrift_server.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
 
@@ -53,14 +53,14 @@ class MasterServer : public testing::Test {
     EXPECT_TRUE(master.leads());
     serve();
   }
-  void serve(const ThriftServerOptions& options = {}, const std::string& token = "") {
+  void serve(const config::ThriftServerOptions& options = {}) {
     server.reset();
-    server.emplace(options, serve_api(*master, token));
+    server.emplace(options, serve_api(*master));
   }
 
   const std::string url = test::fresh_registry_url();
   TestMaster master{url};
-  std::optional<ThriftServer> server;
+  std::optional<config::ThriftServer> server;
 };
 
 TEST_F(MasterServer, AClientDeploysListsAndUndeploys) {
@@ -149,35 +149,8 @@ TEST_F(MasterServer, StatusAndTopologiesAreAnswered) {
   EXPECT_EQ(status.leader, "127.0.0.1:1111");
 }
 
-TEST_F(MasterServer, WithATokenNothingIsAnsweredBeforeAuthenticate) {
-  FakeGateway gateway(url, "lab1");
-  serve({}, "open sesame");
-  Connection client(server->port());
-  std::vector<TSite> gateways;
-  EXPECT_THROW(client->listGateways(gateways), wire::TMasterError);
-  std::vector<std::string> sites;
-  EXPECT_THROW(client->getSites(sites), TApplicationException);
-  wire::TDeployRequest request;
-  request.plugin = "turtle.so";
-  wire::TOrderResponse answer;
-  client->deploy(answer, request);
-  EXPECT_EQ(answer.refusal, wire::TRefusal::NOT_AUTHENTICATED);
-  EXPECT_EQ(gateway.orders_seen(), 0);
-
-  TResponse response;
-  client->authenticate(response, "open sesamE");
-  EXPECT_EQ(response.state, TResponseState::FAILURE);
-  client->authenticate(response, "open sesame");
-  EXPECT_EQ(response.state, TResponseState::SUCCESS);
-  client->listGateways(gateways);
-  EXPECT_THAT(gateways, SizeIs(1));
-  // It opened this connection, no other.
-  Connection other(server->port());
-  EXPECT_THROW(other->listGateways(gateways), wire::TMasterError);
-}
-
 TEST_F(MasterServer, AMessageAboveTheLimitClosesTheConnectionAndTheServerGoesOn) {
-  ThriftServerOptions options;
+  config::ThriftServerOptions options;
   options.max_message_bytes = 10'000;
   serve(options);
   Connection client(server->port());
@@ -225,10 +198,10 @@ TEST_F(MasterServer, AnOrderUnderWayDoesNotHoldUpTheStopOnceTheMasterCloses) {
 }
 
 TEST_F(MasterServer, APortInUseIsAnErrorThatNamesIt) {
-  ThriftServerOptions options;
+  config::ThriftServerOptions options;
   options.port = server->port();
   try {
-    ThriftServer second(options, serve_api(*master, ""));
+    config::ThriftServer second(options, serve_api(*master));
     FAIL() << "the port is taken";
   } catch (const config::Error& e) {
     EXPECT_THAT(e.what(), HasSubstr("127.0.0.1:" + std::to_string(options.port)));
@@ -241,12 +214,6 @@ TEST_F(MasterServer, AClientCompiledFromTheOriginalIdlListsAndDeploys) {
   const auto client = test::run_program({"/usr/bin/python3", IOTCLOUD_MASTER_TESTS "/originals/original_client.py",
                                          std::to_string(server->port()), generated.string()});
   EXPECT_EQ(client.status, 0) << client.out << client.err;
-}
-
-TEST(LoopbackAddresses, AreKnown) {
-  for (const char* host : {"127.0.0.1", "127.1.2.3", "::1", "localhost"}) EXPECT_TRUE(is_loopback(host)) << host;
-  for (const char* host : {"0.0.0.0", "::", "192.168.1.2", "example.org", "127.0.0.1.example.org", ""})
-    EXPECT_FALSE(is_loopback(host)) << host;
 }
 
 }  // namespace

@@ -50,7 +50,7 @@ TEST(MasterConfig, OnlyTheRegistryIsNeeded) {
   const ConfigFile file("registry: \"embedded://a\"\n");
   const auto config = load_master_config(file.path());
   EXPECT_EQ(config.api.host, "127.0.0.1");
-  EXPECT_EQ(config.advertise, "127.0.0.1:12904");
+  EXPECT_EQ(config.api.advertise, "127.0.0.1:12904");
   EXPECT_THAT(error_of("id: m\n"), HasSubstr("registry"));
 }
 
@@ -67,9 +67,16 @@ TEST(MasterConfig, AnUnknownKeyIsNamedWithItsPlace) {
   EXPECT_THAT(error_of("registry: \"embedded://a\"\norders: {wait: 30}\n"), HasSubstr("orders.wait"));
 }
 
-TEST(MasterConfig, ATokenFileThatCannotBeReadIsAnError) {
-  EXPECT_THAT(error_of("registry: \"embedded://a\"\napi: {token_file: /nonexistent/token}\n"),
-              HasSubstr("/nonexistent/token"));
+TEST(MasterConfig, ATokenFileThatCannotBeReadIsAnErrorThatSaysHowToMakeOne) {
+  EXPECT_THAT(error_of("registry: \"embedded://a\"\napi: {tokens: /nonexistent/tokens}\n"),
+              AllOf(HasSubstr("/nonexistent/tokens"), HasSubstr("iotcloud token add")));
+}
+
+TEST(MasterConfig, CertificatesThatCannotBeUsedAreAnErrorThatNamesTheFile) {
+  EXPECT_THAT(error_of("registry: \"embedded://a\"\napi: {tls: {ca: /nonexistent/ca.pem, certificate: b, key: c}}\n"),
+              AllOf(HasSubstr("api.tls"), HasSubstr("/nonexistent/ca.pem"), HasSubstr("iotcloud certs init")));
+  EXPECT_THAT(error_of("registry: \"embedded://a\"\napi: {tls: {ca: a}}\n"),
+              AllOf(HasSubstr("api.tls"), HasSubstr("certificate")));
 }
 
 TEST(MasterService, StartsAndStopsAndMayBeStartedAnew) {

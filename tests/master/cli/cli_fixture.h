@@ -8,8 +8,8 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/master/api/api_handler.h>
-#include <iotcloud/master/api/thrift_server.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
 
@@ -23,12 +23,12 @@ class Cli : public ::testing::Test {
     for (int attempt = 0; !server && attempt < 10; ++attempt) {
       master.reset();
       auto options = TestMaster::quick();
-      ThriftServerOptions listen;
+      config::ThriftServerOptions listen;
       listen.port = free_port();
       options.address = "127.0.0.1:" + std::to_string(listen.port);
       master.emplace(url, options);
       try {
-        server.emplace(listen, serve_api(**master, ""));
+        server.emplace(listen, serve_api(**master));
       } catch (const config::Error&) {
         continue;  // somebody else was faster to take the port
       }
@@ -57,7 +57,7 @@ class Cli : public ::testing::Test {
 
   const std::string url = fresh_registry_url();
   std::optional<TestMaster> master;
-  std::optional<ThriftServer> server;
+  std::optional<config::ThriftServer> server;
 };
 
 }  // namespace iotcloud::master::test

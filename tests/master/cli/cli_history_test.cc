@@ -1,4 +1,5 @@
 // describe, history and logs: what the command line has from a gateway, by way of the master.
+#include <fstream>
 #include <mutex>
 
 #include <gmock/gmock.h>
@@ -6,6 +7,7 @@
 
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include "iotcloud/master/TMasterAPIService.h"
+#include <iotcloud/tests/config/access/certificates.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 
 namespace iotcloud::master::test {
@@ -18,6 +20,15 @@ using ::testing::Not;
 /// The Thrift service of a gateway that remembers what the test says. Thread safe.
 class PlayedSite final : public gateway::wire::TSensorSiteServiceNull {
  public:
+  void authenticate(discovery::wire::TResponse& answer, const std::string& token) override {
+    const std::lock_guard lock(mutex_);
+    token_ = token;
+    answer.__set_state(discovery::wire::TResponseState::SUCCESS);
+  }
+  std::string token() {
+    const std::lock_guard lock(mutex_);
+    return token_;
+  }
   void ping(gateway::wire::TPing& answer) override {
     const std::lock_guard lock(mutex_);
     answer.__set_gateway(gateway_);
@@ -63,6 +74,7 @@ class PlayedSite final : public gateway::wire::TSensorSiteServiceNull {
  private:
   std::mutex mutex_;
   std::string gateway_ = "lab1";                                  ///< guarded by mutex_
+  std::string token_;                                             ///< guarded by mutex_
   std::vector<gateway::wire::TStateChange> changes_;              ///< guarded by mutex_
   std::string log_ = "2026 info  gateway.host: other: active\n";  ///< guarded by mutex_
 };
@@ -70,23 +82,25 @@ class PlayedSite final : public gateway::wire::TSensorSiteServiceNull {
 class CliHistory : public Cli {
  protected:
   CliHistory() {
-    service_.emplace(ThriftServerOptions{}, std::make_shared<apache::thrift::TSingletonProcessorFactory>(
-                                                std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(site_)));
+    service_.emplace(
+        config::ThriftServerOptions{},
+        [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(site_)](const auto&) { return p; });
     serve("lab1", service_->port());
   }
   /// From now on the gateway's record says that its service is there.
-  void serve(const std::string& gateway, int port) const {
+  void serve(const std::string& gateway, int port, bool tls = false) const {
     const discovery::Paths paths;
     auto registry = open_registry(url);
     auto record = discovery::decode_gateway(registry->get(paths.gateway(gateway))->data, gateway);
     record.host = "127.0.0.1";
     record.port = port;
+    record.tls = tls;
     discovery::put(*registry, paths.gateway(gateway), encode(record));
   }
 
   FakeGateway lab1_{url, "lab1"};
   const std::shared_ptr<PlayedSite> site_ = std::make_shared<PlayedSite>();
-  std::optional<ThriftServer> service_;
+  std::optional<config::ThriftServer> service_;
 };
 
 TEST_F(CliHistory, DescribeShowsTheRecordTheChannelsAndEveryChangeWithTimeAndReason) {
@@ -129,10 +143,9 @@ TEST_F(CliHistory, OfManyChangesTheLatestAreShown) {
 
 TEST_F(CliHistory, AGatewayOfTheOriginalSystemIsNamedAsOne) {
   const FakeGateway old(url, "lab2");
-  const ThriftServer knows_no_history(
-      ThriftServerOptions{},
-      std::make_shared<apache::thrift::TSingletonProcessorFactory>(
-          std::make_shared<wire::TMasterAPIServiceProcessor>(std::make_shared<wire::TMasterAPIServiceNull>())));
+  const config::ThriftServer knows_no_history(
+      config::ThriftServerOptions{}, [p = std::make_shared<wire::TMasterAPIServiceProcessor>(
+                                          std::make_shared<wire::TMasterAPIServiceNull>())](const auto&) { return p; });
   serve("lab2", knows_no_history.port());
   const auto done = run({"history", "--gateway", "lab2"});
   EXPECT_EQ(done.status, 1);
@@ -197,6 +210,33 @@ TEST_F(CliHistory, WhatTheGatewayCannotReadIsSaidInItsWords) {
   EXPECT_THAT(done.err, HasSubstr("there is no log yet"));
   EXPECT_EQ(run({"describe", "nobody"}).status, 1);
   EXPECT_EQ(run({"logs"}).status, 2);
+}
+
+TEST_F(CliHistory, AGatewayWithTlsIsAskedWithTheMastersCertificateAndToken) {
+  const config::test::Certificates certificates;
+  const config::test::Folder folder;
+  const std::string shown = folder / "shown";
+  std::ofstream(shown) << "the master's\n";
+  const auto site = std::make_shared<PlayedSite>();
+  site->remember("1234", "active", 1000);
+  config::ThriftServerOptions options;
+  options.tls = certificates.of("lab1");
+  const config::ThriftServer guarded(
+      options, [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(site)](const auto&) { return p; });
+  serve("lab1", guarded.port(), true);
+  const auto without = run({"history"});
+  EXPECT_THAT(without.err, AllOf(HasSubstr("lab1"), HasSubstr("no certificate")));
+
+  config::ThriftServerOptions api;
+  api.port = server->port();
+  server.reset();
+  ApiAccess access;
+  access.gateways = {certificates.of("lab1"), shown};
+  server.emplace(api, serve_api(**master, access));
+  const auto json = run_json({"history"});
+  ASSERT_EQ(json.size(), 1u);
+  EXPECT_EQ(json[0]["instance"], "1234");
+  EXPECT_EQ(site->token(), "the master's");
 }
 
 }  // namespace

@@ -9,9 +9,10 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include <iotcloud/config/access/tokens.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/master/api/api_handler.h>
-#include <iotcloud/master/api/thrift_server.h>
 #include <iotcloud/master/cli/command.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 #include <iotcloud/tests/master/fleet.h>
@@ -174,7 +175,7 @@ TEST_F(Cli, FollowsTheLeaderWhenItAskedAStandby) {
   options.id = "m2";
   TestMaster standby(url, options);
   ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
-  ThriftServer standby_server({}, serve_api(*standby, ""));
+  config::ThriftServer standby_server({}, serve_api(*standby));
   const auto at_standby = "127.0.0.1:" + std::to_string(standby_server.port());
 
   const auto deployed = run({"--master", at_standby, "deploy", "turtle.so", "--all"});
@@ -189,7 +190,7 @@ TEST_F(Cli, ALeaderThatDoesNotAnswerIsSaidWhenPatienceEnds) {
   options.id = "m2";
   TestMaster standby(url, options);
   ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
-  ThriftServer standby_server({}, serve_api(*standby, ""));
+  config::ThriftServer standby_server({}, serve_api(*standby));
   const auto leader = address();
   server.reset();
   cli::Command command;
@@ -209,7 +210,7 @@ TEST_F(Cli, AnOrderWaitsForTheSuccessorOfALeaderThatDied) {
   options.address = "127.0.0.1:1";  // nobody is sent there: it leads before anyone asks it for the leader
   TestMaster standby(url, options);
   ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
-  ThriftServer standby_server({}, serve_api(*standby, ""));
+  config::ThriftServer standby_server({}, serve_api(*standby));
   server.reset();  // the leader is silent, and the registry does not know it yet
   auto done = std::async(std::launch::async, [&] {
     cli::Command command;
@@ -229,7 +230,7 @@ TEST_F(Cli, AnOrderWaitsForTheSuccessorOfALeaderThatDied) {
 TEST_F(Cli, StatusIsSaidWhileTheRegistryIsAway) {
   const auto nowhere = test::open_registry("zookeeper://127.0.0.1:1");
   Master alone(*nowhere, TestMaster::quick());
-  ThriftServer alone_server({}, serve_api(alone, ""));
+  config::ThriftServer alone_server({}, serve_api(alone));
   const auto at = "127.0.0.1:" + std::to_string(alone_server.port());
   const auto table = run({"--master", at, "status"});
   EXPECT_EQ(table.status, 1);
@@ -253,14 +254,25 @@ TEST_F(Cli, WithoutAMasterTheExitStatusIsThreeAndTheTextSaysHowToMendIt) {
 TEST_F(Cli, AMasterThatWantsATokenGetsItFromAFile) {
   FakeGateway gateway(url, "lab1");
   server.reset();
-  server.emplace(ThriftServerOptions{}, serve_api(**master, "open sesame"));
+  const std::string file = testing::TempDir() + "iotcloud-token-" + std::to_string(getpid());
+  const std::string tokens = file + "s";
+  const std::string token = config::add_token(tokens, "anna", config::Role::viewer);
+  ApiAccess access;
+  access.tokens = std::make_shared<config::TokenKeeper>(tokens);
+  server.emplace(config::ThriftServerOptions{}, serve_api(**master, access));
   const auto closed = run({"gateways"});
   EXPECT_EQ(closed.status, 1);
-  EXPECT_THAT(closed.err, HasSubstr("token"));
-  const std::string file = testing::TempDir() + "iotcloud-token-" + std::to_string(getpid());
-  std::ofstream(file) << "open sesame\n";
+  EXPECT_THAT(closed.err, AllOf(HasSubstr("token"), HasSubstr("--token-file")));
+  std::ofstream(file) << token << "\n";
   EXPECT_EQ(run({"--token-file", file, "gateways"}).status, 0);
+  const auto from_environment =
+      test::run_program({IOTCLOUD_CLI, "gateways"}, {{"IOTCLOUD_MASTER", address()}, {"IOTCLOUD_TOKEN", token}});
+  EXPECT_EQ(from_environment.status, 0) << from_environment.err;
+  const auto not_allowed = run({"--token-file", file, "deploy", "turtle.so", "--all"});
+  EXPECT_EQ(not_allowed.status, 1);
+  EXPECT_THAT(not_allowed.err, AllOf(HasSubstr("viewer"), HasSubstr("admin")));
   std::remove(file.c_str());
+  std::remove(tokens.c_str());
 }
 
 TEST_F(Cli, WrongUsageHasExitStatusTwo) {
@@ -297,6 +309,11 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
         {"topology", "rebalance", "echo", "in=1", "in=2"},
         {"topology", "tap", "echo"},
         {"topology", "tap", "echo", "in", "--rate", "0"},
+        {"--ca", "ca.pem", "status"},
+        {"certs", "init", "folder"},
+        {"certs", "add", "folder"},
+        {"token", "add", "anna", "--file", "tokens"},
+        {"token", "add", "anna", "--file", "tokens", "--role", "king"},
         {"--master", "nowhere", "status"}}) {
     const auto done = run(words);
     EXPECT_EQ(done.status, 2) << testing::PrintToString(words) << done.out << done.err;

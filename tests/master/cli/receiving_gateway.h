@@ -6,12 +6,10 @@
 #include <utility>
 #include <vector>
 
-#include <thrift/TProcessor.h>
-
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/discovery/records.h>
-#include <iotcloud/master/api/thrift_server.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master::test {
@@ -96,14 +94,13 @@ struct ServedGateway {
   ServedGateway(const std::string& url, const std::string& id)
       : gateway(url, id),
         site(std::make_shared<ReceivingSite>(id)),
-        service(ThriftServerOptions{},
-                std::make_shared<apache::thrift::TSingletonProcessorFactory>(
-                    std::make_shared<iotcloud::gateway::wire::TSensorSiteServiceProcessor>(site))) {
+        service({}, [processor = std::make_shared<iotcloud::gateway::wire::TSensorSiteServiceProcessor>(site)](
+                        const auto&) { return processor; }) {
     serve_at(url, id, service.port());
   }
   FakeGateway gateway;
   const std::shared_ptr<ReceivingSite> site;
-  ThriftServer service;
+  config::ThriftServer service;
 };
 
 }  // namespace iotcloud::master::test

@@ -98,8 +98,9 @@ class CliVerbs : public Cli {
   }
 };
 
-/// Their answers are no records: a script, or what another program says.
-const std::set<Words> without_output = {{"completion"}, {"topology", "check"}};
+/// Their answers are no records: a script, a token alone on its line, what to do next, or what another program says.
+const std::set<Words> without_output = {{"completion"},   {"topology", "check"}, {"certs", "init"},
+                                        {"certs", "add"}, {"token", "add"},      {"token", "remove"}};
 
 TEST_F(CliVerbs, EveryOneThatAnswersTakesAFormatAndHasAnExample) {
   const auto all = verbs();
@@ -161,6 +162,8 @@ TEST_F(CliVerbs, AShellCompletesVerbsOptionsAndChoices) {
   EXPECT_THAT(complete({"gateways", "-o", ""}), ElementsAre("json", "table", "yaml"));
   EXPECT_THAT(complete({"completion", ""}), ElementsAre("bash", "zsh"));
   EXPECT_THAT(complete({"apply", "-f", "fl"}), ElementsAre(":files"));
+  EXPECT_THAT(complete({"token", "add", "anna", "--role", ""}), ElementsAre("admin", "operator", "viewer"));
+  EXPECT_THAT(complete({"certs", "init", ""}), ElementsAre(":files"));
   EXPECT_THAT(complete({"nothing", "of", "that", ""}), IsEmpty());
   EXPECT_THAT(complete({}), IsEmpty());
 }

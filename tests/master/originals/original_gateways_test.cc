@@ -12,7 +12,7 @@
 
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include "iotcloud/master/TMasterService.h"
-#include <iotcloud/master/api/thrift_server.h>
+#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/master/originals/gateway_handler.h>
 #include <iotcloud/master/originals/original_gateways.h>
 #include <iotcloud/tests/master/fleet.h>
@@ -141,7 +141,7 @@ class OriginalGatewayTest : public testing::Test {
     master.emplace(url, master_options);
     EXPECT_TRUE(master->leads());
     originals->start([this] { return (*master)->status().leading; });
-    for_gateways.emplace(ThriftServerOptions{},
+    for_gateways.emplace(config::ThriftServerOptions{},
                          serve_original_gateways(*originals, [this] { return (*master)->status(); }));
     gateway = std::make_shared<OriginalGateway>(for_gateways->port());
     serve_gateway(0);
@@ -153,10 +153,10 @@ class OriginalGatewayTest : public testing::Test {
   }
 
   void serve_gateway(int port) {
-    ThriftServerOptions options;
+    config::ThriftServerOptions options;
     options.port = port;
-    gateway_server.emplace(options, std::make_shared<apache::thrift::TSingletonProcessorFactory>(
-                                        std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(gateway)));
+    gateway_server.emplace(options, [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(gateway)](
+                                        const auto&) { return p; });
   }
   TSite site() const {
     TSite out;
@@ -186,9 +186,9 @@ class OriginalGatewayTest : public testing::Test {
   std::unique_ptr<discovery::Registry> registry;
   std::optional<OriginalGateways> originals;
   std::optional<TestMaster> master;
-  std::optional<ThriftServer> for_gateways;
+  std::optional<config::ThriftServer> for_gateways;
   std::shared_ptr<OriginalGateway> gateway;
-  std::optional<ThriftServer> gateway_server;
+  std::optional<config::ThriftServer> gateway_server;
 };
 
 TEST_F(OriginalGatewayTest, RegistersAndIsAskedForHeartbeats) {
@@ -309,12 +309,12 @@ TEST_F(OriginalGatewayTest, IsTendedByTheMasterThatComesToLeadNext) {
 }
 
 TEST_F(OriginalGatewayTest, AStandbyMasterRefusesAndNamesTheLeader) {
-  ThriftServer standby({}, serve_original_gateways(*originals, [] {
-                         MasterStatus status;
-                         status.id = "m2";
-                         status.leader = "10.0.0.1:12904";
-                         return status;
-                       }));
+  config::ThriftServer standby({}, serve_original_gateways(*originals, [] {
+                                 MasterStatus status;
+                                 status.id = "m2";
+                                 status.leader = "10.0.0.1:12904";
+                                 return status;
+                               }));
   TResponse response;
   ToMaster(standby.port())->registerSite(response, site());
   EXPECT_EQ(response.state, TResponseState::FAILURE);

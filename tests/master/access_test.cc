@@ -1,0 +1,273 @@
+// Who may do what with the master's API: tokens, roles, and what is written down of it.
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <optional>
+#include <regex>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <thrift/TApplicationException.h>
+
+#include "iotcloud/master/TMasterAPIService.h"
+#include <iotcloud/config/access/audit_log.h>
+#include <iotcloud/config/access/tokens.h>
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/config/thrift/thrift_client.h>
+#include <iotcloud/config/thrift/thrift_server.h>
+#include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/tests/config/access/certificates.h>
+#include <iotcloud/tests/master/fleet.h>
+
+namespace iotcloud::master {
+namespace {
+
+using apache::thrift::TApplicationException;
+using apache::thrift::TException;
+using config::RefusalForm;
+using config::Role;
+using discovery::wire::TResponse;
+using discovery::wire::TResponseState;
+using test::FakeGateway;
+using test::TestMaster;
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::SizeIs;
+
+std::uint64_t refused(const std::string& reason) {
+  return config::process_metrics()
+      .counter("iotcloud_thrift_refused_total", "", {{"service", "api"}, {"reason", reason}})
+      .value();
+}
+
+/// How each method of a service can say that it was refused, by what its IDL lets it answer.
+std::map<std::string, RefusalForm> forms_of(const std::string& file, const std::string& service) {
+  std::ifstream in(std::string(IOTCLOUD_SOURCE_DIR "/") + file);
+  std::string text((std::istreambuf_iterator<char>(in)), {});
+  text = std::regex_replace(text, std::regex("//[^\n]*"), "");
+  const auto begin = text.find("service " + service);
+  text = text.substr(begin, text.find('}', begin) - begin);
+  std::map<std::string, RefusalForm> forms;
+  const std::regex method(R"(([\w.]+|list<[^>]*>)\s+(\w+)\([^)]*\)(\s*throws)?)");
+  for (std::sregex_iterator found(text.begin(), text.end(), method), end; found != end; ++found) {
+    const std::string answer = (*found)[1];
+    forms[(*found)[2]] = (*found)[3].matched             ? RefusalForm::error
+                         : answer == "records.TResponse" ? RefusalForm::response
+                         : answer.find("Response") < answer.size() && answer.find("records.") != 0
+                             ? RefusalForm::order
+                             : RefusalForm::failure;
+  }
+  return forms;
+}
+
+std::map<std::string, RefusalForm> forms_of(const config::MethodRules& rules) {
+  std::map<std::string, RefusalForm> forms;
+  for (const auto& [name, rule] : rules) forms[name] = rule.form;
+  return forms;
+}
+
+class Access : public testing::Test {
+ protected:
+  Access() {
+    EXPECT_TRUE(master_.leads());
+    viewer_ = config::add_token(tokens_file_, "vera", Role::viewer);
+    operating_ = config::add_token(tokens_file_, "otto", Role::operating);
+    admin_ = config::add_token(tokens_file_, "anna", Role::admin);
+    tokens_ = std::make_shared<config::TokenKeeper>(tokens_file_);
+    audit_ = std::make_shared<config::AuditLog>(audit_file_);
+    ApiAccess access;
+    access.tokens = tokens_;
+    access.audit = audit_;
+    access.wrong_token_pause = std::chrono::milliseconds{1};
+    server_.emplace(config::ThriftServerOptions{}, serve_api(*master_, access));
+  }
+
+  /// A connection of its own, opened with the token.
+  wire::TMasterAPIServiceClient connect(const std::string& token = "") {
+    config::ThriftClientOptions options;
+    options.host = "127.0.0.1";
+    options.port = server_->port();
+    wire::TMasterAPIServiceClient client(config::ThriftClient(options).protocol());
+    if (!token.empty()) {
+      TResponse answer;
+      client.authenticate(answer, token);
+      EXPECT_EQ(answer.state, TResponseState::SUCCESS) << answer.statusMessage;
+    }
+    return client;
+  }
+  static wire::TOrderResponse deploy(wire::TMasterAPIServiceClient& client) {
+    wire::TDeployRequest request;
+    request.plugin = "turtle.so";
+    wire::TOrderResponse answer;
+    client.deploy(answer, request);
+    return answer;
+  }
+  std::vector<nlohmann::json> audit() const {
+    std::ifstream in(audit_file_);
+    std::vector<nlohmann::json> lines;
+    for (std::string line; std::getline(in, line);) lines.push_back(nlohmann::json::parse(line));
+    return lines;
+  }
+
+  const config::test::Folder folder_;
+  const std::string tokens_file_ = folder_ / "tokens";
+  const std::string audit_file_ = folder_ / "audit.log";
+  std::string viewer_, operating_, admin_;
+  std::shared_ptr<config::TokenKeeper> tokens_;
+  std::shared_ptr<config::AuditLog> audit_;
+  const std::string url_ = test::fresh_registry_url();
+  TestMaster master_{url_};
+  FakeGateway gateway_{url_, "lab1"};
+  std::optional<config::ThriftServer> server_;
+};
+
+TEST_F(Access, EveryMethodStatesItsRoleAndHowItRefuses) {
+  EXPECT_EQ(forms_of("master/master.thrift", "TMasterAPIService"), forms_of(api_rules()));
+}
+
+TEST_F(Access, WithoutATokenNothingIsAnswered) {
+  auto client = connect();
+  const auto before = refused("not_authenticated");
+  std::vector<discovery::wire::TSite> gateways;
+  EXPECT_THROW(client.listGateways(gateways), wire::TMasterError);
+  std::vector<std::string> sites;
+  EXPECT_THROW(client.getSites(sites), TApplicationException);
+  EXPECT_EQ(deploy(client).refusal, wire::TRefusal::NOT_AUTHENTICATED);
+  TResponse answer;
+  client.stopAllSensors(answer, "x");
+  EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  EXPECT_THAT(answer.statusMessage, HasSubstr("authenticate"));
+  EXPECT_EQ(gateway_.orders_seen(), 0);
+  EXPECT_EQ(refused("not_authenticated"), before + 4);
+  // A stranger fills no disk.
+  ASSERT_THAT(audit(), SizeIs(1));
+  EXPECT_EQ(audit()[0]["order"], "listGateways");
+  EXPECT_TRUE(audit()[0]["refused"]);
+}
+
+TEST_F(Access, AWrongTokenIsRefusedAndTheThirdEndsTheConnection) {
+  auto client = connect();
+  const auto before = refused("token");
+  for (int i = 0; i < 3; ++i) {
+    TResponse answer;
+    client.authenticate(answer, "anna.wrong");
+    EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  }
+  TResponse answer;
+  EXPECT_THROW(client.authenticate(answer, admin_), TException);
+  EXPECT_EQ(refused("token"), before + 3);
+  const auto lines = audit();
+  ASSERT_THAT(lines, SizeIs(3));
+  EXPECT_EQ(lines[0]["order"], "authenticate");
+  EXPECT_TRUE(lines[0]["refused"]);
+  EXPECT_THAT(lines[0].dump(), testing::Not(HasSubstr("anna.wrong")));  // what was shown is not written down
+}
+
+TEST_F(Access, ATokenOpensItsOwnConnectionOnly) {
+  auto client = connect(viewer_);
+  std::vector<discovery::wire::TSite> gateways;
+  client.listGateways(gateways);
+  EXPECT_THAT(gateways, SizeIs(1));
+  auto other = connect();
+  EXPECT_THROW(other.listGateways(gateways), wire::TMasterError);
+}
+
+TEST_F(Access, AViewerReadsAndChangesNothing) {
+  auto client = connect(viewer_);
+  std::vector<discovery::wire::TSensor> drivers;
+  client.listDrivers(drivers);
+  const auto before = refused("role");
+  const auto deployed = deploy(client);
+  EXPECT_EQ(deployed.refusal, wire::TRefusal::NOT_ALLOWED);
+  EXPECT_THAT(deployed.response.statusMessage, AllOf(HasSubstr("vera is viewer"), HasSubstr("admin")));
+  wire::TOrderResponse stopped;
+  client.stop(stopped, {});
+  EXPECT_EQ(stopped.refusal, wire::TRefusal::NOT_ALLOWED);
+  wire::TOrderResponse refusal;
+  client.drain(refusal, {});
+  EXPECT_EQ(refusal.refusal, wire::TRefusal::NOT_ALLOWED);
+  client.update(refusal, {});
+  EXPECT_EQ(refusal.refusal, wire::TRefusal::NOT_ALLOWED);
+  wire::TUploadResponse upload;
+  client.offerPlugin(upload, {}, {});
+  EXPECT_EQ(upload.refusal, wire::TRefusal::NOT_ALLOWED);
+  wire::TTopologyResponse changed;
+  client.orderTopology(changed, {});
+  EXPECT_EQ(changed.refusal, wire::TRefusal::NOT_ALLOWED);
+  std::vector<wire::TOrder> orders;  // with what drivers were deployed with, secrets too
+  EXPECT_THROW(client.listOrders(orders), wire::TMasterError);
+  TResponse answer;
+  client.unDeployAllSensor(answer, "x");
+  EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  EXPECT_EQ(gateway_.orders_seen(), 0);
+  EXPECT_EQ(refused("role"), before + 8);
+  const auto lines = audit();
+  ASSERT_THAT(lines, SizeIs(8));
+  EXPECT_EQ(lines[0]["who"], "vera");
+  EXPECT_EQ(lines[0]["order"], "deploy");
+}
+
+TEST_F(Access, AnOperatorStopsWhatRunsAndDeploysNothing) {
+  auto admin = connect(admin_);
+  const auto deployed = deploy(admin);
+  ASSERT_THAT(deployed.outcomes, SizeIs(1)) << deployed.response.statusMessage;
+  auto client = connect(operating_);
+  EXPECT_EQ(deploy(client).refusal, wire::TRefusal::NOT_ALLOWED);
+  wire::TInstanceSelection selection;
+  selection.instances = {deployed.outcomes[0].instance};
+  wire::TOrderResponse answer;
+  client.stop(answer, selection);
+  EXPECT_EQ(answer.response.state, TResponseState::SUCCESS) << answer.response.statusMessage;
+  client.undeploy(answer, selection);
+  EXPECT_EQ(answer.refusal, wire::TRefusal::NOT_ALLOWED);
+  wire::TDeploymentChange change;
+  change.instances = selection.instances;
+  change.__set_properties({{"password", "other"}});
+  client.changeDeployment(answer, change);
+  EXPECT_EQ(answer.refusal, wire::TRefusal::NOT_ALLOWED);
+  std::vector<wire::TOrder> orders;
+  client.listOrders(orders);
+  EXPECT_THAT(orders, SizeIs(1));
+}
+
+TEST_F(Access, AnOrderIsWrittenDownWithWhoGaveItAndWhatBecameOfIt) {
+  auto client = connect(admin_);
+  ASSERT_EQ(deploy(client).response.state, TResponseState::SUCCESS);
+  gateway_.behave(FakeGateway::fail("no such plugin"));
+  deploy(client);
+  const auto lines = audit();
+  ASSERT_THAT(lines, SizeIs(2));
+  EXPECT_EQ(lines[0]["who"], "anna");
+  EXPECT_EQ(lines[0]["role"], "admin");
+  EXPECT_EQ(lines[0]["order"], "deploy");
+  EXPECT_THAT(lines[0]["what"].get<std::string>(), HasSubstr("turtle.so"));
+  EXPECT_THAT(lines[0]["address"].get<std::string>(), HasSubstr("127.0.0.1:"));
+  EXPECT_TRUE(
+      std::regex_match(lines[0]["time"].get<std::string>(), std::regex(R"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z)")));
+  EXPECT_FALSE(lines[0]["refused"]);
+  EXPECT_THAT(lines[1]["outcome"].get<std::string>(), HasSubstr("no such plugin"));
+}
+
+TEST_F(Access, AnAuditLogThatIsMovedAwayIsBegunAnew) {
+  auto client = connect(admin_);
+  deploy(client);
+  std::filesystem::rename(audit_file_, audit_file_ + ".1");
+  audit_->reopen();
+  deploy(client);
+  EXPECT_THAT(audit(), SizeIs(1));
+}
+
+TEST_F(Access, OneWhoseTokenIsTakenAwayMayDoNothingMore) {
+  auto client = connect(admin_);
+  EXPECT_EQ(deploy(client).response.state, TResponseState::SUCCESS);
+  config::remove_token(tokens_file_, "anna");
+  tokens_->reload();
+  const auto answer = deploy(client);
+  EXPECT_EQ(answer.refusal, wire::TRefusal::NOT_AUTHENTICATED);
+  EXPECT_THAT(answer.response.statusMessage, HasSubstr("taken away"));
+}
+
+}  // namespace
+}  // namespace iotcloud::master

@@ -1,0 +1,153 @@
+// The way from nothing to a master that others may reach: `certs init`, `token add`, the daemon's file, the options.
+#include <filesystem>
+#include <fstream>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/master/master_service.h>
+#include <iotcloud/tests/config/access/certificates.h>
+#include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/master/process.h>
+
+namespace iotcloud::master::test {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+
+class CliSecurity : public testing::Test {
+ protected:
+  static Finished run(std::vector<std::string> words) {
+    words.insert(words.begin(), IOTCLOUD_CLI);
+    return run_program(words);
+  }
+  /// The token without its line's end.
+  std::string add_token(const std::string& name, const std::string& role) const {
+    const auto done = run({"token", "add", name, "--role", role, "--file", folder_ / "tokens"});
+    EXPECT_EQ(done.status, 0) << done.err;
+    return done.out.substr(0, done.out.find('\n'));
+  }
+  std::string error_of(const std::string& api) const {
+    const std::string file = folder_ / "master.yaml";
+    std::ofstream(file) << "registry: \"embedded://a\"\napi: " << api << "\n";
+    try {
+      load_master_config(file);
+    } catch (const config::ConfigError& e) {
+      return e.what();
+    }
+    return "";
+  }
+  std::string tls() const {
+    const std::string certs = folder_ / "certs";
+    return "tls: {ca: " + certs + "/ca.pem, certificate: " + certs + "/lab1.pem, key: " + certs + "/lab1.key}";
+  }
+
+  const config::test::Folder folder_;
+};
+
+TEST_F(CliSecurity, CertsInitMakesFilesSaysWhatIsNextAndOverwritesNothing) {
+  const std::string certs = folder_ / "certs";
+  const auto done = run({"certs", "init", certs, "--host", "lab1", "lab2"});
+  ASSERT_EQ(done.status, 0) << done.err;
+  for (const char* name : {"ca.pem", "ca.key", "lab1.pem", "lab1.key", "lab2.pem", "operator.pem", "operator.key"})
+    EXPECT_TRUE(std::filesystem::exists(certs + "/" + name)) << name;
+  EXPECT_THAT(done.out, AllOf(HasSubstr("Next"), HasSubstr("tls: {ca: "), HasSubstr("token add"), HasSubstr("--ca"),
+                              Not(HasSubstr("PRIVATE KEY"))));
+  const auto again = run({"certs", "init", certs, "--host", "lab3"});
+  EXPECT_EQ(again.status, 1);
+  EXPECT_THAT(again.err, AllOf(HasSubstr("not overwritten"), HasSubstr("certs add")));
+  EXPECT_FALSE(std::filesystem::exists(certs + "/lab3.pem"));
+  EXPECT_EQ(run({"certs", "add", certs, "--host", "lab3", "--caller", "anna"}).status, 0);
+  EXPECT_TRUE(std::filesystem::exists(certs + "/lab3.pem") && std::filesystem::exists(certs + "/anna.key"));
+}
+
+TEST_F(CliSecurity, ATokenIsPrintedOnceAndListedWithoutIt) {
+  const auto token = add_token("anna", "operator");
+  EXPECT_THAT(token, HasSubstr("anna."));
+  const auto listed = run({"token", "list", "--file", folder_ / "tokens", "-o", "json"});
+  const auto json = nlohmann::json::parse(listed.out);
+  ASSERT_EQ(json.size(), 1u);
+  EXPECT_EQ(json[0]["name"], "anna");
+  EXPECT_EQ(json[0]["role"], "operator");
+  EXPECT_THAT(listed.out, Not(HasSubstr(token.substr(5))));
+  EXPECT_EQ(run({"token", "add", "anna", "--role", "viewer", "--file", folder_ / "tokens"}).status, 1);
+  EXPECT_EQ(run({"token", "remove", "anna", "--file", folder_ / "tokens"}).status, 0);
+  EXPECT_EQ(run({"token", "remove", "anna", "--file", folder_ / "tokens"}).status, 1);
+}
+
+TEST_F(CliSecurity, AnAddressThatOthersReachTakesTlsAndTokens) {
+  ASSERT_EQ(run({"certs", "init", folder_ / "certs", "--host", "lab1"}).status, 0);
+  add_token("anna", "admin");
+  const std::string tokens = "tokens: " + (folder_ / "tokens");
+  const std::string wide = "{host: 192.0.2.7, ";
+  EXPECT_THAT(error_of(wide + "port: 1}"), AllOf(HasSubstr("api.host"), HasSubstr("TLS and tokens"),
+                                                 HasSubstr("certs init"), HasSubstr("token add")));
+  EXPECT_THAT(error_of(wide + tls() + "}"), HasSubstr("without tokens"));
+  EXPECT_THAT(error_of(wide + tokens + "}"), HasSubstr("without TLS"));
+  EXPECT_THAT(error_of(wide + tokens + ", " + tls() + "}"), IsEmpty());
+  EXPECT_THAT(error_of("{host: 0.0.0.0, " + tokens + ", " + tls() + "}"), HasSubstr("advertise"));
+  EXPECT_THAT(error_of("{host: 0.0.0.0, advertise: \"lab1:12904\", " + tokens + ", " + tls() + "}"), IsEmpty());
+}
+
+TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
+  const std::string certs = folder_ / "certs";
+  ASSERT_EQ(run({"certs", "init", certs, "--host", "lab1"}).status, 0);
+  const std::string token = folder_ / "anna.token";
+  std::ofstream(token) << add_token("anna", "admin") << "\n";
+  MasterDaemonConfig config;
+  config.id = "m1";
+  config.registry.url = "embedded://cli-security-" + std::to_string(getpid());
+  config.sensors_root = "/iot/sensors";
+  config.api = {"0.0.0.0",
+                free_port(),
+                {certs + "/ca.pem", certs + "/lab1.pem", certs + "/lab1.key"},
+                folder_ / "tokens",
+                "localhost:1"};
+  config.gateways.port = 0;
+  config.audit_file = folder_ / "audit.log";
+  auto service = make_master_service(config);
+  service->start();
+  const std::string address = "localhost:" + std::to_string(config.api.port);
+  const auto ask = [&](const std::vector<std::string>& identity) {
+    std::vector<std::string> words{"--master", address};
+    words.insert(words.end(), identity.begin(), identity.end());
+    words.emplace_back("gateways");
+    return run(words);
+  };
+  const std::vector<std::string> certificate{"--ca",  certs + "/ca.pem",      "--certificate", certs + "/operator.pem",
+                                             "--key", certs + "/operator.key"};
+  auto both = certificate;
+  both.insert(both.end(), {"--token-file", token});
+  const auto good = ask(both);
+  EXPECT_EQ(good.status, 0) << good.err;
+  const auto without_token = ask(certificate);
+  EXPECT_EQ(without_token.status, 1);
+  EXPECT_THAT(without_token.err, HasSubstr("token"));
+  const auto without_tls = ask({"--token-file", token});
+  EXPECT_EQ(without_tls.status, 3);
+  EXPECT_THAT(without_tls.err, HasSubstr("does it ask for TLS?"));
+
+  // SIGHUP: who was taken out of the file does not get in any more.
+  ASSERT_EQ(run({"token", "remove", "anna", "--file", folder_ / "tokens"}).status, 0);
+  service->reload();
+  EXPECT_EQ(ask(both).status, 1);
+  service->stop(std::chrono::seconds(5));
+}
+
+TEST_F(CliSecurity, TheDaemonRefusesToStartWithoutThem) {
+  MasterDaemonConfig config;
+  config.registry.url = "embedded://cli-security-" + std::to_string(getpid());
+  config.sensors_root = "/iot/sensors";
+  config.api.host = "0.0.0.0";
+  auto service = make_master_service(config);
+  EXPECT_THROW(service->start(), config::Error);
+}
+
+}  // namespace
+}  // namespace iotcloud::master::test
