@@ -100,6 +100,7 @@ class MasterService final : public config::Service {
   }
 
   void reload() override {
+    api_->reload();
     if (tokens_) tokens_->reload();
     if (audit_) audit_->reopen();
   }

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <array>
+#include <utility>
 
 #include <arpa/inet.h>
 #include <fmt/format.h>
@@ -32,12 +33,12 @@ struct Refused {
 }  // namespace
 
 ThriftConnection::ThriftConnection(const ThriftServerOptions& options, const ThriftService& service,
-                                   const TlsContext* tls, int descriptor)
+                                   std::shared_ptr<const TlsContext> tls, int descriptor)
     : options_(options),
       service_(service),
-      with_tls_(tls != nullptr),
+      tls_(std::move(tls)),
       stranger_until_(Stream::Clock::now() + options.stranger_limit),
-      stream_(descriptor, tls),
+      stream_(descriptor, tls_.get()),
       address_(stream_.peer_address()) {}
 
 void ThriftConnection::stop() {

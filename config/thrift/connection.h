@@ -17,8 +17,9 @@ bool answer_message(apache::thrift::TProcessor& processor, const std::string& me
 /// One client of a ThriftServer. Private to the server's sources.
 class ThriftConnection {
  public:
-  ThriftConnection(const ThriftServerOptions& options, const ThriftService& service, const TlsContext* tls,
-                   int descriptor);
+  /// \param tls null: none
+  ThriftConnection(const ThriftServerOptions& options, const ThriftService& service,
+                   std::shared_ptr<const TlsContext> tls, int descriptor);
 
   /// Answers messages until the client goes, breaks a limit or the server stops. Nothing throws.
   void serve() noexcept;
@@ -38,7 +39,7 @@ class ThriftConnection {
 
   const ThriftServerOptions& options_;
   const ThriftService& service_;
-  const bool with_tls_;
+  const std::shared_ptr<const TlsContext> tls_;
   const TimePoint stranger_until_;
   Stream stream_;
   const std::string address_;

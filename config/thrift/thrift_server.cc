@@ -3,7 +3,6 @@
 #include <cstring>
 #include <list>
 #include <mutex>
-#include <optional>
 #include <thread>
 #include <utility>
 
@@ -89,8 +88,9 @@ void count_refusal(const std::string& service, const std::string& reason) {
 
 struct ThriftServer::Impl {
   struct Client {
-    Client(const ThriftServerOptions& options, const ThriftService& service, const TlsContext* tls, int descriptor)
-        : connection(options, service, tls, descriptor) {}
+    Client(const ThriftServerOptions& options, const ThriftService& service, std::shared_ptr<const TlsContext> tls,
+           int descriptor)
+        : connection(options, service, std::move(tls), descriptor) {}
     ThriftConnection connection;
     std::atomic<bool> done{false};
     bool evicted = false;  ///< of the thread that accepts
@@ -102,7 +102,7 @@ struct ThriftServer::Impl {
         service(std::move(s)),
         listener(listen_on(o.host, o.port)),
         wake(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
-    if (!options.tls.empty()) tls.emplace(options.tls, TlsContext::Side::server);
+    reload();
     acceptor = std::jthread([this](const std::stop_token& stop) { accept_all(stop); });
   }
 
@@ -112,6 +112,18 @@ struct ThriftServer::Impl {
     acceptor.join();
     for (auto& client : clients) client.connection.stop();
     clients.clear();
+  }
+
+  void reload() {
+    if (options.tls.empty()) return;
+    auto read = std::make_shared<const TlsContext>(options.tls, TlsContext::Side::server);
+    const std::lock_guard lock(mutex);
+    tls = std::move(read);
+  }
+
+  std::shared_ptr<const TlsContext> current_tls() {
+    const std::lock_guard lock(mutex);
+    return tls;
   }
 
   void accept_all(const std::stop_token& stop) {
@@ -141,7 +153,7 @@ struct ThriftServer::Impl {
       logger.warn("{}: a connection is refused: there are {} already", options.name, clients.size());
       return;
     }
-    auto& client = clients.emplace_back(options, service, tls ? &*tls : nullptr, descriptor);
+    auto& client = clients.emplace_back(options, service, current_tls(), descriptor);
     try {
       client.thread = std::jthread([this, &client] {
         client.connection.serve();
@@ -174,7 +186,8 @@ struct ThriftServer::Impl {
   const ThriftService service;
   const Descriptor listener;
   const Descriptor wake;  ///< of the thread that accepts
-  std::optional<TlsContext> tls;
+  std::mutex mutex;
+  std::shared_ptr<const TlsContext> tls;  ///< of new connections; null: none. Guarded by mutex
   std::list<Client> clients;  ///< in the order in which they came; of the thread that accepts, then of the destructor
   std::jthread acceptor;
 };
@@ -183,6 +196,10 @@ ThriftServer::ThriftServer(const ThriftServerOptions& options, ThriftService ser
     : impl_(std::make_unique<Impl>(options, std::move(service))) {}
 
 ThriftServer::~ThriftServer() = default;
+
+void ThriftServer::reload() {
+  impl_->reload();
+}
 
 int ThriftServer::port() const {
   return port_of(impl_->listener.get());

@@ -77,6 +77,9 @@ class ThriftServer {
   ThriftServer& operator=(const ThriftServer&) = delete;
 
   int port() const;
+  /// Reads TLS's files again, for connections that come from now on. \throws Error that names the file that cannot be
+  /// used, and then nothing changes. Any thread.
+  void reload();
 
  private:
   struct Impl;

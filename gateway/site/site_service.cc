@@ -78,6 +78,7 @@ int SiteService::port() const {
 }
 
 void SiteService::reload() {
+  impl_->server->reload();
   if (impl_->access.tokens) impl_->access.tokens->reload();
 }
 

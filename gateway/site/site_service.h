@@ -33,7 +33,7 @@ class SiteService {
   /// Takes no more calls and waits for those under way.
   ~SiteService();
   int port() const;
-  /// Reads the token file again. \throws config::Error, and then nothing changes.
+  /// Reads the certificates and the token file again. \throws config::Error, and then nothing changes.
   void reload();
 
  private:

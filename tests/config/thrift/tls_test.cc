@@ -1,5 +1,6 @@
 // Who gets in through TLS, and who does not.
 #include <csignal>
+#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -214,6 +215,30 @@ TEST_F(Tls, AClientWithTlsIsCutOffByAServerWithoutAndSaysSo) {
   options_.tls = {};
   serve();
   EXPECT_THAT(error_of(client(ours_->of("operator"))), AnyOf(HasSubstr("closed"), HasSubstr("reset")));
+}
+
+TEST_F(Tls, NewConnectionsSeeTheCertificatesThatWereReadAgainAndOldOnesGoOn) {
+  const test::Folder folder;
+  options_.tls = {folder / "ca.pem", folder / "lab1.pem", folder / "lab1.key"};
+  const auto install = [&](const TlsFiles& files) {
+    constexpr auto over = std::filesystem::copy_options::overwrite_existing;
+    std::filesystem::copy_file(files.ca, options_.tls.ca, over);
+    std::filesystem::copy_file(files.certificate, options_.tls.certificate, over);
+    std::filesystem::copy_file(files.key, options_.tls.key, over);
+  };
+  install(ours_->of("lab1"));
+  serve();
+  const ThriftClient early(client(ours_->of("operator")));
+  EXPECT_EQ(ask(early), "hello");
+  install(theirs_->of("lab1"));
+  EXPECT_NE(error_of(client(theirs_->of("operator"))), "") << "nothing is read before it is told so";
+  server_->reload();
+  EXPECT_EQ(ask(ThriftClient(client(theirs_->of("operator")))), "hello");
+  EXPECT_NE(error_of(client(ours_->of("operator"))), "");
+  EXPECT_EQ(ask(early), "hello");
+  std::filesystem::remove(options_.tls.key);
+  EXPECT_THROW(server_->reload(), Error);
+  EXPECT_EQ(ask(ThriftClient(client(theirs_->of("operator")))), "hello") << "it goes on with what it had";
 }
 
 TEST_F(Tls, FilesThatDoNotFitTogetherAreAnErrorThatNamesOne) {
