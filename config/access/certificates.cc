@@ -36,10 +36,10 @@ using Certificate = std::unique_ptr<X509, Freed<X509_free>>;
 using Memory = std::unique_ptr<BIO, Freed<BIO_free_all>>;
 
 constexpr int serial_bits = 127;
-constexpr long day_s = 24 * 60 * 60;
+constexpr long day_s = 24L * 60 * 60;
 constexpr long authority_days = 3650;
 constexpr long holder_days = 730;
-constexpr long clock_error_s = 60 * 60;  ///< of the machine that checks it
+constexpr long clock_error_s = 60L * 60;  ///< of the machine that checks it
 
 void must(bool done, const char* what) {
   if (!done) throw Error(fmt::format("OpenSSL cannot {}: {}", what, tls_error()));

@@ -33,7 +33,7 @@ struct Cost {
   std::uint64_t r = 8;
   std::uint64_t p = 1;
 };
-constexpr std::uint64_t most_memory = 64 * 1024 * 1024;
+constexpr std::uint64_t most_memory = std::uint64_t{64} << 20;
 
 using Bytes = std::vector<unsigned char>;
 

@@ -22,7 +22,7 @@ namespace {
 
 constexpr Logger logger{"thrift"};
 /// A message's memory grows with what has come of it, not with the length that it claims.
-constexpr std::size_t growth = 64 * 1024;
+constexpr std::size_t growth = std::size_t{64} * 1024;
 
 /// What a client did that ends its connection.
 struct Refused {

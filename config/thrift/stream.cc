@@ -134,7 +134,9 @@ void Stream::begin_tls(const TlsContext& context) {
   tls_ = std::make_unique<Tls>(ssl);
   BIO* const bio = BIO_new(bio_method());
   if (bio == nullptr) throw StreamError(Kind::tls, tls_error());
-  BIO_set_data(bio, reinterpret_cast<void*>(static_cast<std::intptr_t>(descriptor_)));
+  // A BIO keeps a pointer for its owner: here a number in its place.
+  BIO_set_data(bio,
+               reinterpret_cast<void*>(static_cast<std::intptr_t>(descriptor_)));  // NOLINT(performance-no-int-to-ptr)
   BIO_set_init(bio, 1);
   SSL_set_bio(ssl, bio, bio);  // owned by it from here on
 }

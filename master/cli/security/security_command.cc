@@ -76,6 +76,7 @@ int list_tokens(const Command& command, std::ostream& out) {
   const auto entries = config::read_tokens(command.file);
   if (command.format == Format::table) {
     std::vector<std::vector<std::string>> rows;
+    rows.reserve(entries.size());
     for (const auto& entry : entries) rows.push_back({entry.name, to_string(entry.role)});
     print_table(out, {"NAME", "ROLE"}, rows);
     return exit_ok;
