@@ -21,7 +21,7 @@ namespace iotcloud::master {
 class DriverView {
  public:
   struct Options {
-    std::size_t few = 2000;                         ///< as many are read anew each time
+    std::size_t few = 256;                          ///< as many are read anew each time
     std::chrono::milliseconds first_limit{10'000};  ///< for the first look at many
   };
   /// The references outlive the view.
