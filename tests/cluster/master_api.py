@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 
-def compile_idl(build):
-    """Makes Python of the masters' IDL, and finds it."""
-    includes, out = Path(build).resolve() / "include", Path(build).resolve() / "cluster-tests/thrift"
+def compile_idl(build, room="master"):
+    """Makes Python of the masters' or the gateways' IDL, and finds it."""
+    includes, out = Path(build).resolve() / "include", Path(build).resolve() / "cluster-tests/thrift" / room
     out.mkdir(parents=True, exist_ok=True)
-    subprocess.run(["thrift", "-r", "-gen", "py", "-I", includes, "-out", out, includes / "iotcloud/master/master.thrift"],
+    subprocess.run(["thrift", "-r", "-gen", "py", "-I", includes, "-out", out, includes / f"iotcloud/{room}/{room}.thrift"],
                    check=True)
     sys.path.insert(0, str(out))
     logging.getLogger("thrift").setLevel(logging.CRITICAL)  # every error comes as an exception too
