@@ -186,10 +186,11 @@ void AmqpLink::publish(amqp_channel_t channel, const std::string& exchange, cons
   if (!writer_) {
     writer_ = std::make_unique<FrameWriter>(static_cast<std::size_t>(amqp_get_frame_max(state_.get())));
   }
+  // Before, not behind: the kernel may hold back the end of what is said to go on, and this may be the last message.
+  if (writer_->full()) flush(true);
   const std::size_t before = writer_->gathered();
   writer_->add(channel, exchange, key, properties, body);
   buffer_.queued += with_overhead(writer_->gathered() - before) + overhead_of_one;
-  if (writer_->full()) flush(true);
 }
 
 bool AmqpLink::flush(bool more_follows) {

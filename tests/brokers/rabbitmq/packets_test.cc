@@ -1,0 +1,56 @@
+// How messages leave: what the kernel is told to hold back for more must be followed by more.
+#include <atomic>
+#include <cstddef>
+#include <memory>
+#include <string>
+
+#include <gtest/gtest.h>
+#include <sys/socket.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/servers/private_server.h"
+
+namespace {
+
+std::atomic<bool> last_said_more = false;
+std::atomic<std::size_t> sent_bytes = 0;
+
+}  // namespace
+
+/// In place of the C library's: the same, and notes what was asked for.
+extern "C" ssize_t sendmsg(int descriptor, const msghdr* message, int flags) {
+  const ssize_t sent = ::syscall(SYS_sendmsg, descriptor, message, flags);
+  if (sent > 0) {
+    last_said_more = (flags & MSG_MORE) != 0;
+    sent_bytes += static_cast<std::size_t>(sent);
+  }
+  return sent;
+}
+
+namespace iotcloud::brokers {
+namespace {
+
+TEST(RabbitMqPackets, ALoneMessageOfAnySizeLeavesWhole) {
+  const tests::PrivateServer server("rabbitmq.py");
+  BrokerOptions options;
+  options.urls = {server.url()};
+  const auto broker = make_broker(options);
+  const Topic topic{"packets", "gw.driver.whole", false};
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+  ASSERT_TRUE(eventually([&] { return subscription->active(); }));
+  const auto publisher = broker->publisher(topic, {});
+  std::size_t messages = 0;
+  for (const std::size_t size : {std::size_t{100}, std::size_t{60'000}, std::size_t{65'536}, std::size_t{1'000'000}}) {
+    const std::size_t before = sent_bytes;
+    publisher->publish(text_message(std::string(size, 'x')));
+    ASSERT_TRUE(inbox.wait_for(++messages)) << size;
+    EXPECT_GE(sent_bytes - before, size) << "the messages take another way: this test looks at the wrong one";
+    EXPECT_FALSE(last_said_more) << size << " bytes: their end waits for what may never come";
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers
