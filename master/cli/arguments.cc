@@ -54,6 +54,13 @@ void add_wait(CLI::App& sub, Words& words) {
       ->type_name("SECONDS");
 }
 
+void add_settle(CLI::App& sub, Words& words) {
+  sub.add_option("--settle", words.settle_s, "seconds that those of a step must stay up before the next one")
+      ->check(CLI::Range(0.0, 600.0))
+      ->default_str("1")
+      ->type_name("SECONDS");
+}
+
 void add_choice(CLI::App& sub, Command& command) {
   sub.add_option("--driver", command.driver, "only of this driver")->type_name("DRIVER");
   sub.add_option("--name", command.name, "only of the deployment of this name")->type_name("NAME");

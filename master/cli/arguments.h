@@ -39,6 +39,8 @@ CLI::App& add(CLI::App& app, Command& command, Verb verb, const char* name, cons
 void add_output(CLI::App& app, Command& command);
 void add_gateways(CLI::App& sub, Command& command, const char* what);
 void add_wait(CLI::App& sub, Words& words);
+/// For verbs that update drivers step by step.
+void add_settle(CLI::App& sub, Words& words);
 /// What chooses drivers by what they are.
 void add_choice(CLI::App& sub, Command& command);
 

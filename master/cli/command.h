@@ -62,7 +62,7 @@ struct Command {
   std::string name;                    ///< only those of this deployment; deploy: the deployment's name
   std::string plugin;                  ///< with a slash: a file of this machine, which is sent
   int at_once = 0;                     ///< update: instances in one step; 0: all of one gateway
-  std::int64_t settle_ms = 1'000;      ///< update: how long those of a step must stay up
+  std::int64_t settle_ms = 1'000;      ///< update, apply: how long those of a step must stay up
   std::string key;                     ///< sign: file with the private key
   bool progress = false;               ///< show on `err`, which is a terminal, how far a plugin is sent
   std::map<std::string, std::string> properties;

@@ -291,10 +291,7 @@ void add_changes(CLI::App& app, Command& command, Words& words) {
   update.add_option("--at-once", command.at_once, "so many instances in one step, not all of one gateway")
       ->check(CLI::Range(1, 10'000))
       ->type_name("N");
-  update.add_option("--settle", words.settle_s, "seconds that those of a step must stay up before the next one")
-      ->check(CLI::Range(0.0, 600.0))
-      ->default_str("1")
-      ->type_name("SECONDS");
+  add_settle(update, words);
   change(Verb::stop, "stop", "Let driver instances pause; they stay deployed",
          "iotcloud stop 3f2a9c 77b1\n  iotcloud stop --where 'site == \"lab\"'");
 }

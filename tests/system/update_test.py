@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""A driver's plugin is sent through the master, updated to another version gateway by gateway, and goes back by itself
-when the new one does not come up; messages flow through a topology before and after. A gateway that requires signatures
+"""A driver's plugin is sent through the master, updated to another version gateway by gateway, by a command and by a
+manifest, and goes back by itself when the new one does not come up; messages flow through a topology before and after. A gateway that requires signatures
 refuses what is not signed by a key that it trusts, and a gateway that is killed runs what was sent when it returns.
 
 usage: update_test.py BUILD_DIR
@@ -185,13 +185,40 @@ def check_manifest(fleet, plugins):
     ids = set(fleet.drivers())
     require(len(ids) == 4 and fleet.all_run(file, ids), fleet.drivers())
     require(fleet.run_cli("diff", "-f", manifest).returncode == 0, "something differs after apply")
-    file.write_bytes(file.read_bytes() + b"changed")
+    first = file.read_bytes()
+    file.write_bytes(first + b"changed")
     shown = fleet.run_cli("diff", "-f", manifest)
     require(shown.returncode == 4 and sha256(file)[:12] in shown.stdout, shown)
+    begun = time.monotonic()
     fleet.cli("apply", "-f", manifest)
     require(fleet.all_run(file, ids), fleet.drivers())
     require(fleet.run_cli("diff", "-f", manifest).returncode == 0, "something differs after the second apply")
-    print("a manifest sent a plugin to 2 gateways, and its next version, under the ids of 4 instances")
+    print(f"a manifest sent a plugin to 2 gateways, and in {time.monotonic() - begun:.1f} s its next version, under the ids "
+          "of 4 instances")
+    check_manifest_going_back(fleet, file, manifest, ids)
+
+
+def check_manifest_going_back(fleet, file, manifest, ids):
+    """A version that does not become active: those of gateway-1 go back, and those of gateway-2 never see it."""
+    good, good_sha256 = file.read_bytes(), sha256(file)
+
+    def all_are_back():
+        return set(fleet.drivers()) == ids and all(
+            driver["state"] == "active" and driver["plugin"]["sha256"] == good_sha256 for driver in fleet.drivers().values())
+
+    file.write_bytes(b"this is no library")
+    began = {instance: driver["since_ms"] for instance, driver in fleet.drivers().items() if driver["gateway"] == "gateway-2"}
+    done = fleet.run_cli("apply", "-f", manifest)
+    require(done.returncode == 1 and f"back on {file.name} ({good_sha256[:12]})" in done.stdout, done)
+    require("gateway-2  meter/1  update  failed   not begun" in done.stdout, done)
+    require(all_are_back(), fleet.drivers())
+    require(all(fleet.drivers()[instance]["since_ms"] == since for instance, since in began.items()),
+            "gateway-2 had to do with an update that failed on gateway-1")
+    print(f"a manifest's plugin that is no library: apply ended with {done.returncode}, and all run the version before:")
+    print(done.stdout + done.stderr, end="")
+    require(fleet.run_cli("diff", "-f", manifest).returncode == 4, "diff says nothing after an apply that went back")
+    file.write_bytes(good)
+    require(fleet.run_cli("diff", "-f", manifest).returncode == 0, "something differs after going back")
 
 
 def check_signatures(fleet, plugins):

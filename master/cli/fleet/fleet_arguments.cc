@@ -29,13 +29,16 @@ void add_fleet(CLI::App& app, Command& command, Words& words) {
       add(app, command, Verb::diff, "diff", "Show what apply would change; exit status 4 when there is something",
           "iotcloud diff -f fleet.yaml"),
       command);
-  auto& apply = add(app, command, Verb::apply, "apply",
-                    "Make the fleet as a manifest says: deploy what is missing, change what differs, undeploy what an "
-                    "earlier apply of it deployed and it does not name any more. Nothing else is touched",
-                    "iotcloud apply -f fleet.yaml");
+  auto& apply =
+      add(app, command, Verb::apply, "apply",
+          "Make the fleet as a manifest says: deploy what is missing, change what differs, undeploy what an "
+          "earlier apply of it deployed and it does not name any more. Nothing else is touched. Another plugin "
+          "comes to one gateway after the other, and when one does not come up with it, all go back",
+          "iotcloud apply -f fleet.yaml");
   add_manifest(apply, command);
   apply.add_flag("--dry-run", command.dry_run, "only show what would change, as diff");
   add_wait(apply, words);
+  add_settle(apply, words);
   auto& drain = add(app, command, Verb::drain, "drain",
                     "Stop all instances of gateways, and deploy nothing on them any more, until: iotcloud undrain",
                     "iotcloud drain lab1");

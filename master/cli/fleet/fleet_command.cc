@@ -23,7 +23,8 @@ using Rows = std::vector<std::vector<std::string>>;
 
 Fleet read_fleet(MasterClient& master) {
   Fleet fleet;
-  for (auto& site : master.gateways()) fleet.gateways.push_back({site.siteId, site.draining, site.original});
+  for (auto& site : master.gateways())
+    fleet.gateways.push_back({site.siteId, site.draining, site.original, !site.alive});
   std::map<std::string, std::string> failures;
   for (auto& driver : master.drivers()) {
     if (driver.exactState == "failed")
@@ -168,6 +169,7 @@ int run_fleet(const Command& command, const std::function<std::unique_ptr<Master
   ApplyOptions options;
   options.connect = connect;
   options.wait_ms = command.wait_ms;
+  options.settle_ms = command.settle_ms;
   options.progress = progress_to(err);
   if (command.progress) options.terminal = &err;
   return show_outcomes(command, manifest, plan, apply(manifest, plan, options), out, err);

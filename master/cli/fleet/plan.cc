@@ -143,6 +143,9 @@ class Planner {
                        gateway);
   }
 
+  static constexpr const char* lost_text =
+      "the gateway is lost, so nobody could see whether it comes up with the other plugin; apply again when it is back";
+
   void compare(std::size_t number, const Fleet::Instance& there, const Fleet::Gateway& gateway) {
     const auto& wanted = manifest_.deployments[number];
     const auto to_do = [&](StepKind kind) -> Step& {
@@ -160,20 +163,26 @@ class Planner {
       to_do(StepKind::adopt).what = {whose};
     }
     const bool other_plugin = there.plugin != wanted.plugin || there.sha256 != wanted.sha256;
-    if (other_plugin || there.driver != wanted.driver) {
-      if (gateway.draining) {
-        complain(gateway.id, wanted, drains_text(gateway.id));
-        return;
-      }
+    // A manifest that names no driver leaves the name that the first plugin gave it: it is part of topics.
+    const bool other_driver = !wanted.driver.empty() && there.driver != wanted.driver;
+    if ((other_plugin || other_driver) && gateway.draining) {
+      complain(gateway.id, wanted, drains_text(gateway.id));
+      return;
+    }
+    const auto plugins =
+        fmt::format("plugin: {} -> {}", version(there.plugin, there.sha256), version(wanted.plugin, wanted.sha256));
+    if (other_driver) {
       auto& step = to_do(StepKind::replace);
-      if (other_plugin)
-        step.what.push_back(fmt::format("plugin: {} -> {}", version(there.plugin, there.sha256),
-                                        version(wanted.plugin, wanted.sha256)));
-      if (there.driver != wanted.driver)
-        step.what.push_back(fmt::format("driver: {} -> {}", or_own(there.driver), or_own(wanted.driver)));
+      if (other_plugin) step.what.push_back(plugins);
+      step.what.push_back(fmt::format("driver: {} -> {}", or_own(there.driver), wanted.driver));
+      return;
+    }
+    if (other_plugin && gateway.lost) {
+      complain(gateway.id, wanted, lost_text);
       return;
     }
     const std::size_t before = plan_.steps.size();
+    if (other_plugin) to_do(StepKind::update).what = {plugins};
     const bool anew = there.properties != wanted.properties;
     if (anew) to_do(StepKind::change).what = differences(there.properties, wanted.properties);
     if (there.metadata != wanted.metadata) {
@@ -183,7 +192,7 @@ class Planner {
     }
     if (there.active != wanted.active) {
       to_do(wanted.active ? StepKind::start : StepKind::stop);
-    } else if (wanted.active && !there.failure.empty() && !gateway.draining && !anew) {
+    } else if (wanted.active && !there.failure.empty() && !gateway.draining && !anew && !other_plugin) {
       to_do(StepKind::start).what = {"it failed: " + there.failure};
     }
     if (plan_.steps.size() == before) ++plan_.same;
@@ -238,6 +247,8 @@ std::string to_string(StepKind kind) {
       return "adopt";
     case StepKind::replace:
       return "replace";
+    case StepKind::update:
+      return "update";
     case StepKind::change:
       return "change";
     case StepKind::describe:

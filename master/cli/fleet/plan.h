@@ -15,6 +15,7 @@ struct Fleet {
     std::string id;
     bool draining = false;
     bool original = false;  ///< of the original system, which knows no names: a manifest is not for it
+    bool lost = false;      ///< it does not answer now
   };
   struct Instance {
     std::string gateway;
@@ -34,12 +35,14 @@ struct Fleet {
   std::vector<Instance> instances;
 };
 
-/// What is to be done to one instance, in the order in which it is done on a gateway.
+/// What is to be done to one instance, in the order in which it is done on a gateway. Updates are of all gateways, one
+/// after the other.
 enum class StepKind {
   undeploy,
   stop,
   adopt,     ///< it belongs to the manifest from now on
-  replace,   ///< another plugin, or other bytes of it, or another driver: undeployed, then deployed
+  replace,   ///< another driver: undeployed, then deployed
+  update,    ///< another plugin, or other bytes of it, under its id; back again when it does not come up with it
   change,    ///< other properties: made anew under its id
   describe,  ///< other metadata: it notices nothing
   start,     ///< it is stopped, or has failed

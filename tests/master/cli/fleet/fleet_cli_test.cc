@@ -89,13 +89,15 @@ TEST_F(CliFleet, ChangesOnlyWhatDiffersAndTakesAwayOnlyWhatItDeployed) {
       "  d: {plugin: meter.so, gateways: [lab1], count: 1}\n");
   EXPECT_THAT(diff().out, AllOf(HasSubstr("rate: 5 -> 9"), HasSubstr("note: x -> -; site: lab -> roof"),
                                 HasSubstr("plugin: meter.so -> turtle.so")));
-  EXPECT_EQ(changes(apply({"-o", "json"}), 0),
-            (Words{"undeploy lab1 d/2", "stop lab1 c/1", "replace lab1 b/1", "change lab1 a/1", "describe lab1 a/1"}));
+  EXPECT_EQ(changes(apply({"--settle", "0", "-o", "json"}), 0),
+            (Words{"undeploy lab1 d/2", "stop lab1 c/1", "update lab1 b/1", "change lab1 a/1", "describe lab1 a/1"}));
   EXPECT_EQ(diff().status, 0);
   const auto a = run_json({"drivers", "--name", "a"})[0];
   EXPECT_EQ(a["instance"], ids_before);
   EXPECT_EQ(a["metadata"], (json{{"site", "roof"}}));
-  EXPECT_EQ(run_json({"drivers", "--name", "b"})[0]["driver"], "turtle");
+  const auto b = run_json({"drivers", "--name", "b"})[0];
+  EXPECT_EQ(b["plugin"]["file"], "turtle.so");
+  EXPECT_EQ(b["driver"], "meter") << "its name is part of its topics";
   EXPECT_EQ(run_json({"drivers", "--name", "c"})[0]["state"], "inactive");
 
   write("");
@@ -107,6 +109,47 @@ TEST_F(CliFleet, ChangesOnlyWhatDiffersAndTakesAwayOnlyWhatItDeployed) {
   const auto left = run_json({"drivers"});
   ASSERT_THAT(left, SizeIs(1)) << "a person deployed it";
   EXPECT_EQ(left[0]["name"], "robot");
+}
+
+TEST_F(CliFleet, AnotherPluginComesToOneGatewayAfterTheOtherAndAllGoBackWhenOneDoesNotComeUp) {
+  const auto ordered = [](const FakeGateway& gateway) {
+    Words plugins;
+    for (const auto& order : gateway.orders()) plugins.push_back(order.plugin + " " + order.metadata.at("site"));
+    return plugins;
+  };
+  write(
+      "  meter: {plugin: meter.so, gateways: all, metadata: {site: lab}}\n  else: {plugin: e.so, gateways: [lab2]}\n");
+  ASSERT_EQ(apply().status, 0);
+  lab2.behave([](const discovery::OrderRecord& order) {
+    return order.plugin == "meter-2.so" ? FakeGateway::fail("it needs another SDK")(order) : FakeGateway::obey(order);
+  });
+  write(
+      "  meter: {plugin: meter-2.so, gateways: all, count: 2, metadata: {site: roof}}\n"
+      "  else: {plugin: e.so, gateways: [lab2], count: 2}\n");
+  const auto failed = apply({"--settle", "0", "-o", "json"});
+  EXPECT_EQ(changes(failed, 1),
+            (Words{"update lab1 meter/1", "describe lab1 meter/1", "deploy lab1 meter/2", "update lab2 meter/1",
+                   "describe lab2 meter/1", "deploy lab2 else/2", "deploy lab2 meter/2"}));
+  std::map<std::string, std::string> outcomes;
+  const auto answer = json::parse(failed.out);
+  for (const auto& change : answer["changes"])
+    outcomes[change["change"].get<std::string>() + " " + change["gateway"].get<std::string>() + " " +
+             change["name"].get<std::string>()] =
+        change["outcome"].get<std::string>() + " " + change["reason"].get<std::string>();
+  EXPECT_THAT(outcomes["update lab1 meter"], AllOf(HasSubstr("failed back on meter.so"), HasSubstr("another SDK")));
+  EXPECT_THAT(outcomes["update lab2 meter"], AllOf(HasSubstr("failed back on meter.so"), HasSubstr("another SDK")));
+  EXPECT_THAT(outcomes["describe lab1 meter"], HasSubstr("failed not begun, for its deployment was not updated: "));
+  EXPECT_THAT(outcomes["deploy lab2 meter"], HasSubstr("failed not begun"));
+  EXPECT_THAT(outcomes["deploy lab2 else"], HasSubstr("done")) << "another deployment's is";
+  EXPECT_EQ(ordered(lab1), Words{"meter.so lab"});
+  EXPECT_THAT(run_json({"drivers", "--name", "meter", "--state", "active"}), SizeIs(2));
+
+  lab2.behave(FakeGateway::obey);
+  const auto seen = lab1.orders_seen();
+  EXPECT_EQ(apply({"--settle", "0"}).status, 0);
+  EXPECT_EQ(ordered(lab1), (Words{"meter-2.so roof", "meter-2.so roof"}));
+  EXPECT_GT(lab1.orders_seen(), seen);
+  EXPECT_EQ(diff().status, 0);
 }
 
 TEST_F(CliFleet, WhatAPersonDeployedIsTakenOverOnlyWhenThatIsSaid) {

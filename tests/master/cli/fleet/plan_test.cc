@@ -153,16 +153,54 @@ TEST_F(FleetPlan, AnInstanceThatFailedIsStartedAgainUnlessItIsMadeAnewOrMayNotRu
   EXPECT_THAT(made.steps[1].what, ElementsAre("it failed: no device"));
 }
 
-TEST_F(FleetPlan, AnotherPluginOrDriverIsAReplacement) {
-  manifest.deployments = {deployment("a", {"lab1"}), deployment("b", {"lab1"})};
-  fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[1], "lab1", 1)};
+TEST_F(FleetPlan, AnotherPluginIsAnUpdateAndAnotherDriverAReplacement) {
+  manifest.deployments = {deployment("a", {"lab1"}), deployment("b", {"lab1"}), deployment("c", {"lab1"})};
+  for (const auto& one : manifest.deployments) fleet.instances.push_back(instance(one, "lab1", 1));
   fleet.instances[0].plugin = "old.so";
   fleet.instances[0].active = false;
   manifest.deployments[1].driver = "thermometer";
+  fleet.instances[2].plugin = "old.so";
+  manifest.deployments[2].driver = "thermometer";
   const auto made = plan();
-  EXPECT_THAT(words(made), ElementsAre("replace lab1 a/1", "replace lab1 b/1"));
-  EXPECT_THAT(made.steps[0].what, ElementsAre("plugin: old.so -> meter.so"));
-  EXPECT_THAT(made.steps[1].what, ElementsAre("driver: the plugin's own -> thermometer"));
+  EXPECT_THAT(words(made), ElementsAre("replace lab1 b/1", "replace lab1 c/1", "update lab1 a/1", "start lab1 a/1"));
+  EXPECT_THAT(made.steps[0].what, ElementsAre("driver: the plugin's own -> thermometer"));
+  EXPECT_THAT(made.steps[1].what, ElementsAre("plugin: old.so -> meter.so", "driver: the plugin's own -> thermometer"));
+  EXPECT_THAT(made.steps[2].what, ElementsAre("plugin: old.so -> meter.so"));
+}
+
+TEST_F(FleetPlan, ADriversNameThatNoManifestGaveStays) {
+  manifest.deployments = {deployment("a", {"lab1"})};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1)};
+  fleet.instances[0].driver = "meter";  // an update has written it down
+  EXPECT_THAT(plan().steps, IsEmpty());
+}
+
+TEST_F(FleetPlan, WhatElseDiffersComesBehindTheUpdateAndOneThatFailedIsNotStartedBesides) {
+  manifest.deployments = {deployment("meter", {"lab1"}, 2)};
+  for (int i = 1; i <= 2; ++i) {
+    fleet.instances.push_back(instance(manifest.deployments[0], "lab1", i));
+    fleet.instances.back().plugin = "old.so";
+  }
+  fleet.instances[0].properties = {{"rate", "4"}};
+  fleet.instances[0].metadata = {{"site", "roof"}};
+  fleet.instances[1].failure = "no device";
+  EXPECT_THAT(words(plan()), ElementsAre("update lab1 meter/1", "update lab1 meter/2", "change lab1 meter/1",
+                                         "describe lab1 meter/1"));
+  EXPECT_EQ(plan().same, 0U);
+}
+
+TEST_F(FleetPlan, ALostGatewayIsNotUpdatedAndTheOthersAre) {
+  manifest.deployments = {deployment("meter", {})};
+  fleet.gateways[0].lost = true;
+  for (const auto* gateway : {"lab1", "lab2"}) {
+    fleet.instances.push_back(instance(manifest.deployments[0], gateway, 1));
+    fleet.instances.back().plugin = "old.so";
+  }
+  const auto made = plan();
+  EXPECT_THAT(words(made), ElementsAre("update lab2 meter/1"));
+  ASSERT_THAT(made.problems, SizeIs(1));
+  EXPECT_EQ(made.problems[0].gateway, "lab1");
+  EXPECT_THAT(made.problems[0].text, HasSubstr("the gateway is lost"));
 }
 
 TEST_F(FleetPlan, OtherBytesUnderOneNameAreAnotherPlugin) {
@@ -172,7 +210,7 @@ TEST_F(FleetPlan, OtherBytesUnderOneNameAreAnotherPlugin) {
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[0], "lab1", 2)};
   EXPECT_THAT(plan().steps, IsEmpty());
   fleet.instances[1].sha256 = "";
-  EXPECT_THAT(words(plan()), ElementsAre("replace lab1 meter/2"));
+  EXPECT_THAT(words(plan()), ElementsAre("update lab1 meter/2"));
   EXPECT_THAT(plan().steps.at(0).what, ElementsAre("plugin: meter.so -> meter.so (111111111111)"));
   manifest.deployments[0].sha256 = two;
   EXPECT_THAT(plan().steps.at(0).what, ElementsAre("plugin: meter.so (111111111111) -> meter.so (222222222222)"));
@@ -210,7 +248,7 @@ TEST_F(FleetPlan, AGatewayThatDrainsKeepsWhatItHasAndGetsNothingNew) {
   ASSERT_THAT(named.problems, SizeIs(1));
   EXPECT_THAT(named.problems[0].text, HasSubstr("iotcloud undrain lab1"));
   manifest.deployments[0].plugin = "new.so";
-  EXPECT_THAT(words(plan()), ElementsAre("replace lab2 meter/1", "replace lab2 meter/2"));
+  EXPECT_THAT(words(plan()), ElementsAre("update lab2 meter/1", "update lab2 meter/2"));
 }
 
 TEST_F(FleetPlan, AGatewayThatCannotBeUsedIsAProblemAndTheOthersAreServed) {
