@@ -8,9 +8,9 @@
 #include <yaml-cpp/yaml.h>
 
 #include <iotcloud/config/yaml.h>
-#include <iotcloud/config/yaml_document.h>
-#include <iotcloud/config/yaml_place.h>
-#include <iotcloud/config/yaml_text.h>
+#include <iotcloud/config/yaml/document.h>
+#include <iotcloud/config/yaml/place.h>
+#include <iotcloud/config/yaml/text.h>
 
 namespace iotcloud::config {
 

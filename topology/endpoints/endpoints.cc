@@ -1,6 +1,6 @@
-#include <iotcloud/topology/endpoints/broker_bolt.h>
-#include <iotcloud/topology/endpoints/broker_spout.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
+#include <iotcloud/topology/endpoints/receiving/broker_spout.h>
+#include <iotcloud/topology/endpoints/sending/broker_bolt.h>
 
 namespace iotcloud::topology {
 

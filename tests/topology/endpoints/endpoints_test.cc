@@ -1,0 +1,304 @@
+#include <algorithm>
+#include <atomic>
+#include <condition_variable>
+#include <mutex>
+#include <regex>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/brokers/embedded/server.h>
+#include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
+#include <iotcloud/topology/worker/worker.h>
+
+namespace iotcloud::topology {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+TEST_F(Endpoints, CarryPayloadDriverAndTimeFromTheMessageInToTheMessageOut) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("hello", "one", 1234));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_EQ(mailbox.message(0).payload.text(), "hello");
+  EXPECT_EQ(mailbox.message(0).driver_id, "one");
+  EXPECT_EQ(mailbox.message(0).time_ms, 1234);
+  EXPECT_EQ(mailbox.message(0).gateway_id, "g");
+}
+
+TEST_F(Endpoints, TakeTheDriverFromTheChannelWhenTheMessageDoesNotNameIt) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("hello", ""));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_EQ(mailbox.message(0).driver_id, "one");
+}
+
+TEST_F(Endpoints, LeaveWhatASlowTopologyCannotTakeInTheBroker) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run("{prefetchCount: 10}");
+  show_driver("one");
+  Gate::set(false);
+  const auto publisher = device("one");
+  for (int i = 0; i < 1000; ++i) publisher->publish(message(std::to_string(i), "one"));
+  ASSERT_TRUE(eventually([] {
+    const std::lock_guard lock(Gate::mutex);
+    return Gate::inside > 0;
+  }));
+  EXPECT_LE(metric("iotcloud_spout_received_total"), 10);
+  EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 1000U);
+  Gate::set(true);
+  ASSERT_TRUE(mailbox.wait_for(1000));
+  const auto texts = mailbox.texts();
+  for (int i = 0; i < 1000; ++i) ASSERT_EQ(texts[static_cast<std::size_t>(i)], std::to_string(i));
+  EXPECT_TRUE(eventually(
+      [&] { return brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t") == 0; }));
+}
+
+TEST_F(Endpoints, FinishWhatIsUnderWayWhenTheWorkerStops) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  Gate::set(false);
+  const auto publisher = device("one");
+  publisher->publish(message("unfinished", "one"));
+  ASSERT_TRUE(eventually([] {
+    const std::lock_guard lock(Gate::mutex);
+    return Gate::inside > 0;
+  }));
+  std::thread opener([&] {
+    // Whether the stop has begun or not: what the bolt has in hand is not settled before it is done.
+    EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 1U);
+    Gate::set(true);
+  });
+  workers_.back()->stop(std::chrono::seconds(5));
+  opener.join();
+  EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 0U);
+}
+
+TEST_F(Endpoints, CountTuplesForDriversThatAreNotThereAndGoOn) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("lost", "nobody"));
+  publisher->publish(message("found", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_THAT(mailbox.texts(), ElementsAre("found"));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_bolt_unknown_driver_total") == 1; }));
+  EXPECT_EQ(metric("iotcloud_spout_rejected_total"), 0);  // acked by default
+}
+
+TEST_F(Endpoints, CountTuplesForADriverThatWentAndSayItOnceWithItsName) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  show_driver("gone");
+  const auto publisher = device("one");
+  Mailbox reader(*broker_, topic("gone", "down"));
+  publisher->publish(message("hello", "gone"));
+  ASSERT_TRUE(reader.wait_for(1));  // the way to it is known
+  discovery::remove_tree(*registry_, paths_.instance("d", "gone"));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+  testing::internal::CaptureStderr();
+  int sent = 0;
+  const auto log = [&] {
+    publisher->publish(message("lost", "gone"));
+    ++sent;
+    return metric("iotcloud_bolt_unknown_driver_total") >= 5;
+  };
+  const bool counted = eventually(log);
+  publisher->publish(message("found", "one"));
+  const bool found = mailbox.wait_for(1);
+  workers_.back()->stop(std::chrono::seconds(5));
+  const std::string said = testing::internal::GetCapturedStderr();
+  EXPECT_TRUE(counted && found);
+  const std::string line = "there is no driver d with the id \"gone\" and a channel \"down\"";
+  ASSERT_NE(said.find(line), std::string::npos) << said;
+  EXPECT_EQ(said.find(line), said.rfind(line));
+}
+
+TEST_F(Endpoints, SayHowManyUnitsWereTakenNotWhichOnes) {
+  testing::internal::CaptureStderr();
+  run();
+  for (int i = 0; i < 50; ++i) show_driver("i" + std::to_string(i));
+  const bool all = eventually([&] { return metric("iotcloud_spout_channels") == 50; });
+  std::atomic<bool> told{false};  // behind the line about the last one, which waits a second at most
+  const auto later = registry_->after(std::chrono::milliseconds(1100), [&] { told = true; });
+  const bool waited = eventually([&] { return told.load(); });
+  workers_.clear();
+  const std::string said = testing::internal::GetCapturedStderr();
+  ASSERT_TRUE(all && waited) << said;
+  const std::regex line("in: units taken ([0-9]+), given up 0; [0-9]+ of [0-9]+ are read here\n");
+  int taken = 0;
+  for (std::sregex_iterator found(said.begin(), said.end(), line), end; found != end; ++found) {
+    taken += std::stoi((*found)[1]);
+  }
+  EXPECT_EQ(taken, 50) << said;
+  EXPECT_LT(std::count(said.begin(), said.end(), '\n'), 40) << said;
+}
+
+TEST_F(Endpoints, HoldADriversFirstMessageUntilItsChannelIsKnown) {
+  Mailbox mailbox(*broker_, topic("late", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("early", "late"));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_received_total") == 1; }));
+  show_driver("late");
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_THAT(mailbox.texts(), ElementsAre("early"));
+}
+
+TEST_F(Endpoints, RejectWhatFailsForGoodWhenTheDriverIsUnknownAndThePolicySaysFail) {
+  run("{requeue: false}", "{unknownDriver: fail}");
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("lost", "nobody"));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_rejected_total") == 1; }));
+}
+
+TEST_F(Endpoints, IgnoreChannelsOfAnotherBroker) {
+  run();
+  show_driver("other", "kafka");
+  show_driver("one");
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+}
+
+TEST_F(Endpoints, DropAChannelWhenItsDriverGoes) {
+  run();
+  show_driver("one");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+  discovery::remove_tree(*registry_, paths_.instance("d", "one"));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+}
+
+TEST_F(Endpoints, ReadOnWhenTheBrokerWasGoneForAWhile) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("before", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  auto server = brokers::embedded::Server::named(url_.substr(11));
+  server.stop();
+  publisher->publish(message("meanwhile", "one"));
+  server.start();
+  ASSERT_TRUE(mailbox.wait_for(2));
+  EXPECT_EQ(mailbox.texts().back(), "meanwhile");
+}
+
+TEST_F(Endpoints, ReadOnWhileTheRegistryIsAwayAndAfterItsSessionExpired) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("before", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+
+  const auto server = discovery::embedded::Server::named(url_.substr(11));
+  const auto session = server->sessions().at(0);
+  server->stop();
+  ASSERT_TRUE(eventually([&] { return registry_->session() == discovery::SessionState::expired; }));
+  publisher->publish(message("while it is away", "one"));
+  ASSERT_TRUE(mailbox.wait_for(2));
+
+  server->expire(session);
+  server->start();
+  ASSERT_TRUE(eventually([&] { return registry_->session() == discovery::SessionState::connected; }));
+  publisher->publish(message("when it is back", "one"));
+  ASSERT_TRUE(eventually([&] {
+    const auto texts = mailbox.texts();
+    return !texts.empty() && texts.back() == "when it is back";
+  }));
+}
+
+TEST_F(Endpoints, StartWithoutTheRegistryAndWorkWhenItComes) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  const auto server = discovery::embedded::Server::named(url_.substr(11));
+  server->stop();
+  run();
+  server->start();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("hello", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+}
+
+TEST_F(Endpoints, LetTwoTopologiesGetEverything) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  const std::string yaml =
+      "topology.name: other\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], "
+      "builder: text}\nbolts:\n  out: {broker: rabbitmq, driver: d, channel: down, fields: [text, driverID, time], "
+      "inputs: {from: in}}\n";
+  WorkerOptions options{.definition = TopologyDefinition::parse(yaml, "other.yaml"),
+                        .components = {},
+                        .library_folders = {},
+                        .registry = registry_.get(),
+                        .clock = nullptr,
+                        .metrics = &metrics_};
+  Worker other(std::move(options));
+  other.start();
+  show_driver("one");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2; }));
+  const auto publisher = device("one");
+  publisher->publish(message("twice", "one"));
+  ASSERT_TRUE(mailbox.wait_for(2));
+  EXPECT_THAT(mailbox.texts(), ElementsAre("twice", "twice"));
+}
+
+TEST_F(Endpoints, RefuseASecondWorkerWhereTuplesOfSeveralDriversAreToMeetUnlessTheFileSaysWorkerScope) {
+  const auto yaml = [](const std::string& scope) {
+    return "topology.name: t\nregistry.session_timeout: 400ms\nspouts:\n"
+           "  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], builder: text}\nbolts:\n"
+           "  gate: {class: Gate, inputs: {from: in, grouping: global}" +
+           scope + "}\n";
+  };
+  ComponentRegistry components;
+  components.add_bolt<GateBolt>("Gate");
+  run_yaml(yaml(""), components);
+  try {
+    run_yaml(yaml(""), components);
+    FAIL() << "two workers run";
+  } catch (const config::Error& error) {
+    EXPECT_THAT(error.what(),
+                AllOf(HasSubstr("another worker runs"), HasSubstr("gate <- in, global"), HasSubstr("scope: worker")));
+  }
+  workers_.clear();
+  run_yaml(yaml(", scope: worker"), components);
+  run_yaml(yaml(", scope: worker"), components);
+}
+
+TEST_F(Endpoints, RefuseAWorkerWithoutRegistry) {
+  WorkerOptions options{
+      .definition = TopologyDefinition::parse(
+          "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [f]}\n", "t.yaml"),
+      .components = {},
+      .library_folders = {},
+      .registry = nullptr,
+      .clock = nullptr,
+      .metrics = nullptr};
+  try {
+    Worker worker(std::move(options));
+    FAIL() << "it was taken";
+  } catch (const config::ConfigError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("zk.servers"));
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::topology

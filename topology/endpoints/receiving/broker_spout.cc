@@ -1,0 +1,204 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/topology/endpoints/receiving/broker_spout.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+const config::Logger logger{"topology.endpoints"};
+
+/// How long a task that closes waits for the broker's answers to dead letters; what has none then is in both queues.
+constexpr std::chrono::milliseconds letters_limit{300};
+/// Between two lines in the log about messages that are given up.
+constexpr std::chrono::seconds quiet_time{10};
+
+}  // namespace
+
+void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutputCollector& collector) {
+  collector_ = &collector;
+  const config::Labels labels{{"topology", context.topology}, {"component", context.component}};
+  auto& metrics = *services_->metrics;
+  received_ = &metrics.counter("iotcloud_spout_received_total", "Messages taken from brokers", labels);
+  retried_ =
+      &metrics.counter("iotcloud_spout_retried_total", "Messages whose tuple failed and was tried again", labels);
+  rejected_ = &metrics.counter("iotcloud_spout_rejected_total", rejected_help, labels);
+  if (!endpoint_.where.everything()) {
+    filter_.emplace(placement_->verdicts(),
+                    metrics.counter("iotcloud_spout_unselected_total",
+                                    "Messages on shared channels of drivers that `where` does not choose", labels));
+  }
+  waker_ = context.waker;
+  inbox_ = std::make_shared<Inbox>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker);
+  placement_->join(context.task_index, context.task_count, inbox_);
+}
+
+void BrokerSpout::close() {
+  if (dead_letters_) dead_letters_->drain(letters_limit);
+  placement_->leave();  // first, or the broker would deliver again what the closed inbox gives back
+  inbox_->close();
+  slots_.clear();  // what is under way goes back to the broker
+  free_.clear();
+  retries_.clear();
+  if (filter_) filter_->clear();
+}
+
+bool BrokerSpout::next_tuple() {
+  if (!retries_.empty()) {
+    while (auto arrival = retries_.next(services_->clock->now())) {
+      if (comes_again(*arrival)) {
+        retries_.done(*arrival);
+        continue;
+      }
+      emit(std::move(*arrival));
+      return true;
+    }
+  }
+  if (filter_ && !filter_->empty()) {
+    while (auto arrival = filter_->next(services_->clock->now())) {
+      if (bring(std::move(*arrival))) return true;
+    }
+    if (filter_->full()) return false;
+  }
+  for (;;) {
+    auto [arrival, more] = inbox_->pop();
+    if (!arrival) return false;
+    received_->add();
+    if (filter_) {
+      arrival = filter_->pass(std::move(*arrival), services_->clock->now());
+      if (!arrival) {
+        if (filter_->full()) return false;
+        continue;
+      }
+    }
+    if (bring(std::move(*arrival))) return more;
+  }
+}
+
+/// \return whether it was emitted: what its driver sent before may have to be tried again first.
+bool BrokerSpout::bring(Arrival arrival) {
+  if (arrival.reader->is_void()) return false;
+  arrival.sequence = ++last_sequence_;
+  if (retries_.hold(arrival)) return false;
+  emit(std::move(arrival));
+  return true;
+}
+
+void BrokerSpout::emit(Arrival arrival) {
+  Values values = values_of(arrival);
+  if (endpoint_.reading.automatic_ack) {
+    collector_->emit_to(endpoint_.stream, std::move(values));
+    return;
+  }
+  ++arrival.tries;
+  collector_->emit_to(endpoint_.stream, std::move(values), keep(std::move(arrival)));
+}
+
+std::chrono::microseconds BrokerSpout::poll_period() const {
+  const auto due = retries_.due();
+  const bool filtering = filter_ && !filter_->empty();
+  if (!due) return std::chrono::microseconds(filtering ? SharedFilter::look_again : std::chrono::milliseconds{0});
+  constexpr std::chrono::microseconds least = std::chrono::milliseconds(1);
+  const auto now = services_->clock->now();
+  if (*due <= now) return least;
+  // A poll that was asked for cannot be moved forward, so a retry that comes to wait later must not wait for it long.
+  const std::chrono::microseconds most = filtering ? SharedFilter::look_again : Retries::pause_after(1);
+  return std::clamp<std::chrono::microseconds>(std::chrono::ceil<std::chrono::microseconds>(*due - now), least,
+                                               std::max(most, least));
+}
+
+void BrokerSpout::ack(MessageId id) {
+  auto arrival = take(id);
+  if (!arrival) return;
+  arrival->delivery.settle(brokers::Settlement::accept);
+  if (!arrival->blocks) return;
+  retries_.done(*arrival);
+  waker_.wake();
+}
+
+/// Its broker delivers it again by itself.
+bool BrokerSpout::comes_again(const Arrival& arrival) {
+  return arrival.reader->closed() || arrival.reader->is_void();
+}
+
+void BrokerSpout::fail(MessageId id) {
+  auto arrival = take(id);
+  if (!arrival) return;
+  if (comes_again(*arrival)) {
+    retries_.done(*arrival);
+  } else if (endpoint_.reading.requeue && arrival->tries < endpoint_.reading.max_tries) {
+    retried_->add();
+    retries_.add(std::move(*arrival), services_->clock->now());
+  } else {
+    retries_.done(*arrival);
+    give_up(std::move(*arrival));
+  }
+  waker_.wake();
+}
+
+void BrokerSpout::give_up(Arrival arrival) {
+  const auto now = services_->clock->now();
+  if (last_complaint_ && now - *last_complaint_ < quiet_time) {
+    ++given_up_silently_;
+  } else {
+    logger.warn("a message of driver {} is given up after {} {} and {}: its tuple failed or timed out{}",
+                arrival.delivery.message.driver_id, arrival.tries, arrival.tries == 1 ? "try" : "tries",
+                dead_letters_ ? "goes to " + endpoint_.reading.dead_letter : "is rejected",
+                given_up_silently_ == 0 ? "" : fmt::format("; {} more since the last such line", given_up_silently_));
+    given_up_silently_ = 0;
+    last_complaint_ = now;
+  }
+  if (dead_letters_) {
+    dead_letters_->send(std::move(arrival));
+    return;
+  }
+  rejected_->add();
+  arrival.delivery.settle(brokers::Settlement::reject);
+}
+
+Values BrokerSpout::values_of(const Arrival& arrival) const {
+  const brokers::Message& message = arrival.delivery.message;
+  Values values;
+  for (const FieldRole role : endpoint_.roles) {
+    switch (role) {
+      case FieldRole::payload:
+        if (endpoint_.form == PayloadForm::text) {
+          values.add(std::string(message.payload.text()));
+        } else {
+          values.add(message.payload);
+        }
+        break;
+      case FieldRole::driver_id:
+        values.add(message.driver_id.empty() ? arrival.reader->driver_id() : message.driver_id);
+        break;
+      case FieldRole::time:
+        values.add(message.time_ms);
+        break;
+    }
+  }
+  return values;
+}
+
+MessageId BrokerSpout::keep(Arrival arrival) {
+  if (free_.empty()) {
+    free_.push_back(static_cast<std::uint32_t>(slots_.size()));
+    slots_.emplace_back();
+  }
+  const std::uint32_t place = free_.back();
+  free_.pop_back();
+  slots_[place].arrival = std::move(arrival);
+  return (MessageId{++slots_[place].uses} << 32) | place;
+}
+
+std::optional<Arrival> BrokerSpout::take(MessageId id) {
+  const auto place = static_cast<std::uint32_t>(id);
+  if (place >= slots_.size() || slots_[place].uses != id >> 32) return std::nullopt;
+  auto arrival = std::exchange(slots_[place].arrival, std::nullopt);
+  if (arrival) free_.push_back(place);
+  return arrival;
+}
+
+}  // namespace iotcloud::topology

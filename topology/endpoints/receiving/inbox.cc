@@ -1,0 +1,77 @@
+#include <algorithm>
+
+#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
+#include <iotcloud/topology/endpoints/receiving/inbox.h>
+
+namespace iotcloud::topology {
+
+HeldReader::HeldReader(std::shared_ptr<ChannelReader> reader) : reader_(std::move(reader)) {
+  if (reader_) reader_->take_in_hand();
+}
+
+HeldReader::~HeldReader() {
+  if (reader_) reader_->let_go();
+}
+
+HeldReader& HeldReader::operator=(HeldReader&& other) noexcept {
+  std::swap(reader_, other.reader_);
+  return *this;
+}
+
+void Inbox::push(Arrival arrival) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (closed_) return;
+    if (waiting_.size() + 1 >= limit_ &&
+        std::find(paused_.begin(), paused_.end(), arrival.reader.shared()) == paused_.end()) {
+      paused_.push_back(arrival.reader.shared());
+      arrival.reader->pause();  // under the lock, as is resume(), so that neither overtakes the other
+    }
+    waiting_.push_back(std::move(arrival));
+  }
+  waker_.wake();
+}
+
+Inbox::Taken Inbox::pop() {
+  Taken taken;
+  const std::lock_guard lock(mutex_);
+  if (waiting_.empty()) return taken;
+  taken.arrival = std::move(waiting_.front());
+  waiting_.pop_front();
+  taken.more = !waiting_.empty();
+  resume_when_half_empty();
+  return taken;
+}
+
+void Inbox::forget(const ChannelReader& reader) {
+  std::deque<Arrival> dropped;  // given back outside the lock
+  const std::lock_guard lock(mutex_);
+  std::deque<Arrival> kept;
+  for (auto& arrival : waiting_)
+    (arrival.reader.shared().get() == &reader ? dropped : kept).push_back(std::move(arrival));
+  waiting_ = std::move(kept);
+  std::erase_if(paused_, [&](const auto& paused) { return paused.get() == &reader; });
+  resume_when_half_empty();
+}
+
+void Inbox::close() {
+  std::deque<Arrival> dropped;
+  std::vector<std::shared_ptr<ChannelReader>> paused;
+  const std::lock_guard lock(mutex_);
+  closed_ = true;
+  dropped.swap(waiting_);
+  paused.swap(paused_);
+}
+
+std::size_t Inbox::size() const {
+  const std::lock_guard lock(mutex_);
+  return waiting_.size();
+}
+
+void Inbox::resume_when_half_empty() {
+  if (waiting_.size() > limit_ / 2) return;
+  for (const auto& reader : paused_) reader->resume();
+  paused_.clear();
+}
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,31 @@
+#pragma once
+
+#include <memory>
+
+#include <iotcloud/topology/bolt.h>
+#include <iotcloud/topology/endpoints/sending/route_table.h>
+
+namespace iotcloud::topology {
+
+/// Sends tuples to a driver's channel: each to the driver instance that its field driverID names, its field `time`
+/// carried on. A tuple is acked when its message is safe (ChannelSender).
+class BrokerBolt final : public Bolt {
+ public:
+  BrokerBolt(EndpointServicesPtr services, std::shared_ptr<RouteTable> routes, EndpointDefinition endpoint)
+      : services_(std::move(services)), routes_(std::move(routes)), endpoint_(std::move(endpoint)) {}
+
+  void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) override;
+  void execute(const Tuple& tuple) override;
+  void cleanup() override;
+
+ private:
+  brokers::Message message_of(const Tuple& tuple) const;
+
+  const EndpointServicesPtr services_;
+  const std::shared_ptr<RouteTable> routes_;
+  const EndpointDefinition endpoint_;
+  OutputCollector* collector_ = nullptr;
+  bool first_task_ = false;
+};
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,183 @@
+#include <algorithm>
+
+#include <iotcloud/topology/endpoints/sending/channel_sender.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+/// Whether the message is where it should be, or nobody wants it there any more. One that was fenced may be another
+/// worker's by now.
+bool succeeded(brokers::Outcome outcome, const std::string& reason) {
+  return outcome == brokers::Outcome::confirmed || (outcome == brokers::Outcome::dropped && reason != "fenced");
+}
+
+}  // namespace
+
+void SenderMeters::lost(const std::string& reason) {
+  config::Labels labels = labels_;
+  labels["reason"] = reason;
+  metrics_.counter("iotcloud_bolt_lost_total", "Messages that did not reach their channel, by reason", labels).add();
+}
+
+std::shared_ptr<ChannelSender> ChannelSender::open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
+                                                   brokers::PublisherOptions options, AckWhen ack_when,
+                                                   std::shared_ptr<SenderMeters> meters,
+                                                   std::shared_ptr<const Fence> fence) {
+  std::shared_ptr<ChannelSender> sender(new ChannelSender(ack_when, meters, fence));
+  options.void_before = [fence] { return fence->since(); };
+  options.on_outcome = [meters, weak = std::weak_ptr(sender)](std::uint64_t number, brokers::Outcome outcome,
+                                                              const std::string& reason) {
+    if (outcome != brokers::Outcome::confirmed) {
+      meters->lost(outcome == brokers::Outcome::refused   ? "refused"
+                   : outcome == brokers::Outcome::unknown ? "unknown"
+                                                          : reason);
+    }
+    if (const auto self = weak.lock()) self->on_outcome(number, succeeded(outcome, reason));
+  };
+  options.on_writable = [weak = std::weak_ptr(sender)] {
+    if (const auto self = weak.lock()) self->on_writable();
+  };
+  std::shared_ptr<brokers::Publisher> publisher = broker->publisher(topic, options);
+  const std::lock_guard lock(sender->mutex_);
+  sender->broker_ = std::move(broker);
+  sender->publisher_ = std::move(publisher);
+  return sender;
+}
+
+void ChannelSender::send(brokers::Message message, const Tuple& tuple, OutputCollector& collector) {
+  std::unique_lock lock(mutex_);
+  if (!publisher_ || held_.size() >= most_held) {
+    const bool closed = !publisher_;
+    lock.unlock();
+    meters_->lost(closed ? "closed" : "held_back");
+    collector.fail(tuple);
+    return;
+  }
+  held_.push_back({std::move(message), tuple, &collector});
+  if (!full_ && sending_ == nullptr) pump(lock);
+}
+
+/// Sends what is held until nothing is left or the publisher is full. One thread at a time; the lock is not held while
+/// the publisher and the collector are called.
+void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
+  while (!held_.empty() && publisher_) {
+    Held held = std::move(held_.front());
+    held_.pop_front();
+    auto publisher = publisher_;
+    sending_ = held.collector;
+    writable_again_ = false;
+    // Kept before it is published: the outcome may come before publish() returns. Nobody hears of an untracked tuple.
+    const bool awaited = ack_when_ == AckWhen::confirmed && held.tuple.data()->tree != nullptr;
+    if (awaited) under_way_.push_back({accepted_ + 1, held.tuple, held.collector});
+    lock.unlock();
+    const bool is_void = this->is_void(held.tuple);
+    const auto status = is_void ? brokers::PublishStatus::closed : publisher->publish(held.message);
+    if (status == brokers::PublishStatus::accepted) {
+      meters_->accepted();
+      if (!awaited) held.collector->ack(held.tuple);
+    } else if (status == brokers::PublishStatus::closed) {
+      meters_->lost(is_void ? "fenced" : "closed");
+      held.collector->fail(held.tuple);
+    }
+    publisher.reset();  // closed meanwhile it is the last one, and its end tells outcomes, which take the lock
+    lock.lock();
+    if (status == brokers::PublishStatus::accepted) {
+      ++accepted_;
+    } else if (awaited) {
+      under_way_.pop_back();
+    }
+    sending_ = nullptr;
+    sent_.notify_all();
+    if (status != brokers::PublishStatus::would_block) continue;
+    held_.push_front(std::move(held));
+    if (!writable_again_) {
+      full_ = true;
+      return;
+    }
+  }
+}
+
+/// Whether the tuple comes from a message that its broker has given to another reader. One of unknown age is not.
+bool ChannelSender::is_void(const Tuple& tuple) const {
+  const std::int64_t born = tuple.data()->born_ns;
+  return born != 0 && fence_->voids(Fence::Instant(std::chrono::nanoseconds(born)));
+}
+
+void ChannelSender::on_outcome(std::uint64_t number, bool succeeded) {
+  Tuple tuple;
+  OutputCollector* collector = nullptr;
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = std::lower_bound(under_way_.begin(), under_way_.end(), number,
+                                        [](const UnderWay& one, std::uint64_t sought) { return one.number < sought; });
+    if (found == under_way_.end() || found->number != number) return;
+    tuple = std::move(found->tuple);
+    collector = std::exchange(found->collector, nullptr);
+    while (!under_way_.empty() && under_way_.front().collector == nullptr) under_way_.pop_front();
+    if (collector == nullptr) return;
+    answering_.push_back(collector);
+  }
+  if (succeeded) {
+    collector->ack(tuple);
+  } else {
+    collector->fail(tuple);
+  }
+  const std::lock_guard lock(mutex_);
+  answering_.erase(std::find(answering_.begin(), answering_.end(), collector));
+  sent_.notify_all();
+}
+
+void ChannelSender::on_writable() {
+  std::unique_lock lock(mutex_);
+  full_ = false;
+  if (sending_ != nullptr) {
+    writable_again_ = true;
+    return;
+  }
+  pump(lock);
+}
+
+void ChannelSender::reset_timeouts() {
+  const std::lock_guard lock(mutex_);
+  for (const auto& held : held_) held.collector->reset_timeout(held.tuple);
+  for (const auto& one : under_way_) {
+    if (one.collector != nullptr) one.collector->reset_timeout(one.tuple);
+  }
+}
+
+void ChannelSender::forget(const OutputCollector& collector) {
+  std::deque<Held> gone;
+  std::deque<Tuple> forgotten;
+  std::unique_lock lock(mutex_);
+  sent_.wait(lock, [&] {
+    return sending_ != &collector && std::count(answering_.begin(), answering_.end(), &collector) == 0;
+  });
+  for (auto& one : under_way_) {
+    if (one.collector != &collector) continue;
+    one.collector = nullptr;
+    forgotten.push_back(std::move(one.tuple));
+  }
+  std::deque<Held> kept;
+  for (auto& held : held_) (held.collector == &collector ? gone : kept).push_back(std::move(held));
+  held_ = std::move(kept);
+}
+
+void ChannelSender::close() {
+  std::shared_ptr<brokers::Broker> broker;
+  std::shared_ptr<brokers::Publisher> publisher;
+  std::deque<Held> held;
+  {
+    const std::lock_guard lock(mutex_);
+    broker = std::move(broker_);
+    publisher = std::move(publisher_);
+    held.swap(held_);
+  }
+  publisher.reset();
+  for (const auto& [message, tuple, collector] : held) {
+    meters_->lost("closed");
+    collector->fail(tuple);
+  }
+}
+
+}  // namespace iotcloud::topology
