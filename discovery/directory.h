@@ -70,6 +70,6 @@ std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, c
 
 /// Removes all that stands of a topology that nobody runs any more, its orders included.
 /// \return false, with nothing but end reports removed, while there are workers. \throws RegistryError.
-bool remove_topology(Registry& registry, const Paths& paths, const std::string& topology);
+bool remove_topology(Registry& registry, const Paths& paths, const std::string& topology, const Fence& fence = {});
 
 }  // namespace iotcloud::discovery

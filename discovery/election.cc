@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <mutex>
 #include <utility>
 
@@ -61,7 +60,7 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
     std::array<GuardPtr, 5> dying;  // they die after the turn: their destructors wait for callbacks, which want it
     const std::lock_guard lock(turn);
     over = true;
-    leads = false;
+    set_lead(std::nullopt);
     dying = {std::move(session_listener), std::move(predecessor_watch), std::move(list_watch), std::move(own_watch),
              std::move(hold)};
   }
@@ -146,16 +145,27 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   }
 
   void decide() {
-    if (!first || own_epoch == 0 || leads || registry.session() != SessionState::connected) return;
-    leads = true;
+    if (!first || own_epoch == 0 || current_lead() || registry.session() != SessionState::connected) return;
+    set_lead(Lead{own_epoch, {own_path}});
     log.debug("{} leads {} (epoch {})", data, path, own_epoch);
     if (callbacks.on_elected) callbacks.on_elected(own_epoch);
   }
 
   void lose() {
-    if (!leads.exchange(false)) return;
+    if (!set_lead(std::nullopt)) return;
     log.debug("{} leads {} no longer", data, path);
     if (callbacks.on_lost) callbacks.on_lost();
+  }
+
+  std::optional<Lead> current_lead() const {
+    const std::lock_guard lock(lead_mutex);
+    return lead;
+  }
+
+  /// \return what it was before.
+  std::optional<Lead> set_lead(std::optional<Lead> now) {
+    const std::lock_guard lock(lead_mutex);
+    return std::exchange(lead, std::move(now));
   }
 
   Registry& registry;
@@ -163,7 +173,9 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   const std::string data;
   const Callbacks callbacks;
   const bool in_line;
-  std::atomic<bool> leads{false};
+
+  mutable std::mutex lead_mutex;
+  std::optional<Lead> lead;  ///< nullopt: it does not lead; guarded by lead_mutex
 
   /// Held while a callback runs. Recursive, so that the election may be destroyed by its own callback.
   std::recursive_mutex turn;
@@ -186,9 +198,15 @@ Election::~Election() {
 }
 
 bool Election::leading() const {
-  if (!impl_->leads) return false;
+  if (!impl_->current_lead()) return false;
   const SessionState state = impl_->registry.session();
   return state == SessionState::connected || state == SessionState::connecting;
+}
+
+std::optional<Lead> Election::lead() const {
+  if (!impl_->in_line) return std::nullopt;
+  auto lead = impl_->current_lead();
+  return lead && leading() ? std::move(lead) : std::nullopt;
 }
 
 std::string Election::leader_data() const {

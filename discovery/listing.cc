@@ -159,15 +159,15 @@ std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, c
   return workers;
 }
 
-bool remove_topology(Registry& registry, const Paths& paths, const std::string& topology) {
-  remove_tree(registry, paths.ended_workers(topology));
+bool remove_topology(Registry& registry, const Paths& paths, const std::string& topology, const Fence& fence) {
+  remove_tree(registry, paths.ended_workers(topology), fence);
   try {
-    registry.remove(paths.workers(topology));
+    registry.remove(paths.workers(topology), -1, fence);
   } catch (const RegistryError& error) {
     if (error.code() == RegistryErrorCode::not_empty) return false;
     throw;
   }
-  remove_tree(registry, paths.topology(topology));
+  remove_tree(registry, paths.topology(topology), fence);
   return true;
 }
 

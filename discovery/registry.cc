@@ -26,16 +26,16 @@ std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
                       "\": unknown scheme; there are embedded://NAME and zookeeper://host:port,host:port/chroot");
 }
 
-void put(Registry& registry, const std::string& path, const std::string& data) {
+void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence) {
   for (;;) {
     try {
-      registry.set(path, data);
+      registry.set(path, data, -1, fence);
       return;
     } catch (const RegistryError& error) {
       if (error.code() != RegistryErrorCode::no_node) throw;
     }
     try {
-      registry.create(path, data);
+      registry.create(path, data, true, fence);
       return;
     } catch (const RegistryError& error) {
       if (error.code() != RegistryErrorCode::exists) throw;  // it came meanwhile: set it
@@ -43,17 +43,17 @@ void put(Registry& registry, const std::string& path, const std::string& data) {
   }
 }
 
-void remove_tree(Registry& registry, const std::string& path) {
+void remove_tree(Registry& registry, const std::string& path, const Fence& fence) {
   for (;;) {
     try {
-      registry.remove(path);
+      registry.remove(path, -1, fence);
       return;
     } catch (const RegistryError& error) {
       if (error.code() != RegistryErrorCode::not_empty) throw;
     }
     const auto names = registry.children(path);
     if (!names) return;
-    for (const std::string& name : *names) remove_tree(registry, (path == "/" ? "" : path) + "/" + name);
+    for (const std::string& name : *names) remove_tree(registry, (path == "/" ? "" : path) + "/" + name, fence);
   }
 }
 

@@ -24,6 +24,7 @@ enum class RegistryErrorCode {
   closed,       ///< the registry object was closed
   too_large,    ///< more data than a node takes (max_node_size)
   denied,       ///< the node belongs to others: RegistryOptions::user
+  fenced,       ///< the write's fence is gone: Fence
 };
 
 class RegistryError : public config::Error {
@@ -44,6 +45,12 @@ struct Node {
   std::int64_t created = 0;  ///< order of creation in the whole registry (ZooKeeper's czxid)
   bool ephemeral = false;
   std::int64_t owner_session = 0;  ///< of an ephemeral node
+};
+
+/// What a write depends on. The server decides that in one step with the write, so one that was held up on its way (its
+/// process stood still, say) takes no effect when things have changed meanwhile.
+struct Fence {
+  std::string path;  ///< the write takes effect only while this node is there, else it is `fenced`; empty: always
 };
 
 enum class SessionState {
@@ -69,12 +76,14 @@ class Registry {
   virtual ~Registry() = default;
 
   /// Creates a persistent node. With `parents`, missing parents too (empty, persistent).
-  virtual void create(const std::string& path, const std::string& data, bool parents = true) = 0;
+  virtual void create(const std::string& path, const std::string& data, bool parents = true,
+                      const Fence& fence = {}) = 0;
   /// \param expected_version -1 = any.
-  virtual void set(const std::string& path, const std::string& data, std::int64_t expected_version = -1) = 0;
+  virtual void set(const std::string& path, const std::string& data, std::int64_t expected_version = -1,
+                   const Fence& fence = {}) = 0;
   virtual std::optional<Node> get(const std::string& path) = 0;  ///< nullopt: no such node
   /// \return false when there is no such node.
-  virtual bool remove(const std::string& path, std::int64_t expected_version = -1) = 0;
+  virtual bool remove(const std::string& path, std::int64_t expected_version = -1, const Fence& fence = {}) = 0;
   virtual std::optional<std::vector<std::string>> children(const std::string& path) = 0;  ///< sorted names
   /// Many reads in little more than the time of one; the answers stand in the order of `paths`.
   virtual std::vector<std::optional<Node>> get_all(const std::vector<std::string>& paths) = 0;
@@ -125,9 +134,9 @@ struct RegistryOptions {
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options);
 
 /// Sets the data of a node, creating it and its parents when missing.
-void put(Registry& registry, const std::string& path, const std::string& data);
+void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence = {});
 /// Removes a node and all below it; what is gone already is no error.
-void remove_tree(Registry& registry, const std::string& path);
+void remove_tree(Registry& registry, const std::string& path, const Fence& fence = {});
 
 /// Who follows a leader.
 enum class Succession {
@@ -135,6 +144,12 @@ enum class Succession {
   /// The leader's node is `path` itself, and who creates it first when it is gone leads. One write and one read for
   /// each leader, and nothing stays behind: for thousands of elections with a member or two each.
   whoever_is_first,
+};
+
+/// What a leader's writes carry.
+struct Lead {
+  std::int64_t epoch = 0;  ///< as told to Election::Callbacks::on_elected
+  Fence fence;             ///< is gone before another one leads
 };
 
 /// Leader election at `path`: of all members exactly one leads at a time. They agree about the succession.
@@ -154,6 +169,9 @@ class Election {
            Succession succession = Succession::longest_standing);
   ~Election();
   bool leading() const;
+  /// nullopt: it does not lead; always so where whoever is first leads, because there the next one's node has the same
+  /// path and is no fence.
+  std::optional<Lead> lead() const;
   /// Data of the member that leads now, as far as the registry tells; empty when none.
   std::string leader_data() const;
 

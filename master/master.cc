@@ -50,17 +50,11 @@ Master::Impl::Impl(discovery::Registry& registry_of_all, MasterOptions given)
     : registry(registry_of_all),
       options(std::move(given)),
       election(registry, options.paths.masters(), options.address,
-               {[this](std::int64_t now) {
-                  epoch = now;
-                  logger.info("{} leads, epoch {}", options.id, now);
-                },
-                [this] {
-                  epoch = 0;
-                  logger.warn("{} does not lead any more", options.id);
-                }}) {}
+               {[this](std::int64_t epoch) { logger.info("{} leads, epoch {}", options.id, epoch); },
+                [this] { logger.warn("{} does not lead any more", options.id); }}) {}
 
 std::optional<OrderResult> Master::Impl::refuse_unless_leading() const {
-  if (leading_epoch() > 0) return std::nullopt;
+  if (election.leading()) return std::nullopt;
   auto result = refuse(Refusal::not_leading, "");
   if (registry.session() != discovery::SessionState::connected) {
     result.refusal = Refusal::registry_away;
@@ -71,6 +65,14 @@ std::optional<OrderResult> Master::Impl::refuse_unless_leading() const {
   result.text = result.leader.empty()
                     ? fmt::format("master {} does not lead and none does yet; try again in a moment", options.id)
                     : fmt::format("master {} is on standby; the one that leads is {}", options.id, result.leader);
+  return result;
+}
+
+OrderResult Master::Impl::refuse_for(const discovery::RegistryError& error) const {
+  if (error.code() != discovery::RegistryErrorCode::fenced)
+    return refuse(Refusal::registry_away, fmt::format("the registry did not answer: {}", error.what()));
+  auto result = refuse(Refusal::not_leading, lost_lead_text);
+  result.leader = leader();
   return result;
 }
 
@@ -138,8 +140,9 @@ std::vector<discovery::TopologyStatus> Master::topologies() const {
 MasterStatus Master::status() const {
   MasterStatus status;
   status.id = impl_->options.id;
-  status.epoch = impl_->leading_epoch();
-  status.leading = status.epoch > 0;
+  const auto lead = impl_->election.lead();
+  status.leading = lead.has_value();
+  status.epoch = lead ? lead->epoch : 0;
   status.registry_away = impl_->registry.session() != discovery::SessionState::connected;
   if (!status.registry_away) status.leader = impl_->leader();  // else it would be waited for
   return status;

@@ -20,13 +20,14 @@ enum class Status {
   bad_version,
   bad_path,  ///< a child of an ephemeral node, or a path that the server refuses
   denied,    ///< the node belongs to others
+  fenced,    ///< a write whose fence is gone; goes before the other reasons
   away,      ///< the connection or the session went: whether a write took effect is unknown
 };
 
 struct Reply {
   Status status = Status::away;
   Node node;                       ///< get
-  std::string path;                ///< create: the real path
+  std::string path;                ///< create without a fence: the real path
   std::vector<std::string> names;  ///< children, sorted
 };
 using Done = std::function<void(Reply)>;
@@ -57,9 +58,11 @@ class Connection {
   /// How long after `disconnected` the session is certain to live still, when the server hears nothing.
   virtual std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const = 0;
 
-  virtual void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, Done done) = 0;
-  virtual void set(const std::string& path, const std::string& data, std::int64_t expected_version, Done done) = 0;
-  virtual void remove(const std::string& path, std::int64_t expected_version, Done done) = 0;
+  virtual void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential,
+                      const Fence& fence, Done done) = 0;
+  virtual void set(const std::string& path, const std::string& data, std::int64_t expected_version, const Fence& fence,
+                   Done done) = 0;
+  virtual void remove(const std::string& path, std::int64_t expected_version, const Fence& fence, Done done) = 0;
   /// With `watch`, `changed(path)` follows once when the node changes, goes, or comes if it is not there.
   virtual void get(const std::string& path, bool watch, Done done) = 0;
   /// With `watch`, `changed(path)` follows once when children come or go, or the node itself does.

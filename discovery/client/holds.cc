@@ -83,7 +83,7 @@ void Holds::create(const HoldPtr& hold) {
     }
   }
   hold->session = session_;
-  connection_.create(hold->path, hold->data, true, hold->sequential,
+  connection_.create(hold->path, hold->data, true, hold->sequential, {},
                      on_worker([this, hold, parent, leads_the_way](const Reply& reply) {
                        hold->busy = false;
                        created(hold, reply);
@@ -220,7 +220,7 @@ void Holds::remove(const HoldPtr& hold) {
 
 void Holds::remove_own(const HoldPtr& hold) {
   hold->busy = true;
-  connection_.remove(hold->real_path, -1, on_worker([this, hold](const Reply& reply) {
+  connection_.remove(hold->real_path, -1, {}, on_worker([this, hold](const Reply& reply) {
                        hold->busy = false;
                        if (reply.status == Status::away) {
                          step_later(hold, retry_pause);
@@ -287,7 +287,7 @@ void Holds::look_at(const HoldPtr& hold, std::vector<std::string> candidates) {
 
 void Holds::make_parents(const std::string& path, std::function<void(Status)> next) {
   const std::string parent = parent_of(path);
-  connection_.create(parent, "", false, false, on_worker([this, path, parent, next](const Reply& reply) {
+  connection_.create(parent, "", false, false, {}, on_worker([this, path, parent, next](const Reply& reply) {
                        if (reply.status == Status::no_node && parent != "/") {
                          make_parents(parent, [this, path, next](Status status) {
                            if (status == Status::ok) {

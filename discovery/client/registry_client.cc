@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <initializer_list>
 #include <span>
 #include <utility>
 
@@ -25,6 +26,10 @@ RegistryError doubt(const std::string& what) {
                        what + ": the connection was lost meanwhile; whether it took effect is unknown");
 }
 
+bool is_one_of(Status status, std::initializer_list<Status> some) {
+  return std::find(some.begin(), some.end(), status) != some.end();
+}
+
 RegistryError refusal(const std::string& what, Status status) {
   switch (status) {
     case Status::no_node:
@@ -44,6 +49,9 @@ RegistryError refusal(const std::string& what, Status status) {
                            what +
                                ": it belongs to another user of the registry; are registry.user and "
                                "registry.password_file those of the process that created it?");
+    case Status::fenced:
+      return RegistryError(RegistryErrorCode::fenced,
+                           what + ": its fence is gone: what it was to depend on does not hold any more");
     case Status::ok:
     case Status::away:
       break;
@@ -61,7 +69,7 @@ class RegistryClient : public Registry {
   RegistryClient(const RegistryClient&) = delete;
   RegistryClient& operator=(const RegistryClient&) = delete;
 
-  void create(const std::string& path, const std::string& data, bool parents) override {
+  void create(const std::string& path, const std::string& data, bool parents, const Fence& fence) override {
     check(path, data);
     const std::string what = "create " + path;
     if (path == "/") throw refusal(what, Status::exists);
@@ -69,23 +77,29 @@ class RegistryClient : public Registry {
       bool in_doubt = false;
       const Reply reply = core_->call(
           what,
-          [&](Connection& connection, Done done) { connection.create(path, data, false, false, std::move(done)); },
+          [&](Connection& connection, Done done) {
+            connection.create(path, data, false, false, fence, std::move(done));
+          },
           &in_doubt);
       if (reply.status == Status::ok) return;
-      if (reply.status == Status::exists && in_doubt) throw doubt(what);
+      if (in_doubt && is_one_of(reply.status, {Status::exists, Status::fenced})) throw doubt(what);
       if (reply.status != Status::no_node || !parents || parent_of(path) == "/") throw refusal(what, reply.status);
-      make(parent_of(path));
+      make(parent_of(path), fence);
     }
   }
 
-  void set(const std::string& path, const std::string& data, std::int64_t expected_version) override {
+  void set(const std::string& path, const std::string& data, std::int64_t expected_version,
+           const Fence& fence) override {
     check(path, data);
     const std::string what = "set " + path;
     bool in_doubt = false;
     const Reply reply = core_->call(
-        what, [&](Connection& connection, Done done) { connection.set(path, data, expected_version, std::move(done)); },
+        what,
+        [&](Connection& connection, Done done) {
+          connection.set(path, data, expected_version, fence, std::move(done));
+        },
         &in_doubt);
-    if (reply.status == Status::bad_version && in_doubt) throw doubt(what);
+    if (in_doubt && is_one_of(reply.status, {Status::bad_version, Status::fenced})) throw doubt(what);
     if (reply.status != Status::ok) throw refusal(what, reply.status);
   }
 
@@ -99,17 +113,18 @@ class RegistryClient : public Registry {
     return std::move(reply.node);
   }
 
-  bool remove(const std::string& path, std::int64_t expected_version) override {
+  bool remove(const std::string& path, std::int64_t expected_version, const Fence& fence) override {
     check_path(path);
     const std::string what = "remove " + path;
     if (path == "/") throw refusal(what, Status::bad_path);
     bool in_doubt = false;
     const Reply reply = core_->call(
-        what, [&](Connection& connection, Done done) { connection.remove(path, expected_version, std::move(done)); },
+        what,
+        [&](Connection& connection, Done done) { connection.remove(path, expected_version, fence, std::move(done)); },
         &in_doubt);
     if (reply.status == Status::ok) return true;
     if (reply.status == Status::no_node) return in_doubt;
-    if (reply.status == Status::bad_version && in_doubt) throw doubt(what);
+    if (in_doubt && is_one_of(reply.status, {Status::bad_version, Status::fenced})) throw doubt(what);
     throw refusal(what, reply.status);
   }
 
@@ -197,9 +212,9 @@ class RegistryClient : public Registry {
 
  private:
   /// A persistent, empty node and its parents, whoever makes them.
-  void make(const std::string& path) {
+  void make(const std::string& path, const Fence& fence) {
     try {
-      create(path, "", true);
+      create(path, "", true, fence);
     } catch (const RegistryError& error) {
       if (error.code() == RegistryErrorCode::exists) return;
       if (error.code() != RegistryErrorCode::away || !get(path)) throw;  // in doubt, and there all the same

@@ -26,14 +26,16 @@ class EmbeddedConnection : public Connection {
     return timeout;  // a partition is noticed at once
   }
 
-  void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, Done done) override {
-    server_->create(session_, path, data, ephemeral, sequential, done);
+  void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, const Fence& fence,
+              Done done) override {
+    server_->create(session_, path, data, ephemeral, sequential, fence, done);
   }
-  void set(const std::string& path, const std::string& data, std::int64_t expected_version, Done done) override {
-    server_->set(session_, path, data, expected_version, done);
+  void set(const std::string& path, const std::string& data, std::int64_t expected_version, const Fence& fence,
+           Done done) override {
+    server_->set(session_, path, data, expected_version, fence, done);
   }
-  void remove(const std::string& path, std::int64_t expected_version, Done done) override {
-    server_->remove(session_, path, expected_version, done);
+  void remove(const std::string& path, std::int64_t expected_version, const Fence& fence, Done done) override {
+    server_->remove(session_, path, expected_version, fence, done);
   }
   void get(const std::string& path, bool watch, Done done) override { server_->get(session_, path, watch, done); }
   void children(const std::string& path, bool watch, Done done) override {

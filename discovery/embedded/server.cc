@@ -127,11 +127,11 @@ bool Server::reachable(std::int64_t session) const {
 }
 
 void Server::create(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
-                    bool sequential, const Done& done) {
+                    bool sequential, const Fence& fence, const Done& done) {
   const std::lock_guard lock(mutex_);
   Reply reply;
   if (reachable(session)) {
-    reply.status = put_node(session, path, data, ephemeral, sequential, reply.path);
+    reply.status = stands(fence) ? put_node(session, path, data, ephemeral, sequential, reply.path) : Status::fenced;
     Session& own = sessions_.at(session);
     if (std::exchange(own.loses_answer, false)) {
       reply = with_status(Status::away);
@@ -165,14 +165,16 @@ Status Server::put_node(std::int64_t session, const std::string& path, const std
 }
 
 void Server::set(std::int64_t session, const std::string& path, const std::string& data, std::int64_t expected_version,
-                 const Done& done) {
+                 const Fence& fence, const Done& done) {
   const std::lock_guard lock(mutex_);
   if (!reachable(session)) {
     done(with_status(Status::away));
     return;
   }
   const auto found = tree_.find(path);
-  if (found == tree_.end()) {
+  if (!stands(fence)) {
+    done(with_status(Status::fenced));
+  } else if (found == tree_.end()) {
     done(with_status(Status::no_node));
   } else if (expected_version >= 0 && found->second.node.version != expected_version) {
     done(with_status(Status::bad_version));
@@ -185,14 +187,17 @@ void Server::set(std::int64_t session, const std::string& path, const std::strin
   }
 }
 
-void Server::remove(std::int64_t session, const std::string& path, std::int64_t expected_version, const Done& done) {
+void Server::remove(std::int64_t session, const std::string& path, std::int64_t expected_version, const Fence& fence,
+                    const Done& done) {
   const std::lock_guard lock(mutex_);
   if (!reachable(session)) {
     done(with_status(Status::away));
     return;
   }
   const auto found = tree_.find(path);
-  if (path == "/") {
+  if (!stands(fence)) {
+    done(with_status(Status::fenced));
+  } else if (path == "/") {
     done(with_status(Status::bad_path));
   } else if (found == tree_.end()) {
     done(with_status(Status::no_node));

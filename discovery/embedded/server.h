@@ -43,10 +43,11 @@ class Server : public std::enable_shared_from_this<Server> {
   std::int64_t open_session(Connection::Events events, std::chrono::milliseconds timeout);
   void close_session(std::int64_t session);
   void create(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral, bool sequential,
-              const Done& done);
+              const Fence& fence, const Done& done);
   void set(std::int64_t session, const std::string& path, const std::string& data, std::int64_t expected_version,
-           const Done& done);
-  void remove(std::int64_t session, const std::string& path, std::int64_t expected_version, const Done& done);
+           const Fence& fence, const Done& done);
+  void remove(std::int64_t session, const std::string& path, std::int64_t expected_version, const Fence& fence,
+              const Done& done);
   void get(std::int64_t session, const std::string& path, bool watch, const Done& done);
   void children(std::int64_t session, const std::string& path, bool watch, const Done& done);
   /// @}
@@ -70,6 +71,7 @@ class Server : public std::enable_shared_from_this<Server> {
   void cut_off(Session& session);
   void let_in(std::int64_t number);
   bool reachable(std::int64_t session) const;
+  bool stands(const Fence& fence) const { return fence.path.empty() || tree_.contains(fence.path); }
   Status put_node(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
                   bool sequential, std::string& real_path);
   void erase(const std::string& path);

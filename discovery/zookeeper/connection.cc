@@ -46,20 +46,23 @@ class ZooKeeperConnection : public Connection {
     return timeout / 3;
   }
 
-  void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, Done done) override {
+  void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, const Fence& fence,
+              Done done) override {
     const int mode = ephemeral ? (sequential ? ZOO_EPHEMERAL_SEQUENTIAL : ZOO_EPHEMERAL)
                                : (sequential ? ZOO_PERSISTENT_SEQUENTIAL : ZOO_PERSISTENT);
-    with_handle(done, [&](Handle& handle) { handle.create(path, data, mode, std::move(done)); });
+    with_handle(done, [&](Handle& handle) { handle.create(path, data, mode, fence, std::move(done)); });
   }
 
-  void set(const std::string& path, const std::string& data, std::int64_t expected_version, Done done) override {
-    with_handle(done,
-                [&](Handle& handle) { handle.set(path, data, static_cast<int>(expected_version), std::move(done)); });
+  void set(const std::string& path, const std::string& data, std::int64_t expected_version, const Fence& fence,
+           Done done) override {
+    with_handle(done, [&](Handle& handle) {
+      handle.set(path, data, static_cast<int>(expected_version), fence, std::move(done));
+    });
   }
 
-  void remove(const std::string& path, std::int64_t expected_version, Done done) override {
-    with_handle(done,
-                [&](Handle& handle) { handle.remove(path, static_cast<int>(expected_version), std::move(done)); });
+  void remove(const std::string& path, std::int64_t expected_version, const Fence& fence, Done done) override {
+    with_handle(
+        done, [&](Handle& handle) { handle.remove(path, static_cast<int>(expected_version), fence, std::move(done)); });
   }
 
   void get(const std::string& path, bool watch, Done done) override {

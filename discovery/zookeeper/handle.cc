@@ -102,7 +102,7 @@ void Handle::shut(std::chrono::milliseconds patience) {
 template <typename Call>
 void Handle::start(Done done, const Call& call) {
   auto request = std::make_unique<Request>(Request{this, std::move(done)});
-  const void* key = request.get();
+  Request* const key = request.get();
   int code = ZINVALIDSTATE;
   {
     const std::shared_lock lock(open_mutex_);  // shut() cannot come in between
@@ -128,23 +128,57 @@ void Handle::finish(const void* key, Reply reply) {
   if (const Done done = self.taken(key)) done(std::move(reply));
 }
 
-void Handle::create(const std::string& path, const std::string& data, int mode, Done done) {
+/// One transaction of two: whether the fence's node is there, and the write.
+void Handle::start_fenced(const Fence& fence, const zoo_op_t& write, Done done) {
+  const std::string fence_path = full(fence.path);
+  std::array<zoo_op_t, 2> both{zoo_op_t{}, write};
+  zoo_check_op_init(both.data(), fence_path.c_str(), -1);
+  start(std::move(done), [&](zhandle_t* handle, Request* request) {
+    return zoo_amulti(handle, static_cast<int>(both.size()), both.data(), request->results.data(), &Handle::on_fenced,
+                      request);
+  });
+}
+
+void Handle::create(const std::string& path, const std::string& data, int mode, const Fence& fence, Done done) {
+  const std::string place = full(path);
+  if (!fence.path.empty()) {
+    zoo_op_t write{};
+    zoo_create_op_init(&write, place.c_str(), data.data(), static_cast<int>(data.size()), new_nodes_acl(), mode,
+                       nullptr, 0);
+    start_fenced(fence, write, std::move(done));
+    return;
+  }
   start(std::move(done), [&](zhandle_t* handle, const void* request) {
-    return zoo_acreate(handle, full(path).c_str(), data.data(), static_cast<int>(data.size()), new_nodes_acl(), mode,
+    return zoo_acreate(handle, place.c_str(), data.data(), static_cast<int>(data.size()), new_nodes_acl(), mode,
                        &Handle::on_created, request);
   });
 }
 
-void Handle::set(const std::string& path, const std::string& data, int expected_version, Done done) {
+void Handle::set(const std::string& path, const std::string& data, int expected_version, const Fence& fence,
+                 Done done) {
+  const std::string place = full(path);
+  if (!fence.path.empty()) {
+    zoo_op_t write{};
+    zoo_set_op_init(&write, place.c_str(), data.data(), static_cast<int>(data.size()), expected_version, nullptr);
+    start_fenced(fence, write, std::move(done));
+    return;
+  }
   start(std::move(done), [&](zhandle_t* handle, const void* request) {
-    return zoo_aset(handle, full(path).c_str(), data.data(), static_cast<int>(data.size()), expected_version,
+    return zoo_aset(handle, place.c_str(), data.data(), static_cast<int>(data.size()), expected_version,
                     &Handle::on_stat, request);
   });
 }
 
-void Handle::remove(const std::string& path, int expected_version, Done done) {
+void Handle::remove(const std::string& path, int expected_version, const Fence& fence, Done done) {
+  const std::string place = full(path);
+  if (!fence.path.empty()) {
+    zoo_op_t write{};
+    zoo_delete_op_init(&write, place.c_str(), expected_version);
+    start_fenced(fence, write, std::move(done));
+    return;
+  }
   start(std::move(done), [&](zhandle_t* handle, const void* request) {
-    return zoo_adelete(handle, full(path).c_str(), expected_version, &Handle::on_removed, request);
+    return zoo_adelete(handle, place.c_str(), expected_version, &Handle::on_removed, request);
   });
 }
 
@@ -178,6 +212,15 @@ void Handle::on_stat(int code, const Stat* /*stat*/, const void* request) {
 
 void Handle::on_removed(int code, const void* request) {
   finish(request, with_status(code));
+}
+
+void Handle::on_fenced(int code, const void* request) {
+  Reply reply = with_status(code);
+  // Of a transaction that fails only the part that failed has an error which says so.
+  if (code == ZNONODE && static_cast<const Request*>(request)->results.front().err == ZNONODE) {
+    reply.status = Status::fenced;
+  }
+  finish(request, std::move(reply));
 }
 
 void Handle::on_data(int code, const char* data, int size, const Stat* stat, const void* request) {

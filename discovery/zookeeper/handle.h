@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <map>
 #include <memory>
@@ -35,9 +36,9 @@ class Handle : public std::enable_shared_from_this<Handle> {
   /// \param patience how long to wait for the end of the session; it ends in the background after that.
   void shut(std::chrono::milliseconds patience);
 
-  void create(const std::string& path, const std::string& data, int mode, Done done);
-  void set(const std::string& path, const std::string& data, int expected_version, Done done);
-  void remove(const std::string& path, int expected_version, Done done);
+  void create(const std::string& path, const std::string& data, int mode, const Fence& fence, Done done);
+  void set(const std::string& path, const std::string& data, int expected_version, const Fence& fence, Done done);
+  void remove(const std::string& path, int expected_version, const Fence& fence, Done done);
   void get(const std::string& path, bool watch, Done done);
   void children(const std::string& path, bool watch, Done done);
   void exists_watched(const std::string& path, Done done);
@@ -45,16 +46,19 @@ class Handle : public std::enable_shared_from_this<Handle> {
  private:
   struct Request {
     Handle* handle;
-    Done done;  ///< empty: answered by shut()
+    Done done;                                 ///< empty: answered by shut()
+    std::array<zoo_op_result_t, 2> results{};  ///< of a fenced write: its fence's, its own
   };
 
   template <typename Call>
   void start(Done done, const Call& call);
+  void start_fenced(const Fence& fence, const zoo_op_t& write, Done done);
   Done taken(const void* key);
   static void finish(const void* key, Reply reply);
   static void on_created(int code, const char* path, const void* request);
   static void on_stat(int code, const Stat* stat, const void* request);
   static void on_removed(int code, const void* request);
+  static void on_fenced(int code, const void* request);
   static void on_data(int code, const char* data, int size, const Stat* stat, const void* request);
   static void on_names(int code, const String_vector* names, const void* request);
   static void on_event(zhandle_t* handle, int type, int state, const char* path, void* context);

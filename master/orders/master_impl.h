@@ -1,6 +1,5 @@
 #pragma once
 
-#include <atomic>
 #include <condition_variable>
 #include <cstddef>
 #include <functional>
@@ -28,6 +27,7 @@ namespace iotcloud::master {
 /// ZooKeeper refuses nodes above 1 MiB; an order near that is a mistake.
 inline constexpr std::size_t largest_order = std::size_t{512} * 1024;
 
+inline constexpr const char* lost_lead_text = "this master has just lost its lead; the order was not recorded";
 inline constexpr const char* lost_text = "gateway is lost; it will follow the order when it comes back";
 inline constexpr const char* lost_and_not_recorded_text = "gateway is lost; the order was not recorded";
 
@@ -63,12 +63,11 @@ struct Master::Impl {
     Impl& impl_;
   };
 
-  /// The epoch of orders now; 0 when this master does not lead.
-  std::int64_t leading_epoch() const { return election.leading() ? epoch.load() : 0; }
-
-  std::string leader() const { return leading_epoch() > 0 ? options.address : election.leader_data(); }
+  std::string leader() const { return election.leading() ? options.address : election.leader_data(); }
 
   std::optional<OrderResult> refuse_unless_leading() const;
+  /// The refusal of an order that the registry did not take.
+  OrderResult refuse_for(const discovery::RegistryError& error) const;
 
   /// How long to wait when the caller asked for `wait`.
   std::chrono::milliseconds limit(const WaitLimit& wait) const;
@@ -81,19 +80,23 @@ struct Master::Impl {
     try {
       return body();
     } catch (const discovery::RegistryError& e) {
-      return refuse(Refusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
+      return refuse_for(e);
     } catch (const config::Error& e) {
       return refuse(Refusal::bad_request, e.what());
     }
   }
 
-  /// Writes to the registry; what that says about the order, when it is not simply written.
+  /// Writes to the registry, with the fence of the lead that it is given; what that says about the order, when it is
+  /// not simply written.
   template <typename Write>
   MaybeVerdict written(Write&& write) {
-    if (leading_epoch() == 0) return OutcomeWatch::Verdict{Outcome::failed, "this master has just lost its lead"};
+    const auto lead = election.lead();
+    if (!lead) return OutcomeWatch::Verdict{Outcome::failed, lost_lead_text};
     try {
-      return write();
+      return write(*lead);
     } catch (const discovery::RegistryError& e) {
+      if (e.code() == discovery::RegistryErrorCode::fenced)
+        return OutcomeWatch::Verdict{Outcome::failed, lost_lead_text};
       if (e.code() == discovery::RegistryErrorCode::away)
         return OutcomeWatch::Verdict{Outcome::unknown,
                                      fmt::format("whether the order was recorded is not known: {}", e.what())};
@@ -112,7 +115,7 @@ struct Master::Impl {
   /// Orders all instances of a request on one gateway.
   void order_instances(const DeployRequest& request, const discovery::GatewayStatus& gateway, OrderResult& result,
                        OutcomeWatch& watch);
-  MaybeVerdict order_deployment(const discovery::GatewayStatus& gateway, const discovery::OrderRecord& order,
+  MaybeVerdict order_deployment(const discovery::GatewayStatus& gateway, discovery::OrderRecord order,
                                 OutcomeWatch& watch);
 
   // order_change.cc
@@ -137,10 +140,10 @@ struct Master::Impl {
   MaybeVerdict order_change(const Located& where, const discovery::GatewayStatus& gateway, Change change,
                             OutcomeWatch& watch);
   MaybeVerdict clear_away(const Located& where, Change change);
-  MaybeVerdict remove_order(const Located& where);
+  MaybeVerdict remove_order(const Located& where, const discovery::Lead& lead);
   /// Changes an order that stands in the registry; written again when another master was faster.
-  MaybeVerdict rewrite_order(const Located& where, const std::function<void(discovery::OrderRecord&)>& alter);
-  MaybeVerdict fenced(const discovery::OrderRecord& order) const;
+  MaybeVerdict rewrite_order(const Located& where, const discovery::Lead& lead,
+                             const std::function<void(discovery::OrderRecord&)>& alter);
 
   // order_metadata.cc
   OrderResult update_metadata(const InstanceSelection& selection, const MetadataChanges& changes);
@@ -154,7 +157,7 @@ struct Master::Impl {
 
   // order_drain.cc
   OrderResult drain(const GatewaySelection& selection, bool undo);
-  void mark_draining(const std::string& gateway, bool undo);
+  void mark_draining(const std::string& gateway, bool undo, const discovery::Lead& lead);
   MaybeVerdict order_drain(const Located& where, const discovery::GatewayStatus& gateway, bool undo,
                            OutcomeWatch& watch);
 
@@ -166,11 +169,11 @@ struct Master::Impl {
   std::optional<TopologyResult> refuse_unknown_topology(const std::string& name);
   discovery::TopologyOrder changed_order(const std::optional<discovery::Node>& node, const TopologyRequest& request,
                                          const std::vector<discovery::WorkerRecord>& workers,
-                                         std::chrono::milliseconds wait) const;
+                                         const discovery::Lead& lead, std::chrono::milliseconds wait) const;
   discovery::TopologyOrder write_order(const TopologyRequest& request,
-                                       const std::vector<discovery::WorkerRecord>& workers,
+                                       const std::vector<discovery::WorkerRecord>& workers, const discovery::Lead& lead,
                                        std::chrono::milliseconds wait);
-  void clear_killed(const std::string& topology, TopologyResult& result);
+  void clear_killed(const std::string& topology, const discovery::Lead& lead, TopologyResult& result);
 
   // master.cc
   bool is_direct(const std::string& gateway) const { return options.direct && options.direct->has(gateway); }
@@ -187,7 +190,6 @@ struct Master::Impl {
   /// Shared while what makes instances run is written, exclusive while gateways are marked as draining: one of them
   /// sees the other.
   std::shared_mutex placing;
-  std::atomic<std::int64_t> epoch{0};
   std::mutex mutex;
   std::condition_variable idle;
   int under_way = 0;               ///< guarded by mutex

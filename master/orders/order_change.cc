@@ -8,6 +8,7 @@
 namespace iotcloud::master {
 
 using discovery::GatewayStatus;
+using discovery::Lead;
 using discovery::OrderRecord;
 using discovery::RegistryError;
 using discovery::RegistryErrorCode;
@@ -24,6 +25,10 @@ OutcomeWatch::Wanted wanted_by(Change change) {
       return OutcomeWatch::Wanted::inactive;
   }
   return OutcomeWatch::Wanted::gone;
+}
+
+OutcomeWatch::Verdict of_later_master() {
+  return {Outcome::failed, "a later master has given orders for it; this one's lead is over"};
 }
 
 }  // namespace
@@ -129,10 +134,10 @@ Master::Impl::MaybeVerdict Master::Impl::order_change(const Located& where, cons
                                                       OutcomeWatch& watch) {
   if (!gateway.alive && (!options.record_for_lost_gateways || is_direct(where.gateway)))
     return OutcomeWatch::Verdict{Outcome::failed, lost_and_not_recorded_text};
-  return written([&]() -> MaybeVerdict {
+  return written([&](const Lead& lead) -> MaybeVerdict {
     const bool later = gateway.draining && change == Change::start;
     const auto verdict =
-        change == Change::undeploy ? remove_order(where) : rewrite_order(where, [&](OrderRecord& order) {
+        change == Change::undeploy ? remove_order(where, lead) : rewrite_order(where, lead, [&](OrderRecord& order) {
           order.drained = later && !order.active;
           order.active = change == Change::start && !order.drained;
         });
@@ -151,26 +156,20 @@ Master::Impl::MaybeVerdict Master::Impl::order_change(const Located& where, cons
 Master::Impl::MaybeVerdict Master::Impl::clear_away(const Located& where, Change change) {
   if (change != Change::undeploy)
     return OutcomeWatch::Verdict{Outcome::failed, "its gateway is not registered any more"};
-  return written([&]() -> MaybeVerdict {
-    discovery::remove_tree(registry, options.paths.instance(where.driver, where.instance));
+  return written([&](const Lead& lead) -> MaybeVerdict {
+    discovery::remove_tree(registry, options.paths.instance(where.driver, where.instance), lead.fence);
     return OutcomeWatch::Verdict{Outcome::done, "its gateway is not registered any more; its record is removed"};
   });
 }
 
-/// The registry's own fence: an order that a later leader wrote is not changed by an earlier one.
-Master::Impl::MaybeVerdict Master::Impl::fenced(const OrderRecord& order) const {
-  if (order.epoch <= leading_epoch()) return std::nullopt;
-  return OutcomeWatch::Verdict{Outcome::failed, "a later master has given orders for it; this one's lead is over"};
-}
-
-Master::Impl::MaybeVerdict Master::Impl::remove_order(const Located& where) {
+Master::Impl::MaybeVerdict Master::Impl::remove_order(const Located& where, const Lead& lead) {
   const auto path = options.paths.order(where.gateway, where.instance);
   while (!closing.stop_requested()) {
     const auto node = registry.get(path);
     if (!node) break;
-    if (auto refusal = fenced(discovery::decode_order(node->data, path))) return refusal;
+    if (discovery::decode_order(node->data, path).epoch > lead.epoch) return of_later_master();
     try {
-      registry.remove(path, node->version);
+      registry.remove(path, node->version, lead.fence);
       break;
     } catch (const RegistryError& e) {
       if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again
@@ -180,22 +179,22 @@ Master::Impl::MaybeVerdict Master::Impl::remove_order(const Located& where) {
   return OutcomeWatch::Verdict{Outcome::done, "its gateway had not taken it up yet"};
 }
 
-Master::Impl::MaybeVerdict Master::Impl::rewrite_order(const Located& where,
+Master::Impl::MaybeVerdict Master::Impl::rewrite_order(const Located& where, const Lead& lead,
                                                        const std::function<void(OrderRecord&)>& alter) {
   const auto path = options.paths.order(where.gateway, where.instance);
   while (!closing.stop_requested()) {
     const auto node = registry.get(path);
     if (!node) return OutcomeWatch::Verdict{Outcome::failed, "it is being undeployed"};
     auto order = discovery::decode_order(node->data, path);
-    if (auto refusal = fenced(order)) return refusal;
+    if (order.epoch > lead.epoch) return of_later_master();
     alter(order);
-    order.epoch = leading_epoch();
+    order.epoch = lead.epoch;
     const std::string bytes = encode(order);
     if (bytes.size() > largest_order)
       return OutcomeWatch::Verdict{
           Outcome::failed, fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
     try {
-      registry.set(path, bytes, node->version);
+      registry.set(path, bytes, node->version, lead.fence);
       return std::nullopt;
     } catch (const RegistryError& e) {
       if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again

@@ -60,7 +60,6 @@ OrderRecord Master::Impl::order_for(const DeployRequest& request) const {
   order.sha256 = request.sha256;
   order.properties = request.properties;
   order.metadata = request.metadata;
-  order.epoch = leading_epoch();
   order.active = request.active;
   order.name = request.name;
   order.manager = request.manager;
@@ -161,19 +160,13 @@ void Master::Impl::order_instances(const DeployRequest& request, const GatewaySt
   }
 }
 
-Master::Impl::MaybeVerdict Master::Impl::order_deployment(const GatewayStatus& gateway, const OrderRecord& order,
+Master::Impl::MaybeVerdict Master::Impl::order_deployment(const GatewayStatus& gateway, OrderRecord order,
                                                           OutcomeWatch& watch) {
   if (!gateway.alive && (!options.record_for_lost_gateways || is_direct(gateway.record.id)))
     return OutcomeWatch::Verdict{Outcome::failed, lost_and_not_recorded_text};
-  return written([&]() -> MaybeVerdict {
-    const auto path = options.paths.order(gateway.record.id, order.instance);
-    registry.create(path, encode(order));
-    if (leading_epoch() != order.epoch) {
-      // A master that was frozen, say, wrote it when another one led already. Gateways that know the other one ignore
-      // it, and none is to find it later.
-      registry.remove(path);
-      return OutcomeWatch::Verdict{Outcome::failed, "this master's lead ended meanwhile; the order was taken back"};
-    }
+  return written([&](const discovery::Lead& lead) -> MaybeVerdict {
+    order.epoch = lead.epoch;
+    registry.create(options.paths.order(gateway.record.id, order.instance), encode(order), true, lead.fence);
     if (!gateway.alive) return OutcomeWatch::Verdict{Outcome::pending, lost_text};
     watch.expect(order.instance, order.driver, std::nullopt);
     return std::nullopt;

@@ -38,9 +38,9 @@ Master::Impl::MaybeVerdict Master::Impl::order_deployment_change(const Located& 
   if (gateway == nullptr) return failed("its gateway is not registered any more");
   if (is_direct(where.gateway)) return failed("its gateway is of the original system: deploy it again");
   if (!gateway->alive && !options.record_for_lost_gateways) return failed(lost_and_not_recorded_text);
-  return written([&]() -> MaybeVerdict {
+  return written([&](const discovery::Lead& lead) -> MaybeVerdict {
     bool made_anew = false;
-    const auto verdict = rewrite_order(where, [&](OrderRecord& order) {
+    const auto verdict = rewrite_order(where, lead, [&](OrderRecord& order) {
       made_anew = change.properties && *change.properties != order.properties;
       if (change.properties) order.properties = *change.properties;
       if (change.manager) order.manager = *change.manager;

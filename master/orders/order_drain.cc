@@ -33,6 +33,8 @@ OrderResult Master::undrain(const GatewaySelection& selection) {
 
 OrderResult Master::Impl::drain(const GatewaySelection& selection, bool undo) {
   if (selection.gateways.empty()) return refuse(Refusal::bad_request, "no gateway is named: give at least one id");
+  const auto lead = election.lead();
+  if (!lead) return refuse(Refusal::not_leading, lost_lead_text);
   const auto known = discovery::list_gateways(registry, options.paths);
   for (const auto& id : selection.gateways) {
     if (!find(known, id)) return refuse_gateway(id, known);
@@ -44,7 +46,7 @@ OrderResult Master::Impl::drain(const GatewaySelection& selection, bool undo) {
   }
   {
     const std::unique_lock lock(placing);  // every deployment has written its orders, or will see the marks
-    for (const auto& id : selection.gateways) mark_draining(id, undo);
+    for (const auto& id : selection.gateways) mark_draining(id, undo, *lead);
   }
   const std::set<std::string> ids(selection.gateways.begin(), selection.gateways.end());
   auto orders = discovery::list_orders(registry, options.paths, {ids.begin(), ids.end()});
@@ -71,25 +73,25 @@ OrderResult Master::Impl::drain(const GatewaySelection& selection, bool undo) {
   return result;
 }
 
-void Master::Impl::mark_draining(const std::string& gateway, bool undo) {
+void Master::Impl::mark_draining(const std::string& gateway, bool undo, const discovery::Lead& lead) {
   const auto path = options.paths.gateway_draining(gateway);
   const auto node = registry.get(path);
-  if (node && discovery::decode_drain(node->data, path).epoch > leading_epoch())
+  if (node && discovery::decode_drain(node->data, path).epoch > lead.epoch)
     throw config::Error("a later master has given orders for it; this one's lead is over");
   if (undo) {
-    registry.remove(path);
+    registry.remove(path, -1, lead.fence);
   } else if (!node) {
     discovery::DrainRecord mark;
     mark.since_ms = wall_ms();
-    mark.epoch = leading_epoch();
-    registry.create(path, encode(mark));
+    mark.epoch = lead.epoch;
+    registry.create(path, encode(mark), true, lead.fence);
   }
 }
 
 Master::Impl::MaybeVerdict Master::Impl::order_drain(const Located& where, const GatewayStatus& gateway, bool undo,
                                                      OutcomeWatch& watch) {
-  return written([&]() -> MaybeVerdict {
-    const auto verdict = rewrite_order(where, [&](OrderRecord& order) {
+  return written([&](const discovery::Lead& lead) -> MaybeVerdict {
+    const auto verdict = rewrite_order(where, lead, [&](OrderRecord& order) {
       const bool concerned = undo ? order.drained : order.active;
       order.active = undo ? order.active || concerned : false;
       order.drained = !undo && (order.drained || concerned);

@@ -35,8 +35,8 @@ Master::Impl::MaybeVerdict Master::Impl::order_metadata(const Located& where, co
   if (gateway == nullptr) return failed("its gateway is not registered any more");
   if (is_direct(where.gateway)) return failed("its gateway is of the original system, which takes no metadata");
   if (!gateway->alive && !options.record_for_lost_gateways) return failed(lost_and_not_recorded_text);
-  return written([&]() -> MaybeVerdict {
-    const auto verdict = rewrite_order(where, [&](OrderRecord& order) {
+  return written([&](const discovery::Lead& lead) -> MaybeVerdict {
+    const auto verdict = rewrite_order(where, lead, [&](OrderRecord& order) {
       for (const auto& [key, value] : changes) {
         if (value.empty()) {
           order.metadata.erase(key);

@@ -66,7 +66,7 @@ class Master::Impl::RollingUpdate {
   void go_back(Steps::iterator end);
   MaybeVerdict begin_to_go_back(Step& step, OutcomeWatch& watch);
   void confirm();
-  bool abandoned() const { return master_.closing.stop_requested() || master_.leading_epoch() == 0; }
+  bool abandoned() const { return master_.closing.stop_requested() || !master_.election.leading(); }
   void leave_out(Steps::iterator from, const std::string& why);
   OrderResult result() const;
 
@@ -222,7 +222,7 @@ bool Master::Impl::RollingUpdate::stays_up(const Range& range) {
 }
 
 Master::Impl::MaybeVerdict Master::Impl::RollingUpdate::begin(Step& step, OutcomeWatch& watch) {
-  return master_.written([&]() -> MaybeVerdict {
+  return master_.written([&](const discovery::Lead& lead) -> MaybeVerdict {
     const auto path = master_.options.paths.order(step.where.gateway, step.where.instance);
     if (const auto node = master_.registry.get(path)) {
       const auto order = discovery::decode_order(node->data, path);
@@ -231,7 +231,7 @@ Master::Impl::MaybeVerdict Master::Impl::RollingUpdate::begin(Step& step, Outcom
         return Verdict{Outcome::done, "it runs this version already"};
     }
     step.ordered = true;  // even when no answer comes
-    auto verdict = master_.rewrite_order(step.where, [&](OrderRecord& order) {
+    auto verdict = master_.rewrite_order(step.where, lead, [&](OrderRecord& order) {
       step.before = order.version();
       step.active = order.active;
       // Its name is part of its topics: a file with another name must not change it.
@@ -272,9 +272,9 @@ void Master::Impl::RollingUpdate::go_back(Steps::iterator end) {
 }
 
 Master::Impl::MaybeVerdict Master::Impl::RollingUpdate::begin_to_go_back(Step& step, OutcomeWatch& watch) {
-  return master_.written([&]() -> MaybeVerdict {
+  return master_.written([&](const discovery::Lead& lead) -> MaybeVerdict {
     bool ours = false;
-    auto verdict = master_.rewrite_order(step.where, [&](OrderRecord& order) {
+    auto verdict = master_.rewrite_order(step.where, lead, [&](OrderRecord& order) {
       ours = order.version() == wanted_ && order.previous;
       if (!ours) return;
       step.before = *order.previous;
@@ -295,8 +295,8 @@ Master::Impl::MaybeVerdict Master::Impl::RollingUpdate::begin_to_go_back(Step& s
 void Master::Impl::RollingUpdate::confirm() {
   for (auto& step : steps_) {
     if (!step.ordered) continue;
-    const auto problem = master_.written([&] {
-      return master_.rewrite_order(step.where, [&](OrderRecord& order) {
+    const auto problem = master_.written([&](const discovery::Lead& lead) {
+      return master_.rewrite_order(step.where, lead, [&](OrderRecord& order) {
         if (order.version() == wanted_) order.previous.reset();
       });
     });

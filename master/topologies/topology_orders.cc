@@ -99,8 +99,9 @@ TopologyResult Master::order(const TopologyRequest& request) {
   try {
     return impl_->order(request);
   } catch (const RegistryError& e) {
-    if (e.code() == RegistryErrorCode::away) {
-      return refuse_topology(Refusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
+    if (e.code() == RegistryErrorCode::away || e.code() == RegistryErrorCode::fenced) {
+      const auto refusal = impl_->refuse_for(e);
+      return {refusal.refusal, refusal.text, refusal.leader, {}};
     }
     return refuse_topology(Refusal::bad_request, e.what());
   } catch (const config::Error& e) {
@@ -123,18 +124,18 @@ std::optional<TopologyResult> Master::Impl::refuse_unknown_topology(const std::s
 
 /// \return the order as it is to be from now on. \throws config::Error when it cannot be given.
 TopologyOrder Master::Impl::changed_order(const std::optional<Node>& node, const TopologyRequest& request,
-                                          const std::vector<WorkerRecord>& workers, milliseconds wait) const {
+                                          const std::vector<WorkerRecord>& workers, const discovery::Lead& lead,
+                                          milliseconds wait) const {
   TopologyOrder order;
   if (node) order = discovery::decode_topology_order(node->data, options.paths.topology_order(request.topology));
-  if (order.epoch > leading_epoch())
-    throw config::Error("a later master has given orders for it; this one's lead is over");
+  if (order.epoch > lead.epoch) throw config::Error("a later master has given orders for it; this one's lead is over");
   std::int64_t last = order.revision;
   for (const WorkerRecord& worker : workers) last = std::max(last, worker.revision);
   if (order.kill && !any_lives(order.kill->workers, workers)) order = TopologyOrder{};  // that run is over
   if (order.kill && request.change != TopologyChange::kill)
     throw config::Error("topology " + request.topology + " is being killed");
   order.revision = last + 1;
-  order.epoch = leading_epoch();
+  order.epoch = lead.epoch;
   switch (request.change) {
     case TopologyChange::activate:
       order.active = true;
@@ -156,16 +157,16 @@ TopologyOrder Master::Impl::changed_order(const std::optional<Node>& node, const
 }
 
 TopologyOrder Master::Impl::write_order(const TopologyRequest& request, const std::vector<WorkerRecord>& workers,
-                                        milliseconds wait) {
+                                        const discovery::Lead& lead, milliseconds wait) {
   const std::string path = options.paths.topology_order(request.topology);
   while (!closing.stop_requested()) {
     const auto node = registry.get(path);
-    const TopologyOrder order = changed_order(node, request, workers, wait);
+    const TopologyOrder order = changed_order(node, request, workers, lead, wait);
     try {
       if (node) {
-        registry.set(path, discovery::encode(order), node->version);
+        registry.set(path, discovery::encode(order), node->version, lead.fence);
       } else {
-        registry.create(path, discovery::encode(order));
+        registry.create(path, discovery::encode(order), true, lead.fence);
       }
       return order;
     } catch (const RegistryError& e) {
@@ -179,6 +180,8 @@ TopologyOrder Master::Impl::write_order(const TopologyRequest& request, const st
 }
 
 TopologyResult Master::Impl::order(const TopologyRequest& request) {
+  const auto lead = election.lead();
+  if (!lead) return refuse_topology(Refusal::not_leading, lost_lead_text);
   if (auto refusal = refuse_unknown_topology(request.topology)) return *refusal;
   const auto workers = discovery::list_workers(registry, options.paths, request.topology);
   const bool kill = request.change == TopologyChange::kill;
@@ -192,13 +195,13 @@ TopologyResult Master::Impl::order(const TopologyRequest& request) {
   }
   TopologyResult result;
   if (kill && workers.empty()) {
-    discovery::remove_topology(registry, options.paths, request.topology);
+    discovery::remove_topology(registry, options.paths, request.topology, lead->fence);
     result.text = "no worker ran; what was ordered for it is forgotten";
     return result;
   }
   const milliseconds wait =
       limit(kill && !request.wait ? std::max(options.outcome_timeout, request.drain + end_margin) : request.wait);
-  const TopologyOrder order = write_order(request, workers, wait);
+  const TopologyOrder order = write_order(request, workers, *lead, wait);
   if (workers.empty()) result.text = "no worker runs; those that start will follow";
 
   TopologyWatch watch(registry, options.paths, request.topology, order.revision, kill);
@@ -208,7 +211,7 @@ TopologyResult Master::Impl::order(const TopologyRequest& request) {
     const auto& verdict = verdicts.at(worker.name);
     result.outcomes.push_back({worker.name, worker.host, verdict.outcome, verdict.reason});
   }
-  if (kill) clear_killed(request.topology, result);
+  if (kill) clear_killed(request.topology, *lead, result);
   for (const auto& outcome : result.outcomes)
     config::process_metrics()
         .counter("iotcloud_master_topology_orders_total", "Orders to topologies by what became of them in each worker",
@@ -219,13 +222,13 @@ TopologyResult Master::Impl::order(const TopologyRequest& request) {
 }
 
 /// When all that were to end are gone, so is the order; otherwise the last of them takes it away.
-void Master::Impl::clear_killed(const std::string& topology, TopologyResult& result) {
+void Master::Impl::clear_killed(const std::string& topology, const discovery::Lead& lead, TopologyResult& result) {
   if (std::any_of(result.outcomes.begin(), result.outcomes.end(),
                   [](const auto& o) { return o.outcome == Outcome::unknown; }))
     return;
   try {
-    if (discovery::remove_topology(registry, options.paths, topology)) return;
-    registry.remove(options.paths.topology_order(topology));
+    if (discovery::remove_topology(registry, options.paths, topology, lead.fence)) return;
+    registry.remove(options.paths.topology_order(topology), -1, lead.fence);
     std::vector<std::string> names;
     for (const auto& worker : discovery::list_workers(registry, options.paths, topology)) names.push_back(worker.name);
     result.text = fmt::format("started after the order, and running: {}", fmt::join(names, ", "));

@@ -5,7 +5,7 @@ again and again, while orders are given through the CLI and load generators run 
 usage: leaders_test.py BUILD_DIR [--kills N] [--stops N] [--seed N]
 
 Judged: how long until another one leads (the session's time-out plus two seconds); that the orders of a leader that was
-frozen, given to it before it knew better, are followed by nobody; that the CLI, which is told of all masters, finds the
+frozen, given to it before it knew better, are followed by nobody and stand nowhere; that the CLI, which is told of all masters, finds the
 one that leads by itself; and that the data plane notices nothing: no message lost, none late.
 """
 
@@ -117,6 +117,15 @@ class Masters(FaultCluster):
     def purposes(self):
         return [driver["metadata"].get("purpose") for driver in json.loads(self.cli("drivers", "-o", "json"))]
 
+    def ordered_purposes(self):
+        """Of all orders that stand in the registry."""
+        name, _ = self.leader()
+        api = MasterApi(self.apis[name])
+        try:
+            return [order.metadata.get("purpose") for order in api.orders()]
+        finally:
+            api.close()
+
     def ignored_by_gateways(self):
         return sum(self.said(f"gateway-{number}", "its master leads no more") for number in range(1, self.gateways + 1))
 
@@ -177,6 +186,8 @@ def judge_stale(cluster, answers):
           f"followed {done}", flush=True)
     if done or "stale" in cluster.purposes():
         raise SystemExit("an order of a master that led no more was followed")
+    if "stale" in cluster.ordered_purposes():
+        raise SystemExit("an order of a master that led no more stands in the registry: a gateway that starts follows it")
 
 
 def main():

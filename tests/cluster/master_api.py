@@ -37,6 +37,9 @@ class MasterApi:
     def status(self):
         return self.client.getStatus()
 
+    def orders(self):
+        return self.client.listOrders()
+
     def deploy(self, plugin, gateway, properties):
         """The ids of what was deployed. Raises RuntimeError when it was not."""
         from master.ttypes import TDeployRequest

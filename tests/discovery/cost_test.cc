@@ -21,17 +21,19 @@ class CountingConnection : public Connection {
   std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const override {
     return below_->certain_after_disconnect(timeout);
   }
-  void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, Done done) override {
+  void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, const Fence& fence,
+              Done done) override {
     asked_.add("create " + path);
-    below_->create(path, data, ephemeral, sequential, std::move(done));
+    below_->create(path, data, ephemeral, sequential, fence, std::move(done));
   }
-  void set(const std::string& path, const std::string& data, std::int64_t expected_version, Done done) override {
+  void set(const std::string& path, const std::string& data, std::int64_t expected_version, const Fence& fence,
+           Done done) override {
     asked_.add("set " + path);
-    below_->set(path, data, expected_version, std::move(done));
+    below_->set(path, data, expected_version, fence, std::move(done));
   }
-  void remove(const std::string& path, std::int64_t expected_version, Done done) override {
+  void remove(const std::string& path, std::int64_t expected_version, const Fence& fence, Done done) override {
     asked_.add("remove " + path);
-    below_->remove(path, expected_version, std::move(done));
+    below_->remove(path, expected_version, fence, std::move(done));
   }
   void get(const std::string& path, bool watch, Done done) override {
     asked_.add("get " + path);

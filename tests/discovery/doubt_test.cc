@@ -76,5 +76,20 @@ TEST_F(Doubt, ACreationSaysThatItsOutcomeIsUnknown) {
   }
 }
 
+TEST_F(Doubt, ACreationWhoseFenceWentMeanwhileDoesNotSayThatItWasRefused) {
+  other_->create("/fence", "");
+  auto call = std::async(std::launch::async, [&] { registry_->create("/h/persistent", "data", true, {"/fence"}); });
+  wait_until_cut_off();
+  other_->remove("/fence");
+  server_->restore(session_);
+  try {
+    call.get();
+    ADD_FAILURE() << "it took effect";
+  } catch (const RegistryError& error) {
+    EXPECT_EQ(error.code(), RegistryErrorCode::away);
+  }
+  EXPECT_TRUE(other_->get("/h/persistent"));
+}
+
 }  // namespace
 }  // namespace iotcloud::discovery::tests

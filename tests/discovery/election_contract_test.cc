@@ -95,6 +95,25 @@ TEST_P(ElectionContract, ALeaderWhoseSessionExpiresIsFollowedAndStandsAgain) {
   EXPECT_GT(first->epoch, second->epoch);
 }
 
+TEST_P(ElectionContract, AFormerLeaderCannotWriteWhenAnotherOneLeads) {
+  const auto first = stand("first");
+  const auto second = stand("second");
+  ASSERT_TRUE(history_.wait_for_last("first elected"));
+  EXPECT_FALSE(second->election->lead());
+  const auto lead = first->election->lead();
+  ASSERT_TRUE(lead);
+  EXPECT_EQ(lead->epoch, first->epoch);
+  registry_->create("/order", "of the first", true, lead->fence);
+
+  place_->expire(registry_->get(lead->fence.path)->owner_session);
+  ASSERT_TRUE(eventually([&] { return second->election->leading(); }));
+  EXPECT_EQ(code_of([&] { registry_->set("/order", "late", -1, lead->fence); }), RegistryErrorCode::fenced);
+  registry_->set("/order", "of the second", -1, second->election->lead()->fence);
+  EXPECT_EQ(registry_->get("/order")->data, "of the second");
+  ASSERT_TRUE(history_.wait([](const auto& all) { return testing::Value(all, testing::Contains("first lost")); }));
+  EXPECT_FALSE(first->election->lead());
+}
+
 TEST_P(ElectionContract, AloneAgainAfterItsSessionExpiredAMemberLeadsUnderANewEpoch) {
   const auto member = stand("it");
   ASSERT_TRUE(history_.wait_for_last("it elected"));
@@ -192,6 +211,7 @@ TEST_P(SeatContract, OneLeadsAndTheOtherFollowsWhenItResigns) {
   first.reset();
   ASSERT_TRUE(history_.wait_for_last("second elected"));
   EXPECT_TRUE(second->leading());
+  EXPECT_FALSE(second->lead()) << "its node is no fence";
   EXPECT_EQ(second->leader_data(), "second");
   EXPECT_THAT(history_.all(), testing::ElementsAre("first elected", "second elected"));
 }
