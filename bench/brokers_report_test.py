@@ -26,7 +26,7 @@ class Programs:
 
 class BrokersReportTest(unittest.TestCase):
     def bench(self, answer=lambda *_: {}, **given):
-        given = types.SimpleNamespace(**{"quick": False, "rounds": 3, "keep_noisy": False, **given})
+        given = types.SimpleNamespace(**{"quick": False, "rounds": 3, "keep_noisy": False, "figures": None, **given})
         return Bench("rabbitmq", "amqp://host/", [7], Programs(answer), Report(), Progress(), given)
 
     def setUp(self):
@@ -58,6 +58,24 @@ class BrokersReportTest(unittest.TestCase):
         bench = self.bench(lambda engine, _: {"sustained": engine != OURS})
         self.assertEqual(bench.pair("x", {}, 2), ([], []))
         self.assertEqual(len(bench.programs.order), 2)
+
+    def test_a_program_that_fails_costs_its_figure_alone(self):
+        def answer(engine, turn):
+            if (engine, turn) == (OURS, 2):
+                raise brokers_report.ProgramFailed("out of order")
+            return {}
+        bench = self.bench(answer)
+        self.assertEqual(bench.pair("x", {}, 2), ([], []))
+        self.assertTrue(bench.report.failed)
+        self.assertEqual(len(bench.pair("y", {}, 2)[0]), 3)
+
+    def test_only_the_figures_that_are_asked_for_are_taken(self):
+        bench = self.bench(figures="1000 x .*shared")
+        brokers_report.figures(bench, False)
+        names = [result["name"] for result in bench.report.results]
+        self.assertEqual(len(names), 6)
+        self.assertTrue(all(name.startswith("rabbitmq, 1000 x 5/s, shared: ") for name in names), names)
+        self.assertEqual(bench.report.missing, 0)
 
     def test_the_ratio_is_the_median_of_the_ratios_of_one_round(self):
         rates = {OURS: [90, 190, 100], "rabbitmq": [100, 200, 400]}

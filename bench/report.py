@@ -2,7 +2,8 @@
 """Runs a benchmark, prints a table and writes build/bench/NAME.json.
 
 usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench builds what this needs)
-       report.py brokers [--quick] [--only BROKER] [--rounds N] [--keep-noisy] [--build DIR] [--json FILE]
+       report.py brokers [--quick] [--only BROKER] [--figures REGEX] [--rounds N] [--keep-noisy] [--build DIR]
+                         [--json FILE]
        report.py discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
        report.py fleet [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
        report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
@@ -43,6 +44,7 @@ def main():
     soak.add_argument("--seed", type=int, help="to disturb it in the same way again")
     brokers.add_argument("--quick", action="store_true", help="fewer sizes and rates, three rounds")
     brokers.add_argument("--only", choices=BROKERS, action="append", help="this broker; may be given several times")
+    brokers.add_argument("--figures", metavar="REGEX", help="those in whose name this is found, as in '1000 x 5/s'")
     brokers.add_argument("--rounds", type=int, help="default: 7, with --quick 3")
     brokers.add_argument("--keep-noisy", action="store_true", help="rounds with company count too (the table says so)")
     discovery.add_argument("--quick", action="store_true", help="one round, 50 new drivers")
