@@ -118,7 +118,8 @@ void read_plugins(config::Section& file, GatewayConfig& config) {
   trust.require_signature = file.bool_or("plugins.require_signature", false);
   trust.trusted_keys = file.strings_or("plugins.trusted_keys", {});
   checked(file, trust.trusted_keys.empty() ? "plugins.require_signature" : "plugins.trusted_keys",
-          [&] { config.hosts.trust = std::make_shared<const PluginTrust>(trust); });
+          [&] { config.trust = std::make_shared<PluginTrust>(trust); });
+  config.hosts.trust = config.trust;
 }
 
 void read_hosts(config::Section& file, GatewayConfig& config) {

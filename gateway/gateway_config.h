@@ -13,7 +13,8 @@ namespace iotcloud::gateway {
 struct GatewayConfig {
   GatewayOptions gateway;  ///< without registry and launcher
   discovery::RegistryOptions registry;
-  ProcessLauncher::Options hosts;        ///< with whose plugins are trusted; without the store
+  ProcessLauncher::Options hosts;        ///< with `trust`; without the store
+  std::shared_ptr<PluginTrust> trust;    ///< whose plugins are trusted
   std::int64_t plugin_upload_limit = 0;  ///< bytes of a plugin that is sent
   SiteService::Options thrift;
   std::string metrics_address;  ///< host:port; empty: none

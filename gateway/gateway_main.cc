@@ -54,7 +54,10 @@ class GatewayDaemon final : public config::Service {
       metrics_.emplace(config_.metrics_address, config::process_metrics(), [this] { return trouble(); });
   }
 
-  void reload() override { service_->reload(); }
+  void reload() override {
+    config_.trust->reload();
+    service_->reload();
+  }
 
   void stop(std::chrono::milliseconds limit) override {
     metrics_.reset();

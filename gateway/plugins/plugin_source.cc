@@ -55,11 +55,12 @@ PluginSource::Found PluginSource::find(const HostOrder& order) {
 
 PluginIdentity PluginSource::examine(const std::string& path, const std::string& signature_path,
                                      const HostOrder& order) {
-  const std::pair stamps{stamp_of(path), stamp_of(signature_path)};
+  const Stamp signature_stamp = stamp_of(signature_path);
+  const Basis basis{stamp_of(path), signature_stamp, trust_->generation()};
   {
     const std::lock_guard lock(mutex_);
     const auto known = examined_.find(path);
-    if (known != examined_.end() && known->second.first == stamps) return known->second.second;
+    if (known != examined_.end() && known->second.first == basis) return known->second.second;
   }
   const std::string content = read_file(path, 0);
   PluginIdentity identity;
@@ -69,10 +70,10 @@ PluginIdentity PluginSource::examine(const std::string& path, const std::string&
         fmt::format("{}: it was sent with the SHA-256 {}, but {} has another now; send it again: iotcloud "
                     "update --plugin ./{} ID",
                     order.plugin, config::short_sha256(order.sha256), path, order.plugin));
-  const std::string signature = stamps.second == Stamp{} ? "" : read_file(signature_path, 0);
+  const std::string signature = signature_stamp == Stamp{} ? "" : read_file(signature_path, 0);
   identity.signed_by = trust_->admit(order.plugin, content, signature);
   const std::lock_guard lock(mutex_);
-  examined_[path] = {stamps, identity};
+  examined_[path] = {basis, identity};
   return identity;
 }
 

@@ -41,7 +41,9 @@ class PluginSource {
   const std::shared_ptr<PluginStore> store_;
   const std::shared_ptr<const PluginTrust> trust_;
   std::mutex mutex_;
-  std::map<std::string, std::pair<std::pair<Stamp, Stamp>, PluginIdentity>> examined_;  ///< by path; guarded by mutex_
+  /// What the outcome depends on: the plugin's file, its signature's, and the generation of trust.
+  using Basis = std::tuple<Stamp, Stamp, std::uint64_t>;
+  std::map<std::string, std::pair<Basis, PluginIdentity>> examined_;  ///< by path; guarded by mutex_
 };
 
 }  // namespace iotcloud::gateway

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <cstdint>
+#include <memory>
+#include <mutex>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -9,7 +12,7 @@
 
 namespace iotcloud::gateway {
 
-/// Whose plugins a gateway runs. Immutable: thread safe.
+/// Whose plugins a gateway runs. Thread safe.
 class PluginTrust {
  public:
   struct Options {
@@ -23,7 +26,13 @@ class PluginTrust {
   /// but nobody is trusted.
   explicit PluginTrust(const Options& options);
 
-  bool requires_signature() const { return required_; }
+  /// Reads the keys again: those that are gone are not trusted any more, new ones are. What runs goes on.
+  /// \throws config::Error for a key that cannot be read or that anybody may change, and then nothing changes.
+  void reload();
+  /// Another number after each reload(): what was admitted before need not be now.
+  std::uint64_t generation() const;
+
+  bool requires_signature() const { return options_.require_signature; }
   /// The trusted key that made this signature of these bytes, by its file's name; empty: none of them.
   std::string signer(std::string_view content, std::string_view signature) const;
   /// As signer(). \param what the plugin, for messages. \throws config::Error when a signature is required and there is
@@ -31,10 +40,14 @@ class PluginTrust {
   std::string admit(const std::string& what, std::string_view content, std::string_view signature) const;
 
  private:
-  void add(const std::string& file);
+  using Keys = std::vector<std::pair<std::string, config::PublicKey>>;  ///< by name
+  static Keys read(const std::vector<std::string>& paths);
+  std::shared_ptr<const Keys> keys() const;
 
-  bool required_ = false;
-  std::vector<std::pair<std::string, config::PublicKey>> keys_;  ///< by name
+  const Options options_;
+  mutable std::mutex mutex_;
+  std::shared_ptr<const Keys> keys_ = std::make_shared<const Keys>();  ///< guarded by mutex_
+  std::uint64_t generation_ = 0;                                       ///< guarded by mutex_
 };
 
 }  // namespace iotcloud::gateway

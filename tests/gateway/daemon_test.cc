@@ -2,7 +2,11 @@
 #include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
+#include <map>
 #include <optional>
+#include <utility>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <signal.h>
@@ -10,6 +14,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <iotcloud/config/signing/ed25519.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/gateway/host/control/unix_socket.h>
@@ -27,19 +32,24 @@ class DaemonTest : public ::testing::Test {
   DaemonTest() {
     std::string pattern = fs::temp_directory_path() / "iotcloud-daemon-XXXXXX";
     folder_ = mkdtemp(pattern.data());
-    std::ofstream(folder_ / "gateway.yaml")
-        << "id: gw\nregistry: \"" << zookeeper_.url() << "\"\nthrift: {port: 0}\nplugins: " << TEST_PLUGINS
-        << "\nstate: " << (folder_ / "state").string() << "\nbrokers: {rabbitmq: {urls: [\"amqp://127.0.0.1:1/\"]}}\n";
+    configure(TEST_PLUGINS);
     discovery::RegistryOptions options;
     options.url = zookeeper_.url();
     registry_ = discovery::make_registry(options);
   }
   ~DaemonTest() override {
     if (daemon_ > 0) end_daemon(SIGKILL);
-    if (const int host = host_process(); host > 0) kill(host, SIGKILL);
+    for (const int host : host_processes()) kill(host, SIGKILL);
     fs::remove_all(folder_);
   }
 
+  /// \param more lines of its configuration.
+  void configure(const std::string& plugins, const std::string& more = "") const {
+    std::ofstream(folder_ / "gateway.yaml")
+        << "id: gw\nregistry: \"" << zookeeper_.url() << "\"\nthrift: {port: 0}\nplugins: " << plugins
+        << "\nstate: " << (folder_ / "state").string() << "\nbrokers: {rabbitmq: {urls: [\"amqp://127.0.0.1:1/\"]}}\n"
+        << more;
+  }
   void start_daemon() {
     const std::string program = GATEWAY_PROGRAM;
     const std::string config = folder_ / "gateway.yaml";
@@ -54,33 +64,39 @@ class DaemonTest : public ::testing::Test {
     return status;
   }
 
-  void give(bool active) {
+  void give(bool active, const std::string& instance = "a", const std::string& plugin = "probe.so") {
     discovery::OrderRecord order;
-    order.instance = "a";
-    order.plugin = "probe.so";
+    order.instance = instance;
+    order.plugin = plugin;
+    order.driver = "probe";
     order.active = active;
-    order.properties = {{"channels", "none"}};
-    discovery::put(*registry_, paths_.order("gw", "a"), encode(order));
+    order.properties = properties_;
+    discovery::put(*registry_, paths_.order("gw", instance), encode(order));
   }
-  std::optional<discovery::DriverRecord> record() {
-    const auto path = paths_.instance("probe", "a");
+  std::optional<discovery::DriverRecord> record(const std::string& instance = "a") {
+    const auto path = paths_.instance("probe", instance);
     const auto node = registry_->get(path);
     if (!node) return std::nullopt;
     return discovery::decode_driver(node->data, path);
   }
-  bool comes_to(DriverState state) {
+  bool comes_to(DriverState state, const std::string& instance = "a") {
     return eventually([&] {
-      const auto now = record();
+      const auto now = record(instance);
       return now && now->state == state;
     });
   }
-  int host_process() const {
+  std::vector<int> host_processes() const {
+    std::vector<int> hosts;
     std::error_code none;
     for (const auto& file : fs::directory_iterator(folder_ / "state", none)) {
       if (file.path().extension() == ".sock")
-        return peer_process(connect_in(folder_ / "state", file.path().filename()));
+        hosts.push_back(peer_process(connect_in(folder_ / "state", file.path().filename())));
     }
-    return 0;
+    return hosts;
+  }
+  int host_process() const {
+    const auto hosts = host_processes();
+    return hosts.empty() ? 0 : hosts.front();
   }
   /// The session that holds the gateway's ephemeral node; 0: there is no such node.
   std::int64_t alive_session() {
@@ -92,6 +108,7 @@ class DaemonTest : public ::testing::Test {
   const discovery::Paths paths_;
   std::unique_ptr<discovery::Registry> registry_;
   fs::path folder_;
+  std::map<std::string, std::string> properties_{{"channels", "none"}};
   pid_t daemon_ = 0;
 };
 
@@ -129,6 +146,50 @@ TEST_F(DaemonTest, ItWaitsForARegistryThatIsAwayAndWorksWhenItComes) {
   zookeeper_.start();
   give(true);
   EXPECT_TRUE(comes_to(DriverState::active));
+}
+
+TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {
+  const auto lab = config::new_key_pair(), anna = config::new_key_pair();
+  const auto write = [&](const fs::path& name, const std::string& bytes) {
+    std::ofstream(folder_ / name, std::ios::binary) << bytes;
+  };
+  fs::create_directory(folder_ / "keys");
+  write("keys/lab.pub", lab.public_pem);
+  fs::create_directory(folder_ / "plugins");
+  std::ifstream file(fs::path(TEST_PLUGINS) / "probe.so", std::ios::binary);
+  const std::string probe(std::istreambuf_iterator<char>(file), {});
+  for (const auto& [name, key] : {std::pair("of-lab.so", &lab), std::pair("of-anna.so", &anna)}) {
+    write(fs::path("plugins") / name, probe);
+    write(fs::path("plugins") / (std::string(name) + ".sig"), config::sign(key->private_pem, "key", probe));
+  }
+  properties_["isolation"] = "instance";  // each starts a host
+  configure(folder_ / "plugins",
+            "plugins.require_signature: true\nplugins.trusted_keys: [" + (folder_ / "keys").string() + "]\n");
+  start_daemon();
+  give(true, "a", "of-lab.so");
+  ASSERT_TRUE(comes_to(DriverState::active));
+  EXPECT_EQ(record()->signed_by, "lab");
+  give(true, "b", "of-anna.so");
+  ASSERT_TRUE(comes_to(DriverState::failed, "b"));
+
+  fs::remove(folder_ / "keys/lab.pub");
+  write("keys/anna.pub", anna.public_pem);
+  kill(daemon_, SIGHUP);
+  int number = 0;
+  ASSERT_TRUE(eventually([&] {  // when it has read them
+    const auto instance = "c" + std::to_string(++number);
+    give(true, instance, "of-anna.so");
+    return eventually([&] {
+             const auto now = record(instance);
+             return now && (now->state == DriverState::active || now->state == DriverState::failed);
+           }) &&
+           record(instance)->state == DriverState::active;
+  }));
+  EXPECT_EQ(record("c" + std::to_string(number))->signed_by, "anna");
+  give(true, "d", "of-lab.so");
+  ASSERT_TRUE(comes_to(DriverState::failed, "d"));
+  EXPECT_THAT(record("d")->reason, testing::HasSubstr("a key that this gateway trusts"));
+  EXPECT_EQ(record()->state, DriverState::active) << "what runs goes on";
 }
 
 }  // namespace

@@ -11,8 +11,8 @@
 
 namespace iotcloud::master::test {
 
-/// A registry on the way to which a write is held up, as when its process stands still between its decision to write and
-/// the write.
+/// A registry on the way to which a write is held up, as when its process stands still between its decision to write
+/// and the write.
 class HeldUpRegistry final : public discovery::Registry {
  public:
   using Fence = discovery::Fence;

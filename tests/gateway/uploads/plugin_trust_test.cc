@@ -44,6 +44,32 @@ TEST_F(PluginTrustTest, RequiringSignaturesWithoutTrustingAnybodyIsRefused) {
   EXPECT_THAT(error_of([&] { trusting({}, true); }), HasSubstr("no key is trusted"));
 }
 
+TEST_F(PluginTrustTest, ReadAgainItTrustsNewKeysAndNotThoseThatAreGone) {
+  const auto anna = config::new_key_pair();
+  fs::create_directory(folder_ / "keys");
+  const auto bens = write("ben.pub", anna.public_pem);
+  write("keys/lab.pub", lab_.public_pem);
+  PluginTrust trust({true, {folder_ / "keys", bens}});
+  const auto signature = config::sign(anna.private_pem, "", "abc");
+  EXPECT_EQ(trust.signer("abc", signature), "ben");
+  fs::remove(bens);
+  fs::rename(folder_ / "keys/lab.pub", folder_ / "keys/lab.before");
+  EXPECT_EQ(trust.signer("abc", signature), "ben") << "not before it is told so";
+  trust.reload();
+  EXPECT_EQ(trust.signer("abc", signature), "");
+  EXPECT_THAT(error_of([&] { trust.admit("x.so", "abc", signature_of("abc")); }), HasSubstr("by a key that"));
+  write("keys/anna.pub", anna.public_pem);
+  trust.reload();
+  EXPECT_EQ(trust.admit("x.so", "abc", signature), "anna");
+}
+
+TEST_F(PluginTrustTest, ReadAgainAKeyThatIsNoneChangesNothing) {
+  PluginTrust trust({true, {folder_ / "lab.pub"}});
+  write("lab.pub", "x");
+  EXPECT_THAT(error_of([&] { trust.reload(); }), HasSubstr("lab.pub"));
+  EXPECT_EQ(trust.admit("x.so", "abc", signature_of("abc")), "lab");
+}
+
 class PluginSourceTest : public PluginFolder {
  protected:
   PluginSource source(bool required) { return PluginSource(folder_, nullptr, trust(required)); }
@@ -82,6 +108,17 @@ TEST_F(PluginSourceTest, AChangeAfterACheckIsSeenAtTheNext) {
   EXPECT_EQ(checked.find(wants("turtle.so")).identity.signed_by, "lab");
   write("turtle.so", "abcd");
   EXPECT_THAT(error_of([&] { checked.find(wants("turtle.so")); }), HasSubstr("changed after it was signed"));
+}
+
+TEST_F(PluginSourceTest, WhatWasAdmittedIsCheckedAgainWhenTheKeysWereReadAgain) {
+  const auto trusted = std::make_shared<PluginTrust>(PluginTrust::Options{true, {folder_ / "lab.pub"}});
+  PluginSource checked(folder_, nullptr, trusted);
+  write("turtle.so", "abc");
+  write("turtle.so.sig", signature_of("abc"));
+  EXPECT_EQ(checked.find(wants("turtle.so")).identity.signed_by, "lab");
+  write("lab.pub", config::new_key_pair().public_pem);
+  trusted->reload();
+  EXPECT_THAT(error_of([&] { checked.find(wants("turtle.so")); }), HasSubstr("a key that this gateway trusts"));
 }
 
 TEST_F(PluginSourceTest, WhatIsNotThereIsNamedWithItsFolder) {
