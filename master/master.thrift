@@ -92,6 +92,8 @@ struct TOrder {
   10: string manager
   // Of a plugin that was sent; empty: of the gateway's folder.
   11: string sha256
+  // Keys of properties that look like secrets, which only an admin is told; they do not stand in `properties`.
+  12: list<string> hidden
 }
 
 // What instances were deployed with, to be changed. They keep their ids; those whose properties change are made anew.

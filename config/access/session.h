@@ -54,6 +54,9 @@ class Session {
   /// What a service's authenticate() does. \return why not; empty: the connection is open.
   std::string authenticate(const std::string& token);
 
+  /// What the caller may do now.
+  Role role() const;
+
   /// For the audit log, of the call under way: what it is about, and what became of it.
   void note(std::string what, std::string outcome);
 
@@ -69,7 +72,6 @@ class Session {
   std::optional<Refusal> refuse(const std::string& method);
   void begin();
   void end(const std::string& method);
-  Role role() const;
   AuditEntry entry(const std::string& method) const;
 
   const AccessOptions& options_;

@@ -204,7 +204,8 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   }
   void listOrders(std::vector<wire::TOrder>& out) override {
     read([&] {
-      for (const auto& placed : master_.orders()) out.push_back(to_wire(placed));
+      const bool with_secrets = session_->role() == config::Role::admin;
+      for (const auto& placed : master_.orders()) out.push_back(to_wire(placed, with_secrets));
     });
   }
   void drain(wire::TOrderResponse& out, const wire::TGatewaySelection& selection) override {

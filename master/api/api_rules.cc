@@ -21,7 +21,8 @@ const MethodRules& api_rules() {
       {"listTopologies", {Role::viewer, RefusalForm::error}},
       {"getHistory", {Role::viewer, RefusalForm::error}},
       {"readLog", {Role::viewer, RefusalForm::error}},
-      // reads also what may be secret: the properties that drivers were deployed with
+      // reads also the properties that drivers were deployed with; of those that look like secrets only an admin is
+      // told the values (listing/secret_properties.h)
       {"listOrders", {Role::operating, RefusalForm::error, false}},
       // how what is there runs
       {"startSensor", {Role::operating, RefusalForm::response}},

@@ -6,6 +6,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/api/wire.h>
+#include <iotcloud/master/listing/secret_properties.h>
 
 namespace iotcloud::master {
 
@@ -113,13 +114,19 @@ discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway) {
   return site;
 }
 
-wire::TOrder to_wire(const discovery::PlacedOrder& placed) {
+wire::TOrder to_wire(const discovery::PlacedOrder& placed, bool with_secrets) {
   wire::TOrder out;
   out.__set_gateway(placed.gateway);
   out.__set_instance(placed.order.instance);
   out.__set_driver(placed.order.driver);
   out.__set_plugin(placed.order.plugin);
-  out.__set_properties(placed.order.properties);
+  for (const auto& [key, value] : placed.order.properties) {
+    if (with_secrets || !is_secret(key, value)) {
+      out.properties.emplace(key, value);
+    } else {
+      out.hidden.push_back(key);
+    }
+  }
   out.__set_metadata(placed.order.metadata);
   out.__set_active(placed.order.active || placed.order.drained);
   out.__set_name(placed.order.name);

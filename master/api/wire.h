@@ -13,7 +13,8 @@ namespace iotcloud::master {
 using discovery::to_wire;
 discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway);
 wire::TTopology to_wire(const discovery::TopologyStatus& topology);
-wire::TOrder to_wire(const discovery::PlacedOrder& placed);
+/// \param with_secrets all properties; else those that look like secrets are named only.
+wire::TOrder to_wire(const discovery::PlacedOrder& placed, bool with_secrets);
 wire::TOrderResponse to_wire(const OrderResult& result);
 wire::TUploadResponse to_wire(const UploadResult& result);
 wire::TTopologyResponse to_wire(const TopologyResult& result);

@@ -33,7 +33,10 @@ using discovery::wire::TResponseState;
 using test::FakeGateway;
 using test::TestMaster;
 using testing::AllOf;
+using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Pair;
 using testing::SizeIs;
 
 std::uint64_t refused(const std::string& reason) {
@@ -230,6 +233,25 @@ TEST_F(Access, AnOperatorStopsWhatRunsAndDeploysNothing) {
   std::vector<wire::TOrder> orders;
   client.listOrders(orders);
   EXPECT_THAT(orders, SizeIs(1));
+}
+
+TEST_F(Access, OnlyAnAdminIsToldSecretsThatDriversWereDeployedWith) {
+  auto admin = connect(admin_), operating = connect(operating_);
+  wire::TDeployRequest request;
+  request.plugin = "camera.so";
+  request.properties = {{"rate", "5"}, {"password", "sesame"}, {"source", "rtsp://admin:sesame@camera/1"}};
+  wire::TOrderResponse answer;
+  admin.deploy(answer, request);
+  ASSERT_EQ(answer.response.state, TResponseState::SUCCESS);
+  std::vector<wire::TOrder> orders;
+  admin.listOrders(orders);
+  ASSERT_THAT(orders, SizeIs(1));
+  EXPECT_EQ(orders[0].properties, request.properties);
+  EXPECT_THAT(orders[0].hidden, IsEmpty());
+  operating.listOrders(orders);
+  ASSERT_THAT(orders, SizeIs(1));
+  EXPECT_THAT(orders[0].properties, ElementsAre(Pair("rate", "5")));
+  EXPECT_THAT(orders[0].hidden, ElementsAre("password", "source"));
 }
 
 TEST_F(Access, AnOrderIsWrittenDownWithWhoGaveItAndWhatBecameOfIt) {

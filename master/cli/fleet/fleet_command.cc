@@ -33,7 +33,7 @@ Fleet read_fleet(MasterClient& master) {
   for (auto& order : master.orders()) {
     fleet.instances.push_back({order.gateway, order.instance, order.name, order.index, order.manager, order.driver,
                                order.plugin, order.active, std::move(order.properties), std::move(order.metadata),
-                               failures[order.instance], order.sha256});
+                               failures[order.instance], order.sha256, std::move(order.hidden)});
   }
   return fleet;
 }
@@ -59,7 +59,11 @@ Json rest_of(const Plan& plan) {
   for (const auto& step : plan.kept)
     kept.push_back(
         {{"gateway", step.gateway}, {"name", step.name}, {"index", step.index}, {"instance", step.instance}});
-  return {{"problems", problems}, {"kept", kept}, {"passed_by", plan.passed_by}, {"same", plan.same}};
+  return {{"problems", problems},
+          {"kept", kept},
+          {"passed_by", plan.passed_by},
+          {"same", plan.same},
+          {"not_compared", plan.not_compared}};
 }
 
 /// What a person should know besides the steps.
@@ -67,6 +71,9 @@ void tell_rest(const Plan& plan, std::ostream& out, std::ostream& err) {
   if (!plan.kept.empty())
     out << fmt::format("kept, though the manifest does not name them any more: {}\n", instances(plan.kept.size()));
   for (const auto& gateway : plan.passed_by) out << fmt::format("passed by: {} is draining\n", printable(gateway));
+  if (!plan.not_compared.empty())
+    out << fmt::format("not compared, for only an admin may see them: {}\n",
+                       printable(fmt::format("{}", fmt::join(plan.not_compared, ", "))));
   for (const auto& problem : plan.problems)
     err << fmt::format("iotcloud: {} on {}: {}\n", printable(problem.name), printable(problem.gateway),
                        printable(problem.text));

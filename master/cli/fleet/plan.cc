@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <cctype>
 #include <set>
 #include <tuple>
 #include <utility>
@@ -9,6 +8,7 @@
 
 #include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/master/cli/fleet/plan.h>
+#include <iotcloud/master/listing/secret_properties.h>
 
 namespace iotcloud::master::cli {
 
@@ -17,22 +17,14 @@ namespace {
 using Texts = std::map<std::string, std::string>;
 using Key = std::tuple<std::string, std::string, int>;  ///< gateway, name, index
 
-bool is_secret(const std::string& key) {
-  std::string lower = key;
-  std::transform(lower.begin(), lower.end(), lower.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  for (const char* word : {"password", "secret", "token"}) {
-    if (lower.find(word) != std::string::npos) return true;
-  }
-  return false;
-}
+constexpr const char* hidden = "***";
 
 /// What differs, each key once: "rate: 5 -> 10", "site: - -> lab".
 std::vector<std::string> differences(const Texts& from, const Texts& to) {
   const auto shown = [](const Texts& texts, const std::string& key) -> std::string {
     const auto found = texts.find(key);
     if (found == texts.end()) return "-";
-    if (is_secret(key)) return "***";
+    if (is_secret(key, found->second)) return hidden;
     return found->second.empty() ? "\"\"" : found->second;
   };
   std::vector<std::string> lines;
@@ -183,8 +175,9 @@ class Planner {
     }
     const std::size_t before = plan_.steps.size();
     if (other_plugin) to_do(StepKind::update).what = {plugins};
-    const bool anew = there.properties != wanted.properties;
-    if (anew) to_do(StepKind::change).what = differences(there.properties, wanted.properties);
+    const Texts properties = known_properties(there, wanted);
+    const bool anew = properties != wanted.properties;
+    if (anew) to_do(StepKind::change).what = differences(properties, wanted.properties);
     if (there.metadata != wanted.metadata) {
       auto& step = to_do(StepKind::describe);
       step.what = differences(there.metadata, wanted.metadata);
@@ -196,6 +189,17 @@ class Planner {
       to_do(StepKind::start).what = {"it failed: " + there.failure};
     }
     if (plan_.steps.size() == before) ++plan_.same;
+  }
+
+  /// One whose value is hidden is taken for what is wanted.
+  Texts known_properties(const Fleet::Instance& there, const Deployment& wanted) {
+    Texts known = there.properties;
+    for (const auto& key : there.hidden) {
+      const auto found = wanted.properties.find(key);
+      known[key] = found == wanted.properties.end() ? hidden : found->second;
+      plan_.not_compared.insert(key);
+    }
+    return known;
   }
 
   void prune() {

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -28,8 +29,9 @@ struct Fleet {
     bool active = true;
     std::map<std::string, std::string> properties;
     std::map<std::string, std::string> metadata;
-    std::string failure;   ///< why it has failed; empty: it has not
-    std::string sha256{};  ///< of a plugin that was sent; empty: of the gateway's folder
+    std::string failure;                ///< why it has failed; empty: it has not
+    std::string sha256{};               ///< of a plugin that was sent; empty: of the gateway's folder
+    std::vector<std::string> hidden{};  ///< keys of properties whose values only an admin is told
   };
   std::vector<Gateway> gateways;
   std::vector<Instance> instances;
@@ -74,6 +76,7 @@ struct Plan {
   std::vector<Step> kept;              ///< would be undeployed, if that were wanted
   std::vector<std::string> passed_by;  ///< gateways that drain, and therefore get nothing of what is for all
   std::size_t same = 0;                ///< instances that are as they are to be
+  std::set<std::string> not_compared;  ///< keys of hidden properties, which are taken for what is wanted
 };
 
 struct PlanOptions {

@@ -114,6 +114,20 @@ TEST_F(FleetPlan, OtherPropertiesAreAChangeThatSaysWhatDiffers) {
   EXPECT_EQ(made.steps[0].instance, there.instance);
 }
 
+TEST_F(FleetPlan, ASecretThatIsHiddenIsTakenForWhatIsWanted) {
+  manifest.deployments = {deployment("meter", {"lab1"})};
+  fleet.instances = {instance(manifest.deployments[0], "lab1", 1)};
+  fleet.instances[0].hidden = {"password"};
+  manifest.deployments[0].properties["password"] = "whichever";
+  auto made = plan();
+  EXPECT_THAT(words(made), IsEmpty());
+  EXPECT_THAT(made.not_compared, ElementsAre("password"));
+  manifest.deployments[0].properties["rate"] = "9";
+  EXPECT_THAT(plan().steps.at(0).what, ElementsAre("rate: 5 -> 9"));
+  manifest.deployments[0].properties = {{"rate", "5"}};
+  EXPECT_THAT(plan().steps.at(0).what, ElementsAre("password: *** -> -"));
+}
+
 TEST_F(FleetPlan, SecretsAreNotShown) {
   manifest.deployments = {deployment("meter", {"lab1"})};
   auto there = instance(manifest.deployments[0], "lab1", 1);

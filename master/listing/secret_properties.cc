@@ -1,0 +1,47 @@
+#include <algorithm>
+#include <cctype>
+
+#include <iotcloud/master/listing/secret_properties.h>
+
+namespace iotcloud::master {
+
+namespace {
+
+std::string lower_case(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return text;
+}
+
+/// Not as a part of another word, such as monkey.
+bool has_word(const std::string& text, const std::string& word) {
+  const auto is_letter = [&](std::size_t at) {
+    return at < text.size() && std::isalpha(static_cast<unsigned char>(text[at])) != 0;
+  };
+  for (auto at = text.find(word); at != std::string::npos; at = text.find(word, at + 1)) {
+    if ((at == 0 || !is_letter(at - 1)) && !is_letter(at + word.size())) return true;
+  }
+  return false;
+}
+
+/// "rtsp://admin:password@camera/stream".
+bool is_url_with_password(const std::string& value) {
+  const auto scheme = value.find("://");
+  if (scheme == std::string::npos) return false;
+  const std::string authority = value.substr(scheme + 3, value.find('/', scheme + 3) - scheme - 3);
+  const auto at = authority.rfind('@');
+  return at != std::string::npos && authority.find(':') < at;
+}
+
+}  // namespace
+
+bool is_secret(const std::string& key, const std::string& value) {
+  const std::string name = lower_case(key);
+  for (const char* part :
+       {"password", "passwd", "passphrase", "secret", "token", "credential", "apikey", "accesskey", "privatekey"}) {
+    if (name.find(part) != std::string::npos) return true;
+  }
+  return has_word(name, "key") || is_url_with_password(value);
+}
+
+}  // namespace iotcloud::master
