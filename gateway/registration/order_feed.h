@@ -26,7 +26,7 @@ class OrderFeed {
     std::function<void(const std::set<std::string>& names)> on_first;
     /// An order was given or changed; `version` is the node's.
     std::function<void(const discovery::OrderRecord& order, std::int64_t version)> on_order;
-    /// The order was taken back.
+    /// The order was taken back. Its node and the list of names say so, each in its time: it may be heard twice.
     std::function<void(const std::string& instance)> on_gone;
   };
 
