@@ -12,27 +12,12 @@ from pathlib import Path
 from brokers_report import Report
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "servers"))
-from private_cluster import PrivateCluster, StartError, free_port, wait_for  # noqa: E402
+from private_cluster import PrivateCluster, StartError, echo_topology, free_port, wait_for  # noqa: E402
 
 LOADED, RATE, SIZE, CARRIED_S = 1000, 5, 100, 10  # the paper's load
 DEPLOY_LIMIT_S, MEMORY_LIMIT_MB, LIST_LIMIT_MS = 20, 200, 200
 ORDER_LIMIT_S = 300
 LISTS = 9  # of which the median counts
-
-TOPOLOGY = """
-zk.servers: ["{zookeeper}"]
-topology.name: echo
-metrics: {address: "{metrics}"}
-spouts:
-  receive: {broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}
-bolts:
-  send:
-    broker: rabbitmq
-    driver: loadgen
-    channel: echo
-    fields: [data, driverID, time]
-    inputs: [{from: receive, grouping: fields, fields: [driverID]}]
-"""
 
 
 class Fleet(PrivateCluster):
@@ -41,7 +26,7 @@ class Fleet(PrivateCluster):
 
     def worker(self):
         self.page = f"127.0.0.1:{free_port()}"
-        self.topology("worker", TOPOLOGY.replace("{metrics}", self.page))
+        self.topology("worker", echo_topology(more=f'metrics: {{address: "{self.page}"}}'))
 
     def deploy_all(self, count, properties):
         """Seconds that `iotcloud deploy` takes for so many load generators on each gateway, all of them active."""

@@ -46,6 +46,31 @@ def wait_for(what, condition, limit=60):
     sys.exit(f"not within {limit} s: {what}")
 
 
+def echo_topology(spouts=1, bolts=1, more=""):
+    """YAML of a topology that sends back what load generators send, with so many tasks; `more`: lines beside."""
+    return f"""
+zk.servers: ["{{zookeeper}}"]
+topology.name: echo
+{more}
+spouts:
+  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: {spouts}}}
+bolts:
+  send:
+    broker: rabbitmq
+    driver: loadgen
+    channel: echo
+    fields: [data, driverID, time]
+    parallelism: {bolts}
+    inputs: [{{from: receive, grouping: fields, fields: [driverID]}}]
+"""
+
+
+def result_of(report):
+    """A load generator's report, None until it is written (when everything is back)."""
+    text = report.read_text() if report.exists() else ""
+    return json.loads(text) if text.rstrip().endswith("}") else None
+
+
 def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -175,6 +200,13 @@ brokers:
         self.commands[name] = [*enter, self.bin / program, "--config", file, *options]
         return self.spawn(name, self.commands[name])
 
+    def end(self, name, how):
+        """Ends a daemon with a signal. It may be started again()."""
+        child = dict(self.children)[name]
+        child.send_signal(how)
+        child.wait(20)
+        self.children.remove((name, child))
+
     def again(self, name):
         """Starts a daemon that was killed as it was started before; its log goes on."""
         return self.spawn(name, self.commands[name], "a")
@@ -185,12 +217,15 @@ brokers:
         self.workers += 1
         return self.daemon("iotcloud-topology", name, configuration.replace("{zookeeper}", servers))
 
-    def run_cli(self, *words, limit=60):
-        """What came of a command of the CLI, which knows all masters. Raises StartError when nothing comes in time."""
+    def command(self, *words):
+        """A command line of the CLI, which knows all masters."""
         masters = ",".join(f"127.0.0.1:{port}" for port in self.apis.values() or [self.api_port])
+        return [str(self.bin / "iotcloud"), "--master", masters, *map(str, words)]
+
+    def run_cli(self, *words, limit=60):
+        """What came of a command of the CLI. Raises StartError when nothing comes in time."""
         try:
-            return subprocess.run([str(self.bin / "iotcloud"), "--master", masters, *map(str, words)],
-                                  capture_output=True, text=True, timeout=limit)
+            return subprocess.run(self.command(*words), capture_output=True, text=True, timeout=limit)
         except subprocess.TimeoutExpired as error:
             raise StartError(f"iotcloud {' '.join(map(str, words))}: no answer within {error.timeout} s") from error
 
@@ -201,6 +236,10 @@ brokers:
             raise StartError(f"iotcloud {' '.join(map(str, words))}: {done.stderr.strip() or done.stdout.strip()}")
         return done.stdout
 
+    def json(self, *words):
+        """What the CLI printed, as data. Raises StartError as cli()."""
+        return json.loads(self.cli(*words, "-o", "json"))
+
     def answer(self, *words, limit=60):
         """What became of an order: the JSON that the CLI prints whether it was done or not."""
         done = self.run_cli(*words, "-o", "json", limit=limit)
@@ -208,11 +247,20 @@ brokers:
             raise StartError(f"iotcloud {' '.join(map(str, words))}: {done.stderr.strip()}")
         return json.loads(done.stdout)
 
+    def hosts_of(self, gateway):
+        """Process ids of a gateway's driver hosts."""
+        found = []
+        for process in self.descendants():
+            words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+            if words[0].endswith(b"iotcloud-driver-host") and gateway.encode() in words:
+                found.append(process)
+        return found
+
     def deploy(self, plugin, gateway, properties):
         self.cli("deploy", plugin, "--gateway", gateway, *(f"--property={k}={v}" for k, v in properties.items()))
 
     def undeploy_all(self):
-        for driver in json.loads(self.cli("drivers", "-o", "json")):
+        for driver in self.json("drivers"):
             self.cli("undeploy", driver["instance"])
 
     def wait_until_ready(self, limit=30):
@@ -222,8 +270,7 @@ brokers:
         while time.monotonic() < deadline:
             self.require_alive()
             try:
-                gateways = json.loads(self.cli("gateways", "-o", "json"))
-                topologies = json.loads(self.cli("topologies", "-o", "json"))
+                gateways, topologies = self.json("gateways"), self.json("topologies")
                 ready = [gateway for gateway in gateways if gateway["state"] == "ready"]
                 at_work = any(topology["workers"] for topology in topologies)
                 if len(ready) == self.gateways and (at_work or not self.workers):

@@ -15,22 +15,9 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
+from private_cluster import PrivateCluster, StartError, echo_topology, require, wait_for  # noqa: E402
 
-TOPOLOGY = """
-zk.servers: ["{zookeeper}"]
-topology.name: "echo"
-spouts:
-  receive: {broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}
-bolts:
-  send:
-    broker: rabbitmq
-    driver: loadgen
-    channel: echo
-    fields: [data, driverID, time]
-    parallelism: 3
-    inputs: [{from: receive, grouping: fields, fields: [driverID]}]
-"""
+TOPOLOGY = echo_topology(bolts=3)
 
 
 class Control:
@@ -40,10 +27,10 @@ class Control:
         self.cluster = cluster
 
     def command(self, *words):
-        return [str(self.cluster.bin / "iotcloud"), "--master", f"127.0.0.1:{self.cluster.api_port}", "topology", *words]
+        return self.cluster.command("topology", *words)
 
     def json(self, *words):
-        return json.loads(self.cluster.cli("topology", *words, "-o", "json"))
+        return self.cluster.json("topology", *words)
 
     def refusal(self, *words):
         """(exit status, what it complained)"""

@@ -5,7 +5,6 @@ gateway whose driver host crashes, and of one that is frozen for a while.
 usage: driver_history_test.py BUILD_DIR
 """
 
-import json
 import os
 import shutil
 import signal
@@ -19,21 +18,7 @@ sys.path.insert(0, str(HERE.parent / "servers"))
 from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
 
 
-class Fleet:
-    """Drivers of a cluster, as the command line shows them."""
-
-    def __init__(self, cluster):
-        self.cluster = cluster
-
-    def command(self, *words):
-        return [str(self.cluster.bin / "iotcloud"), "--master", f"127.0.0.1:{self.cluster.api_port}", *words]
-
-    def run(self, *words):
-        return subprocess.run(self.command(*words), capture_output=True, text=True, timeout=60)
-
-    def json(self, *words):
-        return json.loads(self.cluster.cli(*words, "-o", "json"))
-
+class Fleet(PrivateCluster):
     def deploy(self, gateway):
         answer = self.json("deploy", "loadgen.so", "--gateway", gateway, "--property", "rate=5")
         return answer["outcomes"][0]["instance"]
@@ -41,37 +26,27 @@ class Fleet:
     def states(self, instance):
         return [change["state"] for change in self.json("history", instance)]
 
-    def host_of(self, gateway):
-        """The process id of the gateway's only driver host."""
-        hosts = []
-        for process in self.cluster.descendants():
-            words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
-            if words[0].endswith(b"iotcloud-driver-host") and gateway.encode() in words:
-                hosts.append(process)
-        require(len(hosts) == 1, f"{gateway} has the hosts {hosts}")
-        return hosts[0]
-
 
 def check_crash(fleet, instance):
     """A crash is in the history with its reason, and so is the new start."""
     wait_for("the first start is remembered", lambda: fleet.states(instance) == ["deployed", "starting", "active"])
-    os.kill(fleet.host_of("gateway-1"), signal.SIGSEGV)
+    host, = fleet.hosts_of("gateway-1")
+    os.kill(host, signal.SIGSEGV)
     wait_for("the instance is active again", lambda: "again, after" in fleet.json("drivers", instance)[0]["reason"])
     described = fleet.json("describe", instance[:8])
     require(described["instance"] == instance and described["state"] == "active", described)
     reasons = [change["reason"] for change in described["history"]]
     require(any("crashed" in reason and "signal 11" in reason for reason in reasons), reasons)
-    table = fleet.cluster.cli("describe", instance)
+    table = fleet.cli("describe", instance)
     require("crashed" in table and "guest:***@" in table and "guest:guest" not in table, table)
 
 
 def check_logs(fleet, instance):
     """What is logged while somebody follows comes out; Ctrl-C ends it in order."""
-    require(instance in fleet.cluster.cli("logs", instance), "the log does not name the instance")
-    follower = subprocess.Popen(fleet.command("logs", instance, "--follow", "--lines", "1"), stdout=subprocess.PIPE,
-                                text=True)
+    require(instance in fleet.cli("logs", instance), "the log does not name the instance")
+    follower = subprocess.Popen(fleet.command("logs", instance, "--follow", "--lines", 1), stdout=subprocess.PIPE, text=True)
     require("active" in follower.stdout.readline(), "the last line is not that it became active")
-    fleet.cluster.cli("stop", instance)
+    fleet.cli("stop", instance)
     lines = [follower.stdout.readline() for _ in range(2)]
     require("stopping" in lines[0] and "inactive" in lines[1], lines)
     follower.send_signal(signal.SIGINT)
@@ -81,10 +56,10 @@ def check_logs(fleet, instance):
 
 def check_gone(fleet, instance):
     """An instance that was taken away still has its history."""
-    fleet.cluster.cli("undeploy", instance)
+    fleet.cli("undeploy", instance)
     wait_for("its end is remembered", lambda: fleet.states(instance[:8])[-1] == "undeployed")
     for words in (("describe", instance), ("logs", instance)):
-        done = fleet.run(*words)
+        done = fleet.run_cli(*words)
         require(done.returncode == 1 and "no driver instance" in done.stderr, done)
 
 
@@ -92,7 +67,7 @@ def check_silent(fleet, frozen, instance, other):
     """A frozen gateway is named; the others answer."""
     frozen.send_signal(signal.SIGSTOP)
     try:
-        done = fleet.run("history")
+        done = fleet.run_cli("history")
         require(done.returncode == 1 and instance in done.stdout and other not in done.stdout, done)
         require("the history of gateway-2 is missing" in done.stderr, done)
     finally:
@@ -104,17 +79,16 @@ def main():
     build = Path(sys.argv[1]).resolve()
     work = build / "driver-history-test"
     shutil.rmtree(work, ignore_errors=True)
-    with PrivateCluster(work, build / "bin", build / "plugins") as cluster:
-        cluster.start(gateways=2)
-        fleet = Fleet(cluster)
-        wait_for("both gateways are ready", lambda: [g["state"] for g in fleet.json("gateways")] == ["ready"] * 2)
+    with Fleet(work, build / "bin", build / "plugins") as fleet:
+        fleet.start(gateways=2)
+        fleet.wait_until_ready()
         instance, other = fleet.deploy("gateway-1"), fleet.deploy("gateway-2")
         check_crash(fleet, instance)
         check_logs(fleet, instance)
         check_gone(fleet, instance)
-        check_silent(fleet, dict(cluster.children)["gateway-2"], instance, other)
-        cluster.undeploy_all()
-        cluster.require_alive()
+        check_silent(fleet, dict(fleet.children)["gateway-2"], instance, other)
+        fleet.undeploy_all()
+        fleet.require_alive()
     print("describe, history and logs told what became of the drivers")
 
 

@@ -7,7 +7,7 @@ usage: fleet_test.py BUILD_DIR
 
 import json
 import shutil
-import subprocess
+import signal
 import sys
 from pathlib import Path
 
@@ -20,16 +20,9 @@ MANIFEST = HERE.parent.parent / "config" / "fleet.yaml"
 
 
 class Fleet(PrivateCluster):
-    def run(self, *words):
-        return subprocess.run([str(self.bin / "iotcloud"), "--master", f"127.0.0.1:{self.api_port}", *words],
-                              capture_output=True, text=True, timeout=120)
-
-    def json(self, *words):
-        return json.loads(self.cli(*words, "-o", "json"))
-
     def changes(self, verb, file, status):
         """What diff or apply says, which is to end with this status: ["deploy meter/1", ...]."""
-        done = self.run(verb, "-f", str(file), "-o", "json")
+        done = self.run_cli(verb, "-f", file, "-o", "json", limit=120)
         require(done.returncode == status, f"{verb}: {done.returncode}: {done.stdout} {done.stderr}")
         return [f"{change['change']} {change['name']}/{change['index']}" for change in json.loads(done.stdout)["changes"]]
 
@@ -37,18 +30,6 @@ class Fleet(PrivateCluster):
         """Ids of those whose records say so, in order."""
         return sorted(driver["instance"] for driver in self.json("drivers")
                       if all(driver[key] == value for key, value in wanted.items()))
-
-    def begin_again(self, name):
-        """Kills a daemon and starts it with the same configuration."""
-        child = dict(self.children)[name]
-        self.children.remove((name, child))
-        child.kill()
-        child.wait()
-        program = "iotcloud-master" if name == "master" else "iotcloud-gateway"
-        self.spawn(name, [self.bin / program, "--config", self.out / f"{name}.yaml"])
-
-    def ready(self):
-        return [gateway["state"] for gateway in self.json("gateways")] == ["ready"] * 2
 
 
 def check_apply(fleet, work):
@@ -76,13 +57,14 @@ def check_apply(fleet, work):
 def check_drain(fleet, ids, manifest):
     fleet.cli("drain", "gateway-1")
     require(fleet.instances(gateway="gateway-1", state="active") == [], "something runs on a drained gateway")
-    fleet.begin_again("gateway-1")
-    fleet.begin_again("master")
-    wait_for("both gateways are ready again", fleet.ready)
+    for name in ("gateway-1", "master"):
+        fleet.end(name, signal.SIGKILL)
+        fleet.again(name)
+    fleet.wait_until_ready()
     require([gateway["draining"] for gateway in fleet.json("gateways")] == [True, False], "it drains no longer")
     wait_for("the instances are there again, and wait", lambda: fleet.instances(name="meter", state="inactive") == ids)
     require(fleet.changes("apply", manifest, 0) == [], "a drained gateway differs from the manifest")
-    refused = fleet.run("deploy", "loadgen.so", "--gateway", "gateway-1")
+    refused = fleet.run_cli("deploy", "loadgen.so", "--gateway", "gateway-1")
     require(refused.returncode == 1 and "undrain gateway-1" in refused.stderr, refused)
     fleet.cli("undrain", "gateway-1")
     require(fleet.instances(name="meter", state="active") == ids, "they did not start again")
@@ -102,7 +84,7 @@ def main():
     shutil.rmtree(work, ignore_errors=True)
     with Fleet(work, build / "bin", build / "plugins") as fleet:
         fleet.start(gateways=2)
-        wait_for("both gateways are ready", fleet.ready)
+        fleet.wait_until_ready()
         ids, manifest = check_apply(fleet, work)
         check_drain(fleet, ids, manifest)
         check_away(fleet, work)

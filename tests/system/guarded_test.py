@@ -114,7 +114,7 @@ def check_deployment(cluster):
     os.chdir(cluster.out)  # it names the file with ./
     done = cluster.run_cli(*line.split(), "--property", "rate=20")
     require(done.returncode == 0, done)
-    drivers = json.loads(cluster.cli("drivers", "-o", "json"))
+    drivers = cluster.json("drivers")
     sha256 = hashlib.sha256((cluster.out / "thermometer.so").read_bytes()).hexdigest()
     require(sorted(driver["gateway"] for driver in drivers) == BOTH, drivers)
     for driver in drivers:
@@ -289,7 +289,7 @@ def main():
         check_signatures(cluster)
         check_roles(cluster, instances)
         check_pieces(cluster)
-        states = {driver["instance"]: driver["state"] for driver in json.loads(cluster.cli("drivers", "-o", "json"))}
+        states = {driver["instance"]: driver["state"] for driver in cluster.json("drivers")}
         require(states == {instance: "active" for instance in instances}, f"something else runs now: {states}")
         check_audit(cluster)
         cluster.undeploy_all()

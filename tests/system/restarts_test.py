@@ -6,7 +6,6 @@ and guarded by user and password. No message is lost.
 usage: restarts_test.py BUILD_DIR
 """
 
-import json
 import re
 import shutil
 import sys
@@ -16,7 +15,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, free_port, wait_for  # noqa: E402
+from private_cluster import PrivateCluster, echo_topology, free_port, result_of, wait_for  # noqa: E402
 
 COUNT, RATE = 2500, 100
 REGISTRY = """
@@ -25,25 +24,6 @@ registry.session_timeout: 4s
 registry.user: farm
 registry.password_file: "{password}"
 """
-TOPOLOGY = """
-topology.name: echo
-zk.servers: ["{zookeeper}"]
-spouts:
-  receive: {broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}
-bolts:
-  send:
-    broker: rabbitmq
-    driver: loadgen
-    channel: echo
-    fields: [data, driverID, time]
-    inputs: [{from: receive, grouping: fields, fields: [driverID]}]
-"""
-
-
-def result_of(report):
-    """The driver's report, None until it is written (when everything is back)."""
-    text = report.read_text() if report.exists() else ""
-    return json.loads(text) if text.rstrip().endswith("}") else None
 
 
 class Farm(PrivateCluster):
@@ -96,7 +76,7 @@ brokers:
             sys.exit(f"{name}: {word}: {said}")
 
     def states(self, command, key):
-        return [entry[key] for entry in json.loads(self.cli(command, "-o", "json"))]
+        return [entry[key] for entry in self.json(command)]
 
     def ready(self, count):
         wait_for(f"{count} gateways are ready", lambda: self.states("gateways", "state").count("ready") == count)
@@ -112,7 +92,7 @@ def main():
     shutil.rmtree(work, ignore_errors=True)
     with Farm(work, build / "bin", build / "plugins") as farm:
         farm.begin()
-        farm.topology("worker", farm.registry + TOPOLOGY)  # nobody is there yet, not even the tree
+        farm.topology("worker", farm.registry + echo_topology())  # nobody is there yet, not even the tree
         farm.master()
         wait_for("the topology is known", lambda: farm.states("topologies", "topology") == ["echo"])
         farm.gateway("gateway-1")

@@ -4,7 +4,6 @@
 usage: scale_out_test.py BUILD_DIR
 """
 
-import json
 import shutil
 import signal
 import sys
@@ -14,37 +13,10 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster  # noqa: E402
+from private_cluster import PrivateCluster, echo_topology, result_of, wait_for  # noqa: E402
 
 COUNT, RATE = 2000, 100
-TOPOLOGY = """
-zk.servers: ["{zookeeper}"]
-topology.name: "echo"
-spouts:
-  receive: {broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: 2}
-bolts:
-  send:
-    broker: rabbitmq
-    driver: loadgen
-    channel: echo
-    fields: [data, driverID, time]
-    inputs: [{from: receive, grouping: fields, fields: [driverID]}]
-"""
-
-
-def wait_for(what, condition, limit):
-    deadline = time.monotonic() + limit
-    while time.monotonic() < deadline:
-        if condition():
-            return
-        time.sleep(0.1)
-    sys.exit(f"not within {limit} s: {what}")
-
-
-def result_of(report):
-    """The driver's report, None until it is written (when everything is back)."""
-    text = report.read_text() if report.exists() else ""
-    return json.loads(text) if text.rstrip().endswith("}") else None
+TOPOLOGY = echo_topology(spouts=2)
 
 
 def reads_drivers(cluster, worker):
@@ -52,7 +24,7 @@ def reads_drivers(cluster, worker):
 
 
 def workers(cluster):
-    return [worker for topology in json.loads(cluster.cli("topologies", "-o", "json")) for worker in topology["workers"]]
+    return [worker for topology in cluster.json("topologies") for worker in topology["workers"]]
 
 
 def main():

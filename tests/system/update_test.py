@@ -1,13 +1,13 @@
 #!/usr/bin/python3
 """A driver's plugin is sent through the master, updated to another version gateway by gateway, by a command and by a
-manifest, and goes back by itself when the new one does not come up; messages flow through a topology before and after. A gateway that requires signatures
-refuses what is not signed by a key that it trusts, and a gateway that is killed runs what was sent when it returns.
+manifest, and goes back by itself when the new one does not come up; messages flow through a topology before and after. A
+gateway that requires signatures refuses what is not signed by a key that it trusts, and a gateway that is killed runs
+what was sent when it returns.
 
 usage: update_test.py BUILD_DIR
 """
 
 import hashlib
-import json
 import os
 import shutil
 import signal
@@ -18,23 +18,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
-
-ECHO = """
-zk.servers: ["{zookeeper}"]
-zk.root: "/iot/sensors"
-topology.name: "echo"
-spouts:
-  data_receive: {broker: "rabbitmq", driver: "loadgen", channel: "data", fields: ["data", "driverID", "time"]}
-bolts:
-  echo_send:
-    broker: "rabbitmq"
-    driver: "loadgen"
-    channel: "echo"
-    fields: ["data", "driverID", "time"]
-    inputs: [{from: data_receive, grouping: fields, fields: [driverID]}]
-"""
-
+from private_cluster import PrivateCluster, StartError, echo_topology, require, wait_for  # noqa: E402
 
 def sha256(file):
     return hashlib.sha256(file.read_bytes()).hexdigest()
@@ -58,14 +42,8 @@ class Plugins:
 
 
 class Fleet(PrivateCluster):
-    def json(self, *words):
-        return json.loads(self.cli(*words, "-o", "json"))
-
     def drivers(self):
         return {driver["instance"]: driver for driver in self.json("drivers")}
-
-    def ready(self):
-        return [gateway["state"] for gateway in self.json("gateways")] == ["ready"] * 2
 
     def all_run(self, file, instances):
         drivers = self.drivers()
@@ -78,25 +56,9 @@ class Fleet(PrivateCluster):
         before = received(self.json("topology", "metrics", "echo"))
         wait_for(f"messages flow {when}", lambda: received(self.json("topology", "metrics", "echo")) > before + 20)
 
-    def end(self, name, how):
-        """Ends a daemon, which is started again with again()."""
-        child = dict(self.children)[name]
-        child.send_signal(how)
-        child.wait(20)
-        self.children.remove((name, child))
-
-    def hosts_of(self, gateway):
-        """Process ids of a gateway's driver hosts."""
-        found = []
-        for process in self.descendants():
-            words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
-            if words[0].endswith(b"iotcloud-driver-host") and gateway.encode() in words:
-                found.append(process)
-        return found
-
 
 def received(metrics):
-    return {entry["component"]: entry["sum"] for entry in metrics["components"]}["echo_send"]["executed"]
+    return {entry["component"]: entry["sum"] for entry in metrics["components"]}["send"]["executed"]
 
 
 def check_update(fleet, plugins, instances):
@@ -139,7 +101,7 @@ def check_later_failure(fleet, plugins, instances, second):
     file.write_text(file.read_text().replace(f'plugins: "{fleet.plugins}"', f'plugins: "{damaged}"'))
     fleet.end("gateway-2", signal.SIGTERM)
     fleet.again("gateway-2")
-    wait_for("the gateways are ready", fleet.ready)
+    fleet.wait_until_ready()
     begun = time.monotonic()
     outcomes = fleet.answer("update", "--plugin", name, "--all")["outcomes"]
     took = time.monotonic() - begun
@@ -230,7 +192,7 @@ def check_signatures(fleet, plugins):
     file.write_text(file.read_text() + f'plugins.require_signature: true\nplugins.trusted_keys: ["{key}.pub"]\n')
     fleet.end(name, signal.SIGTERM)
     fleet.again(name)
-    wait_for("the gateways are ready", fleet.ready)
+    fleet.wait_until_ready()
     third = plugins.version("three")
     done = fleet.run_cli("deploy", "--plugin", third, "--gateway", name, "--property", "rate=5")
     require(done.returncode == 1 and "is not signed" in done.stdout, done)
@@ -254,7 +216,7 @@ def main():
     shutil.copy(build / "plugins" / "loadgen.so", shared)
     with Fleet(work, build / "bin", shared) as fleet:
         fleet.start(gateways=2)
-        fleet.topology("echo", ECHO)
+        fleet.topology("echo", echo_topology())
         fleet.wait_until_ready()
         plugins = Plugins(work, build)
         first = plugins.version("one")

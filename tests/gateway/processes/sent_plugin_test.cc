@@ -1,11 +1,10 @@
 // Plugins that were sent, and signatures, with driver hosts as real processes.
-#include <fstream>
-#include <iterator>
 
 #include <unistd.h>
 
 #include <iotcloud/config/signing/ed25519.h>
 #include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/processes/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
@@ -15,6 +14,7 @@ namespace {
 using discovery::DriverState;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
+using tests::read_file;
 namespace fs = std::filesystem;
 
 class SentPluginTest : public ProcessTest {
@@ -36,16 +36,10 @@ class SentPluginTest : public ProcessTest {
     return std::make_shared<ProcessLauncher>(options);
   }
   std::string write(const std::string& name, const std::string& bytes) const {
-    const std::string path = folder_ / name;
-    std::ofstream(path, std::ios::binary) << bytes;
-    return path;
-  }
-  static std::string read(const fs::path& path) {
-    std::ifstream in(path, std::ios::binary);
-    return {std::istreambuf_iterator<char>(in), {}};
+    return tests::write_file(folder_ / name, bytes);
   }
   /// The same driver with other bytes: nobody reads what is behind the end of a library.
-  std::string probe(const std::string& version) const { return read(plugins_ / "probe.so") + version; }
+  std::string probe(const std::string& version) const { return read_file(plugins_ / "probe.so") + version; }
   std::string send(const std::string& bytes, const std::string& signature = "") {
     const auto sha256 = config::sha256_hex(bytes);
     const auto upload = store_->offer({"probe.so", sha256, static_cast<std::int64_t>(bytes.size()), signature});
@@ -173,7 +167,7 @@ TEST_F(SentPluginTest, AFileThatChangesBetweenTheCheckAndTheHostIsRefusedByTheHo
 
 TEST_F(SentPluginTest, APluginOfAnotherSdkThatIsSentIsRefusedNamingBothSides) {
   start_gateway();
-  const auto sha256 = send(read(plugins_ / "future_sdk.so"));
+  const auto sha256 = send(read_file(plugins_ / "future_sdk.so"));
   give(sent("a", sha256));
   ASSERT_TRUE(comes_to("a", DriverState::failed));
   EXPECT_THAT(record("a")->reason,

@@ -1,9 +1,7 @@
 #pragma once
 
 #include <filesystem>
-#include <fstream>
 #include <functional>
-#include <iterator>
 #include <memory>
 #include <string>
 
@@ -15,6 +13,7 @@
 #include <iotcloud/config/signing/ed25519.h>
 #include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/gateway/plugins/plugin_store.h>
+#include <iotcloud/tests/files.h>
 
 namespace iotcloud::gateway {
 
@@ -38,6 +37,8 @@ inline std::string error_of(const std::function<void()>& call) {
   return "";
 }
 
+using tests::read_file;
+
 /// A folder of its own, with a key pair "lab" that may be trusted.
 class PluginFolder : public ::testing::Test {
  protected:
@@ -49,13 +50,7 @@ class PluginFolder : public ::testing::Test {
   ~PluginFolder() override { std::filesystem::remove_all(folder_); }
 
   std::string write(const std::string& name, const std::string& bytes) const {
-    const std::string path = folder_ / name;
-    std::ofstream(path, std::ios::binary) << bytes;
-    return path;
-  }
-  static std::string read(const std::filesystem::path& path) {
-    std::ifstream in(path, std::ios::binary);
-    return {std::istreambuf_iterator<char>(in), {}};
+    return tests::write_file(folder_ / name, bytes);
   }
   std::shared_ptr<const PluginTrust> trust(bool required) const {
     PluginTrust::Options options;

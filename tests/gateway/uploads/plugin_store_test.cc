@@ -62,7 +62,7 @@ TEST_F(PluginStoreTest, WhatIsSentInPiecesIsKeptByItsContentForTheNextLifeToo) {
   store_->finish(upload);
   open();
   const auto path = store_->path_of(config::sha256_hex(bytes), "turtle.so");
-  EXPECT_EQ(read(path), bytes);
+  EXPECT_EQ(read_file(path), bytes);
   struct stat status {};
   ASSERT_EQ(stat(path.c_str(), &status), 0);
   EXPECT_EQ(status.st_mode & 0222, 0u) << "nobody writes there any more";
@@ -180,7 +180,7 @@ TEST_F(PluginStoreTest, ADamagedPluginIsTakenAnew) {
   fs::permissions(path, fs::perms::owner_write, fs::perm_options::add);
   std::ofstream(path) << "abd";
   EXPECT_FALSE(send("abc").empty());
-  EXPECT_EQ(read(path), "abc");
+  EXPECT_EQ(read_file(path), "abc");
 }
 
 TEST_F(PluginStoreTest, TwoWhoSendTheSameAtTheSameTimeBothSucceed) {
@@ -189,8 +189,8 @@ TEST_F(PluginStoreTest, TwoWhoSendTheSameAtTheSameTimeBothSucceed) {
   store_->add(two, 0, "abc");
   store_->finish(one);
   store_->finish(two);
-  EXPECT_EQ(read(store_->path_of(config::sha256_hex("abc"), "x")), "abc");
-  EXPECT_EQ(read(store_->signature_path_of(config::sha256_hex("abc"))), signature_of("abc"));
+  EXPECT_EQ(read_file(store_->path_of(config::sha256_hex("abc"), "x")), "abc");
+  EXPECT_EQ(read_file(store_->signature_path_of(config::sha256_hex("abc"))), signature_of("abc"));
   EXPECT_EQ(files(), 3);
 }
 
@@ -210,9 +210,9 @@ TEST_F(PluginStoreTest, ASignatureThatComesLaterIsKeptAndNoWorseOneTakesItsPlace
   const auto path = store_->signature_path_of(config::sha256_hex("abc"));
   EXPECT_FALSE(fs::exists(path));
   EXPECT_TRUE(send("abc", signature_of("abc")).empty());
-  EXPECT_EQ(read(path), signature_of("abc"));
+  EXPECT_EQ(read_file(path), signature_of("abc"));
   EXPECT_TRUE(send("abc", signature_of("another")).empty());
-  EXPECT_EQ(read(path), signature_of("abc"));
+  EXPECT_EQ(read_file(path), signature_of("abc"));
 }
 
 TEST_F(PluginStoreTest, WhatIsMissingIsSaidWithWhatToDo) {

@@ -15,6 +15,8 @@
 
 namespace iotcloud::master::test {
 
+using Words = std::vector<std::string>;
+
 /// The command line as a process, before a master that serves its API.
 class Cli : public ::testing::Test {
  protected:

@@ -1,14 +1,13 @@
 // deploy and update with a plugin of this machine, keys and signatures: what the command line sends, by way of the
 // master, to gateways' Thrift services.
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 
 #include <gmock/gmock.h>
 #include <sys/stat.h>
 
 #include <iotcloud/config/signing/ed25519.h>
 #include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 #include <iotcloud/tests/master/cli/receiving_gateway.h>
 
@@ -19,6 +18,7 @@ namespace fs = std::filesystem;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::SizeIs;
+using tests::read_file;
 
 class CliPlugin : public Cli {
  protected:
@@ -29,13 +29,7 @@ class CliPlugin : public Cli {
   ~CliPlugin() override { fs::remove_all(folder_); }
 
   std::string write(const std::string& name, const std::string& bytes) const {
-    const std::string path = folder_ / name;
-    std::ofstream(path, std::ios::binary) << bytes;
-    return path;
-  }
-  static std::string read(const fs::path& path) {
-    std::ifstream in(path, std::ios::binary);
-    return {std::istreambuf_iterator<char>(in), {}};
+    return tests::write_file(folder_ / name, bytes);
   }
 
   fs::path folder_;
@@ -95,7 +89,7 @@ TEST_F(CliPlugin, TheSignatureBesideAFileGoesWithIt) {
   EXPECT_THAT(signing.out, HasSubstr(config::sha256_hex("abc")));
   EXPECT_EQ(run_json({"sign", path, "--key", folder_ / "lab.key"})["sha256"], config::sha256_hex("abc"));
   ASSERT_EQ(run({"deploy", "--plugin", path, "-g", "lab1"}).status, 0);
-  const auto key = config::PublicKey::from_pem(read(folder_ / "lab.pub"), "lab.pub");
+  const auto key = config::PublicKey::from_pem(read_file(folder_ / "lab.pub"), "lab.pub");
   EXPECT_TRUE(key.verifies("abc", lab1_.site->offer().signature));
   write("turtle.so.sig", "short");
   const auto done = run({"deploy", "--plugin", path, "-g", "lab1"});
@@ -108,11 +102,11 @@ TEST_F(CliPlugin, ANewKeyIsItsOwnersAloneAndNeverTakesAnothersPlace) {
   struct stat status {};
   ASSERT_EQ(stat((folder_ / "lab.key").c_str(), &status), 0);
   EXPECT_EQ(status.st_mode & 0777, 0600u);
-  const auto before = read(folder_ / "lab.key");
+  const auto before = read_file(folder_ / "lab.key");
   const auto again = run({"keys", "new", folder_ / "lab"});
   EXPECT_EQ(again.status, 1);
   EXPECT_THAT(again.err, AllOf(HasSubstr("lab.key"), HasSubstr("never overwritten")));
-  EXPECT_EQ(read(folder_ / "lab.key"), before);
+  EXPECT_EQ(read_file(folder_ / "lab.key"), before);
 }
 
 TEST_F(CliPlugin, SigningSaysWhatIsMissing) {

@@ -11,13 +11,10 @@
 
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 
-namespace iotcloud::master {
+namespace iotcloud::master::test {
 namespace {
 
 using nlohmann::json;
-using test::Cli;
-using test::FakeGateway;
-using test::Finished;
 using testing::AllOf;
 using testing::Contains;
 using testing::ElementsAre;
@@ -25,8 +22,6 @@ using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::IsSupersetOf;
 using testing::Not;
-
-using Words = std::vector<std::string>;
 
 Words lines(const std::string& text) {
   Words all;
@@ -75,8 +70,7 @@ class CliVerbs : public Cli {
       COMP_CWORD=$((${#COMP_WORDS[@]} - 1))
       _iotcloud "$0"
       printf '%s\n' "${COMPREPLY[@]}")";
-    const auto done =
-        test::run_program({"/bin/bash", "-c", script, IOTCLOUD_CLI, line}, {{"IOTCLOUD_MASTER", address()}});
+    const auto done = run_program({"/bin/bash", "-c", script, IOTCLOUD_CLI, line}, {{"IOTCLOUD_MASTER", address()}});
     EXPECT_EQ(done.err, "") << line;
     return lines(done.out);
   }
@@ -91,8 +85,8 @@ class CliVerbs : public Cli {
       words=("${(@s: :)2}")
       words[1]=$1 CURRENT=${#words}
       _iotcloud)";
-    const auto done = test::run_program({"/usr/bin/zsh", "-f", "-c", script, "zsh", IOTCLOUD_CLI, line},
-                                        {{"IOTCLOUD_MASTER", address()}});
+    const auto done =
+        run_program({"/usr/bin/zsh", "-f", "-c", script, "zsh", IOTCLOUD_CLI, line}, {{"IOTCLOUD_MASTER", address()}});
     EXPECT_EQ(done.err, "") << line;
     return lines(done.out);
   }
@@ -220,4 +214,4 @@ TEST_F(CliVerbs, ZshCompletesWithThePrintedScript) {
 }
 
 }  // namespace
-}  // namespace iotcloud::master
+}  // namespace iotcloud::master::test

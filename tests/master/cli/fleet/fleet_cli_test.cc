@@ -8,13 +8,10 @@
 
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 
-namespace iotcloud::master {
+namespace iotcloud::master::test {
 namespace {
 
 using nlohmann::json;
-using test::Cli;
-using test::FakeGateway;
-using test::Finished;
 using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
@@ -44,8 +41,6 @@ class CliFleet : public Cli {
                       change["name"].get<std::string>() + "/" + std::to_string(change["index"].get<int>()));
     return words;
   }
-  using Words = std::vector<std::string>;
-
   const std::string file = testing::TempDir() + "iotcloud-fleet-" + std::to_string(getpid()) + ".yaml";
   FakeGateway lab1{url, "lab1"};
   FakeGateway lab2{url, "lab2"};
@@ -228,4 +223,4 @@ TEST_F(CliFleet, LargeChangesAreGivenInSeveralOrders) {
 }
 
 }  // namespace
-}  // namespace iotcloud::master
+}  // namespace iotcloud::master::test
