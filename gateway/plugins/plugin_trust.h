@@ -44,7 +44,7 @@ class PluginTrust {
   static Keys read(const std::vector<std::string>& paths);
   std::shared_ptr<const Keys> keys() const;
 
-  const Options options_;
+  const Options options_{};
   mutable std::mutex mutex_;
   std::shared_ptr<const Keys> keys_ = std::make_shared<const Keys>();  ///< guarded by mutex_
   std::uint64_t generation_ = 0;                                       ///< guarded by mutex_
