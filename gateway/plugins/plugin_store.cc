@@ -79,7 +79,8 @@ struct PluginStore::Impl {
   explicit Impl(Options given)
       : options(std::move(given)),
         clock(options.clock != nullptr ? *options.clock : config::system_clock()),
-        trust(options.trust ? options.trust : std::make_shared<const PluginTrust>()) {}
+        trust(options.trust ? options.trust : std::make_shared<const PluginTrust>()),
+        new_upload_id(options.new_upload_id ? options.new_upload_id : discovery::new_instance_id) {}
 
   std::string kept(const std::string& sha256) const { return options.folder + "/" + sha256; }
   std::string incoming() const { return options.folder + "/incoming"; }
@@ -95,6 +96,7 @@ struct PluginStore::Impl {
   const Options options;
   const Clock& clock;
   const std::shared_ptr<const PluginTrust> trust;
+  const std::function<std::string()> new_upload_id;
   mutable std::mutex mutex;
   std::map<std::string, std::shared_ptr<Upload>> uploads;  ///< guarded by mutex
   std::map<std::string, Clock::Instant> wanted;  ///< guarded by mutex: when a kept plugin was last of use to somebody
@@ -142,7 +144,7 @@ std::string PluginStore::offer(const Offer& offer) try {
   if (static_cast<int>(self.uploads.size()) >= self.options.most_uploads)
     throw config::Error(
         fmt::format("this gateway takes {} plugins at a time; try again in a moment", self.options.most_uploads));
-  std::string id = discovery::new_instance_id();
+  std::string id = self.new_upload_id();
   auto upload = std::make_shared<Upload>(offer, self.incoming() + "/" + id);
   upload->last = now;
   self.uploads[id] = std::move(upload);

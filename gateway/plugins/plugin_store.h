@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <set>
 #include <string>
@@ -25,6 +26,7 @@ class PluginStore {
     std::chrono::milliseconds unnamed_limit{600'000};  ///< a plugin that no order names goes
     std::shared_ptr<const PluginTrust> trust;          ///< null: nobody is trusted, no signature is asked for
     const config::Clock* clock = nullptr;              ///< nullptr: the system's
+    std::function<std::string()> new_upload_id;        ///< empty: ids that nobody guesses
   };
   /// Clears away what an earlier life left half written. \throws config::Error when the folder cannot be used.
   explicit PluginStore(Options options);

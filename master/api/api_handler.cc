@@ -275,8 +275,8 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
 
 /// What all connections share.
 struct Shared {
-  Shared(Master& served, GatewayAccess access_to_gateways)
-      : master(served), gateways(std::move(access_to_gateways)), uploads(served, gateways) {}
+  Shared(Master& served, GatewayAccess access_to_gateways, const PluginUploads::Options& passed_on)
+      : master(served), gateways(std::move(access_to_gateways)), uploads(served, gateways, passed_on) {}
   Master& master;
   const GatewayAccess gateways;
   PluginUploads uploads;
@@ -286,7 +286,7 @@ struct Shared {
 }  // namespace
 
 config::ThriftService serve_api(Master& master, ApiAccess access) {
-  auto shared = std::make_shared<Shared>(master, std::move(access.gateways));
+  auto shared = std::make_shared<Shared>(master, std::move(access.gateways), access.uploads);
   shared->access.service = "api";
   shared->access.rules = api_rules();
   shared->access.tokens = std::move(access.tokens);

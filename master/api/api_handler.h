@@ -3,6 +3,7 @@
 #include <iotcloud/config/access/session.h>
 #include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/master/api/gateway_pages.h>
+#include <iotcloud/master/plugins/plugin_uploads.h>
 
 namespace iotcloud::master {
 
@@ -17,6 +18,7 @@ struct ApiAccess {
   std::shared_ptr<config::AuditLog> audit;      ///< null: none
   GatewayAccess gateways;
   std::chrono::milliseconds wrong_token_pause{1'000};
+  PluginUploads::Options uploads{};
 };
 
 /// Serves TMasterAPIService from a master, with one handler for each connection.

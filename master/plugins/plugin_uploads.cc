@@ -149,7 +149,7 @@ UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<st
     receiver.upload = site_offer_plugin(receiver.site, receiver.target.gateway, offer, self.options.answer_limit);
     receiver.target.has = receiver.upload.empty();
   });
-  const std::string id = discovery::new_instance_id();
+  const std::string id = self.options.new_upload_id ? self.options.new_upload_id() : discovery::new_instance_id();
   auto result = answer(id, receivers);
   if (result.upload.empty()) return result;
   auto upload = std::make_shared<Upload>();

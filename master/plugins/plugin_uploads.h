@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <utility>
@@ -43,6 +44,7 @@ class PluginUploads {
     std::chrono::milliseconds idle_limit{60'000};    ///< an upload that nobody goes on with ends
     std::chrono::milliseconds answer_limit{10'000};  ///< of a gateway; one that has not answered gets no more
     const config::Clock* clock = nullptr;            ///< nullptr: the system's
+    std::function<std::string()> new_upload_id;      ///< empty: ids that nobody guesses
   };
   /// \param master outlives this. \param access how it shows gateways who it is.
   PluginUploads(const Master& master, GatewayAccess access) : PluginUploads(master, std::move(access), Options()) {}

@@ -25,14 +25,14 @@ std::string sent(const Calls& calls) {
   return buffer->getBufferAsString();
 }
 
-const std::string no_bytes_sha256 = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855";
+const std::string sha256_of_bytes = "277089d91c0bdf4f2e6862ba7e4a07605119431f5d13f726dd352b06f1b206a9";  // of the word
 
 /// Of the master and of a gateway alike.
 template <typename Offer>
 Offer offer() {
   Offer offer;
   offer.__set_plugin("turtle.so");
-  offer.__set_sha256(no_bytes_sha256);
+  offer.__set_sha256(sha256_of_bytes);
   offer.__set_size(5);
   offer.__set_signature(std::string(64, 's'));
   return offer;
@@ -67,11 +67,11 @@ void write_api_seeds(const std::filesystem::path& folder) {
   master::wire::TUpdateRequest update;
   update.__set_selection(selection);
   update.__set_plugin("turtle.so");
-  update.__set_sha256(no_bytes_sha256);
+  update.__set_sha256(sha256_of_bytes);
   update.__set_atOnce(1);
   update.__set_settleMs(1);
   auto of_content = deployment;
-  of_content.__set_sha256(no_bytes_sha256);
+  of_content.__set_sha256(sha256_of_bytes);
   master::wire::TTopologyRequest topology;
   topology.__set_topology("echo");
   topology.__set_change(master::wire::TTopologyChange::REBALANCE);
@@ -101,9 +101,10 @@ void write_api_seeds(const std::filesystem::path& folder) {
   write(folder, "deploy", sent<Client>([&](Client& client) { client.send_deploy(deployment); }));
   write(folder, "change", sent<Client>([&](Client& client) { client.send_changeDeployment(change); }));
   write(folder, "plugin", sent<Client>([&](Client& client) {
-          client.send_offerPlugin(offer<master::wire::TPluginOffer>(), {"lab1"});
-          client.send_sendPlugin("0a1b", 0, "bytes");
-          client.send_finishPlugin("0a1b");
+          client.send_offerPlugin(offer<master::wire::TPluginOffer>(), {"lab1", "lab2"});
+          client.send_sendPlugin("0", 0, "by");
+          client.send_sendPlugin("0", 2, "tes");
+          client.send_finishPlugin("0");
           client.send_deploy(of_content);
         }));
   write(folder, "update", sent<Client>([&](Client& client) { client.send_update(update); }));
@@ -161,8 +162,17 @@ void write_site_seeds(const std::filesystem::path& folder) {
         }));
   write(folder, "plugin", sent<Client>([](Client& client) {
           client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
-          client.send_sendPlugin("0a1b", 0, "bytes");
-          client.send_finishPlugin("0a1b");
+          client.send_sendPlugin("0", 0, "by");
+          client.send_sendPlugin("0", 2, "tes");
+          client.send_finishPlugin("0");
+          client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
+        }));
+  write(folder, "plugins", sent<Client>([](Client& client) {
+          client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
+          client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
+          client.send_sendPlugin("1", 0, "bytes");
+          client.send_finishPlugin("0");
+          client.send_finishPlugin("1");
         }));
 }
 

@@ -1,17 +1,20 @@
 // What anybody may send to a gateway's Thrift service: a gateway on an embedded registry that has no plugin, and takes
-// those that are sent.
+// those that are sent. The ids of uploads are 0, 1, ... in each input, so that an input can come to the end of one.
+#include <algorithm>
 #include <filesystem>
 #include <optional>
 
 #include <unistd.h>
 
 #include "iotcloud/config/log.h"
+#include "iotcloud/config/signing/sha256.h"
 #include "iotcloud/discovery/registry.h"
 #include "iotcloud/gateway/fleet/in_process_launcher.h"
 #include "iotcloud/gateway/gateway.h"
 #include "iotcloud/gateway/site/site_handler.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 #include "iotcloud/tests/fuzz/thrift_frames.h"
+#include "iotcloud/tests/fuzz/whole_uploads.h"
 
 using namespace iotcloud;
 
@@ -30,7 +33,9 @@ class Site {
     gateway::PluginStore::Options plugins;
     plugins.folder = folder_;
     plugins.most_bytes = 1 << 16;
-    plugins.most_uploads = most_uploads;
+    plugins.clock = &clock_;
+    plugins.new_upload_id = [this] { return std::to_string(uploads_++); };
+    longest_kept_ = std::max(plugins.idle_limit, plugins.unnamed_limit);
     options.plugins = std::make_shared<gateway::PluginStore>(plugins);
     options.launcher = std::make_shared<gateway::InProcessLauncher>(hosts);
     gateway_.emplace(options);
@@ -51,11 +56,19 @@ class Site {
   }
 
   const config::ThriftService& service() const { return service_; }
-  bool is_full() { return gateway_->instances().size() > 1'000 || gateway_->plugins()->uploads() == most_uploads; }
+  bool is_full() { return gateway_->instances().size() > 1'000; }
+  /// Nothing of an input's uploads is there for the next one. \return how many plugins came whole.
+  int forget_plugins() {
+    int whole = 0;
+    for (const auto& entry : std::filesystem::directory_iterator(folder_))
+      whole += config::is_sha256(entry.path().filename().string()) ? 1 : 0;
+    uploads_ = 0;
+    clock_.move(longest_kept_);
+    gateway_->plugins()->clean({});
+    return whole;
+  }
 
  private:
-  static constexpr int most_uploads = 16;  // nobody knows their ids, so none ends
-
   static std::unique_ptr<discovery::Registry> fresh_registry() {
     static int number = 0;
     discovery::RegistryOptions options;
@@ -65,6 +78,9 @@ class Site {
 
   const std::filesystem::path folder_ =
       std::filesystem::temp_directory_path() / ("iotcloud-fuzz-site-" + std::to_string(getpid()));
+  fuzz::InputClock clock_;
+  std::chrono::milliseconds longest_kept_{0};
+  int uploads_ = 0;
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   std::optional<gateway::Gateway> gateway_;
   config::AccessOptions access_;
@@ -75,12 +91,14 @@ class Site {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   config::set_log_level(config::LogLevel::off);
+  static fuzz::Tally tally;
   static auto site = std::make_unique<Site>();
   const gateway::SiteService::Options options;
   config::ThriftServerOptions limits;
   limits.max_message_bytes = options.max_message_bytes;
   limits.max_items = options.max_items;
   fuzz::serve(site->service(), data, size, limits);
+  tally.whole += site->forget_plugins();
   if (site->is_full()) {
     site.reset();
     site = std::make_unique<Site>();
