@@ -6,8 +6,8 @@ namespace iotcloud::master {
 namespace {
 
 TEST(SecretProperties, AreKnownByTheirNames) {
-  for (const char* key : {"password", "Device.PASSWORD", "wifi_passphrase", "clientSecret", "api_Token", "key", "api-key",
-                          "apiKey", "key2", "aws.access_key", "credentials"})
+  for (const char* key : {"password", "Device.PASSWORD", "wifi_passphrase", "clientSecret", "api_Token", "key",
+                          "api-key", "apiKey", "key2", "aws.access_key", "credentials"})
     EXPECT_TRUE(is_secret(key, "x")) << key;
   for (const char* key : {"rate", "monkey", "keyboard", "keep_last", "keys_pressed", "channel.data.priority"})
     EXPECT_FALSE(is_secret(key, "x")) << key;
