@@ -7,6 +7,7 @@
 namespace iotcloud::discovery::tests {
 namespace {
 
+using testing::AnyOf;
 using testing::Contains;
 using testing::ElementsAre;
 using testing::UnorderedElementsAre;
@@ -101,8 +102,11 @@ TEST_F(Cost, ADriverThatChangesIsReadAndJudgedAloneAmongMany) {
   ASSERT_TRUE(told_.wait_for_last("-42"));
   const auto all = judged_.all();
   EXPECT_THAT(std::vector<std::string>(all.begin() + many, all.end()), ElementsAre("42"));
-  EXPECT_THAT(asked_since(asked), UnorderedElementsAre("get " + paths_.instance("turtle", "42"),
-                                                       "get " + paths_.channel("turtle", "42", "kinect")));
+  // A node that was read just before (2 ms) is read again a little later, and so the channel perhaps after this.
+  const std::string instance = "get " + paths_.instance("turtle", "42");
+  EXPECT_THAT(
+      asked_since(asked),
+      AnyOf(ElementsAre(instance), UnorderedElementsAre(instance, "get " + paths_.channel("turtle", "42", "kinect"))));
 }
 
 TEST_F(Cost, ADriverThatComesCostsItsOwnRecordsAndOneListForAllWhoWatch) {
