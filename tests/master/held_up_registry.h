@@ -1,70 +1,33 @@
 #pragma once
 
 #include <functional>
-#include <memory>
-#include <optional>
 #include <string>
 #include <utility>
-#include <vector>
 
-#include <iotcloud/discovery/registry.h>
+#include <iotcloud/tests/discovery/passing_registry.h>
 
 namespace iotcloud::master::test {
 
 /// A registry on the way to which a write is held up, as when its process stands still between its decision to write
 /// and the write.
-class HeldUpRegistry final : public discovery::Registry {
+class HeldUpRegistry final : public tests::PassingRegistry {
  public:
-  using Fence = discovery::Fence;
-  using Node = discovery::Node;
-  using Names = std::vector<std::string>;
-
-  explicit HeldUpRegistry(std::unique_ptr<discovery::Registry> registry) : registry_(std::move(registry)) {}
+  using PassingRegistry::PassingRegistry;
 
   /// What happens before the next write. Set and called by the one thread that writes.
   void before_next_write(std::function<void()> happens) { happens_ = std::move(happens); }
 
   void create(const std::string& path, const std::string& data, bool parents, const Fence& fence) override {
     hold_up();
-    registry_->create(path, data, parents, fence);
+    PassingRegistry::create(path, data, parents, fence);
   }
   void set(const std::string& path, const std::string& data, std::int64_t version, const Fence& fence) override {
     hold_up();
-    registry_->set(path, data, version, fence);
+    PassingRegistry::set(path, data, version, fence);
   }
   bool remove(const std::string& path, std::int64_t version, const Fence& fence) override {
     hold_up();
-    return registry_->remove(path, version, fence);
-  }
-
-  std::optional<Node> get(const std::string& path) override { return registry_->get(path); }
-  std::optional<Names> children(const std::string& path) override { return registry_->children(path); }
-  std::vector<std::optional<Node>> get_all(const Names& paths) override { return registry_->get_all(paths); }
-  std::vector<std::optional<Names>> children_of_all(const Names& paths) override {
-    return registry_->children_of_all(paths);
-  }
-  discovery::GuardPtr hold(const std::string& path, const std::string& data, bool sequential,
-                           std::function<void(const std::string&)> on_created) override {
-    return registry_->hold(path, data, sequential, std::move(on_created));
-  }
-  discovery::GuardPtr hold_eventually(const std::string& path, const std::string& data, bool sequential,
-                                      std::function<void(const std::string&)> on_created) override {
-    return registry_->hold_eventually(path, data, sequential, std::move(on_created));
-  }
-  discovery::GuardPtr watch_node(const std::string& path,
-                                 std::function<void(const std::optional<Node>&)> callback) override {
-    return registry_->watch_node(path, std::move(callback));
-  }
-  discovery::GuardPtr watch_children(const std::string& path,
-                                     std::function<void(const std::optional<Names>&)> callback) override {
-    return registry_->watch_children(path, std::move(callback));
-  }
-  discovery::SessionState session() const override { return registry_->session(); }
-  discovery::GuardPtr on_session(std::function<void(discovery::SessionState)> callback) override {
-    return registry_->on_session(std::move(callback));
-  }
-  discovery::GuardPtr after(std::chrono::milliseconds pause, std::function<void()> callback) override {
-    return registry_->after(pause, std::move(callback));
+    return PassingRegistry::remove(path, version, fence);
   }
 
  private:
@@ -72,7 +35,6 @@ class HeldUpRegistry final : public discovery::Registry {
     if (const auto happens = std::exchange(happens_, nullptr)) happens();
   }
 
-  const std::unique_ptr<discovery::Registry> registry_;
   std::function<void()> happens_;
 };
 

@@ -40,8 +40,8 @@ class SpoutPlacement {
 
  private:
   using ReaderKey = std::pair<brokers::BrokerAddress, brokers::Topic>;
-  /// A unit that moves takes nothing in any more, until what it brought is settled or drain_limit is over; then it is
-  /// read there.
+  /// A unit that moves is read here but takes nothing in any more, until what it brought is settled or drain_limit is
+  /// over; then it is read there.
   enum class Move { none, to_task, to_worker };
   static constexpr std::chrono::milliseconds look_period{10}, drain_limit{2000};
   struct Unit {

@@ -43,6 +43,8 @@ void SpoutPlacement::share_out() {
       Unit& unit = units_.at(name);
       if (sharers_[shares[kind][i]].worker == services_->worker) {
         stand(name, unit);
+      } else if (unit.election && unit.task < 0) {
+        release(name, unit);  // there is nothing to drain
       } else if (unit.election && !unit.frozen) {
         move(name, unit, Move::to_worker);
       }

@@ -1,0 +1,151 @@
+// A worker's share changes while somebody else still has the units that it stands for.
+#include <chrono>
+#include <future>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include <iotcloud/tests/discovery/passing_registry.h>
+#include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
+
+namespace iotcloud::topology {
+namespace {
+
+/// Its timers go off when the test says, once it has stopped them. Thread safe.
+class StoppedTimers final : public tests::PassingRegistry {
+ public:
+  using PassingRegistry::PassingRegistry;
+
+  void stop() {
+    const std::lock_guard lock(mutex_);
+    stopped_ = true;
+  }
+  void go_off() {
+    std::vector<std::shared_ptr<Timer>> waiting;
+    {
+      const std::lock_guard lock(mutex_);
+      stopped_ = false;
+      waiting.swap(waiting_);
+    }
+    for (const auto& timer : waiting) timer->begin(*this);
+  }
+  /// How often the records of a group's other members were read.
+  int reads() const {
+    const std::lock_guard lock(mutex_);
+    return reads_;
+  }
+  /// Returns when all callbacks that waited have run.
+  void let_callbacks_run() {
+    std::promise<void> reached;
+    const auto last = PassingRegistry::after(std::chrono::milliseconds(0), [&] { reached.set_value(); });
+    reached.get_future().wait();
+  }
+
+  std::vector<std::optional<Node>> get_all(const Names& paths) override {
+    auto nodes = PassingRegistry::get_all(paths);
+    const std::lock_guard lock(mutex_);
+    ++reads_;
+    return nodes;
+  }
+  discovery::GuardPtr after(std::chrono::milliseconds pause, std::function<void()> callback) override {
+    const std::lock_guard lock(mutex_);
+    if (!stopped_) return PassingRegistry::after(pause, std::move(callback));
+    waiting_.push_back(std::make_shared<Timer>(std::move(callback)));
+    return std::make_unique<TimerGuard>(waiting_.back());
+  }
+
+ private:
+  class Timer {
+   public:
+    explicit Timer(std::function<void()> callback) : callback_(std::move(callback)) {}
+    void begin(StoppedTimers& registry) {
+      const std::lock_guard lock(mutex_);
+      if (callback_) running_ = registry.PassingRegistry::after(std::chrono::milliseconds(0), std::move(callback_));
+    }
+    void cancel() {
+      discovery::GuardPtr running;
+      const std::lock_guard lock(mutex_);
+      callback_ = nullptr;
+      running.swap(running_);
+    }
+
+   private:
+    std::mutex mutex_;
+    std::function<void()> callback_;  ///< guarded by mutex_
+    discovery::GuardPtr running_;     ///< guarded by mutex_
+  };
+  class TimerGuard final : public discovery::Guard {
+   public:
+    explicit TimerGuard(std::shared_ptr<Timer> timer) : timer_(std::move(timer)) {}
+    ~TimerGuard() override { timer_->cancel(); }
+    TimerGuard(const TimerGuard&) = delete;
+    TimerGuard& operator=(const TimerGuard&) = delete;
+
+   private:
+    const std::shared_ptr<Timer> timer_;
+  };
+
+  mutable std::mutex mutex_;
+  bool stopped_ = false;                         ///< guarded by mutex_
+  int reads_ = 0;                                ///< guarded by mutex_
+  std::vector<std::shared_ptr<Timer>> waiting_;  ///< guarded by mutex_
+};
+
+TEST_F(Endpoints, UnitsThatAWorkerGaveAwayAndGotBackBeforeItReadThemAreRead) {
+  constexpr int drivers = 4;
+  const std::string group = "/iot/groups/t/d/up";
+  std::vector<discovery::GuardPtr> others;  // that read the units
+  std::vector<std::string> names;
+  for (int i = 0; i < drivers; ++i) {
+    names.push_back("i" + std::to_string(i));
+    others.push_back(registry_->hold(group + "/units/instance-" + names.back(), "somebody"));
+    show_driver(names.back());
+  }
+  StoppedTimers registry{discovery::make_registry({.url = url_})};
+  config::Metrics metrics;
+  WorkerOptions options{.definition = TopologyDefinition::parse(
+                            "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, builder: text, "
+                            "fields: [text, driverID, time]}\n",
+                            "t.yaml"),
+                        .components = {},
+                        .library_folders = {},
+                        .registry = &registry,
+                        .clock = nullptr,
+                        .metrics = &metrics};
+  Worker worker(std::move(options));
+  worker.start();
+  ASSERT_TRUE(eventually([&] { return registry.reads() > 0; }));
+  registry.let_callbacks_run();  // it is alone, and stands for all units
+
+  registry.stop();
+  const auto change = [&](auto&& doing) {
+    const int before = registry.reads();
+    doing();
+    ASSERT_TRUE(eventually([&] { return registry.reads() > before; }));
+    registry.let_callbacks_run();
+  };
+  discovery::GuardPtr joined;
+  change([&] {
+    joined = registry_->hold(group + "/members/another",
+                             R"({"topology":"t","tasks":1,"shares":false,"broker":"rabbitmq","where":"","since":1})");
+  });
+  change([&] { joined.reset(); });
+  registry.go_off();
+  registry.let_callbacks_run();
+
+  others.clear();
+  const auto read = [&] {
+    for (const auto& sample : metrics.collect()) {
+      if (sample.name == "iotcloud_spout_channels") return static_cast<int>(sample.value);
+    }
+    return 0;
+  };
+  EXPECT_TRUE(eventually([&] { return read() == drivers; })) << read() << " of " << drivers << " are read";
+}
+
+}  // namespace
+}  // namespace iotcloud::topology
