@@ -7,6 +7,9 @@ import shlex
 import subprocess
 
 
+LIMIT_S = 600  # of one program
+
+
 class ProgramFailed(Exception):
     """A program that measures found something wrong; the text has all that it said."""
 
@@ -23,7 +26,10 @@ class Programs:
     def run(self, name, *arguments):
         """The lines of JSON that a program prints. Raises ProgramFailed: its figures would mean nothing."""
         command = [str(self.folder / f"bench_{self.prefix}_{name}"), *map(str, arguments)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
+        except subprocess.TimeoutExpired as late:
+            raise ProgramFailed(f"{shlex.join(command)} did not end within {LIMIT_S} s") from late
         if done.returncode != 0:
             raise ProgramFailed(
                 f"{shlex.join(command)} failed with status {done.returncode}:\n{done.stderr}{done.stdout}"
