@@ -107,15 +107,16 @@ TEST_F(Endpoints, UnitsThatAWorkerGaveAwayAndGotBackBeforeItReadThemAreRead) {
   }
   StoppedTimers registry{discovery::make_registry({.url = url_})};
   config::Metrics metrics;
-  WorkerOptions options{.definition = TopologyDefinition::parse(
-                            "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, builder: text, "
-                            "fields: [text, driverID, time]}\n",
-                            "t.yaml"),
-                        .components = {},
-                        .library_folders = {},
-                        .registry = &registry,
-                        .clock = nullptr,
-                        .metrics = &metrics};
+  WorkerOptions options{
+      .definition = TopologyDefinition::parse(
+          "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, builder: text, "
+          "fields: [text, driverID, time]}\n",
+          "t.yaml"),
+      .components = {},
+      .library_folders = {},
+      .registry = &registry,
+      .clock = nullptr,
+      .metrics = &metrics};
   Worker worker(std::move(options));
   worker.start();
   ASSERT_TRUE(eventually([&] { return registry.reads() > 0; }));
