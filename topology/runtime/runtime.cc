@@ -62,7 +62,7 @@ class Runtime::Impl {
         metrics_(options_.metrics != nullptr ? *options_.metrics : config::process_metrics()),
         clock_is_real_(&clock_ == &config::system_clock()),
         timers_(clock_, clock_is_real_),
-        scheduler_(options_.threads, options_.caller_slice, count_tasks(), timers_),
+        scheduler_(options_.threads, options_.caller_slice, options_.long_slice, count_tasks(), timers_),
         graph_(topology_, {&scheduler_, &timers_, &clock_, &options_, clock_is_real_, false}, metrics_) {
     metrics_source_ = metrics_.add_source([this](std::vector<config::Sample>& samples) {
       for (const auto& task : graph_.tasks()) task->collect(samples);

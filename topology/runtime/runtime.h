@@ -38,6 +38,9 @@ struct RuntimeOptions {
   std::size_t mailbox_capacity = 1024;
   /// Work done on a thread that called wake() before the rest goes to the pool.
   std::chrono::microseconds caller_slice{1000};
+  /// Tasks that wait for a thread go to the pool when it stays so long in one task. The time is looked at once a
+  /// millisecond.
+  std::chrono::microseconds long_slice{900};
   /// User code that does not return for so long is reported as an error of its task. 0 = never.
   std::chrono::milliseconds hang_after{10000};
   /// Called once for each error of user code, from any thread; may be empty. Logged and counted in any case.

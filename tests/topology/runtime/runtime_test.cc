@@ -20,6 +20,7 @@ TEST(Runtime, RunsAChainOnTheThreadThatWakesTheSpout) {
   RuntimeOptions options;
   options.threads = 2;
   options.metrics = &metrics;
+  options.caller_slice = options.long_slice = 1h;  // however slow the machine is
   Runtime runtime(builder.build("chain"), options);
   runtime.start();
   ASSERT_TRUE(eventually([&] { return runtime.idle(); }));

@@ -69,7 +69,8 @@ TEST(Scheduling, HandsTheRestToThePoolWhileABoltIsLong) {
                 }))
       .shuffle_grouping("in");
   config::Metrics metrics;
-  Runtime runtime(builder.build("long"), with_threads(1, metrics));
+  // Two: on a slow machine the pool gets the long one, too.
+  Runtime runtime(builder.build("long"), with_threads(2, metrics));
   runtime.start();
   ASSERT_TRUE(eventually([&] { return runtime.idle(); }));
   std::jthread reader([&] { source->put(Values(1)); });
@@ -121,7 +122,9 @@ TEST(Scheduling, AWakeFromInsideABoltRunsAfterItOnTheSameThread) {
       .shuffle_grouping("in");
   builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("echo");
   config::Metrics metrics;
-  Runtime runtime(builder.build("nested"), with_threads(1, metrics));
+  auto options = with_threads(1, metrics);
+  options.caller_slice = options.long_slice = 1h;  // however slow the machine is
+  Runtime runtime(builder.build("nested"), options);
   runtime.start();
   ASSERT_TRUE(eventually([&] { return runtime.idle(); }));
   source->put(Values(1));

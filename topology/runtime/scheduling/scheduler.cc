@@ -15,15 +15,15 @@ constexpr std::int64_t worth_sharing_ns = 50'000;
 constexpr std::size_t many_tasks = 16;
 /// A pool thread lets the tasks that all threads share have a turn after so long.
 constexpr std::int64_t turn_ns = 1'000'000;
-/// A slice as long as this keeps others waiting. The time is looked at once a millisecond.
-constexpr std::int64_t long_slice_ns = 900'000;
 
 using State = Task::State;
 }  // namespace
 
-Scheduler::Scheduler(unsigned threads, std::chrono::microseconds caller_slice, std::size_t tasks, Timers& timers)
+Scheduler::Scheduler(unsigned threads, std::chrono::microseconds caller_slice, std::chrono::microseconds long_slice,
+                     std::size_t tasks, Timers& timers)
     : threads_(threads),
       caller_slice_ns_(std::chrono::nanoseconds(caller_slice).count()),
+      long_slice_ns_(std::chrono::nanoseconds(long_slice).count()),
       tasks_(tasks),
       timers_(timers),
       spare_lane_(new_lane()) {}
@@ -249,7 +249,7 @@ bool Scheduler::look() {
     for (const auto& lane : lanes_) {
       if (!lane->has_ready()) continue;
       const std::int64_t began = lane->slice_began_ns.load(std::memory_order_relaxed);
-      if (began != 0 && now - began >= long_slice_ns) {
+      if (began != 0 && now - began >= long_slice_ns_) {
         lane->take_all(freed);
       } else {
         again = true;

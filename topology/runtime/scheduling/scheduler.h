@@ -25,7 +25,8 @@ class Timers;
 class Scheduler {
  public:
   /// \param tasks highest task id.
-  Scheduler(unsigned threads, std::chrono::microseconds caller_slice, std::size_t tasks, Timers& timers);
+  Scheduler(unsigned threads, std::chrono::microseconds caller_slice, std::chrono::microseconds long_slice,
+            std::size_t tasks, Timers& timers);
   ~Scheduler();
 
   void start();
@@ -77,7 +78,7 @@ class Scheduler {
   void return_lane(Lane* lane);
 
   const unsigned threads_;
-  const std::int64_t caller_slice_ns_;
+  const std::int64_t caller_slice_ns_, long_slice_ns_;
   const std::size_t tasks_;
   Timers& timers_;
   std::atomic<bool> halted_{false};
