@@ -4,14 +4,13 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 
 #include <iotcloud/drivers/depth/depth_codec.h>
 #include <iotcloud/drivers/driver.h>
 
 /// What a TurtleBot consists of, as its driver sees it: a source of depth frames and an actuator, each interchangeable.
 namespace iotcloud::drivers::turtle {
-
-struct TurtleOptions;
 
 /// What only a simulated world knows: where things really are. Metres and radians; heading counter-clockwise from x.
 struct GroundTruth {
@@ -27,11 +26,13 @@ struct GroundTruth {
 
 /// One frame, valid during the call that hands it over.
 struct DepthFrame {
-  depth::FrameView disparities;
+  /// Nothing when the frame comes encoded.
+  std::optional<depth::FrameView> disparities;
   std::chrono::steady_clock::time_point captured;  ///< when the sensor had it ready
   double device_time_s = 0;                        ///< on the device's own clock
   bool repeated = false;                           ///< the last frame once more, because no command came (lock step)
   const GroundTruth* truth = nullptr;              ///< nullptr for a real device
+  Payload encoded = {};                            ///< what is sent as it is when there are no disparities
 };
 
 /// A source of depth frames that runs at its own pace. All calls come from the instance's event thread.
@@ -70,8 +71,5 @@ struct Device {
   std::shared_ptr<DepthSource> source;
   std::shared_ptr<Actuator> actuator;
 };
-
-/// Makes what the options name. `context` outlives the device.
-Device make_device(const TurtleOptions& options, DriverContext& context);
 
 }  // namespace iotcloud::drivers::turtle

@@ -9,19 +9,15 @@ std::chrono::microseconds TurtleOptions::period() const {
   return std::chrono::microseconds(std::llround(1e6 / rate));
 }
 
-TurtleOptions read_options(const PropertyMap& properties) {
+TurtleOptions read_options(const PropertyMap& properties, const DeviceKinds& kinds) {
   TurtleOptions options;
   PropertyReader reader(properties);
-  options.source = reader.choice("source", options.source, {"simulator"});
-  options.actuator = reader.choice("actuator", options.actuator, {"simulator"});
   options.broker = reader.text("broker", options.broker);
   options.rate = reader.number("rate", options.rate, 1, 120);
   options.frames = static_cast<std::uint64_t>(reader.integer("frames", 0, 0, INT64_MAX));
   options.watchdog = std::chrono::milliseconds(reader.integer("watchdog_ms", options.watchdog.count(), 20, 10'000));
   options.trace = reader.text("trace", options.trace);
-  options.seed = static_cast<std::uint64_t>(reader.integer("seed", 1, 0, INT64_MAX));
-  options.lock_step = reader.choice("clock", "realtime", {"realtime", "lockstep"}) == "lockstep";
-  options.retry = std::chrono::milliseconds(reader.integer("retry_ms", options.retry.count(), 10, 60'000));
+  options.make_device = kinds.read(reader, options);
   reader.finish();
   return options;
 }

@@ -29,7 +29,7 @@ double microseconds(steady_clock::duration duration) {
 }  // namespace
 
 std::vector<ChannelSpec> TurtleDriver::channels(const PropertyMap& properties) {
-  const TurtleOptions options = read_options(properties);
+  const TurtleOptions options = read_options(properties, kinds_);
   ChannelSpec frames;
   frames.name = frames_channel;
   frames.direction = Direction::out;
@@ -49,8 +49,8 @@ std::vector<ChannelSpec> TurtleDriver::channels(const PropertyMap& properties) {
 
 void TurtleDriver::open(DriverContext& context) {
   context_ = &context;
-  options_ = read_options(context.properties());
-  device_ = make_device(options_, context);
+  options_ = read_options(context.properties(), kinds_);
+  device_ = options_.make_device(context);
   if (!options_.trace.empty()) log_.open_trace(options_.trace);
   log_.set_origin(steady_clock::now());
 }
@@ -81,10 +81,10 @@ void TurtleDriver::send(const DepthFrame& frame) {
     return;
   }
   const auto started = steady_clock::now();
-  const auto bytes = encoder_.encode(frame.disparities);
+  const Payload payload = frame.disparities ? Payload::copy(encoder_.encode(*frame.disparities)) : frame.encoded;
   const auto encoded = steady_clock::now();
   if (frame.repeated && sequence_ > 0) {
-    log_.repeat_newest(frame.captured, publish(sequence_ - 1, last_time_ms_, bytes));
+    log_.repeat_newest(frame.captured, publish(sequence_ - 1, last_time_ms_, payload));
     return;
   }
   last_time_ms_ = std::max(last_time_ms_ + 1, wall_ms());
@@ -98,8 +98,8 @@ void TurtleDriver::send(const DepthFrame& frame) {
     tell_position(*frame.truth);
   }
   record.encode_us = microseconds(encoded - started);
-  record.payload_bytes = bytes.size();
-  record.published = publish(record.sequence, record.time_ms, bytes);
+  record.payload_bytes = payload.size();
+  record.published = publish(record.sequence, record.time_ms, payload);
   log_.add(record);
   log_.tidy(steady_clock::now());
 }
@@ -113,9 +113,9 @@ void TurtleDriver::tell_position(const GroundTruth& truth) {
   context_->update_metadata({{"position", text.data()}});
 }
 
-PublishStatus TurtleDriver::publish(std::uint64_t sequence, std::int64_t time_ms, std::span<const std::byte> bytes) {
+PublishStatus TurtleDriver::publish(std::uint64_t sequence, std::int64_t time_ms, Payload payload) {
   Message message;
-  message.payload = Payload::copy(bytes);
+  message.payload = std::move(payload);
   message.time_ms = time_ms;
   message.properties.set("seq", std::to_string(sequence));
   return context_->publish(frames_channel, std::move(message));

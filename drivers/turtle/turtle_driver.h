@@ -10,6 +10,7 @@
 #include <iotcloud/drivers/depth/depth_codec.h>
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/turtle/device.h>
+#include <iotcloud/drivers/turtle/device_kinds.h>
 #include <iotcloud/drivers/turtle/frame_log.h>
 #include <iotcloud/drivers/turtle/options.h>
 
@@ -17,10 +18,13 @@ namespace iotcloud::drivers::turtle {
 
 /// Depth frames to the cloud, velocities back to the robot. Wants an event thread of its own: encoding a frame takes
 /// half a millisecond, simulating one some more. When no command came for `watchdog_ms` the robot is stopped.
-class TurtleDriver final : public Driver {
+class TurtleDriver : public Driver {
  public:
   static constexpr std::string_view frames_channel = "kinect";
   static constexpr std::string_view control_channel = "control";
+
+  TurtleDriver() : TurtleDriver(shipped_kinds()) {}
+  explicit TurtleDriver(DeviceKinds kinds) : kinds_(std::move(kinds)) {}
 
   std::vector<ChannelSpec> channels(const PropertyMap& properties) override;
   void open(DriverContext& context) override;
@@ -32,12 +36,13 @@ class TurtleDriver final : public Driver {
  private:
   using Instant = std::chrono::steady_clock::time_point;
   void send(const DepthFrame& frame);
-  PublishStatus publish(std::uint64_t sequence, std::int64_t time_ms, std::span<const std::byte> bytes);
+  PublishStatus publish(std::uint64_t sequence, std::int64_t time_ms, Payload payload);
   void tell_position(const GroundTruth& truth);
   void guard_robot();
   void note_malformed(Instant now);
   void sum_up();
 
+  const DeviceKinds kinds_;
   DriverContext* context_ = nullptr;
   TurtleOptions options_;
   Device device_;

@@ -8,9 +8,27 @@ namespace iotcloud::drivers::turtle::simulator {
 
 using std::chrono::steady_clock;
 
-SimulatedRobot::SimulatedRobot(const TurtleOptions& options, DriverContext& context)
+DeviceKind simulator_kind() {
+  DeviceKind kind;
+  kind.name = "simulator";
+  kind.source = kind.actuator = kind.pair_only = true;
+  kind.read = [](PropertyReader& reader, const TurtleOptions& common, DeviceParts) -> DeviceMaker {
+    SimulatorOptions options;
+    options.period = common.period();
+    options.seed = static_cast<std::uint64_t>(reader.integer("seed", 1, 0, INT64_MAX));
+    options.lock_step = reader.choice("clock", "realtime", {"realtime", "lockstep"}) == "lockstep";
+    options.retry = std::chrono::milliseconds(reader.integer("retry_ms", options.retry.count(), 10, 60'000));
+    return [options](DriverContext& context) {
+      const auto robot = std::make_shared<SimulatedRobot>(options, context);
+      return Device{robot, robot};
+    };
+  };
+  return kind;
+}
+
+SimulatedRobot::SimulatedRobot(const SimulatorOptions& options, DriverContext& context)
     : context_(context),
-      period_(options.period()),
+      period_(options.period),
       retry_(options.retry),
       period_s_(std::chrono::duration<double>(period_).count()),
       lock_step_(options.lock_step),

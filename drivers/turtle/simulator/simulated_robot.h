@@ -8,9 +8,20 @@
 
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/turtle/device.h>
+#include <iotcloud/drivers/turtle/device_kinds.h>
 #include <iotcloud/drivers/turtle/simulator/world.h>
 
 namespace iotcloud::drivers::turtle::simulator {
+
+struct SimulatorOptions {
+  std::chrono::microseconds period;  ///< of the frames
+  std::uint64_t seed = 1;
+  bool lock_step = false;
+  std::chrono::milliseconds retry{500};
+};
+
+/// The kind `simulator`, with the properties `seed`, `clock` and `retry_ms`.
+DeviceKind simulator_kind();
 
 /// A simulated TurtleBot with a Kinect, paced by the driver's timers.
 /// Real time: a frame every period, the world at the frames' intended times (a host that was held up catches up, and so
@@ -19,7 +30,7 @@ namespace iotcloud::drivers::turtle::simulator {
 /// comes the same frame is sent again.
 class SimulatedRobot final : public DepthSource, public Actuator {
  public:
-  SimulatedRobot(const TurtleOptions& options, DriverContext& context);
+  SimulatedRobot(const SimulatorOptions& options, DriverContext& context);
 
   void start(std::function<void(const DepthFrame&)> on_frame) override;
   void stop() override;  ///< the world stands still until the next start()
