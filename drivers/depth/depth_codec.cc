@@ -3,6 +3,7 @@
 #include <snappy.h>
 
 #include <iotcloud/drivers/depth/depth_codec.h>
+#include <iotcloud/drivers/depth/inversion.h>
 
 namespace iotcloud::drivers::depth {
 
@@ -11,19 +12,6 @@ namespace {
 // REFERENCE.md 6. The scale is 10 bits' worth of inverse millimetres; the offset moves 4 m to code 1.
 constexpr int code_scale = 90300;
 constexpr double code_offset = 21.575;
-
-/// On loops over the pixels of a buffer that one object owns: the thread sanitizer has nothing to find in them, and
-/// makes them fifty times slower. They call nothing, since what they call would not be inlined.
-#define IOTCLOUD_PIXEL_LOOP __attribute__((no_sanitize("thread")))
-
-IOTCLOUD_PIXEL_LOOP void to_codes(const std::uint16_t* disparities, const std::uint8_t* table, std::uint8_t* codes) {
-  // The table's last entry is 0, so whatever is larger lands on "no reading".
-  for (std::size_t i = 0; i < frame_pixels; ++i) codes[i] = table[disparities[i] < 1023 ? disparities[i] : 1023];
-}
-
-IOTCLOUD_PIXEL_LOOP void to_mm(const std::uint8_t* codes, const std::uint16_t* table, std::uint16_t* mm) {
-  for (std::size_t i = 0; i < frame_pixels; ++i) mm[i] = table[codes[i]];
-}
 
 std::array<std::uint8_t, 1024> make_code_table() {
   std::array<std::uint8_t, 1024> table{};
@@ -59,7 +47,7 @@ const std::array<std::uint16_t, 256>& mm_table() {
 DepthEncoder::DepthEncoder() : codes_(frame_pixels), compressed_(snappy::MaxCompressedLength(frame_pixels)) {}
 
 std::span<const std::byte> DepthEncoder::encode(FrameView disparities) {
-  to_codes(disparities.data(), code_table().data(), codes_.data());
+  to_codes(best_path(), disparities, codes_.data());
   std::size_t size = 0;
   snappy::RawCompress(reinterpret_cast<const char*>(codes_.data()), frame_pixels, compressed_.data(), &size);
   return std::as_bytes(std::span(compressed_.data(), size));
@@ -90,7 +78,7 @@ DecodeError DepthDecoder::decode(std::span<const std::byte> payload, FrameSpan m
   if (!snappy::RawUncompress(bytes, payload.size(), reinterpret_cast<char*>(codes_.data()))) {
     return DecodeError::not_snappy;
   }
-  to_mm(codes_.data(), mm_table().data(), mm.data());
+  to_mm(best_path(), codes_.data(), mm);
   return DecodeError::none;
 }
 
