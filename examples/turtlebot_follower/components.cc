@@ -1,7 +1,6 @@
-#include <charconv>
 #include <memory>
-#include <stdexcept>
 #include <string>
+#include <utility>
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/drivers/depth/depth_codec.h>
@@ -25,17 +24,6 @@ using iotcloud::topology::Values;
 namespace {
 
 const iotcloud::config::Logger logger{"turtlebot_follower"};
-
-double number_or(const Config& config, const std::string& key, double fallback) {
-  const auto found = config.find(key);
-  if (found == config.end()) return fallback;
-  double value = 0;
-  const auto* end = found->second.data() + found->second.size();
-  if (std::from_chars(found->second.data(), end, value).ptr != end || found->second.empty()) {
-    throw std::invalid_argument(key + ": \"" + found->second + "\" is not a number");
-  }
-  return value;
-}
 
 }  // namespace
 
@@ -79,13 +67,7 @@ class Follow : public BasicBolt {
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     declarer.declare(Fields{"control", "driverID", "time"});
   }
-  void prepare(const Config& config, const TopologyContext&) override {
-    FollowerOptions options;
-    options.goal_distance = number_or(config, "goal_distance", options.goal_distance);
-    options.max_linear = number_or(config, "max_linear", options.max_linear);
-    options.max_angular = number_or(config, "max_angular", options.max_angular);
-    follower_ = Follower(options);
-  }
+  void prepare(const Config& config, const TopologyContext&) override { follower_ = Follower(read_options(config)); }
   void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
     const Payload& depth_mm = tuple.get<Payload>("depth");
     const std::span pixels(reinterpret_cast<const std::uint16_t*>(depth_mm.data()), depth_mm.size() / 2);

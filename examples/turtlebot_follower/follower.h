@@ -1,10 +1,11 @@
 #pragma once
 
-#include <array>
 #include <cstdint>
+#include <map>
 #include <span>
 #include <string>
-#include <vector>
+
+#include <iotcloud/examples/turtlebot_follower/box_scan.h>
 
 namespace turtlebot_follower {
 
@@ -19,16 +20,24 @@ struct FollowerOptions {
   double goal_distance = 0.7;       ///< m, kept between camera and person
   double max_linear = 0.65;         ///< m/s; the base's own limit
   double max_angular = 3.14;        ///< rad/s
+  double turn_gain = 5;             ///< rad/s for each metre that the person is beside the optical axis
+  double min_turn = 0.1;            ///< rad/s; slower turns are not made
+  double stop_distance = 1.0;       ///< m: a person as far away as this is leaving the box, the robot stands still;
+  double stop_margin = 0.01;        ///< m: nearer to it than so much
   std::uint32_t min_points = 4000;  ///< with this many or fewer there is nobody to follow
+  Box box;
 };
 
+/// The options of a component's `conf`; README.md lists the keys. \throws std::invalid_argument for a key that is
+/// unknown, a value out of range or a box without inside, saying what would be right.
+FollowerOptions read_options(const std::map<std::string, std::string>& conf);
+
 /// Finds the person in a depth frame and steers towards a fixed distance: the centroid of the points in a box in front
-/// of the camera (-0.2 < x < 0.2 m, 0.1 < y < 0.5 m below the optical axis, 0 < z < 1 m), then a proportional
-/// controller. Thread safe: computing changes nothing.
+/// of the camera, then a proportional controller. Thread safe: computing changes nothing.
 class Follower {
  public:
-  static constexpr int width = 640;
-  static constexpr int height = 480;
+  static constexpr int width = BoxScan::width;
+  static constexpr int height = BoxScan::height;
 
   explicit Follower(FollowerOptions options = {});
 
@@ -38,15 +47,11 @@ class Follower {
     double x = 0, z = 0;       ///< their centroid, m; 0 when there is nobody
   };
   /// \param depth_mm width x height millimetres, row by row; 0 = no reading.
-  Result compute(std::span<const std::uint16_t> depth_mm) const;
+  Result compute(std::span<const std::uint16_t> depth_mm, Path path = best_path()) const;
 
  private:
   FollowerOptions options_;
-  // The box as a range of millimetres for each row (y) and a bound for each column (x), so that the loop over a frame
-  // compares 16-bit integers only. Made with the reference's double arithmetic: the same points are kept, exactly.
-  std::array<std::uint16_t, height> row_first_{};
-  std::array<std::uint16_t, height> row_last_{};  ///< last < first: no point of this row is in the box
-  std::array<std::uint16_t, width> column_last_{};
+  BoxScan scan_;
 };
 
 /// The command on the wire, as in the original: {"linear":{"x":..,"y":..,"z":..},"angular":{..}}.
