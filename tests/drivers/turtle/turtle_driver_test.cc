@@ -113,7 +113,7 @@ TEST(TurtleDriver, says_which_property_is_wrong_and_what_would_be_right) {
     return robot.error();
   };
   EXPECT_THAT(error_with({{"sed", "1"}}), AllOf(HasSubstr("\"sed\""), HasSubstr("seed"), HasSubstr("watchdog_ms")));
-  EXPECT_THAT(error_with({{"source", "kinect"}}), AllOf(HasSubstr("source"), HasSubstr("simulator")));
+  EXPECT_THAT(error_with({{"source", "sonar"}}), AllOf(HasSubstr("source"), HasSubstr("simulator")));
   EXPECT_THAT(error_with({{"actuator", "ros"}}), AllOf(HasSubstr("actuator"), HasSubstr("simulator")));
   EXPECT_THAT(error_with({{"rate", "fast"}}), AllOf(HasSubstr("rate"), HasSubstr("fast"), HasSubstr("120")));
   EXPECT_THAT(error_with({{"rate", "nan"}}), HasSubstr("rate"));
