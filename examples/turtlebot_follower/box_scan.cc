@@ -42,7 +42,8 @@ struct BoxScanLoops {
       const std::uint16_t mm = depths[u];
       const std::uint16_t first = std::max(row.range.first, scan.column_first_[u]);
       const std::uint16_t last = std::min(row.range.last, scan.column_last_[u]);
-      const std::uint16_t kept = std::min(std::max(mm, first), last) == mm ? mm : std::uint16_t{0};
+      const int in_box = int{mm >= first} & int{mm <= last};
+      const std::uint16_t kept = in_box != 0 ? mm : std::uint16_t{0};
       points += kept != 0;
       mm_sum += kept;
       weighted += std::int32_t{kept} * scan.column_weight_[u];
