@@ -222,6 +222,7 @@ TEST_F(Directory, RemovesATopologyWithItsOrdersOnlyWhenNoWorkerIsLeft) {
   EXPECT_FALSE(remove_topology(*registry_, paths_, "follower"));
   EXPECT_TRUE(registry_->get(paths_.topology_order("follower")));
   held.reset();
+  ASSERT_FALSE(writer_->get(paths_.workers("follower") + "/w1"));
   EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"));
   EXPECT_FALSE(registry_->get(paths_.topology("follower")));
   EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"));  // what is gone already is no error

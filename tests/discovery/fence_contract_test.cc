@@ -14,6 +14,11 @@ class FenceContract : public RegistryContract {
  protected:
   const Fence fence_{"/fences/one"};
   GuardPtr standing_ = other_->hold(fence_.path, "");
+
+  void end_fence() {
+    standing_.reset();  // asks for its removal; another session's write may come first
+    ASSERT_FALSE(other_->get(fence_.path)) << "after what its own session asked for";
+  }
 };
 
 TEST_P(FenceContract, AWriteTakesEffectWhileItsFenceStands) {
@@ -44,7 +49,7 @@ TEST_P(FenceContract, AWriteThatFailsForAnotherReasonSaysSo) {
 
 TEST_P(FenceContract, WithoutItsFenceNothingIsWritten) {
   registry_->create("/a", "1");
-  standing_.reset();
+  end_fence();
   EXPECT_EQ(code_of([&] { registry_->create("/new/node", "", true, fence_); }), Code::fenced);
   EXPECT_EQ(code_of([&] { registry_->create("/new", "", true, fence_); }), Code::fenced);
   EXPECT_FALSE(other_->get("/new"));
@@ -92,7 +97,7 @@ TEST_P(FenceContract, NoWriteComesAfterTheEndOfItsFence) {
     });
   }
   ASSERT_TRUE(eventually([&] { return written > 40; }));
-  standing_.reset();
+  end_fence();
   registry_->create("/after", "");
   const std::int64_t after = registry_->get("/after")->created;
   EXPECT_TRUE(eventually([&] { return refused == 4; }));
