@@ -73,7 +73,7 @@ class BrokersReportTest(unittest.TestCase):
         bench = self.bench(figures="1000 x .*shared")
         brokers_report.figures(bench, False)
         names = [result["name"] for result in bench.report.results]
-        self.assertEqual(len(names), 6)
+        self.assertEqual(len(names), 7)
         self.assertTrue(all(name.startswith("rabbitmq, 1000 x 5/s, shared: ") for name in names), names)
         self.assertEqual(bench.report.missing, 0)
 
