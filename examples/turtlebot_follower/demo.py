@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""Runs the TurtleBot follower and reports how well it followed: called by `./dev demo`.
+"""Runs the TurtleBot follower and reports how well it followed: called by `./dev demo`. With `--robots N` each robot has
+a room, a person and a seed of its own, and one topology serves them all.
 
 Local mode runs everything in one process on the embedded broker and registry. `--cluster` runs RabbitMQ, ZooKeeper, a
 master, two gateways and a topology worker as processes, private to this run, and deploys the driver with the CLI.
-The figures come from the trace that the turtle driver writes (drivers/turtle/README.md), one row for each frame.
+The figures come from the traces that the turtle driver writes (drivers/turtle/README.md), one row for each frame.
 """
 
 import argparse
@@ -21,11 +22,29 @@ import modes  # noqa: E402
 import report  # noqa: E402
 
 
+most_robots = 32
+
+
+def fleet(options, out):
+    """The robots, on two gateways in turn."""
+    clock = "lockstep" if options.lockstep else "realtime"
+    robots = []
+    for number in range(options.robots):
+        name = "trace.csv" if options.robots == 1 else f"trace-{number + 1}.csv"
+        properties = {"seed": options.seed + number, "trace": out / name, "clock": clock}
+        if options.robots > 1:
+            properties["rate"] = 10
+        robots.append(modes.Robot(f"gateway-{1 + number % 2}", properties))
+    return robots
+
+
 def arguments():
     parser = argparse.ArgumentParser(prog="./dev demo", description="The TurtleBot follows a person.")
     parser.add_argument("--cluster", action="store_true", help="real parts, each its own process")
     parser.add_argument("--seconds", type=float, default=20, metavar="N", help="how long to follow (default 20)")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the simulated room and person (default 1)")
+    parser.add_argument("--robots", type=int, default=1, metavar="N",
+                        help="so many robots at 10 Hz each, on two gateways (default 1, at 30 Hz)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the simulated room and person (default 1); the next robots' are the next numbers")
     parser.add_argument("--broker", choices=["embedded", "rabbitmq"], metavar="NAME",
                         help="embedded or rabbitmq (default: embedded; rabbitmq with --cluster)")
     parser.add_argument("--json", metavar="FILE", help="write the report there too")
@@ -36,13 +55,30 @@ def arguments():
     options = parser.parse_args()
     if not 2 <= options.seconds <= 3600:
         parser.error("--seconds: between 2 and 3600")
+    if not 1 <= options.robots <= most_robots:
+        parser.error(f"--robots: between 1 and {most_robots}")
     if options.cluster and options.broker == "embedded":
         parser.error("--broker embedded is for one process; a cluster needs rabbitmq")
     return options
 
 
-def follow_progress(trace, seconds, alive):
-    """One live line while the robot follows; returns when the time is over or a process died."""
+def progress(robots):
+    """How the newest frames of all robots went, as text; None before there are any."""
+    newest = [rows for rows in (report.read_trace(robot.trace, last=30) for robot in robots) if rows]
+    if not newest:
+        return None
+    rows = [row for some in newest for row in some]
+    answered = [row for row in rows if row.answered]
+    latency = report.percentile([row.latency_ms for row in answered], 50)
+    distances = [some[-1].distance for some in newest]
+    distance = f"{min(distances):.2f}" + (f" to {max(distances):.2f}" if len(distances) > 1 else "")
+    frames = sum(some[-1].seq + 1 for some in newest)
+    return (f"frames {frames}   distance {distance} m   latency {latency:.2f} ms   "
+            f"answered {len(answered)} of the last {len(rows)}")
+
+
+def follow_progress(robots, seconds, alive):
+    """One live line while the robots follow; returns when the time is over or a process died."""
     begin = time.monotonic()
     tty = sys.stdout.isatty()
     next_line = 0.0
@@ -54,12 +90,8 @@ def follow_progress(trace, seconds, alive):
         if not tty and elapsed < next_line:
             continue
         next_line = elapsed + 5
-        rows = report.read_trace(trace, last=30)
-        if rows:
-            answered = [row for row in rows if row.answered]
-            latency = report.percentile([row.latency_ms for row in answered], 50) if answered else float("nan")
-            line = (f"{elapsed:5.1f} / {seconds:.0f} s   frame {rows[-1].seq}   distance {rows[-1].distance:.2f} m"
-                    f"   latency {latency:.2f} ms   answered {len(answered)} of the last {len(rows)}")
+        if text := progress(robots):
+            line = f"{elapsed:5.1f} / {seconds:.0f} s   {text}"
             print(f"\r{line}\033[K" if tty else line, end="" if tty else "\n", flush=True)
     if tty:
         print()
@@ -81,28 +113,29 @@ def main():
     options = arguments()
     out = options.out.resolve()
     _lock = take_folder(out)
-    trace = out / "trace.csv"
-    trace.unlink(missing_ok=True)
+    robots = fleet(options, out)
+    for old in out.glob("trace*.csv"):
+        old.unlink()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     mode = modes.Cluster if options.cluster else modes.OneProcess
     broker = options.broker or ("rabbitmq" if options.cluster else "embedded")
     try:
         with mode(options.build, out, broker) as running:
-            clock = "lockstep" if options.lockstep else "realtime"
-            running.begin({"seed": options.seed, "trace": trace, "clock": clock})
-            follow_progress(trace, options.seconds, lambda: running.dead() is None)
+            running.begin(robots)
+            follow_progress(robots, options.seconds, lambda: running.dead() is None)
             measured = running.finish()
     except modes.StartError as error:
         sys.exit(f"the demo could not run: {error}")
     except KeyboardInterrupt:
         sys.exit(130)
 
-    result = report.make_report(trace, options, measured)
+    traces = [report.read_trace(robot.trace) for robot in robots]
+    result = report.make_report(robots, traces, options, measured)
     text = json.dumps(result, indent=2) + "\n"
     (out / "report.json").write_text(text)
     if options.json:
         Path(options.json).write_text(text)
-    report.draw(trace, out)
+    report.draw(traces, out)
     report.print_summary(result, out)
     return 0 if result["followed"] else 1
 

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdio>
 #include <exception>
 #include <map>
@@ -14,17 +15,37 @@
 
 namespace {
 
-/// "key=value" as the properties of a deployment. \throws config::Error.
-std::map<std::string, std::string> parse_properties(const std::vector<std::string>& words) {
+struct Robot {
+  std::string gateway;
   std::map<std::string, std::string> properties;
-  for (const auto& word : words) {
-    const auto equals = word.find('=');
-    if (equals == std::string::npos || equals == 0) {
-      throw iotcloud::config::Error("--property " + word + ": write it as key=value");
-    }
-    properties[word.substr(0, equals)] = word.substr(equals + 1);
+};
+
+/// "gateway-1 key=value ...". \throws config::Error.
+Robot parse_robot(const std::vector<std::string>& words) {
+  Robot robot{words.at(0), {}};
+  if (robot.gateway.find('=') != std::string::npos) {
+    throw iotcloud::config::Error("--robot " + robot.gateway +
+                                  ": name its gateway first, as in --robot gateway-1 seed=1");
   }
-  return properties;
+  for (auto word = words.begin() + 1; word != words.end(); ++word) {
+    const auto equals = word->find('=');
+    if (equals == std::string::npos || equals == 0) {
+      throw iotcloud::config::Error("--robot " + robot.gateway + " " + *word + ": write it as key=value");
+    }
+    robot.properties[word->substr(0, equals)] = word->substr(equals + 1);
+  }
+  return robot;
+}
+
+/// Each once, in the order of the robots.
+std::vector<std::string> gateways_of(const std::vector<Robot>& fleet) {
+  std::vector<std::string> gateways;
+  for (const auto& robot : fleet) {
+    if (std::find(gateways.begin(), gateways.end(), robot.gateway) == gateways.end()) {
+      gateways.push_back(robot.gateway);
+    }
+  }
+  return gateways;
 }
 
 }  // namespace
@@ -40,16 +61,19 @@ int main(int argc, char** argv) {
 
   CLI::App app{"The TurtleBot follower with gateway, master and topology in one process.", "turtlebot-demo"};
   std::string broker_url, plugins, topology, metrics_address;
-  std::vector<std::string> properties;
+  std::vector<std::vector<std::string>> robots;
   app.add_option("--plugins", plugins, "folder of turtle.so and turtlebot_follower.so")->required();
   app.add_option("--topology", topology, "the topology's YAML")->required();
   app.add_option("--broker-url", broker_url, "amqp://... of a RabbitMQ (default: the embedded broker)");
   app.add_option("--metrics", metrics_address, "host:port to serve metrics at");
-  app.add_option("--property", properties, "key=value for the turtle driver; may be repeated");
+  app.add_option("--robot", robots,
+                 "GATEWAY [key=value ...]: a turtle there, with these properties; once for each robot (default: one)");
   CLI11_PARSE(app, argc, argv);
 
   try {
-    const auto driver_properties = parse_properties(properties);
+    if (robots.empty()) robots = {{"gateway-1"}};
+    std::vector<Robot> fleet;
+    for (const auto& words : robots) fleet.push_back(parse_robot(words));
     std::unique_ptr<iotcloud::config::MetricsEndpoint> metrics;
     if (!metrics_address.empty()) {
       metrics =
@@ -59,13 +83,17 @@ int main(int argc, char** argv) {
     options.name = "demo";
     options.brokers = {{"rabbitmq", broker_url}};
     options.plugin_dir = plugins;
+    options.gateways = gateways_of(fleet);
     iotcloud::local::LocalCluster cluster(options);
     cluster.run_topology(topology);
-    const auto instance = cluster.deploy("turtle.so", driver_properties);
+    std::vector<std::string> instances;
+    for (const auto& [gateway, properties] : fleet) {
+      instances.push_back(cluster.deploy("turtle.so", properties, gateway));
+    }
 
     int received = 0;
     sigwait(&stop_signals, &received);
-    cluster.undeploy(instance);
+    for (const auto& instance : instances) cluster.undeploy(instance);
     return cluster.stop(std::chrono::seconds(5)) ? 0 : 1;
   } catch (const std::exception& e) {
     std::fprintf(stderr, "turtlebot-demo: %s\n", e.what());

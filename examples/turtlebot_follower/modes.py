@@ -4,6 +4,7 @@ import re
 import sys
 import time
 import urllib.request
+from dataclasses import dataclass
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -14,6 +15,20 @@ from private_cluster import Children, PrivateCluster, StartError, cpu_seconds, f
 ROLES = (("rabbitmq", "rabbit"), ("zookeeper", "zookeeper"), ("master", "iotcloud-master"),
          ("driver host", "iotcloud-driver-host"), ("gateways", "iotcloud-gateway"), ("topology", "iotcloud-topology"),
          ("all in one process", "turtlebot-demo"))
+
+
+@dataclass
+class Robot:
+    """An instance of the turtle driver that is to be deployed."""
+    gateway: str
+    properties: dict
+
+    @property
+    def trace(self):
+        return self.properties["trace"]
+
+    def words(self):
+        return [f"{key}={value}" for key, value in self.properties.items()]
 
 
 def bolt_times(metrics_address):
@@ -56,13 +71,13 @@ class OneProcess(Children):
         super().__init__(out)
         self.build, self.broker = build.resolve(), broker
 
-    def begin(self, properties):
+    def begin(self, robots):
         url = [f"--broker-url={self.server('rabbitmq')}"] if self.broker == "rabbitmq" else []
         metrics = f"127.0.0.1:{free_port()}"
         self.spawn("turtlebot-demo", [
             self.build / "bin/turtlebot-demo", *url, "--plugins", self.build / "plugins",
             "--topology", HERE / "follower.yaml", "--metrics", metrics,
-            *(f"--property={key}={value}" for key, value in properties.items())])
+            *(word for robot in robots for word in ["--robot", robot.gateway, *robot.words()])])
         self.measurement = Measurement(self.out, metrics)
 
     def finish(self):
@@ -73,13 +88,13 @@ class OneProcess(Children):
 
 
 class Cluster(PrivateCluster):
-    """RabbitMQ, ZooKeeper, one master, two gateways, a topology worker; the driver deployed by the CLI."""
+    """RabbitMQ, ZooKeeper, one master, two gateways, a topology worker; drivers deployed by the CLI."""
 
     def __init__(self, build, out, broker):
         super().__init__(out, build / "bin", build / "plugins")
         self.broker = broker
 
-    def begin(self, properties):
+    def begin(self, robots):
         print("starting RabbitMQ, ZooKeeper, a master and two gateways ...", flush=True)
         self.start(gateways=2)
         metrics = f"127.0.0.1:{free_port()}"
@@ -91,7 +106,8 @@ class Cluster(PrivateCluster):
         self.topology("topology", f'{topology}\nmetrics: {{address: "{metrics}"}}\n')
         self.wait_until_ready()
         print("deploying the turtle driver ...", flush=True)
-        self.deploy("turtle.so", "gateway-1", properties)
+        for robot in robots:
+            self.deploy("turtle.so", robot.gateway, robot.properties)
         self.measurement = Measurement(self.out, metrics)
 
     def finish(self):

@@ -1,4 +1,4 @@
-"""Figures and pictures of one run, from the turtle driver's trace (drivers/turtle/README.md has the columns)."""
+"""Figures and pictures of one run, from the turtle driver's traces (drivers/turtle/README.md has the columns)."""
 
 import csv
 import math
@@ -69,64 +69,83 @@ def spread(values):
             "stdev": round(math.sqrt(sum((v - mean) ** 2 for v in values) / len(values)), 4)}
 
 
-def make_report(trace, options, measured):
-    rows = read_trace(trace)
-    answered = [row for row in rows if row.answered]
+def follow_figures(rows, seconds):
+    """How well one robot followed its person."""
     errors = [abs(row.distance - GOAL_M) for row in rows]
     mean_error = sum(errors) / len(errors) if errors else math.inf
+    answered = sum(row.answered for row in rows)
     lost = sum(not row.in_box for row in rows)
-    share = len(answered) / len(rows) if rows else 0
-    payload = sum(row.payload_bytes for row in rows)
+    length = rows[-1].seconds - rows[0].seconds if rows else 0
     # The loop was closed for as long as it was asked to be.
-    long_enough = bool(rows) and rows[-1].seconds - rows[0].seconds >= 0.9 * (options.seconds - 1)
+    long_enough = length >= 0.9 * (seconds - 1)
+    share = answered / len(rows) if rows else 0
     return {
         "followed": bool(long_enough and lost == 0 and share >= MIN_ANSWERED and mean_error < MAX_MEAN_ERROR_M),
-        "mode": "cluster" if options.cluster else "local",
-        "broker": measured["broker"],
-        "seed": options.seed,
-        "seconds": round(rows[-1].seconds - rows[0].seconds, 3) if rows else 0,
+        "seconds": round(length, 3),
         "frames_sent": len(rows),
-        "frames_answered": len(answered),
+        "frames_answered": answered,
         "frames_without_person": lost,
         "distance_error_m": {"mean": round(mean_error, 4) if errors else None,
                              "worst": round(max(errors), 4) if errors else None},
-        "latency_ms": spread([row.latency_ms for row in answered]),
+        "latency_ms": spread([row.latency_ms for row in rows if row.answered]),
+    }
+
+
+def make_report(robots, traces, options, measured):
+    """Figures of all frames, and under "robots" those of each robot."""
+    rows = [row for trace in traces for row in trace]
+    each = [{"gateway": robot.gateway, "seed": robot.properties["seed"], **follow_figures(trace, options.seconds)}
+            for robot, trace in zip(robots, traces)]
+    payload = sum(row.payload_bytes for row in rows)
+    return {
+        **follow_figures(rows, options.seconds),
+        "followed": all(robot["followed"] for robot in each),
+        "seconds": min(robot["seconds"] for robot in each),
+        "mode": "cluster" if options.cluster else "local",
+        "broker": measured["broker"],
+        "seed": options.seed,
         "codec": {"ratio": round(sum(row.raw_bytes for row in rows) / payload, 2) if payload else None,
                   "encode_ms": spread([row.encode_ms for row in rows]),
                   "frame_bytes": round(payload / len(rows)) if rows else None},
+        "robots": each,
         "bolts_ms": measured["bolts_ms"],
         "cpu_cores": measured["cpu_cores"],
         "machine": {"cores": os.cpu_count(), "kernel": os.uname().release},
     }
 
 
-def draw(trace, out):
-    """paths.png, distance.png and latency.png beside the report."""
+def draw(traces, out):
+    """paths.png, distance.png and latency.png beside the report; each robot has a world of its own."""
     if not shutil.which("gnuplot"):
         print("no pictures: gnuplot is not installed (./dev deps installs it)")
         return
-    rows = read_trace(trace)
     data = out / "plot.dat"
-    data.write_text("".join(
+    data.write_text("\n\n".join("".join(  # a block for each robot
         f"{r.seconds} {r.robot[0]} {r.robot[1]} {r.person[0]} {r.person[1]} {r.distance} "
-        f"{r.latency_ms if r.answered else 'nan'}\n" for r in rows))
+        f"{r.latency_ms if r.answered else 'nan'}\n" for r in rows) for rows in traces))
+
+    def curves(columns, style, what):
+        names = [what if len(traces) == 1 else f"{what} {number + 1}" for number in range(len(traces))]
+        return ", ".join(f"'{data}' index {number} using {columns} with {style} title '{name}'"
+                         for number, name in enumerate(names))
+
     script = f"""
 set terminal pngcairo size 900,600 noenhanced font 'sans,11'
 set grid
 set datafile missing 'nan'
 set output '{out}/paths.png'
-set title 'The two paths, seen from above'
+set title 'The paths, seen from above'
 set xlabel 'x (m)'; set ylabel 'y (m)'; set size ratio -1; set key outside
-plot '{data}' using 4:5 with lines lw 2 title 'person', '' using 2:3 with lines lw 2 title 'robot'
+plot {curves("4:5", "lines lw 2", "person")}, {curves("2:3", "lines lw 2", "robot")}
 set output '{out}/distance.png'
 set size noratio; set key inside
 set title 'Distance between camera and person'
 set xlabel 'time (s)'; set ylabel 'm'; set yrange [0:*]
-plot '{data}' using 1:6 with lines lw 2 title 'distance', {GOAL_M} with lines dt 2 title 'goal'
+plot {curves("1:6", "lines lw 2", "distance")}, {GOAL_M} with lines dt 2 title 'goal'
 set output '{out}/latency.png'
 set title 'Frame to command, every frame (the paper, figure 12)'
 set ylabel 'ms'
-plot '{data}' using 1:7 with points pt 7 ps 0.4 title 'latency'
+plot {curves("1:7", "points pt 7 ps 0.4", "latency")}
 """
     subprocess.run(["gnuplot"], input=script, text=True, check=True)
     data.unlink()
@@ -141,6 +160,12 @@ def print_summary(result, out):
     print()
     print(f"followed             {'yes' if result['followed'] else 'NO'}"
           f"  ({result['mode']}, {result['broker']}, seed {result['seed']})")
+    if len(result["robots"]) > 1:
+        for number, robot in enumerate(result["robots"], 1):
+            worst, tail = robot["distance_error_m"]["worst"], robot["latency_ms"]["p99"]
+            print(f"robot {number:<14} {'followed' if robot['followed'] else 'LOST    '}  {robot['gateway']}, seed"
+                  f" {robot['seed']}: {robot['frames_answered']} of {robot['frames_sent']} answered, error at most"
+                  f" {show(worst, 'm')}, p99 {show(tail, 'ms')}")
     print(f"distance error       mean {show(error['mean'], 'm')}, worst {show(error['worst'], 'm')}"
           f" (goal {GOAL_M} m; mean below {MAX_MEAN_ERROR_M} m)")
     print(f"frames               {result['frames_sent']} sent, {result['frames_answered']} answered,"
