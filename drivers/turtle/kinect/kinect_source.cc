@@ -158,8 +158,8 @@ std::uint16_t* KinectSource::take(std::uint32_t stamp) {
     post = !std::exchange(newest_.full, true);  // one is on its way otherwise
   }
   if (post) {
-    context_.post([this, run = run_] {
-      if (run == run_ && on_frame_) hand_over();
+    context_.post([this, alive = std::weak_ptr(alive_), run = run_] {
+      if (!alive.expired() && run == run_ && on_frame_) hand_over();
     });
   }
   return filling_.data();

@@ -4,6 +4,7 @@
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <thread>
@@ -63,6 +64,7 @@ class KinectSource final : public DepthSource {
   std::function<void(const DepthFrame&)> on_frame_;  ///< empty while stopped
   std::vector<std::uint16_t> reading_;
   std::uint64_t run_ = 0;  ///< number of the last start(), so that what an earlier one posted does nothing
+  const std::shared_ptr<const bool> alive_ = std::make_shared<const bool>(true);  ///< what was posted may outlive us
   // Of the camera's thread.
   std::vector<std::uint16_t> filling_;
   std::uint32_t last_stamp_ = 0;

@@ -134,10 +134,13 @@ TEST_F(KinectSourceTest, finds_a_device_again_that_was_unplugged) {
   stub::plug_in({{"A001"}});
   KinectSource& source = start();
   for (int round = 1; round <= 3; ++round) {
+    ASSERT_TRUE(run_until([&] { return source.counts().connects == static_cast<std::uint64_t>(round); }));
+    host_.run_posted();  // a frame of the last time may have waited
     values_.clear();
     ASSERT_TRUE(run_until([&] { return !values_.empty(); }));
+    const std::uint64_t failed = source.counts().failed;
     stub::plug_in({});
-    ASSERT_TRUE(run_until([&] { return source.counts().failed >= 2U * static_cast<unsigned>(round); }));
+    ASSERT_TRUE(run_until([&] { return source.counts().failed >= failed + 2; }));
     EXPECT_EQ(host_.metadata().at("camera"), "absent");
     EXPECT_EQ(host_.logged_count("the Kinect is gone"), static_cast<std::size_t>(round));  // once each time
     EXPECT_EQ(source.counts().lost, static_cast<std::uint64_t>(round));
@@ -154,7 +157,7 @@ TEST_F(KinectSourceTest, opens_a_device_again_that_fell_silent) {
   ASSERT_TRUE(run_until([&] { return !values_.empty(); }));
   stub::hold(true);
   ASSERT_TRUE(run_until([&] { return source.counts().lost >= 1; }));
-  EXPECT_EQ(host_.logged_count("no frame came from the Kinect"), 1);
+  EXPECT_GE(host_.logged_count("no frame came from the Kinect"), 1);  // a slow machine may be silent earlier, too
   stub::hold(false);
   values_.clear();
   EXPECT_TRUE(run_until([&] { return !values_.empty(); }));
