@@ -5,6 +5,7 @@
 #include <iotcloud/drivers/turtle/device_kinds.h>
 #include <iotcloud/drivers/turtle/kinect/kinect_source.h>
 #include <iotcloud/drivers/turtle/options.h>
+#include <iotcloud/drivers/turtle/recording/recorded_source.h>
 #include <iotcloud/drivers/turtle/simulator/simulated_robot.h>
 
 namespace iotcloud::drivers::turtle {
@@ -64,7 +65,11 @@ DeviceMaker DeviceKinds::read(PropertyReader& reader, const TurtleOptions& optio
 }
 
 DeviceKinds shipped_kinds() {
-  return DeviceKinds().with(simulator::simulator_kind()).with(kinect::kinect_kind()).with(no_actuator());
+  return DeviceKinds()
+      .with(simulator::simulator_kind())
+      .with(kinect::kinect_kind())
+      .with(recording::recording_kind())
+      .with(no_actuator());
 }
 
 }  // namespace iotcloud::drivers::turtle

@@ -18,6 +18,7 @@ DeviceKind simulator_kind() {
     options.seed = static_cast<std::uint64_t>(reader.integer("seed", 1, 0, INT64_MAX));
     options.lock_step = reader.choice("clock", "realtime", {"realtime", "lockstep"}) == "lockstep";
     options.retry = std::chrono::milliseconds(reader.integer("retry_ms", options.retry.count(), 10, 60'000));
+    options.person_walks = reader.choice("person", "waits", {"waits", "walks"}) == "walks";
     return [options](DriverContext& context) {
       const auto robot = std::make_shared<SimulatedRobot>(options, context);
       return Device{robot, robot};
@@ -33,7 +34,9 @@ SimulatedRobot::SimulatedRobot(const SimulatorOptions& options, DriverContext& c
       period_s_(std::chrono::duration<double>(period_).count()),
       lock_step_(options.lock_step),
       world_(options.seed),
-      disparities_(depth::frame_pixels) {}
+      disparities_(depth::frame_pixels) {
+  if (options.person_walks) world_.command({});  // the first one sets the person going
+}
 
 void SimulatedRobot::start(std::function<void(const DepthFrame&)> on_frame) {
   stop();

@@ -18,9 +18,10 @@ struct SimulatorOptions {
   std::uint64_t seed = 1;
   bool lock_step = false;
   std::chrono::milliseconds retry{500};
+  bool person_walks = false;  ///< at once, instead of with the first command
 };
 
-/// The kind `simulator`, with the properties `seed`, `clock` and `retry_ms`.
+/// The kind `simulator`, with the properties `seed`, `clock`, `retry_ms` and `person`.
 DeviceKind simulator_kind();
 
 /// A simulated TurtleBot with a Kinect, paced by the driver's timers.

@@ -34,6 +34,7 @@ std::condition_variable changed;
 std::vector<stub::Kinect> usb;
 stub::Seen state;
 bool held = false;
+bool sending = false;
 
 const stub::Kinect* find(const std::string& serial) {
   const auto found = std::find_if(usb.begin(), usb.end(), [&](const auto& kinect) { return kinect.serial == serial; });
@@ -59,9 +60,10 @@ void stub::plug_in(std::vector<Kinect> kinects) {
 }
 
 void stub::hold(bool on) {
-  const std::lock_guard lock(mutex);
+  std::unique_lock lock(mutex);
   held = on;
   changed.notify_all();
+  changed.wait(lock, [] { return !held || !sending; });
 }
 
 stub::Seen stub::seen() {
@@ -194,9 +196,13 @@ int freenect_process_events_timeout(freenect_context* context, timeval*) {
       return 0;
     }
     number = ++state.frames;
+    sending = true;
   }
   std::fill_n(device->buffer, depth::frame_pixels, static_cast<std::uint16_t>(number));
   device->callback(device, device->buffer, static_cast<std::uint32_t>(number * 120'000'000));
+  const std::lock_guard lock(mutex);
+  sending = false;
+  changed.notify_all();
   return 0;
 }
 

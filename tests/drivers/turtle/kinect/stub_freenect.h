@@ -16,7 +16,7 @@ struct Kinect {
 
 /// What is on the USB from now on; those that were open are gone when they are not in it. Thread safe, as all here.
 void plug_in(std::vector<Kinect> kinects);
-/// Holds the thread that polls until the call returns: while it is held no frame comes.
+/// After hold(true) no frame comes, also none that was under way, until hold(false).
 void hold(bool on);
 
 struct Seen {
