@@ -1,9 +1,13 @@
+#include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include <snappy.h>
+#include <zlib.h>
 
 #include <iotcloud/drivers/depth/depth_codec.h>
 #include <iotcloud/drivers/depth/inversion.h>
+#include <iotcloud/drivers/depth/plane_codec.h>
 
 namespace iotcloud::drivers::depth {
 
@@ -28,6 +32,67 @@ std::array<std::uint16_t, 256> make_mm_table() {
   return table;
 }
 
+std::array<std::uint16_t, 2048> make_disparity_mm_table() {
+  std::array<std::uint16_t, 2048> table{};
+  for (int d = 0; d < 1023; ++d) table[d] = static_cast<std::uint16_t>(disparity_to_mm(d));
+  return table;
+}
+
+/// What a tagged payload begins with. A payload of the reference begins with the length of a frame as Snappy writes it,
+/// whose first byte is 0x80 in every way to write it: the two cannot be taken for each other.
+struct Tag {
+  static constexpr std::array<char, 3> mark = {'I', 'D', 'C'};
+  static constexpr std::size_t codec_at = 3, checksum_at = 4, size = 8;
+};
+
+std::uint32_t checksum(std::span<const std::byte> payload) {
+  const auto* bytes = reinterpret_cast<const Bytef*>(payload.data());
+  const auto of_codec = crc32_z(0, bytes + Tag::codec_at, 1);
+  return static_cast<std::uint32_t>(crc32_z(of_codec, bytes + Tag::size, payload.size() - Tag::size));
+}
+
+void write_tag(std::vector<std::byte>& payload, Codec codec) {
+  payload.resize(Tag::size);
+  std::memcpy(payload.data(), Tag::mark.data(), Tag::mark.size());
+  payload[Tag::codec_at] = static_cast<std::byte>(codec);
+}
+
+/// Once everything else is there.
+void write_checksum(std::vector<std::byte>& payload) {
+  const std::uint32_t sum = checksum(payload);
+  for (int i = 0; i < 4; ++i) payload[Tag::checksum_at + i] = static_cast<std::byte>(sum >> (8 * i) & 0xff);
+}
+
+bool is_tagged(std::span<const std::byte> payload) {
+  return payload.size() >= Tag::mark.size() && std::memcmp(payload.data(), Tag::mark.data(), Tag::mark.size()) == 0;
+}
+
+struct Tagged {
+  DecodeError error = DecodeError::none;
+  Codec codec = Codec::reference;
+  std::span<const std::byte> body;
+};
+
+/// \pre is_tagged().
+Tagged read_tag(std::span<const std::byte> payload) {
+  if (payload.size() < Tag::size) return {.error = DecodeError::damaged, .body = {}};
+  std::uint32_t sum = 0;
+  for (int i = 3; i >= 0; --i) sum = sum << 8 | std::to_integer<std::uint32_t>(payload[Tag::checksum_at + i]);
+  if (sum != checksum(payload)) return {.error = DecodeError::damaged, .body = {}};
+  const auto codec = static_cast<Codec>(payload[Tag::codec_at]);
+  const bool known = codec == Codec::compact || codec == Codec::lossless;
+  return {known ? DecodeError::none : DecodeError::unknown_codec, codec, payload.subspan(Tag::size)};
+}
+
+IOTCLOUD_PIXEL_LOOP void to_eleven_bits(const std::uint16_t* from, std::uint16_t* to) {
+  for (std::size_t i = 0; i < frame_pixels; ++i) to[i] = from[i] < no_reading ? from[i] : no_reading;
+}
+
+IOTCLOUD_PIXEL_LOOP void disparities_to_mm(const std::uint16_t* disparities, const std::uint16_t* table,
+                                           std::uint16_t* mm) {
+  for (std::size_t i = 0; i < frame_pixels; ++i) mm[i] = table[disparities[i] & no_reading];
+}
+
 }  // namespace
 
 int disparity_to_mm(int disparity) {
@@ -44,13 +109,55 @@ const std::array<std::uint16_t, 256>& mm_table() {
   return table;
 }
 
-DepthEncoder::DepthEncoder() : codes_(frame_pixels), compressed_(snappy::MaxCompressedLength(frame_pixels)) {}
+const std::array<std::uint16_t, 2048>& disparity_mm_table() {
+  static const auto table = make_disparity_mm_table();
+  return table;
+}
+
+std::optional<Codec> codec_named(std::string_view name) {
+  const auto found = std::find(codec_names.begin(), codec_names.end(), name);
+  if (found == codec_names.end()) return std::nullopt;
+  return static_cast<Codec>(found - codec_names.begin());
+}
+
+DepthEncoder::DepthEncoder(Codec codec) : codec_(codec) {
+  if (codec != Codec::lossless) codes_.resize(frame_pixels);
+  switch (codec) {
+    case Codec::reference:
+      payload_.resize(snappy::MaxCompressedLength(frame_pixels));
+      break;
+    case Codec::compact:
+      compact_ = std::make_unique<groups::PlaneEncoder<groups::CodePlane>>();
+      break;
+    case Codec::lossless:
+      disparities_.resize(frame_pixels);
+      lossless_ = std::make_unique<groups::PlaneEncoder<groups::DisparityPlane>>();
+      break;
+  }
+}
+
+DepthEncoder::~DepthEncoder() = default;
+DepthEncoder::DepthEncoder(DepthEncoder&&) noexcept = default;
+DepthEncoder& DepthEncoder::operator=(DepthEncoder&&) noexcept = default;
 
 std::span<const std::byte> DepthEncoder::encode(FrameView disparities) {
-  to_codes(best_path(), disparities, codes_.data());
-  std::size_t size = 0;
-  snappy::RawCompress(reinterpret_cast<const char*>(codes_.data()), frame_pixels, compressed_.data(), &size);
-  return std::as_bytes(std::span(compressed_.data(), size));
+  if (codec_ == Codec::reference) {
+    to_codes(best_path(), disparities, codes_.data());
+    std::size_t size = 0;
+    snappy::RawCompress(reinterpret_cast<const char*>(codes_.data()), frame_pixels,
+                        reinterpret_cast<char*>(payload_.data()), &size);
+    return std::span(payload_).first(size);
+  }
+  write_tag(payload_, codec_);
+  if (codec_ == Codec::compact) {
+    to_codes(best_path(), disparities, codes_.data());
+    compact_->encode(codes_.data(), payload_);
+  } else {
+    to_eleven_bits(disparities.data(), disparities_.data());
+    lossless_->encode(disparities_.data(), payload_);
+  }
+  write_checksum(payload_);
+  return payload_;
 }
 
 std::string_view describe(DecodeError error) {
@@ -63,23 +170,64 @@ std::string_view describe(DecodeError error) {
       return "a Snappy block that is shorter than a depth frame";
     case DecodeError::too_long:
       return "a Snappy block that is longer than a depth frame";
+    case DecodeError::unknown_codec:
+      return "a depth frame of a codec that this program does not know; it knows reference, compact and lossless";
+    case DecodeError::damaged:
+      return "a depth frame that is cut off or damaged: its checksum is wrong";
+    case DecodeError::malformed:
+      return "a depth frame with a right checksum that no encoder wrote";
+    case DecodeError::not_lossless:
+      return "a depth frame without disparities; they are in frames of the codec \"lossless\" only";
   }
   return "an unknown error";
 }
 
-DepthDecoder::DepthDecoder() : codes_(frame_pixels) {}
+DepthDecoder::DepthDecoder()
+    : codes_(frame_pixels),
+      disparities_(frame_pixels),
+      compact_(std::make_unique<groups::PlaneDecoder<groups::CodePlane>>()),
+      lossless_(std::make_unique<groups::PlaneDecoder<groups::DisparityPlane>>()) {}
+
+DepthDecoder::~DepthDecoder() = default;
+DepthDecoder::DepthDecoder(DepthDecoder&&) noexcept = default;
+DepthDecoder& DepthDecoder::operator=(DepthDecoder&&) noexcept = default;
 
 DecodeError DepthDecoder::decode(std::span<const std::byte> payload, FrameSpan mm) noexcept {
+  if (!is_tagged(payload)) {
+    const DecodeError error = decode_reference(payload);
+    if (error == DecodeError::none) to_mm(best_path(), codes_.data(), mm);
+    return error;
+  }
+  const Tagged tagged = read_tag(payload);
+  if (tagged.error != DecodeError::none) return tagged.error;
+  if (tagged.codec == Codec::compact) {
+    if (!compact_->decode(tagged.body, codes_.data())) return DecodeError::malformed;
+    to_mm(best_path(), codes_.data(), mm);
+  } else {
+    if (!lossless_->decode(tagged.body, disparities_.data())) return DecodeError::malformed;
+    disparities_to_mm(disparities_.data(), disparity_mm_table().data(), mm.data());
+  }
+  return DecodeError::none;
+}
+
+DecodeError DepthDecoder::decode_disparities(std::span<const std::byte> payload, FrameSpan disparities) noexcept {
+  if (!is_tagged(payload)) return DecodeError::not_lossless;
+  const Tagged tagged = read_tag(payload);
+  if (tagged.error != DecodeError::none) return tagged.error;
+  if (tagged.codec != Codec::lossless) return DecodeError::not_lossless;
+  if (!lossless_->decode(tagged.body, disparities_.data())) return DecodeError::malformed;
+  to_eleven_bits(disparities_.data(), disparities.data());
+  return DecodeError::none;
+}
+
+DecodeError DepthDecoder::decode_reference(std::span<const std::byte> payload) {
   const char* bytes = reinterpret_cast<const char*>(payload.data());
   std::size_t declared = 0;
   if (!snappy::GetUncompressedLength(bytes, payload.size(), &declared)) return DecodeError::not_snappy;
   if (declared < frame_pixels) return DecodeError::too_short;
   if (declared > frame_pixels) return DecodeError::too_long;
-  if (!snappy::RawUncompress(bytes, payload.size(), reinterpret_cast<char*>(codes_.data()))) {
-    return DecodeError::not_snappy;
-  }
-  to_mm(best_path(), codes_.data(), mm);
-  return DecodeError::none;
+  const bool whole = snappy::RawUncompress(bytes, payload.size(), reinterpret_cast<char*>(codes_.data()));
+  return whole ? DecodeError::none : DecodeError::not_snappy;
 }
 
 }  // namespace iotcloud::drivers::depth

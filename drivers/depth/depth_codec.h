@@ -3,13 +3,14 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <optional>
 #include <span>
 #include <string_view>
 #include <vector>
 
-/// The depth codec of the TurtleBot application (REFERENCE.md 6): 11-bit Kinect disparities become one byte a pixel
-/// (the inversion step: a code that is linear in disparity and coarse in depth), then raw-block Snappy. Lossy by
-/// design: the far end of the range has few codes.
+/// Codecs for depth frames: 11-bit Kinect disparities in, a compressed payload, millimetres out. README.md has what
+/// each reaches. Every payload stands for itself, so a frame that is dropped, late or damaged costs that frame only.
 namespace iotcloud::drivers::depth {
 
 inline constexpr std::size_t frame_width = 640;
@@ -38,43 +39,91 @@ int disparity_to_mm(int disparity);
 /// The code of each disparity 0..1023; 0 outside first_coded_disparity..last_coded_disparity. Thread safe.
 const std::array<std::uint8_t, 1024>& code_table();
 
+/// Millimetres for each disparity 0..2047 of a lossless frame: disparity_to_mm(), and 0 from 1023 on. Thread safe.
+const std::array<std::uint16_t, 2048>& disparity_mm_table();
+
 /// Millimetres for a code, trunc(90300 / (code + 21.575)); 0 stays 0 = no reading. Thread safe.
 const std::array<std::uint16_t, 256>& mm_table();
+
+enum class Codec {
+  /// The original's (REFERENCE.md 6): disparities become one byte a pixel (the inversion step: a code that is linear in
+  /// disparity and coarse in depth), then raw-block Snappy. Lossy by design: the far end of the range has few codes.
+  reference,
+  compact,   ///< the same codes, in a third of the bytes and less
+  lossless,  ///< every disparity from 0 to 2047 comes back
+};
+/// "reference", "compact", "lossless", in the order of the enumeration.
+inline constexpr std::array<std::string_view, 3> codec_names = {"reference", "compact", "lossless"};
+std::optional<Codec> codec_named(std::string_view name);
+
+namespace groups {
+struct CodePlane;
+struct DisparityPlane;
+template <typename Plane>
+class PlaneEncoder;
+template <typename Plane>
+class PlaneDecoder;
+}  // namespace groups
 
 /// Compresses frames. Keeps its buffers: one object for each stream of frames. Not thread safe.
 class DepthEncoder {
  public:
-  DepthEncoder();
-  /// \param disparities any 16-bit values: what is no disparity of the sensor counts as no reading.
+  explicit DepthEncoder(Codec codec = Codec::reference);
+  ~DepthEncoder();
+  DepthEncoder(DepthEncoder&&) noexcept;
+  DepthEncoder& operator=(DepthEncoder&&) noexcept;
+
+  /// \param disparities any 16-bit values: what is no disparity of the sensor counts as no reading (2047 in a lossless
+  /// frame, which keeps 1023 to 2046 apart).
   /// \return the compressed frame, valid until the next call or the destructor. Never fails. Nothing is allocated here
-  /// (Snappy takes a hash table of some 200 KB for the call itself).
+  /// once a few frames were encoded (but by Snappy, which takes a hash table of some 200 KB for the call itself).
   std::span<const std::byte> encode(FrameView disparities);
 
  private:
+  Codec codec_;
   std::vector<std::uint8_t> codes_;
-  std::vector<char> compressed_;
+  std::vector<std::uint16_t> disparities_;
+  std::vector<std::byte> payload_;
+  std::unique_ptr<groups::PlaneEncoder<groups::CodePlane>> compact_;
+  std::unique_ptr<groups::PlaneEncoder<groups::DisparityPlane>> lossless_;
 };
 
 enum class DecodeError {
   none,
-  not_snappy,  ///< not a raw Snappy block, or one that is cut off or damaged
-  too_short,   ///< a Snappy block of fewer bytes than a frame has pixels
-  too_long,    ///< a Snappy block that says it holds more
+  not_snappy,     ///< neither tagged nor a raw Snappy block, or a block that is cut off or damaged
+  too_short,      ///< a Snappy block of fewer bytes than a frame has pixels
+  too_long,       ///< a Snappy block that says it holds more
+  unknown_codec,  ///< tagged as a frame of a codec that this program does not know
+  damaged,        ///< a tagged frame that is cut off, or whose checksum is wrong
+  malformed,      ///< a tagged frame with the right checksum that no encoder wrote
+  not_lossless,   ///< disparities were asked of a frame that has none
 };
 
 /// For logs: "not a raw Snappy block".
 std::string_view describe(DecodeError error);
 
-/// Decompresses frames from anywhere: nothing in the payload is trusted, no byte outside it is read, and no memory is
-/// taken on its word. Keeps its buffers: one object for each task. Not thread safe.
+/// Decompresses frames from anywhere and of any codec, which the payload itself tells: nothing in it is trusted, no
+/// byte outside it is read, and no memory is taken on its word. Keeps nothing of a frame for the next, but its buffers:
+/// one object for each task. Not thread safe.
 class DepthDecoder {
  public:
   DepthDecoder();
+  ~DepthDecoder();
+  DepthDecoder(DepthDecoder&&) noexcept;
+  DepthDecoder& operator=(DepthDecoder&&) noexcept;
+
   /// Fills `mm` (millimetres, 0 = no reading). With an error `mm` is left as it was. Never throws.
   [[nodiscard]] DecodeError decode(std::span<const std::byte> payload, FrameSpan mm) noexcept;
+  /// The disparities of a lossless frame, as they were encoded. With an error they are left as they were. Never throws.
+  [[nodiscard]] DecodeError decode_disparities(std::span<const std::byte> payload, FrameSpan disparities) noexcept;
 
  private:
+  DecodeError decode_reference(std::span<const std::byte> payload);
+
   std::vector<std::uint8_t> codes_;
+  std::vector<std::uint16_t> disparities_;
+  std::unique_ptr<groups::PlaneDecoder<groups::CodePlane>> compact_;
+  std::unique_ptr<groups::PlaneDecoder<groups::DisparityPlane>> lossless_;
 };
 
 }  // namespace iotcloud::drivers::depth

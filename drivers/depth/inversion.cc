@@ -3,6 +3,7 @@
 #include <string_view>
 
 #include <iotcloud/drivers/depth/inversion.h>
+#include <iotcloud/drivers/depth/pixel_loop.h>
 
 #if defined(__x86_64__)
 #include <immintrin.h>
@@ -12,10 +13,6 @@
 namespace iotcloud::drivers::depth {
 
 namespace {
-
-/// On loops over the pixels of a buffer that one object owns: the thread sanitizer has nothing to find in them, and
-/// makes them fifty times slower. They call nothing, since what they call would not be inlined.
-#define IOTCLOUD_PIXEL_LOOP __attribute__((no_sanitize("thread")))
 
 IOTCLOUD_PIXEL_LOOP void to_codes_portable(const std::uint16_t* disparities, const std::uint8_t* table,
                                            std::uint8_t* codes) {

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <string>
 
+#include <iotcloud/drivers/depth/depth_codec.h>
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/turtle/device_kinds.h>
 
@@ -14,6 +15,7 @@ struct TurtleOptions {
   std::string broker;  ///< empty: the gateway's first
   double rate = 30;    ///< frames a second
   std::uint64_t frames = 0;
+  depth::Codec codec = depth::Codec::reference;
   std::chrono::milliseconds watchdog{250};
   std::string trace;        ///< path; empty: none
   DeviceMaker make_device;  ///< what `source` and `actuator` name

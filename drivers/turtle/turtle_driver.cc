@@ -50,6 +50,7 @@ std::vector<ChannelSpec> TurtleDriver::channels(const PropertyMap& properties) {
 void TurtleDriver::open(DriverContext& context) {
   context_ = &context;
   options_ = read_options(context.properties(), kinds_);
+  encoder_ = depth::DepthEncoder(options_.codec);
   device_ = options_.make_device(context);
   if (!options_.trace.empty()) log_.open_trace(options_.trace);
   log_.set_origin(steady_clock::now());

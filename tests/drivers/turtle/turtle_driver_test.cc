@@ -119,6 +119,7 @@ TEST(TurtleDriver, says_which_property_is_wrong_and_what_would_be_right) {
   EXPECT_THAT(error_with({{"rate", "nan"}}), HasSubstr("rate"));
   EXPECT_THAT(error_with({{"rate", "0"}}), HasSubstr("rate"));
   EXPECT_THAT(error_with({{"watchdog_ms", "1"}}), HasSubstr("watchdog_ms"));
+  EXPECT_THAT(error_with({{"codec", "zip"}}), AllOf(HasSubstr("codec"), HasSubstr("reference, compact, lossless")));
   EXPECT_THAT(error_with({{"clock", "sundial"}}), AllOf(HasSubstr("realtime"), HasSubstr("lockstep")));
   EXPECT_THAT(error_with({{"trace", "/nonexistent/folder/t.csv"}}), HasSubstr("/nonexistent/folder/t.csv"));
   MockInstance robot(turtle, {{"channel.kinect.capacity", "1"}});
@@ -303,6 +304,30 @@ TEST(TurtleDriver, has_the_same_frames_for_the_same_seed) {
   EXPECT_EQ(once, again);
   EXPECT_NE(once, other);
   EXPECT_NE(once[0], once[1]);  // the noise is new in each frame
+}
+
+TEST(TurtleDriver, encodes_its_frames_with_the_codec_that_it_is_told) {
+  const auto frames_of = [](const std::string& codec) {
+    MockInstance robot(turtle, {{"codec", codec}, {"frames", "2"}});
+    EXPECT_TRUE(robot.start()) << robot.error();
+    robot.host().advance(200ms);
+    std::vector<Message> frames;
+    for (const auto& frame : robot.host().published("kinect")) frames.push_back(frame.message);
+    return frames;
+  };
+  const auto reference = frames_of("reference"), compact = frames_of("compact"), lossless = frames_of("lossless");
+  ASSERT_EQ(reference.size(), 2);
+  ASSERT_EQ(compact.size(), 2);
+  ASSERT_EQ(lossless.size(), 2);
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_EQ(decoded(compact[i]), decoded(reference[i]));
+    EXPECT_LT(compact[i].payload.size() * 2, reference[i].payload.size());
+    EXPECT_NE(decoded(lossless[i]), decoded(reference[i]));
+  }
+  depth::DepthDecoder decoder;
+  std::vector<std::uint16_t> disparities(depth::frame_pixels);
+  EXPECT_EQ(decoder.decode_disparities(lossless[0].payload.bytes(), depth::FrameSpan(disparities)),
+            depth::DecodeError::none);
 }
 
 TEST(TurtleDriverInLockStep, waits_for_the_answer_and_sends_the_frame_again_when_none_comes) {
