@@ -72,7 +72,7 @@ OrderResult Master::Impl::refuse_for(const discovery::RegistryError& error) cons
   if (error.code() != discovery::RegistryErrorCode::fenced)
     return refuse(Refusal::registry_away, fmt::format("the registry did not answer: {}", error.what()));
   auto result = refuse(Refusal::not_leading, lost_lead_text);
-  result.leader = leader();
+  result.leader = election.leader_data();  // it may not have been told yet that it does not lead itself
   return result;
 }
 
