@@ -134,3 +134,12 @@ Descriptor describe(const char* name, const char* version, bool own_thread = fal
     static const auto descriptor = iotcloud::drivers::describe<UserDriver>(__VA_ARGS__); \
     return &descriptor;                                                                  \
   }
+
+/// Stands in a plugin's bytes, where a gateway finds it without loading the plugin.
+#define IOTCLOUD_DRIVER_ISOLATION_MARK "iotcloud-plugin: isolation=instance"
+
+/// Once beside IOTCLOUD_DRIVER, in a plugin of which a process can hold one instance only (roscpp knows one node): each
+/// instance gets a host of its own, unless its property `isolation` says something else.
+#define IOTCLOUD_DRIVER_ISOLATED                                                                        \
+  extern "C" __attribute__((visibility("default"), used)) const char iotcloud_driver_isolation_mark[] = \
+      IOTCLOUD_DRIVER_ISOLATION_MARK;

@@ -28,9 +28,9 @@ std::string key_of(const HostOrder& order, const std::string& instance) {
   return key;
 }
 
-bool isolated(const discovery::OrderRecord& order) {
+bool isolated(const discovery::OrderRecord& order, const HostOrder& host, HostLauncher& launcher) {
   const auto property = order.properties.find("isolation");
-  return property != order.properties.end() && property->second == "instance";
+  return property != order.properties.end() ? property->second == "instance" : launcher.wants_isolation(host);
 }
 
 }  // namespace
@@ -83,7 +83,8 @@ std::vector<HostedInstance> HostFleet::adopt() {
 }
 
 std::shared_ptr<HostFleet::Host> HostFleet::host_for(const discovery::OrderRecord& order) {
-  const HostOrder wanted{order.plugin, options_.gateway, isolated(order), order.sha256, {}};
+  HostOrder wanted{order.plugin, options_.gateway, false, order.sha256, {}};
+  wanted.isolated = isolated(order, wanted, launcher_);
   const std::string key = key_of(wanted, order.instance);
   auto& host = hosts_[key];
   if (!host) {

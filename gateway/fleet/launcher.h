@@ -58,6 +58,12 @@ struct RunningHost {
 class HostLauncher {
  public:
   virtual ~HostLauncher() = default;
+  /// Whether the plugin asks for a host for each instance (IOTCLOUD_DRIVER_ISOLATED); false for one that launch() will
+  /// refuse.
+  virtual bool wants_isolation(const HostOrder& order) {
+    (void)order;
+    return false;
+  }
   /// Starts a host; returns at once. A plugin that cannot be loaded is told by on_ended (refused).
   virtual std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) = 0;
   /// Hosts that outlived an earlier gateway of this id.

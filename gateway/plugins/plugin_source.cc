@@ -6,6 +6,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/drivers/plugin.h>
 #include <iotcloud/gateway/host/plugin.h>
 #include <iotcloud/gateway/plugins/durable_file.h>
 #include <iotcloud/gateway/plugins/plugin_folder.h>
@@ -48,13 +49,15 @@ PluginSource::Found PluginSource::find(const HostOrder& order) {
     found.path = store_->path_of(order.sha256, order.plugin);
     signature = store_->signature_path_of(order.sha256);
   }
-  found.identity = examine(found.path, signature, order);
+  const Examined examined = examine(found.path, signature, order);
+  found.identity = examined.identity;
+  found.isolated = examined.isolated;
   found.exactly = trust_->requires_signature() || !order.sha256.empty();
   return found;
 }
 
-PluginIdentity PluginSource::examine(const std::string& path, const std::string& signature_path,
-                                     const HostOrder& order) {
+PluginSource::Examined PluginSource::examine(const std::string& path, const std::string& signature_path,
+                                             const HostOrder& order) {
   const Stamp signature_stamp = stamp_of(signature_path);
   const Basis basis{stamp_of(path), signature_stamp, trust_->generation()};
   {
@@ -63,8 +66,10 @@ PluginIdentity PluginSource::examine(const std::string& path, const std::string&
     if (known != examined_.end() && known->second.first == basis) return known->second.second;
   }
   const std::string content = read_file(path, 0);
-  PluginIdentity identity;
+  Examined found;
+  PluginIdentity& identity = found.identity;
   identity.sha256 = config::sha256_hex(content);
+  found.isolated = content.find(IOTCLOUD_DRIVER_ISOLATION_MARK) != std::string::npos;
   if (!order.sha256.empty() && identity.sha256 != order.sha256)
     throw config::Error(
         fmt::format("{}: it was sent with the SHA-256 {}, but {} has another now; send it again: iotcloud "
@@ -73,8 +78,8 @@ PluginIdentity PluginSource::examine(const std::string& path, const std::string&
   const std::string signature = signature_stamp == Stamp{} ? "" : read_file(signature_path, 0);
   identity.signed_by = trust_->admit(order.plugin, content, signature);
   const std::lock_guard lock(mutex_);
-  examined_[path] = {basis, identity};
-  return identity;
+  examined_[path] = {basis, found};
+  return found;
 }
 
 }  // namespace iotcloud::gateway

@@ -27,6 +27,7 @@ class PluginSource {
     PluginIdentity identity;
     /// The host must use exactly the bytes with this SHA-256 (they were checked), whatever the file has by then.
     bool exactly = false;
+    bool isolated = false;  ///< it asks for a host for each instance (IOTCLOUD_DRIVER_ISOLATED)
   };
   /// \throws config::Error when it is not there, is not what the order names, or is not signed as it must be.
   Found find(const HostOrder& order);
@@ -35,7 +36,11 @@ class PluginSource {
   /// What a file has been, until it changes: reading and checking it takes a tenth of a second.
   using Stamp = std::tuple<std::uint64_t, std::uint64_t, std::int64_t, std::int64_t, std::int64_t>;
   static Stamp stamp_of(const std::string& path);
-  PluginIdentity examine(const std::string& path, const std::string& signature_path, const HostOrder& order);
+  struct Examined {
+    PluginIdentity identity;
+    bool isolated = false;
+  };
+  Examined examine(const std::string& path, const std::string& signature_path, const HostOrder& order);
 
   const std::string folder_;
   const std::shared_ptr<PluginStore> store_;
@@ -43,7 +48,7 @@ class PluginSource {
   std::mutex mutex_;
   /// What the outcome depends on: the plugin's file, its signature's, and the generation of trust.
   using Basis = std::tuple<Stamp, Stamp, std::uint64_t>;
-  std::map<std::string, std::pair<Basis, PluginIdentity>> examined_;  ///< by path; guarded by mutex_
+  std::map<std::string, std::pair<Basis, Examined>> examined_;  ///< by path; guarded by mutex_
 };
 
 }  // namespace iotcloud::gateway

@@ -151,6 +151,12 @@ std::function<void()> ProcessLauncher::log_keeper(const std::string& plugin) con
   return [account = account_, log_file = log_of(plugin)] { account->keep_within_bounds(log_file); };
 }
 
+bool ProcessLauncher::wants_isolation(const HostOrder& order) try {
+  return source_.find(order).isolated;
+} catch (const config::Error&) {
+  return false;  // launch() says what is wrong
+}
+
 std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostEvents events) try {
   const auto found = source_.find(wanted);
   HostOrder order = wanted;

@@ -42,6 +42,7 @@ class ProcessLauncher final : public HostLauncher {
   /// \throws config::Error when the host program or a folder is not there, or hosts cannot be confined so.
   explicit ProcessLauncher(Options options);
 
+  bool wants_isolation(const HostOrder& order) override;
   std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) override;
   std::vector<RunningHost> running(const std::string& gateway) override;
   std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;

@@ -135,6 +135,21 @@ TEST_F(ProcessTest, WhatAHostCountsIsInTheGatewaysMetricsUntilTheHostEnds) {
   EXPECT_TRUE(has("iotcloud_host_memory_bytes", "other#b"));
 }
 
+TEST_F(ProcessTest, APluginThatAsksForItHasAHostForEachInstanceUnlessItsOrderSaysOtherwise) {
+  fs::copy(plugins_ / "probe.so", plugins_ / "alone.so");
+  std::ofstream(plugins_ / "alone.so", std::ios::binary | std::ios::app) << IOTCLOUD_DRIVER_ISOLATION_MARK;
+  start_gateway();
+  const auto hosts_with = [&](const std::string& instance, const std::map<std::string, std::string>& properties) {
+    give(quiet(instance, "alone.so", properties));
+    EXPECT_TRUE(comes_to(instance, DriverState::active, "alone"));
+    return sockets().size();
+  };
+  EXPECT_EQ(hosts_with("a", {}), 1);
+  EXPECT_EQ(hosts_with("b", {}), 2);
+  EXPECT_EQ(hosts_with("c", {{"isolation", "plugin"}}), 3);
+  EXPECT_EQ(hosts_with("d", {{"isolation", "plugin"}}), 3);
+}
+
 TEST_F(ProcessTest, APluginOfAnotherSdkIsRefusedInItsRecordNamingBothSides) {
   start_gateway();
   give(quiet("a", "future_sdk.so"));
