@@ -51,3 +51,11 @@ add_library(concurrentqueue INTERFACE)
 if(CONCURRENTQUEUE_INCLUDE_DIR)
   target_include_directories(concurrentqueue SYSTEM INTERFACE ${CONCURRENTQUEUE_INCLUDE_DIR})
 endif()
+
+# Optional: what needs a library that is not here is left out, and everything else is built.
+pkg_check_modules(ros QUIET IMPORTED_TARGET roscpp geometry_msgs nav_msgs sensor_msgs)
+if(NOT ros_FOUND)
+  message(STATUS "Left out: drivers/turtle/ros (turtle_ros.so, a TurtleBot on ROS) and its tests. They need roscpp, "
+                 "geometry_msgs, nav_msgs and sensor_msgs (Debian: libroscpp-dev libgeometry-msgs-dev libnav-msgs-dev "
+                 "libsensor-msgs-dev)")
+endif()

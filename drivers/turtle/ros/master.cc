@@ -1,0 +1,137 @@
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string_view>
+#include <vector>
+
+#include <netdb.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+#include <xmlrpcpp/XmlRpcClient.h>
+#include <xmlrpcpp/XmlRpcException.h>
+#include <xmlrpcpp/XmlRpcValue.h>
+
+#include <iotcloud/drivers/turtle/ros/master.h>
+
+namespace iotcloud::drivers::turtle::ros {
+
+namespace {
+
+using std::chrono::steady_clock;
+using XmlRpc::XmlRpcValue;
+
+/// What the master answers: a status (1 is success), a text for people and a value.
+struct Answer {
+  int status = 0;
+  XmlRpcValue value;
+};
+
+std::optional<Answer> as_answer(XmlRpcValue& result) {
+  if (result.getType() != XmlRpcValue::TypeArray || result.size() != 3) return std::nullopt;
+  if (result[0].getType() != XmlRpcValue::TypeInt) return std::nullopt;
+  return Answer{static_cast<int>(result[0]), result[2]};
+}
+
+XmlRpcValue list_of(const std::vector<std::string>& words) {
+  XmlRpcValue list;
+  list.setSize(static_cast<int>(words.size()));
+  for (std::size_t i = 0; i < words.size(); ++i) list[static_cast<int>(i)] = words[i];
+  return list;
+}
+
+std::optional<Answer> call(const MasterAddress& address, std::chrono::milliseconds limit, const char* method,
+                           const XmlRpcValue& arguments) {
+  try {
+    XmlRpcValue result;
+    XmlRpc::XmlRpcClient client(address.host.c_str(), address.port, "/");
+    if (!client.executeNonBlock(method, arguments)) return std::nullopt;
+    const auto deadline = steady_clock::now() + limit;
+    const std::chrono::duration<double> all = limit;
+    client._disp.work(all.count());  // comes back sooner when the call is over
+    if (steady_clock::now() >= deadline || !client.executeCheckDone(result)) return std::nullopt;
+    return as_answer(result);
+  } catch (const XmlRpc::XmlRpcException&) {  // an answer of other types than it says
+    return std::nullopt;
+  }
+}
+
+/// Why no connection comes about within `limit`; empty when one does.
+std::string try_connection(const addrinfo& to, std::chrono::milliseconds limit) {
+  const int descriptor = socket(to.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+  if (descriptor < 0) return std::strerror(errno);
+  const auto close_it = [](const int* open) { close(*open); };
+  const std::unique_ptr<const int, decltype(close_it)> closed_at_the_end(&descriptor, close_it);
+  if (connect(descriptor, to.ai_addr, to.ai_addrlen) == 0) return {};
+  if (errno != EINPROGRESS) return std::strerror(errno);
+  pollfd waiting{descriptor, POLLOUT, 0};
+  if (poll(&waiting, 1, static_cast<int>(limit.count())) <= 0) return "no connection within the time limit";
+  int error = 0;
+  socklen_t size = sizeof error;
+  getsockopt(descriptor, SOL_SOCKET, SO_ERROR, &error, &size);
+  return error == 0 ? "" : std::strerror(error);
+}
+
+}  // namespace
+
+MasterAddress parse_master_address(const std::string& uri) {
+  constexpr std::string_view scheme = "http://";
+  MasterAddress address{uri, {}, 0};
+  std::string_view rest = uri;
+  if (rest.substr(0, scheme.size()) == scheme) {
+    rest.remove_prefix(scheme.size());
+    if (!rest.empty() && rest.back() == '/') rest.remove_suffix(1);
+    const auto colon = rest.rfind(':');
+    if (colon != std::string_view::npos && colon > 0) {
+      const std::string_view port = rest.substr(colon + 1);
+      const auto [end, status] = std::from_chars(port.data(), port.data() + port.size(), address.port);
+      if (status == std::errc{} && end == port.data() + port.size() && address.port > 0 && address.port < 65536) {
+        address.host = rest.substr(0, colon);
+        return address;
+      }
+    }
+  }
+  throw std::invalid_argument("property \"ros_master\" (or ROS_MASTER_URI in the gateway's environment) is \"" + uri +
+                              "\"; it takes the ROS master's address, as in http://localhost:11311");
+}
+
+std::string Master::unreachable() const {
+  addrinfo hints{};
+  hints.ai_family = AF_INET;  // as roscpp does
+  hints.ai_socktype = SOCK_STREAM;
+  addrinfo* found = nullptr;
+  const int status = getaddrinfo(address_.host.c_str(), std::to_string(address_.port).c_str(), &hints, &found);
+  if (status != 0) return "its host \"" + address_.host + "\" is not known: " + gai_strerror(status);
+  const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> addresses(found, &freeaddrinfo);
+  if (std::string reason = try_connection(*addresses, limit_); !reason.empty()) return reason;
+  // A connection says little: the kernel makes one for a master that hangs.
+  const auto answer = call(address_, limit_, "getPid", list_of({"/iotcloud"}));
+  return answer && answer->status == 1 ? "" : "it does not answer";
+}
+
+Master::Known Master::knows(const std::string& node) const {
+  const auto answer = call(address_, limit_, "lookupNode", list_of({node, node}));
+  if (!answer) return Known::no_answer;
+  return answer->status == 1 ? Known::yes : Known::no;
+}
+
+bool Master::register_publisher(const std::string& node, const TopicRecord& topic, const std::string& node_uri) const {
+  const auto answer = call(address_, limit_, "registerPublisher", list_of({node, topic.topic, topic.type, node_uri}));
+  return answer && answer->status == 1;
+}
+
+bool Master::register_subscriber(const std::string& node, const TopicRecord& topic, const std::string& node_uri) const {
+  auto answer = call(address_, limit_, "registerSubscriber", list_of({node, topic.topic, topic.type, node_uri}));
+  if (!answer || answer->status != 1 || answer->value.getType() != XmlRpcValue::TypeArray) return false;
+  // A publisher that this master does not know may still be connected: it is let go only when there is another.
+  if (answer->value.size() == 0) return true;
+  XmlRpcValue update = list_of({"/master", topic.topic});
+  update[2] = answer->value;
+  const auto taken = call(parse_master_address(node_uri), limit_, "publisherUpdate", update);
+  return taken && taken->status == 1;
+}
+
+}  // namespace iotcloud::drivers::turtle::ros

@@ -1,0 +1,278 @@
+#include <atomic>
+#include <chrono>
+#include <exception>
+#include <mutex>
+#include <stdexcept>
+#include <thread>
+#include <utility>
+
+#include <geometry_msgs/Twist.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/callback_queue.h>
+#include <ros/init.h>
+#include <ros/master.h>
+#include <ros/names.h>
+#include <ros/node_handle.h>
+#include <ros/this_node.h>
+#include <ros/xmlrpc_manager.h>
+#include <sensor_msgs/Image.h>
+
+#include <iotcloud/drivers/turtle/ros/node.h>
+
+namespace ros::master {
+/// What ros::init() itself calls, and only the first time in a process: it says where the master is.
+void init(const M_string& remappings);
+}  // namespace ros::master
+
+namespace iotcloud::drivers::turtle::ros {
+
+using std::chrono::steady_clock;
+
+namespace {
+
+constexpr std::chrono::milliseconds call_limit{1000};
+constexpr std::chrono::milliseconds tend_period{1000};
+constexpr std::chrono::milliseconds silence{2000};  // of a camera, before it is said
+constexpr std::chrono::milliseconds flush_time{50};
+constexpr double wait_s = 0.1;                          // for messages; how soon the end of the node is noticed
+constexpr const char* nowhere = "http://127.0.0.1:1/";  // refuses at once
+std::atomic<bool> taken = false;                        // this process's node
+
+/// Takes this process's node. \throws std::runtime_error.
+void take_process() {
+  if (taken.exchange(true)) {
+    throw std::runtime_error(
+        "this process has a ROS node already, and roscpp allows one to a process: deploy each instance with "
+        "isolation=instance (or without the property: it is what turtle_ros.so asks for)");
+  }
+}
+
+template <typename RosMessage>
+TopicRecord record_of(const std::string& topic) {
+  return {topic, ::ros::message_traits::datatype<RosMessage>()};
+}
+
+NodeImage plain(const sensor_msgs::Image& image) {
+  return {image.header.stamp.toSec(), image.width,       image.height,     image.step, image.encoding,
+          image.is_bigendian != 0,    image.data.data(), image.data.size()};
+}
+
+NodeOdometry plain(const nav_msgs::Odometry& odometry) {
+  const auto vector = [](const auto& from) { return std::array<double, 3>{from.x, from.y, from.z}; };
+  const auto& pose = odometry.pose.pose;
+  const auto& turned = pose.orientation;
+  return {odometry.header.stamp.toSec(),
+          odometry.header.frame_id,
+          vector(pose.position),
+          {turned.x, turned.y, turned.z, turned.w},
+          vector(odometry.twist.twist.linear),
+          vector(odometry.twist.twist.angular)};
+}
+
+}  // namespace
+
+std::string problem_of_topic(const std::string& name) {
+  std::string problem;
+  ::ros::names::validate(name, problem);
+  return problem;
+}
+
+class Node::Impl {
+ public:
+  Impl(MasterAddress master, NodeTopics topics, NodeEvents events);
+  ~Impl();
+  void publish(double linear, double angular);
+
+ private:
+  void run();
+  /// What needs the master, once a second. \return what is to be said.
+  std::string tend();
+  void join_graph();
+  bool announce();
+  void leave_graph();
+  bool hears_all() const;
+  std::string who_is_missing() const;
+
+  const Master master_;
+  const NodeTopics topics_;
+  const NodeEvents events_;
+  ::ros::CallbackQueue queue_;
+  std::unique_ptr<::ros::NodeHandle> handle_;  ///< there from the first master on
+  ::ros::Subscriber images_, odometry_;
+  steady_clock::time_point last_image_;
+  bool announced_ = false;  ///< the master knows all our topics
+  std::mutex mutex_;
+  ::ros::Publisher velocity_;                ///< guarded by mutex_; changed by thread_ only
+  steady_clock::time_point last_published_;  ///< guarded by mutex_
+  std::atomic<bool> ending_ = false;
+  std::thread thread_;  ///< last: it uses the others
+};
+
+Node::Node(MasterAddress master, NodeTopics topics, NodeEvents events)
+    : impl_(std::make_unique<Impl>(std::move(master), std::move(topics), std::move(events))) {}
+
+Node::~Node() = default;
+
+void Node::publish(double linear, double angular) {
+  impl_->publish(linear, angular);
+}
+
+Node::Impl::Impl(MasterAddress master, NodeTopics topics, NodeEvents events)
+    : master_(std::move(master), call_limit), topics_(std::move(topics)), events_(std::move(events)) {
+  take_process();
+  try {
+    const ::ros::M_string settings{
+        {"__master", master_.address().uri},
+        {"__log", "/dev/null"},  // or it makes folders in the home of whoever runs this
+    };
+    ::ros::init(
+        settings, "iotcloud_turtle",
+        ::ros::init_options::NoSigintHandler | ::ros::init_options::AnonymousName | ::ros::init_options::NoRosout);
+    ::ros::master::init(settings);
+    const ::ros::WallDuration limit(std::chrono::duration<double>(call_limit).count());
+    ::ros::master::setRetryTimeout(limit);
+    thread_ = std::thread([this] { run(); });
+  } catch (...) {
+    taken = false;
+    throw;
+  }
+}
+
+Node::Impl::~Impl() {
+  ending_ = true;
+  thread_.join();
+  taken = false;
+}
+
+void Node::Impl::publish(double linear, double angular) {
+  geometry_msgs::Twist twist;
+  twist.linear.x = linear;
+  twist.angular.z = angular;
+  const std::lock_guard lock(mutex_);
+  if (!velocity_) return;
+  velocity_.publish(twist);
+  last_published_ = steady_clock::now();
+}
+
+void Node::Impl::run() {
+  try {
+    std::string said;
+    auto next_tend = steady_clock::now();
+    while (!ending_) {
+      if (steady_clock::now() >= next_tend) {
+        if (std::string state = tend(); state != said) {
+          said = std::move(state);
+          events_.on_state(said);
+        }
+        next_tend = steady_clock::now() + tend_period;
+      }
+      queue_.callAvailable(::ros::WallDuration(wait_s));
+      if (handle_ && !::ros::ok()) throw std::runtime_error("the ROS node was told to shut down (rosnode kill)");
+    }
+  } catch (const std::exception& e) {
+    events_.on_failed(e.what());
+  }
+  leave_graph();
+}
+
+std::string Node::Impl::tend() {
+  const std::string at = " the ROS master at " + master_.address().uri;
+  const std::string problem = master_.unreachable();
+  if (!problem.empty()) {
+    announced_ = false;
+    return handle_ ? at.substr(1) + " is away (" + problem + "); what is connected goes on"
+                   : "waits for" + at + ": " + problem;
+  }
+  if (!handle_) join_graph();
+  const std::string& name = ::ros::this_node::getName();
+  if (announced_) announced_ = master_.knows(name) == Master::Known::yes && hears_all();
+  if (!announced_) announced_ = announce();
+  if (!announced_) return name + " is not yet registered with" + at;
+  return name + " is registered with" + at + who_is_missing();
+}
+
+/// The first time that the master answers.
+void Node::Impl::join_graph() {
+  ::ros::start();
+  handle_ = std::make_unique<::ros::NodeHandle>();
+  handle_->setCallbackQueue(&queue_);
+  if (topics_.velocity.empty()) return;
+  const auto velocity = handle_->advertise<geometry_msgs::Twist>(topics_.velocity, 1);
+  const std::lock_guard lock(mutex_);
+  velocity_ = velocity;
+}
+
+/// Tells the master our topics: at first, again when it was away, and while nobody publishes what we read: that asks
+/// it, too, who does.
+bool Node::Impl::announce() {
+  const auto hints = ::ros::TransportHints().tcpNoDelay();
+  if (!images_ && !topics_.depth.empty()) {
+    last_image_ = steady_clock::now();
+    images_ = handle_->subscribe<sensor_msgs::Image>(
+        topics_.depth, 1,
+        [this](const sensor_msgs::ImageConstPtr& image) {
+          last_image_ = steady_clock::now();
+          events_.on_image(plain(*image));
+        },
+        {}, hints);
+  }
+  if (!odometry_ && !topics_.odometry.empty()) {
+    odometry_ = handle_->subscribe<nav_msgs::Odometry>(
+        topics_.odometry, 10, [this](const nav_msgs::OdometryConstPtr& where) { events_.on_odometry(plain(*where)); },
+        {}, hints);
+  }
+  const std::string& name = ::ros::this_node::getName();
+  const std::string uri = ::ros::XMLRPCManager::instance()->getServerURI();
+  const auto read = [&](const ::ros::Subscriber& subscriber, const TopicRecord& topic) {
+    return subscriber && master_.register_subscriber(name, topic, uri);
+  };
+  bool done = true;
+  if (!topics_.depth.empty()) done &= read(images_, record_of<sensor_msgs::Image>(images_.getTopic()));
+  if (!topics_.odometry.empty()) done &= read(odometry_, record_of<nav_msgs::Odometry>(odometry_.getTopic()));
+  if (!topics_.velocity.empty()) {
+    done &= master_.register_publisher(name, record_of<geometry_msgs::Twist>(velocity_.getTopic()), uri);
+  }
+  return done;
+}
+
+bool Node::Impl::hears_all() const {
+  const auto hears = [](const ::ros::Subscriber& subscriber) {
+    return !subscriber || subscriber.getNumPublishers() > 0;
+  };
+  return hears(images_) && hears(odometry_);
+}
+
+std::string Node::Impl::who_is_missing() const {
+  std::string missing;
+  const auto nobody = [&](const char* what, const std::string& topic) { missing += "; " + (what + topic); };
+  if (images_ && images_.getNumPublishers() == 0) {
+    nobody("nobody publishes ", images_.getTopic());
+  } else if (images_ && steady_clock::now() - last_image_ > silence) {
+    nobody("no image comes on ", images_.getTopic());  // roscpp goes on looking for a publisher that was killed
+  }
+  if (odometry_ && odometry_.getNumPublishers() == 0) nobody("nobody publishes ", odometry_.getTopic());
+  if (velocity_ && velocity_.getNumSubscribers() == 0) nobody("nobody reads ", velocity_.getTopic());
+  return missing;
+}
+
+void Node::Impl::leave_graph() {
+  ::ros::Publisher velocity;
+  steady_clock::time_point last;
+  {
+    const std::lock_guard lock(mutex_);
+    velocity = std::exchange(velocity_, {});
+    last = last_published_;
+  }
+  if (!handle_) return;
+  // The last command stops the robot. roscpp hands it to the kernel soon, but does not say when.
+  std::this_thread::sleep_until(last + flush_time);
+  // Its farewells have no limit in time: to a master that does not answer they go nowhere.
+  if (!master_.unreachable().empty()) ::ros::master::init({{"__master", nowhere}});
+  ::ros::shutdown();
+  images_ = {};
+  odometry_ = {};
+  velocity = {};
+  handle_.reset();
+}
+
+}  // namespace iotcloud::drivers::turtle::ros

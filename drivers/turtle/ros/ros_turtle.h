@@ -1,0 +1,31 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include <iotcloud/drivers/turtle/ros/ros_robot.h>
+#include <iotcloud/drivers/turtle/turtle_driver.h>
+
+namespace iotcloud::drivers::turtle::ros {
+
+/// The turtle driver with one kind more: `ros`, as source, as actuator or as both. With `odometry_topic` it has the
+/// channel `odometry` too.
+class RosTurtle final : public TurtleDriver {
+ public:
+  RosTurtle();
+  RosTurtle(const RosTurtle&) = delete;
+  RosTurtle& operator=(const RosTurtle&) = delete;
+
+  std::vector<ChannelSpec> channels(const PropertyMap& properties) override;
+  void activate() override;
+  void deactivate() override;
+  void close() override;
+
+ private:
+  Device make_robot(const RosOptions& options, DriverContext& context);
+
+  std::weak_ptr<RosRobot> robot_;  ///< none when neither source nor actuator is `ros`
+  bool has_odometry_ = false;      ///< as the properties that were read last say
+};
+
+}  // namespace iotcloud::drivers::turtle::ros
