@@ -31,7 +31,7 @@ import kafka
 import nodes
 import private_server
 
-SMALL = ["-Xms64m", "-Xmx256m", "-XX:TieredStopAtLevel=1"]
+SMALL = ["-Xms64m", "-Xmx256m", *private_server.SMALL_JVM]
 LEADER_LIMIT_S = 30
 
 

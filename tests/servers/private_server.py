@@ -21,15 +21,17 @@ LIBC = ctypes.CDLL("libc.so.6", use_errno=True)
 PASSING = (RuntimeError, OSError, subprocess.SubprocessError)  # what is answered as "ERROR text"
 
 
-# A small JVM; its log (slf4j-simple) goes to stderr.
-JVM_OPTIONS = ["-XX:+UseSerialGC", "-Xshare:auto", "-XX:-UsePerfData",
+# Of every JVM; its log (slf4j-simple) goes to stderr.
+JVM_OPTIONS = ["-Xshare:auto", "-XX:-UsePerfData",
                "-Dorg.slf4j.simpleLogger.defaultLogLevel=info", "-Dorg.slf4j.simpleLogger.showDateTime=true",
                "-Dorg.slf4j.simpleLogger.dateTimeFormat=yyyy-MM-dd HH:mm:ss.SSS"]
 
 
-# How it is used: for a test it starts quickly, for a benchmark it has a server's compiler and memory.
-QUICK_START = ["-Xms64m", "-Xmx512m", "-XX:TieredStopAtLevel=1"]
-THROUGHPUT = ["-Xms1g", "-Xmx1g"]
+# How it is used: for a test it starts quickly, for a benchmark it has a server's compiler, memory and the collector that
+# Kafka's own start script asks for.
+SMALL_JVM = ["-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1"]
+QUICK_START = ["-Xms64m", "-Xmx512m", *SMALL_JVM]
+THROUGHPUT = ["-Xms1g", "-Xmx1g", "-XX:+UseG1GC", "-XX:MaxGCPauseMillis=20"]
 
 
 class Unavailable(Exception):

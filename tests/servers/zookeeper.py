@@ -54,7 +54,7 @@ class ZooKeeper(private_server.Server):
         jars = [os.path.join(JARS, name + ".jar") for name in CLASS_PATH]
         if not os.path.exists(jars[0]):
             raise RuntimeError("%s is missing; install Debian's package zookeeper" % jars[0])
-        return ["java", *self.jvm, "-XX:TieredStopAtLevel=1", *private_server.JVM_OPTIONS,
+        return ["java", *self.jvm, *private_server.SMALL_JVM, *private_server.JVM_OPTIONS,
                 "-Dzookeeper.jmx.log4j.disable=true", "-Dzookeeper.forceSync=no",
                 "-Dzookeeper.preAllocSize=1024", "-cp", ":".join(jars),
                 "org.apache.zookeeper.server.quorum.QuorumPeerMain", self.config]
