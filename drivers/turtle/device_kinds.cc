@@ -6,6 +6,7 @@
 #include <iotcloud/drivers/turtle/kinect/kinect_source.h>
 #include <iotcloud/drivers/turtle/options.h>
 #include <iotcloud/drivers/turtle/recording/recorded_source.h>
+#include <iotcloud/drivers/turtle/robot/robot_link.h>
 #include <iotcloud/drivers/turtle/simulator/simulated_robot.h>
 
 namespace iotcloud::drivers::turtle {
@@ -69,6 +70,7 @@ DeviceKinds shipped_kinds() {
       .with(simulator::simulator_kind())
       .with(kinect::kinect_kind())
       .with(recording::recording_kind())
+      .with(robot::robot_kind())
       .with(no_actuator());
 }
 

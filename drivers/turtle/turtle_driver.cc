@@ -72,6 +72,7 @@ void TurtleDriver::deactivate() {
 
 void TurtleDriver::close() {
   if (active_) deactivate();
+  device_ = {};  // here, where what it says last is heard
   log_.close();
   if (context_) sum_up();
 }
