@@ -36,8 +36,9 @@ class Report(Verdict):
         print(f"{'figure':<46} {'ours':>8} {'unit':<8} {'beside':<18} {'theirs':>8} {'ratio':>6} {'of rounds':>12} "
               f"{'target':>8} {'met':>4} {'n':>2}")
 
-    def compare(self, name, unit, ours, beside=None, theirs=(), ratio_at_least=None, ratio_at_most=None, at_most=None):
-        """`ours` and `theirs`: a value of each round. The target is for the ratio, or (at_most) for our value."""
+    def compare(self, name, unit, ours, beside=None, theirs=(), ratio_at_least=None, ratio_at_most=None, at_most=None,
+                at_least=None):
+        """`ours` and `theirs`: a value of each round. The target is for the ratio, or (at_most, at_least) for our value."""
         if not ours:
             self.missing += 1  # the reason was printed
             return
@@ -46,6 +47,8 @@ class Report(Verdict):
         target = met = None
         if at_most is not None:
             target, met = f"<= {at_most:g}", value <= at_most
+        if at_least is not None:
+            target, met = f">= {at_least:g}", value >= at_least
         if ratio is not None and ratio_at_least is not None:
             target, met = f">= {ratio_at_least:g} x", ratio >= ratio_at_least
         if ratio is not None and ratio_at_most is not None:

@@ -6,6 +6,8 @@ usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench
                          [--json FILE]
        report.py discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
        report.py fleet [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
+       report.py codec [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
+       report.py follower [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
 
 Everything here is measured: the programs take turns, round by round, a ratio is the median of the ratios of one round,
@@ -22,6 +24,7 @@ import time
 from pathlib import Path
 
 from brokers_report import BROKERS, run_brokers
+from codec_report import run_codec, run_follower
 from discovery_report import run_discovery
 from figures import ProgramFailed, commit, machine
 from fleet_report import run_fleet
@@ -34,9 +37,9 @@ def main():
     root = Path(__file__).resolve().parent.parent
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     commands = options.add_subparsers(dest="what", required=True)
-    names = ("runtime", "soak", "brokers", "discovery", "fleet")
-    runtime, soak, brokers, discovery, fleet = map(commands.add_parser, names)
-    for command in (runtime, soak, brokers, discovery, fleet):
+    names = ("runtime", "soak", "brokers", "discovery", "fleet", "codec", "follower")
+    runtime, soak, brokers, discovery, fleet, codec, follower = map(commands.add_parser, names)
+    for command in (runtime, soak, brokers, discovery, fleet, codec, follower):
         command.add_argument("--build", type=Path, default=root / "build/release")
         command.add_argument("--json", type=Path)
     runtime.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
@@ -53,6 +56,11 @@ def main():
     fleet.add_argument("--quick", action="store_true", help="one round")
     fleet.add_argument("--rounds", type=int, help="default: 3, with --quick 1")
     fleet.add_argument("--instances", type=int, default=10_000, help="idle driver instances in one host")
+    for command in (codec, follower):
+        command.add_argument("--quick", action="store_true", help="three rounds over fewer frames")
+        command.add_argument("--rounds", type=int, help="default: 7, with --quick 3")
+        command.add_argument("--frames", type=Path, action="append", default=[], metavar="FOLDER",
+                             help="depth images (.pgm or .pgm.gz, 16 bits, mm) to measure with, too")
     given = options.parse_args()
     file = given.json or root / f"build/bench/{given.what}.json"
 
@@ -62,7 +70,7 @@ def main():
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
     benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery,
-                  "fleet": run_fleet}
+                  "fleet": run_fleet, "codec": run_codec, "follower": run_follower}
     try:
         report, verdict = benchmarks[given.what](given)
     except ProgramFailed as failure:

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fstream>
 #include <string>
+#include <vector>
 
 #include <amqp.h>
 #include <amqp_framing.h>
@@ -14,10 +15,12 @@
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
 #include "iotcloud/brokers/spool/bytes.h"
 #include "iotcloud/brokers/spool/record.h"
+#include "iotcloud/drivers/depth/depth_codec.h"
 
 namespace {
 
 using namespace iotcloud;
+namespace depth = drivers::depth;
 
 brokers::Message sample(int number) {
   brokers::Message message;
@@ -48,6 +51,20 @@ std::string mark(std::uint64_t value) {
   brokers::spool::put_number(bytes, value);
   brokers::spool::put_number(bytes, brokers::spool::checksum(std::as_bytes(std::span(bytes))));
   return bytes;
+}
+
+/// A slope with gaps; `step` is how much its pixels differ.
+std::string depth_frame(depth::Codec codec, int step) {
+  std::vector<std::uint16_t> frame(depth::frame_pixels);
+  for (std::size_t i = 0; i < frame.size(); ++i) {
+    const std::size_t u = i % depth::frame_width, v = i / depth::frame_width;
+    const bool gap = step > 0 && u % 97 < 3;
+    frame[i] =
+        gap ? depth::no_reading : static_cast<std::uint16_t>(600 + v / 4 + (v % 16 < 2 ? u * v / 64 % 3 * step : 0));
+  }
+  depth::DepthEncoder encoder(codec);
+  const auto payload = encoder.encode(depth::FrameView(frame));
+  return {reinterpret_cast<const char*>(payload.data()), payload.size()};
 }
 
 std::string part(const std::string& bytes) {
@@ -125,5 +142,17 @@ int main(int argc, char** argv) {
   write(folder / "spool_folder_fuzzer", "torn", part("") + part(first) + second.substr(0, second.size() - 5));
   write(folder / "spool_folder_fuzzer", "gap",
         part(mark(1)) + part(file_start() + record(2)) + file_start() + record(4));
+  for (const depth::Codec codec : {depth::Codec::reference, depth::Codec::compact, depth::Codec::lossless}) {
+    for (const int step : {0, 1, 40}) {
+      const std::string frame = depth_frame(codec, step);
+      const std::string name = std::string(depth::codec_names[static_cast<int>(codec)]) + std::to_string(step);
+      write(folder / "depth_frame_fuzzer", name, frame);
+      // The codec's number and the body: the fuzzer puts a right checksum before them.
+      if (codec != depth::Codec::reference) {
+        const char number = codec == depth::Codec::compact ? 0 : 1;
+        write(folder / "depth_frame_fuzzer", "body_" + name, number + frame.substr(8));
+      }
+    }
+  }
   fuzz::write_control_plane_seeds(folder);
 }

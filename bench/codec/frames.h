@@ -1,0 +1,20 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <vector>
+
+namespace iotcloud::bench {
+
+/// 640 x 480 disparities of a Kinect, row by row.
+using Frame = std::vector<std::uint16_t>;
+
+/// What the simulated Kinect sees while its robot follows a walking person: of each of `worlds` worlds (seeds 1, 2,
+/// ...) one frame a second, so many.
+std::vector<Frame> simulated_frames(int worlds, int each);
+
+/// The depth images of a folder (binary PGM, 640 x 480, 16 bits, millimetres; .pgm or .pgm.gz) in the order of their
+/// names, as the disparities that come nearest. \throws std::runtime_error that names the file and says what is wrong.
+std::vector<Frame> frames_of_folder(const std::filesystem::path& folder);
+
+}  // namespace iotcloud::bench
