@@ -1,6 +1,6 @@
 #include <memory>
+#include <set>
 #include <string>
-#include <utility>
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/drivers/depth/depth_codec.h>
@@ -27,7 +27,8 @@ const iotcloud::config::Logger logger{"turtlebot_follower"};
 
 }  // namespace
 
-/// In: frame (compressed), driverID, time. Out: depth (640x480 millimetres, 16 bits each), driverID, time.
+/// In: frame (of any codec of drivers/depth), driverID, time. Out: depth (640x480 millimetres, 16 bits each), driverID,
+/// time.
 class Decoder : public BasicBolt {
  public:
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
@@ -43,22 +44,27 @@ class Decoder : public BasicBolt {
     const auto error =
         decoder_.decode(tuple.get<Payload>("frame").bytes(), depth::FrameSpan(mm.get(), depth::frame_pixels));
     if (error != depth::DecodeError::none) {
-      bad_frames_->add();
-      if (!std::exchange(in_bad_burst_, true)) {
-        logger.warn("a frame of driver {} is refused: {}; further ones are only counted until a good one comes",
-                    tuple.get<std::string>("driverID"), depth::describe(error));
-      }
+      note_bad(tuple.get<std::string>("driverID"), error);
       return;
     }
-    in_bad_burst_ = false;
+    if (!in_bad_burst_.empty()) in_bad_burst_.erase(tuple.get<std::string>("driverID"));
     const auto bytes = std::as_bytes(std::span(mm.get(), depth::frame_pixels));
     collector.emit(Values(Payload::wrap(mm, bytes), tuple.at("driverID"), tuple.at("time")));
   }
 
  private:
-  depth::DepthDecoder decoder_;
+  void note_bad(const std::string& driver, depth::DecodeError error) {
+    bad_frames_->add();
+    if (in_bad_burst_.size() >= most_remembered) in_bad_burst_.clear();
+    if (!in_bad_burst_.insert(driver).second) return;
+    logger.warn("a frame of driver {} is refused: {}; further ones are only counted until a good one comes", driver,
+                depth::describe(error));
+  }
+
+  static constexpr std::size_t most_remembered = 1000;
+  depth::DepthDecoder decoder_;  // one for all drivers: every frame stands for itself
   iotcloud::config::Counter* bad_frames_ = nullptr;
-  bool in_bad_burst_ = false;
+  std::set<std::string> in_bad_burst_;  ///< drivers whose newest frame was bad
 };
 
 /// In: depth, driverID, time. Out: control (a velocity as JSON), driverID, time.
