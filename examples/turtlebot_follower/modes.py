@@ -10,11 +10,13 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent.parent / "tests/servers"))
 
-from private_cluster import Children, PrivateCluster, StartError, cpu_seconds, free_port  # noqa: E402,F401
+from private_cluster import (Children, PrivateCluster, StartError, Unavailable, cpu_seconds,  # noqa: E402,F401
+                             free_port)
 
-ROLES = (("rabbitmq", "rabbit"), ("zookeeper", "zookeeper"), ("master", "iotcloud-master"),
-         ("driver host", "iotcloud-driver-host"), ("gateways", "iotcloud-gateway"), ("topology", "iotcloud-topology"),
-         ("all in one process", "turtlebot-demo"))
+# The first that is found in a command line: ours name the servers, too.
+ROLES = (("all in one process", "turtlebot-demo"), ("driver host", "iotcloud-driver-host"),
+         ("gateways", "iotcloud-gateway"), ("topology", "iotcloud-topology"), ("master", "iotcloud-master"),
+         ("zookeeper", "zookeeper"), ("rabbitmq", "rabbit"), ("kafka", "kafka"), ("activemq", "activemq"))
 
 
 @dataclass
@@ -65,14 +67,14 @@ class Measurement:
 
 
 class OneProcess(Children):
-    """Gateway, master and topology in one process; the broker embedded, or a private RabbitMQ."""
+    """Gateway, master and topology in one process; the broker embedded, or a private server."""
 
     def __init__(self, build, out, broker):
         super().__init__(out)
         self.build, self.broker = build.resolve(), broker
 
     def begin(self, robots):
-        url = [f"--broker-url={self.server('rabbitmq')}"] if self.broker == "rabbitmq" else []
+        url = [] if self.broker == "embedded" else [f"--broker-url={self.server(self.broker)}"]
         metrics = f"127.0.0.1:{free_port()}"
         self.spawn("turtlebot-demo", [
             self.build / "bin/turtlebot-demo", *url, "--plugins", self.build / "plugins",
