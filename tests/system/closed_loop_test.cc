@@ -2,44 +2,18 @@
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
-#include <fstream>
-#include <map>
-#include <sstream>
 #include <string>
 #include <thread>
-#include <vector>
 
 #include <gtest/gtest.h>
 
+#include <iotcloud/tests/system/trace.h>
 #include <iotcloud/topology/local/local_cluster.h>
 
 namespace iotcloud::local {
 namespace {
 
-using Row = std::map<std::string, std::string>;
-
-std::vector<std::string> split(const std::string& line) {
-  std::vector<std::string> words;
-  std::istringstream stream(line);
-  for (std::string word; std::getline(stream, word, ',');) words.push_back(word);
-  return words;
-}
-
-/// The whole rows of a trace (drivers/turtle/README.md), by column name.
-std::vector<Row> read_trace(const std::filesystem::path& path) {
-  std::vector<Row> rows;
-  std::ifstream file(path);
-  std::string line;
-  if (!std::getline(file, line)) return rows;
-  const auto names = split(line);
-  while (std::getline(file, line)) {
-    const auto words = split(line);
-    Row row;
-    for (std::size_t i = 0; i < words.size() && i < names.size(); ++i) row[names[i]] = words[i];
-    rows.push_back(std::move(row));
-  }
-  return rows;
-}
+using tests::read_trace;
 
 /// A trace of this process's own that is gone afterwards.
 class Trace {
