@@ -9,7 +9,11 @@ addresses). When it answers it prints one line on stdout:
     READY http://127.0.0.1:PORT
 
 Then it obeys one command for each line of stdin, as zookeeper.py does: kill, start (the same port; it knows nobody any
-more), pause, resume, stop. The end of stdin means `stop`. Without ROS on this machine it says SKIP.
+more), pause, resume, stop; and
+
+    shutdown NAME   what `rosnode kill` does, to all nodes whose names begin so    DONE
+
+The end of stdin means `stop`. Without ROS on this machine it says SKIP.
 """
 import os
 import shutil
@@ -42,6 +46,16 @@ class RosMaster(private_server.Server):
             return xmlrpc.client.ServerProxy(self.url()).getPid("/private_server")[0] == 1
         except xmlrpc.client.Error:
             return False
+
+    def shutdown(self, name):
+        master = xmlrpc.client.ServerProxy(self.url())
+        topics = [topic for part in master.getSystemState("/private_server")[2] for topic in part]
+        for node in {node for _, nodes in topics for node in nodes if node.startswith(name)}:
+            xmlrpc.client.ServerProxy(master.lookupNode("/private_server", node)[2]).shutdown("/private_server", "a test")
+        return "DONE"
+
+    def commands(self):
+        return {**super().commands(), "shutdown": self.shutdown}
 
 
 def main():

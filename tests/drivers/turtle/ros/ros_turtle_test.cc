@@ -1,5 +1,6 @@
 // turtle_ros.so in local mode against a real ROS master; the robot is a ROS node in a process of its own (roscpp allows
 // one node to a process).
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <map>
@@ -150,15 +151,13 @@ TEST_F(RosTurtle, follows_the_person_by_millimetres_and_tells_odometry) {
   start_robot();
   const auto instance = deploy({{"odometry_topic", "odom"}});
   expect_following(150, 0.3);
-  const auto here = newest();
-  ASSERT_TRUE(eventually([&] {
-    const auto heard = Heard::get().all();
-    if (heard.empty()) return false;
-    const auto odometry = nlohmann::json::parse(heard.back());
-    return std::hypot(odometry["position"]["x"].get<double>() - here.at("x"),
-                      odometry["position"]["y"].get<double>() - here.at("y")) < 0.3;
-  }));
+  ASSERT_TRUE(eventually([&] { return Heard::get().all().size() >= 100; }));
   const auto odometry = nlohmann::json::parse(Heard::get().all().back());
+  const auto rows = rows_of(robot->url());
+  EXPECT_TRUE(std::any_of(rows.begin(), rows.end(), [&](const Row& row) {
+    return std::hypot(odometry["position"]["x"].get<double>() - row.at("x"),
+                      odometry["position"]["y"].get<double>() - row.at("y")) < 0.001;
+  })) << odometry;
   EXPECT_EQ(odometry["frame"], "odom");
   EXPECT_GT(odometry["stamp_ms"].get<double>(), 1.5e12);
   EXPECT_NEAR(std::sin(odometry["heading"].get<double>() / 2), odometry["orientation"]["z"].get<double>(), 1e-6);
@@ -220,6 +219,19 @@ TEST_F(RosTurtle, ends_while_its_master_hangs) {
   cluster->undeploy(instance);
   EXPECT_THAT(cluster->master().drivers(), ::testing::IsEmpty());
   master.resume();
+}
+
+TEST_F(RosTurtle, fails_when_its_node_is_told_to_shut_down) {
+  const auto instance = deploy();
+  ASSERT_TRUE(see("ros", "is registered with"));
+  master.command("shutdown /iotcloud_turtle", "DONE");
+  const auto record = [&] { return cluster->master().drivers().at(0); };
+  ASSERT_TRUE(eventually([&] { return record().state == discovery::DriverState::failed; }));
+  EXPECT_THAT(record().reason, HasSubstr("rosnode kill"));
+  cluster->undeploy(instance);
+  start_robot();
+  deploy();
+  expect_following(10);
 }
 
 TEST_F(RosTurtle, has_a_process_for_itself) {
