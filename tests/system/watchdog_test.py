@@ -85,8 +85,8 @@ class Robot(PrivateCluster):
         library = self.plugins / "turtlebot_follower.so"
         self.topology("topology", re.sub(r"(?m)^topology\.library:.*$", f'topology.library: "{library}"', topology))
         self.wait_until_ready()
-        self.deploy("turtle_ros.so", "gateway-1",
-                    {"source": "ros", "ros_master": ros, "velocity_topic": "/cmd_vel_mux/input/navi"})
+        self.properties = {"source": "ros", "ros_master": ros, "velocity_topic": "/cmd_vel_mux/input/navi"}
+        self.deploy("turtle_ros.so", "gateway-1", self.properties)
 
     def order(self, name, word, answer):
         """A command for a server's script."""
@@ -183,6 +183,10 @@ def main():
         finally:
             end_process(host)  # it outlives its gateway, also when the test ends there
         robot.set_out()  # with a new driver host
+        # roscpp knows one node to a process: another instance has one of its own, without a word in its order.
+        robot.deploy("turtle_ros.so", "gateway-1", robot.properties)
+        states = [driver["state"] for driver in robot.json("drivers")]
+        require(states == ["active"] * 2 and len(robot.hosts_of("gateway-1")) == 2, f"{states} in fewer than two hosts")
         robot.undeploy_all()
 
 

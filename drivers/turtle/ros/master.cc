@@ -130,7 +130,9 @@ bool Master::register_subscriber(const std::string& node, const TopicRecord& top
   if (answer->value.size() == 0) return true;
   XmlRpcValue update = list_of({"/master", topic.topic});
   update[2] = answer->value;
-  const auto taken = call(parse_master_address(node_uri), limit_, "publisherUpdate", update);
+  MasterAddress node_address = parse_master_address(node_uri);
+  node_address.host = "127.0.0.1";  // it is this process: its name may be one that only others can look up
+  const auto taken = call(node_address, limit_, "publisherUpdate", update);
   return taken && taken->status == 1;
 }
 
