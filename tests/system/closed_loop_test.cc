@@ -75,7 +75,7 @@ TEST(ClosedLoop, TheRobotFollowsThePersonThroughGatewayBrokerAndTopology) {
 }
 
 TEST(ClosedLoop, OneTopologyFollowsRobotsWhoseFramesHaveDifferentCodecs) {
-  constexpr std::size_t frames = 120;
+  constexpr std::size_t frames = 75;
   const std::map<std::string, std::string> properties = {{"clock", "lockstep"}, {"seed", "3"}};
   const std::vector<std::string> codecs = {"reference", "compact", "lossless"};
   LocalCluster cluster(local_options("codecs"));
