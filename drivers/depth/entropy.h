@@ -68,7 +68,8 @@ void fill(DecodingTable& table, const Frequencies& frequencies, std::span<const 
 struct Symbol {
   std::uint32_t value, mark;
 };
-/// One step of decoding. `from` moves on by 16 bits when the state takes them; the caller sees to the end.
+/// One step of decoding. `from` moves on by 16 bits when the state takes them; they are read in any case, and the
+/// caller sees to the end.
 inline Symbol get_symbol(std::uint32_t& state, const DecodingTable& table, const std::byte*& from);
 /// Bits that nothing is known of, up to 16.
 inline std::uint32_t get_bits(std::uint32_t& state, int bits, const std::byte*& from);
