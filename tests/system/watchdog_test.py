@@ -85,8 +85,11 @@ class Robot(PrivateCluster):
         library = self.plugins / "turtlebot_follower.so"
         self.topology("topology", re.sub(r"(?m)^topology\.library:.*$", f'topology.library: "{library}"', topology))
         self.wait_until_ready()
-        self.properties = {"source": "ros", "ros_master": ros, "velocity_topic": "/cmd_vel_mux/input/navi"}
-        self.deploy("turtle_ros.so", "gateway-1", self.properties)
+        # As its README says.
+        example = (ROOT / "drivers/turtle/ros/turtlebot.yaml").read_text()
+        manifest = self.out / "turtlebot.yaml"
+        manifest.write_text(example.replace("http://turtlebot.local:11311", ros))
+        self.cli("apply", "-f", manifest)
 
     def order(self, name, word, answer):
         """A command for a server's script."""
@@ -184,7 +187,7 @@ def main():
             end_process(host)  # it outlives its gateway, also when the test ends there
         robot.set_out()  # with a new driver host
         # roscpp knows one node to a process: another instance has one of its own, without a word in its order.
-        robot.deploy("turtle_ros.so", "gateway-1", robot.properties)
+        robot.deploy("turtle_ros.so", "gateway-1", {"source": "ros", "actuator": "none"})
         states = [driver["state"] for driver in robot.json("drivers")]
         require(states == ["active"] * 2 and len(robot.hosts_of("gateway-1")) == 2, f"{states} in fewer than two hosts")
         robot.undeploy_all()
