@@ -96,7 +96,7 @@ class FollowerCluster {
 
 TEST(RobotLaptop, FollowsThePersonThroughGatewayBrokerAndTopology) {
   const std::string address = free_address();
-  constexpr std::size_t frames = 300;  // ten seconds of the world, in lock step: as slow as the machine needs
+  constexpr std::size_t frames = 150;  // five seconds of the world, in lock step: as slow as the machine needs
   FollowerCluster cluster("laptop", {{"source", "robot"}, {"listen", address}, {"silence_ms", "60000"}});
   Laptop laptop({"--driver", address, "--source", "simulator", "--property", "clock=lockstep", "--property", "seed=3",
                  "--silence-ms", "60000"});

@@ -301,7 +301,7 @@ TEST(RobotLoop, a_robot_in_the_agent_follows_the_person_by_way_of_the_driver) {
   Agent agent(loop, options, turtle, context);
   agent.start();
 
-  constexpr std::size_t frames = 200;
+  constexpr std::size_t frames = 60;
   std::size_t answered = 0, followed = 0;
   depth::DepthDecoder decoder;
   std::vector<std::uint16_t> mm(depth::frame_pixels);
