@@ -64,7 +64,8 @@ int main(int argc, char** argv) {
   std::vector<std::vector<std::string>> robots;
   app.add_option("--plugins", plugins, "folder of turtle.so and turtlebot_follower.so")->required();
   app.add_option("--topology", topology, "the topology's YAML")->required();
-  app.add_option("--broker-url", broker_url, "amqp://, kafka:// or activemq://... of a server (default: the embedded broker)");
+  app.add_option("--broker-url", broker_url,
+                 "amqp://, kafka:// or activemq://... of a server (default: the embedded broker)");
   app.add_option("--metrics", metrics_address, "host:port to serve metrics at");
   app.add_option("--robot", robots,
                  "GATEWAY [key=value ...]: a turtle there, with these properties; once for each robot (default: one)");

@@ -107,7 +107,7 @@ std::chrono::milliseconds Group::time_to_sleep(Instant now) const {
         std::clamp(std::chrono::ceil<std::chrono::milliseconds>(instant - now), std::chrono::milliseconds(0), limit);
   };
   if (now < ask_topics_at_) until(ask_topics_at_);
-  if (!subscribed_.empty() && !subscription_is_taken_) until(now + subscription_pause);
+  if (!subscription_is_taken_ && !(subscribed_.empty() && forgotten_.empty())) until(now + subscription_pause);
   if (reader_->dirty(*member_)) until(commit_at_);
   return limit;
 }
@@ -130,6 +130,7 @@ void Group::end_client() {
   reader_->set_connected(*member_, false);
   connected_ = false;
   subscribed_.clear();
+  forgotten_.clear();
   asked_.clear();
   rd_kafka_queue_io_event_enable(events_.get(), -1, nullptr, 0);
   events_.reset();
@@ -224,6 +225,9 @@ void Group::on_event(rd_kafka_event_t* event) {
     case RD_KAFKA_EVENT_CREATETOPICS_RESULT:
       on_topics(event);
       return;
+    case RD_KAFKA_EVENT_DESCRIBECONSUMERGROUPS_RESULT:
+      on_readers(event);
+      return;
     case RD_KAFKA_EVENT_ERROR:
       on_error(event);
       return;
@@ -283,6 +287,7 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
     assigned_.insert(key);
     if (!closing_) reader_->assigned(std::make_shared<Feed>(reader_, member_, client_, key, std::move(progress)));
   }
+  look_for_readers_at_ = clock_.now() + readers_backoff_.next();
   if (cooperative()) {
     check(rd_kafka_incremental_assign(client_->get(), list.get()), "take partitions");
   } else {

@@ -2,6 +2,8 @@
 #include <algorithm>
 #include <iterator>
 
+#include <fmt/ranges.h>
+
 #include "iotcloud/brokers/kafka/reading/group.h"
 #include <iotcloud/config/log.h>
 
@@ -34,22 +36,70 @@ void Group::follow_subscriptions(Instant now) {
   std::set_intersection(wanted.begin(), wanted.end(), there_.begin(), there_.end(),
                         std::inserter(topics, topics.end()));
   if (topics.empty()) return;
-  if (topics == subscribed_) {
+  std::set<std::string> told;
+  std::set_difference(topics.begin(), topics.end(), forgotten_.begin(), forgotten_.end(),
+                      std::inserter(told, told.end()));
+  if (told == subscribed_) {
     // librdkafka puts off what it is told in the middle of a rebalance, and then may forget it: so it is told again.
-    if (!subscription_is_taken_) subscription_is_taken_ = subscription() == topics;
-    if (subscription_is_taken_) return;
+    if (!subscription_is_taken_) subscription_is_taken_ = subscription() == told;
+    if (subscription_is_taken_) {
+      if (forgotten_.empty()) return look_for_readers(now);
+      forgotten_.clear();  // the group is without them now
+      told = std::move(topics);
+    }
   }
-  const PartitionList list(rd_kafka_topic_partition_list_new(static_cast<int>(topics.size())));
-  for (const std::string& topic : topics) {
-    rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
+  tell_subscription(std::move(told));
+}
+
+void Group::tell_subscription(std::set<std::string> topics) {
+  rd_kafka_resp_err_t error = RD_KAFKA_RESP_ERR_NO_ERROR;
+  if (topics.empty()) {
+    error = rd_kafka_unsubscribe(client_->get());
+  } else {
+    const PartitionList list(rd_kafka_topic_partition_list_new(static_cast<int>(topics.size())));
+    for (const std::string& topic : topics) {
+      rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
+    }
+    error = rd_kafka_subscribe(client_->get(), list.get());
   }
-  const rd_kafka_resp_err_t error = rd_kafka_subscribe(client_->get(), list.get());
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
     subscribed_ = std::move(topics);
     subscription_is_taken_ = false;
+    look_for_readers_at_ = clock_.now() + readers_backoff_.next();
   } else if (complaints_.insert(rd_kafka_err2str(error)).second) {
     logger.warn("group {}: cannot subscribe: {}", member_->name, rd_kafka_err2str(error));
   }
+}
+
+// The member that places the partitions asks one server for them, and takes a topic which that one does not know yet
+// for one without partitions. librdkafka 2.0.2 hears of them later and lets it be: the topic would never have a reader.
+
+void Group::look_for_readers(Instant now) {
+  if (look_for_readers_at_ == Instant{} || now < look_for_readers_at_) return;
+  if (unread().empty()) {
+    look_for_readers_at_ = Instant{};
+    readers_backoff_.reset();
+    return;
+  }
+  look_for_readers_at_ = now + readers_backoff_.next();
+  request_members(*client_, events_.get(), member_->name, options_);
+}
+
+void Group::on_readers(rd_kafka_event_t* event) {
+  const std::optional<std::set<std::string>> read = topics_with_readers(event);
+  if (!read || !subscription_is_taken_) return;
+  const std::set<std::string> here = unread();
+  std::set_difference(here.begin(), here.end(), read->begin(), read->end(),
+                      std::inserter(forgotten_, forgotten_.end()));
+  if (!forgotten_.empty()) {
+    logger.info("group {}: nobody was made a reader of {}; joining again", member_->name, fmt::join(forgotten_, ", "));
+  }
+}
+
+std::set<std::string> Group::unread() const {
+  std::set<std::string> topics = subscribed_;
+  for (const auto& [topic, partition] : assigned_) topics.erase(topic);
+  return topics;
 }
 
 void Group::on_topics(rd_kafka_event_t* event) {

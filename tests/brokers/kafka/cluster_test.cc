@@ -1,0 +1,34 @@
+// What only several real nodes do: each knows of a new topic at its own time.
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/eventually.h"
+#include "iotcloud/tests/servers/private_server.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+/// Of ten new groups six or more got no partition of their first topic: the node that they asked did not know it yet.
+TEST(KafkaCluster, ANewTopicIsReadAlthoughNotAllNodesKnewItWhenItWasPlaced) {
+  tests::PrivateServer server("kafka_cluster.py");
+  BrokerOptions options;
+  options.urls = server.urls();
+  options.properties["partitions"] = "3";
+  options.properties["replication"] = "3";
+  options.heartbeat = std::chrono::seconds(2);
+  for (int i = 0; i < 6; ++i) {
+    const auto broker = make_broker(options);
+    SubscriptionOptions reading;
+    reading.group = "group-" + std::to_string(i);
+    const auto subscription = broker->subscribe({"", "topic-" + std::to_string(i), true}, reading,
+                                                [](Delivery delivery) { delivery.settle(Settlement::accept); });
+    EXPECT_TRUE(tests::eventually([&] { return subscription->active(); })) << "of group " << i;
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers
