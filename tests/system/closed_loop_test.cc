@@ -2,8 +2,10 @@
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
+#include <map>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -14,6 +16,7 @@ namespace iotcloud::local {
 namespace {
 
 using tests::read_trace;
+using tests::Row;
 
 /// A trace of this process's own that is gone afterwards.
 class Trace {
