@@ -1,8 +1,6 @@
 // The follower's work on a frame, in turns with a plain reading of the same bytes: lines of JSON, one for each round.
 #include <cstdio>
-#include <cstdlib>
 #include <cstring>
-#include <stdexcept>
 #include <string>
 
 #include <iotcloud/bench/codec/contestant.h>
@@ -107,18 +105,5 @@ int run(const std::vector<Frame>& frames, int rounds) {
 }  // namespace iotcloud::bench
 
 int main(int argc, char** argv) {
-  const int rounds = argc > 1 ? std::atoi(argv[1]) : 7;
-  const int each = argc > 2 ? std::atoi(argv[2]) : 20;
-  if (argc > 4 || rounds < 1 || each < 1) {
-    std::fprintf(stderr, "usage: %s [ROUNDS] [SECONDS of each simulated world] [FOLDER of depth images instead]\n",
-                 argv[0]);
-    return 2;
-  }
-  try {
-    using namespace iotcloud::bench;
-    return run(argc > 3 ? frames_of_folder(argv[3]) : simulated_frames(3, each), rounds);
-  } catch (const std::exception& error) {
-    std::fprintf(stderr, "%s\n", error.what());
-    return 1;
-  }
+  return iotcloud::bench::run_on_frames(argc, argv, iotcloud::bench::run);
 }

@@ -1,5 +1,7 @@
 #include <algorithm>
 #include <array>
+#include <cstdio>
+#include <cstdlib>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -89,6 +91,22 @@ std::vector<Frame> frames_of_folder(const std::filesystem::path& folder) {
   frames.reserve(files.size());
   for (const auto& file : files) frames.push_back(read_pgm(file));
   return frames;
+}
+
+int run_on_frames(int argc, char** argv, const std::function<int(const std::vector<Frame>&, int)>& run) {
+  const int rounds = argc > 1 ? std::atoi(argv[1]) : 7;
+  const int each = argc > 2 ? std::atoi(argv[2]) : 20;
+  if (argc > 4 || rounds < 1 || each < 1) {
+    std::fprintf(stderr, "usage: %s [ROUNDS] [SECONDS of each simulated world] [FOLDER of depth images instead]\n",
+                 argv[0]);
+    return 2;
+  }
+  try {
+    return run(argc > 3 ? frames_of_folder(argv[3]) : simulated_frames(3, each), rounds);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "%s\n", error.what());
+    return 1;
+  }
 }
 
 }  // namespace iotcloud::bench

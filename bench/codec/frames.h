@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <vector>
 
 namespace iotcloud::bench {
@@ -16,5 +17,8 @@ std::vector<Frame> simulated_frames(int worlds, int each);
 /// The depth images of a folder (binary PGM, 640 x 480, 16 bits, millimetres; .pgm or .pgm.gz) in the order of their
 /// names, as the disparities that come nearest. \throws std::runtime_error that names the file and says what is wrong.
 std::vector<Frame> frames_of_folder(const std::filesystem::path& folder);
+
+/// A benchmark's main(): reads its command line (its `usage` says how), gets the frames and runs it for so many rounds.
+int run_on_frames(int argc, char** argv, const std::function<int(const std::vector<Frame>& frames, int rounds)>& run);
 
 }  // namespace iotcloud::bench
