@@ -16,6 +16,7 @@
 #include "iotcloud/brokers/spool/bytes.h"
 #include "iotcloud/brokers/spool/record.h"
 #include "iotcloud/drivers/depth/depth_codec.h"
+#include "iotcloud/drivers/turtle/robot/protocol.h"
 
 namespace {
 
@@ -154,5 +155,19 @@ int main(int argc, char** argv) {
       }
     }
   }
+  namespace robot = drivers::turtle::robot;
+  robot::FrameHead head{
+      .number = 3, .age_us = 500, .device_time_s = 1.5, .repeated = true, .lock_step = true, .truth = {}};
+  const std::string plain = robot::write_frame_head(head, 5) + "frame";
+  head.truth = drivers::turtle::GroundTruth{.robot_x = 1, .distance = 0.7, .visible = true};
+  const std::string of_agent = robot::write_hello({.silence_ms = 250, .nonce = {}, .name = "laptop"}) +
+                               robot::write_proof({}) + plain + robot::write_frame_head(head, 5) + "frame" +
+                               robot::write_bare(robot::Kind::alive);
+  const std::string of_driver = robot::write_challenge({.silence_ms = 250, .nonce = {}, .proof = {}}) +
+                                robot::write_bare(robot::Kind::start) +
+                                robot::write_drive({.linear = 0.2, .angular = -1}) +
+                                robot::write_number(robot::Kind::got, 3) + robot::write_refused("no");
+  write(folder / "robot_protocol_fuzzer", "agent", '\x06' + of_agent);
+  write(folder / "robot_protocol_fuzzer", "driver", '\x13' + of_driver);
   fuzz::write_control_plane_seeds(folder);
 }
