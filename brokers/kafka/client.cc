@@ -89,21 +89,6 @@ struct ConfDestroyer {
 };
 using Conf = std::unique_ptr<rd_kafka_conf_t, ConfDestroyer>;
 
-struct AdminOptionsDestroyer {
-  void operator()(rd_kafka_AdminOptions_t* admin) const { rd_kafka_AdminOptions_destroy(admin); }
-};
-using AdminOptions = std::unique_ptr<rd_kafka_AdminOptions_t, AdminOptionsDestroyer>;
-
-int admin_limit_ms(const KafkaOptions& options) {
-  return static_cast<int>(std::max<std::int64_t>(options.broker.rpc_timeout.count(), 1000));
-}
-
-AdminOptions admin_options(const Client& client, rd_kafka_admin_op_t operation, const KafkaOptions& options) {
-  AdminOptions admin(rd_kafka_AdminOptions_new(client.get(), operation));
-  rd_kafka_AdminOptions_set_request_timeout(admin.get(), admin_limit_ms(options), nullptr, 0);
-  return admin;
-}
-
 }  // namespace
 
 KafkaOptions kafka_options(const BrokerOptions& options, const std::vector<BrokerUrl>& urls) {
@@ -220,6 +205,9 @@ void request_topics(const Client& client, rd_kafka_queue_t* queue, const std::ve
   struct TopicDestroyer {
     void operator()(rd_kafka_NewTopic_t* topic) const { rd_kafka_NewTopic_destroy(topic); }
   };
+  struct OptionsDestroyer {
+    void operator()(rd_kafka_AdminOptions_t* admin) const { rd_kafka_AdminOptions_destroy(admin); }
+  };
   std::vector<std::unique_ptr<rd_kafka_NewTopic_t, TopicDestroyer>> topics;
   std::vector<rd_kafka_NewTopic_t*> pointers;
   for (const std::string& name : names) {
@@ -229,8 +217,11 @@ void request_topics(const Client& client, rd_kafka_queue_t* queue, const std::ve
                                  std::to_string(options.max_message_bytes).c_str());
     pointers.push_back(topics.back().get());
   }
-  const AdminOptions admin = admin_options(client, RD_KAFKA_ADMIN_OP_CREATETOPICS, options);
-  rd_kafka_AdminOptions_set_operation_timeout(admin.get(), admin_limit_ms(options), nullptr, 0);
+  const std::unique_ptr<rd_kafka_AdminOptions_t, OptionsDestroyer> admin(
+      rd_kafka_AdminOptions_new(client.get(), RD_KAFKA_ADMIN_OP_CREATETOPICS));
+  const int limit = static_cast<int>(std::max<std::int64_t>(options.broker.rpc_timeout.count(), 1000));
+  rd_kafka_AdminOptions_set_request_timeout(admin.get(), limit, nullptr, 0);
+  rd_kafka_AdminOptions_set_operation_timeout(admin.get(), limit, nullptr, 0);
   rd_kafka_CreateTopics(client.get(), pointers.data(), pointers.size(), admin.get(), queue);
 }
 
@@ -264,31 +255,6 @@ std::vector<MadeTopic> made_topics(rd_kafka_event_t* event, const std::vector<st
                          rd_kafka_topic_result_error_string(results[i])));
   }
   return made;
-}
-
-void request_members(const Client& client, rd_kafka_queue_t* queue, const std::string& group,
-                     const KafkaOptions& options) {
-  const char* name = group.c_str();
-  const AdminOptions admin = admin_options(client, RD_KAFKA_ADMIN_OP_DESCRIBECONSUMERGROUPS, options);
-  rd_kafka_DescribeConsumerGroups(client.get(), &name, 1, admin.get(), queue);
-}
-
-std::optional<std::set<std::string>> topics_with_readers(rd_kafka_event_t* event) {
-  if (rd_kafka_event_error(event) != RD_KAFKA_RESP_ERR_NO_ERROR) return std::nullopt;
-  std::size_t count = 0;
-  const rd_kafka_ConsumerGroupDescription_t** groups =
-      rd_kafka_DescribeConsumerGroups_result_groups(rd_kafka_event_DescribeConsumerGroups_result(event), &count);
-  if (count != 1 || rd_kafka_ConsumerGroupDescription_error(groups[0]) != nullptr ||
-      rd_kafka_ConsumerGroupDescription_state(groups[0]) != RD_KAFKA_CONSUMER_GROUP_STATE_STABLE) {
-    return std::nullopt;
-  }
-  std::set<std::string> topics;
-  for (std::size_t i = 0; i < rd_kafka_ConsumerGroupDescription_member_count(groups[0]); ++i) {
-    const auto* member = rd_kafka_ConsumerGroupDescription_member(groups[0], i);
-    const auto* assignment = rd_kafka_MemberDescription_assignment(member);
-    for (const auto& entry : entries_of(*rd_kafka_MemberAssignment_partitions(assignment))) topics.insert(entry.topic);
-  }
-  return topics;
 }
 
 }  // namespace iotcloud::brokers::kafka

@@ -2,8 +2,6 @@
 
 #include <map>
 #include <memory>
-#include <optional>
-#include <set>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -96,12 +94,5 @@ struct MadeTopic {
 };
 /// `asked`: the names of the request, which all failed when the request did.
 std::vector<MadeTopic> made_topics(rd_kafka_event_t* event, const std::vector<std::string>& asked);
-
-/// Asks the group's coordinator for its members; the answer comes to `queue` as
-/// RD_KAFKA_EVENT_DESCRIBECONSUMERGROUPS_RESULT.
-void request_members(const Client& client, rd_kafka_queue_t* queue, const std::string& group,
-                     const KafkaOptions& options);
-/// Topics of which some member has a partition; nullopt: not known, or the group is changing just now.
-std::optional<std::set<std::string>> topics_with_readers(rd_kafka_event_t* event);
 
 }  // namespace iotcloud::brokers::kafka

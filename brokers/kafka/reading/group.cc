@@ -225,9 +225,6 @@ void Group::on_event(rd_kafka_event_t* event) {
     case RD_KAFKA_EVENT_CREATETOPICS_RESULT:
       on_topics(event);
       return;
-    case RD_KAFKA_EVENT_DESCRIBECONSUMERGROUPS_RESULT:
-      on_readers(event);
-      return;
     case RD_KAFKA_EVENT_ERROR:
       on_error(event);
       return;
@@ -287,7 +284,9 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
     assigned_.insert(key);
     if (!closing_) reader_->assigned(std::make_shared<Feed>(reader_, member_, client_, key, std::move(progress)));
   }
-  look_for_readers_at_ = clock_.now() + readers_backoff_.next();
+  const bool all_read = unread().empty();
+  join_again_at_ = all_read ? Instant{} : clock_.now() + join_backoff_.next();
+  if (all_read && forgotten_.empty()) join_backoff_.reset();
   if (cooperative()) {
     check(rd_kafka_incremental_assign(client_->get(), list.get()), "take partitions");
   } else {

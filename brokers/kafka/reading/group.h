@@ -53,8 +53,7 @@ class Group {
   void follow_subscriptions(Instant now);
   void tell_subscription(std::set<std::string> topics);
   std::set<std::string> subscription() const;  ///< what the library says
-  void look_for_readers(Instant now);
-  void on_readers(rd_kafka_event_t* event);
+  void join_for_unread(Instant now);
   std::set<std::string> unread() const;  ///< topics of which this member has no partition
   void stop_reading(const std::set<PartitionKey>& keys);
   rd_kafka_resp_err_t commit_unsaved(const std::set<PartitionKey>& keys);
@@ -85,17 +84,17 @@ class Group {
   std::set<std::string> there_;                ///< those of them that servers tell of
   std::set<std::string> subscribed_;           ///< what the group was told
   bool subscription_is_taken_ = false;         ///< and what the library goes by
-  std::set<std::string> forgotten_;            ///< topics that nobody reads: to leave, and to join for again
+  std::set<std::string> forgotten_;            ///< topics without a partition here: to leave, and to join for again
   std::vector<std::string> asked_;             ///< topics of the one request that is under way
   std::set<std::string> complaints_;           ///< those that were logged
   Instant ask_topics_at_{};
   Instant commit_at_{};
   Instant start_at_{};
-  Instant look_for_readers_at_{};  ///< zero: all that this member subscribed to it reads
-  bool leaving_ = false;           ///< closing, and the last commit was made or given up
-  Instant close_by_{};             ///< closing: until then the last commit may take, later how long leaving may
+  Instant join_again_at_{};  ///< for topics of which the last assignment brought nothing; zero: there are none
+  bool leaving_ = false;     ///< closing, and the last commit was made or given up
+  Instant close_by_{};       ///< closing: until then the last commit may take, later how long leaving may
   Backoff topic_backoff_{std::chrono::milliseconds(20), std::chrono::milliseconds(2000)};
-  Backoff readers_backoff_{std::chrono::milliseconds(1000), std::chrono::milliseconds(60'000)};
+  Backoff join_backoff_{std::chrono::milliseconds(1000), std::chrono::milliseconds(300'000)};
 };
 
 }  // namespace iotcloud::brokers::kafka

@@ -2,8 +2,6 @@
 #include <algorithm>
 #include <iterator>
 
-#include <fmt/ranges.h>
-
 #include "iotcloud/brokers/kafka/reading/group.h"
 #include <iotcloud/config/log.h>
 
@@ -43,10 +41,12 @@ void Group::follow_subscriptions(Instant now) {
     // librdkafka puts off what it is told in the middle of a rebalance, and then may forget it: so it is told again.
     if (!subscription_is_taken_) subscription_is_taken_ = subscription() == told;
     if (subscription_is_taken_) {
-      if (forgotten_.empty()) return look_for_readers(now);
+      if (forgotten_.empty()) return join_for_unread(now);
       forgotten_.clear();  // the group is without them now
       told = std::move(topics);
     }
+  } else if (forgotten_.empty()) {
+    join_backoff_.reset();
   }
   tell_subscription(std::move(told));
 }
@@ -65,35 +65,23 @@ void Group::tell_subscription(std::set<std::string> topics) {
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
     subscribed_ = std::move(topics);
     subscription_is_taken_ = false;
-    look_for_readers_at_ = clock_.now() + readers_backoff_.next();
+    join_again_at_ = Instant{};
   } else if (complaints_.insert(rd_kafka_err2str(error)).second) {
     logger.warn("group {}: cannot subscribe: {}", member_->name, rd_kafka_err2str(error));
   }
 }
 
-// The member that places the partitions asks one server for them, and takes a topic which that one does not know yet
-// for one without partitions. librdkafka 2.0.2 hears of them later and lets it be: the topic would never have a reader.
-
-void Group::look_for_readers(Instant now) {
-  if (look_for_readers_at_ == Instant{} || now < look_for_readers_at_) return;
-  if (unread().empty()) {
-    look_for_readers_at_ = Instant{};
-    readers_backoff_.reset();
-    return;
-  }
-  look_for_readers_at_ = now + readers_backoff_.next();
-  request_members(*client_, events_.get(), member_->name, options_);
-}
-
-void Group::on_readers(rd_kafka_event_t* event) {
-  const std::optional<std::set<std::string>> read = topics_with_readers(event);
-  if (!read || !subscription_is_taken_) return;
-  const std::set<std::string> here = unread();
-  std::set_difference(here.begin(), here.end(), read->begin(), read->end(),
-                      std::inserter(forgotten_, forgotten_.end()));
-  if (!forgotten_.empty()) {
-    logger.info("group {}: nobody was made a reader of {}; joining again", member_->name, fmt::join(forgotten_, ", "));
-  }
+// The member that places the partitions asks one node for them, and takes a topic which that one does not know yet for
+// one without partitions. librdkafka 2.0.2 hears of them later and lets it be: the topic would never have a reader. Who
+// got nothing of a topic joins again for it, more and more rarely: others may have all of it.
+void Group::join_for_unread(Instant now) {
+  if (join_again_at_ == Instant{} || now < join_again_at_) return;
+  forgotten_ = unread();
+  logger.debug("group {}: got no partition of {} topics; joining again", member_->name, forgotten_.size());
+  std::set<std::string> read;
+  std::set_difference(subscribed_.begin(), subscribed_.end(), forgotten_.begin(), forgotten_.end(),
+                      std::inserter(read, read.end()));
+  tell_subscription(std::move(read));
 }
 
 std::set<std::string> Group::unread() const {
