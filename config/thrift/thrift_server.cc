@@ -130,9 +130,9 @@ struct ThriftServer::Impl {
     std::array<pollfd, 2> waiting{pollfd{wake.get(), POLLIN, 0}, pollfd{listener.get(), POLLIN, 0}};
     while (true) {
       poll(waiting.data(), waiting.size(), -1);
-      if (stop.stop_requested()) return;
       eventfd_t ended = 0;
       eventfd_read(wake.get(), &ended);
+      if (stop.stop_requested()) return;  // after the reading, which may have taken the word that came with it
       clients.remove_if([](const Client& client) { return client.done.load(); });
       const int descriptor = accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK);
       if (descriptor >= 0) {
