@@ -24,6 +24,7 @@ import report  # noqa: E402
 
 SKIPPED = 77  # exit status when a server cannot be had
 MOST_ROBOTS = 32
+MOST_START_S = 60
 
 
 def fleet(options, out):
@@ -66,6 +67,15 @@ def arguments():
     if options.cluster and options.broker != "rabbitmq":
         parser.error(f"--broker {options.broker} is for one process; the cluster's is rabbitmq")
     return options
+
+
+def await_answers(robots, alive):
+    """Until each robot has had its first command: a server and a topology take a while to start."""
+    limit = time.monotonic() + MOST_START_S
+    while alive() and time.monotonic() < limit:
+        if all(any(row.answered for row in report.read_trace(robot.trace)) for robot in robots):
+            return
+        time.sleep(0.1)
 
 
 def progress(robots):
@@ -127,6 +137,7 @@ def main():
     try:
         with mode(options.build, out, options.broker) as running:
             running.begin(robots)
+            await_answers(robots, lambda: running.dead() is None)
             follow_progress(robots, options.seconds, lambda: running.dead() is None)
             measured = running.finish()
     except modes.Unavailable as error:

@@ -119,6 +119,9 @@ def draw(traces, out):
     if not shutil.which("gnuplot"):
         print("no pictures: gnuplot is not installed (./dev deps installs it)")
         return
+    if not all(any(row.answered for row in rows) for rows in traces):
+        print("no pictures: a robot had no command at all")
+        return
     data = out / "plot.dat"
     data.write_text("\n\n".join("".join(  # a block for each robot
         f"{r.seconds} {r.robot[0]} {r.robot[1]} {r.person[0]} {r.person[1]} {r.distance} "
