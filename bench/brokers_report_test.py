@@ -87,6 +87,15 @@ class BrokersReportTest(unittest.TestCase):
         self.assertEqual(result["ratio_spread"], [0.25, 0.95])
         self.assertEqual((result["value"], result["baseline_value"]), (100, 200))
 
+    def test_a_figure_that_misses_one_of_its_targets_is_missed(self):
+        bench = self.bench()
+        ours, few, many = ([{"p99_us": us}] for us in (3000.0, 1000.0, 2900.0))
+        for theirs, beside in ((few, "ours, 4 x 100/s"), (many, "ours, 4 x 1250/s")):
+            bench.compare("p99", "ms", brokers_report.p99, ours, theirs, beside, ratio_at_most=1.5)
+        self.assertEqual([result["met"] for result in bench.report.results], [False, True])
+        self.assertIn("0 of 1 targets met", bench.report.verdict())
+        self.assertIn("missed: rabbitmq, p99", bench.report.verdict())
+
     def test_targets_are_judged_by_the_ratio(self):
         bench = self.bench(lambda engine, _: {"p50_us": 460.0 if engine == OURS else 400.0,
                                               "p99_us": 1300.0 if engine == OURS else 900.0})
