@@ -4,11 +4,11 @@
 #include <filesystem>
 #include <map>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include <gtest/gtest.h>
 
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/system/trace.h>
 #include <iotcloud/topology/local/local_cluster.h>
 
@@ -30,10 +30,7 @@ class Trace {
 
   /// The first `frames` rows, or as many as came within 100 s.
   std::vector<Row> wait_for(std::size_t frames) const {
-    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(100);
-    while (read_trace(path_).size() < frames && std::chrono::steady_clock::now() < deadline) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(20));
-    }
+    static_cast<void>(tests::eventually([&] { return read_trace(path_).size() >= frames; }, std::chrono::seconds(100)));
     auto rows = read_trace(path_);
     if (rows.size() > frames) rows.resize(frames);  // later ones may be under way when we stop
     return rows;

@@ -6,7 +6,6 @@
 #include <map>
 #include <optional>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -18,6 +17,7 @@
 #include <iotcloud/drivers/turtle/recording/recording.h>
 #include <iotcloud/drivers/turtle/robot/address.h>
 #include <iotcloud/tests/drivers/turtle/scratch_folder.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/system/trace.h>
 #include <iotcloud/topology/local/local_cluster.h>
 
@@ -80,13 +80,14 @@ class FollowerCluster {
   std::string trace() const { return folder_.file("trace.csv"); }
   /// Waits until so many frames were answered. \return the whole rows so far.
   std::vector<tests::Row> answered_rows(std::size_t count) {
-    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(100);
-    for (;;) {
-      auto rows = read_trace(trace());
+    std::vector<tests::Row> rows;
+    const auto enough = [&] {
+      rows = read_trace(trace());
       std::erase_if(rows, [](const tests::Row& row) { return !row.contains("angular") || row.at("answered") != "1"; });
-      if (rows.size() >= count || std::chrono::steady_clock::now() > deadline) return rows;
-      std::this_thread::sleep_for(std::chrono::milliseconds(20));
-    }
+      return rows.size() >= count;
+    };
+    static_cast<void>(tests::eventually(enough, std::chrono::seconds(100)));
+    return rows;
   }
 
  private:

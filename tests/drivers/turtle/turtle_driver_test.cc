@@ -1,22 +1,15 @@
 #include <algorithm>
 #include <chrono>
-#include <cstdlib>
-#include <filesystem>
-#include <fstream>
 #include <limits>
 #include <map>
 #include <memory>
-#include <sstream>
 #include <string>
 #include <vector>
 
 #include <gmock/gmock.h>
-#include <unistd.h>
 
 #include <iotcloud/drivers/testing/mock_host.h>
-#include <iotcloud/drivers/turtle/command.h>
-#include <iotcloud/drivers/turtle/turtle_driver.h>
-#include <iotcloud/tests/drivers/turtle/reference_follower.h>
+#include <iotcloud/tests/drivers/turtle/turtle_fixture.h>
 
 namespace iotcloud::drivers::turtle {
 namespace {
@@ -25,66 +18,6 @@ using namespace std::chrono_literals;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 using testing::MockInstance;
-
-const Descriptor turtle = describe<TurtleDriver>("turtle", "test", true);
-
-Message command(const std::string& text, std::int64_t time_ms = 0) {
-  Message message;
-  message.payload = Payload::copy(text);
-  message.time_ms = time_ms;
-  return message;
-}
-
-Message command(const Velocity& velocity, std::int64_t time_ms = 0) {
-  return command(as_json(velocity), time_ms);
-}
-
-std::vector<std::uint16_t> decoded(const Message& message) {
-  std::vector<std::uint16_t> mm(depth::frame_pixels);
-  depth::DepthDecoder decoder;
-  EXPECT_EQ(decoder.decode(message.payload.bytes(), depth::FrameSpan(mm)), depth::DecodeError::none);
-  return mm;
-}
-
-/// A file of this process's own that is gone afterwards.
-class ScratchFile {
- public:
-  explicit ScratchFile(const std::string& name)
-      : path_(std::filesystem::temp_directory_path() / ("turtle-" + std::to_string(getpid()) + "-" + name)) {}
-  ~ScratchFile() { std::filesystem::remove(path_); }
-  std::string path() const { return path_.string(); }
-  /// Row by row, by the names in the first line.
-  std::vector<std::map<std::string, std::string>> rows() const {
-    std::ifstream file(path_);
-    std::vector<std::string> names;
-    std::vector<std::map<std::string, std::string>> rows;
-    for (std::string line; std::getline(file, line);) {
-      std::vector<std::string> fields(1);
-      for (const char c : line) {
-        if (c == ',') {
-          fields.emplace_back();
-        } else {
-          fields.back() += c;
-        }
-      }
-      if (names.empty()) {
-        names = fields;
-        continue;
-      }
-      EXPECT_EQ(fields.size(), names.size()) << line;
-      auto& row = rows.emplace_back();
-      for (std::size_t i = 0; i < std::min(fields.size(), names.size()); ++i) row[names[i]] = fields[i];
-    }
-    return rows;
-  }
-
- private:
-  std::filesystem::path path_;
-};
-
-double number(const std::map<std::string, std::string>& row, const std::string& column) {
-  return std::strtod(row.at(column).c_str(), nullptr);
-}
 
 TEST(TurtleDriver, wants_newest_frames_out_and_the_last_command_in) {
   MockInstance robot(turtle, {{"broker", "rabbit"}});
@@ -328,82 +261,6 @@ TEST(TurtleDriver, encodes_its_frames_with_the_codec_that_it_is_told) {
   std::vector<std::uint16_t> disparities(depth::frame_pixels);
   EXPECT_EQ(decoder.decode_disparities(lossless[0].payload.bytes(), depth::FrameSpan(disparities)),
             depth::DecodeError::none);
-}
-
-TEST(TurtleDriverInLockStep, waits_for_the_answer_and_sends_the_frame_again_when_none_comes) {
-  MockInstance robot(turtle, {{"clock", "lockstep"}, {"retry_ms", "500"}});
-  ASSERT_TRUE(robot.start());
-  robot.host().advance(1100ms);
-  auto frames = robot.host().published("kinect");
-  ASSERT_EQ(frames.size(), 3);  // one frame, twice again
-  for (const auto& frame : frames) {
-    EXPECT_EQ(*frame.message.properties.find("seq"), "0");
-    EXPECT_EQ(frame.message.time_ms, frames[0].message.time_ms);
-    EXPECT_EQ(frame.message.payload.text(), frames[0].message.payload.text());
-  }
-  ASSERT_TRUE(robot.deliver("control", command(Velocity{}, frames[0].message.time_ms)));
-  ASSERT_TRUE(
-      robot.deliver("control", command(Velocity{}, frames[0].message.time_ms)));  // the answer to the repetition
-  frames = robot.host().published("kinect");
-  ASSERT_EQ(frames.size(), 4);
-  EXPECT_EQ(*frames[3].message.properties.find("seq"), "1");
-}
-
-/// Runs a whole robot in lock step with the reference follower, through the driver's border.
-std::vector<std::map<std::string, std::string>> follow_in_lock_step(const std::string& seed, const std::string& name,
-                                                                    int frames, int& lost) {
-  ScratchFile trace(name);
-  MockInstance robot(
-      turtle, {{"clock", "lockstep"}, {"seed", seed}, {"frames", std::to_string(frames)}, {"trace", trace.path()}});
-  std::size_t answered = 0;
-  EXPECT_TRUE(robot.start());
-  robot.host().run_posted();
-  for (;;) {
-    const auto published = robot.host().published("kinect");
-    if (published.empty()) break;
-    EXPECT_EQ(published.size(), 1);
-    robot.host().forget_published();
-    const Message& frame = published.front().message;
-    const Followed followed = follow(depth::FrameView(decoded(frame)));
-    if (followed.lost()) ++lost;
-    ++answered;
-    EXPECT_TRUE(robot.deliver("control", command(followed.command, frame.time_ms)));
-  }
-  EXPECT_EQ(answered, static_cast<std::size_t>(frames));
-  robot.close();
-  return trace.rows();
-}
-
-TEST(TurtleDriverInLockStep, closes_the_loop_and_keeps_its_distance) {
-  int lost = 0;
-  const auto rows = follow_in_lock_step("3", "loop.csv", 450, lost);
-  ASSERT_EQ(rows.size(), 450);
-  EXPECT_EQ(lost, 0);
-  double error = 0;
-  for (const auto& row : rows) {
-    EXPECT_EQ(row.at("answered"), "1");
-    EXPECT_EQ(row.at("visible"), "1");
-    EXPECT_EQ(row.at("in_box"), "1");
-    error += std::abs(number(row, "error"));
-    EXPECT_NEAR(number(row, "distance") - 0.7, number(row, "error"), 0.0002);
-  }
-  EXPECT_LT(error / 450, 0.25);
-  EXPECT_NEAR(number(rows.back(), "device_s"), 449 / 30.0, 0.001);
-  const double walked = std::hypot(number(rows.back(), "person_x") - number(rows.front(), "person_x"),
-                                   number(rows.back(), "person_y") - number(rows.front(), "person_y"));
-  EXPECT_GT(walked, 0.5);  // otherwise it was no feat
-}
-
-TEST(TurtleDriverInLockStep, repeats_a_run_to_the_last_digit) {
-  const auto world = [](std::vector<std::map<std::string, std::string>> rows) {
-    for (auto& row : rows) {
-      for (const char* column : {"time_ms", "capture_s", "render_us", "encode_us", "latency_us"}) row.erase(column);
-    }
-    return rows;
-  };
-  int lost = 0;
-  EXPECT_EQ(world(follow_in_lock_step("9", "once.csv", 90, lost)),
-            world(follow_in_lock_step("9", "again.csv", 90, lost)));
 }
 
 }  // namespace
