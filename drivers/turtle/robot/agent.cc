@@ -145,8 +145,7 @@ void Agent::take(const DepthFrame& frame) {
   send_newest();
 }
 
-/// Compressed when it can be sent: what a newer frame supersedes costs nothing, and a codec that looks back sees what
-/// the driver gets.
+/// Compressed when it can be sent: what a newer frame supersedes costs nothing.
 void Agent::send_newest() {
   if (!waiting_.full || !wanted_ || under_way_ >= options_.in_flight) return;
   waiting_.full = false;
