@@ -9,6 +9,7 @@ usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench
        report.py codec [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        report.py follower [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
+       report.py page      writes build/bench/report.html and plots/*.svg again, of all JSON files there; measures nothing
 
 Everything here is measured: the programs take turns, round by round, a ratio is the median of the ratios of one round,
 and whether a target is met is computed.
@@ -23,6 +24,7 @@ import sys
 import time
 from pathlib import Path
 
+import page
 from brokers_report import BROKERS, run_brokers
 from codec_report import run_codec, run_follower
 from discovery_report import run_discovery
@@ -35,6 +37,9 @@ def main():
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was started ends with it
     root = Path(__file__).resolve().parent.parent
+    if sys.argv[1:] == ["page"]:
+        print(page.write(root / "build/bench"))
+        return
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     commands = options.add_subparsers(dest="what", required=True)
     names = ("runtime", "soak", "brokers", "discovery", "fleet", "codec", "follower")

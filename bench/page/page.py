@@ -1,0 +1,187 @@
+"""Writes build/bench/report.html and the plots beside it from all JSON files that are there."""
+
+import json
+import math
+import os
+from datetime import datetime, timezone
+from pathlib import Path
+
+from . import tables
+from .causes import Causes, markup
+from .markup import element, escape, number, slug
+from .plots import draw
+from .style import PAGE, PLOT
+from .svg import standalone
+
+README = Path(__file__).resolve().parent.parent / "README.md"
+MACHINE = {"cpu": "CPU", "cores": "cores", "memory_mb": "memory (MB)", "kernel": "kernel",
+           "load_average_before": "load before", "load_average_after": "load after"}
+
+
+class Section:
+    """One JSON file."""
+
+    def __init__(self, folder, file, causes):
+        self.file, self.link = file, file.relative_to(folder).as_posix()
+        self.is_paper = file.parent != folder
+        self.name = slug(file.stem if self.is_paper else f"bench-{file.stem}")
+        self.causes, self.bench = causes, "paper" if self.is_paper else file.stem
+        if self.is_paper and file.stem in causes.sections:
+            self.bench = file.stem
+        self.broken = None
+        try:
+            self.data = json.loads(file.read_text(encoding="utf-8"))
+            self.results, self.plots = self.data["results"], self.data.get("plots", [])
+            self.drawn = [draw(plot) for plot in self.plots]
+            self.body = self._body()
+        except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+            # One file that says nothing does not cost the page of all others.
+            self.broken, self.data, self.results, self.plots, self.drawn = error, {}, [], [], []
+
+    @property
+    def title(self):
+        figure, title = self.data.get("figure"), self.data.get("title")
+        if title and figure and str(figure).isdigit():
+            return f"Figure {figure}: {title}"
+        return title or f"./dev bench {self.file.stem}"
+
+    def judged(self):
+        """{name: met}: a figure stands there once for each of what is beside it, and is met when it is met in all."""
+        met = {}
+        for result in self.results:
+            if result.get("met") is not None:
+                met[result["name"]] = met.get(result["name"], True) and result["met"]
+        return met
+
+    def failures(self):
+        return sum("failed" in point for plot in self.plots for series in plot["series"] for point in series["points"])
+
+    def summary(self):
+        if self.broken:
+            return '<span class="missed">cannot be read</span>'
+        met = self.judged().values()
+        said = f"{sum(met)} of {len(met)} targets met" if met else "no targets"
+        failed = f", {self.failures()} points failed" if self.failures() else ""
+        return f'<span class="{"met" if all(met) and not failed else "missed"}">{said}{failed}</span>'
+
+    def taken(self):
+        if self.data.get("taken"):
+            return str(self.data["taken"])
+        return datetime.fromtimestamp(self.file.stat().st_mtime, timezone.utc).isoformat(timespec="seconds") + " (the file)"
+
+    def is_quick(self):
+        return self.data.get("quick", "--quick" in str(self.data.get("command", "")))
+
+    def _provenance(self):
+        machine, versions = self.data.get("machine") or {}, self.data.get("versions") or {}
+        seconds = self.data.get("seconds")
+        facts = [("taken", self.taken() + (f", in {number(seconds)} s" if seconds else "")),
+                 ("run", "quick" if self.is_quick() else "full"), ("command", self.data.get("command", "not said")),
+                 ("commit", self.data.get("commit", "not said"))]
+        facts += [(title, number(machine[key])) for key, title in MACHINE.items() if key in machine]
+        facts += [(key, number(value)) for key, value in versions.items()]
+        rows = [[tables.name_cell(key), tables.name_cell(value)] for key, value in facts]
+        return tables.folded(f"{'Quick run' if self.is_quick() else 'Full run'} of {self.taken()}: command, commit, machine, "
+                             "versions", tables.table(["", ""], rows))
+
+    def _body(self):
+        parts = []
+        if self.is_quick():
+            parts.append('<p class="missed">A quick run: few rounds, so single figures may be off.</p>')
+        if self.drawn:
+            parts.append('<div class="plots">' + "".join(self._figure(*each) for each in self.drawn) + "</div>")
+        missed = tables.missed(self.results, lambda name: self.causes.of(self.bench, name), self.causes.anchor(self.bench))
+        parts += [missed, tables.results(self.results) if self.results else ""]
+        parts += [tables.points(plot) for plot in self.plots if plot.get("style") != "dots"]
+        parts.append(self._provenance())
+        return "".join(parts)
+
+    @staticmethod
+    def _figure(svg, notes):
+        said = "".join(f'<li class="{"missed" if "FAILED" in note else "soft"}">{escape(note)}</li>' for note in notes)
+        return f"<figure>{svg}{f'<figcaption><ul>{said}</ul></figcaption>' if said else ''}</figure>"
+
+    def markup(self):
+        raw = element("a", escape(self.link), href=self.link)
+        if self.broken:
+            what = escape(f"{type(self.broken).__name__}: {self.broken}")
+            return (f'<section id="{self.name}"><h2>{escape(self.link)}</h2><p class="missed">This file cannot be shown: '
+                    f"{what}. Run its benchmark again. Raw: {raw}</p></section>")
+        return (f'<section id="{self.name}"><h2>{escape(self.title)}</h2><p>{self.summary()}. Raw: {raw}</p>'
+                f"{self.body}</section>")
+
+
+def sections(folder, causes):
+    """The paper's figures in the order of their numbers, then the rest by name."""
+    def order(file):
+        digits = "".join(filter(str.isdigit, file.stem))
+        return int(digits) if digits else math.inf, file.stem
+
+    paper = sorted((folder / "paper").glob("*.json"), key=order)
+    return [Section(folder, file, causes) for file in [*paper, *sorted(folder.glob("*.json"))]]
+
+
+def machines(all_sections):
+    """Which machines, commits and versions the figures are of: several, when figures were taken again later."""
+    found = {}
+    for section in all_sections:
+        machine = section.data.get("machine") or {}
+        facts = {title: number(machine[key]) for key, title in MACHINE.items() if key in machine and "load" not in key}
+        facts |= {"commit": section.data.get("commit"), **(section.data.get("versions") or {})}
+        for key, value in facts.items():
+            if value:
+                found.setdefault(key, {}).setdefault(str(value), []).append(section.name)
+    rows = []
+    for key, values in found.items():
+        said = "; ".join(value if len(values) == 1 else f"{value} ({', '.join(names)})" for value, names in values.items())
+        rows.append([tables.name_cell(key), tables.name_cell(said)])
+    return tables.table(["", ""], rows) if rows else ""
+
+
+def page(folder, readme):
+    """(the page, {name: svg})"""
+    causes = Causes(readme)
+    shown = sections(folder, causes)
+    met = [met for section in shown for met in section.judged().values()]
+    failed = sum(section.failures() for section in shown)
+    links = "".join(f'<li><a href="#{section.name}">{escape(section.link if section.broken else section.title)}</a>: '
+                    f"{section.summary()}</li>" for section in shown)
+    why = "".join(f'<div id="{causes.anchor(name)}">{markup(text)}</div>' for name, text in causes.distinct())
+    now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    body = (
+        "<h1>IoTCloud: what was measured</h1>"
+        f"<p>{sum(met)} of {len(met)} targets are met"
+        f"{f'; {failed} points failed' if failed else ''}. Written {now}. bench/README.md says how the figures are taken.</p>"
+        f"<nav><ul>{links or '<li>There are no figures yet: run ./dev bench paper</li>'}</ul></nav>"
+        f"{machines(shown)}{''.join(section.markup() for section in shown)}"
+        f'<section id="why"><h2>What is missed, and why</h2>{why}</section>')
+    document = (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"/>'
+        '<meta name="viewport" content="width=device-width,initial-scale=1"/>'
+        '<meta name="color-scheme" content="light dark"/><title>IoTCloud: what was measured</title>'
+        f"<style>{PAGE}{PLOT}</style></head><body>{body}</body></html>\n")
+    pictures = {f"{section.name}-{index}": standalone(svg)
+                for section in shown for index, (svg, _) in enumerate(section.drawn, 1)}
+    return document, pictures
+
+
+def put(file, text):
+    """Whole or not at all: somebody may be looking at it."""
+    new = file.with_name(f".{file.name}.new")
+    new.write_text(text, encoding="utf-8")
+    os.replace(new, file)
+
+
+def write(folder, readme=README):
+    """Writes `folder`/report.html and `folder`/plots/*.svg. Returns the page's path."""
+    folder = Path(folder)
+    document, pictures = page(folder, Path(readme).read_text(encoding="utf-8"))
+    plots = folder / "plots"
+    plots.mkdir(parents=True, exist_ok=True)
+    for name, svg in pictures.items():
+        put(plots / f"{name}.svg", svg)
+    for old in plots.glob("*.svg"):
+        if old.stem not in pictures:
+            old.unlink()
+    put(folder / "report.html", document)
+    return folder / "report.html"
