@@ -58,7 +58,9 @@ void ServerLink::close() {
 }
 
 void ServerLink::wake() {
-  if (!std::exchange(woken_, true)) loop_.wake();
+  // The loop passes over what has not started, so a word from before would be spent, and start()'s own kept back for
+  // it.
+  if (started_ && !std::exchange(woken_, true)) loop_.wake();
 }
 
 IoLoop::Service::Wish ServerLink::wish() {
