@@ -6,6 +6,7 @@ usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench
                          [--json FILE]
        report.py discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
        report.py fleet [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
+       report.py paper [--quick | --full] [--figure NAME]... [--broker NAME]... [--build DIR] [--out FOLDER]
        report.py codec [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        report.py follower [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
@@ -30,6 +31,7 @@ from codec_report import run_codec, run_follower
 from discovery_report import run_discovery
 from figures import ProgramFailed, commit, machine
 from fleet_report import run_fleet
+from paper_report import add_options as add_paper_options, run_paper
 from runtime_report import run_runtime, run_soak
 
 
@@ -42,11 +44,13 @@ def main():
         return
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     commands = options.add_subparsers(dest="what", required=True)
-    names = ("runtime", "soak", "brokers", "discovery", "fleet", "codec", "follower")
-    runtime, soak, brokers, discovery, fleet, codec, follower = map(commands.add_parser, names)
-    for command in (runtime, soak, brokers, discovery, fleet, codec, follower):
+    names = ("runtime", "soak", "brokers", "discovery", "fleet", "codec", "follower", "paper")
+    runtime, soak, brokers, discovery, fleet, codec, follower, paper = map(commands.add_parser, names)
+    for command in (runtime, soak, brokers, discovery, fleet, codec, follower, paper):
         command.add_argument("--build", type=Path, default=root / "build/release")
-        command.add_argument("--json", type=Path)
+        if command is not paper:  # it writes a file for each figure
+            command.add_argument("--json", type=Path)
+    add_paper_options(paper, root)
     runtime.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
     soak.add_argument("--minutes", type=float, default=10)
     soak.add_argument("--seed", type=int, help="to disturb it in the same way again")
@@ -67,7 +71,6 @@ def main():
         command.add_argument("--frames", type=Path, action="append", default=[], metavar="FOLDER",
                              help="depth images (.pgm or .pgm.gz, 16 bits, mm) to measure with, too")
     given = options.parse_args()
-    file = given.json or root / f"build/bench/{given.what}.json"
 
     facts = machine()
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}", flush=True)
@@ -75,12 +78,16 @@ def main():
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
     benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery,
-                  "fleet": run_fleet, "codec": run_codec, "follower": run_follower}
+                  "fleet": run_fleet, "codec": run_codec, "follower": run_follower, "paper": run_paper}
     try:
         report, verdict = benchmarks[given.what](given)
     except ProgramFailed as failure:
         sys.exit(str(failure))
+    if given.what == "paper":
+        print(f"{verdict}\n{time.monotonic() - began:.0f} s; the figures are in {given.out}")
+        sys.exit(1 if report.failed else 0)
     facts["load_average_after"] = os.getloadavg()[0]
+    file = given.json or root / f"build/bench/{given.what}.json"
     file.parent.mkdir(parents=True, exist_ok=True)
     command = shlex.join(["./dev", "bench", *sys.argv[1:]])
     written = {"machine": facts, "commit": commit(root), "command": command, "results": report.results}

@@ -1,9 +1,10 @@
 #include <atomic>
-#include <cstring>
+#include <span>
 #include <stdexcept>
 #include <thread>
 
 #include <iotcloud/bench/brokers/client.h>
+#include <iotcloud/bench/harness/bodies.h>
 #include <iotcloud/bench/harness/machine.h>
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/memory.h>
@@ -13,29 +14,6 @@ namespace iotcloud::bench {
 namespace {
 
 constexpr std::int64_t connect_limit_ns = 60'000'000'000;
-
-/// Bodies of one driver that are used again once nobody holds them: a driver's own buffers, not a new one each time.
-class Bodies {
- public:
-  explicit Bodies(std::size_t size) : size_(size) {}
-  brokers::Payload stamped(const Stamp& stamp) {
-    std::shared_ptr<std::vector<std::byte>> free;
-    for (std::size_t tried = 0; tried < buffers_.size() && !free; ++tried) {
-      next_ = (next_ + 1) % buffers_.size();
-      if (buffers_[next_].use_count() == 1) free = buffers_[next_];
-    }
-    if (!free) free = buffers_.emplace_back(std::make_shared<std::vector<std::byte>>(size_));
-    std::atomic_thread_fence(std::memory_order_acquire);  // whoever let go of it has read it
-    std::memcpy(free->data(), &stamp, sizeof stamp);
-    const std::span<const std::byte> bytes = *free;
-    return brokers::Payload::wrap(std::move(free), bytes);
-  }
-
- private:
-  const std::size_t size_;
-  std::size_t next_ = 0;
-  std::vector<std::shared_ptr<std::vector<std::byte>>> buffers_;
-};
 
 /// Ours, through the public interface of the brokers only.
 class IotcloudClient final : public Client {
@@ -130,7 +108,7 @@ class IotcloudClient final : public Client {
   void send(unsigned driver) {
     load_.send(driver, [&](const Stamp& stamp) {
       brokers::Message message;
-      message.payload = bodies_[driver].stamped(stamp);
+      message.payload = bodies_[driver].beginning_with(std::as_bytes(std::span(&stamp, 1)));
       message.driver_id = std::to_string(driver);
       message.gateway_id = "bench";
       message.time_ms = 1;

@@ -41,20 +41,19 @@ std::optional<unsigned> Load::arrived(std::span<const std::byte> body) {
   if (stamp.run != run_ || stamp.driver >= driver_count_) return std::nullopt;
   if (body.size() != size_ || drivers_[stamp.driver].expected.exchange(stamp.number + 1) != stamp.number) ++wrong_;
   arrived_.fetch_add(1, std::memory_order_relaxed);
-  if (recording_.load(std::memory_order_relaxed)) {
+  if (stamp.intended_ns >= record_from_ns_ && stamp.intended_ns < record_until_ns_) {
     latency_.record_ns(now_ns() - stamp.intended_ns);
-    recorded_.fetch_add(1, std::memory_order_relaxed);
   }
   if (step_ns_ > 0 || stopped_) return std::nullopt;
   return stamp.driver;
 }
 
 void Load::begin_recording() {
-  recording_ = true;
+  record_from_ns_ = now_ns();
 }
 
 void Load::end_recording() {
-  recording_ = false;
+  record_until_ns_ = now_ns();
 }
 
 }  // namespace iotcloud::bench

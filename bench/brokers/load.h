@@ -8,7 +8,7 @@
 #include <span>
 
 #include <iotcloud/bench/brokers/options.h>
-#include <iotcloud/config/metrics.h>
+#include <iotcloud/bench/harness/latency_histogram.h>
 
 namespace iotcloud::bench {
 
@@ -51,15 +51,15 @@ class Load {
   /// A body came back. \return the driver that is to send its next one at once (closed loop).
   std::optional<unsigned> arrived(std::span<const std::byte> body);
 
-  /// What comes from now on is timed, until end_recording().
+  /// What is to be sent from now on is timed when it comes back, however late, until end_recording(): that is what is
+  /// to be sent after it.
   void begin_recording();
   void end_recording();
 
   std::uint64_t sent() const { return sent_; }
   std::uint64_t came_back() const { return arrived_; }
   std::uint64_t wrong() const { return wrong_; }  ///< out of order, twice or of another size
-  std::uint64_t recorded() const { return recorded_; }
-  config::Histogram::Summary latency() const { return latency_.summary(); }
+  LatencyHistogram::Summary latency() const { return latency_.summary(); }
 
  private:
   struct Driver {
@@ -78,9 +78,10 @@ class Load {
   const std::unique_ptr<Driver[]> drivers_;
   std::int64_t began_ns_ = 0;
   std::uint64_t taken_ = 0;
-  config::Histogram latency_;
-  std::atomic<bool> stopped_ = false, recording_ = false;
-  std::atomic<std::uint64_t> sent_ = 0, arrived_ = 0, wrong_ = 0, recorded_ = 0;
+  LatencyHistogram latency_;
+  std::atomic<bool> stopped_ = false;
+  std::atomic<std::int64_t> record_from_ns_ = never, record_until_ns_ = never;  ///< intended times
+  std::atomic<std::uint64_t> sent_ = 0, arrived_ = 0, wrong_ = 0;
 };
 
 }  // namespace iotcloud::bench

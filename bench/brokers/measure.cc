@@ -42,14 +42,15 @@ void print(const char* engine, const Load& load, const Snapshot& before, const S
   const double seconds = static_cast<double>(after.own.at_ns - before.own.at_ns) / second_ns;
   const double own = after.own.cpu_seconds - before.own.cpu_seconds;
   const double server = after.server - before.server;
-  const config::Histogram::Summary latency = load.latency();
+  const LatencyHistogram::Summary latency = load.latency();
   std::printf(
-      "{\"engine\":\"%s\",\"sustained\":%s,\"count\":%llu,\"per_second\":%.1f,\"p50_us\":%.1f,\"p99_us\":%.1f,"
+      "{\"engine\":\"%s\",\"sustained\":%s,\"count\":%llu,\"per_second\":%.1f,\"mean_us\":%.2f,\"stddev_us\":%.2f,"
+      "\"p50_us\":%.1f,\"p99_us\":%.1f,"
       "\"max_us\":%.1f,\"cpu_seconds\":%.4f,\"server_cpu_seconds\":%.4f,\"others_cpu\":%.3f,\"switches\":%lld,"
       "\"seconds\":%.3f}\n",
-      engine, sustained ? "true" : "false", static_cast<unsigned long long>(load.recorded()),
-      static_cast<double>(load.recorded()) / seconds, latency.p50_ns / 1000, latency.p99_ns / 1000,
-      latency.max_ns / 1000, own, server, std::max(0.0, (after.machine - before.machine - own - server) / seconds),
+      engine, sustained ? "true" : "false", static_cast<unsigned long long>(latency.count),
+      static_cast<double>(latency.count) / seconds, latency.mean_us, latency.stddev_us, latency.p50_us, latency.p99_us,
+      latency.max_us, own, server, std::max(0.0, (after.machine - before.machine - own - server) / seconds),
       static_cast<long long>(after.own.switches - before.own.switches), seconds);
 }
 

@@ -1,0 +1,122 @@
+"""Figures 10 and 11 of the paper: the round trip by the number of drivers, messages of 100 B."""
+
+import tempfile
+
+from paper_points import Pair, point, series
+from paper_sizes import CONNECT_S, JVM_WARM_UP_S, ORDER_S, START_S
+from paper_systems import KINDS, StartError, system
+
+SIZE = 100
+# (drivers, messages a second of each); beyond 1000 on shared channels only.
+STEPS = {"quick": [(4, 5), (1000, 5)],
+         "usual": [(4, 5), (100, 5), (500, 5), (1000, 5), (2000, 1), (5000, 1), (10_000, 1)],
+         "full": [(4, 5), (100, 5), (500, 5), (1000, 5), (2000, 1), (5000, 1), (10_000, 1)]}
+MOST_EXCLUSIVE = 1000
+ROUNDS = {"quick": 1, "usual": 2, "full": 5}
+WINDOW_S = {"quick": 3, "usual": 6, "full": 12}
+WARM_UP_S = 2
+DEPLOYED_A_SECOND, UNDEPLOYED_A_SECOND = 150, 300
+FLAT, FLAT_LIMIT = 1000, 1.5  # p99 of so many drivers, x that of 4
+SERVED = 10_000  # drivers of which no message may be lost or late for good
+PARTITIONS = 4  # of a Kafka topic, as in the paper
+
+
+class ByDrivers:
+    def __init__(self, name, broker, layouts):
+        self.name, self.broker, self.layouts = name, broker, layouts
+        self.servers = [broker, "zookeeper"]
+        self.title = f"round trip by the number of drivers, {KINDS[broker][0]}"
+
+    def steps(self, given, layout):
+        return [step for step in STEPS[given.scale] if layout == "shared" or step[0] <= MOST_EXCLUSIVE]
+
+    def chosen_layouts(self, given):
+        return self.layouts[:1] if given.scale == "quick" else self.layouts
+
+    def point_seconds(self, given):
+        return 2 * (WARM_UP_S + WINDOW_S[given.scale]) + ORDER_S + CONNECT_S[self.broker]
+
+    @staticmethod
+    def deploy_seconds(drivers):
+        return 2 + drivers / DEPLOYED_A_SECOND
+
+    @staticmethod
+    def undeploy_seconds(drivers):
+        return 2 + drivers / UNDEPLOYED_A_SECOND
+
+    def seconds(self, given):
+        warm_up = JVM_WARM_UP_S[given.scale] if self.broker == "kafka" else 0
+        rounds = 0
+        for layout in self.chosen_layouts(given):
+            steps = self.steps(given, layout)
+            most = steps[-1][0]
+            rounds += len(steps) * (self.point_seconds(given) + 2) + self.deploy_seconds(most) + self.undeploy_seconds(most)
+        return START_S[self.broker] + warm_up + ROUNDS[given.scale] * rounds
+
+    def take(self, given, report, progress):
+        more = {}
+        if self.broker == "kafka":
+            more = {"properties": f", properties: {{partitions: {PARTITIONS}}}", "server_options": ["--partitions", PARTITIONS]}
+        pairs = {}
+        with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
+            progress.step(f"figure {self.name}: starting {KINDS[self.broker][0]}", START_S[self.broker])
+            with system(self.broker, given.build, folder, **more) as running:
+                running.warm_up(JVM_WARM_UP_S[given.scale])
+                for layout in self.chosen_layouts(given):
+                    pairs[layout] = self.progressions(running, given, progress, layout)
+                    self.judge(running, report, layout, pairs[layout])
+        return self.plots(pairs)
+
+    def progressions(self, running, given, progress, layout):
+        """Each round begins with 4 drivers and adds more, as the paper did. {(drivers, rate): Pair}"""
+        steps = self.steps(given, layout)
+        pairs = {step: Pair(f"{running.label}, {step[0]} x {step[1]}/s, {layout}") for step in steps}
+        for round_number in range(ROUNDS[given.scale]):
+            for (drivers, rate), pair in pairs.items():
+                step = f"figure {self.name}: {pair.title}, round {round_number + 1}"
+                progress.step(f"{step}, deploying", self.deploy_seconds(drivers - running.drivers))
+                try:
+                    running.deploy(drivers - running.drivers, layout == "shared")
+                except StartError as failure:
+                    pair.our_problem = str(failure)
+                    break  # nor would more drivers be served
+                progress.step(step, self.point_seconds(given))
+                shape = (SIZE, rate, WARM_UP_S, WINDOW_S[given.scale])
+                pair.round(lambda: running.measure(*shape), lambda: running.measure_bare(*shape, drivers, layout == "shared"))
+            progress.step(f"figure {self.name}: undeploying {running.drivers} drivers", self.undeploy_seconds(running.drivers))
+            running.undeploy()
+        return pairs
+
+    def judge(self, running, report, layout, pairs):
+        few = next(iter(pairs.values()))
+        for (drivers, rate), pair in pairs.items():
+            pair.compare(report, running.bare)
+            if pair.our_problem or not pair.ours:
+                continue
+            p99 = [line["p99_ms"] for line in pair.ours]
+            report.compare(f"{pair.title}: p99", "ms", p99, running.bare, [line["p99_ms"] for line in pair.theirs])
+            if drivers == FLAT and few.ours:
+                report.compare(f"{pair.title}: p99", "ms", p99, "ours, 4 drivers", [line["p99_ms"] for line in few.ours],
+                               ratio_at_most=FLAT_LIMIT)
+            if drivers == SERVED:
+                report.compare(f"{pair.title}: lost", "messages", [line["lost"] for line in pair.ours], at_most=0)
+                report.compare(f"{pair.title}: carried", "msg/s", [line["carried"] for line in pair.ours], "sent",
+                               [float(drivers * rate)] * len(pair.ours), ratio_at_least=0.99)
+
+    def plots(self, pairs):
+        label, bare = KINDS[self.broker][0], KINDS[self.broker][3]
+        lines = []
+        for layout, steps in pairs.items():
+            for name, kind in (("IoTCloud", "ours"), (bare, "limit")):
+                points = []
+                for (drivers, rate), pair in steps.items():
+                    measured, problem = ((pair.ours, pair.our_problem) if kind == "ours"
+                                         else (pair.theirs, pair.their_problem))
+                    points.append({**point(drivers, measured, problem), "rate": rate})
+                lines.append(series(f"{name}, {layout}", kind, points))
+        return [{"title": f"{label}: {text}, messages of 100 B, 5/s each to 1000 drivers, then 1/s", "x": "drivers",
+                 "x_unit": "", "x_log": True, "y": text, "y_unit": "ms", "y_log": True, "statistic": statistic,
+                 "series": lines} for text, statistic in (("mean round trip", "mean_ms"), ("p99 of the round trip", "p99_ms"))]
+
+
+FIGURES = [ByDrivers("10", "rabbitmq", ("shared", "exclusive")), ByDrivers("11", "kafka", ("shared",))]

@@ -1,0 +1,115 @@
+"""What the paper's figures share: rounds in pairs, points of a curve, and the time that is left."""
+
+import statistics
+import sys
+import time
+
+from figures import ProgramFailed, number
+
+NOISE = 0.2  # CPUs that other processes may take in a turn
+STATISTICS = ("mean_ms", "p50_ms", "p99_ms", "stddev_ms")
+SAY_EVERY_S = 15  # where it is no terminal
+
+
+class Progress:
+    """What is under way and how long the rest will take."""
+
+    def __init__(self, seconds):
+        self.all_s, self.done_s, self.figure_s = seconds, 0.0, 0.0
+        self.began = self.said = time.monotonic()
+
+    def step(self, text, seconds):
+        """This begins; it will take about so long."""
+        done = self.done_s + self.figure_s
+        spent = time.monotonic() - self.began
+        pace = spent / done if done > 10 else 1.0
+        left = f"{text}, about {max(0.0, self.all_s - done) * pace / 60:.1f} min left"
+        self.figure_s += seconds
+        if sys.stderr.isatty():
+            print(f"\r\033[K{left}\r", end="", file=sys.stderr, flush=True)
+        elif time.monotonic() - self.said > SAY_EVERY_S:
+            self.said = time.monotonic()
+            print(left, file=sys.stderr, flush=True)
+
+    def figure_done(self, seconds):
+        """What steps had been thought to take in this figure is set right."""
+        self.done_s, self.figure_s = self.done_s + seconds, 0.0
+
+
+class Pair:
+    """Ours and the bare client, in turns: rounds of the same load."""
+
+    def __init__(self, title):
+        self.title, self.ours, self.theirs = title, [], []
+        self.our_problem = self.their_problem = None
+        self.noisy = 0  # rounds that count although others were at work
+
+    def round(self, ours, theirs, attempts=2):
+        """One turn of each, the other one first in every second round; taken again when others were at work, and then the
+        quieter one counts. `ours` and `theirs` measure and return a line; `theirs` may be None."""
+        tried = []
+        for _ in range(attempts):
+            turn = self.turn(ours, theirs)
+            if self.our_problem:
+                self.theirs += [line for line in turn if line]  # what the bare client can do is worth knowing
+                return
+            company = max(line["others_cpu"] for line in turn if line)
+            tried.append((company, turn))
+            if company <= NOISE:
+                break
+        company, (our_line, their_line) = min(tried, key=lambda one: one[0])
+        self.noisy += company > NOISE
+        self.ours.append(our_line)
+        if their_line:
+            self.theirs.append(their_line)
+
+    def turn(self, ours, theirs):
+        lines = {}
+        order = [("ours", ours), ("theirs", theirs)]
+        for name, measure in order if len(self.ours) % 2 == 0 else reversed(order):
+            lines[name] = None
+            if measure is None or (name == "theirs" and self.their_problem):
+                continue
+            try:
+                lines[name] = measure()
+            except ProgramFailed as failure:
+                if name == "ours":
+                    self.our_problem = str(failure)
+                else:
+                    self.their_problem, self.theirs = str(failure), []
+        return lines["ours"], lines["theirs"]
+
+    def compare(self, report, beside, statistic="mean_ms", **target):
+        """A line of the report for this statistic; the reason where there is none."""
+        lost = sum(line["lost"] for line in self.ours)
+        if lost:
+            print(f"{self.title}: {lost} of {sum(line['n'] for line in self.ours) + lost} did not come back", flush=True)
+        for who, problem in (("", self.our_problem), (f" {beside}:", self.their_problem)):
+            if problem:
+                print(f"{self.title}:{who} NOT SERVED: {problem}", flush=True)
+        report.failed = report.failed or bool(lost or self.our_problem or self.their_problem)
+        if self.noisy:
+            print(f"{self.title}: other processes took more than {NOISE} of a CPU in {self.noisy} rounds", flush=True)
+        if self.our_problem:
+            return
+        name = statistic.removesuffix("_ms").replace("stddev", "standard deviation")
+        report.compare(f"{self.title}: {name}", "ms", [line[statistic] for line in self.ours], beside,
+                       [line[statistic] for line in self.theirs], **target)
+
+
+def point(x, lines, problem=None):
+    """A point of a curve: medians over the rounds, which stand beside it."""
+    if problem or not lines:
+        return {"x": x, "failed": problem or "it was not measured"}
+    medians = {name: statistics.median(line[name] for line in lines) for name in STATISTICS}
+    return {"x": x, **medians, "max_ms": max(line["max_ms"] for line in lines),
+            "n": sum(line["n"] for line in lines), "lost": sum(line["lost"] for line in lines),
+            "rounds": [{name: line[name] for name in (*STATISTICS, "max_ms", "n", "lost", "others_cpu")} for line in lines]}
+
+
+def series(name, kind, points):
+    return {"name": name, "kind": kind, "points": points}
+
+
+def bytes_text(size):
+    return f"{size} B" if size < 1000 else f"{number(size / 1000)} KB" if size < 1_000_000 else f"{number(size / 1e6)} MB"

@@ -1,0 +1,99 @@
+"""`./dev bench paper`: the measurements of the paper's section 5, one JSON file for each figure."""
+
+import datetime
+import json
+import os
+import shlex
+import sys
+import time
+from pathlib import Path
+
+import page
+import paper_drivers
+import paper_sizes
+import versions
+from brokers_report import Report
+from figures import ProgramFailed, commit, machine
+from paper_points import Progress
+from paper_systems import KINDS, StartError, Unavailable
+
+# In the order in which they run. Each has: `name`, `title`, `broker` (one of KINDS, or None), `servers` (of which the file
+# names the versions, as versions.py knows them), `seconds(given)` (about how long it takes) and `take(given, report, progress)`, which adds to the report's results and returns the plots. `given` has
+# `scale` ("quick", "usual", "full"), `build` and `out` (the folder of the figures' files). It raises ProgramFailed or
+# StartError when nothing can be measured; a point that cannot be served is told in its place ({"x": .., "failed": why}),
+# and sets report.failed.
+FIGURES = [
+    *paper_sizes.FIGURES,
+    *paper_drivers.FIGURES,
+]
+
+
+def chosen(given):
+    """The figures that are asked for."""
+    return [figure for figure in FIGURES
+            if (not given.figure or figure.name in given.figure)
+            and (not given.broker or figure.broker is None or figure.broker in given.broker)]
+
+
+def file_of(folder, figure):
+    return folder / (f"figure-{figure.name}.json" if figure.name[0].isdigit() else f"{figure.name}.json")
+
+
+def write(given, figure, facts, report, plots, problem):
+    """The figure's file, as a whole or not at all."""
+    facts = {**facts, "load_average_after": os.getloadavg()[0]}
+    content = {"figure": figure.name, "title": figure.title, "machine": facts, "commit": commit(Path(__file__).parent),
+               "command": shlex.join(["./dev", "bench", *sys.argv[1:]]),
+               "taken": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+               "quick": given.scale == "quick", "scale": given.scale,
+               "versions": versions.asked(given.build, *figure.servers), "results": report.results, "plots": plots}
+    if problem:
+        content["failed"] = problem
+    file = file_of(given.out, figure)
+    part = file.with_suffix(".part")
+    part.write_text(json.dumps(content, indent=1) + "\n")
+    part.replace(file)
+    return file
+
+
+def take(given, figure, whole, progress):
+    """One figure. What it found goes to `whole` too."""
+    print(f"\nfigure {figure.name}: {figure.title}", flush=True)
+    facts, report, plots, problem = machine(), Report(), [], None
+    report.print_head()
+    began = time.monotonic()
+    try:
+        plots = figure.take(given, report, progress)
+    except (ProgramFailed, StartError, Unavailable) as failure:
+        problem = str(failure)
+        print(f"figure {figure.name}: GIVEN UP: {problem}", flush=True)
+    whole.results += report.results
+    whole.failed = whole.failed or report.failed or problem is not None
+    file = write(given, figure, facts, report, plots, problem)
+    page.write(given.out.parent)
+    progress.figure_done(figure.seconds(given))
+    print(f"figure {figure.name}: {time.monotonic() - began:.0f} s, {file}", flush=True)
+
+
+def run_paper(given):
+    given.scale = "quick" if given.quick else "full" if given.full else "usual"
+    given.out.mkdir(parents=True, exist_ok=True)
+    figures, whole = chosen(given), Report()
+    if not figures:
+        raise ProgramFailed("there is no such figure; there are: "
+                            + ", ".join(f"{figure.name} ({figure.broker or 'no broker'})" for figure in FIGURES))
+    progress = Progress(sum(figure.seconds(given) for figure in figures))
+    print(f"{len(figures)} figures, about {max(1, progress.all_s / 60):.0f} minutes", flush=True)
+    for figure in figures:
+        take(given, figure, whole, progress)
+    return whole, whole.verdict() + ("\n  FAILED, see above" if whole.failed else "")
+
+
+def add_options(command, root):
+    scale = command.add_mutually_exclusive_group()
+    scale.add_argument("--quick", action="store_true", help="few points, one round: about five minutes")
+    scale.add_argument("--full", action="store_true", help="all points, five rounds: hours")
+    names = [figure.name for figure in FIGURES]
+    command.add_argument("--figure", action="append", choices=names, help="this one; may be given several times")
+    command.add_argument("--broker", action="append", choices=list(KINDS), help="its figures; may be given several times")
+    command.add_argument("--out", type=Path, default=root / "build/bench/paper", help="where the figures' files go")
