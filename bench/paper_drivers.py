@@ -2,7 +2,7 @@
 
 import tempfile
 
-from paper_points import Pair, point, series
+from paper_points import Pair, asked_for, point, series
 from paper_sizes import CONNECT_S, JVM_WARM_UP_S, ORDER_S, START_S
 from paper_systems import KINDS, StartError, system
 
@@ -28,10 +28,15 @@ class ByDrivers:
         self.title = f"round trip by the number of drivers, {KINDS[broker][0]}"
 
     def steps(self, given, layout):
-        return [step for step in STEPS[given.scale] if layout == "shared" or step[0] <= MOST_EXCLUSIVE]
+        return [step for step in STEPS[given.scale] if (layout == "shared" or step[0] <= MOST_EXCLUSIVE)
+                and asked_for(given, self.title_of(*step, layout))]
+
+    def title_of(self, drivers, rate, layout):
+        return f"{KINDS[self.broker][0]}, {drivers} x {rate}/s, {layout}"
 
     def chosen_layouts(self, given):
-        return self.layouts[:1] if given.scale == "quick" else self.layouts
+        layouts = self.layouts[:1] if given.scale == "quick" else self.layouts
+        return [layout for layout in layouts if self.steps(given, layout)]
 
     def point_seconds(self, given):
         return 2 * (WARM_UP_S + WINDOW_S[given.scale]) + ORDER_S + CONNECT_S[self.broker]
@@ -51,7 +56,7 @@ class ByDrivers:
             steps = self.steps(given, layout)
             most = steps[-1][0]
             rounds += len(steps) * (self.point_seconds(given) + 2) + self.deploy_seconds(most) + self.undeploy_seconds(most)
-        return START_S[self.broker] + warm_up + ROUNDS[given.scale] * rounds
+        return START_S[self.broker] + warm_up + (given.rounds or ROUNDS[given.scale]) * rounds
 
     def take(self, given, report, progress):
         more = {}
@@ -70,8 +75,8 @@ class ByDrivers:
     def progressions(self, running, given, progress, layout):
         """Each round begins with 4 drivers and adds more, as the paper did. {(drivers, rate): Pair}"""
         steps = self.steps(given, layout)
-        pairs = {step: Pair(f"{running.label}, {step[0]} x {step[1]}/s, {layout}") for step in steps}
-        for round_number in range(ROUNDS[given.scale]):
+        pairs = {step: Pair(self.title_of(*step, layout)) for step in steps}
+        for round_number in range(given.rounds or ROUNDS[given.scale]):
             for (drivers, rate), pair in pairs.items():
                 step = f"figure {self.name}: {pair.title}, round {round_number + 1}"
                 progress.step(f"{step}, deploying", self.deploy_seconds(drivers - running.drivers))

@@ -1,5 +1,6 @@
 """What the paper's figures share: rounds in pairs, points of a curve, and the time that is left."""
 
+import re
 import statistics
 import sys
 import time
@@ -105,6 +106,10 @@ def point(x, lines, problem=None):
     return {"x": x, **medians, "max_ms": max(line["max_ms"] for line in lines),
             "n": sum(line["n"] for line in lines), "lost": sum(line["lost"] for line in lines),
             "rounds": [{name: line[name] for name in (*STATISTICS, "max_ms", "n", "lost", "others_cpu")} for line in lines]}
+
+
+def asked_for(given, title):
+    return not given.points or re.search(given.points, title) is not None
 
 
 def series(name, kind, points):

@@ -96,4 +96,7 @@ def add_options(command, root):
     names = [figure.name for figure in FIGURES]
     command.add_argument("--figure", action="append", choices=names, help="this one; may be given several times")
     command.add_argument("--broker", action="append", choices=list(KINDS), help="its figures; may be given several times")
+    command.add_argument("--points", metavar="REGEX", help="those in whose name this is found, as in '60 KB, 4 x 100/s'; "
+                         "the figure's file has no others then")
+    command.add_argument("--rounds", type=int, help="default: 3 (figures 10 and 11: 2), with --quick 1, with --full 5")
     command.add_argument("--out", type=Path, default=root / "build/bench/paper", help="where the figures' files go")

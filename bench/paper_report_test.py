@@ -65,7 +65,7 @@ class PaperTest(unittest.TestCase):
         self.addCleanup(folder.cleanup)
         (Path(folder.name) / "paper").mkdir()
         self.given = types.SimpleNamespace(scale="usual", quick=False, full=False, out=Path(folder.name) / "paper", build=Path("/build"),
-                                           figure=None, broker=None)
+                                           figure=None, broker=None, points=None, rounds=None)
 
     def run_figure(self, module, figure, running):
         self.addCleanup(setattr, module, "system", module.system)
@@ -143,6 +143,13 @@ class SizesTest(PaperTest):
         self.assertEqual((lines[0]["points"][0]["n"], lines[0]["points"][0]["mean_ms"]), (2400, 1.0))
         paper = [line for line in lines if line["kind"] == "paper"]
         self.assertEqual([(line["name"], line["points"][0]["mean_ms"]) for line in paper], [("paper, 20/s", 10)])
+
+    def test_only_the_points_that_are_asked_for_are_taken(self):
+        self.given.points, self.given.rounds = "60 KB, 4 x (20|100)/s", 2
+        plots, report = self.by_size()
+        self.assertEqual([line["name"] for line in plots[0]["series"] if line["kind"] == "ours"],
+                         ["IoTCloud, 20/s", "IoTCloud, 100/s"])
+        self.assertEqual([result["rounds"] for result in report.results], [2, 2])
 
     def test_figure_9_judges_the_deviation_by_what_figure_7_measured(self):
         plots, _ = self.by_size(lambda who, _: {"stddev_ms": 0.6 if who == "ours" else 0.4})

@@ -4,7 +4,7 @@ import json
 import tempfile
 
 from figures import ProgramFailed
-from paper_points import Pair, bytes_text, point, series
+from paper_points import Pair, asked_for, bytes_text, point, series
 from paper_systems import KINDS, system
 
 DRIVERS = 4
@@ -44,14 +44,27 @@ class BySize:
         rates = RATES[given.scale]
         return rates if self.name == "7" or given.scale != "quick" else rates[-1:]
 
+    def title_of(self, size, rate):
+        return f"{KINDS[self.broker][0]}, {bytes_text(size)}, {DRIVERS} x {rate}/s"
+
+    def points(self, given):
+        """{rate: sizes}"""
+        points = {rate: [size for size in SIZES[given.scale] if asked_for(given, self.title_of(size, rate))]
+                  for rate in self.rates(given)}
+        return {rate: sizes for rate, sizes in points.items() if sizes}
+
     def point_seconds(self, given, rate):
         """Of one round."""
         return 2 * (WARM_UP_S + window(given.scale, rate)) + ORDER_S + CONNECT_S[self.broker]
 
     def seconds(self, given):
         warm_up = JVM_WARM_UP_S[given.scale] if self.broker in ("kafka", "activemq") else 0
-        rounds = ROUNDS[given.scale] * len(SIZES[given.scale])
-        return START_S[self.broker] + warm_up + rounds * sum(self.point_seconds(given, r) for r in self.rates(given))
+        once = sum(len(sizes) * self.point_seconds(given, rate) for rate, sizes in self.points(given).items())
+        return START_S[self.broker] + warm_up + self.rounds(given) * once
+
+    @staticmethod
+    def rounds(given):
+        return given.rounds or ROUNDS[given.scale]
 
     def take(self, given, report, progress):
         with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
@@ -59,14 +72,14 @@ class BySize:
             with system(self.broker, given.build, folder) as running:
                 running.deploy(DRIVERS, self.shared)
                 running.warm_up(JVM_WARM_UP_S[given.scale])
-                curves = {rate: [self.point(running, given, report, progress, size, rate) for size in SIZES[given.scale]]
-                          for rate in self.rates(given)}
+                curves = {rate: [self.point(running, given, report, progress, size, rate) for size in sizes]
+                          for rate, sizes in self.points(given).items()}
         return [self.plot(curves)]
 
     def point(self, running, given, report, progress, size, rate):
-        pair = Pair(f"{running.label}, {bytes_text(size)}, 4 x {rate}/s")
+        pair = Pair(self.title_of(size, rate))
         seconds = window(given.scale, rate)
-        for round_number in range(ROUNDS[given.scale]):
+        for round_number in range(self.rounds(given)):
             progress.step(f"figure {self.name}: {pair.title}, round {round_number + 1}", self.point_seconds(given, rate))
             pair.round(lambda: running.measure(size, rate, WARM_UP_S, seconds),
                        lambda: running.measure_bare(size, rate, WARM_UP_S, seconds, DRIVERS, self.shared))
