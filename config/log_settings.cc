@@ -13,10 +13,10 @@ LogSettings read_log_settings(Section& top) {
   LogSettings settings;
   auto log = top.optional_section("log");
   if (!log) return settings;
-  if (log->has("level")) {
-    settings.level = parse_log_level(log->require_choice("level", {"debug", "info", "warn", "error", "off"}));
-  }
-  if (log->has("format")) settings.format = parse_log_format(log->require_choice("format", {"text", "json"}));
+  const std::string level = log->choice_or("level", "", {"debug", "info", "warn", "error", "off"});
+  if (!level.empty()) settings.level = parse_log_level(level);
+  const std::string format = log->choice_or("format", "", {"text", "json"});
+  if (!format.empty()) settings.format = parse_log_format(format);
   log->finish();
   return settings;
 }

@@ -1,14 +1,15 @@
 #include <algorithm>
 #include <charconv>
-#include <cmath>
 #include <fstream>
 #include <set>
-#include <sstream>
 
+#include <fmt/format.h>
 #include <yaml-cpp/yaml.h>
 
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/config/yaml/asked_keys.h>
 #include <iotcloud/config/yaml/document.h>
+#include <iotcloud/config/yaml/duration.h>
 #include <iotcloud/config/yaml/place.h>
 #include <iotcloud/config/yaml/text.h>
 
@@ -18,9 +19,15 @@ struct Section::Impl {
   YAML::Node node;  ///< a mapping
   std::string file;
   std::string path;
+  std::string pattern;                        ///< the path with `<name>` for names that the user chooses: see AskedKey
   std::shared_ptr<const std::string> source;  ///< the whole file
   /// Keys asked for so far. Shared by all copies of a section, so that finish() sees what every reader asked for.
   std::set<std::string> asked;
+
+  void note(const std::string& key, std::string kind, std::string fallback = "", std::string allowed = "");
+  void note_required(const std::string& key, std::string kind, std::string allowed = "");
+  /// A section inside this one.
+  std::shared_ptr<Impl> inner(const YAML::Node& mapping, std::string inner_path, std::string inner_pattern) const;
 };
 
 namespace {
@@ -53,6 +60,10 @@ std::string list_of(const std::vector<std::string>& words) {
   return text;
 }
 
+std::string range_of(const auto& min, const auto& max) {
+  return fmt::format("{} to {}", min, max);
+}
+
 template <typename Number>
 bool parse_whole(const std::string& text, Number& value) {
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
@@ -61,19 +72,25 @@ bool parse_whole(const std::string& text, Number& value) {
 
 }  // namespace
 
-std::optional<std::chrono::microseconds> parse_duration(const std::string& text) {
-  double number = 0;
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (status != std::errc{} || !(number >= 0) || number > 1e12) return std::nullopt;
-  const std::string_view unit(end, static_cast<std::size_t>(text.data() + text.size() - end));
-  double factor = 0;
-  if (unit == "us") factor = 1;
-  if (unit == "ms") factor = 1e3;
-  if (unit == "s") factor = 1e6;
-  if (unit == "m") factor = 60e6;
-  if (unit == "h") factor = 3600e6;
-  if (factor == 0) return std::nullopt;
-  return std::chrono::microseconds(std::llround(number * factor));
+void Section::Impl::note(const std::string& key, std::string kind, std::string fallback, std::string allowed) {
+  asked.insert(key);
+  internal::note_asked({join(pattern, key), std::move(kind), std::move(fallback), std::move(allowed), false});
+}
+
+void Section::Impl::note_required(const std::string& key, std::string kind, std::string allowed) {
+  asked.insert(key);
+  internal::note_asked({join(pattern, key), std::move(kind), "", std::move(allowed), true});
+}
+
+std::shared_ptr<Section::Impl> Section::Impl::inner(const YAML::Node& mapping, std::string inner_path,
+                                                    std::string inner_pattern) const {
+  auto impl = std::make_shared<Impl>();
+  impl->file = file;
+  impl->source = source;
+  impl->path = std::move(inner_path);
+  impl->pattern = std::move(inner_pattern);
+  impl->node = mapping;
+  return impl;
 }
 
 Section Section::parse(std::string_view text, const std::string& name) {
@@ -140,7 +157,7 @@ ConfigError Section::error_within(const std::string& key, std::size_t offset, co
 }
 
 std::optional<std::string> Section::optional_string(const std::string& key) {
-  impl_->asked.insert(key);
+  impl_->note(key, "text");
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return std::nullopt;
   if (!value.IsScalar()) {
@@ -150,6 +167,7 @@ std::optional<std::string> Section::optional_string(const std::string& key) {
 }
 
 std::string Section::require_string(const std::string& key) {
+  impl_->note_required(key, "text");
   auto value = optional_string(key);
   if (!value) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ": ...\"");
   if (value->empty()) throw error(key, "this must not be empty", "");
@@ -157,10 +175,12 @@ std::string Section::require_string(const std::string& key) {
 }
 
 std::string Section::string_or(const std::string& key, const std::string& fallback) {
+  impl_->note(key, "text", fallback);
   return optional_string(key).value_or(fallback);
 }
 
 std::int64_t Section::int_or(const std::string& key, std::int64_t fallback, std::int64_t min, std::int64_t max) {
+  impl_->note(key, "whole number", std::to_string(fallback), range_of(min, max));
   const auto text = optional_string(key);
   if (!text) return fallback;
   std::int64_t value = 0;
@@ -172,23 +192,24 @@ std::int64_t Section::int_or(const std::string& key, std::int64_t fallback, std:
 }
 
 std::int64_t Section::require_int(const std::string& key, std::int64_t min, std::int64_t max) {
+  impl_->note_required(key, "whole number", range_of(min, max));
   static_cast<void>(require_string(key));
   return int_or(key, 0, min, max);
 }
 
 double Section::double_or(const std::string& key, double fallback, double min, double max) {
+  impl_->note(key, "number", fmt::format("{}", fallback), range_of(min, max));
   const auto text = optional_string(key);
   if (!text) return fallback;
   double value = 0;
   if (!parse_whole(*text, value) || !(value >= min && value <= max)) {
-    std::ostringstream range;
-    range << "a number from " << min << " to " << max << " is expected";
-    throw error(key, "\"" + *text + "\" does not fit", range.str());
+    throw error(key, "\"" + *text + "\" does not fit", fmt::format("a number from {} to {} is expected", min, max));
   }
   return value;
 }
 
 bool Section::bool_or(const std::string& key, bool fallback) {
+  impl_->note(key, "true or false", fallback ? "true" : "false");
   const auto text = optional_string(key);
   if (!text) return fallback;
   if (*text == "true" || *text == "yes" || *text == "on") return true;
@@ -197,6 +218,7 @@ bool Section::bool_or(const std::string& key, bool fallback) {
 }
 
 std::chrono::microseconds Section::duration_or(const std::string& key, std::chrono::microseconds fallback) {
+  impl_->note(key, "duration", internal::duration_text(fallback));
   const auto text = optional_string(key);
   if (!text) return fallback;
   const auto value = parse_duration(*text);
@@ -208,6 +230,7 @@ std::chrono::microseconds Section::duration_or(const std::string& key, std::chro
 
 std::string Section::choice_or(const std::string& key, const std::string& fallback,
                                const std::vector<std::string>& choices) {
+  impl_->note(key, "choice", fallback, list_of(choices));
   const auto value = optional_string(key);
   if (!value) return fallback;
   if (std::find(choices.begin(), choices.end(), *value) == choices.end()) {
@@ -220,12 +243,13 @@ std::string Section::choice_or(const std::string& key, const std::string& fallba
 }
 
 std::string Section::require_choice(const std::string& key, const std::vector<std::string>& choices) {
+  impl_->note_required(key, "choice", list_of(choices));
   static_cast<void>(require_string(key));
   return choice_or(key, "", choices);
 }
 
 std::vector<std::string> Section::strings_or(const std::string& key, const std::vector<std::string>& fallback) {
-  impl_->asked.insert(key);
+  impl_->note(key, "list of texts", list_of(fallback));
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return fallback;
   if (value.IsScalar()) return {value.Scalar()};
@@ -243,6 +267,7 @@ std::vector<std::string> Section::strings_or(const std::string& key, const std::
 }
 
 std::vector<std::string> Section::require_strings(const std::string& key) {
+  impl_->note_required(key, "list of texts");
   auto strings = strings_or(key, {});
   if (!has(key)) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ": [...]\"");
   if (strings.empty()) throw error(key, "this must not be empty", "");
@@ -250,7 +275,7 @@ std::vector<std::string> Section::require_strings(const std::string& key) {
 }
 
 std::map<std::string, std::string> Section::string_map(const std::string& key) {
-  impl_->asked.insert(key);
+  impl_->note(key, "mapping of texts");
   const YAML::Node value = lookup(impl_->node, key);
   std::map<std::string, std::string> map;
   if (!value.IsDefined()) return map;
@@ -277,29 +302,25 @@ bool Section::is_mapping(const std::string& key) const {
 }
 
 std::vector<std::pair<std::string, Section>> Section::sections(const std::string& key) {
-  impl_->asked.insert(key);
+  impl_->note(key, "mapping of mappings");
   const YAML::Node value = lookup(impl_->node, key);
   std::vector<std::pair<std::string, Section>> result;
   if (!value.IsDefined()) return result;
   if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
   for (const auto& entry : value) {
     const std::string& name = entry.first.Scalar();
-    auto impl = std::make_shared<Impl>();
-    impl->file = impl_->file;
-    impl->source = impl_->source;
-    impl->path = join(join(impl_->path, key), name);
+    const std::string path = join(join(impl_->path, key), name);
     if (!entry.second.IsMap()) {
-      throw ConfigError(location(impl_->file, entry.first.Mark()), impl->path,
+      throw ConfigError(location(impl_->file, entry.first.Mark()), path,
                         std::string("a mapping is expected here, not ") + kind_of(entry.second), "");
     }
-    impl->node = entry.second;
-    result.emplace_back(name, Section(std::move(impl)));
+    result.emplace_back(name, Section(impl_->inner(entry.second, path, join(join(impl_->pattern, key), "<name>"))));
   }
   return result;
 }
 
 std::vector<Section> Section::section_list(const std::string& key) {
-  impl_->asked.insert(key);
+  impl_->note(key, "list of mappings");
   const YAML::Node value = lookup(impl_->node, key);
   std::vector<Section> result;
   if (!value.IsDefined()) return result;
@@ -308,12 +329,7 @@ std::vector<Section> Section::section_list(const std::string& key) {
       throw ConfigError(location(impl_->file, item.Mark()), path,
                         std::string("a mapping is expected here, not ") + kind_of(item), "");
     }
-    auto impl = std::make_shared<Impl>();
-    impl->file = impl_->file;
-    impl->source = impl_->source;
-    impl->path = path;
-    impl->node = item;
-    result.push_back(Section(std::move(impl)));
+    result.push_back(Section(impl_->inner(item, path, join(impl_->pattern, key) + "[]")));
   };
   const std::string path = join(impl_->path, key);
   if (value.IsSequence()) {
@@ -325,19 +341,15 @@ std::vector<Section> Section::section_list(const std::string& key) {
 }
 
 std::optional<Section> Section::optional_section(const std::string& key) {
-  impl_->asked.insert(key);
+  impl_->note(key, "mapping");
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return std::nullopt;
   if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
-  auto impl = std::make_shared<Impl>();
-  impl->file = impl_->file;
-  impl->source = impl_->source;
-  impl->path = join(impl_->path, key);
-  impl->node = value;
-  return Section(std::move(impl));
+  return Section(impl_->inner(value, join(impl_->path, key), join(impl_->pattern, key)));
 }
 
 Section Section::require_section(const std::string& key) {
+  impl_->note_required(key, "mapping");
   auto section = optional_section(key);
   if (!section) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ":\" and what belongs below it");
   return *section;
@@ -351,30 +363,6 @@ void Section::finish() const {
     const std::string guess = nearest(key, known);
     throw error(key, "unknown key", guess.empty() ? "known are " + list_of(known) : "did you mean \"" + guess + "\"?");
   }
-}
-
-std::string nearest(std::string_view word, const std::vector<std::string>& candidates) {
-  std::string best;
-  std::size_t best_distance = std::max<std::size_t>(1, word.size() / 3) + 1;
-  for (const auto& candidate : candidates) {
-    // Levenshtein, one row at a time.
-    std::vector<std::size_t> row(candidate.size() + 1);
-    for (std::size_t j = 0; j < row.size(); ++j) row[j] = j;
-    for (std::size_t i = 1; i <= word.size(); ++i) {
-      std::size_t diagonal = row[0];
-      row[0] = i;
-      for (std::size_t j = 1; j < row.size(); ++j) {
-        const std::size_t substituted = diagonal + (word[i - 1] == candidate[j - 1] ? 0 : 1);
-        diagonal = row[j];
-        row[j] = std::min({row[j] + 1, row[j - 1] + 1, substituted});
-      }
-    }
-    if (row.back() < best_distance) {
-      best_distance = row.back();
-      best = candidate;
-    }
-  }
-  return best;
 }
 
 }  // namespace iotcloud::config

@@ -4,6 +4,7 @@
 #include <cstdlib>
 #include <mutex>
 #include <thread>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 #include <pthread.h>
@@ -17,6 +18,7 @@
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/memory.h>
 #include <iotcloud/config/version.h>
+#include <iotcloud/config/yaml/asked_keys.h>
 
 namespace iotcloud::config {
 
@@ -103,9 +105,12 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
 
   CLI::App app{options.description, options.name};
   std::string file, level, format;
-  bool check_only = false;
+  bool check_only = false, list_keys = false;
   app.add_option("--config", file, "the configuration file (YAML)")->required();
   app.add_flag("--check-config", check_only, "read and check the configuration, say what is wrong, and end");
+  app.add_flag("--list-keys", list_keys,
+               "check the configuration, print each key that such a file may have (JSON), and end: those inside of "
+               "mappings that this file has");
   app.add_option("--log-level", level,
                  "debug, info, warn, error or off; without it what the file says (log: {level: ...}), or info");
   app.add_option("--log-format", format,
@@ -119,6 +124,8 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
 
   const Logger log{options.name};
   std::unique_ptr<Service> service;
+  std::vector<AskedKey> keys;
+  if (list_keys) record_asked_keys(&keys);
   try {
     LogSettings settings = load_log_settings(file);
     if (!level.empty()) settings.level = parse_log_level(level);
@@ -128,6 +135,10 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   } catch (const std::exception& e) {
     std::fprintf(stderr, "%s: %s\n", options.name.c_str(), e.what());
     return exit_usage;
+  }
+  if (list_keys) {
+    std::printf("%s\n", as_json(keys).c_str());
+    return exit_ok;
   }
   if (check_only) {
     std::printf("%s: the configuration is good\n", file.c_str());

@@ -59,7 +59,7 @@ ComponentDefinition read_spout(const std::string& id, Section section, const std
   if (spout.endpoint) {
     read_reading_options(section, spout.endpoint->reading);
     spout.endpoint->stream = section.string_or("stream", default_stream);
-    if (section.has("group")) spout.endpoint->group = require_name(section, "group");
+    if (section.optional_string("group")) spout.endpoint->group = require_name(section, "group");
   }
   if (section.optional_string("max_spout_pending")) {
     spout.max_spout_pending = static_cast<std::size_t>(section.int_or("max_spout_pending", 0, 0, 1'000'000));
