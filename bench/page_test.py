@@ -93,7 +93,7 @@ class PageTest(unittest.TestCase):
         text = self.written()
         for said in ("Some &lt;CPU&gt; &amp; co", "abc123 (figure-7); def456 (bench-runtime)", "3.10.8", "in 42 s",
                      "2026-11-22T13:00:00+00:00", "./dev bench paper --figure 7", "Figure 7: size &amp; latency",
-                     'href="paper/figure-7.json"', 'href="runtime.json"', "A quick run", "Full run"):
+                     'href="paper/figure-7.json"', 'href="runtime.json"', "A quick run", ", a quick run: command"):
             self.assertIn(said, text)
 
     def test_a_missed_target_is_marked_with_its_cause(self):
@@ -127,6 +127,12 @@ class PageTest(unittest.TestCase):
         self.assertIn('class="bad"', self.plot())
         self.assertRegex(text, r'<td class="cause missed" colspan="8">FAILED: 256 MB')
 
+    def test_a_figure_that_was_given_up_says_why(self):
+        self.figure(failed="the <server> did not start")
+        text = self.written()
+        self.assertIn("FAILED: the &lt;server&gt; did not start", text)
+        self.assertIn('<span class="missed">no targets, FAILED</span>', text)
+
     def test_points_without_the_statistic_are_counted_and_not_drawn(self):
         self.figure(plots=[curves(series("IoTCloud", "ours", point(100, 0.5), {"x": 1000, "p99_ms": 2.0},
                                          {"x": 2000, "mean_ms": None}, {"x": 3000, "mean_ms": float("nan")}))])
@@ -155,7 +161,7 @@ class PageTest(unittest.TestCase):
             *parts, series("in all", "ours", point(None, 0.8)),
             series("the paper", "paper", {"mean_ms": 33.26, "source": "section 5.4"})]}])
         text = self.written()
-        for said in ("p50 of each part", ">0.75<", "p99, in all", ">2.4<", "mean, the paper", ">33.3 \u2192<", "encode: 0.5 ms"):
+        for said in ("p50: its parts", ">0.75<", "p99, in all", ">2.4<", "mean, the paper", ">33.3 \u2192<", "encode: 0.5 ms"):
             self.assertIn(said, self.plot())
         self.assertIn("the paper: mean 33.3 ms (section 5.4)", text)
 

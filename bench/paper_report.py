@@ -11,6 +11,7 @@ from pathlib import Path
 import page
 import paper_drivers
 import paper_sizes
+import turtlebot
 import versions
 from brokers_report import Report
 from figures import ProgramFailed, commit, machine
@@ -25,6 +26,7 @@ from paper_systems import KINDS, StartError, Unavailable
 FIGURES = [
     *paper_sizes.FIGURES,
     *paper_drivers.FIGURES,
+    turtlebot.FIGURE,
 ]
 
 

@@ -7,6 +7,7 @@ from .style import PALETTE
 from .svg import WIDTH, legend, picture, text
 
 LEFT, RIGHT, TOP, BAR, ROW = 16, 70, 44, 18, 44
+NAMES = {"slowest_ms": "mean of the slowest hundredth"}
 TOO_FAR = 2.5  # times the longest other bar: the paper's is cut off and its length said
 
 
@@ -17,10 +18,10 @@ def draw(plot):
     others = [series for series in plot["series"] if series["kind"] != "part"]
     rows = []  # (title, kind, [(colour, name, value)])
     for statistic in plot["bars"]:
-        named = statistic.removesuffix("_ms")
+        named = NAMES.get(statistic, statistic.removesuffix("_ms"))
         pieces = [(index % len(PALETTE), part["name"], value(part, statistic)) for index, part in enumerate(parts)]
         if any(piece[2] is not None for piece in pieces):
-            rows.append((f"{named} of each part", "part", [piece for piece in pieces if piece[2] is not None]))
+            rows.append((f"{named}: its parts", "part", [piece for piece in pieces if piece[2] is not None]))
         for series in others:
             if value(series, statistic) is not None:
                 rows.append((f"{named}, {series['name']}", series["kind"], [(7, series["name"], value(series, statistic))]))

@@ -62,6 +62,7 @@ class Section:
         met = self.judged().values()
         said = f"{sum(met)} of {len(met)} targets met" if met else "no targets"
         failed = f", {self.failures()} points failed" if self.failures() else ""
+        failed += ", FAILED" if self.data.get("failed") else ""
         return f'<span class="{"met" if all(met) and not failed else "missed"}">{said}{failed}</span>'
 
     def taken(self):
@@ -76,16 +77,18 @@ class Section:
         machine, versions = self.data.get("machine") or {}, self.data.get("versions") or {}
         seconds = self.data.get("seconds")
         facts = [("taken", self.taken() + (f", in {number(seconds)} s" if seconds else "")),
-                 ("run", "quick" if self.is_quick() else "full"), ("command", self.data.get("command", "not said")),
+                 ("run", str(self.data.get("scale", "quick" if self.is_quick() else "full"))), ("command", self.data.get("command", "not said")),
                  ("commit", self.data.get("commit", "not said"))]
         facts += [(title, number(machine[key])) for key, title in MACHINE.items() if key in machine]
         facts += [(key, number(value)) for key, value in versions.items()]
         rows = [[tables.name_cell(key), tables.name_cell(value)] for key, value in facts]
-        return tables.folded(f"{'Quick run' if self.is_quick() else 'Full run'} of {self.taken()}: command, commit, machine, "
+        return tables.folded(f"Taken {self.taken()}{', a quick run' if self.is_quick() else ''}: command, commit, machine, "
                              "versions", tables.table(["", ""], rows))
 
     def _body(self):
         parts = []
+        if self.data.get("failed"):
+            parts.append(f'<p class="missed">FAILED: {escape(self.data["failed"])}</p>')
         if self.is_quick():
             parts.append('<p class="missed">A quick run: few rounds, so single figures may be off.</p>')
         if self.drawn:

@@ -34,7 +34,8 @@ void FrameLog::open_trace(const std::string& path) {
                              "\"; name a file in a folder that exists and may be written");
   }
   trace_ << "seq,time_ms,capture_s,device_s,robot_x,robot_y,robot_heading,person_x,person_y,distance,error,visible,"
-            "in_box,render_us,encode_us,raw_bytes,payload_bytes,published,answered,latency_us,linear,angular\n";
+            "in_box,render_us,encode_us,raw_bytes,payload_bytes,published,answered,latency_us,linear,angular,monotonic_"
+            "us\n";
 }
 
 void FrameLog::add(const FrameRecord& record) {
@@ -101,11 +102,12 @@ void FrameLog::write(const FrameRecord& record) {
   }
   append("%.1f,%zu,%zu,%s,", record.encode_us, raw_bytes, record.payload_bytes, text(record.published));
   if (record.answer) {
-    append("1,%" PRId64 ",%.6f,%.6f\n", static_cast<std::int64_t>(record.latency.count()), record.answer->linear,
+    append("1,%" PRId64 ",%.6f,%.6f", static_cast<std::int64_t>(record.latency.count()), record.answer->linear,
            record.answer->angular);
   } else {
-    append("%s", "0,,,\n");
+    append("%s", "0,,,");
   }
+  append(",%.1f\n", std::chrono::duration<double, std::micro>(record.captured.time_since_epoch()).count());
   trace_.write(line, length);
 }
 

@@ -1,0 +1,172 @@
+#!/usr/bin/python3
+"""How figure 12 takes a frame's time apart and judges; no program runs."""
+import contextlib
+import io
+import struct
+import tempfile
+import unittest
+from pathlib import Path
+
+from brokers_report import Report
+from paper_points import Pair
+from turtlebot import FIGURE, figure, parts, tap
+
+MS = 1_000_000
+PERIOD = 50 * MS
+HEAD = "seq,time_ms,render_us,encode_us,payload_bytes,answered,latency_us,monotonic_us\n"
+
+
+def row(sequence, captured_ms, latency_us="2000", answered="1"):
+    return f"{sequence},{1000 + sequence},500.0,400.0,60000,{answered},{latency_us},{captured_ms * 1000:.1f}\n"
+
+
+def packet(at_ms, to_broker, peer, size, head=b""):
+    return tap.Packet(round(at_ms * MS), to_broker, peer, size, head)
+
+
+class PartsTest(unittest.TestCase):
+    def setUp(self):
+        temporary = tempfile.TemporaryDirectory()
+        self.addCleanup(temporary.cleanup)
+        self.folder = Path(temporary.name)
+
+    def frames(self, text):
+        (self.folder / "trace.csv").write_text(HEAD + text)
+        return parts.read_trace(self.folder / "trace.csv")
+
+    def stamps(self, component, born, begin, end):
+        (self.folder / f"{component}-3.csv").write_text(
+            f"time_ms,born_ns,begin_ns,end_ns\n1000,{round(born * MS)},{round(begin * MS)},{round(end * MS)}\n")
+        return parts.read_stamps(self.folder, component)
+
+    # A frame captured at 100 ms, encoded at 100.4, with its command at 102.
+    PACKETS = [packet(100.45, True, 7, 60200), packet(100.5, False, 7, 21), packet(100.9, False, 9, 21),
+               packet(101.0, False, 9, 60250), packet(101.55, True, 9, 300, b'..{"linear":..'),
+               packet(101.8, False, 8, 320, b'..{"linear":..')]
+
+    def one(self, packets):
+        frame, = self.frames(row(0, 100))
+        decode, follow = self.stamps("decode", 101.1, 101.2, 101.4), self.stamps("follow", 101.1, 101.41, 101.5)
+        return parts.parts_of(frame, decode, follow, packets and parts.Wire(packets)), frame
+
+    def test_the_parts_add_up_to_the_whole(self):
+        (shares, closer), frame = self.one(self.PACKETS)
+        expected = {parts.LATE: 0, parts.ENCODE: 0.4, parts.TO_BROKER: 0.05, parts.TO_SPOUT: 0.65, parts.TO_BOLT: 0.1,
+                    parts.COMPUTE: 0.3, parts.BACK: 0.5}
+        self.assertEqual(list(shares), list(parts.PARTS))
+        for name, value in expected.items():
+            self.assertAlmostEqual(shares[name], value, msg=name)
+        self.assertAlmostEqual(sum(shares.values()), frame.whole_ms)
+        self.assertAlmostEqual(closer[parts.IN_BROKER], 0.55)
+        self.assertAlmostEqual(closer[parts.TO_WORKER], 0.1)
+        self.assertAlmostEqual(closer[parts.BACK_WORKER], 0.05)
+        self.assertAlmostEqual(closer[parts.BACK_BROKER], 0.25)
+        self.assertAlmostEqual(closer[parts.BACK_HOST], 0.2)
+
+    def test_a_frame_may_pass_in_several_packets(self):
+        two = [packet(100.42, True, 7, 59000), packet(100.45, True, 7, 1200), *self.PACKETS[1:]]
+        self.assertAlmostEqual(self.one(two)[0][0][parts.TO_BROKER], 0.05)
+
+    def test_without_the_wire_the_broker_is_in_one_part(self):
+        (shares, closer), frame = self.one(None)
+        self.assertAlmostEqual(shares[parts.UNSEEN], 0.7)
+        self.assertAlmostEqual(sum(shares.values()), frame.whole_ms)
+        self.assertEqual(closer, {})
+
+    def test_a_frame_whose_way_is_not_known_has_no_parts(self):
+        self.assertIsNone(self.one(self.PACKETS[1:])[0])
+        self.assertIsNone(self.one(self.PACKETS[:3])[0])
+        frame, = self.frames(row(1, 100))
+        self.assertIsNone(parts.parts_of(frame, {}, {}, None))
+
+    def test_lateness_counts_from_the_grid_of_intended_times(self):
+        frames = self.frames(row(0, 101) + row(1, 150) + row(2, 207.5))
+        self.assertEqual(parts.note_lateness(frames, PERIOD), 3)
+        self.assertEqual([frame.late / MS for frame in frames], [1, 0, 7.5])
+        self.assertAlmostEqual(frames[2].whole_ms, 9.5)
+
+    def test_a_frame_that_was_left_out_is_missing_in_the_grid(self):
+        frames = self.frames(row(0, 100) + row(1, 210) + row(2, 250))
+        self.assertEqual(parts.note_lateness(frames, PERIOD), 4)
+        self.assertEqual([frame.late / MS for frame in frames], [0, 10, 0])
+        self.assertEqual(parts.note_lateness([], PERIOD), 0)
+
+    def test_the_slowest_hundredth_is_taken_apart(self):
+        frames = self.frames("".join(row(index, 100 + 50 * index, latency_us=str(2000 + index)) for index in range(200)))
+        known = [({parts.BACK: float(index)}, {}) for index in range(200)]
+        self.assertEqual(parts.slowest(frames, known), {parts.BACK: 198.5})
+        self.assertEqual(parts.slowest(frames[:2], known[:2]), {parts.BACK: 1})
+        self.assertEqual(parts.slowest([], []), {})
+
+    def test_half_a_line_is_not_read(self):
+        self.assertEqual(len(self.frames(row(0, 100) + "1,10")), 1)
+        self.assertEqual(parts.read_trace(self.folder / "none.csv"), [])
+
+    def test_statistics(self):
+        point = parts.statistics_of([3.0, 1.0, 2.0], lost=1)
+        self.assertEqual((point["mean_ms"], point["p50_ms"], point["p99_ms"], point["max_ms"], point["n"], point["lost"]),
+                         (2, 2, 3, 3, 3, 1))
+        self.assertAlmostEqual(point["stddev_ms"], (2 / 3) ** 0.5)
+        self.assertIn("failed", parts.statistics_of([], lost=5))
+
+
+class TapTest(unittest.TestCase):
+    @staticmethod
+    def frame(source, destination, payload):
+        network = struct.pack("!BBHIBBH8x", 0x45, 0, 40 + len(payload), 0, 64, 6, 0)
+        return bytes(12) + b"\x08\x00" + network + struct.pack("!HHIIBBHI", source, destination, 0, 0, 0x50, 0, 0, 0) + payload
+
+    def test_says_which_way_and_how_much(self):
+        self.assertEqual(tap.parse(self.frame(40000, 5672, b"abc"), 5672), (True, 40000, 3, b"abc"))
+        self.assertEqual(tap.parse(self.frame(5672, 40000, b"abc"), 5672), (False, 40000, 3, b"abc"))
+        self.assertIsNone(tap.parse(self.frame(5672, 40000, b""), 5672))
+
+
+class FigureTest(unittest.TestCase):
+    def setUp(self):
+        out = contextlib.redirect_stdout(io.StringIO())
+        self.out = out.__enter__()
+        self.addCleanup(out.__exit__, None, None, None)
+
+    def judged(self, whole_ms, known, lost=0):
+        frame = parts.Frame({"seq": "0", "time_ms": "1", "monotonic_us": "0", "render_us": "0", "encode_us": "0",
+                             "payload_bytes": "56000", "answered": "1", "latency_us": str(whole_ms * 1000)})
+        line = {**parts.statistics_of([whole_ms], lost), "others_cpu": 0.0}
+        pair, report = Pair("figure 12"), Report()
+        pair.ours, pair.theirs = [line], [line]
+        return FIGURE.judge(pair, [frame], [(frame, each) for each in known], report), report
+
+    KNOWN = ({name: 0.1 for name in parts.PARTS}, {parts.IN_BROKER: 0.05})
+
+    def test_targets_are_of_all_frames(self):
+        met = [[result["met"] for result in self.judged(whole, [self.KNOWN])[1].results if result["target"]]
+               for whole in (2, 3, 6)]
+        self.assertEqual(met, [[True, True], [False, True], [False, False]])
+
+    def test_a_lost_frame_fails_and_is_counted(self):
+        plots, report = self.judged(2, [self.KNOWN], lost=1)
+        self.assertTrue(report.failed)
+        whole = next(series for series in plots[0]["series"] if series["kind"] == "ours")
+        self.assertEqual(whole["points"][0]["lost"], 1)
+
+    def test_draws_each_part_and_what_is_beside(self):
+        plots, _ = self.judged(2, [self.KNOWN])
+        self.assertEqual([series["name"] for series in plots[0]["series"] if series["kind"] == "part"], list(parts.PARTS))
+        self.assertEqual([series["kind"] for series in plots[0]["series"]][-4:], ["ours", "limit", "paper", "paper"])
+        self.assertEqual([series["name"] for series in plots[1]["series"]], [parts.IN_BROKER])
+        self.assertEqual(plots[2]["series"][0]["points"], [{"x": 0, "ms": 2.0}])
+
+    def test_says_of_how_many_frames_not_all_is_known(self):
+        plots, _ = self.judged(2, [])
+        self.assertIn("of 1 of 1 frames a time stamp is missing", self.out.getvalue())
+        self.assertEqual([series["kind"] for series in plots[0]["series"]], ["ours", "limit", "paper", "paper"])
+
+    def test_the_topology_is_the_examples_with_time_stamps(self):
+        text = figure.topology_with_stamps("/lib.so", "/stamps")
+        self.assertIn('topology.library: "/lib.so"', text)
+        self.assertEqual(text.count('stamps: "/stamps"'), 2)
+        self.assertIn('zk.servers: ["{zookeeper}"]', text)
+
+
+if __name__ == "__main__":
+    unittest.main()
