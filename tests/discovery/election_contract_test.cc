@@ -139,11 +139,22 @@ TEST_P(ElectionContract, ALeaderOutOfContactForTooLongLosesAndLeadsAgainWhenItsN
 TEST_P(ElectionContract, AShortInterruptionLosesNoLeader) {
   const auto member = stand("it", std::chrono::seconds(60));
   ASSERT_TRUE(history_.wait_for_last("it elected"));
+  std::atomic<bool> doubted = false;
+  const GuardPtr listening = member->registry->on_session([&](SessionState state) {
+    if (state == SessionState::expired) doubted = true;
+  });
   place_->stop();
   place_->start();
   ASSERT_TRUE(eventually([&] { return member->registry->session() == SessionState::connected; }));
   member->registry->get("/");
-  EXPECT_THAT(history_.all(), testing::ElementsAre("it elected"));
+  if (!doubted) {
+    EXPECT_THAT(history_.all(), testing::ElementsAre("it elected"));
+    return;
+  }
+  // A ZooKeeper that is asked at its very beginning may never answer. The client's library then waits for two thirds of
+  // the session's time before it asks again, and a third is enough to doubt the session.
+  ASSERT_TRUE(history_.wait_for_count(3));
+  EXPECT_THAT(history_.all(), testing::ElementsAre("it elected", "it lost", "it elected"));
 }
 
 TEST_P(ElectionContract, AMemberWhoseNodeIsRemovedStandsAgain) {
