@@ -3,9 +3,10 @@
 
 usage: write.py BUILD_DIR [--check]      (./dev reference; --check: only say whether README.md is up to date)
 
-Each daemon reads its default file of the folder above with all that is commented out there taken in, and lists the keys that
-it asked for (--list-keys): names, kinds, defaults and limits come from the code that reads them. What a key means comes
-from the comment above it in that file, or from the tables of a README; a key of which neither says anything is an error.
+Each daemon reads its default file of the folder above with all that is commented out there taken in, and lists the keys
+that it asked for (--list-keys): names, kinds, defaults and limits come from the code that reads them. What a key means
+comes from the comment above it in that file, or from the tables of a README; a key of which neither says anything is an
+error.
 """
 
 import argparse
@@ -27,7 +28,8 @@ KEY_LINE = re.compile(r"^(\s*)([a-z_][\w.]*):(?: (.*))?$")
 # In a comment: prose may have a colon, too, but no value of one word, in quotes or in brackets behind it.
 OPTION = re.compile(r"^ *[a-z_][\w.]*:( *| \S+| [\[{\"].*)( +#.*)?$")
 # What a file of another machine names, and stands in for it here.
-STAND_INS = {"iotcloud-drivers": getpass.getuser() if os.geteuid() else "nobody", "my_components.so": "turtlebot_follower.so", "my.Work": "turtlebot.Decoder"}
+STAND_INS = {"iotcloud-drivers": getpass.getuser() if os.geteuid() else "nobody",
+             "my_components.so": "turtlebot_follower.so", "my.Work": "turtlebot.Decoder"}
 
 DAEMONS = (
     ("iotcloud-gateway", "gateway.yaml", None),
@@ -97,8 +99,8 @@ def furnished(text, folder, binaries):
 
 
 def comments(text):
-    """What is said of each dotted key of a file: what belongs to it alone, and what it shares with the keys above it. That
-    is the comment lines right above, for all keys of the same depth up to an empty line, and what stands behind it."""
+    """What is said of each dotted key of a file: what belongs to it alone (the comment lines right above it, and what
+    stands behind it), and what it shares with the keys before it (their comment, up to an empty line)."""
     said, above, fresh, stack = {}, [], False, []
     for line in text.splitlines():
         match = KEY_LINE.match(line)
@@ -191,8 +193,8 @@ def main():
         return
     written = TARGET.read_text()
     if written != text:
-        sys.stdout.writelines(difflib.unified_diff(written.splitlines(True), text.splitlines(True), "config/reference/README.md",
-                                                   "what the daemons ask for"))
+        sys.stdout.writelines(difflib.unified_diff(written.splitlines(True), text.splitlines(True),
+                                                   "config/reference/README.md", "what the daemons ask for"))
         sys.exit("config/reference/README.md is not what the daemons ask their files for: run ./dev reference")
 
 
