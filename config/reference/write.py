@@ -56,19 +56,13 @@ def taken_in(text):
     lines = []
     for line in text.splitlines():
         inner = re.match(r"^(\s*)# ?(.*)$", line)
-        if inner and (OPTION.match(inner[2]) or continues(lines, inner)):
+        if inner and OPTION.match(inner[2]):
             line = inner[1] + inner[2]
         lines.append(line)
     last = {match[2]: number for number, line in enumerate(lines) if (match := KEY_LINE.match(line)) and not match[1]}
     kept = [line for number, line in enumerate(lines)
             if not ((match := KEY_LINE.match(line)) and not match[1] and last[match[2]] != number)]
     return "\n".join(kept) + "\n"
-
-
-def continues(lines, inner):
-    """Whether a comment is deeper inside of a mapping that was commented out, too."""
-    return bool(lines and inner[2].startswith("  ") and KEY_LINE.match(lines[-1].split(" #")[0]) or
-                lines and inner[2].startswith("  ") and lines[-1].startswith("  #"))
 
 
 def furnished(text, folder, binaries):
@@ -107,7 +101,7 @@ def comments(text):
         if not line.strip():
             above = []
         elif line.lstrip().startswith("#"):
-            above = (above if fresh else []) + [line.strip()[1:].strip()]
+            above = (above if fresh else []) + [line.strip().lstrip("# ")]
             fresh = True
         elif match:
             indent, key = len(match[1]), match[2]
