@@ -25,6 +25,10 @@ class Programs:
 
     def run(self, name, *arguments):
         """The lines of JSON that a program prints. Raises ProgramFailed: its figures would mean nothing."""
+        return [json.loads(line) for line in self.output(name, *arguments).splitlines()]
+
+    def output(self, name, *arguments):
+        """What a program prints. Raises ProgramFailed."""
         command = [str(self.folder / f"bench_{self.prefix}_{name}"), *map(str, arguments)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
@@ -34,7 +38,7 @@ class Programs:
             raise ProgramFailed(
                 f"{shlex.join(command)} failed with status {done.returncode}:\n{done.stderr}{done.stdout}"
             )
-        return [json.loads(line) for line in done.stdout.splitlines()]
+        return done.stdout
 
 
 class Verdict:

@@ -11,6 +11,7 @@ from pathlib import Path
 import page
 import paper_drivers
 import paper_sizes
+import storm_report
 import turtlebot
 import versions
 from brokers_report import Report
@@ -27,6 +28,7 @@ FIGURES = [
     *paper_sizes.FIGURES,
     *paper_drivers.FIGURES,
     turtlebot.FIGURE,
+    storm_report.FIGURE,
 ]
 
 

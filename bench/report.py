@@ -8,6 +8,7 @@ usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench
        report.py fleet [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
        report.py paper [--quick | --full] [--figure NAME]... [--broker NAME]... [--points REGEX] [--rounds N]
                        [--build DIR] [--out FOLDER]
+       report.py storm [--quick | --full] [--points REGEX] [--rounds N] [--build DIR] [--out FOLDER]      as paper --figure storm
        report.py codec [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        report.py follower [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
@@ -34,6 +35,7 @@ from figures import ProgramFailed, commit, machine
 from fleet_report import run_fleet
 from paper_report import add_options as add_paper_options, run_paper
 from runtime_report import run_runtime, run_soak
+from storm_report import add_options as add_storm_options
 
 
 def main():
@@ -45,13 +47,14 @@ def main():
         return
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     commands = options.add_subparsers(dest="what", required=True)
-    names = ("runtime", "soak", "brokers", "discovery", "fleet", "codec", "follower", "paper")
-    runtime, soak, brokers, discovery, fleet, codec, follower, paper = map(commands.add_parser, names)
-    for command in (runtime, soak, brokers, discovery, fleet, codec, follower, paper):
+    names = ("runtime", "soak", "brokers", "discovery", "fleet", "codec", "follower", "paper", "storm")
+    runtime, soak, brokers, discovery, fleet, codec, follower, paper, storm = map(commands.add_parser, names)
+    for command in (runtime, soak, brokers, discovery, fleet, codec, follower, paper, storm):
         command.add_argument("--build", type=Path, default=root / "build/release")
-        if command is not paper:  # it writes a file for each figure
+        if command not in (paper, storm):  # it writes a file for each figure
             command.add_argument("--json", type=Path)
     add_paper_options(paper, root)
+    add_storm_options(storm, root)
     runtime.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
     soak.add_argument("--minutes", type=float, default=10)
     soak.add_argument("--seed", type=int, help="to disturb it in the same way again")
@@ -79,12 +82,13 @@ def main():
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
     benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery,
-                  "fleet": run_fleet, "codec": run_codec, "follower": run_follower, "paper": run_paper}
+                  "fleet": run_fleet, "codec": run_codec, "follower": run_follower, "paper": run_paper,
+                  "storm": run_paper}
     try:
         report, verdict = benchmarks[given.what](given)
     except ProgramFailed as failure:
         sys.exit(str(failure))
-    if given.what == "paper":
+    if given.what in ("paper", "storm"):
         print(f"{verdict}\n{time.monotonic() - began:.0f} s; the figures are in {given.out}")
         sys.exit(1 if report.failed else 0)
     facts["load_average_after"] = os.getloadavg()[0]

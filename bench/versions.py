@@ -59,11 +59,16 @@ def zookeeper():
     return {"ZooKeeper": said, "JVM": jvm()}
 
 
+def storm():
+    return {"Storm": of_jar(ROOT / "build/bench/storm/jars", "storm-server-*.jar"), "JVM": jvm()}
+
+
 def jvm():
     return said_by("java", "-version")
 
 
-SERVERS = {"rabbitmq": rabbitmq, "kafka": kafka, "activemq": activemq, "zookeeper": zookeeper}
+SERVERS = {"rabbitmq": rabbitmq, "kafka": kafka, "activemq": activemq, "zookeeper": zookeeper,
+           "storm": storm}
 
 
 def asked(build, *servers):

@@ -9,7 +9,7 @@ namespace iotcloud::bench {
 
 /// Both ends of the round trip in one process: the *device end* sends the load's messages and takes what comes back,
 /// the *cloud end* sends back what it receives, each with its own connections and threads, as two processes would have
-/// them.
+/// them. With `devices_only` there is no cloud end.
 class Client {
  public:
   virtual ~Client() = default;

@@ -17,9 +17,10 @@ constexpr std::uint64_t most_under_way = 50'000;
 
 struct Snapshot {
   Usage own = Usage::now();
-  double server, machine;
-  explicit Snapshot(const BrokerOptions& options) : server(0), machine(machine_cpu_seconds()) {
+  double server, processors, machine;
+  explicit Snapshot(const BrokerOptions& options) : server(0), processors(0), machine(machine_cpu_seconds()) {
     for (const pid_t process : options.server) server += cpu_seconds_of(process);
+    for (const pid_t process : options.processors) processors += cpu_seconds_of(process);
   }
 };
 
@@ -41,17 +42,18 @@ bool wait(const BrokerOptions& options, const Load& load, double seconds) {
 void print(const char* engine, const Load& load, const Snapshot& before, const Snapshot& after, bool sustained) {
   const double seconds = static_cast<double>(after.own.at_ns - before.own.at_ns) / second_ns;
   const double own = after.own.cpu_seconds - before.own.cpu_seconds;
-  const double server = after.server - before.server;
+  const double server = after.server - before.server, processors = after.processors - before.processors;
+  const double others = after.machine - before.machine - own - server - processors;
   const LatencyHistogram::Summary latency = load.latency();
   std::printf(
-      "{\"engine\":\"%s\",\"sustained\":%s,\"count\":%llu,\"per_second\":%.1f,\"mean_us\":%.2f,\"stddev_us\":%.2f,"
-      "\"p50_us\":%.1f,\"p99_us\":%.1f,"
-      "\"max_us\":%.1f,\"cpu_seconds\":%.4f,\"server_cpu_seconds\":%.4f,\"others_cpu\":%.3f,\"switches\":%lld,"
+      "{\"engine\":\"%s\",\"sustained\":%s,\"count\":%llu,\"lost\":%llu,\"per_second\":%.1f,\"mean_us\":%.2f,"
+      "\"stddev_us\":%.2f,\"p50_us\":%.1f,\"p99_us\":%.1f,\"max_us\":%.1f,\"cpu_seconds\":%.4f,"
+      "\"server_cpu_seconds\":%.4f,\"processor_cpu_seconds\":%.4f,\"others_cpu\":%.3f,\"switches\":%lld,"
       "\"seconds\":%.3f}\n",
       engine, sustained ? "true" : "false", static_cast<unsigned long long>(latency.count),
-      static_cast<double>(latency.count) / seconds, latency.mean_us, latency.stddev_us, latency.p50_us, latency.p99_us,
-      latency.max_us, own, server, std::max(0.0, (after.machine - before.machine - own - server) / seconds),
-      static_cast<long long>(after.own.switches - before.own.switches), seconds);
+      static_cast<unsigned long long>(load.sent() - load.came_back()), static_cast<double>(latency.count) / seconds,
+      latency.mean_us, latency.stddev_us, latency.p50_us, latency.p99_us, latency.max_us, own, server, processors,
+      std::max(0.0, others / seconds), static_cast<long long>(after.own.switches - before.own.switches), seconds);
 }
 
 int run(const char* engine, const BrokerOptions& options, const MakeClient& make) {

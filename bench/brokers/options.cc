@@ -12,7 +12,8 @@ namespace {
 
 constexpr const char* usage_text =
     "usage: %s --url URL --name PREFIX [--drivers N] [--shared] [--size BYTES] [--rate EACH_DRIVER | --under-way N | "
-    "--idle] [--no-confirms] [--no-acknowledgements] [--warm-up S] [--seconds S] [--server PID]...\n";
+    "--idle] [--no-confirms] [--no-acknowledgements] [--devices-only] [--warm-up S] [--seconds S] [--server PID]... "
+    "[--processor PID]...\n";
 
 }  // namespace
 
@@ -23,6 +24,7 @@ std::optional<BrokerOptions> parse_broker_options(int argc, char** argv) {
       {"--idle", [&] { options.idle = true; }},
       {"--no-confirms", [&] { options.confirms = false; }},
       {"--no-acknowledgements", [&] { options.acknowledgements = false; }},
+      {"--devices-only", [&] { options.devices_only = true; }},
   };
   const auto whole = [](const char* text) { return std::strtoul(text, nullptr, 10); };
   const std::map<std::string, std::function<void(const char*)>> values{
@@ -35,6 +37,7 @@ std::optional<BrokerOptions> parse_broker_options(int argc, char** argv) {
       {"--warm-up", [&](const char* text) { options.warm_up = std::strtod(text, nullptr); }},
       {"--seconds", [&](const char* text) { options.seconds = std::strtod(text, nullptr); }},
       {"--server", [&](const char* text) { options.server.push_back(static_cast<pid_t>(whole(text))); }},
+      {"--processor", [&](const char* text) { options.processors.push_back(static_cast<pid_t>(whole(text))); }},
   };
   bool understood = true;
   for (int i = 1; i < argc; ++i) {

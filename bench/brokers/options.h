@@ -21,8 +21,10 @@ struct BrokerOptions {
   bool idle = false;             ///< connect and send nothing
   bool confirms = true;          ///< only bare clients can do without
   bool acknowledgements = true;  ///< likewise
+  bool devices_only = false;     ///< the cloud end is somebody else's, from `processors` (RabbitMQ's bare client)
   double warm_up = 0.5, seconds = 2;
-  std::vector<pid_t> server;  ///< processes of the server, whose CPU time is told apart
+  std::vector<pid_t> server;      ///< processes of the server, whose CPU time is told apart
+  std::vector<pid_t> processors;  ///< those that send back what the devices send, likewise
 };
 
 /// \return nothing when the words make no sense; the usage was printed then.

@@ -1,6 +1,7 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -145,16 +146,17 @@ class End {
 class RabbitMqClient final : public Client {
  public:
   RabbitMqClient(const BrokerOptions& options, Load& load)
-      : options_(options), load_(load), device_(options), cloud_(options), body_(options.size, 'x') {
+      : options_(options), load_(load), device_(options), body_(options.size, 'x') {
+    if (!options.devices_only) cloud_.emplace(options);
     for (unsigned driver = 0; driver < options.drivers; ++driver) names_.push_back(std::to_string(driver));
   }
 
   void connect() override {
     for (unsigned index = 0; index < (options_.shared ? 1 : options_.drivers); ++index) {
       device_.read_from(queue(index, "control"));
-      cloud_.read_from(queue(index, "data"));
+      if (cloud_) cloud_->read_from(queue(index, "data"));
     }
-    echo_ = std::jthread([this](const std::stop_token& stop) { guard([&] { echo(stop); }); });
+    if (cloud_) echo_ = std::jthread([this](const std::stop_token& stop) { guard([&] { echo(stop); }); });
   }
 
   void begin() override {
@@ -186,9 +188,9 @@ class RabbitMqClient final : public Client {
 
   void echo(const std::stop_token& stop) {
     while (!stop.stop_requested()) {
-      cloud_.read(now_ns() + look_for_stop_ns, [&](const std::string& from, const amqp_message_t& message) {
+      cloud_->read(now_ns() + look_for_stop_ns, [&](const std::string& from, const amqp_message_t& message) {
         const std::string to = from.substr(0, from.size() - std::strlen("data")) + "control";
-        cloud_.publish(to, driver_of(message), message.body);
+        cloud_->publish(to, driver_of(message), message.body);
       });
     }
   }
@@ -219,7 +221,8 @@ class RabbitMqClient final : public Client {
   const BrokerOptions& options_;
   Load& load_;
   std::vector<std::string> names_;
-  End device_, cloud_;
+  End device_;
+  std::optional<End> cloud_;
   std::string body_;
   std::jthread echo_, device_thread_;
 };

@@ -56,15 +56,10 @@ double ticks_to_seconds(double ticks) {
 }  // namespace
 
 double cpu_seconds_of(pid_t process) {
-  const std::string text = read_text("/proc/" + std::to_string(process) + "/stat");
-  const std::size_t name_end = text.rfind(')');
-  if (name_end == std::string::npos) return 0;
-  unsigned long user = 0, system = 0;
-  if (std::sscanf(text.c_str() + name_end + 1, " %*c %*d %*d %*d %*d %*d %*u %*u %*u %*u %*u %lu %lu", &user,
-                  &system) != 2) {
-    return 0;
-  }
-  return ticks_to_seconds(static_cast<double>(user + system));
+  clockid_t clock{};
+  timespec used{};
+  if (clock_getcpuclockid(process, &clock) != 0 || clock_gettime(clock, &used) != 0) return 0;
+  return static_cast<double>(used.tv_sec) + static_cast<double>(used.tv_nsec) * 1e-9;
 }
 
 double waited_seconds_of(pid_t process) {

@@ -30,7 +30,7 @@ struct Usage {
   double switches_per_second_since(const Usage& before) const;
 };
 
-/// CPU seconds, user and system, that a process has used since it began; in steps of 10 ms. 0: it is gone.
+/// CPU seconds, user and system, that a process has used since it began. 0: it is gone.
 double cpu_seconds_of(pid_t process);
 /// Seconds for which threads of a process could have run and had no CPU, since they began; all that live are added up.
 /// 0: it is gone.

@@ -16,7 +16,7 @@ namespace {
 
 constexpr const char* usage_text =
     "usage: %s [--dag chain|words|fan|payload] [--tracked] [--rate RESULTS_A_SECOND] [--seconds S] [--warm-up S] "
-    "[--threads N]\n";
+    "[--threads N]\n       %s --print-sentences\n";
 
 std::optional<Options> parse(int argc, char** argv) {
   Options options;
@@ -82,9 +82,14 @@ std::uint64_t arrived(const Workload& work) {
 }  // namespace
 
 int measure(const char* engine_name, int argc, char** argv, const MakeEngine& make) {
+  if (argc == 2 && argv[1] == std::string_view("--print-sentences")) {
+    const Sentences sentences;
+    for (std::size_t n = 0; n < sentences.size(); ++n) std::puts(sentences[n].c_str());
+    return 0;
+  }
   const std::optional<Options> options = parse(argc, argv);
   if (!options) {
-    std::fprintf(stderr, usage_text, argv[0]);
+    std::fprintf(stderr, usage_text, argv[0], argv[0]);
     return 2;
   }
   Workload work(*options);

@@ -109,6 +109,7 @@ class Sentences {
  public:
   Sentences();
   const std::string& operator[](std::uint64_t n) const { return all_[n & (all_.size() - 1)]; }
+  std::size_t size() const { return all_.size(); }
 
  private:
   std::vector<std::string> all_;

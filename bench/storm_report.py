@@ -1,0 +1,270 @@
+"""The figures of `./dev bench storm`: ours beside Apache Storm, on the same broker and in memory."""
+
+import statistics
+import sys
+import tempfile
+from pathlib import Path
+
+from brokers_report import NOISE
+from figures import ProgramFailed
+from paper_points import asked_for, bytes_text
+
+sys.path.insert(0, str(Path(__file__).resolve().parent / "peers"))
+from storm import build  # noqa: E402
+from storm_turns import DEFAULTS, DRIVERS, OURS, SETTLE_S, STORM, TUNED, StartError, Turns  # noqa: E402
+
+POINTS = [(size, rate) for size in (100, 60_000) for rate in (20, 100)]
+NAMES = {"words": ("word count", "M words/s"), "chain": ("chain of 3", "M tuples/s")}
+TAIL_TARGET, CPU_TARGET = 1 / 3, 1 / 5  # of Storm's
+RATE_TARGETS = {("words", False): 10, ("words", True): 5}  # times Storm's
+START_S = 8  # of a JVM with Storm, until its topology works
+STATISTICS = {"mean_ms": "mean_us", "p50_ms": "p50_us", "p99_ms": "p99_us", "stddev_ms": "stddev_us"}
+
+
+def tracking(tracked):
+    return "tracked" if tracked else "untracked"
+
+
+def echo_title(size, rate, tracked):
+    return f"{bytes_text(size)}, {DRIVERS} x {rate}/s, {tracking(tracked)}"
+
+
+def memory_title(dag, tracked):
+    return f"{NAMES[dag][0]}, {tracking(tracked)}"
+
+
+class Scale:
+    """How much is measured: rounds, seconds, and which (topology, tracked, setting) phases. `asked_for(title)`: whether
+    a figure is."""
+
+    def __init__(self, scale, rounds=None, asked_for=lambda _title: True):
+        quick = scale == "quick"
+        self.rounds = rounds or {"quick": 2, "usual": 3, "full": 7}[scale]
+        self.warm_up_s = 6 if quick else 20
+        self.echo_s, self.memory_s = (2, 1.5) if quick else (5, 3)
+        if quick:
+            self.phases = [("echo", True, TUNED), ("words", False, TUNED), ("words", True, TUNED), ("chain", False, TUNED)]
+        else:
+            self.phases = [(topology, tracked, setting) for topology in ("echo", "words", "chain")
+                           for tracked in (True, False) for setting in (TUNED, DEFAULTS)]
+        self.asked_for = asked_for
+        self.phases = [phase for phase in self.phases if phase[0] == "echo" and self.points(*phase[1:])
+                       or phase[0] != "echo" and asked_for(f"{memory_title(*phase[:2])}, {phase[2]}")]
+
+    def points(self, tracked, setting):
+        """(size, rate) of the echo."""
+        return [point for point in POINTS if self.asked_for(f"{echo_title(*point, tracked)}, {setting}")]
+
+    def turn_s(self, topology):
+        return self.echo_s + SETTLE_S["echo"] if topology == "echo" else self.memory_s + SETTLE_S["memory"]
+
+    def warm_up_of(self, topology):
+        return START_S + self.warm_up_s
+
+    def seconds(self):
+        pairs = {phase: len(self.points(*phase[1:])) if phase[0] == "echo" else 1 for phase in self.phases}
+        return sum(self.warm_up_of(phase[0]) + self.rounds * 2 * count * self.turn_s(phase[0])
+                   for phase, count in pairs.items())
+
+
+class Rounds:
+    """Rounds in which ours and Storm take one turn each, every second one in reverse order; one with company is thrown
+    away and taken again."""
+
+    def __init__(self, title, wanted):
+        self.title, self.wanted, self.taken, self.thrown, self.problem = title, wanted, 0, 0, None
+        self.lines = {OURS: [], STORM: []}
+
+    def wants_more(self):
+        return not self.problem and len(self.lines[OURS]) < self.wanted and self.taken < 2 * self.wanted
+
+    def take(self, turn):
+        """`turn(side)` measures."""
+        order = (OURS, STORM) if self.taken % 2 == 0 else (STORM, OURS)
+        self.taken += 1
+        try:
+            lines = {side: turn(side) for side in order}
+        except ProgramFailed as failure:  # the other figures are still worth knowing
+            self.problem, self.lines = str(failure), {OURS: [], STORM: []}
+            return
+        if max(line["others_cpu"] for line in lines.values()) > NOISE:
+            self.thrown += 1
+            return
+        for side, line in lines.items():
+            self.lines[side].append(line)
+
+    def say_problem(self, report):
+        report.thrown_away += self.thrown
+        if self.problem:
+            report.failed = True
+            print(f"{self.title}: GIVEN UP: {self.problem}", flush=True)
+        elif not self.lines[OURS]:
+            print(f"{self.title}: no round was quiet", flush=True)
+
+    def of(self, side, figure):
+        return [figure(line) for line in self.lines[side]]
+
+
+def point_of(x, rounds, side):
+    """A point of a plot: of the rounds the medians, the largest, the sums."""
+    lines = rounds.lines[side]
+    if not lines:
+        return {"x": x, "failed": rounds.problem or "no round was quiet"}
+    point = {"x": x, **{name: statistics.median(line[key] for line in lines) / 1000 for name, key in STATISTICS.items()}}
+    return {**point, "max_ms": max(line["max_us"] for line in lines) / 1000, "n": sum(line["count"] for line in lines),
+            "lost": sum(line["lost"] for line in lines),
+            "processor_cpu_s": statistics.median(map(processor_cpu, lines)) / 1e6,
+            "broker_cpu_s": statistics.median(map(broker_cpu, lines)) / 1e6}
+
+
+def processor_cpu(line):
+    """Microseconds for a message, of the process that sends it back."""
+    return 1e6 * line["processor_cpu_seconds"] / line["count"]
+
+
+def broker_cpu(line):
+    return 1e6 * line["server_cpu_seconds"] / line["count"]
+
+
+class Measurement:
+    """All phases, judged into a report; what is plotted is kept beside."""
+
+    def __init__(self, turns, scale, report, progress):
+        self.turns, self.scale, self.report, self.progress = turns, scale, report, progress
+        self.curves, self.rates, self.table = {}, {}, []
+
+    def run(self):
+        for phase in self.scale.phases:
+            topology, tracked, setting = phase
+            self.progress.step(f"{topology}, {tracking(tracked)}, {setting}: warm-up", self.scale.warm_up_of(topology))
+            try:
+                (self.echo if topology == "echo" else self.memory)(*phase)
+            except (StartError, ProgramFailed) as failure:  # the other phases are still worth knowing
+                self.report.failed = True
+                print(f"{topology}, {tracking(tracked)}, {setting}: GIVEN UP: {failure}", flush=True)
+        if self.report.thrown_away:
+            print(f"{self.report.thrown_away} rounds were thrown away: other processes took more than {NOISE} of a CPU")
+        self.print_table()
+        return self.plots()
+
+    def take(self, rounds, topology, turn):
+        self.progress.step(f"{rounds.title}, round {rounds.taken + 1}", 2 * self.scale.turn_s(topology))
+        rounds.take(turn)
+
+    def echo(self, _topology, tracked, setting):
+        all_rounds = {point: Rounds(echo_title(*point, tracked), self.scale.rounds)
+                      for point in self.scale.points(tracked, setting)}
+        with self.turns.echo(tracked, setting, self.scale.warm_up_s):
+            while any(rounds.wants_more() for rounds in all_rounds.values()):
+                for (size, rate), rounds in all_rounds.items():
+                    if rounds.wants_more():
+                        self.take(rounds, "echo", lambda side: self.turns.echo_turn(side, size, rate, self.scale.echo_s))
+        for (size, rate), rounds in all_rounds.items():
+            self.judge_echo(rounds, setting)
+            for side in (OURS, STORM):
+                name = setting if side == STORM else "IoTCloud"
+                point = point_of(size, rounds, side)
+                curve = self.curves.setdefault((tracked, name, rate, side), [])
+                if size not in [each["x"] for each in curve]:  # ours runs beside each setting
+                    curve.append(point)
+                self.table.append((f"{rounds.title}: {'IoTCloud beside ' + setting if side == OURS else setting}", point))
+
+    def judge_echo(self, rounds, setting):
+        rounds.say_problem(self.report)
+
+        def compare(name, unit, figure, **target):
+            self.report.compare(f"{rounds.title}: {name}", unit, rounds.of(OURS, figure), setting,
+                                rounds.of(STORM, figure), **target)
+
+        compare("p50", "ms", lambda line: line["p50_us"] / 1000)
+        compare("p99", "ms", lambda line: line["p99_us"] / 1000, ratio_at_most=TAIL_TARGET)
+        compare("CPU", "us/msg", processor_cpu, ratio_at_most=CPU_TARGET)
+        compare("broker's CPU", "us/msg", broker_cpu)
+
+    def memory(self, dag, tracked, setting):
+        _, unit = NAMES[dag]
+        rounds = Rounds(memory_title(dag, tracked), self.scale.rounds)
+        with self.turns.memory(dag, tracked, setting, self.scale.warm_up_s):
+            while rounds.wants_more():
+                self.take(rounds, dag, lambda side: self.turns.memory_turn(side, dag, tracked, self.scale.memory_s))
+        rounds.say_problem(self.report)
+
+        def compare(figure, unit, of, **target):
+            self.report.compare(f"{rounds.title}: {figure}", unit, rounds.of(OURS, of), setting, rounds.of(STORM, of),
+                                **target)
+
+        target = RATE_TARGETS.get((dag, tracked))
+        compare("rate", unit, lambda line: line["per_second"] / 1e6, **({"ratio_at_least": target} if target else {}))
+        compare("CPUs then", "CPUs", lambda line: line["cpus"])
+        for side in (OURS, STORM):
+            key = (dag, setting if side == STORM else "IoTCloud", side)
+            values = rounds.of(side, lambda line: line["per_second"])
+            if values and int(tracked) not in [each["x"] for each in self.rates.setdefault(key, [])]:
+                self.rates[key].append({"x": int(tracked), "per_second": statistics.median(values), "n": len(values)})
+
+    def print_table(self):
+        """Every point with all that is known of it."""
+        if not self.table:
+            return
+        print(f"\n{'round trip, ms':<56} {'mean':>7} {'p50':>7} {'p99':>7} {'max':>7} {'stddev':>7} {'n':>6} {'lost':>5} "
+              f"{'CPU us/msg':>10}")
+        for name, point in self.table:
+            if "failed" in point:
+                print(f"{name:<56} {point['failed']}")
+                continue
+            values = " ".join(f"{point[key]:>7.3f}" for key in ("mean_ms", "p50_ms", "p99_ms", "max_ms", "stddev_ms"))
+            print(f"{name:<56} {values} {point['n']:>6} {point['lost']:>5} {1e6 * point['processor_cpu_s']:>10.0f}")
+        sys.stdout.flush()
+
+    def plots(self):
+        made = []
+        for statistic, word in (("p50_ms", "median"), ("p99_ms", "99th percentile")):
+            for tracked in sorted({key[0] for key in self.curves}, reverse=True):
+                series = [{"name": f"{name}, {rate}/s", "kind": "ours" if side == OURS else "peer", "points": points}
+                          for (kind, name, rate, side), points in self.curves.items() if kind == tracked]
+                made.append({"title": f"Round trip on RabbitMQ, {tracking(tracked)}: {word}", "x": "message size",
+                             "x_unit": "B", "x_log": True, "y": f"round trip, {word}", "y_unit": "ms", "y_log": True,
+                             "statistic": statistic, "series": series})
+        for dag in dict.fromkeys(key[0] for key in self.rates):
+            name, unit = NAMES[dag]
+            series = [{"name": who, "kind": "ours" if side == OURS else "peer", "points": points}
+                      for (of, who, side), points in self.rates.items() if of == dag]
+            made.append({"title": f"{name} in memory", "x": "0: untracked, 1: tracked", "y": "results a second",
+                         "y_unit": "/s", "y_log": True, "style": "dots", "statistic": "per_second", "series": series})
+        return made
+
+
+class StormFigure:
+    """A figure of `./dev bench paper`."""
+
+    name, title, broker, servers = "storm", "the same application beside Apache Storm", "rabbitmq", ("rabbitmq", "storm")
+
+    @staticmethod
+    def scale(given):
+        return Scale(given.scale, given.rounds, lambda title: asked_for(given, title))
+
+    def seconds(self, given):
+        return self.scale(given).seconds()
+
+    def take(self, given, report, progress):
+        scale = self.scale(given)
+        if not scale.phases:
+            return []
+        class_path = build()
+        with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder, \
+                Turns(given.build / "bin", folder, class_path) as turns:
+            return Measurement(turns, scale, report, progress).run()
+
+
+FIGURE = StormFigure()
+
+
+def add_options(command, root):
+    scale = command.add_mutually_exclusive_group()
+    scale.add_argument("--quick", action="store_true", help="tuned Storm only, fewer and shorter rounds")
+    scale.add_argument("--full", action="store_true", help="seven rounds")
+    command.add_argument("--rounds", type=int, help="default: 3, with --quick 2, with --full 7")
+    command.add_argument("--points", metavar="REGEX", help="those in whose name this is found, as in "
+                         "'60 KB, 4 x 100/s, tracked, Storm, tuned'; the file has no others then")
+    command.add_argument("--out", type=Path, default=root / "build/bench/paper", help="where the figure's file goes")
+    command.set_defaults(figure=[FIGURE.name], broker=None)
