@@ -42,13 +42,13 @@ function(iotcloud_room)
   endif()
 endfunction()
 
-# A program, installed to bin/.
+# A program, installed to bin/. What is installed is a component of its own name, so that an image takes single ones.
 function(iotcloud_program)
   cmake_parse_arguments(arg "" "NAME" "SOURCES;USES;LIBRARIES" ${ARGN})
   add_executable(${arg_NAME} ${arg_SOURCES})
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
   set_target_properties(${arg_NAME} PROPERTIES ENABLE_EXPORTS OFF)
-  install(TARGETS ${arg_NAME} RUNTIME DESTINATION bin)
+  install(TARGETS ${arg_NAME} RUNTIME DESTINATION bin COMPONENT ${arg_NAME})
 endfunction()
 
 # A plugin (a driver, or components of a topology): a module without "lib" in its name, in build/<preset>/plugins.
@@ -57,7 +57,7 @@ function(iotcloud_plugin)
   add_library(${arg_NAME} MODULE ${arg_SOURCES})
   set_target_properties(${arg_NAME} PROPERTIES PREFIX "")
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
-  install(TARGETS ${arg_NAME} LIBRARY DESTINATION lib/iotcloud/plugins)
+  install(TARGETS ${arg_NAME} LIBRARY DESTINATION lib/iotcloud/plugins COMPONENT ${arg_NAME})
 endfunction()
 
 # A GoogleTest program; each of its tests is a test of ctest.
@@ -102,12 +102,13 @@ function(iotcloud_fuzzer)
   add_dependencies(fuzzers ${arg_NAME})
 endfunction()
 
-# A program that measures; the target `benchmarks` builds them all. Not installed. SMOKE: arguments of a short run, which becomes a test.
+# A program that measures; the target `benchmarks` builds them all. Installed only by its component's name. SMOKE: arguments of a short run, which becomes a test.
 function(iotcloud_benchmark)
   cmake_parse_arguments(arg "" "NAME" "SOURCES;USES;LIBRARIES;SMOKE" ${ARGN})
   add_executable(${arg_NAME} ${arg_SOURCES})
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
   add_dependencies(benchmarks ${arg_NAME})
+  install(TARGETS ${arg_NAME} RUNTIME DESTINATION lib/iotcloud/bench COMPONENT ${arg_NAME} EXCLUDE_FROM_ALL)
   if(arg_SMOKE)
     add_test(NAME ${arg_NAME}_runs COMMAND ${arg_NAME} ${arg_SMOKE})
     set_tests_properties(${arg_NAME}_runs PROPERTIES TIMEOUT 60)

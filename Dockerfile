@@ -1,0 +1,58 @@
+# The cluster's images, from source on Debian 12. `./dev cluster up` builds them; it needs BuildKit (DOCKER_BUILDKIT=1),
+# which skips the stages that an image does not need.
+#
+#   runtime  daemons, driver host, CLI, plugins; the user `iotcloud`; no compiler, no headers, no shell tools but Debian's
+#   bench    the same with Python and the clients that `./dev cluster bench` runs
+
+ARG BASE=debian:bookworm-slim
+# Where the binaries come from: the stage below, or another image with the same folder /out.
+ARG BINARIES=build
+
+FROM ${BASE} AS build
+RUN apt-get update && apt-get install -y --no-install-recommends \
+      g++ lld cmake ninja-build pkg-config \
+      librabbitmq-dev librdkafka-dev libqpid-proton-cpp12-dev libzookeeper-mt-dev libthrift-dev thrift-compiler \
+      libyaml-cpp-dev libsnappy-dev libboost-dev librocksdb-dev libspdlog-dev libfmt-dev libcli11-dev prometheus-cpp-dev \
+      nlohmann-json3-dev libssl-dev zlib1g-dev libfreenect-dev libpng-dev libsystemd-dev libseccomp-dev
+WORKDIR /source
+COPY . .
+# How many compilers at once: each takes up to 1 GB. Empty: one for each core.
+ARG JOBS
+ARG PROGRAMS="iotcloud iotcloud-master iotcloud-gateway iotcloud-driver-host iotcloud-topology loadgen turtle turtlebot_follower"
+ARG CLIENTS="bench_brokers_iotcloud bench_brokers_rabbitmq bench_brokers_kafka"
+RUN cmake --preset release -DBUILD_TESTING=OFF -DIOTCLOUD_BENCHMARKS=ON -DIOTCLOUD_PRECOMPILE= \
+ && ninja -C build/release ${JOBS:+-j ${JOBS}} ${PROGRAMS} ${CLIENTS} \
+ && for part in ${PROGRAMS} ${CLIENTS}; do \
+      cmake --install build/release --strip --prefix /out --component ${part} || exit 1; \
+    done
+
+FROM ${BINARIES} AS binaries
+
+FROM ${BASE} AS runtime
+RUN apt-get update && apt-get install -y --no-install-recommends \
+      libfmt9 libfreenect0.5 libprometheus-cpp-core1.0 libqpid-proton11 librabbitmq4 librdkafka1 libsasl2-modules \
+      libseccomp2 libsnappy1v5 libspdlog1.10 libssl3 libstdc++6 libsystemd0 libthrift-0.17.0 libyaml-cpp0.7 \
+      libzookeeper-mt2 zlib1g \
+ && rm -rf /var/lib/apt/lists/* /var/cache/apt/*
+# `./dev cluster up` gives the id of who calls it, so that secrets are files which only that user can read.
+ARG UID=10001
+RUN groupadd --gid ${UID} iotcloud \
+ && useradd --uid ${UID} --gid ${UID} --home-dir /var/lib/iotcloud --no-create-home --shell /usr/sbin/nologin iotcloud \
+ && install -d -o iotcloud -g iotcloud -m 0750 /var/lib/iotcloud /var/lib/iotcloud-reports
+COPY --from=binaries /out/bin /usr/bin
+COPY --from=binaries /out/lib/iotcloud/plugins /usr/lib/iotcloud/plugins
+COPY config/cluster/healthz /usr/bin/iotcloud-healthz
+# What is linked is there.
+RUN ! ldd /usr/bin/iotcloud* /usr/lib/iotcloud/plugins/* | grep 'not found'
+USER iotcloud
+WORKDIR /var/lib/iotcloud
+
+FROM runtime AS bench
+USER root
+RUN apt-get update && apt-get install -y --no-install-recommends python3 \
+ && rm -rf /var/lib/apt/lists/* /var/cache/apt/*
+COPY --from=binaries /out/lib/iotcloud/bench /usr/lib/iotcloud/bench
+COPY bench/figures.py bench/cluster_bench.py /usr/lib/iotcloud/bench/
+RUN ! ldd /usr/lib/iotcloud/bench/bench_* | grep 'not found'
+USER iotcloud
+ENTRYPOINT ["/usr/bin/python3", "/usr/lib/iotcloud/bench/cluster_bench.py"]

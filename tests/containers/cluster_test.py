@@ -1,0 +1,261 @@
+#!/usr/bin/python3
+"""The cluster in containers, for real: on a Docker daemon of its own, with ./dev cluster up, bench and down. A master, a
+gateway, a worker and the broker are killed one by one; each heals by itself, and no message is lost.
+
+usage: cluster_test.py BUILD_DIR [--small]        (./dev cluster test builds what this needs; as root)
+"""
+
+import argparse
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(HERE), str(HERE.parent / "servers")]
+
+import images  # noqa: E402
+from private_docker import Failed, PrivateDocker, end_on_signals, install_programs  # noqa: E402
+from private_cluster import require, wait_for  # noqa: E402
+
+PROJECT = "iotcloud-test"
+GATEWAYS = ["gateway-1", "gateway-2"]
+BOOKS = "/var/lib/iotcloud/books"
+NEWER = 50  # messages that must have come back since something healed
+HEAL_LIMIT_S = 120
+
+
+class Cluster:
+    """What the test does from outside, as a person would: ./dev cluster, and docker to look."""
+
+    def __init__(self, docker, told, work):
+        self.docker, self.work = docker, work
+        docker.environment.update(told, COMPOSE_PROJECT_NAME=PROJECT)
+
+    def dev(self, *words, quiet=False):
+        """Runs ./dev cluster WORDS and returns what it printed."""
+        done = self.docker.inside(ROOT / "dev", "cluster", *words, capture_output=True, text=True)
+        if not quiet:
+            print(done.stdout, end="", flush=True)
+        if done.returncode:
+            raise Failed(f"./dev cluster {shlex.join(words)}: status {done.returncode}\n{done.stdout}{done.stderr}")
+        return done.stdout
+
+    def cli(self, *words):
+        return self.dev("cli", *words, quiet=True)
+
+    def json(self, *words):
+        return json.loads(self.cli(*words, "-o", "json"))
+
+    def inspect(self, service):
+        return json.loads(self.docker.docker("inspect", self.container(service)))[0]
+
+    def container(self, service):
+        found = self.docker.docker("ps", "-aq", "--filter", f"label=com.docker.compose.project={PROJECT}",
+                                   "--filter", f"label=com.docker.compose.service={service}",
+                                   "--filter", "label=com.docker.compose.oneoff=False").split()
+        require(len(found) == 1, f"{service} has {len(found)} containers")
+        return found[0]
+
+    def healthy(self, service):
+        return self.inspect(service)["State"].get("Health", {}).get("Status") == "healthy"
+
+    def kill(self, service):
+        """Its first process, so that all others of the container die too. (`docker kill` would be an order to stay dead.)"""
+        state = self.inspect(service)
+        os.kill(state["State"]["Pid"], signal.SIGKILL)
+        return state["RestartCount"]
+
+    def book(self, gateway, name):
+        """The numbers in one of the ledger's books."""
+        text = self.docker.docker("exec", self.container(gateway), "cat", f"{BOOKS}/{name}")
+        return [int(line) for line in text.split()]
+
+
+def settled(cluster, gateway, upto):
+    """Whether all that was sent before came back, and something newer too."""
+    try:
+        received = set(cluster.book(gateway, "received"))
+    except Failed:  # the container is not there at this moment
+        return False
+    return received.issuperset(range(1, upto + 1)) and max(received) >= upto + NEWER
+
+
+def check_round_trip(cluster):
+    """A load generator's messages come back, all of them; the commands are those that `up` printed."""
+    cluster.cli("deploy", "loadgen.so", "--gateway", "gateway-1", "--property", "rate=100", "--property", "count=500",
+                "--property", "report=/var/lib/iotcloud-reports/first.json")
+
+    def report():
+        try:
+            text = cluster.docker.docker("exec", cluster.container("gateway-1"), "cat", "/var/lib/iotcloud-reports/first.json")
+        except Failed:
+            return None
+        return json.loads(text) if text.endswith("}") else None
+
+    wait_for("500 messages are back", report)
+    result = report()
+    require(result["sent"] == 500 and not result["lost"] and not result["damaged"], result)
+    print(f"500 messages made the round trip: p50 {result['latency_us']['p50'] / 1000:.2f} ms, "
+          f"p99 {result['latency_us']['p99'] / 1000:.2f} ms", flush=True)
+    cluster.cli("undeploy", "--driver", "loadgen")
+
+
+def check_confined(cluster):
+    """No process of ours is root's, and none can become it; passwords stand in no configuration of a container."""
+    secrets = ROOT / "build/cluster/secrets"
+    require(secrets.stat().st_mode & 0o777 == 0o700, "the folder of the secrets is open to others")
+    hidden = [(secrets / name).read_text().strip() for name in ("rabbitmq.password", "registry.password", "admin.token")]
+    for file in secrets.iterdir():
+        require(file.suffix == ".pem" or file.stat().st_mode & 0o077 == 0, f"{file} is open to others")
+    for service in ["master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"]:
+        top = cluster.docker.docker("top", cluster.container(service), "-eo", "pid,uid,args").splitlines()[1:]
+        require(top and all(line.split()[1] == "10001" for line in top), f"{service} runs as {top}")
+    for service in ["rabbitmq", "zookeeper", *GATEWAYS]:
+        text = json.dumps(cluster.inspect(service))
+        require(not any(word in text for word in hidden), f"a password stands in the configuration of {service}")
+    print("no process of the cluster's own is root's; no password stands in a container's configuration", flush=True)
+
+
+def deploy_ledgers(cluster, build):
+    plugin = Path(build / "ledger_driver.so").relative_to(ROOT)
+    cluster.cli("deploy", "--plugin", f"./{plugin}", "--all", "--name", "ledger", "--property", f"folder={BOOKS}")
+    for gateway in GATEWAYS:
+        wait_for(f"{gateway}'s ledger gets answers", lambda gateway=gateway: settled(cluster, gateway, 0))
+
+
+def leader(cluster):
+    """The service that leads; nothing while none does."""
+    said = cluster.json("status")["master"]
+    return (said["address"] if said["leading"] else said["leader"]).split(":")[0]
+
+
+def kill_and_heal(cluster, service):
+    """Kills a container; it is there again, healthy, and both drivers have all back that they had sent until then."""
+    sent = {gateway: max(cluster.book(gateway, "sent")) for gateway in GATEWAYS}
+    restarts, begin = cluster.kill(service), time.monotonic()
+    wait_for(f"{service} is started again", lambda: cluster.inspect(service)["RestartCount"] > restarts, HEAL_LIMIT_S)
+    wait_for(f"{service} is healthy", lambda: cluster.healthy(service), HEAL_LIMIT_S)
+    healthy = time.monotonic() - begin
+    for gateway in GATEWAYS:
+        wait_for(f"{gateway}'s ledger has everything back after {service} was killed",
+                 lambda gateway=gateway: settled(cluster, gateway, sent[gateway]), HEAL_LIMIT_S)
+    print(f"killed {service}: healthy again after {healthy:.1f} s, all drivers' messages flow and none is missing after "
+          f"{time.monotonic() - begin:.1f} s", flush=True)
+
+
+def check_faults(cluster):
+    first = leader(cluster)
+    kill_and_heal(cluster, first)
+    wait_for("the masters have a leader that takes orders", lambda: leader(cluster))
+    cluster.cli("metadata", "--name", "ledger", "checked=yes")
+    print(f"the masters' leader was {first} and is {leader(cluster)}; it takes orders", flush=True)
+    kill_and_heal(cluster, "topology-1")
+    kill_and_heal(cluster, "gateway-1")
+    kill_and_heal(cluster, "rabbitmq")
+
+
+def check_books(cluster):
+    """Nothing was lost in the whole time: what was sent is back."""
+    cluster.cli("stop", "--name", "ledger")
+    for gateway in GATEWAYS:
+        sent = cluster.book(gateway, "sent")
+        require(sent == sorted(sent) and set(sent) == set(range(1, max(sent) + 1)), f"{gateway}'s ledger skipped numbers")
+        wait_for(f"all of {gateway}'s {len(sent)} messages are back",
+                 lambda gateway=gateway, sent=sent: set(cluster.book(gateway, "received")).issuperset(sent))
+        received = cluster.book(gateway, "received")
+        print(f"{gateway}: {max(sent)} messages sent, {max(sent) - len(set(received) & set(sent))} lost, "
+              f"{len(received) - len(set(received))} came twice", flush=True)
+    cluster.cli("undeploy", "--name", "ledger")
+
+
+def check_bench(cluster, kafka):
+    cluster.dev("bench", "--quick")
+    in_volume = cluster.docker.docker("run", "--rm", "-v", f"{PROJECT}_reports:/reports:ro", images.BASE, "cat",
+                                      "/reports/cluster.json")
+    results = json.loads(in_volume)["results"]
+    for broker in ["RabbitMQ", *(["Kafka"] if kafka else [])]:
+        require(any(result["name"].startswith(broker) for result in results), f"the report has no figures of {broker}")
+    require(all(result["value"] > 0 and result["ratio"] > 0 for result in results), results)
+    require((ROOT / "build/cluster/cluster.json").read_text() == in_volume + "\n", "the copied report is another one")
+
+
+def everything(docker):
+    """Names of all containers, volumes and networks."""
+    return {kind: set(docker.docker(*command, "--format", "{{.Names}}" if kind == "container" else "{{.Name}}").split())
+            for kind, command in {"container": ["ps", "-a"], "volume": ["volume", "ls"], "network": ["network", "ls"]}.items()}
+
+
+def check_up(cluster, kafka):
+    printed = cluster.dev("up", *([] if kafka else ["--small"]))
+    command = next(line.strip() for line in printed.splitlines() if line.startswith("  ./dev cluster cli"))
+    require("2 ready" in cluster.cli(*command.split()[3:]), f"`{command}` says: {cluster.cli(*command.split()[3:])}")
+    print(f"the printed command works: {command}", flush=True)
+    cluster.dev("status")
+    ports = [bound for service in ("rabbitmq", "master-1", "master-2")
+             for hosts in cluster.inspect(service)["NetworkSettings"]["Ports"].values() for bound in hosts or []]
+    require(ports and all(bound["HostIp"] == "127.0.0.1" for bound in ports), f"published beyond loopback: {ports}")
+
+
+def main():
+    options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    options.add_argument("build", type=Path)
+    options.add_argument("--small", action="store_true", help="without Kafka")
+    given = options.parse_args()
+    if os.geteuid() != 0:
+        sys.exit("this test starts a Docker daemon in a network namespace: run it as root")
+    end_on_signals()
+    install_programs()
+    work = ROOT / "build/containers"
+    work.mkdir(parents=True, exist_ok=True)
+    build, kafka = given.build.resolve(), not given.small
+    begin = time.monotonic()
+    require(not (ROOT / "build/cluster/secrets").exists(), "a cluster is up from this folder: ./dev cluster down first")
+    with PrivateDocker(work / "dockerd.log") as docker:
+        print(f"a Docker daemon of its own, after {time.monotonic() - begin:.0f} s", flush=True)
+        cluster = Cluster(docker, images.load(docker, build, work, kafka), work)
+        print(f"all images it needs, after {time.monotonic() - begin:.0f} s", flush=True)
+        docker.docker("volume", "create", "foreign")
+        docker.docker("create", "--name", "foreign", images.BASE, "true")
+        before = everything(docker)
+        try:
+            check_up(cluster, kafka)
+            print("images: " + ", ".join(f"{tag} {size:.0f} MB" for tag, size in images.sizes(docker).items()), flush=True)
+            check_confined(cluster)
+            check_round_trip(cluster)
+            deploy_ledgers(cluster, build)
+            check_faults(cluster)
+            check_books(cluster)
+            check_bench(cluster, kafka)
+        except BaseException:
+            keep_logs(docker, work)
+            raise
+        finally:
+            cluster.dev("down")
+        require(everything(docker) == before, f"left after down: {everything(docker)}; before up: {before}")
+        require(not (ROOT / "build/cluster/secrets").exists(), "secrets are left after down")
+        print("`./dev cluster down` left nothing, and took nothing else", flush=True)
+    print(f"took {(time.monotonic() - begin) / 60:.1f} min")
+
+
+def keep_logs(docker, work):
+    """What the containers of a failed test said."""
+    logs = work / "logs"
+    shutil.rmtree(logs, ignore_errors=True)
+    logs.mkdir()
+    for name in docker.docker("ps", "-a", "--format", "{{.Names}}").split():
+        (logs / f"{re.sub('[^a-z0-9-]', '_', name)}.log").write_text(docker.docker("logs", name), encoding="utf-8")
+    print(f"logs of all containers are in {logs}", flush=True)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except Failed as problem:
+        sys.exit(str(problem))

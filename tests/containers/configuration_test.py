@@ -1,0 +1,73 @@
+#!/usr/bin/python3
+"""Every configuration of config/cluster passes its daemon's own check, with secrets as `./dev cluster up` makes them.
+
+usage: configuration_test.py BIN_DIR
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIGURATIONS = ROOT / "config/cluster"
+DAEMONS = {"master": "iotcloud-master", "gateway": "iotcloud-gateway", "topology": "iotcloud-topology"}
+
+
+def run(*command):
+    return subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60)
+
+
+def make_secrets(iotcloud, folder, services):
+    """What a container finds in /run/secrets. Certificates are named there as the service's own."""
+    hosts = [name for name in services if (CONFIGURATIONS / f"{name}.yaml").exists() and name != "topology"]
+    run(iotcloud, "certs", "init", folder, "--host", ",".join(hosts)).check_returncode()
+    for end in ("pem", "key"):
+        shutil.copy(folder / f"{hosts[0]}.{end}", folder / f"host.{end}")
+    token = run(iotcloud, "token", "add", "master", "--role", "admin", "--file", folder / "tokens")
+    token.check_returncode()
+    for name, text in {"master.token": token.stdout, "registry.password": "a\n", "rabbitmq.password": "b\n"}.items():
+        (folder / name).write_text(text, encoding="utf-8")
+        (folder / name).chmod(0o600)
+
+
+def main():
+    programs = Path(sys.argv[1]).resolve()
+    services = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))["services"]
+    used = {Path(service["command"][2]).name: service["command"][0] for service in services.values()
+            if service.get("command", [""])[0] in DAEMONS.values()}
+    files = {file.name for file in CONFIGURATIONS.glob("*.yaml")}
+    if set(used) != files:
+        sys.exit(f"config/cluster has {sorted(files)}, docker-compose.yml uses {sorted(used)}")
+    with tempfile.TemporaryDirectory() as work:
+        secrets = Path(work) / "secrets"
+        secrets.mkdir(mode=0o700)
+        make_secrets(programs / "iotcloud", secrets, services)
+        for name, daemon in sorted(used.items()):
+            original = text = (CONFIGURATIONS / name).read_text(encoding="utf-8")
+            file = Path(work) / name
+            here = {"/run/secrets": str(secrets), "/usr/lib/iotcloud/plugins": str(programs.parent / "plugins")}
+            for there, path in here.items():
+                text = text.replace(there, path)
+            file.write_text(text, encoding="utf-8")
+            done = run(programs / daemon, "--config", file, "--check-config")
+            if done.returncode:
+                sys.exit(f"{name}: {done.stderr or done.stdout}")
+            # What is not understood would be refused here.
+            file.write_text(file.read_text(encoding="utf-8") + "\nnonsense: 1\n", encoding="utf-8")
+            if run(programs / daemon, "--config", file, "--check-config").returncode == 0:
+                sys.exit(f"{daemon} --check-config takes nonsense")
+            # Where services and secrets are is what the compose file says.
+            for secret in {word.strip(",}\"]") for word in original.split() if word.startswith("/run/secrets/")}:
+                service = next(service for service in services.values() if service.get("command", ["", "", ""])[-1].endswith(name))
+                given = {each if isinstance(each, str) else each["target"] for each in service["secrets"]}
+                if Path(secret).name not in given:
+                    sys.exit(f"{name} names {secret}, which docker-compose.yml does not give to its service")
+    print(f"{len(used)} configurations are good")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+"""The images of a test that can pull none: a base from debootstrap, stand-ins for the servers, and the binaries of a
+build that is there."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+import maven_jars  # noqa: E402
+from private_docker import Failed, run  # noqa: E402
+
+BASE, SERVERS, BINARIES = "debian:bookworm-slim", "iotcloud-test:servers", "iotcloud-test:binaries"
+STAND_INS = {"RABBITMQ_IMAGE": "rabbitmq", "ZOOKEEPER_IMAGE": "zookeeper", "KAFKA_IMAGE": "kafka"}
+OF_SERVERS = ["rabbitmq-server", "zookeeper", "libslf4j-java", "libsnappy-java", "openjdk-17-jre-headless", "procps"]
+
+
+def words_of(pattern):
+    """A list in the Dockerfile."""
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
+    return [word for found in re.findall(pattern, text) for word in found.split()]
+
+
+def installed():
+    """What the stages after the build install: the base has it already, so that a container needs no network."""
+    stages = words_of(r"(?s)FROM \$\{BINARIES\}.*")
+    text = " ".join(stages)
+    return sorted({word for found in re.findall(r"--no-install-recommends (.*?) &&", text) for word in found.split()})
+
+
+def mirror():
+    """This machine's mirror of Debian 12, and how apt reaches it."""
+    listed = run("apt-get", "indextargets", "--format", "$(RELEASE) $(SITE)", "Created-By: Packages").splitlines()
+    sites = [line.split()[1] for line in listed if line.split()[0] == "bookworm"]
+    if not sites:
+        raise Failed("apt knows no mirror of bookworm: this test makes a Debian 12 from it")
+    environment = dict(os.environ)
+    for protocol in ("http", "https"):
+        said = run("apt-config", "shell", "proxy", f"Acquire::{protocol}::Proxy")
+        if said:
+            environment[f"{protocol}_proxy"] = said.split("=", 1)[1].strip("'")
+    return sites[0], environment
+
+
+def debian(packages, work):
+    """A tar archive of a small Debian 12 with these packages, made once."""
+    mark = hashlib.sha256(" ".join(packages).encode()).hexdigest()[:16]
+    archive = work / f"debian-{mark}.tar"
+    if archive.exists():
+        return archive
+    print(f"a Debian 12 with {len(packages)} packages from this machine's mirror, once: {archive}", flush=True)
+    site, environment = mirror()
+    folder = work / f"debian-{mark}"
+    debs = work / "debs"
+    debs.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        run("debootstrap", "--variant=minbase", f"--cache-dir={debs.resolve()}", f"--include={','.join(packages)}",
+            "bookworm", folder, site, env=environment)
+        shutil.rmtree(folder / "var/cache/apt/archives", ignore_errors=True)
+        shutil.rmtree(folder / "var/lib/apt/lists", ignore_errors=True)
+        run("tar", "-C", folder, "--exclude=./dev/*", "--exclude=./usr/share/doc/*", "--exclude=./usr/share/man/*",
+            "--exclude=./usr/share/locale/*", "-cf", f"{archive}.new", ".")
+        Path(f"{archive}.new").rename(archive)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return archive
+
+
+def load(docker, build, work, kafka):
+    """Puts all of them into the daemon. Returns what docker-compose.yml is told."""
+    base = installed()
+    docker.import_image(BASE, debian(base, work))
+    docker.import_image(SERVERS, debian(sorted({*base, *OF_SERVERS}), work))
+    stand_ins(docker, work, kafka)
+    binaries(docker, build, work)
+    told = {variable: f"iotcloud-test:{name}" for variable, name in STAND_INS.items() if kafka or name != "kafka"}
+    return {**told, "BINARIES": BINARIES}
+
+
+def stand_ins(docker, work, kafka):
+    context = work / "stand_ins"
+    shutil.rmtree(context, ignore_errors=True)
+    shutil.copytree(HERE / "stand_ins", context)
+    if kafka:
+        shutil.copytree(Path(maven_jars.fetch("kafka")).parent, context / "jars")
+    for name in STAND_INS.values():
+        if kafka or name != "kafka":
+            docker.docker("build", "--quiet", "--build-arg", f"SERVERS={SERVERS}", "--target", name, "-t",
+                          f"iotcloud-test:{name}", context)
+
+
+def binaries(docker, build, work):
+    """An image with /out as the Dockerfile's stage `build` leaves it, from an existing build."""
+    out = work / "binaries"
+    shutil.rmtree(out, ignore_errors=True)
+    for part in words_of(r'ARG (?:PROGRAMS|CLIENTS)="([^"]*)"'):
+        run("cmake", "--install", build, "--strip", "--prefix", out / "out", "--component", part)
+    packed = subprocess.Popen(["tar", "-C", str(out), "-c", "."], stdout=subprocess.PIPE)
+    run("docker", "import", "-", BINARIES, env=docker.environment, stdin=packed.stdout)
+    packed.stdout.close()
+    if packed.wait():
+        raise Failed("tar of the binaries failed")
+
+
+def sizes(docker):
+    """Of what was built, in MB."""
+    wanted = [BASE, "iotcloud:local", "iotcloud-bench:local"]
+    return {tag: json.loads(docker.docker("image", "inspect", tag))[0]["Size"] / 1e6 for tag in wanted
+            if docker.docker("images", "-q", tag)}
