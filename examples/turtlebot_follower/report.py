@@ -181,4 +181,4 @@ def print_summary(result, out):
         print(f"bolt {bolt:<15} p50 {show(times['p50'], 'ms')}, p99 {show(times['p99'], 'ms')}")
     cpu = ", ".join(f"{name} {cores:.2f}" for name, cores in result["cpu_cores"].items())
     print(f"CPU used (cores)     {cpu}")
-    print(f"report, pictures, logs {os.path.relpath(out)}")
+    print(f"report and logs      {os.path.relpath(out)}")
