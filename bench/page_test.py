@@ -123,7 +123,7 @@ class PageTest(unittest.TestCase):
                                          {"x": 1000, "failed": "256 MB <under> way"}))])
         text = self.written()
         self.assertIn("1 points failed", text)
-        self.assertIn("IoTCloud, at 1000: FAILED: 256 MB &lt;under&gt; way", re.search("<figcaption>.*?</figcaption>", text)[0])
+        self.assertIn("IoTCloud, at 1,000: FAILED: 256 MB &lt;under&gt; way", re.search("<figcaption>.*?</figcaption>", text)[0])
         self.assertIn('class="bad"', self.plot())
         self.assertRegex(text, r'<td class="cause missed" colspan="8">FAILED: 256 MB')
 
@@ -181,15 +181,15 @@ class PageTest(unittest.TestCase):
         self.assertIn("1 of 1 targets are met", text)
 
     def test_figures_stand_in_order_and_plots_of_none_are_removed(self):
-        for number in ("10", "7", "12"):
+        for number in ("10", "7a", "7", "12"):
             self.figure(f"paper/figure-{number}.json", figure=number, plots=[curves(series("a", "ours", point(1, 1)))])
         self.figure("paper/storm.json", figure="storm", title="Beside Storm")
         self.written()
         (self.folder / "paper/figure-10.json").unlink()
-        self.assertEqual(re.findall("<h2>(Figure \\d+|Beside Storm)", self.written()),
-                         ["Figure 7", "Figure 12", "Beside Storm"])
+        self.assertEqual(re.findall("<h2>(Figure \\w+|Beside Storm)", self.written()),
+                         ["Figure 7", "Figure 7a", "Figure 12", "Beside Storm"])
         self.assertEqual(sorted(file.name for file in (self.folder / "plots").iterdir()),
-                         ["figure-12-1.svg", "figure-7-1.svg"])
+                         ["figure-12-1.svg", "figure-7-1.svg", "figure-7a-1.svg"])
 
     def test_a_plot_by_itself_has_its_colours_for_light_and_dark(self):
         self.figure(plots=[curves(series("a", "ours", point(1, 1)))])

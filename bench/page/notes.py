@@ -4,7 +4,7 @@ from .markup import number
 
 
 def failed_notes(plot):
-    return [f"{series['name']}, at {point.get('x', '')}: FAILED: {point['failed']}"
+    return [f"{series['name']}, at {number(point.get('x'))}: FAILED: {point['failed']}"
             for series in plot["series"] for point in series["points"] if "failed" in point]
 
 

@@ -41,7 +41,7 @@ class Section:
     @property
     def title(self):
         figure, title = self.data.get("figure"), self.data.get("title")
-        if title and figure and str(figure).isdigit():
+        if title and str(figure or "")[:1].isdigit():
             return f"Figure {figure}: {title}"
         return title or f"./dev bench {self.file.stem}"
 
@@ -63,7 +63,8 @@ class Section:
         said = f"{sum(met)} of {len(met)} targets met" if met else "no targets"
         failed = f", {self.failures()} points failed" if self.failures() else ""
         failed += ", FAILED" if self.data.get("failed") else ""
-        return f'<span class="{"met" if all(met) and not failed else "missed"}">{said}{failed}</span>'
+        kind = "missed" if failed or not all(met) else "met" if met else "soft"
+        return f'<span class="{kind}">{said}{failed}</span>'
 
     def taken(self):
         if self.data.get("taken"):

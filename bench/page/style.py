@@ -33,10 +33,11 @@ font:16px/1.5 system-ui,sans-serif;overflow-wrap:break-word}
 h1{font-size:1.6rem}h2{margin-top:2.5rem;border-bottom:1px solid var(--edge)}
 a{color:var(--link)}.soft{color:var(--soft)}.missed{color:var(--bad);font-weight:600}.met{color:var(--good)}
 .plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr));gap:1rem}
-figure{margin:0;min-width:0}figure svg{width:100%;height:auto;display:block}
+figure{margin:0;min-width:0;max-width:46rem}figure svg{width:100%;height:auto;display:block}
 .wide{overflow-x:auto}table{border-collapse:collapse;font-size:.87rem;font-variant-numeric:tabular-nums}
 th,td{padding:.2rem .6rem;border-bottom:1px solid var(--edge);text-align:right;vertical-align:top}
-th:first-child,td.name,td.cause{text-align:left}td.cause{min-width:20rem}
+td{white-space:nowrap}th:first-child,td.name,td.cause{text-align:left;white-space:normal}
+td:first-child{min-width:9rem}td.cause{min-width:20rem}
 summary{cursor:pointer;padding:.3rem 0}code{font-size:.9em}
 nav li{margin:.15rem 0}
 """

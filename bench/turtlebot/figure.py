@@ -151,6 +151,7 @@ class Figure:
     def judge(pair, frames, known, report):
         lost = sum(line["lost"] for line in pair.ours)
         whole = parts.statistics_of([frame.whole_ms for frame in frames], lost)
+        whole["rounds"] = [{name: value for name, value in line.items() if name != "frames"} for line in pair.ours]
         for statistic in ("mean_ms", "p50_ms", "p99_ms", "stddev_ms"):
             pair.compare(report, BARE, statistic)
         for statistic, limit in AT_MOST.items():
