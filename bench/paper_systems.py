@@ -167,7 +167,7 @@ class System:
 
     def measure_bare(self, size, rate, warm_up, seconds, drivers, shared=False):
         """A line of the bare client with the same load on the same broker. Raises ProgramFailed."""
-        words = ["--url", self.url, "--name", f"bare-{'shared' if shared else 'own'}", "--drivers", drivers, "--size", size,
+        words = ["--url", self.url, "--name", f"bare-{self.program}-{'shared' if shared else 'own'}", "--drivers", drivers, "--size", size,
                  "--rate", rate, "--warm-up", warm_up, "--seconds", seconds, *["--shared"] * shared]
         line = self.programs.run(self.program, *words, *self.servers())[0]
         if not line["sustained"]:
