@@ -5,16 +5,18 @@ import sys
 import tempfile
 from pathlib import Path
 
-from brokers_report import NOISE
-from figures import ProgramFailed
+from brokers_report import NOISE, broker_cpu, p50, p99
+from figures import ProgramFailed, number
 from paper_points import asked_for, bytes_text
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "peers"))
 from storm import build  # noqa: E402
-from storm_turns import DEFAULTS, DRIVERS, OURS, SETTLE_S, STORM, TUNED, StartError, Turns  # noqa: E402
+from storm_turns import BARE, DEFAULTS, DRIVERS, OURS, SETTLE_S, STORM, TUNED, StartError, Turns  # noqa: E402
 
 POINTS = [(size, rate) for size in (100, 60_000) for rate in (20, 100)]
 NAMES = {"words": ("word count", "M words/s"), "chain": ("chain of 3", "M tuples/s")}
+KINDS = {OURS: "ours", STORM: "peer", BARE: "limit"}  # in the plots
+LIBRARY = "librabbitmq"
 TAIL_TARGET, CPU_TARGET = 1 / 3, 1 / 5  # of Storm's
 RATE_TARGETS = {("words", False): 10, ("words", True): 5}  # times Storm's
 START_S = 8  # of a JVM with Storm, until its topology works
@@ -55,37 +57,39 @@ class Scale:
         """(size, rate) of the echo."""
         return [point for point in POINTS if self.asked_for(f"{echo_title(*point, tracked)}, {setting}")]
 
-    def turn_s(self, topology):
-        return self.echo_s + SETTLE_S["echo"] if topology == "echo" else self.memory_s + SETTLE_S["memory"]
+    def round_s(self, topology):
+        if topology == "echo":
+            return 3 * (self.echo_s + SETTLE_S["echo"])
+        return 2 * (self.memory_s + SETTLE_S["memory"])
 
     def warm_up_of(self, topology):
         return START_S + self.warm_up_s
 
     def seconds(self):
         pairs = {phase: len(self.points(*phase[1:])) if phase[0] == "echo" else 1 for phase in self.phases}
-        return sum(self.warm_up_of(phase[0]) + self.rounds * 2 * count * self.turn_s(phase[0])
+        return sum(self.warm_up_of(phase[0]) + self.rounds * count * self.round_s(phase[0])
                    for phase, count in pairs.items())
 
 
 class Rounds:
-    """Rounds in which ours and Storm take one turn each, every second one in reverse order; one with company is thrown
+    """Rounds in which all sides take one turn each, every second one in reverse order; one with company is thrown
     away and taken again."""
 
-    def __init__(self, title, wanted):
-        self.title, self.wanted, self.taken, self.thrown, self.problem = title, wanted, 0, 0, None
-        self.lines = {OURS: [], STORM: []}
+    def __init__(self, title, wanted, sides):
+        self.sides, self.title, self.wanted, self.taken, self.thrown, self.problem = sides, title, wanted, 0, 0, None
+        self.lines = {side: [] for side in sides}
 
     def wants_more(self):
         return not self.problem and len(self.lines[OURS]) < self.wanted and self.taken < 2 * self.wanted
 
     def take(self, turn):
         """`turn(side)` measures."""
-        order = (OURS, STORM) if self.taken % 2 == 0 else (STORM, OURS)
+        order = self.sides if self.taken % 2 == 0 else self.sides[::-1]
         self.taken += 1
         try:
             lines = {side: turn(side) for side in order}
         except ProgramFailed as failure:  # the other figures are still worth knowing
-            self.problem, self.lines = str(failure), {OURS: [], STORM: []}
+            self.problem, self.lines = str(failure), {side: [] for side in self.sides}
             return
         if max(line["others_cpu"] for line in lines.values()) > NOISE:
             self.thrown += 1
@@ -113,17 +117,13 @@ def point_of(x, rounds, side):
     point = {"x": x, **{name: statistics.median(line[key] for line in lines) / 1000 for name, key in STATISTICS.items()}}
     return {**point, "max_ms": max(line["max_us"] for line in lines) / 1000, "n": sum(line["count"] for line in lines),
             "lost": sum(line["lost"] for line in lines),
-            "processor_cpu_s": statistics.median(map(processor_cpu, lines)) / 1e6,
-            "broker_cpu_s": statistics.median(map(broker_cpu, lines)) / 1e6}
+            **({} if side == BARE else {"processor_cpu_s": statistics.median(map(processor_cpu, lines)) / 1e6}),
+            "broker_cpu_s": statistics.median(map(broker_cpu, lines)) / 1e4}
 
 
 def processor_cpu(line):
     """Microseconds for a message, of the process that sends it back."""
     return 1e6 * line["processor_cpu_seconds"] / line["count"]
-
-
-def broker_cpu(line):
-    return 1e6 * line["server_cpu_seconds"] / line["count"]
 
 
 class Measurement:
@@ -148,11 +148,11 @@ class Measurement:
         return self.plots()
 
     def take(self, rounds, topology, turn):
-        self.progress.step(f"{rounds.title}, round {rounds.taken + 1}", 2 * self.scale.turn_s(topology))
+        self.progress.step(f"{rounds.title}, round {rounds.taken + 1}", self.scale.round_s(topology))
         rounds.take(turn)
 
     def echo(self, _topology, tracked, setting):
-        all_rounds = {point: Rounds(echo_title(*point, tracked), self.scale.rounds)
+        all_rounds = {point: Rounds(echo_title(*point, tracked), self.scale.rounds, (OURS, STORM, BARE))
                       for point in self.scale.points(tracked, setting)}
         with self.turns.echo(tracked, setting, self.scale.warm_up_s):
             while any(rounds.wants_more() for rounds in all_rounds.values()):
@@ -161,13 +161,12 @@ class Measurement:
                         self.take(rounds, "echo", lambda side: self.turns.echo_turn(side, size, rate, self.scale.echo_s))
         for (size, rate), rounds in all_rounds.items():
             self.judge_echo(rounds, setting)
-            for side in (OURS, STORM):
-                name = setting if side == STORM else "IoTCloud"
+            for side, name in ((OURS, "IoTCloud"), (STORM, setting), (BARE, LIBRARY)):
                 point = point_of(size, rounds, side)
                 curve = self.curves.setdefault((tracked, name, rate, side), [])
-                if size not in [each["x"] for each in curve]:  # ours runs beside each setting
+                if size not in [each["x"] for each in curve]:  # ours and the library run beside each setting
                     curve.append(point)
-                self.table.append((f"{rounds.title}: {'IoTCloud beside ' + setting if side == OURS else setting}", point))
+                self.table.append((f"{rounds.title}: {name}" + f" beside {setting}" * (side != STORM), point))
 
     def judge_echo(self, rounds, setting):
         rounds.say_problem(self.report)
@@ -176,14 +175,15 @@ class Measurement:
             self.report.compare(f"{rounds.title}: {name}", unit, rounds.of(OURS, figure), setting,
                                 rounds.of(STORM, figure), **target)
 
-        compare("p50", "ms", lambda line: line["p50_us"] / 1000)
-        compare("p99", "ms", lambda line: line["p99_us"] / 1000, ratio_at_most=TAIL_TARGET)
+        compare("p50", "ms", p50)
+        compare("p99", "ms", p99, ratio_at_most=TAIL_TARGET)
+        self.report.compare(f"{rounds.title}: p99", "ms", rounds.of(OURS, p99), LIBRARY, rounds.of(BARE, p99))
         compare("CPU", "us/msg", processor_cpu, ratio_at_most=CPU_TARGET)
-        compare("broker's CPU", "us/msg", broker_cpu)
+        compare("broker's CPU", "us/msg", lambda line: 100 * broker_cpu(line))  # that is s/10 000
 
     def memory(self, dag, tracked, setting):
         _, unit = NAMES[dag]
-        rounds = Rounds(memory_title(dag, tracked), self.scale.rounds)
+        rounds = Rounds(memory_title(dag, tracked), self.scale.rounds, (OURS, STORM))
         with self.turns.memory(dag, tracked, setting, self.scale.warm_up_s):
             while rounds.wants_more():
                 self.take(rounds, dag, lambda side: self.turns.memory_turn(side, dag, tracked, self.scale.memory_s))
@@ -213,21 +213,22 @@ class Measurement:
                 print(f"{name:<56} {point['failed']}")
                 continue
             values = " ".join(f"{point[key]:>7.3f}" for key in ("mean_ms", "p50_ms", "p99_ms", "max_ms", "stddev_ms"))
-            print(f"{name:<56} {values} {point['n']:>6} {point['lost']:>5} {1e6 * point['processor_cpu_s']:>10.0f}")
+            print(f"{name:<56} {values} {point['n']:>6} {point['lost']:>5} "
+                  f"{number(1e6 * point['processor_cpu_s']) if 'processor_cpu_s' in point else '':>10}")
         sys.stdout.flush()
 
     def plots(self):
         made = []
         for statistic, word in (("p50_ms", "median"), ("p99_ms", "99th percentile")):
             for tracked in sorted({key[0] for key in self.curves}, reverse=True):
-                series = [{"name": f"{name}, {rate}/s", "kind": "ours" if side == OURS else "peer", "points": points}
+                series = [{"name": f"{name}, {rate}/s", "kind": KINDS[side], "points": points}
                           for (kind, name, rate, side), points in self.curves.items() if kind == tracked]
                 made.append({"title": f"Round trip on RabbitMQ, {tracking(tracked)}: {word}", "x": "message size",
                              "x_unit": "B", "x_log": True, "y": f"round trip, {word}", "y_unit": "ms", "y_log": True,
                              "statistic": statistic, "series": series})
         for dag in dict.fromkeys(key[0] for key in self.rates):
             name, unit = NAMES[dag]
-            series = [{"name": who, "kind": "ours" if side == OURS else "peer", "points": points}
+            series = [{"name": who, "kind": KINDS[side], "points": points}
                       for (of, who, side), points in self.rates.items() if of == dag]
             made.append({"title": f"{name} in memory", "x": "0: untracked, 1: tracked", "y": "results a second",
                          "y_unit": "/s", "y_log": True, "style": "dots", "statistic": "per_second", "series": series})

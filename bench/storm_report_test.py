@@ -13,7 +13,7 @@ import paper_report
 import storm_report
 from brokers_report import Report
 from figures import ProgramFailed
-from storm_report import DEFAULTS, OURS, POINTS, STORM, TUNED, Measurement, Rounds, Scale, StartError
+from storm_report import BARE, DEFAULTS, LIBRARY, OURS, POINTS, STORM, TUNED, Measurement, Rounds, Scale, StartError
 from paper_systems import Unavailable
 from storm_turns import settings_of, worker_yaml
 
@@ -79,6 +79,10 @@ class StormReportTest(unittest.TestCase):
         measurement = self.measure(phases=[("words", False, TUNED)], rounds=3)
         self.assertEqual(measurement.turns.order, [OURS, STORM, STORM, OURS, OURS, STORM])
 
+    def test_the_bare_client_takes_its_turn_in_the_echo(self):
+        measurement = self.measure(phases=[("echo", True, TUNED)], rounds=1)
+        self.assertEqual(measurement.turns.order[:3], [OURS, STORM, BARE])
+
     def test_the_plan_asks_for_the_seconds_that_the_turns_take(self):
         for scale in ("quick", "usual"):
             measurement = self.measure(scale=scale)
@@ -132,9 +136,9 @@ class StormReportTest(unittest.TestCase):
             return {}
         measurement = self.measure(answer, phases=[("echo", True, TUNED)])
         self.assertTrue(measurement.report.failed)
-        self.assertEqual(len(measurement.report.results), 4 * (len(POINTS) - 1))
+        self.assertEqual(len(measurement.report.results), 5 * (len(POINTS) - 1))
         failed = [point for series in measurement.made[0]["series"] for point in series["points"] if "failed" in point]
-        self.assertEqual(len(failed), 2)
+        self.assertEqual(len(failed), 3)
 
     def test_a_phase_that_does_not_start_costs_itself_alone(self):
         measurement = Measurement(Turns(), Scale("quick", 1), Report(), Steps())
@@ -145,7 +149,7 @@ class StormReportTest(unittest.TestCase):
         self.assertEqual(len(measurement.report.results), 6)
 
     def test_a_point_has_medians_the_largest_and_the_sums(self):
-        rounds = Rounds("x", 3)
+        rounds = Rounds("x", 3, (OURS, STORM))
         for p50, most, lost in ((300.0, 5000.0, 0), (500.0, 1000.0, 1), (400.0, 2000.0, 0)):
             rounds.take(lambda side: {**ECHO, "p50_us": p50, "max_us": most, "lost": lost})
         point = storm_report.point_of(100, rounds, OURS)
@@ -155,7 +159,8 @@ class StormReportTest(unittest.TestCase):
     def test_plots_have_ours_once_and_each_setting(self):
         made = self.measure(scale="usual").made
         names = [series["name"] for series in made[0]["series"]]
-        self.assertEqual(sorted(names), sorted(f"{who}, {rate}/s" for who in ("IoTCloud", TUNED, DEFAULTS) for rate in (20, 100)))
+        sides = ("IoTCloud", TUNED, DEFAULTS, LIBRARY)
+        self.assertEqual(sorted(names), sorted(f"{who}, {rate}/s" for who in sides for rate in (20, 100)))
         self.assertEqual([point["x"] for point in made[0]["series"][0]["points"]], [100, 60_000])
         self.assertEqual([plot["title"] for plot in made[4:]], ["word count in memory", "chain of 3 in memory"])
         self.assertEqual([point["x"] for point in made[4]["series"][0]["points"]], [1, 0])

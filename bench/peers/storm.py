@@ -43,7 +43,8 @@ def build(folder=BUILD):
 
 
 def package(folder):
-    command = ["mvn", "-B", "-q", "-f", str(PROJECT / "pom.xml"), f"-Dfolder={folder.resolve()}", "package"]
+    command = ["mvn", "-B", "-q", "-Dstyle.color=never", "-f", str(PROJECT / "pom.xml"),
+               f"-Dfolder={folder.resolve()}", "package"]
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                               text=True, timeout=BUILD_LIMIT_S)

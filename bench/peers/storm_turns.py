@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent / "tests" /
 from private_cluster import PrivateCluster, StartError, echo_topology, free_port  # noqa: E402
 from storm import Storm, cpu_seconds_of  # noqa: E402
 
-OURS, STORM = "ours", "storm"
+OURS, STORM, BARE = "ours", "storm", "bare"  # the last: both ends on librabbitmq alone, in one process
 DRIVERS = 4  # with a spout's and a bolt's task for each
 PENDING = 4096  # items under way when tracked, as in bench/runtime
 SETTLE_S = {"echo": 1.0, "memory": 0.5}  # of each turn, before anything counts
@@ -63,7 +63,7 @@ class Turns:
         self.devices, self.runtime, self.records = (Programs(programs, kind) for kind in ("brokers", "runtime", "peers"))
         self.class_path = class_path
         self.cluster = PrivateCluster(Path(folder), programs, programs)
-        self.ends, self.storm, self.brokers = {}, None, []
+        self.ends, self.storm, self.brokers = {BARE: ("bare", None)}, None, []
 
     def __enter__(self):
         self.cluster.zookeeper = self.cluster.server("zookeeper", "--steady")
@@ -120,7 +120,8 @@ class Turns:
         while channels_read(page) < DRIVERS:
             self.cluster.require_alive()
             if time.monotonic() > limit:
-                raise StartError(f"our worker did not read its channels within {WORKER_LIMIT_S} s; see {self.cluster.log(name)}")
+                said = self.cluster.log(name).read_text(errors="replace").splitlines()[-1:]
+                raise StartError(f"our worker did not read its channels within {WORKER_LIMIT_S} s: {' '.join(said)}")
             time.sleep(0.05)
         return child.pid
 
@@ -133,18 +134,19 @@ class Turns:
             self.storm.stand_still()
 
     def echo_turn(self, side, size, rate, seconds):
-        if side == OURS:
-            return self.measure_devices(OURS, size, rate, seconds)
+        if side != STORM:
+            return self.measure_devices(side, size, rate, seconds)
         with self.storms_turn():
             return self.measure_devices(STORM, size, rate, seconds)
 
     def measure_devices(self, side, size, rate, seconds):
         """The load of all drivers, sent back by this side: a line of figures."""
         name, process = self.ends[side]
-        servers = [word for server in self.brokers for word in ("--server", server)]
+        others = [word for server in self.brokers for word in ("--server", server)]
+        others += ["--devices-only", "--processor", process] if process else []
         line = self.devices.run(
-            "rabbitmq", "--devices-only", "--url", self.cluster.rabbitmq, "--name", name, "--drivers", DRIVERS, "--size",
-            size, "--rate", rate, "--warm-up", SETTLE_S["echo"], "--seconds", seconds, "--processor", process, *servers)[0]
+            "rabbitmq", "--url", self.cluster.rabbitmq, "--name", name, "--drivers", DRIVERS, "--size",
+            size, "--rate", rate, "--warm-up", SETTLE_S["echo"], "--seconds", seconds, *others)[0]
         if not line["sustained"] or not line["count"]:
             raise ProgramFailed(f"{side}: {size} B, {DRIVERS} x {rate}/s is more than goes through")
         return line
