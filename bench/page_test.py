@@ -197,6 +197,15 @@ class PageTest(unittest.TestCase):
         self.assertIn("prefers-color-scheme:dark", self.plot())
         self.assertIn('class="ground"', self.plot())
 
+    def test_what_is_no_time_has_its_own_column(self):
+        self.figure(plots=[curves(series("IoTCloud", "ours", {"x": "tracked", "per_second": 3e6, "n": 3},
+                                         {"x": "untracked", "per_second": 8e6, "n": 3}),
+                                  statistic="per_second", y="results a second", y_unit="/s", x="")])
+        text = self.written()
+        self.assertIn('<th scope="col">results a second</th>', text)
+        self.assertIn("<td>8,000,000</td>", text)
+        self.assertIn(">untracked</text>", self.plot())
+
     def test_every_frame_is_a_dot_and_not_a_row(self):
         frames = [{"x": index, "ms": 1.0 + index} for index in range(50)]
         self.figure(plots=[curves(series("a", "ours", *frames), style="dots", statistic="ms", x_log=False)])

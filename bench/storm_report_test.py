@@ -163,7 +163,7 @@ class StormReportTest(unittest.TestCase):
         self.assertEqual(sorted(names), sorted(f"{who}, {rate}/s" for who in sides for rate in (20, 100)))
         self.assertEqual([point["x"] for point in made[0]["series"][0]["points"]], [100, 60_000])
         self.assertEqual([plot["title"] for plot in made[4:]], ["word count in memory", "chain of 3 in memory"])
-        self.assertEqual([point["x"] for point in made[4]["series"][0]["points"]], [1, 0])
+        self.assertEqual([point["x"] for point in made[4]["series"][0]["points"]], ["tracked", "untracked"])
 
     def test_storm_as_it_comes_has_no_settings_but_what_is_under_way(self):
         self.assertEqual(settings_of("echo", True, DEFAULTS), {})

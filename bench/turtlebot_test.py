@@ -2,7 +2,9 @@
 """How figure 12 takes a frame's time apart and judges; no program runs."""
 import contextlib
 import io
+import os
 import struct
+import subprocess
 import tempfile
 import unittest
 from pathlib import Path
@@ -166,6 +168,17 @@ class FigureTest(unittest.TestCase):
         self.assertIn('topology.library: "/lib.so"', text)
         self.assertEqual(text.count('stamps: "/stamps"'), 2)
         self.assertIn('zk.servers: ["{zookeeper}"]', text)
+
+    @unittest.skipUnless("IOTCLOUD_BUILD" in os.environ, "IOTCLOUD_BUILD names a build with the worker and the bolts")
+    def test_the_worker_takes_the_topology_with_time_stamps(self):
+        build = Path(os.environ["IOTCLOUD_BUILD"])
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "topology.yaml"
+            text = figure.topology_with_stamps(build / "plugins/bench_turtlebot_stamps.so", folder)
+            file.write_text(text.replace("{zookeeper}", "127.0.0.1:1"))
+            done = subprocess.run([build / "bin/iotcloud-topology", "--check", file], capture_output=True, text=True)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("class turtlebot.Decoder", done.stdout)
 
 
 if __name__ == "__main__":

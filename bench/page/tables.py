@@ -2,6 +2,7 @@
 
 from .causes import inline
 from .markup import element, escape, number
+from .plots import statistic_of
 
 STATISTICS = (("n", "n"), ("lost", "lost"), ("mean_ms", "mean"), ("p50_ms", "p50"), ("p99_ms", "p99"), ("max_ms", "max"),
               ("stddev_ms", "stddev"))
@@ -26,20 +27,21 @@ def name_cell(text, **attributes):
 
 def points(plot):
     """Every point of a plot with all that is known of it."""
-    heads = ["series", plot.get("x") or "", *(title for _, title in STATISTICS), "source"]
+    drawn = statistic_of(plot)
+    columns = STATISTICS if drawn in dict(STATISTICS) else (("n", "n"), (drawn, plot.get("y") or drawn))
+    heads = ["series", plot.get("x") or "", *(title for _, title in columns), "source"]
     rows = []
     for series in plot["series"]:
         for point in series["points"]:
             cells = [name_cell(series["name"]), escape(number(point.get("x")))]
             if "failed" in point:
                 cells.append(element("td", escape(f"FAILED: {point['failed']}"), class_="cause missed",
-                                     colspan=len(STATISTICS) + 1))
+                                     colspan=len(columns) + 1))
             else:
-                cells += [escape(number(point.get(key))) for key, _ in STATISTICS]
+                cells += [escape(number(point.get(key))) for key, _ in columns]
                 cells.append(escape(point.get("source", "")))
             rows.append(cells)
-    unit = plot.get("y_unit", "ms")
-    return folded(f"The points: {plot['title']} ({len(rows)}, times in {unit})", table(heads, rows))
+    return folded(f"The points: {plot['title']} ({len(rows)}, in {plot.get('y_unit', 'ms')})", table(heads, rows))
 
 
 def verdict(met):
