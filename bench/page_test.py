@@ -122,7 +122,7 @@ class PageTest(unittest.TestCase):
         self.figure(plots=[curves(series("IoTCloud", "ours", point(100, 0.5),
                                          {"x": 1000, "failed": "256 MB <under> way"}))])
         text = self.written()
-        self.assertIn("1 points failed", text)
+        self.assertIn("1 point failed", text)
         self.assertIn("IoTCloud, at 1,000: FAILED: 256 MB &lt;under&gt; way", re.search("<figcaption>.*?</figcaption>", text)[0])
         self.assertIn('class="bad"', self.plot())
         self.assertRegex(text, r'<td class="cause missed" colspan="8">FAILED: 256 MB')

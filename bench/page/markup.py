@@ -38,6 +38,10 @@ def number(value):
     return f"{value:.0e}" if abs(value) < 0.001 else f"{value:.3g}"
 
 
+def count(many, what):
+    return f"{many} {what}" + ("" if many == 1 else "s")
+
+
 def short(value):
     """For an axis: 1000 as 1k."""
     for factor, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from . import tables
 from .causes import Causes, markup
-from .markup import element, escape, number, slug
+from .markup import count, element, escape, number, slug
 from .plots import draw
 from .style import PAGE, PLOT
 from .svg import standalone
@@ -61,7 +61,7 @@ class Section:
             return '<span class="missed">cannot be read</span>'
         met = self.judged().values()
         said = f"{sum(met)} of {len(met)} targets met" if met else "no targets"
-        failed = f", {self.failures()} points failed" if self.failures() else ""
+        failed = f", {count(self.failures(), 'point')} failed" if self.failures() else ""
         failed += ", FAILED" if self.data.get("failed") else ""
         kind = "missed" if failed or not all(met) else "met" if met else "soft"
         return f'<span class="{kind}">{said}{failed}</span>'
@@ -155,7 +155,7 @@ def page(folder, readme):
     body = (
         "<h1>IoTCloud: what was measured</h1>"
         f"<p>{sum(met)} of {len(met)} targets are met"
-        f"{f'; {failed} points failed' if failed else ''}. Written {now}. bench/README.md says how the figures are taken.</p>"
+        f"{'; ' + count(failed, 'point') + ' failed' if failed else ''}. Written {now}. bench/README.md says how the figures are taken.</p>"
         f"<nav><ul>{links or '<li>There are no figures yet: run ./dev bench paper</li>'}</ul></nav>"
         f"{machines(shown)}{''.join(section.markup() for section in shown)}"
         f'<section id="why"><h2>What is missed, and why</h2>{why}</section>')

@@ -35,7 +35,7 @@ def legend(entries, y):
 
 def picture(title, parts, height):
     """`parts` begin at 40 below the top; a title of several lines moves them down."""
-    lines = wrapped(title, (WIDTH - 20) * 0.85)  # its letters are wider
+    lines = wrapped(title, (WIDTH - 20) * 0.78)  # its letters are wider
     height += 20 * (len(lines) - 1)
     ground = element("rect", class_="ground", width=WIDTH, height=f"{height:.0f}")
     head = "".join(text(WIDTH / 2, 24 + 20 * index, line, "middle", "title") for index, line in enumerate(lines))

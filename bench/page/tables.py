@@ -39,7 +39,7 @@ def points(plot):
                                      colspan=len(columns) + 1))
             else:
                 cells += [escape(number(point.get(key))) for key, _ in columns]
-                cells.append(escape(point.get("source", "")))
+                cells.append(element("td", escape(point.get("source", "")) or " ", class_="cause" if point.get("source") else None))
             rows.append(cells)
     return folded(f"The points: {plot['title']} ({len(rows)}, in {plot.get('y_unit', 'ms')})", table(heads, rows))
 
