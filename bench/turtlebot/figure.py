@@ -116,6 +116,9 @@ class Loop(System):
     def broken_down(self, frames):
         """Of the frames of which all is known: [(frame, ({part: ms}, {detail: ms}))]. After the worker has ended."""
         wire = parts.Wire(self.tap.packets) if self.tap and not self.tap.lost else None
+        if self.tap and self.tap.lost:
+            print(f"figure 12: the kernel dropped {self.tap.lost} packets of the wire's record, so what is before and behind "
+                  "the broker is one part", flush=True)
         decode, follow = (parts.read_stamps(self.stamps, component) for component in ("decode", "follow"))
         found = [(frame, parts.parts_of(frame, decode, follow, wire)) for frame in frames]
         return [(frame, known) for frame, known in found if known]
