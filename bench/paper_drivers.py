@@ -2,7 +2,7 @@
 
 import tempfile
 
-from paper_points import Pair, asked_for, point, series
+from paper_points import Pair, asked_for, attempts, point, series
 from paper_sizes import CONNECT_S, JVM_WARM_UP_S, ORDER_S, START_S
 from paper_systems import KINDS, StartError, system
 
@@ -87,7 +87,8 @@ class ByDrivers:
                     break  # nor would more drivers be served
                 progress.step(step, self.point_seconds(given))
                 shape = (SIZE, rate, WARM_UP_S, WINDOW_S[given.scale])
-                pair.round(lambda: running.measure(*shape), lambda: running.measure_bare(*shape, drivers, layout == "shared"))
+                pair.round(lambda: running.measure(*shape), lambda: running.measure_bare(*shape, drivers, layout == "shared"),
+                           attempts(given))
             progress.step(f"figure {self.name}: undeploying {running.drivers} drivers", self.undeploy_seconds(running.drivers))
             running.undeploy()
         return pairs

@@ -108,6 +108,11 @@ def point(x, lines, problem=None):
             "rounds": [{name: line[name] for name in (*STATISTICS, "max_ms", "n", "lost", "others_cpu")} for line in lines]}
 
 
+def attempts(given):
+    """How often a noisy turn is taken at most: a quick run is to be over soon."""
+    return 1 if given.scale == "quick" else 2
+
+
 def asked_for(given, title):
     return not given.points or re.search(given.points, title) is not None
 

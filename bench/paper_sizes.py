@@ -4,7 +4,7 @@ import json
 import tempfile
 
 from figures import ProgramFailed
-from paper_points import Pair, asked_for, bytes_text, point, series
+from paper_points import Pair, asked_for, attempts, bytes_text, point, series
 from paper_systems import KINDS, system
 
 DRIVERS = 4
@@ -82,7 +82,8 @@ class BySize:
         for round_number in range(self.rounds(given)):
             progress.step(f"figure {self.name}: {pair.title}, round {round_number + 1}", self.point_seconds(given, rate))
             pair.round(lambda: running.measure(size, rate, WARM_UP_S, seconds),
-                       lambda: running.measure_bare(size, rate, WARM_UP_S, seconds, DRIVERS, self.shared))
+                       lambda: running.measure_bare(size, rate, WARM_UP_S, seconds, DRIVERS, self.shared),
+                       attempts(given))
             if pair.our_problem:
                 break
         judged = self.broker == "rabbitmq" and size <= JUDGED_SIZE
