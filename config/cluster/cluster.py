@@ -93,14 +93,14 @@ class Docker:
         return self.compose("run", "--rm", "--no-deps", *terminal, *other, service, *words)
 
     def containers(self):
-        """By service: what docker says of the project's containers."""
-        label = f"label=com.docker.compose.project={project()}"
-        listed = asked(["docker", "ps", "-a", "--no-trunc", "--filter", label, "--format", "{{.ID}}"]).split()
-        found = {}
-        for container in json.loads(asked(["docker", "inspect", *listed])) if listed else []:
-            if container["Config"]["Labels"].get("com.docker.compose.oneoff") != "True":
-                found[container["Config"]["Labels"]["com.docker.compose.service"]] = container
-        return found
+        """By service: what docker says of the project's containers. One that just comes or goes may be left out."""
+        ours = [f"--filter=label=com.docker.compose.project={project()}", "--filter=label=com.docker.compose.oneoff=False"]
+        listed = asked(["docker", "ps", "-a", "--no-trunc", *ours, "--format", "{{.ID}}"]).split()
+        told = run(["docker", "inspect", *listed], capture_output=True) if listed else None
+        if told and told.returncode and "No such object" not in told.stderr:
+            raise Refused(f"docker inspect: {told.stderr.strip()}")
+        found = json.loads(told.stdout) if told else []
+        return {container["Config"]["Labels"]["com.docker.compose.service"]: container for container in found}
 
 
 def state_of(container):

@@ -32,7 +32,8 @@ def installed():
     """What the stages after the build install: the base has it already, so that a container needs no network."""
     stages = words_of(r"(?s)FROM \$\{BINARIES\}.*")
     text = " ".join(stages)
-    return sorted({word for found in re.findall(r"--no-install-recommends (.*?) &&", text) for word in found.split()})
+    return sorted({word for found in re.findall(r"--no-install-recommends((?: [a-z0-9.+-]+)+)", text)
+                   for word in found.split()})
 
 
 def mirror():
