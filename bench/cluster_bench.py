@@ -8,6 +8,7 @@ Load generators on both gateways send through broker, topology workers and back;
 """
 
 import argparse
+import contextlib
 import json
 import os
 import shlex
@@ -37,26 +38,50 @@ def iotcloud(*words):
         raise ProgramFailed(f"iotcloud {shlex.join(words)}: {done.stderr.strip() or done.stdout.strip()}")
 
 
+def manifest(name, instances, properties, state):
+    """Deployments NAME-0, NAME-1, ..., on the gateways in turn, each with a report of its own. Returns the reports."""
+    reports = {f"{name}-{at}": REPORTS / f"{name}-{at}.json" for at in range(instances)}
+    broker = properties["broker"]
+    deployments = {key: {
+        "plugin": "loadgen.so", "driver": DRIVERS[broker], "gateways": [GATEWAYS[at % len(GATEWAYS)]], "state": state,
+        "metadata": {"bench": name},
+        "properties": {**properties, "rate": RATE, "shared": broker == "kafka", "report": str(report)},
+    } for at, (key, report) in enumerate(reports.items())}
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
+        json.dump({"fleet": name, "deployments": deployments}, file)
+        file.flush()
+        iotcloud("apply", "-f", file.name)
+    return reports.values()
+
+
+def take_away(name, reports):
+    iotcloud("undeploy", "--where", f'bench == "{name}"')
+    for report in reports:
+        report.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def warm(broker):
+    """A load generator on each gateway has had an answer, and stays: topics are there, and read."""
+    name = f"warm-{broker}-{os.getpid()}-{int(time.time())}"
+    reports = manifest(name, len(GATEWAYS), {"broker": broker, "count": 2 * RATE}, "active")
+    try:
+        wait_for(reports, LIMIT_S)
+        yield
+    finally:
+        take_away(name, reports)
+
+
 def through_the_cluster(broker, size, seconds, run):
     """What the load generators of one run report, as one figure: the means over the drivers, the worst of the largest."""
-    reports = {f"bench-{number}": REPORTS / f"{run}-{number}.json" for number in range(len(GATEWAYS) * ON_EACH)}
     count = int(RATE * seconds)
-    manifest = {"fleet": "cluster-bench", "deployments": {name: {
-        "plugin": "loadgen.so", "driver": DRIVERS[broker], "gateways": [GATEWAYS[at % len(GATEWAYS)]], "state": "inactive", "metadata": {"bench": run},
-        "properties": {"size": size, "rate": RATE, "count": count, "broker": broker, "shared": broker == "kafka",
-                       "report": str(report)}} for at, (name, report) in enumerate(reports.items())}}
+    reports = manifest(run, len(GATEWAYS) * ON_EACH, {"broker": broker, "size": size, "count": count}, "inactive")
     try:
-        with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
-            json.dump(manifest, file)
-            file.flush()
-            iotcloud("apply", "-f", file.name)
         time.sleep(SETTLE_S)
         iotcloud("start", "--where", f'bench == "{run}"')
-        results = wait_for(reports.values(), seconds + LIMIT_S)
+        results = wait_for(reports, seconds + LIMIT_S)
     finally:
-        iotcloud("undeploy", "--where", f'bench == "{run}"')
-        for report in reports.values():
-            report.unlink(missing_ok=True)
+        take_away(run, reports)
     wrong = [result for result in results if result["lost"] or result["damaged"] or result["sent"] != count]
     if wrong:
         raise ProgramFailed(f"messages were lost or damaged: {wrong}")
@@ -130,9 +155,11 @@ def main():
     sizes = {text: SIZES[text] for text in ("100 B", "60 KB")} if given.quick else SIZES
     how = (sizes, 3, 5, report) if given.quick else (sizes, 5, 10, report)
     password = PASSWORD.read_text().strip()
-    measure("rabbitmq", "RabbitMQ", f"amqp://iotcloud:{password}@rabbitmq:5672/", "librabbitmq", *how)
+    with warm("rabbitmq"):
+        measure("rabbitmq", "RabbitMQ", f"amqp://iotcloud:{password}@rabbitmq:5672/", "librabbitmq", *how)
     if reachable("kafka"):
-        measure("kafka", "Kafka", "kafka://kafka:9092", "librdkafka", *how)
+        with warm("kafka"):
+            measure("kafka", "Kafka", "kafka://kafka:9092", "librdkafka", *how)
     else:
         print("Kafka: not there (./dev cluster up without --small has it)")
     written = {"machine": facts, "commit": given.commit, "command": shlex.join(["./dev", "cluster", "bench",

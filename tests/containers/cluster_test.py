@@ -139,15 +139,39 @@ def leader(cluster):
 def kill_and_heal(cluster, service):
     """Kills a container; it is there again, healthy, and both drivers have all back that they had sent until then."""
     sent = {gateway: max(cluster.book(gateway, "sent")) for gateway in GATEWAYS}
-    restarts, begin = cluster.kill(service), time.monotonic()
-    wait_for(f"{service} is started again", lambda: cluster.inspect(service)["RestartCount"] > restarts, HEAL_LIMIT_S)
-    wait_for(f"{service} is healthy", lambda: cluster.healthy(service), HEAL_LIMIT_S)
+    begin = time.monotonic()
+    kill_and_wait(cluster, service)
     healthy = time.monotonic() - begin
-    for gateway in GATEWAYS:
-        wait_for(f"{gateway}'s ledger has everything back after {service} was killed",
-                 lambda gateway=gateway: settled(cluster, gateway, sent[gateway]), HEAL_LIMIT_S)
+    wait_until_settled(cluster, sent, f"{service} was killed")
     print(f"killed {service}: healthy again after {healthy:.1f} s, all drivers' messages flow and none is missing after "
           f"{time.monotonic() - begin:.1f} s", flush=True)
+
+
+def kill_and_wait(cluster, service):
+    restarts = cluster.kill(service)
+    wait_for(f"{service} is started again", lambda: cluster.inspect(service)["RestartCount"] > restarts, HEAL_LIMIT_S)
+    wait_for(f"{service} is healthy", lambda: cluster.healthy(service), HEAL_LIMIT_S)
+
+
+def wait_until_settled(cluster, sent, what):
+    for gateway, upto in sent.items():
+        wait_for(f"{gateway}'s ledger has everything back after {what}",
+                 lambda gateway=gateway, upto=upto: settled(cluster, gateway, upto), HEAL_LIMIT_S)
+
+
+def kill_the_broker_that_holds_messages(cluster):
+    """Nobody reads while both workers stand still: what the broker holds then must survive its death."""
+    workers = [cluster.container(f"topology-{number}") for number in (1, 2)]
+    cluster.docker.docker("pause", *workers)
+    for gateway in GATEWAYS:
+        back = max(cluster.book(gateway, "received"))
+        wait_for(f"messages of {gateway} wait", lambda gateway=gateway, back=back:
+                 max(cluster.book(gateway, "sent")) > back + 2 * NEWER)
+    sent = {gateway: max(cluster.book(gateway, "sent")) for gateway in GATEWAYS}
+    kill_and_wait(cluster, "rabbitmq")
+    cluster.docker.docker("unpause", *workers)
+    wait_until_settled(cluster, sent, "the broker died with messages that nobody had read")
+    print("killed rabbitmq while no worker read: what it held is back", flush=True)
 
 
 def check_faults(cluster):
@@ -159,6 +183,7 @@ def check_faults(cluster):
     kill_and_heal(cluster, "topology-1")
     kill_and_heal(cluster, "gateway-1")
     kill_and_heal(cluster, "rabbitmq")
+    kill_the_broker_that_holds_messages(cluster)
 
 
 def check_books(cluster):

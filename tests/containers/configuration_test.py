@@ -62,7 +62,8 @@ def main():
                 sys.exit(f"{daemon} --check-config takes nonsense")
             # Where services and secrets are is what the compose file says.
             for secret in {word.strip(",}\"]") for word in original.split() if word.startswith("/run/secrets/")}:
-                service = next(service for service in services.values() if service.get("command", ["", "", ""])[-1].endswith(name))
+                service = next(service for service in services.values()
+                               if service.get("command", [""])[-1] == f"/etc/iotcloud/{name}")
                 given = {each if isinstance(each, str) else each["target"] for each in service["secrets"]}
                 if Path(secret).name not in given:
                     sys.exit(f"{name} names {secret}, which docker-compose.yml does not give to its service")
