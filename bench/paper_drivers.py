@@ -13,8 +13,8 @@ STEPS = {"quick": [(4, 5), (1000, 5)],
          "full": [(4, 5), (100, 5), (500, 5), (1000, 5), (2000, 1), (5000, 1), (10_000, 1)]}
 MOST_EXCLUSIVE = 1000
 ROUNDS = {"quick": 1, "usual": 2, "full": 5}
-WINDOW_S = {"quick": 3, "usual": 6, "full": 12}
-WARM_UP_S = 2
+WINDOW_S = {"quick": 2, "usual": 6, "full": 12}
+WARM_UP_S = {"quick": 1, "usual": 2, "full": 2}
 DEPLOYED_A_SECOND, UNDEPLOYED_A_SECOND = 150, 300
 FLAT, FLAT_LIMIT = 1000, 1.5  # p99 of so many drivers, x that of 4
 SERVED = 10_000  # drivers of which no message may be lost or late for good
@@ -39,7 +39,7 @@ class ByDrivers:
         return [layout for layout in layouts if self.steps(given, layout)]
 
     def point_seconds(self, given):
-        return 2 * (WARM_UP_S + WINDOW_S[given.scale]) + ORDER_S + CONNECT_S[self.broker]
+        return 2 * (WARM_UP_S[given.scale] + WINDOW_S[given.scale]) + ORDER_S + CONNECT_S[self.broker]
 
     @staticmethod
     def deploy_seconds(drivers):
@@ -86,7 +86,7 @@ class ByDrivers:
                     pair.our_problem = str(failure)
                     break  # nor would more drivers be served
                 progress.step(step, self.point_seconds(given))
-                shape = (SIZE, rate, WARM_UP_S, WINDOW_S[given.scale])
+                shape = (SIZE, rate, WARM_UP_S[given.scale], WINDOW_S[given.scale])
                 pair.round(lambda: running.measure(*shape), lambda: running.measure_bare(*shape, drivers, layout == "shared"),
                            attempts(given))
             progress.step(f"figure {self.name}: undeploying {running.drivers} drivers", self.undeploy_seconds(running.drivers))

@@ -44,12 +44,16 @@ class BySize:
         rates = RATES[given.scale]
         return rates if self.name == "7" or given.scale != "quick" else rates[-1:]
 
+    def sizes(self, given):
+        sizes = SIZES[given.scale]
+        return sizes if self.name == "7" or given.scale != "quick" else sizes[:-1]
+
     def title_of(self, size, rate):
         return f"{KINDS[self.broker][0]}, {bytes_text(size)}, {DRIVERS} x {rate}/s"
 
     def points(self, given):
         """{rate: sizes}"""
-        points = {rate: [size for size in SIZES[given.scale] if asked_for(given, self.title_of(size, rate))]
+        points = {rate: [size for size in self.sizes(given) if asked_for(given, self.title_of(size, rate))]
                   for rate in self.rates(given)}
         return {rate: sizes for rate, sizes in points.items() if sizes}
 
