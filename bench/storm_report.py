@@ -89,7 +89,7 @@ class Rounds:
         try:
             lines = {side: turn(side) for side in order}
         except ProgramFailed as failure:  # the other figures are still worth knowing
-            self.problem, self.lines = str(failure), {side: [] for side in self.sides}
+            self.problem, self.lines = str(failure).strip(), {side: [] for side in self.sides}
             return
         if max(line["others_cpu"] for line in lines.values()) > NOISE:
             self.thrown += 1
@@ -113,7 +113,7 @@ def point_of(x, rounds, side):
     """A point of a plot: of the rounds the medians, the largest, the sums."""
     lines = rounds.lines[side]
     if not lines:
-        return {"x": x, "failed": rounds.problem or "no round was quiet"}
+        return {"x": x, "failed": rounds.problem.splitlines()[-1] if rounds.problem else "no round was quiet"}
     point = {"x": x, **{name: statistics.median(line[key] for line in lines) / 1000 for name, key in STATISTICS.items()}}
     return {**point, "max_ms": max(line["max_us"] for line in lines) / 1000, "n": sum(line["count"] for line in lines),
             "lost": sum(line["lost"] for line in lines),
@@ -206,14 +206,14 @@ class Measurement:
         """Every point with all that is known of it."""
         if not self.table:
             return
-        print(f"\n{'round trip, ms':<56} {'mean':>7} {'p50':>7} {'p99':>7} {'max':>7} {'stddev':>7} {'n':>6} {'lost':>5} "
+        print(f"\n{'round trip, ms':<60} {'mean':>7} {'p50':>7} {'p99':>7} {'max':>7} {'stddev':>7} {'n':>6} {'lost':>5} "
               f"{'CPU us/msg':>10}")
         for name, point in self.table:
             if "failed" in point:
-                print(f"{name:<56} {point['failed']}")
+                print(f"{name:<60} {point['failed']}")
                 continue
             values = " ".join(f"{point[key]:>7.3f}" for key in ("mean_ms", "p50_ms", "p99_ms", "max_ms", "stddev_ms"))
-            print(f"{name:<56} {values} {point['n']:>6} {point['lost']:>5} "
+            print(f"{name:<60} {values} {point['n']:>6} {point['lost']:>5} "
                   f"{number(1e6 * point['processor_cpu_s']) if 'processor_cpu_s' in point else '':>10}")
         sys.stdout.flush()
 

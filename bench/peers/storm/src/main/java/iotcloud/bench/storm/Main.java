@@ -5,8 +5,11 @@ import java.io.InputStreamReader;
 import java.io.PrintStream;
 import java.nio.charset.StandardCharsets;
 import java.util.ArrayList;
+import java.util.HashMap;
 import java.util.List;
+import java.util.Map;
 import org.apache.storm.Config;
+import org.apache.storm.DaemonConfig;
 import org.apache.storm.LocalCluster;
 import org.apache.storm.generated.StormTopology;
 
@@ -19,6 +22,8 @@ public final class Main {
     private static final long READY_LIMIT_S = 90;
     private static final long DRAIN_LIMIT_S = 20;
     private static final long SLOW_MS = 1000;
+    private static final long SESSION_MS = 60_000;
+    private static final long STANDSTILL_S = 600;
 
     private Main() {}
 
@@ -33,6 +38,7 @@ public final class Main {
         LocalCluster cluster = new LocalCluster.Builder()
                 .withSupervisors(1)
                 .withPortsPerSupervisor(1)
+                .withDaemonConf(patience())  // first: it takes the place of what was set before
                 .withDaemonConf(Config.TOPOLOGY_ENABLE_MESSAGE_TIMEOUTS, true)
                 .withDaemonConf(Config.STORM_ZOOKEEPER_SERVERS, List.of(options.zookeeperHost))
                 .withDaemonConf(Config.STORM_ZOOKEEPER_PORT, options.zookeeperPort)
@@ -42,6 +48,15 @@ public final class Main {
         answer(answers, "{\"ready\":" + becomesReady(options) + "}");
         obey(options, answers);
         Runtime.getRuntime().halt(0);  // the folders of the cluster are the starter's
+    }
+
+    /** This process stands still while others are measured: nobody is to take it for dead, and nothing is started anew. */
+    private static Map<String, Object> patience() {
+        return new HashMap<>(Map.of(Config.STORM_ZOOKEEPER_SESSION_TIMEOUT, SESSION_MS,
+                Config.STORM_ZOOKEEPER_CONNECTION_TIMEOUT, SESSION_MS,
+                DaemonConfig.NIMBUS_TASK_TIMEOUT_SECS, STANDSTILL_S,
+                DaemonConfig.NIMBUS_SUPERVISOR_TIMEOUT_SECS, STANDSTILL_S,
+                Config.SUPERVISOR_WORKER_TIMEOUT_SECS, STANDSTILL_S));
     }
 
     private static StormTopology topology(Options options, Config conf) throws Exception {
