@@ -33,7 +33,7 @@ from codec_report import run_codec, run_follower
 from discovery_report import run_discovery
 from figures import ProgramFailed, commit, machine
 from fleet_report import run_fleet
-from paper_report import add_options as add_paper_options, run_paper
+from paper.report import add_options as add_paper_options, run_paper
 from runtime_report import run_runtime, run_soak
 from storm_report import add_options as add_storm_options
 

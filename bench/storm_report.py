@@ -7,7 +7,7 @@ from pathlib import Path
 
 from brokers_report import NOISE, broker_cpu, p50, p99
 from figures import ProgramFailed, number
-from paper_points import asked_for, bytes_text
+from paper.points import asked_for, bytes_text
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "peers"))
 from storm import build  # noqa: E402

@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 
 from figures import ProgramFailed
-from paper_points import Pair, point, series
-from paper_systems import Company, StartError, System
+from paper.points import Pair, point, series
+from paper.systems import Company, StartError, System
 
 from . import parts
 from .tap import Tap

@@ -9,7 +9,7 @@
 #include <unistd.h>
 
 #include <iotcloud/bench/harness/machine.h>
-#include <iotcloud/bench/paper/load_driver.h>
+#include <iotcloud/bench/paper/application/load_driver.h>
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/drivers/testing/mock_host.h>
 #include <iotcloud/tests/eventually.h>

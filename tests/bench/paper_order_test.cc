@@ -5,8 +5,8 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include <iotcloud/bench/paper/order.h>
-#include <iotcloud/bench/paper/point.h>
+#include <iotcloud/bench/paper/application/order.h>
+#include <iotcloud/bench/paper/application/point.h>
 
 namespace iotcloud::bench::paper {
 namespace {

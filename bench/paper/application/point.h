@@ -5,7 +5,7 @@
 #include <string>
 
 #include <iotcloud/bench/harness/latency_histogram.h>
-#include <iotcloud/bench/paper/order.h>
+#include <iotcloud/bench/paper/application/order.h>
 
 namespace iotcloud::bench::paper {
 

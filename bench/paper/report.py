@@ -9,24 +9,24 @@ import time
 from pathlib import Path
 
 import page
-import paper_drivers
-import paper_sizes
 import storm_report
 import turtlebot
 import versions
 from brokers_report import Report
 from figures import ProgramFailed, commit, machine
-from paper_points import Progress
-from paper_systems import KINDS, StartError, Unavailable
+from paper import drivers, sizes
+from paper.points import Progress
+from paper.systems import KINDS, StartError, Unavailable
 
 # In the order in which they run. Each has: `name`, `title`, `broker` (one of KINDS, or None), `servers` (of which the file
-# names the versions, as versions.py knows them), `seconds(given)` (about how long it takes) and `take(given, report, progress)`, which adds to the report's results and returns the plots. `given` has
+# names the versions, as versions.py knows them), `seconds(given)` (about how long it takes) and
+# `take(given, report, progress)`, which adds to the report's results and returns the plots. `given` has
 # `scale` ("quick", "usual", "full"), `build` and `out` (the folder of the figures' files). It raises ProgramFailed or
 # StartError when nothing can be measured; a point that cannot be served is told in its place ({"x": .., "failed": why}),
 # and sets report.failed.
 FIGURES = [
-    *paper_sizes.FIGURES,
-    *paper_drivers.FIGURES,
+    *sizes.FIGURES,
+    *drivers.FIGURES,
     turtlebot.FIGURE,
     storm_report.FIGURE,
 ]

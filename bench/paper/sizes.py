@@ -4,8 +4,8 @@ import json
 import tempfile
 
 from figures import ProgramFailed
-from paper_points import Pair, asked_for, attempts, bytes_text, point, series
-from paper_systems import KINDS, system
+from paper.points import Pair, asked_for, attempts, bytes_text, point, series
+from paper.systems import KINDS, system
 
 DRIVERS = 4
 SIZES = {"quick": (100, 60_000, 1_000_000), "usual": (100, 1000, 10_000, 60_000, 200_000, 1_000_000),

@@ -1,6 +1,6 @@
 #include <nlohmann/json.hpp>
 
-#include <iotcloud/bench/paper/point.h>
+#include <iotcloud/bench/paper/application/point.h>
 
 namespace iotcloud::bench::paper {
 

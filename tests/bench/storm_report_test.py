@@ -9,12 +9,12 @@ import unittest
 from pathlib import Path
 from unittest import mock
 
-import paper_report
+from paper import report as paper_report
 import storm_report
 from brokers_report import Report
 from figures import ProgramFailed
 from storm_report import BARE, DEFAULTS, LIBRARY, OURS, POINTS, STORM, TUNED, Measurement, Rounds, Scale, StartError
-from paper_systems import Unavailable
+from paper.systems import Unavailable
 from storm_turns import settings_of, worker_yaml
 
 ECHO = {"count": 400, "lost": 0, "mean_us": 500.0, "p50_us": 400.0, "p99_us": 900.0, "max_us": 2000.0, "stddev_us": 100.0,

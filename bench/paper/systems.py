@@ -11,7 +11,7 @@ from pathlib import Path
 
 from figures import ProgramFailed, Programs
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "servers"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "servers"))
 from private_cluster import Children, PrivateCluster, StartError, Unavailable  # noqa: E402, F401
 
 # By kind: its name, the server's options, and the bare client: its program and what it is called.

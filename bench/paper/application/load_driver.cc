@@ -6,7 +6,7 @@
 #include <utility>
 
 #include <iotcloud/bench/harness/machine.h>
-#include <iotcloud/bench/paper/load_driver.h>
+#include <iotcloud/bench/paper/application/load_driver.h>
 #include <iotcloud/drivers/property_reader.h>
 
 namespace iotcloud::bench::paper {

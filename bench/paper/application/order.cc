@@ -2,7 +2,7 @@
 #include <fstream>
 #include <stdexcept>
 
-#include <iotcloud/bench/paper/order.h>
+#include <iotcloud/bench/paper/application/order.h>
 
 namespace iotcloud::bench::paper {
 

@@ -7,8 +7,8 @@
 #include <string>
 #include <thread>
 
-#include <iotcloud/bench/paper/order.h>
-#include <iotcloud/bench/paper/point.h>
+#include <iotcloud/bench/paper/application/order.h>
+#include <iotcloud/bench/paper/application/point.h>
 
 namespace iotcloud::bench::paper {
 

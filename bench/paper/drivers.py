@@ -2,9 +2,9 @@
 
 import tempfile
 
-from paper_points import Pair, asked_for, attempts, point, series
-from paper_sizes import CONNECT_S, JVM_WARM_UP_S, ORDER_S, START_S
-from paper_systems import KINDS, StartError, system
+from paper.points import Pair, asked_for, attempts, point, series
+from paper.sizes import CONNECT_S, JVM_WARM_UP_S, ORDER_S, START_S
+from paper.systems import KINDS, StartError, system
 
 SIZE = 100
 # (drivers, messages a second of each); beyond 1000 on shared channels only.

@@ -10,7 +10,7 @@ import unittest
 from pathlib import Path
 
 from brokers_report import Report
-from paper_points import Pair
+from paper.points import Pair
 from turtlebot import FIGURE, figure, parts, tap
 
 MS = 1_000_000

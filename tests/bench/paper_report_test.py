@@ -8,13 +8,12 @@ import types
 import unittest
 from pathlib import Path
 
-import paper_drivers
-import paper_report
-import paper_sizes
 from brokers_report import Report
 from figures import ProgramFailed
-from paper_points import Pair, Progress, bytes_text, point
-from paper_systems import StartError, merge, quantile
+from paper import drivers, sizes
+from paper import report as paper_report
+from paper.points import Pair, Progress, bytes_text, point
+from paper.systems import StartError, merge, quantile
 
 LINE = {"mean_ms": 1.0, "p50_ms": 0.9, "p99_ms": 2.0, "max_ms": 5.0, "stddev_ms": 0.4, "n": 800, "lost": 0,
         "carried": 400.0, "others_cpu": 0.0}
@@ -74,7 +73,7 @@ class PaperTest(unittest.TestCase):
         return figure.take(self.given, report, Progress(figure.seconds(self.given))), report
 
     def by_size(self, answer=lambda *_: {}):
-        return self.run_figure(paper_sizes, paper_sizes.BySize("7", "rabbitmq"), Running(answer))
+        return self.run_figure(sizes, sizes.BySize("7", "rabbitmq"), Running(answer))
 
 
 class PairTest(PaperTest):
@@ -139,7 +138,7 @@ class SizesTest(PaperTest):
         plots, _ = self.by_size()
         lines = plots[0]["series"]
         self.assertEqual([line["name"] for line in lines[:2]], ["IoTCloud, 10/s", "librabbitmq, 10/s"])
-        self.assertEqual([one["x"] for one in lines[0]["points"]], list(paper_sizes.SIZES["usual"]))
+        self.assertEqual([one["x"] for one in lines[0]["points"]], list(sizes.SIZES["usual"]))
         self.assertEqual((lines[0]["points"][0]["n"], lines[0]["points"][0]["mean_ms"]), (2400, 1.0))
         paper = [line for line in lines if line["kind"] == "paper"]
         self.assertEqual([(line["name"], line["points"][0]["mean_ms"]) for line in paper], [("paper, 20/s", 10)])
@@ -155,14 +154,14 @@ class SizesTest(PaperTest):
         plots, _ = self.by_size(lambda who, _: {"stddev_ms": 0.6 if who == "ours" else 0.4})
         (self.given.out / "figure-7.json").write_text(json.dumps({"plots": plots}))
         report = Report()
-        drawn = paper_sizes.Deviation().take(self.given, report, None)
+        drawn = sizes.Deviation().take(self.given, report, None)
         self.assertEqual((drawn[0]["statistic"], report.results[0]["met"]), ("stddev_ms", False))
         self.assertAlmostEqual(report.results[0]["ratio"], 1.5)
         self.assertEqual([result["target"] for result in report.results if "1 MB" in result["name"]], [None] * 4)
 
     def test_figure_9_without_the_others_says_what_to_run(self):
         with self.assertRaisesRegex(ProgramFailed, "--figure 7"):
-            paper_sizes.Deviation().take(self.given, Report(), None)
+            sizes.Deviation().take(self.given, Report(), None)
 
     def test_sizes_are_written_as_people_do(self):
         self.assertEqual([bytes_text(size) for size in (100, 1000, 60_000, 1_000_000)], ["100 B", "1 KB", "60 KB", "1 MB"])
@@ -171,7 +170,7 @@ class SizesTest(PaperTest):
 class DriversTest(PaperTest):
     def by_drivers(self, answer=lambda *_: {}):
         running = Running(answer)
-        plots, report = self.run_figure(paper_drivers, paper_drivers.FIGURES[0], running)
+        plots, report = self.run_figure(drivers, drivers.FIGURES[0], running)
         return running, plots, report
 
     def test_each_round_adds_drivers_to_those_that_are_there(self):
@@ -200,7 +199,7 @@ class DriversTest(PaperTest):
             if running.drivers >= 5000:
                 raise StartError("too many")
         running.deploy = deploy
-        plots, report = self.run_figure(paper_drivers, paper_drivers.FIGURES[0], running)
+        plots, report = self.run_figure(drivers, drivers.FIGURES[0], running)
         points = plots[0]["series"][0]["points"]
         self.assertEqual(["failed" in one for one in points], [False] * 5 + [True] * 2)
         self.assertTrue(report.failed)

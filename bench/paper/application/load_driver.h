@@ -6,7 +6,7 @@
 #include <string_view>
 
 #include <iotcloud/bench/harness/bodies.h>
-#include <iotcloud/bench/paper/conductor.h>
+#include <iotcloud/bench/paper/application/conductor.h>
 #include <iotcloud/drivers/driver.h>
 
 namespace iotcloud::bench::paper {

@@ -8,7 +8,7 @@
 #include <unistd.h>
 
 #include <iotcloud/bench/harness/machine.h>
-#include <iotcloud/bench/paper/conductor.h>
+#include <iotcloud/bench/paper/application/conductor.h>
 
 namespace iotcloud::bench::paper {
 

@@ -4,7 +4,7 @@
 #include <iostream>
 #include <string>
 
-#include <iotcloud/bench/paper/load_driver.h>
+#include <iotcloud/bench/paper/application/load_driver.h>
 #include <iotcloud/config/memory.h>
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/topology/local/local_cluster.h>
