@@ -66,12 +66,12 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     const Outgoing refused = outbox->accept(std::move(message), now);
     outbox->sent_directly();
     outbox->refused(refused.number, why_not);
-    reporter_.note(outbox);
+    note(outbox);
     wake();
     return PublishStatus::accepted;
   }
   outbox->expire(now);
-  reporter_.note(outbox);
+  note(outbox);
   if (outbox->has_report()) wake();
   if (!outbox->has_room()) {
     outbox->refuse_room();
@@ -92,9 +92,8 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     if (reporter_.due()) wake();
     return PublishStatus::accepted;
   }
-  const bool timed = outbox->idle() && outbox->options.deadline.count() > 0;
   outbox->add_waiting(std::move(outgoing));
-  reporter_.note(outbox);
+  const bool timed = note(outbox);
   make_runnable(outbox, route);
   // What waits for an answer goes on when that comes.
   if (burst != nullptr && outbox->in_runnable) burst->add(burst_target_, now);
@@ -153,7 +152,7 @@ void PublishLink::settle(UnderWay& entry, rd_kafka_resp_err_t error) {
     outbox->lost(std::move(outgoing));
     if (!broken_ && send_again_at_ == Instant{}) send_again_at_ = clock_.now() + send_backoff_.next();
   }
-  reporter_.note(outbox);
+  note(outbox);
   make_runnable(outbox, route);
 }
 
@@ -194,18 +193,17 @@ std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
   } else if (std::any_of(routes_.begin(), routes_.end(), [](const auto& route) { return !route.second.topic; })) {
     until(ask_topics_at_);
   }
-  for (const auto& outbox : outboxes_) {
-    const std::optional<Instant> next = outbox->next_timer();
-    if (!next) continue;
-    if (*next > now) {
-      until(*next);
-      continue;
-    }
-    outbox->fire_timer(now);
+  timers_.fire(outboxes_, now, [&](const std::shared_ptr<Outbox>& outbox) {
     reporter_.note(outbox);
     limit = std::chrono::milliseconds(0);
-  }
+  });
+  if (timers_.next() != Instant::max()) until(timers_.next());
   return limit;
+}
+
+bool PublishLink::note(const std::shared_ptr<Outbox>& outbox) {
+  reporter_.note(outbox);
+  return timers_.note(*outbox);
 }
 
 }  // namespace iotcloud::brokers::kafka

@@ -14,6 +14,7 @@
 
 #include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/client/outbox_timers.h"
 #include "iotcloud/brokers/client/outcome_reporter.h"
 #include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/envelope.h"
@@ -125,6 +126,8 @@ class PublishLink {
   void make_runnable(const std::shared_ptr<Outbox>& outbox, Route& route);
   bool may_send() const;
   std::chrono::milliseconds time_to_sleep(Instant now);
+  /// After every change of a publisher's messages. \return whether the link's thread sleeps for too long now.
+  bool note(const std::shared_ptr<Outbox>& outbox);
   void wake();
 
   const KafkaOptions options_;
@@ -144,6 +147,7 @@ class PublishLink {
   std::vector<std::string> asked_;  ///< topics of the one request that is under way
   std::list<UnderWay> under_way_;
   std::vector<std::shared_ptr<Outbox>> outboxes_;
+  client::OutboxTimers timers_;
   std::deque<Route*> runnable_;  ///< those with something to send
   bool closing_ = false;
   bool connected_ = false;

@@ -104,7 +104,7 @@ std::vector<PublishLink::UnderWay*> PublishLink::take_wave(Route& route, Instant
     route.runnable.pop_front();
     outbox->in_runnable = false;
     outbox->expire(now);
-    reporter_.note(outbox);
+    note(outbox);
     if (outbox->idle() || !outbox->may_send()) continue;
     const std::size_t size = outbox->next().message.payload.size();
     if (!wave.empty() && bytes + size > most_bytes_in_wave) bytes = most_bytes_in_wave;

@@ -174,26 +174,15 @@ void PublishLink::report(Lock& lock) {
 
 void PublishLink::note(const std::shared_ptr<Outlet>& outlet) {
   reporter_.note(outlet);
-  const std::optional<Instant> timer = outlet->next_timer();
-  if (!timer || *timer >= next_timer_) return;
-  next_timer_ = *timer;
-  wake();  // whoever sleeps does not know of it
+  if (timers_.note(*outlet)) wake();  // whoever sleeps does not know of it
 }
 
 void PublishLink::fire_timers() {
-  if (now() >= next_timer_) {
-    next_timer_ = Instant::max();
-    for (const auto& outlet : outlets_) {
-      const std::optional<Instant> timer = outlet->next_timer();
-      if (!timer) continue;
-      if (*timer <= now()) {
-        outlet->fire_timer(now());
-        make_runnable(outlet);
-      }
-      note(outlet);
-    }
-  }
-  arm(next_timer_);
+  timers_.fire(outlets_, now(), [this](const std::shared_ptr<Outlet>& outlet) {
+    reporter_.note(outlet);
+    make_runnable(outlet);
+  });
+  arm(timers_.next());
 }
 
 void PublishLink::make_runnable(const std::shared_ptr<Outlet>& outlet) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "iotcloud/brokers/activemq/connection/server_link.h"
+#include "iotcloud/brokers/client/outbox_timers.h"
 #include "iotcloud/brokers/client/outcome_reporter.h"
 #include "iotcloud/brokers/meters.h"
 
@@ -78,8 +79,8 @@ class PublishLink final : public ServerLink {
   std::string head_;              ///< of the message that is being sent: the buffer is used again
   pn_link_t* readers_ = nullptr;  ///< tells of readers that come and go
   client::OutcomeReporter reporter_{changed_, meters_};
-  bool blocked_ = false;                 ///< the server gives no credit
-  Instant next_timer_ = Instant::max();  ///< no publisher has one before that
+  bool blocked_ = false;  ///< the server gives no credit
+  client::OutboxTimers timers_;
   std::vector<std::shared_ptr<Outlet>> outlets_;
   std::deque<std::shared_ptr<Outlet>> runnable_;
   std::deque<UnderWay> under_way_;  ///< entries stay where they are: their deliveries refer to them

@@ -75,12 +75,12 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
     const Outgoing refused = outbox->accept(std::move(message), now);
     outbox->sent_directly();
     outbox->refused(refused.number, why_not);
-    reporter_.note(outbox);
+    note(outbox);
     wake(lock);
     return PublishStatus::accepted;
   }
   outbox->expire(now);
-  reporter_.note(outbox);
+  note(outbox);
   if (outbox->has_report()) wake(lock);
   if (!outbox->has_room()) {
     outbox->refuse_room();
@@ -92,9 +92,8 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
                       runnable_.empty() && outbox->idle() && outbox->may_send() &&
                       wire_->room_for(outgoing.message.payload.size());
   if (!direct) {
-    const bool timed = outbox->idle() && outbox->options.deadline.count() > 0;
     outbox->add_waiting(std::move(outgoing));
-    reporter_.note(outbox);
+    const bool timed = note(outbox);
     make_runnable(outbox);
     if (!outbox->in_runnable) want_answers(lock);
     // Whoever has the wire looks again before giving it back.
@@ -241,7 +240,7 @@ void PublishLink::gather_waiting(Lock& lock, std::size_t most, bool first_may_wa
     if (one_by_one_ > 0 && !under_way_.empty()) return;
     const std::shared_ptr<Outbox> outbox = runnable_.front();
     outbox->expire(clock_.now());
-    reporter_.note(outbox);
+    note(outbox);
     if (outbox->idle() || !outbox->may_send()) {
       runnable_.pop_front();
       outbox->in_runnable = false;
@@ -261,7 +260,7 @@ void PublishLink::requeue_under_way() {
   for (UnderWay& entry : entries) {
     if (entry.answered || entry.outbox->closed) continue;
     entry.outbox->lost(std::move(entry.outgoing));
-    reporter_.note(entry.outbox);
+    note(entry.outbox);
   }
 }
 
@@ -284,7 +283,7 @@ void PublishLink::settle(UnderWay& entry, bool good, Instant now) {
   } else {
     entry.outbox->confirmed(entry.outgoing.number);
   }
-  reporter_.note(entry.outbox);
+  note(entry.outbox);
   make_runnable(entry.outbox);
 }
 
@@ -310,20 +309,19 @@ void PublishLink::on_answer(std::uint64_t tag, bool multiple, bool good) {
 std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
   std::chrono::milliseconds limit{1000};
   if (connected_) limit = std::min(limit, std::chrono::milliseconds(wire_->heartbeat()) / 2);
-  for (const auto& outbox : outboxes_) {
-    const std::optional<Instant> next = outbox->next_timer();
-    if (!next) continue;
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(*next - now);
-    if (left.count() > 0) {
-      limit = std::min(limit, left);
-      continue;
-    }
-    outbox->fire_timer(now);
+  timers_.fire(outboxes_, now, [&](const std::shared_ptr<Outbox>& outbox) {
     reporter_.note(outbox);
     if (connected_) make_runnable(outbox);
     limit = std::chrono::milliseconds(0);
-  }
-  return limit;
+  });
+  if (timers_.next() == Instant::max()) return limit;
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(timers_.next() - now);
+  return std::clamp(left, std::chrono::milliseconds(0), limit);
+}
+
+bool PublishLink::note(const std::shared_ptr<Outbox>& outbox) {
+  reporter_.note(outbox);
+  return timers_.note(*outbox);
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

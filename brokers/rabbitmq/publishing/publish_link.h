@@ -13,6 +13,7 @@
 
 #include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/client/outbox_timers.h"
 #include "iotcloud/brokers/client/outcome_reporter.h"
 #include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/client/wake_event.h"
@@ -105,6 +106,8 @@ class PublishLink {
   void push_held_back();
   void make_runnable(const std::shared_ptr<Outbox>& outbox);
   std::chrono::milliseconds time_to_sleep(Instant now);
+  /// After every change of a publisher's messages. \return whether the thread sleeps for too long now.
+  bool note(const std::shared_ptr<Outbox>& outbox);
   void wake(Lock& lock);
   /// Somebody waits for the answers: they are read as they come, until none is under way.
   void want_answers(Lock& lock);
@@ -127,6 +130,7 @@ class PublishLink {
   std::condition_variable changed_;  ///< the wire became free, a callback ended
   // All below: guarded by mutex_.
   client::OutcomeReporter reporter_{changed_, meters_};
+  client::OutboxTimers timers_;
   bool closing_ = false;
   bool connected_ = false;
   bool blocked_ = false;  ///< the server asked us to publish nothing (memory or disk alarm)

@@ -291,7 +291,7 @@ void PublishLink::on_channel_closed(const amqp_channel_close_t& closed) {
       // It is the one that the server does not want, and not for an exchange that we can declare again.
       under_way_.front().answered = true;
       under_way_.front().outbox->refused(under_way_.front().outgoing.number, why);
-      reporter_.note(under_way_.front().outbox);
+      note(under_way_.front().outbox);
     }
     logger.error("the server refused a message: {}", why);
     one_by_one_ = under_way_.size();
