@@ -50,7 +50,6 @@ void RecordedSource::start(std::function<void(const DepthFrame&)> on_frame) {
   next_ = 0;
   played_ = microseconds(0);
   last_sent_ = -options_.period;
-  started_ = steady_clock::now();
   timer_ = context_.after(microseconds(0), [this] { play(); });
 }
 
@@ -68,9 +67,7 @@ void RecordedSource::play() {
   played_ += interval;
   next_ = (frame + 1) % recording_.frames().size();
   if (next_ != 0 || options_.loop) {
-    // From intended times: reading a frame takes time too.
-    const auto due = std::chrono::duration_cast<microseconds>(started_ + played_ - steady_clock::now());
-    timer_ = context_.after(std::clamp(due, microseconds(0), interval), [this] { play(); });
+    timer_ = context_.after(interval, [this] { play(); });  // before the frame is read, which takes time too
   }
   if (at - last_sent_ + jitter_allowed < options_.period) return;
   last_sent_ = std::max(last_sent_ + options_.period, at - options_.period);

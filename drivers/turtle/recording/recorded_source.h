@@ -41,7 +41,6 @@ class RecordedSource final : public DepthSource {
   std::vector<std::uint16_t> disparities_;
   std::size_t next_ = 0;
   std::chrono::microseconds played_{0}, last_sent_{0};  ///< of the recording's time
-  std::chrono::steady_clock::time_point started_;
   std::function<void(const DepthFrame&)> on_frame_;  ///< empty while stopped
   std::optional<HandlerId> timer_;
 };
