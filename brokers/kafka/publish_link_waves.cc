@@ -86,7 +86,8 @@ rd_kafka_resp_err_t PublishLink::hand_over(UnderWay& entry, rd_kafka_topic_t* to
 void PublishLink::send_waiting(Lock& lock) {
   if (!may_send()) return;
   const Instant now = clock_.now();
-  for (std::size_t left = runnable_.size(); left > 0 && may_send(); --left) {
+  // Others take from the list while a wave is handed over.
+  for (std::size_t left = runnable_.size(); left > 0 && !runnable_.empty() && may_send(); --left) {
     Route& route = *runnable_.front();
     runnable_.pop_front();
     route.in_runnable = false;

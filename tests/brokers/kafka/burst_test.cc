@@ -4,6 +4,7 @@
 #include <atomic>
 #include <memory>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -77,6 +78,29 @@ TEST_F(KafkaBurstServer, WhatHandlersPublishArrivesInOrder) {
   for (int i = 0; i < messages; ++i) expected.push_back(std::to_string(i));
   EXPECT_EQ(inbox.bodies(), expected);
   EXPECT_TRUE(out->drain(patience));
+}
+
+TEST_F(KafkaBurstServer, BurstsOfSeveralThreadsTakeWhatTheLinksOwnThreadIsAboutToTake) {
+  constexpr int topics = 32, rounds = 500;
+  PublisherOptions options;
+  options.capacity = 1'000'000;
+  std::vector<std::unique_ptr<Publisher>> publishers;
+  for (int i = 0; i < topics; ++i) publishers.push_back(broker_->publisher(topic("out" + std::to_string(i)), options));
+  std::vector<std::jthread> threads;
+  for (int i = 0; i < 3; ++i) {
+    threads.emplace_back([&] {
+      for (int round = 0; round < rounds; ++round) {
+        kafka::Burst burst;  // as a reader's thread has one
+        for (const auto& publisher : publishers) {
+          EXPECT_EQ(publisher->publish(text_message("x")), PublishStatus::accepted);
+        }
+        burst.end();
+        EXPECT_TRUE(publishers.back()->drain(patience));  // so that the next may go at once
+      }
+    });
+  }
+  threads.clear();
+  for (const auto& publisher : publishers) EXPECT_TRUE(publisher->drain(patience));
 }
 
 TEST_F(KafkaBurstServer, AHandlerMayWaitForTheOutcomeOfWhatItPublishes) {
