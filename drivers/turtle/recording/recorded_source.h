@@ -41,7 +41,7 @@ class RecordedSource final : public DepthSource {
   std::vector<std::uint16_t> disparities_;
   std::size_t next_ = 0;
   std::chrono::microseconds played_{0}, last_sent_{0};  ///< of the recording's time
-  std::function<void(const DepthFrame&)> on_frame_;  ///< empty while stopped
+  std::function<void(const DepthFrame&)> on_frame_;     ///< empty while stopped
   std::optional<HandlerId> timer_;
 };
 
