@@ -1,6 +1,6 @@
 """Apache Storm as a peer: builds bench/peers/storm with Maven, and runs one of its topologies in a JVM of its own."""
 
-import ctypes
+import functools
 import hashlib
 import itertools
 import json
@@ -17,13 +17,11 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent.parent / "tests" / "servers"))
 from maven_jars import UNREACHABLE  # noqa: E402
 from private_cluster import StartError, Unavailable  # noqa: E402
-from private_server import java_environment  # noqa: E402
+from private_server import die_with_parent, java_environment  # noqa: E402
 
 PROJECT = HERE / "storm"
 BUILD = HERE.parent.parent / "build" / "bench" / "storm"
 BUILD_LIMIT_S, START_LIMIT_S, ANSWER_LIMIT_S = 600, 100, 30
-PR_SET_PDEATHSIG = 1
-LIBC = ctypes.CDLL("libc.so.6", use_errno=True)
 
 
 def build(folder=BUILD):
@@ -65,11 +63,6 @@ def cpu_seconds_of(process):
     return time.clock_gettime(~process << 3 | 2)
 
 
-def die_with_parent():
-    """In a child before exec: also one that stands still ends with the benchmark."""
-    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
 numbers = itertools.count(1)  # of the JVMs, for their logs and their place in ZooKeeper
 
 
@@ -88,8 +81,9 @@ class Storm:
                    "-cp", class_path, "iotcloud.bench.storm.Main", topology, "--root", f"/{self.name}", *words]
         self.log = children.log(self.name)
         self.children = children
+        killed = functools.partial(die_with_parent, signal.SIGKILL)  # which also ends one that stands still
         self.process = children.spawn(self.name, command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-                                      env=java_environment(), cwd=scratch, preexec_fn=die_with_parent)
+                                      env=java_environment(), cwd=scratch, preexec_fn=killed)
         try:
             if not self.answer(START_LIMIT_S)["ready"]:
                 self.fail("its topology did nothing within its limit")

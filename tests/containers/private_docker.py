@@ -2,7 +2,6 @@
 whatever else runs on the machine. It and all that it made are gone at the end of the `with` block.
 """
 
-import ctypes
 import os
 import shutil
 import signal
@@ -12,12 +11,14 @@ import tempfile
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "servers"))
+
+from private_server import die_with_parent  # noqa: E402
+
 PROGRAMS = {"dockerd": "docker.io", "docker-compose": "docker-compose", "debootstrap": "debootstrap", "ip": "iproute2",
             "iptables": "iptables", "nsenter": "util-linux"}
 CLIENTS = "/usr/sbin:/usr/bin:/sbin:/bin"  # Debian's own clients, which fit its daemon
 START_LIMIT_S, STOP_LIMIT_S = 60, 60
-PR_SET_PDEATHSIG = 1
-LIBC = ctypes.CDLL("libc.so.6", use_errno=True)
 
 
 class Failed(Exception):
@@ -55,10 +56,6 @@ def end_on_signals():
     """SIGTERM and SIGHUP end the test in order, as Ctrl-C does."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda received, _: sys.exit(128 + received))
-
-
-def die_with_parent():
-    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class PrivateDocker:

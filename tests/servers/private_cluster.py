@@ -1,7 +1,7 @@
 """A private system on loopback for the demo and the system tests: servers and daemons as children of this process.
 
-Every child is stopped by its id; the servers' supervisors (rabbitmq.py, zookeeper.py) end with their standard input, so
-that nothing outlives a script that was killed.
+Every child is stopped by its id. The servers' supervisors (rabbitmq.py, zookeeper.py) end with their standard input, and
+what has none is told to stop by the kernel, so that nothing outlives a script that was killed.
 """
 
 import json
@@ -16,7 +16,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from private_server import free_ports  # noqa: E402
+from private_server import die_with_parent, free_ports  # noqa: E402
 
 
 class StartError(Exception):
@@ -95,6 +95,9 @@ class Children:
         return self.out / f"{name}.log"
 
     def spawn(self, name, command, log_mode="w", **options):
+        """Starts a program, with options of Popen. From the main thread only: it ends with the thread that started it."""
+        if "stdin" not in options:
+            options = {"preexec_fn": die_with_parent, **options}
         with open(self.log(name), log_mode) as log:
             child = subprocess.Popen([str(word) for word in command], stderr=log, start_new_session=True, **options)
         self.children.append((name, child))

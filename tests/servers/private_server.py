@@ -38,10 +38,15 @@ class Unavailable(Exception):
     """The server cannot be had on this machine now, for a reason outside of this project."""
 
 
+def die_with_parent(how=signal.SIGTERM):
+    """In a child before exec: it is sent the signal `how` when the thread that started it ends, however that ended."""
+    LIBC.prctl(PR_SET_PDEATHSIG, how)
+
+
 def become_child():
     """In a child before exec: an own process group, and death with the parent."""
     os.setpgid(0, 0)
-    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    die_with_parent(signal.SIGKILL)
 
 
 def free_ports(count):

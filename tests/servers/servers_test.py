@@ -47,6 +47,14 @@ class Script:
         return found
 
 
+def command_line(process):
+    """Empty when the process has ended."""
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
 class ServersTest(unittest.TestCase):
     def obeys(self, script, *options):
         with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder:
@@ -124,6 +132,18 @@ class ServersTest(unittest.TestCase):
             while left := server.left_behind():  # the kernel ends it; ctest's limit ends this wait
                 os.sched_yield()
             self.assertEqual(left, [])
+
+    def test_so_does_a_program_of_a_private_cluster(self):
+        with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder:
+            code = (f"import sys; sys.path.insert(0, {str(HERE)!r}); from private_cluster import Children\n"
+                    f"print(Children({folder!r}).spawn('it', ['sleep', 1000]).pid, flush=True); sys.stdin.read()")
+            with subprocess.Popen(["/usr/bin/python3", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                                  text=True) as script:
+                program = script.stdout.readline().strip()
+                self.assertEqual(command_line(program), b"sleep\x001000\x00")
+                script.kill()
+            while command_line(program):
+                os.sched_yield()
 
 
 class FetchTest(unittest.TestCase):
