@@ -11,9 +11,9 @@
 
 #include "iotcloud/brokers/spool/ledger.h"
 #include "iotcloud/brokers/spool/spool_meters.h"
-#include "iotcloud/brokers/spool/spool_reader.h"
-#include "iotcloud/brokers/spool/spool_store.h"
 #include "iotcloud/brokers/spool/spool_thread.h"
+#include "iotcloud/brokers/spool/store/spool_reader.h"
+#include "iotcloud/brokers/spool/store/spool_store.h"
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/brokers/spool/spooled_publisher.h>
 

@@ -13,8 +13,8 @@
 #include "iotcloud/brokers/activemq/wire/wire_message.h"
 #include "iotcloud/brokers/envelope.h"
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
-#include "iotcloud/brokers/spool/bytes.h"
-#include "iotcloud/brokers/spool/record.h"
+#include "iotcloud/brokers/spool/store/bytes.h"
+#include "iotcloud/brokers/spool/store/record.h"
 #include "iotcloud/drivers/depth/depth_codec.h"
 #include "iotcloud/drivers/turtle/robot/protocol.h"
 

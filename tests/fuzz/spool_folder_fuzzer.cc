@@ -8,8 +8,8 @@
 #include <stdlib.h>
 #include <unistd.h>
 
-#include "iotcloud/brokers/spool/spool_reader.h"
-#include "iotcloud/brokers/spool/spool_store.h"
+#include "iotcloud/brokers/spool/store/spool_reader.h"
+#include "iotcloud/brokers/spool/store/spool_store.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log.h>

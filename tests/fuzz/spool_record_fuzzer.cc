@@ -2,8 +2,8 @@
 #include <span>
 #include <string>
 
-#include "iotcloud/brokers/spool/bytes.h"
-#include "iotcloud/brokers/spool/record.h"
+#include "iotcloud/brokers/spool/store/bytes.h"
+#include "iotcloud/brokers/spool/store/record.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 
 namespace {

@@ -11,7 +11,7 @@
 #include <gtest/gtest.h>
 #include <stdlib.h>
 
-#include "iotcloud/brokers/spool/disk.h"
+#include "iotcloud/brokers/spool/store/disk.h"
 #include <iotcloud/brokers/message.h>
 
 namespace iotcloud::brokers::spool {

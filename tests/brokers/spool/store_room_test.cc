@@ -5,7 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "iotcloud/brokers/spool/spool_store.h"
+#include "iotcloud/brokers/spool/store/spool_store.h"
 #include "iotcloud/tests/brokers/spool/store_fixture.h"
 
 namespace iotcloud::brokers::spool {

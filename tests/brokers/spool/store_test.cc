@@ -9,8 +9,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "iotcloud/brokers/spool/spool_reader.h"
-#include "iotcloud/brokers/spool/spool_store.h"
+#include "iotcloud/brokers/spool/store/spool_reader.h"
+#include "iotcloud/brokers/spool/store/spool_store.h"
 #include "iotcloud/tests/brokers/spool/store_fixture.h"
 #include <iotcloud/config/error.h>
 

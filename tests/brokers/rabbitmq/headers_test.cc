@@ -1,3 +1,5 @@
+#include "iotcloud/brokers/rabbitmq/wire/headers.h"
+
 #include <array>
 #include <limits>
 #include <string>
@@ -6,7 +8,6 @@
 #include <gtest/gtest.h>
 
 #include "iotcloud/brokers/rabbitmq/consuming/resent_marks.h"
-#include "iotcloud/brokers/rabbitmq/wire/headers.h"
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {

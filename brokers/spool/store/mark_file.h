@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <string>
 
-#include "iotcloud/brokers/spool/disk.h"
+#include "iotcloud/brokers/spool/store/disk.h"
 
 namespace iotcloud::brokers::spool {
 

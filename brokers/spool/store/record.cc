@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/spool/record.h"
+#include "iotcloud/brokers/spool/store/record.h"
 
 #include <algorithm>
 #include <string_view>
@@ -6,7 +6,7 @@
 #include <zlib.h>
 
 #include "iotcloud/brokers/limits.h"
-#include "iotcloud/brokers/spool/bytes.h"
+#include "iotcloud/brokers/spool/store/bytes.h"
 
 namespace iotcloud::brokers::spool {
 namespace {

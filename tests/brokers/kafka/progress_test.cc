@@ -1,9 +1,9 @@
 // How a reader of Kafka keeps its place in a partition.
+#include "iotcloud/brokers/kafka/reading/progress.h"
+
 #include <string>
 
 #include <gtest/gtest.h>
-
-#include "iotcloud/brokers/kafka/reading/progress.h"
 
 namespace iotcloud::brokers::kafka {
 namespace {

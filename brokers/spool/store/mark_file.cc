@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/spool/mark_file.h"
+#include "iotcloud/brokers/spool/store/mark_file.h"
 
 #include <cerrno>
 #include <cstring>
@@ -9,8 +9,8 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include "iotcloud/brokers/spool/bytes.h"
-#include "iotcloud/brokers/spool/record.h"
+#include "iotcloud/brokers/spool/store/bytes.h"
+#include "iotcloud/brokers/spool/store/record.h"
 #include <iotcloud/config/error.h>
 
 namespace iotcloud::brokers::spool {

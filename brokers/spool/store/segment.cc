@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/spool/segment.h"
+#include "iotcloud/brokers/spool/store/segment.h"
 
 #include <algorithm>
 #include <cerrno>
@@ -13,7 +13,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "iotcloud/brokers/spool/bytes.h"
+#include "iotcloud/brokers/spool/store/bytes.h"
 #include <iotcloud/config/error.h>
 
 namespace iotcloud::brokers::spool {

@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/spool/spool_store.h"
+#include "iotcloud/brokers/spool/store/spool_store.h"
 
 #include <algorithm>
 #include <cerrno>

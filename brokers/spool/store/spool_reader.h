@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <optional>
 
-#include "iotcloud/brokers/spool/spool_store.h"
+#include "iotcloud/brokers/spool/store/spool_store.h"
 
 namespace iotcloud::brokers::spool {
 

@@ -10,8 +10,8 @@
 #include <string_view>
 #include <vector>
 
-#include "iotcloud/brokers/spool/disk.h"
-#include "iotcloud/brokers/spool/record.h"
+#include "iotcloud/brokers/spool/store/disk.h"
+#include "iotcloud/brokers/spool/store/record.h"
 
 namespace iotcloud::brokers::spool {
 

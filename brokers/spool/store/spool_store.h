@@ -11,8 +11,8 @@
 #include <string>
 #include <vector>
 
-#include "iotcloud/brokers/spool/mark_file.h"
-#include "iotcloud/brokers/spool/segment.h"
+#include "iotcloud/brokers/spool/store/mark_file.h"
+#include "iotcloud/brokers/spool/store/segment.h"
 
 namespace iotcloud::brokers::spool {
 

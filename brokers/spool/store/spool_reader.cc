@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/spool/spool_reader.h"
+#include "iotcloud/brokers/spool/store/spool_reader.h"
 
 #include <utility>
 

@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/spool/disk.h"
+#include "iotcloud/brokers/spool/store/disk.h"
 
 #include <cerrno>
 

@@ -1,4 +1,6 @@
 // When what a handler publishes may wait for what the next one does.
+#include "iotcloud/brokers/rabbitmq/publishing/burst.h"
+
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
@@ -6,7 +8,6 @@
 
 #include <gtest/gtest.h>
 
-#include "iotcloud/brokers/rabbitmq/publishing/burst.h"
 #include <iotcloud/config/clock.h>
 
 namespace iotcloud::brokers::rabbitmq {
