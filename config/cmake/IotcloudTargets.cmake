@@ -38,6 +38,8 @@ function(iotcloud_room)
     target_sources(${target} ${scope} FILE_SET HEADERS BASE_DIRS ${PROJECT_BINARY_DIR}/include FILES ${arg_HEADERS})
   endif()
   if(arg_INSTALL)
+    # Their headers need it, and a project of somebody else's has its compiler's default.
+    target_compile_features(${target} ${scope} $<INSTALL_INTERFACE:cxx_std_20>)
     set_property(GLOBAL APPEND PROPERTY IOTCLOUD_SDK_TARGETS ${target})
   endif()
 endfunction()

@@ -1,9 +1,11 @@
 #!/usr/bin/python3
-"""An outsider's driver and bolt: installs the SDK, builds a project that sees nothing else, deploys and runs it.
+"""An outsider's driver and bolt: installs the SDK, builds a project that sees nothing else, deploys and runs it. The
+project that the top README prints is built, too.
 
 usage: outsider_test.py BUILD_DIR   (exit status 0: every reading that was answered was answered rightly)
 """
 
+import re
 import shutil
 import subprocess
 import sys
@@ -24,6 +26,22 @@ def run(*command):
         sys.exit(f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}")
 
 
+def build(source, folder, prefix):
+    run("cmake", "-S", source, "-B", folder, "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Release")
+    run("cmake", "--build", folder)
+
+
+def write_readmes_project(folder):
+    """The README's blocks, in the order in which it has them."""
+    readme = (HERE.parent.parent / "README.md").read_text(encoding="utf-8")
+    driver, bolt = re.findall(r"```cpp\n(.*?)```", readme, re.DOTALL)
+    [cmake] = re.findall(r"```cmake\n(.*?)```", readme, re.DOTALL)
+    folder.mkdir()
+    (folder / "thermometer.cc").write_text(driver)
+    (folder / "thermostat.cc").write_text(bolt)
+    (folder / "CMakeLists.txt").write_text("cmake_minimum_required(VERSION 3.25)\nproject(readme CXX)\n" + cmake)
+
+
 def wait_for(what, condition, limit=30):
     deadline = time.monotonic() + limit
     while time.monotonic() < deadline:
@@ -34,14 +52,14 @@ def wait_for(what, condition, limit=30):
 
 
 def main():
-    build = Path(sys.argv[1]).resolve()
-    work = build / "external"
+    tree = Path(sys.argv[1]).resolve()
+    work = tree / "external"
     shutil.rmtree(work, ignore_errors=True)
     prefix, project = work / "prefix", work / "build"
-    run("cmake", "--install", build, "--prefix", prefix)
-    run("cmake", "-S", HERE / "project", "-B", project, "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}",
-        "-DCMAKE_BUILD_TYPE=Release")
-    run("cmake", "--build", project)
+    run("cmake", "--install", tree, "--prefix", prefix)
+    build(HERE / "project", project, prefix)
+    write_readmes_project(work / "readme")
+    build(work / "readme", work / "readme-build", prefix)
 
     log = work / "orders.log"
     with PrivateCluster(work / "cluster", prefix / "bin", project / "plugins") as cluster:
