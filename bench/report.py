@@ -1,18 +1,18 @@
 #!/usr/bin/python3
 """Runs a benchmark, prints a table and writes build/bench/NAME.json.
 
-usage: report.py runtime [--quick] [--build DIR] [--json FILE]      (./dev bench builds what this needs)
-       report.py brokers [--quick] [--only BROKER] [--figures REGEX] [--rounds N] [--keep-noisy] [--build DIR]
-                         [--json FILE]
-       report.py discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
-       report.py fleet [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
-       report.py paper [--quick | --full] [--figure NAME]... [--broker NAME]... [--points REGEX] [--rounds N]
-                       [--build DIR] [--out FOLDER]
-       report.py storm [--quick | --full] [--points REGEX] [--rounds N] [--build DIR] [--out FOLDER]      as paper --figure storm
-       report.py codec [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
-       report.py follower [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
-       report.py soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
-       report.py page      writes build/bench/report.html and plots/*.svg again, of all JSON files there; measures nothing
+usage: ./dev bench runtime [--quick] [--build DIR] [--json FILE]      (it builds what this needs, and runs this file)
+       ./dev bench brokers [--quick] [--only BROKER] [--figures REGEX] [--rounds N] [--keep-noisy] [--build DIR]
+                           [--json FILE]
+       ./dev bench discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
+       ./dev bench fleet [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
+       ./dev bench paper [--quick | --full] [--figure NAME]... [--broker NAME]... [--points REGEX] [--rounds N]
+                         [--build DIR] [--out FOLDER]
+       ./dev bench storm [--quick | --full] [--points REGEX] [--rounds N] [--build DIR] [--out FOLDER]      as paper --figure storm
+       ./dev bench codec [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
+       ./dev bench follower [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
+       ./dev bench soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
+       ./dev bench page      writes build/bench/report.html and plots/*.svg again, of all JSON files there; measures nothing
 
 Everything here is measured: the programs take turns, round by round, a ratio is the median of the ratios of one round,
 and whether a target is met is computed.
@@ -45,7 +45,7 @@ def main():
     if sys.argv[1:] == ["page"]:
         print(page.write(root / "build/bench"))
         return
-    options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    options = argparse.ArgumentParser(prog="./dev bench", description=__doc__.split("\n")[0])
     commands = options.add_subparsers(dest="what", required=True)
     names = ("runtime", "soak", "brokers", "discovery", "fleet", "codec", "follower", "paper", "storm")
     runtime, soak, brokers, discovery, fleet, codec, follower, paper, storm = map(commands.add_parser, names)
