@@ -91,8 +91,14 @@ def follow_figures(rows, seconds):
     }
 
 
+def without_frame_under_way(rows):
+    """The robot is taken away as soon as its time is over; what its last frame's command would have been is not known."""
+    return rows[:-1] if rows and not rows[-1].answered else rows
+
+
 def make_report(robots, traces, options, measured):
     """Figures of all frames, and under "robots" those of each robot."""
+    traces = [without_frame_under_way(trace) for trace in traces]
     rows = [row for trace in traces for row in trace]
     each = [{"gateway": robot.gateway, "seed": robot.properties["seed"], **follow_figures(trace, options.seconds)}
             for robot, trace in zip(robots, traces)]
