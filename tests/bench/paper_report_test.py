@@ -186,6 +186,12 @@ class DriversTest(PaperTest):
         self.assertEqual([(result["name"], result["ratio"], result["met"]) for result in flat], [
             ("RabbitMQ, 1000 x 5/s, shared: p99", 1.5, True), ("RabbitMQ, 1000 x 5/s, exclusive: p99", 1.0, True)])
 
+    def test_a_thousand_alone_are_judged_by_nothing(self):
+        self.given.points = "1000 x"
+        _, _, report = self.by_drivers()
+        self.assertEqual([result["name"] for result in report.results if result["target"] is not None
+                          and result["name"].startswith("RabbitMQ, 1000 x")], [])
+
     def test_ten_thousand_are_served_when_nothing_is_lost_and_all_comes_in_time(self):
         _, _, report = self.by_drivers(lambda *_: {"carried": 9000.0})
         served = [(result["name"].split(": ")[1], result["met"]) for result in report.results if "10000 x 1/s" in result["name"]]
