@@ -39,7 +39,7 @@ void ConsumeLink::close() {
     const Lock lock(mutex_);
     if (std::exchange(closing_, true) || !started_) return;
   }
-  wake_event_.signal();
+  sleep_.signal();
   thread_.join();
   // Inlets hold their link: what is left of them here must not hold it in a circle.
   const Lock lock(mutex_);
@@ -155,7 +155,7 @@ ConnectionState ConsumeLink::state() const {
 void ConsumeLink::wake() {
   if (!sleeping_) return;
   sleeping_ = false;
-  wake_event_.signal();
+  sleep_.signal();
 }
 
 void ConsumeLink::make_ready(const std::shared_ptr<Inlet>& inlet) {
@@ -190,7 +190,7 @@ void ConsumeLink::settle(const std::shared_ptr<Inlet>& inlet, std::uint64_t publ
     if (settlements_due()) {
       send_all_settlements();
     } else {
-      wake();  // to sleep until they are due
+      sleep_.signal_after(settled_at_ + gathering_time - clock_.now());
     }
   } catch (const std::exception&) {
     broken_ = true;
@@ -220,10 +220,10 @@ void ConsumeLink::run() {
     if (wire_ && !broken_ && wire_->has_buffered()) continue;  // there is no need to ask the socket
     const bool more = (!ready_.empty() && !moving_since_) || broken_;
     const std::chrono::milliseconds limit = more ? std::chrono::milliseconds(0) : time_to_sleep();
-    const int descriptor = wire_ ? wire_->descriptor() : -1;
+    sleep_.watch(wire_ ? wire_->descriptor() : -1, false);
     sleeping_ = !more;
     lock.unlock();
-    const WakeEvent::Result woken = wake_event_.wait(descriptor, false, limit);
+    const LinkSleep::Result woken = sleep_.wait(limit);
     lock.lock();
     sleeping_ = false;
     look = woken.readable || !more;  // after a time-out too: heartbeats

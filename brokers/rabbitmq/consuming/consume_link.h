@@ -13,16 +13,15 @@
 
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/client/server_list.h"
-#include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
 #include "iotcloud/brokers/rabbitmq/consuming/inlet.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
 
 namespace iotcloud::brokers::rabbitmq {
 
 using client::ConnectionLog;
-using client::WakeEvent;
 
 /// A consuming connection of a broker object, with the one thread that reads it and runs the handlers.
 ///
@@ -102,7 +101,7 @@ class ConsumeLink : public std::enable_shared_from_this<ConsumeLink> {
   Meters& meters_;
   const config::Clock& clock_;
   ConnectionLog& log_;
-  WakeEvent wake_event_;
+  LinkSleep sleep_;  ///< watch(): with the mutex held
 
   mutable std::mutex mutex_;
   std::condition_variable handler_ended_;

@@ -38,7 +38,7 @@ PublishLink::~PublishLink() {
     closing_ = true;
     changed_.notify_all();
   }
-  wake_event_.signal();
+  sleep_.signal();
   thread_.join();
 }
 
@@ -102,6 +102,7 @@ PublishStatus PublishLink::publish(const std::shared_ptr<Outbox>& outbox, Messag
   }
   acquire_wire(lock);
   const bool gathering = under_way_.size() < most_gathered;
+  let_answers_gather();
   outbox->sent_directly();
   try {
     Burst* const burst = Burst::going_on();
@@ -170,7 +171,7 @@ void PublishLink::preferred_answered(bool answers) {
 void PublishLink::wake(Lock& lock) {
   if (!sleeping_ || !lock.owns_lock()) return;
   sleeping_ = false;
-  wake_event_.signal();
+  sleep_.signal();
 }
 
 void PublishLink::push() {
@@ -186,6 +187,10 @@ void PublishLink::want_answers(Lock& lock) {
   push_held_back();
   if (under_way_.empty() || std::exchange(answers_wanted_, true)) return;
   wake(lock);
+}
+
+void PublishLink::let_answers_gather() {
+  if (sleeping_ && under_way_.empty()) sleep_.put_off(gathering_time);
 }
 
 void PublishLink::acquire_wire(Lock& lock) {

@@ -16,12 +16,12 @@
 #include "iotcloud/brokers/client/outbox_timers.h"
 #include "iotcloud/brokers/client/outcome_reporter.h"
 #include "iotcloud/brokers/client/server_list.h"
-#include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
 #include "iotcloud/brokers/rabbitmq/publishing/burst.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
+#include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
 
 namespace iotcloud::brokers::rabbitmq {
 
@@ -29,7 +29,6 @@ using client::ConnectionLog;
 using client::Instant;
 using client::Outbox;
 using client::Outgoing;
-using client::WakeEvent;
 
 /// A publishing connection of a broker object.
 ///
@@ -111,6 +110,10 @@ class PublishLink {
   void wake(Lock& lock);
   /// Somebody waits for the answers: they are read as they come, until none is under way.
   void want_answers(Lock& lock);
+  /// Before a message is sent: a sleeping thread need not wake up for its answer at once.
+  void let_answers_gather();
+  /// How long answers that nobody waits for may gather before they are read.
+  static constexpr std::chrono::milliseconds gathering_time{2};
   static constexpr std::size_t most_gathered = 256;  ///< answers under way that nobody waits for
   void requeue_under_way();
 
@@ -119,7 +122,7 @@ class PublishLink {
   Meters& meters_;
   const config::Clock& clock_;
   ConnectionLog& log_;
-  WakeEvent wake_event_;
+  LinkSleep sleep_;  ///< watch() and put_off(): with the mutex held
 
   // The wire: used by its owner only; replaced by the link's thread, with the mutex held too.
   std::unique_ptr<AmqpLink> wire_;

@@ -15,8 +15,6 @@ namespace {
 const config::Logger logger{"brokers.rabbitmq"};
 
 constexpr std::size_t batch = 256;
-// How long answers that nobody waits for may gather before they are read.
-constexpr std::chrono::milliseconds gathering_time{2};
 // Answers to what was sent are awaited so long before the connection moves to the preferred server.
 constexpr std::chrono::seconds moving_patience{2};
 constexpr std::chrono::milliseconds moving_period{50};
@@ -55,10 +53,10 @@ void PublishLink::run() {
     const bool gathering =
         connected_ && !under_way_.empty() && under_way_.size() < most_gathered && !answers_wanted_ && runnable_.empty();
     if (gathering) limit = std::min(limit, gathering_time);
-    const int descriptor = connected_ && !gathering ? wire_->descriptor() : -1;
+    sleep_.watch(connected_ && !gathering ? wire_->descriptor() : -1, want_write);
     sleeping_ = true;
     lock.unlock();
-    const WakeEvent::Result woken = wake_event_.wait(descriptor, want_write, limit);
+    const LinkSleep::Result woken = sleep_.wait(limit);
     lock.lock();
     sleeping_ = false;
     writable = woken.writable;
