@@ -55,7 +55,7 @@ class SickDriver final : public drivers::Driver {
     } else if (illness_ == "hang") {
       for (;;) std::this_thread::sleep_for(1h);
     } else if (illness_ == "leak") {
-      context_->every(20ms, [this] { leak(); });
+      leak();
     } else if (illness_ == "spin") {
       spin();
     } else if (illness_ == "exit") {
@@ -63,11 +63,13 @@ class SickDriver final : public drivers::Driver {
     }
   }
 
-  /// Slowly enough that the thread sleeps between two pieces, on a busy machine too: else it would count as spinning.
+  /// The thread sleeps between two pieces, else it would count as spinning: so the next one is timed when this one is
+  /// there. every() is late at once on a busy machine, and then the thread does not sleep.
   void leak() {
     constexpr std::size_t piece = std::size_t{2} << 20;
     leaked_.push_back(std::make_unique<char[]>(piece));
     std::memset(leaked_.back().get(), 1, piece);
+    context_->after(20ms, [this] { leak(); });
   }
 
   /// The event thread comes round all the time, and never sleeps.
