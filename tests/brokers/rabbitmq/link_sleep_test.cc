@@ -1,4 +1,6 @@
 // What ends the sleep of a connection's thread, and what does not.
+#include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
+
 #include <array>
 #include <chrono>
 #include <thread>
@@ -7,8 +9,6 @@
 #include <gtest/gtest.h>
 #include <sys/socket.h>
 #include <unistd.h>
-
-#include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
