@@ -2,10 +2,12 @@
 //
 // An idempotent producer of librdkafka 2.0 (and later ones) has one request of a partition under way once five messages
 // of it are (its issue 4989: it counts messages where it means requests). What it is given meanwhile it keeps, and
-// until the answer comes its thread polls without sleeping, because with a linger of 0 that is due. So it gets
-// something only while fewer than five are under way: then that goes at once, as one request as long as all of it is
-// handed over before that thread wakes up. Otherwise messages wait here, and go together after the next answers. For a
-// partition whose server does not answer the others of its topic wait no longer than longest_wait.
+// until the answer comes its thread polls without sleeping, because with a linger of 0 that is due. So it gets single
+// messages only while fewer than five are under way. Otherwise messages wait here, and go together when all is
+// answered: then that is one request for each partition, as long as its messages are handed over before that thread
+// wakes up. A partition that still had something under way would keep the thread awake, which then cuts what the others
+// are being given into several requests, keeps what is left, and polls on. For a partition whose server does not answer
+// the others of its topic wait no longer than longest_wait.
 //
 // Each request costs client and server many times what a message in it does. So what a handler's thread publishes goes
 // in one wave when the thread has handled what came together. A handler may run for long, or wait for an outcome: so a
@@ -37,7 +39,7 @@ bool PublishLink::takes_one(const Route& route) const {
 }
 
 bool PublishLink::takes_wave(const Route& route, Instant now) const {
-  return !route.in_wave && (route.under_way < most_singles || now >= opens_at(route));
+  return !route.in_wave && (route.under_way == 0 || now >= opens_at(route));
 }
 
 Instant PublishLink::opens_at(const Route& route) {
