@@ -3,7 +3,7 @@
 import tempfile
 
 from paper.points import Pair, asked_for, attempts, point, series
-from paper.sizes import CONNECT_S, JVM_WARM_UP_S, ORDER_S, START_S
+from paper.sizes import CONNECT_S, ORDER_S, START_S
 from paper.systems import KINDS, StartError, system
 
 SIZE = 100
@@ -15,6 +15,9 @@ MOST_EXCLUSIVE = 1000
 ROUNDS = {"quick": 1, "usual": 2, "full": 5}
 WINDOW_S = {"quick": 2, "usual": 6, "full": 12}
 WARM_UP_S = {"quick": 1, "usual": 2, "full": 2}
+# With the figure's own load, so that the server is not compiling what serves it while it is measured.
+JVM_WARM_UP_S = {"quick": 10, "usual": 30, "full": 30}
+JVM_WARM_UP = ("--drivers", 1000, "--rate", 5)
 DEPLOYED_A_SECOND, UNDEPLOYED_A_SECOND = 150, 300
 FEW, FLAT, FLAT_LIMIT = 4, 1000, 1.5  # p99 of FLAT drivers is so many x that of FEW at most
 SERVED = 10_000  # drivers of which no message may be lost or late for good
@@ -66,7 +69,7 @@ class ByDrivers:
         with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
             progress.step(f"figure {self.name}: starting {KINDS[self.broker][0]}", START_S[self.broker])
             with system(self.broker, given.build, folder, **more) as running:
-                running.warm_up(JVM_WARM_UP_S[given.scale])
+                running.warm_up(JVM_WARM_UP_S[given.scale], JVM_WARM_UP)
                 for layout in self.chosen_layouts(given):
                     pairs[layout] = self.progressions(running, given, progress, layout)
                     self.judge(running, report, layout, pairs[layout])

@@ -182,10 +182,10 @@ class System:
         """All that runs beside the bare client and belongs to the measurement."""
         return [word for process in self.cluster.descendants() for word in ("--server", process)]
 
-    def warm_up(self, seconds):
-        """A JVM compiles what is used often."""
+    def warm_up(self, seconds, load=("--under-way", 100)):
+        """A JVM compiles what is used often, beside what it serves. `load`: the bare client's options."""
         if self.kind in ("kafka", "activemq"):
-            self.programs.run(self.program, "--url", self.url, "--name", "warm-up", "--under-way", 100, "--seconds", seconds,
+            self.programs.run(self.program, "--url", self.url, "--name", "warm-up", *load, "--seconds", seconds,
                               *["--shared"] * (self.kind == "kafka"), *self.servers())
 
     def wait_until_served(self, rate=50):

@@ -43,7 +43,7 @@ class Running:
     def measure_bare(self, *_):
         return self.line("theirs")
 
-    def warm_up(self, _seconds):
+    def warm_up(self, *_):
         pass
 
     def deploy(self, drivers, shared):
