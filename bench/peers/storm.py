@@ -17,7 +17,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent.parent / "tests" / "servers"))
 from maven_jars import UNREACHABLE  # noqa: E402
 from private_cluster import StartError, Unavailable  # noqa: E402
-from private_server import die_with_parent, java_environment  # noqa: E402
+from private_server import die_with_parent, freeze, java_environment  # noqa: E402
 
 PROJECT = HERE / "storm"
 BUILD = HERE.parent.parent / "build" / "bench" / "storm"
@@ -114,7 +114,7 @@ class Storm:
         self.children.children.remove((self.name, self.process))
 
     def stand_still(self):
-        self.process.send_signal(signal.SIGSTOP)
+        freeze(self.process)
 
     def go_on(self):
         self.process.send_signal(signal.SIGCONT)

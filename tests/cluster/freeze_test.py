@@ -14,6 +14,7 @@ import subprocess
 import time
 
 from fault_cluster import LIMIT_S, SESSION_S, FaultCluster, finish, wait_for
+from private_server import freeze as freeze_process
 
 DRIVERS, RATE = 4, 100
 ROUND_S = 25  # the drivers send for so long in each round, and at least until it is over
@@ -52,7 +53,7 @@ def freeze(cluster, victim, other):
             own[event.instance] = event.worker
     own = {instance for instance, worker in own.items() if worker == victim}
     connections, kept_back = ports(process.pid), kept(cluster, victim)
-    process.send_signal(signal.SIGSTOP)
+    freeze_process(process)
     frozen = time.time()
 
     def taken_over():

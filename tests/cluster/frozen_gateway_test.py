@@ -18,6 +18,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
 
 from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
+from private_server import freeze  # noqa: E402
 
 SESSION_S = 8
 WAIT_S = 3  # that orders wait for the frozen one
@@ -72,7 +73,7 @@ def main():
         frozen = f"gateway-{given.gateways // 2}"
         process = next(child for name, child in fleet.children if name == frozen)
         began = time.monotonic()
-        process.send_signal(signal.SIGSTOP)
+        freeze(process)
         try:
             beside, unknown = [], 0
             while fleet.gateway_states()[frozen] == "ready":

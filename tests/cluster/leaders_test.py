@@ -19,6 +19,7 @@ import time
 
 from fault_cluster import GRACE_S, LIMIT_S, SESSION_S, FaultCluster, StartError, finish, sentence, wait_for
 from master_api import MasterApi, compile_idl
+from private_server import freeze
 
 DRIVERS, RATE = 4, 100
 # The data plane has nothing to wait for. What a machine that others use adds is far less than a session's time-out.
@@ -149,7 +150,7 @@ def stop_leader(cluster, orders, leader):
         api.status()
     process = cluster.process(name)
     since = time.monotonic()
-    process.send_signal(signal.SIGSTOP)
+    freeze(process)
     try:
         for number, api in enumerate(stale):  # read when it goes on, before it can know that it leads no more
             api.send_deploy("loadgen.so", f"gateway-{number % cluster.gateways + 1}", "stale", 2)

@@ -49,6 +49,17 @@ def become_child():
     die_with_parent(signal.SIGKILL)
 
 
+def wait_until_frozen(process):
+    """A child's threads go on for a moment after SIGSTOP was sent, on another CPU."""
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+
+
+def freeze(process):
+    """No thread of this child runs from now until it is sent SIGCONT. Raises ChildProcessError when it has ended."""
+    process.send_signal(signal.SIGSTOP)
+    wait_until_frozen(process)
+
+
 def free_ports(count):
     """Ports that are free now, below the range from which the kernel takes ports for outgoing connections: while the
     server is down between `kill` and `start` no client's socket can take its port."""
@@ -169,6 +180,7 @@ class Server:
 
     def pause(self):
         self.signal(signal.SIGSTOP)
+        wait_until_frozen(self.process)
         return "PAUSED"
 
     def resume(self):

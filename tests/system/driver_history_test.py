@@ -16,6 +16,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
 from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
+from private_server import freeze  # noqa: E402
 
 
 class Fleet(PrivateCluster):
@@ -65,7 +66,7 @@ def check_gone(fleet, instance):
 
 def check_silent(fleet, frozen, instance, other):
     """A frozen gateway is named; the others answer."""
-    frozen.send_signal(signal.SIGSTOP)
+    freeze(frozen)
     try:
         done = fleet.run_cli("history")
         require(done.returncode == 1 and instance in done.stdout and other not in done.stdout, done)

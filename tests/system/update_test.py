@@ -19,6 +19,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
 from private_cluster import PrivateCluster, StartError, echo_topology, require, wait_for  # noqa: E402
+from private_server import freeze  # noqa: E402
 
 def sha256(file):
     return hashlib.sha256(file.read_bytes()).hexdigest()
@@ -118,7 +119,7 @@ def check_restart(fleet, instances, second):
     """A gateway whose machine lost its power, hosts and all, runs what was sent when it returns."""
     hosts = fleet.hosts_of("gateway-1")
     require(len(hosts) == 1, f"gateway-1 has the hosts {hosts}")
-    dict(fleet.children)["gateway-1"].send_signal(signal.SIGSTOP)  # it does not start its host again
+    freeze(dict(fleet.children)["gateway-1"])  # it does not start its host again
     os.kill(hosts[0], signal.SIGKILL)
     fleet.end("gateway-1", signal.SIGKILL)
     before = {instance: driver["since_ms"] for instance, driver in fleet.drivers().items()}
