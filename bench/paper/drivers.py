@@ -16,7 +16,7 @@ ROUNDS = {"quick": 1, "usual": 2, "full": 5}
 WINDOW_S = {"quick": 2, "usual": 6, "full": 12}
 WARM_UP_S = {"quick": 1, "usual": 2, "full": 2}
 # With the figure's own load, so that the server is not compiling what serves it while it is measured.
-JVM_WARM_UP_S = {"quick": 10, "usual": 30, "full": 30}
+JVM_WARM_UP_S = {"quick": 20, "usual": 30, "full": 30}
 JVM_WARM_UP = ("--drivers", 1000, "--rate", 5)
 DEPLOYED_A_SECOND, UNDEPLOYED_A_SECOND = 150, 300
 FEW, FLAT, FLAT_LIMIT = 4, 1000, 1.5  # p99 of FLAT drivers is so many x that of FEW at most
