@@ -17,6 +17,7 @@ namespace {
 const config::Logger logger{"brokers.kafka"};
 
 constexpr int default_port = 9092;
+constexpr std::chrono::milliseconds refresh_period{500};  // of user and password, while nobody lets us in
 
 int number_of(const std::string& name, const std::string& value, int smallest, int largest) {
   int number = 0;
@@ -138,13 +139,12 @@ Client::~Client() {
   rd_kafka_destroy_flags(handle_, RD_KAFKA_DESTROY_F_NO_CONSUMER_CLOSE);
 }
 
-bool Client::reachable(std::chrono::milliseconds limit) const {
+bool Client::connected() const {
+  // Given no time it sends a request if it can, and does not wait for the answer: a server may be far away.
   const rd_kafka_metadata_t* metadata = nullptr;
-  const rd_kafka_resp_err_t error = rd_kafka_metadata(handle_, 0, nullptr, &metadata, static_cast<int>(limit.count()));
-  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) return false;
-  const bool answered = metadata->broker_cnt > 0;
-  rd_kafka_metadata_destroy(metadata);
-  return answered;
+  const rd_kafka_resp_err_t error = rd_kafka_metadata(handle_, 0, nullptr, &metadata, 0);
+  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) rd_kafka_metadata_destroy(metadata);
+  return error == RD_KAFKA_RESP_ERR_NO_ERROR || error == RD_KAFKA_RESP_ERR__TIMED_OUT;
 }
 
 bool Client::knows(const std::string& topic, std::chrono::milliseconds limit) const {
@@ -160,7 +160,10 @@ bool Client::knows(const std::string& topic, std::chrono::milliseconds limit) co
   return known;
 }
 
-void Client::refresh_credentials(const KafkaOptions& options) const {
+void Client::refresh_credentials(const KafkaOptions& options) {
+  const auto now = std::chrono::steady_clock::now();
+  if (now - refreshed_ < refresh_period) return;
+  refreshed_ = now;
   try {
     const Credentials credentials = credentials_for(options.broker, options.urls.front());
     if (credentials.user.empty()) return;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <map>
 #include <memory>
 #include <span>
@@ -36,6 +37,11 @@ KafkaOptions kafka_options(const BrokerOptions& options, const std::vector<Broke
 /// Settings by librdkafka's names.
 using Settings = std::map<std::string, std::string>;
 
+/// Without a connection the links look again after so long: the library does not tell.
+inline constexpr std::chrono::milliseconds look_again{50};
+/// And when one failed of which it does not say that it was the last, another one is waited for so long.
+inline constexpr std::chrono::milliseconds longest_doubt{1000};
+
 /// One client of librdkafka: a producer, or a consumer in a group. Shared with every message that it received, because
 /// those must die first; so its end, which waits for the library's threads, may come on any thread.
 class Client {
@@ -48,14 +54,15 @@ class Client {
   Client& operator=(const Client&) = delete;
 
   rd_kafka_t* get() const { return handle_; }
-  /// Whether some server answers within the limit.
-  bool reachable(std::chrono::milliseconds limit) const;
+  /// Whether there is a connection to some server, which has let us in. Does not wait; begins to connect if not.
+  bool connected() const;
   /// Whether a server tells of this topic by now: after it was made that takes a moment. Waits for the answer.
   bool knows(const std::string& topic, std::chrono::milliseconds limit) const;
-  /// Reads user and password anew, for the next attempt to log in.
-  void refresh_credentials(const KafkaOptions& options) const;
+  /// Reads user and password anew, for the next attempt to log in, unless it did a moment ago. Not thread safe.
+  void refresh_credentials(const KafkaOptions& options);
 
  private:
+  std::chrono::steady_clock::time_point refreshed_{};
   rd_kafka_t* handle_ = nullptr;
 };
 

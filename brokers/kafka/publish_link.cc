@@ -176,7 +176,8 @@ bool PublishLink::is_refusal(rd_kafka_resp_err_t error) {
 }
 
 std::chrono::milliseconds PublishLink::time_to_sleep(Instant now) {
-  std::chrono::milliseconds limit{connected_ ? 1000 : 100};
+  const bool sure = connected_ && doubted_at_ == Instant{};
+  std::chrono::milliseconds limit = sure ? std::chrono::milliseconds(1000) : look_again;
   const auto until = [&](Instant instant) {
     limit =
         std::clamp(std::chrono::ceil<std::chrono::milliseconds>(instant - now), std::chrono::milliseconds(0), limit);

@@ -151,7 +151,7 @@ class PublishLink {
   std::deque<Route*> runnable_;  ///< those with something to send
   bool closing_ = false;
   bool connected_ = false;
-  bool doubted_ = false;  ///< connected, but some connection failed: ask
+  Instant doubted_at_{};  ///< some connection failed: another one is looked for since then; zero: none did
   bool broken_ = false;   ///< the client said that it is of no use any more
   bool full_ = false;     ///< the library takes no more before the next delivery report
   bool sleeping_ = false;

@@ -12,7 +12,6 @@ namespace {
 
 const config::Logger logger{"brokers.kafka"};
 
-constexpr std::chrono::milliseconds probe_limit{100};
 constexpr std::chrono::seconds end_limit{2};  // for the library to give back what it has
 
 Settings producer_settings() {
@@ -37,13 +36,14 @@ void PublishLink::run() {
     lock.unlock();
     try {
       if (!client_) start_client();
-      if (client_) look_for_servers();
     } catch (const std::exception& error) {  // ClientError, config::Error: no client for now
       log_.failed(error.what());
       next_attempt_ = clock_.now() + std::chrono::seconds(1);
     }
     lock.lock();
+    // In this order: what was said of a connection before it was there again is not taken for its loss.
     serve_events(lock);
+    if (client_) look_for_servers();
     if (broken_) {
       lock.unlock();
       end_client(last_error_);
@@ -56,7 +56,7 @@ void PublishLink::run() {
     send_waiting(lock);
     reporter_.report_all(lock);
     const std::chrono::milliseconds limit = time_to_sleep(clock_.now());
-    if (reporter_.due() || closing_ || (connected_ && doubted_)) continue;
+    if (reporter_.due() || closing_) continue;
     sleeping_ = true;
     lock.unlock();
     wake_event_.wait(-1, false, limit);
@@ -79,7 +79,8 @@ void PublishLink::start_client() {
   const Lock lock(mutex_);
   client_ = std::move(made);
   events_ = std::move(events);
-  broken_ = full_ = doubted_ = connected_ = false;
+  broken_ = full_ = connected_ = false;
+  doubted_at_ = {};
 }
 
 void PublishLink::end_client(const std::string& reason) {
@@ -118,24 +119,17 @@ void PublishLink::lose_connection() {
 }
 
 void PublishLink::look_for_servers() {
-  {
-    const Lock lock(mutex_);
-    if (connected_ && !doubted_) return;
-  }
-  const bool reachable = client_->reachable(probe_limit);
-  if (!reachable) client_->refresh_credentials(options_);
-  const Lock lock(mutex_);
-  doubted_ = false;
-  if (reachable && !connected_) {
-    connected_ = true;
-    last_error_.clear();
-    log_.connected();
-    for (const auto& outbox : outboxes_) make_runnable(outbox);
-  } else if (!reachable && connected_) {
-    lose_connection();
-  } else if (!reachable && !last_error_.empty()) {
-    log_.failed(last_error_);
-  }
+  if (connected_ && doubted_at_ == Instant{}) return;
+  const bool connected = client_->connected();
+  if (!connected) client_->refresh_credentials(options_);
+  if (!connected && connected_ && clock_.now() - doubted_at_ < longest_doubt) return;
+  doubted_at_ = {};
+  if (!connected && !connected_ && !last_error_.empty()) log_.failed(last_error_);
+  if (!connected) return lose_connection();
+  if (std::exchange(connected_, true)) return;
+  last_error_.clear();
+  log_.connected();
+  for (const auto& outbox : outboxes_) make_runnable(outbox);
 }
 
 void PublishLink::serve_events(Lock& lock) {
@@ -185,8 +179,8 @@ void PublishLink::on_error(rd_kafka_event_t* event) {
   }
   if (error == RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN) {
     lose_connection();
-  } else {
-    doubted_ = true;
+  } else if (doubted_at_ == Instant{}) {
+    doubted_at_ = clock_.now();
   }
 }
 

@@ -14,7 +14,6 @@ namespace {
 
 const config::Logger logger{"brokers.kafka"};
 
-constexpr std::chrono::milliseconds probe_limit{100};
 constexpr std::chrono::milliseconds committed_limit{3000};
 constexpr std::chrono::milliseconds handler_limit{1000};  // for handlers of partitions that leave
 constexpr std::chrono::milliseconds commit_period{100};
@@ -86,8 +85,9 @@ std::chrono::milliseconds Group::serve() {
     start_at_ = clock_.now() + std::chrono::seconds(1);
   }
   if (!client_) return std::chrono::milliseconds(1000);
-  look_for_servers();
+  // In this order: what was said of a connection before it was there again is not taken for its loss.
   while (const Event event{rd_kafka_queue_poll(events_.get(), 0)}) on_event(event.get());
+  look_for_servers();
   if (broken_ || closed()) {
     end_client();
     return std::chrono::milliseconds(0);
@@ -100,7 +100,7 @@ std::chrono::milliseconds Group::serve() {
 }
 
 std::chrono::milliseconds Group::time_to_sleep(Instant now) const {
-  if (!connected_ || doubted_) return std::chrono::milliseconds(doubted_ ? 0 : 50);
+  if (!connected_ || doubted_at_ != Instant{}) return look_again;
   std::chrono::milliseconds limit{1000};
   const auto until = [&](Instant instant) {
     limit =
@@ -119,7 +119,8 @@ void Group::start_client() {
   rd_kafka_poll_set_consumer(client_->get());
   events_.reset(rd_kafka_queue_get_consumer(client_->get()));
   watch(events_);
-  connected_ = doubted_ = broken_ = false;
+  connected_ = broken_ = false;
+  doubted_at_ = {};
 }
 
 void Group::end_client() {
@@ -187,16 +188,17 @@ bool Group::cooperative() const {
 }
 
 void Group::look_for_servers() {
-  if ((connected_ && !doubted_) || closing_) return;
-  const bool reachable = client_->reachable(probe_limit);
-  if (!reachable) client_->refresh_credentials(options_);
-  doubted_ = false;
-  if (reachable == connected_) {
-    if (!reachable && !last_error_.empty()) log_.failed(last_error_);
+  if ((connected_ && doubted_at_ == Instant{}) || closing_) return;
+  const bool connected = client_->connected();
+  if (!connected) client_->refresh_credentials(options_);
+  if (!connected && connected_ && clock_.now() - doubted_at_ < longest_doubt) return;
+  doubted_at_ = {};
+  if (connected == connected_) {
+    if (!connected && !last_error_.empty()) log_.failed(last_error_);
     return;
   }
-  connected_ = reachable;
-  if (reachable) {
+  connected_ = connected;
+  if (connected) {
     last_error_.clear();
     log_.connected();
   } else {
@@ -254,7 +256,7 @@ void Group::on_error(rd_kafka_event_t* event) {
     ask_topics_at_ = clock_.now() + topic_backoff_.next();
   } else if (is_about_connection(error)) {
     if (error != RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN || last_error_.empty()) last_error_ = lasting_words(event);
-    doubted_ = true;
+    if (doubted_at_ == Instant{}) doubted_at_ = clock_.now();
     if (error == RD_KAFKA_RESP_ERR__ALL_BROKERS_DOWN && std::exchange(connected_, false)) {
       log_.lost(last_error_);
       reader_->set_connected(*member_, false);

@@ -32,7 +32,7 @@ class Group {
   Group& operator=(const Group&) = delete;
 
   const std::shared_ptr<Member>& member() const { return member_; }
-  /// Does what is due; waits a second or so when servers do not answer. \return how long nothing is due
+  /// Does what is due; waits for servers' answers, some seconds at most. \return how long nothing is due
   std::chrono::milliseconds serve();
   /// Begins to leave the group, after a last commit; go on with serve() until closed(), which takes some seconds at
   /// most.
@@ -74,8 +74,8 @@ class Group {
   std::shared_ptr<Client> client_;
   Queue events_;
   bool connected_ = false;
-  bool doubted_ = false;
-  bool broken_ = false;  ///< the client is of no use any more
+  Instant doubted_at_{};  ///< some connection failed: another one is looked for since then; zero: none did
+  bool broken_ = false;   ///< the client is of no use any more
   bool closing_ = false;
   std::string last_error_;
   std::set<PartitionKey> assigned_;

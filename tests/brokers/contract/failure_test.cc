@@ -144,10 +144,13 @@ TEST_P(BrokerContract, ALateSettlementAfterTheServersDeathIsIgnored) {
   ASSERT_TRUE(holder.wait_for(2)) << "unsettled, so it comes again";
   EXPECT_EQ(holder.body(1), "1");
   holder.settle(0, Settlement::accept);
-  holder.settle(1, Settlement::accept);
   publisher->publish(text_message("2"));
-  ASSERT_TRUE(holder.wait_for(3));
-  EXPECT_EQ(holder.body(2), "2");
+  std::size_t here = 1;
+  for (; holder.body(here) == "1"; ++here) {  // once more for each time that the connection is lost on its way back
+    holder.settle(here, Settlement::accept);
+    ASSERT_TRUE(holder.wait_for(here + 2));
+  }
+  EXPECT_EQ(holder.body(here), "2");
   holder.drop_all();
 }
 

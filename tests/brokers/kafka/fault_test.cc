@@ -45,7 +45,12 @@ class KafkaFault : public testing::Test {
       at = end + 1;
     }
     options.heartbeat = std::chrono::seconds(2);
+    options.rpc_timeout = std::chrono::seconds(2);  // the mock cluster never answers a request for topics
     return make_broker(options);
+  }
+  /// From now on, for all servers.
+  void set_round_trip(int milliseconds) const {
+    for (int node = 1; node <= nodes; ++node) rd_kafka_mock_broker_set_rtt(cluster_, node, milliseconds);
   }
   Topic topic() const { return {"", "topic", false}; }
   void fail_next(std::int16_t request, std::vector<rd_kafka_resp_err_t> errors) const {
@@ -153,12 +158,46 @@ TEST_F(KafkaFault, ASlowServerIsWaitedForAndNothingIsSentTwice) {
   Inbox inbox;
   const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
   ASSERT_TRUE(eventually([&] { return subscription->active(); }, patience));
-  for (int node = 1; node <= nodes; ++node) rd_kafka_mock_broker_set_rtt(cluster(), node, 200);
+  set_round_trip(200);
   const auto publisher = broker->publisher(topic(), {});
   for (const auto& body : numbered(1, 50)) publisher->publish(text_message(body));
   ASSERT_TRUE(publisher->drain(patience));
   ASSERT_TRUE(inbox.wait_for(50));
   EXPECT_EQ(inbox.bodies(), numbered(1, 50));
+}
+
+TEST_F(KafkaFault, ServersMayBeFarAway) {
+  set_round_trip(250);
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("1"));
+  EXPECT_TRUE(publisher->drain(patience));
+  EXPECT_TRUE(inbox.wait_for(1));
+  EXPECT_EQ(broker->state(), ConnectionState::connected);
+}
+
+TEST_F(KafkaFault, WhatIsInHandIsNotTakenBackWhileServersAreSlowToAnswer) {
+  rd_kafka_mock_topic_create(cluster(), "topic", 1, nodes);
+  rd_kafka_mock_partition_set_leader(cluster(), "topic", 0, 2);
+  rd_kafka_mock_coordinator_set(cluster(), "group", "topic", 2);
+  const auto broker = this->broker();
+  Holder holder;
+  const auto subscription = broker->subscribe(topic(), {}, holder.handler());
+  ASSERT_TRUE(eventually([&] { return subscription->active(); }, patience));
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("1"));
+  ASSERT_TRUE(holder.wait_for(1));
+  set_round_trip(250);
+  rd_kafka_mock_broker_set_down(cluster(), 1);
+  for (std::size_t i = 2; i <= 6; ++i) {
+    publisher->publish(text_message(std::to_string(i)));
+    ASSERT_TRUE(holder.wait_for(i));
+    EXPECT_EQ(holder.body(i - 1), std::to_string(i));
+  }
+  EXPECT_EQ(broker->state(), ConnectionState::connected);
+  holder.drop_all();
 }
 
 TEST_F(KafkaFault, ACommitThatFailsIsTriedAgain) {
