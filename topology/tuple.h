@@ -35,7 +35,7 @@ struct TupleData {
   int source_task = -1;
   const StreamInfo* stream = nullptr;
   internal::Tree* tree = nullptr;  ///< the runtime's; null: not tracked
-  std::int64_t born_ns = 0;        ///< topology's clock when the spout emitted what this comes from; 0: not asked for
+  std::int64_t born_ns = 0;        ///< topology's clock when the spout was asked for what this comes from; 0: not kept
   Values values;
 };
 

@@ -21,28 +21,34 @@ Fence::Fence(const config::Clock& clock, std::chrono::milliseconds limit)
       last_beat_ns_(ns(clock.now())) {}
 
 /// Whoever comes first after a stand-still puts the fence up, before anybody can see that the process runs again.
-void Fence::check() const {
+void Fence::check(Instant now) const {
   if (limit_ns_ == 0) return;
-  const Instant now = clock_->now();
   std::int64_t last = last_beat_ns_.load(std::memory_order_acquire);
   if (ns(now) - last <= limit_ns_) return;
-  raise(now);
+  raise();
   if (last_beat_ns_.compare_exchange_strong(last, ns(now), std::memory_order_acq_rel)) {
     logger.warn("this process stood still for {} ms: what it had in hand is dropped, its brokers give it out again",
                 (ns(now) - last) / 1'000'000);
   }
 }
 
-void Fence::raise(Instant now) const {
+/// Counts before it takes the time: who saw the old count after it had taken something took it before this time.
+void Fence::raise() const {
+  count_.fetch_add(1);
+  const std::int64_t now_ns = ns(now());
   std::int64_t since = since_ns_.load(std::memory_order_relaxed);
-  while (since < ns(now) && !since_ns_.compare_exchange_weak(since, ns(now), std::memory_order_acq_rel)) {
+  while (since < now_ns && !since_ns_.compare_exchange_weak(since, now_ns, std::memory_order_acq_rel)) {
   }
-  count_.fetch_add(1, std::memory_order_acq_rel);
+}
+
+Fence::Instant Fence::now() const {
+  return clock_ != nullptr ? clock_->now() : config::system_clock().now();
 }
 
 void Fence::beat() {
-  check();
-  if (clock_ != nullptr) last_beat_ns_.store(ns(clock_->now()), std::memory_order_release);
+  const Instant now = this->now();  // read once: the process may stand still behind any line
+  check(now);
+  last_beat_ns_.store(ns(now), std::memory_order_release);
 
   const std::lock_guard lock(mutex_);
   const std::uint64_t count = count_.load(std::memory_order_acquire);
@@ -51,18 +57,18 @@ void Fence::beat() {
 }
 
 void Fence::put_up() {
-  raise(clock_ != nullptr ? clock_->now() : config::system_clock().now());
+  raise();
 }
 
 Fence::Instant Fence::since() const {
-  check();
+  if (limit_ns_ > 0) check(now());
   return Instant(std::chrono::duration_cast<Instant::duration>(
       std::chrono::nanoseconds(since_ns_.load(std::memory_order_acquire))));
 }
 
 std::uint64_t Fence::count() const {
-  check();
-  return count_.load(std::memory_order_acquire);
+  if (limit_ns_ > 0) check(now());
+  return count_.load();
 }
 
 int Fence::listen(std::function<void()> on_put_up) {

@@ -43,8 +43,9 @@ class Fence {
   void ignore(int listener);
 
  private:
-  void check() const;
-  void raise(Instant now) const;
+  Instant now() const;
+  void check(Instant now) const;
+  void raise() const;
 
   const config::Clock* const clock_ = nullptr;
   const std::int64_t limit_ns_ = 0;  ///< 0: none

@@ -1,4 +1,7 @@
 // What a worker that stood still has in hand is not sent.
+#include <functional>
+#include <utility>
+
 #include <gmock/gmock.h>
 
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
@@ -12,12 +15,19 @@ using testing::ElementsAre;
 
 class HandClock final : public config::Clock {
  public:
-  Instant now() const override { return now_; }
+  Instant now() const override {
+    const Instant read = now_;
+    if (const auto hook = std::exchange(after_reading_, {})) hook();
+    return read;
+  }
   std::int64_t wall_ms() const override { return 0; }
   void pass(milliseconds time) { now_ += time; }
+  /// Runs once, when the clock was read the next time.
+  void after_reading(std::function<void()> hook) { after_reading_ = std::move(hook); }
 
  private:
   Instant now_{std::chrono::hours(1)};
+  mutable std::function<void()> after_reading_;
 };
 
 TEST(Fence, StaysDownWhileTheProcessBeats) {
@@ -42,6 +52,24 @@ TEST(Fence, VoidsWhatWasTakenBeforeTheProcessStoodStillAlsoForTheFirstWhoAsks) {
   EXPECT_TRUE(fence.voids(before));
   EXPECT_FALSE(fence.voids(clock.now())) << "what is taken from now on counts";
   EXPECT_EQ(fence.count(), 1u);
+}
+
+TEST(Fence, SeesAStandStillInTheMiddleOfABeat) {
+  HandClock clock;
+  Fence fence(clock, milliseconds(1000));
+  const auto before = clock.now();
+  clock.after_reading([&] { clock.pass(milliseconds(1001)); });
+  fence.beat();
+  EXPECT_TRUE(fence.voids(before));
+}
+
+TEST(Fence, CountsBeforeItTakesTheTimeSoThatNothingTakenWithTheOldCountIsNewer) {
+  HandClock clock;
+  Fence fence(clock, milliseconds(1000));
+  std::uint64_t count = 0;
+  clock.after_reading([&] { count = fence.count(); });
+  fence.put_up();
+  EXPECT_EQ(count, 1u);
 }
 
 TEST(Fence, TellsItsListenersOnceWithTheNextBeat) {

@@ -1,5 +1,6 @@
 // Deadlines and keep_last: what a robot needs.
 #include <map>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -70,6 +71,43 @@ TEST(Deadline, AFreshTupleIsExecuted) {
   }
   EXPECT_THAT(sink->numbers(), ElementsAre(1, 2, 3));
   EXPECT_EQ(runtime.snapshot().component("out").late, 0U);
+}
+
+/// Takes `period` between being asked for its only tuple and emitting it.
+class SlowSpout final : public Spout {
+ public:
+  SlowSpout(SimulatedClock& clock, std::chrono::milliseconds period) : clock_(clock), period_(period) {}
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare({"value"}); }
+  void open(const Config&, const TopologyContext&, SpoutOutputCollector& collector) override {
+    collector_ = &collector;
+  }
+  bool next_tuple() override {
+    if (std::exchange(emitted_, true)) return false;
+    clock_.advance(period_);
+    collector_->emit(Values(1));
+    return false;
+  }
+
+ private:
+  SimulatedClock& clock_;
+  const std::chrono::milliseconds period_;
+  bool emitted_ = false;
+  SpoutOutputCollector* collector_ = nullptr;
+};
+
+TEST(Deadline, CountsFromWhenTheSpoutWasAsked) {
+  for (const auto& [period, late] : {std::pair(49ms, 0U), std::pair(51ms, 1U)}) {
+    Bench bench;
+    auto sink = std::make_shared<Sink>();
+    TopologyBuilder builder;
+    builder.set_spout("in", [&bench, period = period] { return std::make_unique<SlowSpout>(bench.clock, period); });
+    builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("in").deadline(50ms);
+    Runtime runtime(builder.build("asked"), bench.options());
+    runtime.start();
+    runtime.run_until_idle();
+    EXPECT_EQ(runtime.snapshot().component("out").late, late);
+    EXPECT_EQ(sink->numbers().size(), 1U - late);
+  }
 }
 
 TEST(Deadline, ALateTupleGoesToTheLateStreamWithItsValuesAndItsTree) {

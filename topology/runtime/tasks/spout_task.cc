@@ -122,10 +122,12 @@ bool SpoutTask::ask(Lane& lane) {
     std::chrono::microseconds pause{0};
     std::size_t calls = 0;
     for (; more && calls < chunk_ && !lane.wants_flush() && (calls == 0 || may_ask()); ++calls) {
+      if (around_.has_deadlines) asked_ns_ = topology_ns();
       if (!guarded("next_tuple()", [&] { more = spout_->next_tuple(); })) {
         more = false;
         pause = pause_after_throw;
       }
+      asked_ns_ = 0;
       if (more) bump(counts_.executed);
       take_acked_at_once();
     }
@@ -159,7 +161,7 @@ void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, cons
   emitter_.choose(stream, values, task);
   bump(counts_.emitted);
   bump(counts_.transferred, emitter_.chosen());
-  const std::int64_t born = around_.has_deadlines ? topology_ns() : 0;
+  const std::int64_t born = asked_ns_ == 0 && around_.has_deadlines ? topology_ns() : asked_ns_;
   if (taps_.any()) offer_emitted(values, born);
   if (emitter_.chosen() > 0) {
     if (id != nullptr && around_.options->acking) {

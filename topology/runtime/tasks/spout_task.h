@@ -93,6 +93,9 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   Lane* lane_ = nullptr;
   /// The topology's clock at the last look: tuples are stamped with it. Calls between two looks are some microseconds.
   std::int64_t now_ns_ = 0;
+  /// The same when next_tuple() was called, which is when its tuples are born: what a spout looks at then (is this
+  /// message still mine?) it looks at after their birth. 0: in no such call, or nobody asks for births.
+  std::int64_t asked_ns_ = 0;
   bool active_ = false;
   bool throttled_ = false;
   std::vector<MessageId> acked_at_once_;
