@@ -105,7 +105,7 @@ TEST_F(LocalMode, SendsEachDriversMessagesBackToThatDriverInOrder) {
   ASSERT_TRUE(Answers::get().wait_for(second, 200));
   EXPECT_EQ(numbers(first), up_to(200));
   EXPECT_EQ(numbers(second), up_to(200));
-  EXPECT_TRUE(cluster.stop(std::chrono::seconds(5)));
+  EXPECT_TRUE(cluster.stop(std::chrono::seconds(60)));
 }
 
 TEST_F(LocalMode, DoesSoOnSharedChannelsToo) {
@@ -177,7 +177,7 @@ TEST_F(LocalMode, StopsWhileMessagesFlowAndLeavesNoTraceOfTheTopology) {
   const auto id = cluster.deploy("pinger");
   ASSERT_TRUE(Answers::get().wait_for(id, 20));
   EXPECT_THAT(discovery::list_topologies(cluster.registry(), cluster.paths()), SizeIs(1));
-  EXPECT_TRUE(cluster.stop(std::chrono::seconds(5)));
+  EXPECT_TRUE(cluster.stop(std::chrono::seconds(60)));
   EXPECT_THAT(discovery::list_topologies(cluster.registry(), cluster.paths()), IsEmpty());
 }
 

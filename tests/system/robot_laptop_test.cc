@@ -76,7 +76,7 @@ class FollowerCluster {
     turtle["trace"] = trace();
     cluster_->deploy("turtle.so", turtle);
   }
-  ~FollowerCluster() { EXPECT_TRUE(cluster_->stop(std::chrono::seconds(5))); }
+  ~FollowerCluster() { EXPECT_TRUE(cluster_->stop(std::chrono::seconds(60))); }
   std::string trace() const { return folder_.file("trace.csv"); }
   /// Waits until so many frames were answered. \return the whole rows so far.
   std::vector<tests::Row> answered_rows(std::size_t count) {
