@@ -1,4 +1,5 @@
 // A worker's share changes while somebody else still has the units that it stands for.
+#include <algorithm>
 #include <chrono>
 #include <future>
 #include <memory>
@@ -33,10 +34,15 @@ class StoppedTimers final : public tests::PassingRegistry {
     }
     for (const auto& timer : waiting) timer->begin(*this);
   }
-  /// How often the records of a group's other members were read.
-  int reads() const {
+  /// Whether a group's members, as it has read them last, have one of this name.
+  bool has_read(const std::string& member) const {
     const std::lock_guard lock(mutex_);
-    return reads_;
+    return std::find(members_.begin(), members_.end(), member) != members_.end();
+  }
+  /// For how many units somebody stands.
+  int candidacies() const {
+    const std::lock_guard lock(mutex_);
+    return candidacies_;
   }
   /// Returns when all callbacks that waited have run.
   void let_callbacks_run() {
@@ -45,11 +51,22 @@ class StoppedTimers final : public tests::PassingRegistry {
     reached.get_future().wait();
   }
 
-  std::vector<std::optional<Node>> get_all(const Names& paths) override {
-    auto nodes = PassingRegistry::get_all(paths);
-    const std::lock_guard lock(mutex_);
-    ++reads_;
-    return nodes;
+  discovery::GuardPtr watch_children(const std::string& path,
+                                     std::function<void(const std::optional<Names>&)> callback) override {
+    if (!path.ends_with("/members")) return PassingRegistry::watch_children(path, std::move(callback));
+    return PassingRegistry::watch_children(path, [this, callback = std::move(callback)](const auto& names) {
+      callback(names);  // which reads them
+      const std::lock_guard lock(mutex_);
+      members_ = names.value_or(Names());
+    });
+  }
+  discovery::GuardPtr hold_eventually(const std::string& path, const std::string& data, bool sequential,
+                                      std::function<void(const std::string&)> on_created) override {
+    {
+      const std::lock_guard lock(mutex_);
+      if (path.find("/units/") != std::string::npos) ++candidacies_;
+    }
+    return PassingRegistry::hold_eventually(path, data, sequential, std::move(on_created));
   }
   discovery::GuardPtr after(std::chrono::milliseconds pause, std::function<void()> callback) override {
     const std::lock_guard lock(mutex_);
@@ -91,7 +108,8 @@ class StoppedTimers final : public tests::PassingRegistry {
 
   mutable std::mutex mutex_;
   bool stopped_ = false;                         ///< guarded by mutex_
-  int reads_ = 0;                                ///< guarded by mutex_
+  Names members_;                                ///< guarded by mutex_
+  int candidacies_ = 0;                          ///< guarded by mutex_
   std::vector<std::shared_ptr<Timer>> waiting_;  ///< guarded by mutex_
 };
 
@@ -119,22 +137,15 @@ TEST_F(Endpoints, UnitsThatAWorkerGaveAwayAndGotBackBeforeItReadThemAreRead) {
       .metrics = &metrics};
   Worker worker(std::move(options));
   worker.start();
-  ASSERT_TRUE(eventually([&] { return registry.reads() > 0; }));
-  registry.let_callbacks_run();  // it is alone, and stands for all units
+  ASSERT_TRUE(eventually([&] { return registry.candidacies() == drivers; })) << "it is alone, and stands for all units";
 
   registry.stop();
-  const auto change = [&](auto&& doing) {
-    const int before = registry.reads();
-    doing();
-    ASSERT_TRUE(eventually([&] { return registry.reads() > before; }));
-    registry.let_callbacks_run();
-  };
-  discovery::GuardPtr joined;
-  change([&] {
-    joined = registry_->hold(group + "/members/another",
-                             R"({"topology":"t","tasks":1,"shares":false,"broker":"rabbitmq","where":"","since":1})");
-  });
-  change([&] { joined.reset(); });
+  auto joined =
+      registry_->hold(group + "/members/another",
+                      R"({"topology":"t","tasks":1,"shares":false,"broker":"rabbitmq","where":"","since":1})");
+  ASSERT_TRUE(eventually([&] { return registry.has_read("another"); }));
+  joined.reset();
+  ASSERT_TRUE(eventually([&] { return !registry.has_read("another"); }));
   registry.go_off();
   registry.let_callbacks_run();
 
