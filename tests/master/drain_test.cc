@@ -115,6 +115,7 @@ TEST_F(MasterDrain, MayBeRepeatedAndFinishesWhatWasBegun) {
   gateway.behave(FakeGateway::say_nothing());
   const auto begun = master->drain({{"lab1"}, std::chrono::milliseconds(1)});
   EXPECT_EQ(begun.outcomes.at(0).outcome, Outcome::unknown);
+  ASSERT_TRUE(test::eventually([&] { return gateway.orders_seen() == 2; }));  // or it would obey this one too
   gateway.behave(FakeGateway::obey);
   EXPECT_THAT(master->drain(lab1()).outcomes, IsEmpty()) << "it is ordered already";
   EXPECT_TRUE(master->gateways().at(0).draining);
