@@ -26,7 +26,7 @@ struct Script {
   std::vector<std::string> published;
   bool full = false;
   bool confirm_before_publish_returns = false;
-  std::function<void()> during_publish;
+  std::function<void()> during_publish, when_full;
   int alive = 0;
   std::set<std::uint64_t> open;  ///< publish numbers without an outcome
 
@@ -44,7 +44,10 @@ class ScriptedPublisher final : public brokers::Publisher {
     while (!script_.open.empty()) script_.outcome(*script_.open.begin(), Outcome::unknown);
   }
   PublishStatus publish(brokers::Message message) override {
-    if (script_.full) return PublishStatus::would_block;
+    if (script_.full) {
+      if (script_.when_full) script_.when_full();
+      return PublishStatus::would_block;
+    }
     script_.published.emplace_back(message.payload.text());
     const std::uint64_t number = script_.published.size();
     script_.open.insert(number);
@@ -188,6 +191,16 @@ TEST_F(SentTuples, FailWhenTheChannelGoesWhileTheyAreBeingSent) {
   send(1);
   EXPECT_THAT(answers_.failed, ElementsAre(1));
   EXPECT_EQ(script_.alive, 0);
+}
+
+TEST_F(SentTuples, FailWhenTheChannelGoesWhileItsPublisherSaysThatItIsFull) {
+  open();
+  script_.full = true;
+  script_.when_full = [&] { std::thread([&] { sender_->close(); }).join(); };
+  send(1);
+  EXPECT_THAT(answers_.failed, ElementsAre(1));
+  EXPECT_EQ(lost("closed"), 1);
+  EXPECT_EQ(kept(), 0U);
 }
 
 TEST_F(SentTuples, AreAckedWhenTheChannelsOwnPolicyDropsTheirMessages) {

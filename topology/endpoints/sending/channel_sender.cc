@@ -87,9 +87,17 @@ void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
     } else if (awaited) {
       under_way_.pop_back();
     }
+    const bool waits = status == brokers::PublishStatus::would_block;
+    const bool too_late = waits && !publisher_;  // close() has failed what was held back, and did not see this one
+    if (too_late) {
+      lock.unlock();
+      meters_->lost("closed");
+      held.collector->fail(held.tuple);
+      lock.lock();
+    }
     sending_ = nullptr;
     sent_.notify_all();
-    if (status != brokers::PublishStatus::would_block) continue;
+    if (!waits || too_late) continue;
     held_.push_front(std::move(held));
     if (!writable_again_) {
       full_ = true;
