@@ -32,6 +32,7 @@ void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutpu
                                     "Messages on shared channels of drivers that `where` does not choose", labels));
   }
   waker_ = context.waker;
+  fence_count_ = services_->fence->count();
   inbox_ = std::make_shared<Inbox>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker);
   placement_->join(context.task_index, context.task_count, inbox_);
 }
@@ -41,12 +42,18 @@ void BrokerSpout::close() {
   placement_->leave();  // first, or the broker would deliver again what the closed inbox gives back
   inbox_->close();
   slots_.clear();  // what is under way goes back to the broker
+  next_.reset();
   free_.clear();
   retries_.clear();
   if (filter_) filter_->clear();
 }
 
 bool BrokerSpout::next_tuple() {
+  if (next_) {
+    Arrival arrival = std::move(*next_);
+    next_.reset();
+    if (!comes_again(arrival) && bring(std::move(arrival))) return true;
+  }
   if (!retries_.empty()) {
     while (auto arrival = retries_.next(services_->clock->now())) {
       if (comes_again(*arrival)) {
@@ -74,13 +81,24 @@ bool BrokerSpout::next_tuple() {
         continue;
       }
     }
-    if (bring(std::move(*arrival))) return more;
+    if (bring(std::move(*arrival))) return more || next_;
   }
 }
 
-/// \return whether it was emitted: what its driver sent before may have to be tried again first.
+/// A tuple is born when next_tuple() is called, and what was born before the fence was put up is void. So what came
+/// after that from the broker, into a call that began before, is left to the next one.
+bool BrokerSpout::is_too_new(const Arrival& arrival) {
+  return std::exchange(fence_count_, arrival.reader->fence_count()) != arrival.reader->fence_count();
+}
+
+/// \return whether this call is over: it was emitted, or is left to the next one. Otherwise it is void, or what its
+/// driver sent before has to be tried again first.
 bool BrokerSpout::bring(Arrival arrival) {
   if (arrival.reader->is_void()) return false;
+  if (is_too_new(arrival)) {
+    next_ = std::move(arrival);
+    return true;
+  }
   arrival.sequence = ++last_sequence_;
   if (retries_.hold(arrival)) return false;
   emit(std::move(arrival));

@@ -39,6 +39,7 @@ class BrokerSpout final : public Spout {
 
  private:
   bool bring(Arrival arrival);
+  bool is_too_new(const Arrival& arrival);
   void emit(Arrival arrival);
   static bool comes_again(const Arrival& arrival);
   void give_up(Arrival arrival);
@@ -56,6 +57,8 @@ class BrokerSpout final : public Spout {
   Retries retries_;
   std::optional<SharedFilter> filter_;  ///< with `where`
   std::uint64_t last_sequence_ = 0;
+  std::uint64_t fence_count_ = 0;  ///< as an earlier call of next_tuple() saw it
+  std::optional<Arrival> next_;    ///< for the next call: it is too new for the one that took it
   config::Counter* received_ = nullptr;
   config::Counter* retried_ = nullptr;
   config::Counter* rejected_ = nullptr;

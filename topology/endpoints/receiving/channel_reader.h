@@ -33,6 +33,8 @@ class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
   /// True when the fence was put up since open(): what came from here is void, and what comes stays with the reader
   /// until it is closed.
   bool is_void() const { return fence_->count() != opened_at_; }
+  /// How often the fence had been put up at open().
+  std::uint64_t fence_count() const { return opened_at_; }
   /// True while it reads; false while disconnected, or while another reader has the topic.
   bool active() const;
   const std::string& driver_id() const { return driver_id_; }
