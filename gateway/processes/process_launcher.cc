@@ -14,13 +14,14 @@
 #include <iotcloud/gateway/plugins/plugin_folder.h>
 #include <iotcloud/gateway/processes/process_launcher.h>
 #include <iotcloud/gateway/processes/process_link.h>
+#include <iotcloud/gateway/processes/silence.h>
 
 namespace iotcloud::gateway {
 
 namespace {
 
 constexpr config::Logger log{"gateway"};
-constexpr std::chrono::milliseconds hello_limit{2000};
+constexpr std::chrono::milliseconds hello_limit{2000}, hello_pause{100};
 constexpr std::string_view socket_suffix = ".sock";
 
 std::string beside_own_program() {
@@ -81,10 +82,9 @@ void add_confinement(std::vector<std::string>& arguments, const Confinement& con
 
 std::optional<protocol::Event> hello_of(const OwnedDescriptor& socket) {
   protocol::FrameReader frames;
-  const auto deadline = std::chrono::steady_clock::now() + hello_limit;
-  while (std::chrono::steady_clock::now() < deadline) {
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
-    if (!wait_readable(socket.get(), left)) break;
+  Silence silence(std::chrono::steady_clock::now(), 2 * hello_pause);
+  while (silence.look(std::chrono::steady_clock::now()) < hello_limit) {
+    if (!wait_readable(socket.get(), hello_pause)) continue;
     const auto bytes = receive_some(socket);
     if (!bytes) break;
     frames.feed(bytes->data(), bytes->size());

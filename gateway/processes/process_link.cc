@@ -12,6 +12,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/gateway/processes/process_link.h>
+#include <iotcloud/gateway/processes/silence.h>
 
 namespace iotcloud::gateway {
 
@@ -23,7 +24,7 @@ using Steady = std::chrono::steady_clock;
 namespace {
 
 constexpr config::Logger log{"gateway"};
-constexpr milliseconds connect_pause{10};
+constexpr milliseconds connect_pause{10}, longest_connect_pause{100};
 constexpr milliseconds death_limit{5000};
 
 std::string how_it_ended(int status) {
@@ -51,7 +52,6 @@ ProcessLink::ProcessLink(const ProcessLauncher::Options& options, const HostOrde
       events_(std::move(events)),
       keep_log_(std::move(keep_log)),
       process_descriptor_(static_cast<int>(syscall(SYS_pidfd_open, process, 0))),
-      last_heard_(Steady::now()),
       next_ping_(Steady::now()),
       next_metrics_(Steady::now()),
       name_(name_in_metrics(order)),
@@ -115,13 +115,13 @@ void ProcessLink::tell_end(const HostEnd& end) {
 
 /// Until the host listens, ends, or takes too long. \return whether there is a connection.
 bool ProcessLink::connect() {
-  const auto deadline = Steady::now() + options_.hang_limit;
+  Silence silence(Steady::now(), longest_connect_pause);
   while (!leaving_) {
     socket_ = connect_in(options_.state_dir, socket_name_);
     if (socket_) return true;
     if (wait_readable(process_descriptor_.get(), connect_pause)) return false;  // it has ended
-    if (overdue()) return false;
-    if (Steady::now() < deadline) continue;
+    if (overdue({})) return false;
+    if (silence.look(Steady::now()) < options_.hang_limit) continue;
     killed_ = fmt::format("hung: it did not listen within {} ms", options_.hang_limit.count());
     kill_process();
     return false;
@@ -130,7 +130,7 @@ bool ProcessLink::connect() {
 }
 
 void ProcessLink::converse() {
-  last_heard_ = Steady::now();
+  Silence silence(Steady::now(), std::min(2 * options_.ping_period, options_.hang_limit / 2));
   while (!leaving_) {
     std::array<pollfd, 3> on{
         {{socket_.get(), POLLIN, 0}, {waker_.get(), POLLIN, 0}, {process_descriptor_.get(), POLLIN, 0}}};
@@ -138,10 +138,13 @@ void ProcessLink::converse() {
     if (leaving_) return;
     if (on[1].revents != 0) waker_.clear();
     if (!send_waiting()) return;
-    if (on[0].revents != 0 && !receive()) return;
+    if (on[0].revents != 0) {
+      if (!receive()) return;
+      silence.heard();
+    }
     if (on[0].revents == 0 && on[2].revents != 0) return;  // ended, and nothing is left to read
     ping();
-    if (overdue()) return;
+    if (overdue(silence.look(Steady::now()))) return;
   }
 }
 
@@ -164,7 +167,6 @@ bool ProcessLink::receive() {
   const auto bytes = receive_some(socket_);
   if (!bytes) return false;
   frames_.feed(bytes->data(), bytes->size());
-  last_heard_ = Steady::now();
   while (const auto body = frames_.next()) heard(protocol::decode_event(*body));
   return true;
 }
@@ -243,13 +245,12 @@ void ProcessLink::show_metrics(std::vector<config::Sample> samples) {
 }
 
 /// Kills a host that does not answer, or that did not shut down in time. \return whether it did.
-bool ProcessLink::overdue() {
-  const auto now = Steady::now();
+bool ProcessLink::overdue(std::chrono::nanoseconds silent) {
   std::unique_lock lock(mutex_);
   const bool shutting_down = shutting_down_;
-  if (shutting_down && now > shutdown_deadline_) {
+  if (shutting_down && Steady::now() > shutdown_deadline_) {
     killed_ = "did not shut down in time and was killed";
-  } else if (!shutting_down && socket_ && now - last_heard_ > options_.hang_limit) {
+  } else if (!shutting_down && silent > options_.hang_limit) {
     killed_ = fmt::format("hung: no answer for {} ms", options_.hang_limit.count());
   } else {
     return false;

@@ -47,7 +47,7 @@ class ProcessLink final : public HostLink {
   void ping();
   void ask_for_metrics(Instant now);
   void show_metrics(std::vector<config::Sample> samples);
-  bool overdue();
+  bool overdue(std::chrono::nanoseconds silent);
   std::chrono::milliseconds time_to_wait() const;
   void kill_process();
   HostEnd wait_for_end();
@@ -72,7 +72,7 @@ class ProcessLink final : public HostLink {
   // The link's thread only.
   OwnedDescriptor socket_;
   protocol::FrameReader frames_;
-  Instant last_heard_, next_ping_, next_metrics_;
+  Instant next_ping_, next_metrics_;
   std::string name_;     ///< of the host, in its metrics
   std::string refused_;  ///< why the host cannot serve
   std::string killed_;   ///< why it was killed

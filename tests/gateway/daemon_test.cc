@@ -89,8 +89,9 @@ class DaemonTest : public ::testing::Test {
     std::vector<int> hosts;
     std::error_code none;
     for (const auto& file : fs::directory_iterator(folder_ / "state", none)) {
-      if (file.path().extension() == ".sock")
-        hosts.push_back(peer_process(connect_in(folder_ / "state", file.path().filename())));
+      if (file.path().extension() != ".sock") continue;
+      const int process = peer_process(connect_in(folder_ / "state", file.path().filename()));
+      if (process > 0) hosts.push_back(process);  // 0: it has ended
     }
     return hosts;
   }

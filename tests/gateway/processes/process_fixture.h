@@ -33,7 +33,10 @@ class ProcessTest : public GatewayFixture {
   }
   ~ProcessTest() override {
     gateway_.reset();
-    for (const auto& socket : sockets()) kill(peer_process(connect_in(state_, socket)), SIGKILL);
+    for (const auto& socket : sockets()) {
+      const int process = peer_process(connect_in(state_, socket));
+      if (process > 0) kill(process, SIGKILL);  // 0, which is this process's group: it has ended
+    }
     std::filesystem::remove_all(folder_);
   }
 

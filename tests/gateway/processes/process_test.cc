@@ -1,7 +1,9 @@
 // Driver hosts as real processes.
 #include <algorithm>
+#include <atomic>
 #include <filesystem>
 #include <fstream>
+#include <thread>
 
 #include <nlohmann/json.hpp>
 #include <signal.h>
@@ -9,6 +11,7 @@
 
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/drivers/plugin.h>
+#include <iotcloud/gateway/processes/process_link.h>
 #include <iotcloud/tests/gateway/processes/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
@@ -110,6 +113,7 @@ TEST_F(ProcessTest, AHostThatHangsIsKilledAndStartedAgain) {
   give(quiet("a"));
   ASSERT_TRUE(comes_to("a", DriverState::active));
   const int process = host_process();
+  ASSERT_GT(process, 0);
   kill(process, SIGSTOP);
   EXPECT_TRUE(has_ended(process));
   EXPECT_TRUE(eventually([&] { return host_process() > 0 && host_process() != process; }));
@@ -246,6 +250,37 @@ TEST_F(ProcessTest, AHostLogsAsItsGatewayDoesWhenItStartsIt) {
   std::size_t lines = 0;
   for (; std::getline(file, line); ++lines) EXPECT_TRUE(nlohmann::json::parse(line).contains("text")) << line;
   EXPECT_GT(lines, 0u);
+}
+
+TEST_F(ProcessTest, AGatewayThatStoodStillDoesNotTakeItsHostsForHung) {
+  StatusLog before, after;
+  {
+    const auto launcher = new_launcher();
+    auto link =
+        launcher->launch({"probe.so", "gw", false}, {[&](const auto& s) { before.add(s); }, [](const auto&) {}});
+    InstanceSpec spec;
+    spec.order = quiet("a");
+    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
+    link->create(spec);
+    ASSERT_TRUE(before.wait_for("a", DriverState::active));
+  }
+  const int process = host_process();
+  ASSERT_GT(process, 0);
+  ProcessLauncher::Options options;
+  options.state_dir = state_;
+  options.ping_period = 20ms;
+  options.hang_limit = 3s;
+  std::atomic<int> pings{0};
+  std::atomic<bool> ended{false};
+  const auto stand_still_once = [&] {
+    if (pings++ == 0) std::this_thread::sleep_for(options.hang_limit + 100ms);
+  };
+  ProcessLink link(options, {"probe.so", "gw", false}, sockets().front(), process, false,
+                   {[&](const auto& s) { after.add(s); }, [&](const auto&) { ended = true; }}, stand_still_once);
+  ASSERT_TRUE(eventually([&] { return pings > 1 || ended; }));
+  EXPECT_FALSE(ended);
+  link.deactivate("a");
+  EXPECT_TRUE(after.wait_for("a", DriverState::inactive));
 }
 
 TEST_F(ProcessTest, TheHostOfAnotherGatewayInTheFolderIsEnded) {
