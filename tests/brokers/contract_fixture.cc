@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <set>
 #include <thread>
 #include <utility>
 
@@ -74,6 +75,10 @@ bool Inbox::wait_for(std::size_t count, std::chrono::milliseconds limit) {
   return wait_until([&](const auto& received) { return received.size() >= count; }, limit);
 }
 
+bool Inbox::wait_for_last(const std::string& body, std::chrono::milliseconds limit) {
+  return wait_until([&](const auto& received) { return !received.empty() && received.back().body == body; }, limit);
+}
+
 std::vector<Inbox::Received> Inbox::all() const {
   const std::lock_guard lock(mutex_);
   return received_;
@@ -89,6 +94,19 @@ std::vector<std::string> Inbox::bodies() const {
 std::size_t Inbox::size() const {
   const std::lock_guard lock(mutex_);
   return received_.size();
+}
+
+std::vector<std::string> firsts(const Inbox& inbox) {
+  std::set<std::string> seen;
+  std::vector<std::string> bodies;
+  for (const auto& received : inbox.all()) {
+    if (seen.insert(received.body).second) {
+      bodies.push_back(received.body);
+    } else {
+      EXPECT_TRUE(received.redelivered) << "a second " << received.body << " that is not marked";
+    }
+  }
+  return bodies;
 }
 
 Handler Holder::handler() {

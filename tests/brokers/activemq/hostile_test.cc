@@ -103,7 +103,7 @@ TEST_F(ActiveMqHostile, AStreamThatIsCorruptEndsTheConnectionAndNothingIsLost) {
   publisher->publish(text_message(std::to_string(++sent)));
   ASSERT_TRUE(publisher->drain(patience));
   std::vector<std::string> first_time;
-  ASSERT_TRUE(inbox.wait_until([&](const auto& received) { return received.back().body == std::to_string(sent); }));
+  ASSERT_TRUE(inbox.wait_for_last(std::to_string(sent)));
   for (const auto& one : inbox.all()) {
     if (std::find(first_time.begin(), first_time.end(), one.body) == first_time.end()) first_time.push_back(one.body);
   }

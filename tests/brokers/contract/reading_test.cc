@@ -200,7 +200,7 @@ TEST_P(BrokerContract, KeepLastHandsOnOnlyTheNewestOfWhatWaits) {
   fence_publisher->publish(text_message("x"));
   ASSERT_TRUE(fence.wait_for(1));
   subscription->resume();
-  ASSERT_TRUE(inbox.wait_until([](const auto& received) { return !received.empty() && received.back().body == "50"; }));
+  ASSERT_TRUE(inbox.wait_for_last("50"));
   const auto bodies = inbox.bodies();
   EXPECT_LE(bodies.size(), 10U) << "nearly all of 50 were to be skipped";
   EXPECT_EQ(std::vector<std::string>(bodies.end() - 3, bodies.end()), numbered(48, 50));

@@ -214,7 +214,7 @@ TEST_F(KafkaFault, ACommitThatFailsIsTriedAgain) {
   subscription = broker->subscribe(topic(), {}, second.handler());
   ASSERT_TRUE(eventually([&] { return subscription->active(); }, patience));
   publisher->publish(text_message("6"));
-  ASSERT_TRUE(second.wait_until([](const auto& received) { return !received.empty() && received.back().body == "6"; }));
+  ASSERT_TRUE(second.wait_for_last("6"));
   for (const auto& received : second.all()) EXPECT_TRUE(received.body == "6" || received.redelivered);
 }
 
