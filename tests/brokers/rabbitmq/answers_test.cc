@@ -82,16 +82,26 @@ TEST_F(RabbitMqAnswers, CopiesThatTheServerTakesLateFromALostConnectionAreMarked
     ASSERT_TRUE(publisher->drain(patience));
   };
   publish(1, 5);
+  ASSERT_TRUE(inbox.wait_for_last("5"));
+  const std::size_t before = inbox.size();
   proxy_.withhold_messages();
   publish(6, 10);
-  ASSERT_TRUE(inbox.wait_for(10)) << "through another connection";
+  ASSERT_TRUE(inbox.wait_for(before + 5)) << "through another connection";
   proxy_.release_messages();
-  ASSERT_TRUE(inbox.wait_for(15)) << "again, from the lost one";
+  ASSERT_TRUE(inbox.wait_for(before + 10)) << "again, from the lost one";
   publish(11, 12);
-  ASSERT_TRUE(inbox.wait_for(17));
-  const auto all = inbox.all();
-  for (std::size_t i = 0; i < all.size(); ++i) {
-    EXPECT_EQ(all[i].redelivered, i >= 5 && i < 15) << all[i].body << " at " << i;
+  ASSERT_TRUE(inbox.wait_for_last("12"));
+  EXPECT_EQ(firsts(inbox), numbered(1, 12));
+  // One to read, one to publish, and one in its place; more when the server was so slow to answer that it got others
+  // again, too.
+  const bool others_too = proxy_.connections() > 3;
+  for (const auto& received : inbox.all()) {
+    const int number = std::stoi(received.body);
+    if (number >= 6 && number <= 10) {
+      EXPECT_TRUE(received.redelivered) << received.body;
+    } else if (!others_too) {
+      EXPECT_FALSE(received.redelivered) << received.body;
+    }
   }
 }
 
