@@ -27,7 +27,6 @@ class ActiveMqHostile : public testing::Test {
   std::unique_ptr<Broker> broker_at(const std::string& url) {
     BrokerOptions options;
     options.urls = {url};
-    options.heartbeat = std::chrono::seconds(1);
     options.metrics = &metrics_;
     return make_broker(options);
   }
