@@ -171,29 +171,34 @@ void Engine::receive(bool readable, bool writable) {
     finish_connecting();
     if (connecting_) return;
   }
-  if (readable) read();
-  pn_transport_tick(transport(), steady_ms());
+  // The server was silent until the time before the socket was looked at, which is done whatever was said of it: what
+  // comes while this process stands still is there then.
+  const auto looked_at = steady_ms();
+  const bool came = read();
+  pn_transport_tick(transport(), came ? steady_ms() : looked_at);
 }
 
-void Engine::read() {
-  for (std::size_t taken = 0; taken < most_read_at_once;) {
+bool Engine::read() {
+  std::size_t taken = 0;
+  while (taken < most_read_at_once) {
     const pn_rwbytes_t room = pn_connection_driver_read_buffer(&driver_);
-    if (room.size == 0) return;
+    if (room.size == 0) break;
     const ssize_t count = ::recv(socket_, room.start, room.size, 0);
     if (count > 0) {
       pn_connection_driver_read_done(&driver_, static_cast<std::size_t>(count));
       taken += static_cast<std::size_t>(count);
-      if (static_cast<std::size_t>(count) < room.size) return;  // there is no more
+      if (static_cast<std::size_t>(count) < room.size) break;  // there is no more
     } else if (count == 0) {
       pn_connection_driver_read_close(&driver_);
-      return;
+      break;
     } else if (errno == EAGAIN || errno == EWOULDBLOCK) {
-      return;
+      break;
     } else if (errno != EINTR) {
       fail(errno);
-      return;
+      break;
     }
   }
+  return taken > 0;
 }
 
 void Engine::send() {

@@ -58,7 +58,7 @@ class Engine {
   void connect_next();
   void finish_connecting();
   void fail(int error);
-  void read();
+  bool read();  ///< \return whether something came
 
   pn_connection_driver_t driver_{};
   std::unique_ptr<pn_connection_driver_t, DriverDestroyer> destroyer_;
