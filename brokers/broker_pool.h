@@ -14,6 +14,7 @@ namespace iotcloud::brokers {
 struct BrokerAddress {
   std::string broker;
   std::vector<std::string> urls;
+  // NOLINTNEXTLINE(modernize-use-nullptr): clang-tidy 14 sees a comparison with 0 there.
   friend auto operator<=>(const BrokerAddress&, const BrokerAddress&) = default;
 };
 

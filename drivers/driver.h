@@ -161,6 +161,7 @@ class Driver {
   virtual void deactivate() {}  ///< stop to produce; timers and watches that the driver left running go on
   virtual void close() {}
   /// A message came on an incoming channel (also while inactive).
+  // NOLINTNEXTLINE(performance-unnecessary-value-param): who overrides this may keep the message.
   virtual void on_message(std::string_view channel, Message message) { (void)channel, (void)message; }
   /// An outgoing channel that had answered would_block takes messages again.
   virtual void on_writable(std::string_view channel) { (void)channel; }

@@ -11,9 +11,9 @@ void Ledger::stored() {
   ++pending_;
 }
 
-void Ledger::settled_unstored(Outcome outcome, std::string reason) {
+void Ledger::settled_unstored(Outcome outcome, const std::string& reason) {
   ++pending_;
-  add_event(++last_number_, 1, outcome, std::move(reason));
+  add_event(++last_number_, 1, outcome, reason);
 }
 
 void Ledger::send(std::size_t bytes) {

@@ -31,7 +31,7 @@ class Ledger {
   /// A message was stored as the next record.
   void stored();
   /// A message was accepted and has its outcome already.
-  void settled_unstored(Outcome outcome, std::string reason);
+  void settled_unstored(Outcome outcome, const std::string& reason);
 
   std::uint64_t next() const { return next_; }
   /// The next record to hand to the inner publisher; next() when all were.

@@ -57,6 +57,7 @@ class Spawning {
   /// \return the child's id. \throws config::Error.
   pid_t spawn(std::vector<std::string> arguments) {
     std::vector<char*> argv;
+    argv.reserve(arguments.size() + 1);
     for (auto& argument : arguments) argv.push_back(argument.data());
     argv.push_back(nullptr);
     pid_t child = 0;

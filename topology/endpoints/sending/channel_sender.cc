@@ -22,8 +22,8 @@ void SenderMeters::lost(const std::string& reason) {
 
 std::shared_ptr<ChannelSender> ChannelSender::open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
                                                    brokers::PublisherOptions options, AckWhen ack_when,
-                                                   std::shared_ptr<SenderMeters> meters,
-                                                   std::shared_ptr<const Fence> fence) {
+                                                   const std::shared_ptr<SenderMeters>& meters,
+                                                   const std::shared_ptr<const Fence>& fence) {
   std::shared_ptr<ChannelSender> sender(new ChannelSender(ack_when, meters, fence));
   options.void_before = [fence] { return fence->since(); };
   options.on_outcome = [meters, weak = std::weak_ptr(sender)](std::uint64_t number, brokers::Outcome outcome,

@@ -39,7 +39,8 @@ class ChannelSender : public std::enable_shared_from_this<ChannelSender> {
   /// \param ack_when accepted: a tuple is acked when the publisher has its message, which may still be lost.
   static std::shared_ptr<ChannelSender> open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
                                              brokers::PublisherOptions options, AckWhen ack_when,
-                                             std::shared_ptr<SenderMeters> meters, std::shared_ptr<const Fence> fence);
+                                             const std::shared_ptr<SenderMeters>& meters,
+                                             const std::shared_ptr<const Fence>& fence);
 
   /// Acks or fails the tuple, now or later.
   void send(brokers::Message message, const Tuple& tuple, OutputCollector& collector);
