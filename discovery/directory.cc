@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <utility>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/discovery/client/turn.h>
 #include <iotcloud/discovery/directory.h>
 
 namespace iotcloud::discovery {
@@ -12,30 +12,30 @@ namespace {
 
 using Names = std::vector<std::string>;
 
-const config::Logger log{"discovery.directory"};
+const config::Logger directory_logger{"discovery.directory"};
 
 struct Channel {
   GuardPtr watch;
-  std::optional<ChannelRecord> record;    ///< as it stands, when it can be read
-  std::optional<ChannelRecord> reported;  ///< as the user knows it
+  std::optional<ChannelRecord> record;    ///< the current record, if it can be read
+  std::optional<ChannelRecord> reported;  ///< the record that the user was told last
   bool complained = false;
 };
 
 struct Instance {
   GuardPtr watch;
-  GuardPtr list_watch;  ///< null when one channel is wanted by name
-  bool active = false;  ///< and chosen
+  GuardPtr list_watch;  ///< null if one channel is wanted by name
+  bool active = false;  ///< active and selected
   bool complained = false;
   std::map<std::string, Channel> channels;
 };
 
 }  // namespace
 
-/// One watch on the driver's node for its instances; for each instance one on its record and, unless one channel is
-/// wanted by name, one on the list of its channels; for each channel one on its record.
-/// Everything but the beginning and the end runs on the dispatcher, in its turn.
+/// It watches the driver's node for instances; for each instance its record and, unless one channel is wanted by name,
+/// the list of its channels; for each channel its record. Everything but begin() and end() runs on the dispatcher,
+/// while it holds `turn`.
 struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
-  Impl(Registry& r, Paths p, std::string d, std::string c, Callbacks cb, Selection w)
+  Impl(Registry& r, Paths p, DriverName d, std::string c, Callbacks cb, Selection w)
       : registry(r),
         paths(std::move(p)),
         driver(std::move(d)),
@@ -43,35 +43,36 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
         callbacks(std::move(cb)),
         where(std::move(w)) {}
 
-  /// A callback that runs in its turn, and does nothing once the directory is over.
+  /// Makes a callback that holds `turn`, and does nothing once the directory has ended.
   template <typename Function>
   auto guarded(Function function) {
     return [weak = weak_from_this(), function](const auto& argument) {
       const auto self = weak.lock();
       if (!self) return;
-      const std::lock_guard lock(self->turn);
+      const TurnLock lock(self->turn);
       if (!self->over) function(*self, argument);
     };
   }
 
-  /// Takes no turn: a user who constructs under a lock that his callbacks take as well does no harm.
+  /// Does not lock `turn`, so that users may construct under a lock that their callbacks take as well.
   void begin() {
     list_watch = registry.watch_children(paths.driver(driver), guarded([](Impl& self, const auto& names) {
+                                           self.turn.assert_held();
                                            self.on_instances(names.value_or(Names()));
                                          }));
   }
 
   void end() {
-    GuardPtr watch;  // these die after the turn: their destructors wait for callbacks, which want it
-    std::map<std::string, Instance> dying;
-    const std::lock_guard lock(turn);
+    GuardPtr watch;  // destroyed after `turn` is unlocked: their destructors wait for callbacks, which lock it
+    std::map<InstanceId, Instance> dying;
+    const TurnLock lock(turn);
     over = true;
     watch.swap(list_watch);
     dying.swap(instances);
   }
 
-  void on_instances(const Names& ids) {
-    // Both are sorted. User callbacks may end the directory: `over` is looked at after each of them.
+  void on_instances(const Names& ids) IOTCLOUD_REQUIRES(turn) {
+    // Both lists are sorted. A user's callback may end the directory, so `over` is checked after each.
     Names fresh;
     auto next = ids.begin();
     for (auto place = instances.begin(); place != instances.end();) {
@@ -81,48 +82,54 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
         ++next;
         continue;
       }
-      const std::string id = place->first;
+      const InstanceId id = place->first;
       Instance gone = std::move(place->second);
       place = instances.erase(place);
       gone.active = false;
       update(gone);
       if (over) return;
-      judge(id, std::nullopt);
+      judge(id, std::nullopt, std::nullopt);
       if (over) return;
     }
     fresh.insert(fresh.end(), next, ids.end());
-    for (const std::string& id : fresh) add_instance(id);
+    for (const std::string& id : fresh) add_instance(InstanceId(id));
   }
 
-  void add_instance(const std::string& id) {
+  void add_instance(const InstanceId& id) IOTCLOUD_REQUIRES(turn) {
     Instance& instance = instances[id];
-    instance.watch = registry.watch_node(paths.instance(driver, id),
-                                         guarded([id](Impl& self, const auto& node) { self.on_instance(id, node); }));
+    instance.watch = registry.watch_node(paths.instance(driver, id), guarded([id](Impl& self, const auto& node) {
+                                           self.turn.assert_held();
+                                           self.on_instance(id, node);
+                                         }));
     if (!wanted.empty()) {
       watch_channel(id, wanted);
       return;
     }
-    instance.list_watch = registry.watch_children(
-        paths.instance(driver, id),
-        guarded([id](Impl& self, const auto& names) { self.on_channels(id, names.value_or(Names())); }));
+    instance.list_watch =
+        registry.watch_children(paths.instance(driver, id), guarded([id](Impl& self, const auto& names) {
+                                  self.turn.assert_held();
+                                  self.on_channels(id, names.value_or(Names()));
+                                }));
   }
 
-  void on_instance(const std::string& id, const std::optional<Node>& node) {
+  void on_instance(const InstanceId& id, const std::optional<Node>& node) IOTCLOUD_REQUIRES(turn) {
     const auto found = instances.find(id);
     if (found == instances.end()) return;
     Instance& instance = found->second;
     const auto record = read(node, paths.instance(driver, id), decode_driver, instance.complained);
     const bool chosen = record && where.matches(*record);
     instance.active = chosen && record->state == DriverState::active;
-    if (record) judge(id, chosen);
+    if (record) judge(id, chosen, record->state);
     if (!over) update(instance);
   }
 
-  void judge(const std::string& id, std::optional<bool> chosen) {
+  void judge(const InstanceId& id, std::optional<bool> chosen, std::optional<DriverState> state)
+      IOTCLOUD_REQUIRES(turn) {
     if (callbacks.on_verdict) callbacks.on_verdict(id, chosen);
+    if (callbacks.on_state && !over) callbacks.on_state(id, state);
   }
 
-  void on_channels(const std::string& id, const Names& names) {
+  void on_channels(const InstanceId& id, const Names& names) IOTCLOUD_REQUIRES(turn) {
     const auto found = instances.find(id);
     if (found == instances.end()) return;
     auto& channels = found->second.channels;
@@ -142,14 +149,17 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
     }
   }
 
-  void watch_channel(const std::string& id, const std::string& name) {
+  void watch_channel(const InstanceId& id, const std::string& name) IOTCLOUD_REQUIRES(turn) {
     Channel& channel = instances[id].channels[name];
     channel.watch =
-        registry.watch_node(paths.channel(driver, id, name),
-                            guarded([id, name](Impl& self, const auto& node) { self.on_channel(id, name, node); }));
+        registry.watch_node(paths.channel(driver, id, name), guarded([id, name](Impl& self, const auto& node) {
+                              self.turn.assert_held();
+                              self.on_channel(id, name, node);
+                            }));
   }
 
-  void on_channel(const std::string& id, const std::string& name, const std::optional<Node>& node) {
+  void on_channel(const InstanceId& id, const std::string& name, const std::optional<Node>& node)
+      IOTCLOUD_REQUIRES(turn) {
     const auto instance = instances.find(id);
     if (instance == instances.end()) return;
     const auto channel = instance->second.channels.find(name);
@@ -158,7 +168,7 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
     update(channel->second, instance->second.active);
   }
 
-  /// Nothing when there is no node or it cannot be read, which is said once.
+  /// \return nothing if there is no node or it cannot be read, which is logged once.
   template <typename Record>
   static std::optional<Record> read(const std::optional<Node>& node, const std::string& path,
                                     Record (*decode)(const std::string&, const std::string&), bool& complained) {
@@ -168,25 +178,25 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
       complained = false;
       return record;
     } catch (const config::Error& error) {
-      if (!std::exchange(complained, true)) log.warn("skipped: {}", error.what());
+      if (!std::exchange(complained, true)) directory_logger.warn("skipped: {}", error.what());
       return std::nullopt;
     }
   }
 
-  void update(Instance& instance) {
+  void update(Instance& instance) IOTCLOUD_REQUIRES(turn) {
     const bool active = instance.active;
     for (auto& [name, channel] : instance.channels) {
       update(channel, active);
-      if (over) return;  // and `instance` is gone
+      if (over) return;  // `instance` is destroyed then
     }
   }
 
-  /// Tells the user what is new of a channel.
-  void update(Channel& channel, bool active) {
+  /// Tells the user what changed about a channel.
+  void update(Channel& channel, bool active) IOTCLOUD_REQUIRES(turn) {
     if (active && channel.record) {
       if (channel.reported == channel.record) return;
       channel.reported = channel.record;
-      const ChannelRecord record = *channel.record;  // `channel` may die in the callback
+      const ChannelRecord record = *channel.record;  // the callback may destroy `channel`
       if (callbacks.on_channel) callbacks.on_channel(record);
     } else if (channel.reported) {
       const ChannelRecord gone = *std::exchange(channel.reported, std::nullopt);
@@ -196,20 +206,18 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
 
   Registry& registry;
   const Paths paths;
-  const std::string driver;
-  const std::string wanted;  ///< channel; empty: all
+  const DriverName driver;
+  const std::string wanted;  ///< channel name; empty: all
   const Callbacks callbacks;
   const Selection where;
 
-  /// Held while a callback runs. Recursive, so that the directory may be destroyed by its own callback.
-  std::recursive_mutex turn;
-  // Guarded by turn:
-  bool over = false;
-  GuardPtr list_watch;  ///< set by begin(), looked at by end() only
-  std::map<std::string, Instance> instances;
+  Turn turn;
+  bool over IOTCLOUD_GUARDED_BY(turn) = false;
+  GuardPtr list_watch;  ///< set by begin(), read by end() only
+  std::map<InstanceId, Instance> instances IOTCLOUD_GUARDED_BY(turn);
 };
 
-DriverDirectory::DriverDirectory(Registry& registry, Paths paths, std::string driver, std::string channel,
+DriverDirectory::DriverDirectory(Registry& registry, Paths paths, DriverName driver, std::string channel,
                                  Callbacks callbacks, Selection where)
     : impl_(std::make_shared<Impl>(registry, std::move(paths), std::move(driver), std::move(channel),
                                    std::move(callbacks), std::move(where))) {

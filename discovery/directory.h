@@ -12,22 +12,24 @@
 
 namespace iotcloud::discovery {
 
-/// A live view of the instances of one driver with their channels, kept up to date by watches. Thread safe.
+/// A live view of one driver's instances and their channels, kept up to date by watches. Thread safe.
 class DriverDirectory {
  public:
   struct Callbacks {
-    /// The channel came, or changed. Its driver is active, and chosen.
+    /// A channel appeared or changed. Its driver is active and selected.
     std::function<void(const ChannelRecord&)> on_channel;
-    /// The channel went: undeployed, or its driver is no longer active, or no longer chosen.
+    /// A channel is gone: undeployed, or its driver is no longer active or selected.
     std::function<void(const ChannelRecord&)> on_channel_gone;
-    /// An instance's record was read, whatever its state (before its channels are reported), or went (nullopt). May be
-    /// empty.
-    std::function<void(const std::string& instance, std::optional<bool> chosen)> on_verdict{};
+    /// An instance's record was read, whatever its state: `chosen` says whether `where` selects it. Its channels are
+    /// reported after this call. nullopt: the record is gone. May be empty.
+    std::function<void(const InstanceId& instance, std::optional<bool> chosen)> on_verdict{};
+    /// The same, with the state that the record says, whether `where` selects the instance or not. May be empty.
+    std::function<void(const InstanceId& instance, std::optional<DriverState> state)> on_state{};
   };
-  /// Watches `driver` below `paths.sensors`; callbacks (on the registry's dispatcher) concern channels named `channel`
-  /// only, all channels when it is empty. What is there already is reported first. The driver need not exist yet.
-  /// \param where chooses instances by their records, each again when its own record changes.
-  DriverDirectory(Registry& registry, Paths paths, std::string driver, std::string channel, Callbacks callbacks,
+  /// Watches `driver` below `paths.sensors`. The callbacks run on the registry's dispatcher and concern channels named
+  /// `channel` only (all channels if it is empty). Existing channels are reported first. The driver need not exist yet.
+  /// \param where selects instances by their records, again after each change of a record.
+  DriverDirectory(Registry& registry, Paths paths, DriverName driver, std::string channel, Callbacks callbacks,
                   Selection where = {});
   ~DriverDirectory();
 
@@ -36,40 +38,47 @@ class DriverDirectory {
   std::shared_ptr<Impl> impl_;
 };
 
-/// A gateway and whether its process lives.
+/// A gateway, and whether its process lives.
 struct GatewayStatus {
   GatewayRecord record;
   bool alive = false;
-  bool draining = false;  ///< takes no new instances; those that it has are stopped
-  bool original = false;  ///< of the original system: called, not ordered. Known to a master only
+  std::string frozen{};   ///< why it follows no orders (freeze.h); empty: it follows them
+  bool draining = false;  ///< takes no new instances, and has stopped its own
+  bool original = false;  ///< a gateway of the original system, which the master calls instead; set by the master
 };
 
-/// What is wanted of one instance, and where.
+/// An order and its gateway.
 struct PlacedOrder {
-  std::string gateway;
+  GatewayId gateway;
   OrderRecord order;
 };
 
 /// One-time queries, for the master and tests. \throws RegistryError.
 std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths);  ///< with their channels
-/// What list_drivers() is made of: the paths of all instances; the record in such a node (nullopt: it is gone, or
-/// cannot be read); and channels for those records that name none.
+/// The first step of list_drivers(): the paths of all instances' nodes. The next steps are driver_of() for each node,
+/// and read_unnamed_channels().
 std::vector<std::string> list_instances(Registry& registry, const Paths& paths);
+/// The record in a node at `path`; nullopt: the node is gone, or its bytes are no record.
 std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std::string& path);
+/// Reads the channels of those records that name none, as the original's gateways write them. \throws RegistryError.
 void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<DriverRecord>& drivers);
+/// All gateways that have a record, alive or not. \throws RegistryError.
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths);
-/// \param gateways ids; empty: of all. Those that are not there have none.
-std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<std::string>& gateways);
+/// \param gateways empty: all gateways. Unknown gateways have no orders.
+std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<GatewayId>& gateways);
+/// A topology that somebody runs, or that has orders.
 struct TopologyStatus {
   TopologyRecord record;
-  std::optional<TopologyOrder> order;  ///< nullopt: nobody ordered anything
-  std::vector<WorkerRecord> workers;   ///< that live
+  std::optional<TopologyOrder> order;  ///< nullopt: there is no order
+  std::vector<WorkerRecord> workers;   ///< live workers
 };
+/// All topologies with their orders and workers. \throws RegistryError.
 std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths);
-std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const std::string& topology);
+/// The workers that live. \throws RegistryError.
+std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const TopologyName& topology);
 
-/// Removes all that stands of a topology that nobody runs any more, its orders included.
-/// \return false, with nothing but end reports removed, while there are workers. \throws RegistryError.
-bool remove_topology(Registry& registry, const Paths& paths, const std::string& topology, const Fence& fence = {});
+/// Removes all nodes of a topology that nobody runs any more, its orders included.
+/// \return false, with nothing but end reports removed, while workers live. \throws RegistryError.
+bool remove_topology(Registry& registry, const Paths& paths, const TopologyName& topology, const Fence& fence = {});
 
 }  // namespace iotcloud::discovery

@@ -1,10 +1,11 @@
 #include <algorithm>
 #include <array>
-#include <mutex>
 #include <utility>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/client/path.h>
+#include <iotcloud/discovery/client/turn.h>
 #include <iotcloud/discovery/registry.h>
 
 namespace iotcloud::discovery {
@@ -12,11 +13,11 @@ namespace {
 
 using Names = std::vector<std::string>;
 
-const config::Logger log{"discovery.election"};
+const config::Logger election_logger{"discovery.election"};
 constexpr std::size_t sequence_digits = 10;
 const std::string member_prefix = "member-";
 
-/// The members' names, longest standing first.
+/// The members' names, oldest first.
 Names members_in_order(Names names) {
   std::erase_if(names, [](const std::string& name) {
     return name.size() != member_prefix.size() + sequence_digits || !name.starts_with(member_prefix);
@@ -27,10 +28,10 @@ Names members_in_order(Names names) {
 
 }  // namespace
 
-/// In a line of succession every member holds a sequential node; the first in order leads, the others watch the one
-/// before them only, so that a member that goes wakes one other. Without one all members want to hold the same node,
-/// and the one that does leads. Watches only, no calls: nothing here waits, and nothing is lost when the registry is
-/// away. Everything but the beginning and the end runs on the dispatcher, in its turn.
+/// With Succession::longest_standing every member holds a sequential node: the oldest leads, and each other member
+/// watches only the one before it, so that a member that leaves wakes one other. With whoever_is_first all members try
+/// to hold the same node, and its holder leads. Uses watches only, no calls: nothing here waits, and nothing is lost
+/// while the registry is away. Everything but begin() and end() runs on the dispatcher, while it holds `turn`.
 struct Election::Impl : std::enable_shared_from_this<Impl> {
   Impl(Registry& r, std::string p, std::string d, Callbacks c, Succession s)
       : registry(r),
@@ -39,41 +40,47 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
         callbacks(std::move(c)),
         in_line(s == Succession::longest_standing) {}
 
-  /// A callback that runs in its turn, and does nothing once the election is over.
+  /// Makes a callback that holds `turn`, and does nothing once the election has ended.
   template <typename Function>
   auto guarded(Function function) {
     return [weak = weak_from_this(), function](const auto& argument) {
       const auto self = weak.lock();
       if (!self) return;
-      const std::lock_guard lock(self->turn);
+      const TurnLock lock(self->turn);
       if (!self->over) function(*self, argument);
     };
   }
 
-  /// Takes no turn (a user may construct under a lock that his callbacks take as well): the first word about the
-  /// session, which comes at once, does the rest.
+  /// Does not lock `turn`, because a user may construct under a lock that the callbacks take as well. The first report
+  /// of the session, which comes at once, does the rest.
   void begin() {
-    session_listener = registry.on_session(guarded([](Impl& self, SessionState state) { self.on_session(state); }));
+    session_listener = registry.on_session(guarded([](Impl& self, SessionState state) {
+      self.turn.assert_held();
+      self.on_session(state);
+    }));
   }
 
   void end() {
-    std::array<GuardPtr, 5> dying;  // they die after the turn: their destructors wait for callbacks, which want it
-    const std::lock_guard lock(turn);
+    // destroyed after `turn` is unlocked: their destructors wait for callbacks, which lock it
+    std::array<GuardPtr, 5> dying;
+    const TurnLock lock(turn);
     over = true;
     set_lead(std::nullopt);
     dying = {std::move(session_listener), std::move(predecessor_watch), std::move(list_watch), std::move(own_watch),
              std::move(hold)};
   }
 
-  void stand() {
-    hold.reset();  // of two holds of one node the later would lose it when the earlier goes
-    hold = registry.hold_eventually(
-        in_line ? path + "/" + member_prefix : path, data, in_line,
-        guarded([](Impl& self, const std::string& real_path) { self.on_standing(real_path); }));
+  void stand() IOTCLOUD_REQUIRES(turn) {
+    hold.reset();  // the old hold goes first: releasing it later would remove the new hold's node at the same path
+    hold = registry.hold_eventually(in_line ? path + "/" + member_prefix : path, data, in_line,
+                                    guarded([](Impl& self, const std::string& real_path) {
+                                      self.turn.assert_held();
+                                      self.on_standing(real_path);
+                                    }));
   }
 
-  /// The member's node is there, for the first time or again under a new name.
-  void on_standing(const std::string& real_path) {
+  /// The member's node exists, for the first time or again under a new name.
+  void on_standing(const std::string& real_path) IOTCLOUD_REQUIRES(turn) {
     own_path = real_path;
     first = false;
     lose();
@@ -86,20 +93,22 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
     }
   }
 
-  void watch_own_node() {
+  void watch_own_node() IOTCLOUD_REQUIRES(turn) {
     own_epoch = 0;
-    own_watch = registry.watch_node(
-        own_path, guarded([](Impl& self, const std::optional<Node>& node) { self.on_own_node(node); }));
+    own_watch = registry.watch_node(own_path, guarded([](Impl& self, const std::optional<Node>& node) {
+                                      self.turn.assert_held();
+                                      self.on_own_node(node);
+                                    }));
   }
 
-  void on_own_node(const std::optional<Node>& node) {
+  void on_own_node(const std::optional<Node>& node) IOTCLOUD_REQUIRES(turn) {
     const bool own = node && node->data == data && (own_epoch == 0 || node->created == own_epoch);
     if (own) {
       own_epoch = node->created;
       decide();
       return;
     }
-    // Removed by somebody else, or with a session that is over, and perhaps another's by now: stand again.
+    // Somebody removed the node, or its session ended; the path may have another member's node by now. Stand again.
     own_path.clear();
     own_epoch = 0;
     first = false;
@@ -111,20 +120,23 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
     stand();
   }
 
-  /// Finds the member's place. The list is wanted once; what comes afterwards the predecessor tells.
-  void look() {
+  /// Finds the member's place in line. It reads the list of members once; after that a watch of the predecessor's node
+  /// suffices.
+  void look() IOTCLOUD_REQUIRES(turn) {
     list_watch = registry.watch_children(path, guarded([](Impl& self, const std::optional<Names>& names) {
+                                           self.turn.assert_held();
                                            self.on_members(members_in_order(names.value_or(Names())));
                                          }));
   }
 
-  void on_members(const Names& members) {
+  void on_members(const Names& members) IOTCLOUD_REQUIRES(turn) {
     const auto own = std::find(members.begin(), members.end(), name_of(own_path));
-    if (own == members.end()) return;  // another callback follows, of this watch or of the own node's
+    if (own == members.end()) return;  // another callback follows, from this watch or from that of the own node
     list_watch.reset();
     if (own != members.begin()) {
       predecessor_watch =
           registry.watch_node(path + "/" + *std::prev(own), guarded([](Impl& self, const std::optional<Node>& node) {
+                                self.turn.assert_held();
                                 if (!node) self.look();
                               }));
       return;
@@ -134,37 +146,37 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
     decide();
   }
 
-  void on_session(SessionState state) {
+  void on_session(SessionState state) IOTCLOUD_REQUIRES(turn) {
     if (!hold) stand();
     if (state == SessionState::connected) {
       if (!own_path.empty() && own_epoch == 0) watch_own_node();
     } else if (state != SessionState::connecting) {
-      own_epoch = 0;  // whether the node outlives this has to be seen
+      own_epoch = 0;  // whether the node still exists is not known before the next connection
       lose();
     }
   }
 
-  void decide() {
+  void decide() IOTCLOUD_REQUIRES(turn) {
     if (!first || own_epoch == 0 || current_lead() || registry.session() != SessionState::connected) return;
     set_lead(Lead{own_epoch, {own_path}});
-    log.debug("{} leads {} (epoch {})", data, path, own_epoch);
+    election_logger.debug("{} leads {} (epoch {})", data, path, own_epoch);
     if (callbacks.on_elected) callbacks.on_elected(own_epoch);
   }
 
-  void lose() {
+  void lose() IOTCLOUD_REQUIRES(turn) {
     if (!set_lead(std::nullopt)) return;
-    log.debug("{} leads {} no longer", data, path);
+    election_logger.debug("{} leads {} no longer", data, path);
     if (callbacks.on_lost) callbacks.on_lost();
   }
 
   std::optional<Lead> current_lead() const {
-    const std::lock_guard lock(lead_mutex);
+    const config::MutexLock lock(lead_mutex);
     return lead;
   }
 
-  /// \return what it was before.
+  /// \return the old value.
   std::optional<Lead> set_lead(std::optional<Lead> now) {
-    const std::lock_guard lock(lead_mutex);
+    const config::MutexLock lock(lead_mutex);
     return std::exchange(lead, std::move(now));
   }
 
@@ -174,18 +186,19 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   const Callbacks callbacks;
   const bool in_line;
 
-  mutable std::mutex lead_mutex;
-  std::optional<Lead> lead;  ///< nullopt: it does not lead; guarded by lead_mutex
+  mutable config::Mutex lead_mutex;
+  std::optional<Lead> lead IOTCLOUD_GUARDED_BY(lead_mutex);  ///< nullopt: this member does not lead
 
-  /// Held while a callback runs. Recursive, so that the election may be destroyed by its own callback.
-  std::recursive_mutex turn;
-  // Guarded by turn:
-  bool over = false;
-  std::string own_path;        ///< empty: not standing
-  std::int64_t own_epoch = 0;  ///< 0: not known, or not known any more
-  bool first = false;          ///< nobody stands before
-  GuardPtr session_listener;   ///< set by begin(), looked at by end() only
-  GuardPtr hold, own_watch, list_watch, predecessor_watch;
+  Turn turn;
+  bool over IOTCLOUD_GUARDED_BY(turn) = false;
+  std::string own_path IOTCLOUD_GUARDED_BY(turn);        ///< empty: this member does not stand
+  std::int64_t own_epoch IOTCLOUD_GUARDED_BY(turn) = 0;  ///< 0: unknown
+  bool first IOTCLOUD_GUARDED_BY(turn) = false;          ///< no member is before this one
+  GuardPtr session_listener;                             ///< set by begin(), read by end() only
+  GuardPtr hold IOTCLOUD_GUARDED_BY(turn);
+  GuardPtr own_watch IOTCLOUD_GUARDED_BY(turn);
+  GuardPtr list_watch IOTCLOUD_GUARDED_BY(turn);
+  GuardPtr predecessor_watch IOTCLOUD_GUARDED_BY(turn);
 };
 
 Election::Election(Registry& registry, std::string path, std::string data, Callbacks callbacks, Succession succession)
@@ -221,7 +234,7 @@ std::string Election::leader_data() const {
       if (const auto node = impl_->registry.get(impl_->path + "/" + members.front())) return node->data;
     }
   } catch (const RegistryError& error) {
-    log.debug("{}: who leads is not known: {}", impl_->path, error.what());
+    election_logger.debug("{}: who leads is not known: {}", impl_->path, error.what());
     return {};
   }
 }

@@ -4,13 +4,14 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/client/path.h>
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/freeze.h>
 
 namespace iotcloud::discovery {
 namespace {
 
-const config::Logger log{"discovery.listing"};
+const config::Logger listing_logger{"discovery.listing"};
 
-/// The record that stands at `path`; nothing when it went meanwhile, is no record or cannot be read.
+/// The record at `path`; nullopt if the node is gone, holds no record or cannot be read.
 template <typename Record>
 std::optional<Record> record_of(const std::optional<Node>& node, const std::string& path,
                                 Record (*decode)(const std::string&, const std::string&)) {
@@ -18,12 +19,12 @@ std::optional<Record> record_of(const std::optional<Node>& node, const std::stri
   try {
     return decode(node->data, path);
   } catch (const config::Error& error) {
-    log.warn("skipped: {}", error.what());
+    listing_logger.warn("skipped: {}", error.what());
     return std::nullopt;
   }
 }
 
-/// The paths of all that stands below each of `parents`, in their order.
+/// The paths of all children of each of `parents`, in order.
 std::vector<std::string> below(Registry& registry, const std::vector<std::string>& parents) {
   std::vector<std::string> paths;
   const auto lists = registry.children_of_all(parents);
@@ -35,7 +36,7 @@ std::vector<std::string> below(Registry& registry, const std::vector<std::string
   return paths;
 }
 
-/// What stands below `path`, each name with its record.
+/// Calls `use` with the name and record of each child of `path`.
 template <typename Record, typename Use>
 void for_each_child(Registry& registry, const std::string& path,
                     Record (*decode)(const std::string&, const std::string&), const Use& use) {
@@ -54,13 +55,13 @@ std::vector<std::string> list_instances(Registry& registry, const Paths& paths) 
 
 std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std::string& path) {
   auto driver = record_of(node, path, decode_driver);
-  if (driver && driver->instance.empty()) driver->instance = name_of(path);
+  if (driver && driver->instance.empty()) driver->instance = InstanceId(name_of(path));
   return driver;
 }
 
 void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<DriverRecord>& drivers) {
-  std::vector<std::string> unnamed;             // instances whose channels are not in their records
-  std::map<std::string, std::size_t> place_of;  // in `drivers`, of these
+  std::vector<std::string> unnamed;             // instances whose records name no channels
+  std::map<std::string, std::size_t> place_of;  // by path: their indexes in `drivers`
   for (std::size_t i = 0; i < drivers.size(); ++i) {
     if (!drivers[i].channels.empty()) continue;
     unnamed.push_back(paths.instance(drivers[i].name, drivers[i].instance));
@@ -74,8 +75,8 @@ void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<D
   }
 }
 
-/// Three rounds, whatever there is: names of drivers, names of instances, their records. Two more look below those
-/// whose records name no channels.
+/// Three rounds, for any number of drivers: names of drivers, names of instances, their records. Two more rounds read
+/// the channels of those whose records name none.
 std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths) {
   std::vector<DriverRecord> drivers;
   const auto instances = list_instances(registry, paths);
@@ -89,34 +90,45 @@ std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths) {
 
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths) {
   std::vector<GatewayStatus> gateways;
-  std::vector<std::string> alive, draining;
-  for_each_child(registry, paths.gateways, decode_gateway, [&](const std::string& id, GatewayRecord record) {
+  std::vector<std::string> alive, draining, frozen;
+  for_each_child(registry, paths.gateways, decode_gateway, [&](const std::string& name, GatewayRecord record) {
+    const GatewayId id(name);
     GatewayStatus status;
     status.record = std::move(record);
     alive.push_back(paths.gateway_alive(id));
     draining.push_back(paths.gateway_draining(id));
+    frozen.push_back(freeze_path(paths, id));
     gateways.push_back(std::move(status));
   });
   const auto lives = registry.get_all(alive);
   const auto marks = registry.get_all(draining);
+  const auto freezes = registry.get_all(frozen);
   for (std::size_t i = 0; i < gateways.size(); ++i) {
     gateways[i].alive = lives[i].has_value();
     gateways[i].draining = marks[i].has_value();
+    if (!freezes[i]) continue;
+    const auto freeze = record_of(freezes[i], frozen[i], decode_freeze);
+    gateways[i].frozen = freeze && !freeze->reason.empty() ? freeze->reason : "it does not say why";
   }
   return gateways;
 }
 
-std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<std::string>& gateways) {
+std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<GatewayId>& gateways) {
   auto ids = gateways;
-  if (ids.empty()) ids = registry.children(paths.gateways).value_or(std::vector<std::string>());
+  if (ids.empty()) {
+    for (std::string& id : registry.children(paths.gateways).value_or(std::vector<std::string>())) {
+      ids.emplace_back(std::move(id));
+    }
+  }
   std::vector<std::string> parents;
-  for (const std::string& id : ids) parents.push_back(paths.orders(id));
+  parents.reserve(ids.size());
+  for (const GatewayId& id : ids) parents.push_back(paths.orders(id));
   std::vector<PlacedOrder> orders;
   const auto places = below(registry, parents);
   const auto nodes = registry.get_all(places);
   for (std::size_t i = 0; i < places.size(); ++i) {
     if (auto order = record_of(nodes[i], places[i], decode_order)) {
-      orders.push_back({name_of(parent_of(parent_of(places[i]))), std::move(*order)});
+      orders.push_back({GatewayId(name_of(parent_of(parent_of(places[i])))), std::move(*order)});
     }
   }
   return orders;
@@ -124,7 +136,8 @@ std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, con
 
 std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths) {
   std::vector<TopologyStatus> topologies;
-  for_each_child(registry, paths.topologies, decode_topology, [&](const std::string& name, TopologyRecord record) {
+  for_each_child(registry, paths.topologies, decode_topology, [&](const std::string& node_name, TopologyRecord record) {
+    const TopologyName name(node_name);
     TopologyStatus status;
     status.record = std::move(record);
     status.record.name = name;
@@ -134,14 +147,14 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
       if (const auto node = registry.get(path)) status.order = decode_topology_order(node->data, path);
     } catch (const config::Error& error) {
       if (dynamic_cast<const RegistryError*>(&error) != nullptr) throw;
-      log.warn("skipped: {}", error.what());
+      listing_logger.warn("skipped: {}", error.what());
     }
     topologies.push_back(std::move(status));
   });
   return topologies;
 }
 
-std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const std::string& topology) {
+std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const TopologyName& topology) {
   std::vector<WorkerRecord> workers;
   const auto members = below(registry, {paths.workers(topology)});
   const auto nodes = registry.get_all(members);
@@ -151,7 +164,7 @@ std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, c
     try {
       record = decode_worker(nodes[i]->data, members[i]);
     } catch (const config::Error& error) {
-      log.warn("only its name is known: {}", error.what());
+      listing_logger.warn("only its name is known: {}", error.what());
     }
     record.name = name_of(members[i]);
     workers.push_back(std::move(record));
@@ -159,7 +172,7 @@ std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, c
   return workers;
 }
 
-bool remove_topology(Registry& registry, const Paths& paths, const std::string& topology, const Fence& fence) {
+bool remove_topology(Registry& registry, const Paths& paths, const TopologyName& topology, const Fence& fence) {
   remove_tree(registry, paths.ended_workers(topology), fence);
   try {
     registry.remove(paths.workers(topology), -1, fence);

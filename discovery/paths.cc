@@ -2,6 +2,7 @@
 #include <cstdint>
 #include <random>
 #include <string_view>
+#include <utility>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/records.h>
@@ -9,7 +10,7 @@
 namespace iotcloud::discovery {
 namespace {
 
-/// Appends a name that came from outside; it must not be able to reach another place of the tree.
+/// Appends a name that came from outside. Refuses a name that would lead to another place of the tree.
 std::string below(const std::string& parent, const std::string& name) {
   if (name.empty() || name == "." || name == ".." || name.find('/') != std::string::npos ||
       name.find('\0') != std::string::npos) {
@@ -36,50 +37,50 @@ Paths::Paths(std::string sensors_root) : sensors(std::move(sensors_root)) {
   }
 }
 
-std::string Paths::driver(const std::string& driver) const {
+std::string Paths::driver(const DriverName& driver) const {
   return below(sensors, driver);
 }
-std::string Paths::instance(const std::string& driver, const std::string& instance) const {
+std::string Paths::instance(const DriverName& driver, const InstanceId& instance) const {
   return below(this->driver(driver), instance);
 }
-std::string Paths::channel(const std::string& driver, const std::string& instance, const std::string& channel) const {
+std::string Paths::channel(const DriverName& driver, const InstanceId& instance, const std::string& channel) const {
   return below(this->instance(driver, instance), channel);
 }
-std::string Paths::gateway(const std::string& id) const {
+std::string Paths::gateway(const GatewayId& id) const {
   return below(gateways, id);
 }
-std::string Paths::gateway_alive(const std::string& id) const {
+std::string Paths::gateway_alive(const GatewayId& id) const {
   return gateway(id) + "/alive";
 }
-std::string Paths::gateway_draining(const std::string& id) const {
+std::string Paths::gateway_draining(const GatewayId& id) const {
   return gateway(id) + "/draining";
 }
-std::string Paths::orders(const std::string& id) const {
+std::string Paths::orders(const GatewayId& id) const {
   return gateway(id) + "/orders";
 }
-std::string Paths::order(const std::string& id, const std::string& instance) const {
+std::string Paths::order(const GatewayId& id, const InstanceId& instance) const {
   return below(orders(id), instance);
 }
 std::string Paths::masters() const {
   return sensors.substr(0, sensors.rfind('/')) + "/masters";
 }
-std::string Paths::topology(const std::string& name) const {
+std::string Paths::topology(const TopologyName& name) const {
   return below(topologies, name);
 }
-std::string Paths::workers(const std::string& topology) const {
+std::string Paths::workers(const TopologyName& topology) const {
   return this->topology(topology) + "/workers";
 }
-std::string Paths::topology_order(const std::string& topology) const {
+std::string Paths::topology_order(const TopologyName& topology) const {
   return this->topology(topology) + "/wanted";
 }
-std::string Paths::ended_workers(const std::string& topology) const {
+std::string Paths::ended_workers(const TopologyName& topology) const {
   return this->topology(topology) + "/ended";
 }
-std::string Paths::readers(const std::string& group, const std::string& driver, const std::string& channel) const {
+std::string Paths::readers(const std::string& group, const DriverName& driver, const std::string& channel) const {
   return below(below(below(groups, group), driver), channel);
 }
 
-std::string new_instance_id() {
+InstanceId new_instance_id() {
   constexpr std::string_view digits = "0123456789abcdef";
   std::random_device random;
   std::array<std::uint8_t, 16> bytes{};
@@ -94,7 +95,7 @@ std::string new_instance_id() {
     id += digits[byte >> 4];
     id += digits[byte & 15];
   }
-  return id;
+  return InstanceId(std::move(id));
 }
 
 }  // namespace iotcloud::discovery

@@ -8,6 +8,8 @@
 #include <thrift/transport/TBufferTransports.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/discovery/description/json.h>
+#include <iotcloud/discovery/description/wire.h>
 #include <iotcloud/discovery/wire_records.h>
 
 namespace iotcloud::discovery {
@@ -28,7 +30,7 @@ std::string to_bytes(const Struct& value) {
   return buffer->getBufferAsString();
 }
 
-/// \param what for the message: "a driver (TSensor)".
+/// \param what names the record in error messages: "a driver (TSensor)".
 template <typename Struct>
 Struct from_bytes(const std::string& bytes, const std::string& path, const std::string& what) {
   const auto fail = [&](const std::string& problem) {
@@ -38,8 +40,7 @@ Struct from_bytes(const std::string& bytes, const std::string& path, const std::
   try {
     const int size = static_cast<int>(std::min<std::size_t>(bytes.size(), 1 << 30));
     auto settings = std::make_shared<TConfiguration>(std::max(size, 1));
-    // The buffer is only read: OBSERVE keeps Thrift from copying or writing it, its parameter is not const all the
-    // same.
+    // With OBSERVE Thrift neither copies the buffer nor writes to it, although its parameter is not const.
     auto buffer = std::make_shared<TMemoryBuffer>(const_cast<std::uint8_t*>(  // NOLINT
                                                       reinterpret_cast<const std::uint8_t*>(bytes.data())),
                                                   static_cast<std::uint32_t>(size), TMemoryBuffer::OBSERVE, settings);
@@ -55,8 +56,9 @@ Struct from_bytes(const std::string& bytes, const std::string& path, const std::
   }
 }
 
-/// What a program of the original makes of a state. Its topologies read an instance's channels when they see DEPLOY
-/// and stop at UN_DEPLOY; its gateways say DEPLOY of an instance that runs and never ACTIVE (REFERENCE.md 2).
+/// The state of the original system that makes its programs do the right thing. Its topologies read an instance's
+/// channels when they see DEPLOY and stop at UN_DEPLOY; its gateways say DEPLOY of an instance that runs and never
+/// ACTIVE (docs/wire.md#driver-states).
 wire::TSensorState::type to_wire(DriverState state) {
   switch (state) {
     case DriverState::active:
@@ -73,11 +75,11 @@ wire::TSensorState::type to_wire(DriverState state) {
   return wire::TSensorState::UNKNOWN;
 }
 
-DriverState from_wire(const wire::TSensor& sensor) {
+DriverState state_of(const wire::TSensor& sensor) {
   if (sensor.__isset.exactState) {
     try {
       return parse_driver_state(sensor.exactState);
-    } catch (const config::Error&) {  // NOLINT(bugprone-empty-catch): a newer program's word; the nearest one follows
+    } catch (const config::Error&) {  // NOLINT(bugprone-empty-catch): a newer program's state; the nearest one follows
     }
   }
   switch (sensor.state) {
@@ -94,45 +96,25 @@ DriverState from_wire(const wire::TSensor& sensor) {
   return DriverState::inactive;
 }
 
-wire::TChannel to_wire(const ChannelRecord& record) {
-  wire::TChannel channel;
-  channel.transport = record.transport;
-  channel.direction = record.direction == Direction::in ? wire::TDirection::IN : wire::TDirection::OUT;
-  channel.__set_properties(record.properties);
-  channel.__set_brokerUrl(record.broker_url);
-  channel.__set_name(record.name);
-  channel.__set_site(record.gateway);
-  channel.__set_sensor(record.driver);
-  channel.__set_grouped(record.shared);
-  channel.__set_sensorId(record.instance);
-  return channel;
-}
-
-ChannelRecord from_wire(wire::TChannel&& channel, const std::string& path) {
-  if (channel.direction != wire::TDirection::IN && channel.direction != wire::TDirection::OUT) {
-    throw config::Error(path + ": the channel's direction is neither 0 (in) nor 1 (out)");
-  }
-  ChannelRecord record;
-  record.name = std::move(channel.name);
-  record.transport = std::move(channel.transport);
-  record.direction = channel.direction == wire::TDirection::IN ? Direction::in : Direction::out;
-  record.properties = std::move(channel.properties);
-  record.broker_url = std::move(channel.brokerUrl);
-  record.gateway = std::move(channel.site);
-  record.driver = std::move(channel.sensor);
-  record.instance = std::move(channel.sensorId);
-  record.shared = channel.grouped;
-  return record;
+void check_direction(const wire::TChannel& channel, const std::string& path) {
+  if (channel.direction == wire::TDirection::IN || channel.direction == wire::TDirection::OUT) return;
+  throw config::Error(path + ": the channel's direction is neither 0 (in) nor 1 (out)");
 }
 
 std::string metadata_to_json(const std::map<std::string, std::string>& metadata) {
   return nlohmann::json(metadata).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
-/// Gateways of the original put anything here: what is no JSON object of strings is not an error, only not ours.
+/// Gateways of the original write any text here, so text that is no JSON object of strings is not an error; it is
+/// ignored.
 std::map<std::string, std::string> metadata_from_json(const std::string& text) {
   std::map<std::string, std::string> metadata;
-  const auto json = nlohmann::json::parse(text, nullptr, false);
+  nlohmann::json json;
+  try {
+    json = parse_json(text, "metadata");
+  } catch (const config::Error&) {
+    return metadata;
+  }
   if (!json.is_object()) return metadata;
   for (const auto& [key, value] : json.items()) {
     if (value.is_string()) metadata.emplace(key, value.get<std::string>());
@@ -164,84 +146,57 @@ DriverState parse_driver_state(const std::string& name) {
 }
 
 wire::TSensor to_wire(const DriverRecord& record) {
-  wire::TSensor sensor;
-  sensor.name = record.name;
-  sensor.siteId = record.gateway;
+  auto sensor = as_wire<wire::TSensor>(record);
   sensor.state = to_wire(record.state);
-  sensor.metadata = metadata_to_json(record.metadata);
-  for (const ChannelRecord& channel : record.channels) sensor.channels.push_back(to_wire(channel));
-  sensor.__set_sensorId(record.instance);
   sensor.__set_exactState(to_string(record.state));
-  sensor.__set_reason(record.reason);
-  sensor.__set_sinceMs(record.since_ms);
-  if (!record.deployment.empty()) {
-    sensor.__set_deployment(record.deployment);
-    sensor.__set_index(record.index);
-  }
-  if (!record.plugin.empty()) sensor.__set_plugin(record.plugin);
-  if (!record.sha256.empty()) sensor.__set_sha256(record.sha256);
-  if (!record.signed_by.empty()) sensor.__set_signedBy(record.signed_by);
+  sensor.metadata = metadata_to_json(record.metadata);
   return sensor;
+}
+
+DriverRecord from_wire(wire::TSensor sensor, const std::string& path) {
+  for (const auto& channel : sensor.channels) check_direction(channel, path);
+  DriverRecord record;
+  record.state = state_of(sensor);
+  record.metadata = metadata_from_json(sensor.metadata);
+  fill_own(sensor, record);
+  return record;
+}
+
+wire::TSite to_wire(const GatewayRecord& record) {
+  auto site = as_wire<wire::TSite>(record);
+  std::vector<wire::TBroker> brokers(record.brokers.size());
+  for (std::size_t i = 0; i < brokers.size(); ++i) brokers[i].name = record.brokers[i];
+  site.__set_brokers(brokers);
+  return site;
+}
+
+GatewayRecord from_wire(wire::TSite site) {
+  GatewayRecord record;
+  for (auto& broker : site.brokers) record.brokers.push_back(std::move(broker.name));
+  fill_own(site, record);
+  return record;
 }
 
 std::string encode(const DriverRecord& record) {
   return to_bytes(to_wire(record));
 }
-
-DriverRecord decode_driver(const std::string& bytes, const std::string& path) {
-  auto sensor = from_bytes<wire::TSensor>(bytes, path, "a driver (TSensor)");
-  DriverRecord record;
-  record.state = from_wire(sensor);
-  record.name = std::move(sensor.name);
-  record.instance = std::move(sensor.sensorId);
-  record.gateway = std::move(sensor.siteId);
-  record.reason = std::move(sensor.reason);
-  record.since_ms = sensor.sinceMs;
-  record.deployment = std::move(sensor.deployment);
-  record.index = sensor.index;
-  record.plugin = std::move(sensor.plugin);
-  record.sha256 = std::move(sensor.sha256);
-  record.signed_by = std::move(sensor.signedBy);
-  record.metadata = metadata_from_json(sensor.metadata);
-  for (wire::TChannel& channel : sensor.channels) record.channels.push_back(from_wire(std::move(channel), path));
-  return record;
-}
-
 std::string encode(const ChannelRecord& record) {
-  return to_bytes(to_wire(record));
+  return to_bytes(as_wire<wire::TChannel>(record));
 }
-
-ChannelRecord decode_channel(const std::string& bytes, const std::string& path) {
-  return from_wire(from_bytes<wire::TChannel>(bytes, path, "a channel (TChannel)"), path);
-}
-
-wire::TSite to_wire(const GatewayRecord& record) {
-  wire::TSite site;
-  site.siteId = record.id;
-  site.port = record.port;
-  site.host = record.host;
-  std::vector<wire::TBroker> brokers(record.brokers.size());
-  for (std::size_t i = 0; i < brokers.size(); ++i) brokers[i].name = record.brokers[i];
-  site.__set_brokers(brokers);
-  site.__set_sinceMs(record.since_ms);
-  if (record.tls) site.__set_tls(true);
-  return site;
-}
-
 std::string encode(const GatewayRecord& record) {
   return to_bytes(to_wire(record));
 }
 
+DriverRecord decode_driver(const std::string& bytes, const std::string& path) {
+  return from_wire(from_bytes<wire::TSensor>(bytes, path, "a driver (TSensor)"), path);
+}
+ChannelRecord decode_channel(const std::string& bytes, const std::string& path) {
+  auto channel = from_bytes<wire::TChannel>(bytes, path, "a channel (TChannel)");
+  check_direction(channel, path);
+  return as_own<ChannelRecord>(std::move(channel));
+}
 GatewayRecord decode_gateway(const std::string& bytes, const std::string& path) {
-  auto site = from_bytes<wire::TSite>(bytes, path, "a gateway (TSite)");
-  GatewayRecord record;
-  record.id = std::move(site.siteId);
-  record.host = std::move(site.host);
-  record.port = site.port;
-  for (wire::TBroker& broker : site.brokers) record.brokers.push_back(std::move(broker.name));
-  record.since_ms = site.sinceMs;
-  record.tls = site.__isset.tls && site.tls;
-  return record;
+  return from_wire(from_bytes<wire::TSite>(bytes, path, "a gateway (TSite)"));
 }
 
 }  // namespace iotcloud::discovery

@@ -6,35 +6,68 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/discovery/description/fields.h>
+#include <iotcloud/discovery/ids.h>
+
 namespace iotcloud::discovery {
 
 /// Life of a driver instance. On the wire the original's TSensorState carries the nearest word, field 100 the exact
 /// one.
 enum class DriverState { deployed, starting, active, stopping, inactive, failed, undeployed };
+/// The state's word in records and for people: "active".
 std::string to_string(DriverState state);
 DriverState parse_driver_state(const std::string& name);  ///< \throws config::Error
+/// The state in JSON (description/json.h).
+inline std::string json_value(DriverState state) {
+  return to_string(state);
+}
+/// Reads what json_value() wrote. \throws config::Error.
+inline void parse(const std::string& name, DriverState& state) {
+  state = parse_driver_state(name);
+}
 
-enum class Direction { in = 0, out = 1 };  ///< seen from the driver: out = to the cloud
+/// The direction of a channel as its driver sees it: out = to the cloud. drivers::Direction is the same for authors of
+/// drivers: there is no room that both rooms may use, so the driver host translates (gateway/host/channel_plan.cc).
+enum class Direction { in = 0, out = 1 };
+inline bool json_value(Direction direction) {
+  return direction == Direction::out;
+}
+inline void parse(bool out, Direction& direction) {
+  direction = out ? Direction::out : Direction::in;
+}
 
-/// One channel of a driver instance, as all processes see it (TChannel at /iot/sensors/<driver>/<instance>/<channel>).
+/// One channel of a driver instance, as all processes see it (TChannel at
+/// `/iot/sensors/<driver>/<instance>/<channel>`).
 struct ChannelRecord {
   std::string name;
   std::string transport;  ///< the gateway's logical broker name ("rabbitmq")
   Direction direction = Direction::out;
   std::map<std::string, std::string> properties;  ///< exchange, routingKey, queueName (wire names), topic, durable
   std::string broker_url;                         ///< the broker that this channel's group was placed on
-  std::string gateway;                            ///< TChannel.site
-  std::string driver;                             ///< TChannel.sensor
-  std::string instance;                           ///< TChannel.sensorId
+  GatewayId gateway;                              ///< TChannel.site
+  DriverName driver;                              ///< TChannel.sensor
+  InstanceId instance;                            ///< TChannel.sensorId
   bool shared = false;                            ///< TChannel.grouped
+  static constexpr const char* what = "a channel";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(name, required),
+      IOTCLOUD_FIELD(transport, required),
+      IOTCLOUD_FIELD_AS(direction, required, "out", direction),
+      IOTCLOUD_FIELD(properties, required),
+      IOTCLOUD_FIELD_AS(broker_url, required, "url", brokerUrl),
+      IOTCLOUD_FIELD_AS(gateway, required, "gateway", site),
+      IOTCLOUD_FIELD_AS(driver, required, "driver", sensor),
+      IOTCLOUD_FIELD_AS(instance, required, "instance", sensorId),
+      IOTCLOUD_FIELD_AS(shared, required, "shared", grouped),
+  };
   friend bool operator==(const ChannelRecord&, const ChannelRecord&) = default;
 };
 
-/// One driver instance (TSensor at /iot/sensors/<driver>/<instance>).
+/// One driver instance (TSensor at `/iot/sensors/<driver>/<instance>`).
 struct DriverRecord {
-  std::string name;      ///< the driver's name ("turtle")
-  std::string instance;  ///< UUID without dashes
-  std::string gateway;
+  DriverName name;      ///< the driver's name ("turtle")
+  InstanceId instance;  ///< UUID without dashes
+  GatewayId gateway;
   DriverState state = DriverState::deployed;
   std::string reason;                           ///< why it is in this state, for people; field 101
   std::int64_t since_ms = 0;                    ///< wall time of the last change; field 102
@@ -42,93 +75,158 @@ struct DriverRecord {
   std::vector<ChannelRecord> channels;
   std::string deployment;   ///< OrderRecord::name; field 106
   int index = 0;            ///< OrderRecord::index; field 107
-  std::string plugin{};     ///< its file's name; empty: not said
+  std::string plugin{};     ///< name of the plugin's file; empty: the gateway did not say
   std::string sha256{};     ///< of the plugin's bytes, in hexadecimal digits; empty: not known
   std::string signed_by{};  ///< the trusted key that signed the plugin; empty: none
+  /// `state` and `metadata` are missing here: the state takes two fields of TSensor, the metadata are JSON in one
+  /// field, so records.cc converts them.
+  static constexpr const char* what = "a driver";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(name, required),
+      IOTCLOUD_FIELD_AS(instance, usual, "instance", sensorId),
+      IOTCLOUD_FIELD_AS(gateway, usual, "gateway", siteId),
+      IOTCLOUD_FIELD(reason, usual),
+      IOTCLOUD_FIELD_AS(since_ms, usual, "since_ms", sinceMs),
+      IOTCLOUD_FIELD(channels, usual),
+      IOTCLOUD_FIELD(deployment, rare),
+      IOTCLOUD_FIELD(index, rare),
+      IOTCLOUD_FIELD(plugin, rare),
+      IOTCLOUD_FIELD(sha256, rare),
+      IOTCLOUD_FIELD_AS(signed_by, rare, "signed_by", signedBy),
+  };
   friend bool operator==(const DriverRecord&, const DriverRecord&) = default;
 };
 
-/// One gateway (TSite at /iot/gateways/<id>; it lives while the ephemeral /iot/gateways/<id>/alive exists).
+/// One gateway (TSite at `/iot/gateways/<id>`; it lives while the ephemeral `/iot/gateways/<id>/alive` exists).
 struct GatewayRecord {
-  std::string id;
+  GatewayId id;
   std::string host;
   int port = 0;                      ///< of its Thrift service
   std::vector<std::string> brokers;  ///< logical names
   std::int64_t since_ms = 0;
   bool tls = false;  ///< whether its Thrift service speaks TLS
+  /// `brokers` is missing here: TSite has a struct for each broker, so records.cc converts them.
+  static constexpr const char* what = "a gateway";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD_AS(id, required, "gateway", siteId),
+      IOTCLOUD_FIELD(host, required),
+      IOTCLOUD_FIELD(port, required),
+      IOTCLOUD_FIELD_AS(since_ms, usual, "since_ms", sinceMs),
+      IOTCLOUD_FIELD(tls, rare),
+  };
   friend bool operator==(const GatewayRecord&, const GatewayRecord&) = default;
 };
 
 /// Which plugin an instance runs.
 struct PluginVersion {
   std::string file;    ///< plain file name ("turtle.so")
-  std::string sha256;  ///< of an uploaded file, which the gateway keeps by it; empty: of the gateway's plugin folder
+  std::string sha256;  ///< of an uploaded file, under which the gateway stores it; empty: the file is in the gateway's
+                       ///< plugin folder
+  static constexpr const char* what = "the version before an update";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD_AS(file, required, "plugin", plugin),
+      IOTCLOUD_FIELD(sha256, usual),
+  };
   friend bool operator==(const PluginVersion&, const PluginVersion&) = default;
 };
 
-/// What the master wants of one instance on one gateway: /iot/gateways/<id>/orders/<instance>, JSON.
-/// The gateway makes it so and reports in the DriverRecord. Removing the node is the order to undeploy.
-struct OrderRecord {
-  std::string instance;
-  std::string driver;  ///< name; empty: the plugin's own
+/// What an instance is deployed with. It is a part of requests to a master, of orders in the registry and of listings.
+struct Deployment {
+  DriverName driver;   ///< empty: the plugin's own
   std::string plugin;  ///< file name ("turtle.so"), in the gateway's plugin folder unless `sha256` is given
-  bool active = true;  ///< wanted: active or inactive
+  bool active = true;  ///< wanted: active, or inactive until it is started
   std::map<std::string, std::string> properties;
   std::map<std::string, std::string> metadata;
-  std::int64_t epoch =
-      0;               ///< fencing: the issuing master's; a gateway ignores orders of an older epoch than it has seen
-  std::string name{};  ///< of its deployment; empty: it has none
-  int index = 0;       ///< from 1 on, unique within name and gateway; 0: it has no name
-  std::string manager{};  ///< the manifest that it belongs to; empty: a person deployed it
-  bool drained = false;   ///< inactive only while its gateway drains; wanted active after that
-  std::string sha256{};   ///< of an uploaded plugin, see PluginVersion
-  /// While an update is under way: what ran before, which the gateway keeps so that the update can go back.
-  std::optional<PluginVersion> previous{};
+  std::string name;     ///< with the gateway and a number it names an instance; empty: the instances have no names
+  std::string manager;  ///< the manifest that it belongs to; empty: a person deployed it
+  std::string sha256;   ///< of a plugin that was sent, see PluginVersion
   PluginVersion version() const { return {plugin, sha256}; }
+  static constexpr const char* what = "a deployment";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(driver, usual),     IOTCLOUD_FIELD(plugin, required), IOTCLOUD_FIELD(active, usual),
+      IOTCLOUD_FIELD(properties, usual), IOTCLOUD_FIELD(metadata, usual),  IOTCLOUD_FIELD(name, rare),
+      IOTCLOUD_FIELD(manager, rare),     IOTCLOUD_FIELD(sha256, rare),
+  };
+  friend bool operator==(const Deployment&, const Deployment&) = default;
+};
+
+/// What the master wants of one instance on one gateway: `/iot/gateways/<id>/orders/<instance>`, JSON.
+/// The gateway makes it so and reports in the DriverRecord. Removing the node is the order to undeploy.
+struct OrderRecord : Deployment {
+  InstanceId instance;
+  int index = 0;  ///< from 1 on, unique within name and gateway; 0: it has no name
+  /// Fencing token: the epoch of the master that gave the order. A gateway ignores orders of an older epoch than it has
+  /// seen.
+  std::int64_t epoch = 0;
+  bool drained = false;  ///< inactive only while its gateway drains; wanted active after that
+  /// During an update: the version that ran before, which the gateway keeps so that the update can be rolled back.
+  std::optional<PluginVersion> previous;
+  static constexpr const char* what = "an order";
+  static constexpr auto fields =
+      std::tuple_cat(Deployment::fields, std::tuple{IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(index, rare),
+                                                    IOTCLOUD_FIELD(epoch, usual), IOTCLOUD_FIELD(drained, rare),
+                                                    IOTCLOUD_FIELD(previous, rare)});
   friend bool operator==(const OrderRecord&, const OrderRecord&) = default;
 };
 
-/// A gateway that drains takes no new instances, and those that it has are stopped: /iot/gateways/<id>/draining, JSON,
-/// persistent. No node: it does not.
+/// Marks a gateway as draining: it takes no new instances, and its instances are stopped. Persistent node
+/// `/iot/gateways/<id>/draining`, JSON; without the node the gateway does not drain.
 struct DrainRecord {
   std::int64_t since_ms = 0;
   std::int64_t epoch = 0;  ///< the issuing master's
+  static constexpr const char* what = "the mark of a gateway that drains";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(since_ms, usual), IOTCLOUD_FIELD(epoch, usual)};
   friend bool operator==(const DrainRecord&, const DrainRecord&) = default;
 };
 
-/// One running topology: /iot/topologies/<name>, JSON; its workers are ephemeral below .../workers.
+/// One running topology: `/iot/topologies/<name>`, JSON; its workers are ephemeral below .../workers.
 struct TopologyRecord {
-  std::string name;
+  TopologyName name;
   std::int64_t since_ms = 0;
   std::vector<std::string> spouts;
   std::vector<std::string> bolts;
+  static constexpr const char* what = "a topology";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(name, required), IOTCLOUD_FIELD_AS(since_ms, usual, "since_ms", sinceMs),
+                 IOTCLOUD_FIELD(spouts, usual), IOTCLOUD_FIELD(bolts, usual)};
   friend bool operator==(const TopologyRecord&, const TopologyRecord&) = default;
 };
 
-/// What is wanted of a running topology: /iot/topologies/<name>/wanted, JSON, persistent. Every worker makes it so,
-/// those that start later too, and reports the revision in its WorkerRecord. No node: active, parallelism as in the
-/// YAML.
+/// A topology's end: these workers (and no others) drain, leave an end report, and end.
+struct TopologyKill {
+  std::vector<std::string> workers;
+  std::int64_t drain_ms = 0;          ///< how long a worker waits at most for tuples under way
+  std::int64_t awaited_until_ms = 0;  ///< wall time until which a master waits for the end reports and clears up
+  static constexpr const char* what = "an order to kill a topology";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(workers, required), IOTCLOUD_FIELD(drain_ms, required),
+                                            IOTCLOUD_FIELD(awaited_until_ms, usual)};
+  friend bool operator==(const TopologyKill&, const TopologyKill&) = default;
+};
+
+/// What is wanted of a running topology: persistent node `/iot/topologies/<name>/wanted`, JSON. Every worker, also one
+/// that starts later, follows the order and reports the revision in its WorkerRecord. Without the node a topology is
+/// active, with the parallelism that its YAML says.
 struct TopologyOrder {
   std::int64_t revision = 0;  ///< grows with every order
-  std::int64_t epoch = 0;     ///< fencing: the issuing master's
+  std::int64_t epoch = 0;     ///< fencing token: the epoch of the master that gave the order
   bool active = true;
   std::map<std::string, int> parallelism;  ///< in each worker, by component; what is not named stays as declared
-  /// The end: these workers (and no others) drain, leave an end report, and end.
-  struct Kill {
-    std::vector<std::string> workers;
-    std::int64_t drain_ms = 0;          ///< what is under way is waited for so long at most
-    std::int64_t awaited_until_ms = 0;  ///< wall time until which a master waits for the end reports and clears up
-    friend bool operator==(const Kill&, const Kill&) = default;
-  };
-  std::optional<Kill> kill;
+  std::optional<TopologyKill> kill;
+  static constexpr const char* what = "an order to a topology";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(revision, required), IOTCLOUD_FIELD(epoch, usual), IOTCLOUD_FIELD(active, usual),
+                 IOTCLOUD_FIELD(parallelism, usual), IOTCLOUD_FIELD(kill, rare)};
   friend bool operator==(const TopologyOrder&, const TopologyOrder&) = default;
 };
 
-/// One worker, and what it does: ephemeral /iot/topologies/<name>/workers/<worker>, JSON.
+/// One worker, and what it does: ephemeral `/iot/topologies/<name>/workers/<worker>`, JSON.
 struct WorkerRecord {
+  /// What runs of one component in this worker, as it is now.
   struct Component {
     int parallelism = 1;
     int tasks = 1;
+    static constexpr const char* what = "a worker's component";
+    static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(parallelism, required), IOTCLOUD_FIELD(tasks, required)};
     friend bool operator==(const Component&, const Component&) = default;
   };
   std::string name;  ///< unique for each process
@@ -136,15 +234,23 @@ struct WorkerRecord {
   std::int64_t pid = 0;
   std::string http;           ///< host:port of its pages, on its own machine; empty: none
   std::string state;          ///< "active", "inactive", "draining"
-  std::int64_t revision = 0;  ///< of the last order that was followed; 0: none
-  std::string error;          ///< what of that order could not be done; empty: all was
+  std::int64_t revision = 0;  ///< of the last order that the worker followed; 0: none
+  std::string error;          ///< what the worker could not do of that order; empty: it did all
   std::int64_t since_ms = 0;  ///< start of the process
   std::map<std::string, Component> components;
+  static constexpr const char* what = "a worker";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(name, required),    IOTCLOUD_FIELD(host, usual),
+      IOTCLOUD_FIELD(pid, usual),        IOTCLOUD_FIELD(http, usual),
+      IOTCLOUD_FIELD(state, usual),      IOTCLOUD_FIELD(revision, usual),
+      IOTCLOUD_FIELD(error, usual),      IOTCLOUD_FIELD_AS(since_ms, usual, "since_ms", sinceMs),
+      IOTCLOUD_FIELD(components, usual),
+  };
   friend bool operator==(const WorkerRecord&, const WorkerRecord&) = default;
 };
 
-/// Bytes as they stand in the registry: TSensor, TChannel and TSite in Thrift's binary protocol without framing.
-/// decode_* \throws config::Error naming `path` when the bytes are none (hostile sizes included).
+/// The bytes of a record's node in the registry: TSensor, TChannel and TSite in Thrift's binary protocol without
+/// framing, the other records in JSON.
 std::string encode(const DriverRecord& record);
 std::string encode(const ChannelRecord& record);
 std::string encode(const GatewayRecord& record);
@@ -153,38 +259,47 @@ std::string encode(const DrainRecord& record);
 std::string encode(const TopologyRecord& record);
 std::string encode(const TopologyOrder& order);
 std::string encode(const WorkerRecord& record);
+/// The record in such bytes. \throws config::Error that names `path` when they hold no such record, also when sizes in
+/// them are hostile.
 DriverRecord decode_driver(const std::string& bytes, const std::string& path);
+/// As decode_driver().
 ChannelRecord decode_channel(const std::string& bytes, const std::string& path);
+/// As decode_driver().
 GatewayRecord decode_gateway(const std::string& bytes, const std::string& path);
+/// As decode_driver(), from JSON. Keys that this program does not know are passed over.
 OrderRecord decode_order(const std::string& bytes, const std::string& path);
+/// As decode_order().
 DrainRecord decode_drain(const std::string& bytes, const std::string& path);
+/// As decode_order().
 TopologyRecord decode_topology(const std::string& bytes, const std::string& path);
+/// As decode_order().
 TopologyOrder decode_topology_order(const std::string& bytes, const std::string& path);
+/// As decode_order().
 WorkerRecord decode_worker(const std::string& bytes, const std::string& path);
 
-/// Where records stand. `sensors_root` is the paper's zk.root; the other branches are its siblings.
+/// The paths of the records' nodes. `sensors_root` is the paper's zk.root; the other branches are its siblings.
 struct Paths {
   explicit Paths(std::string sensors_root = "/iot/sensors");
-  std::string driver(const std::string& driver) const;
-  std::string instance(const std::string& driver, const std::string& instance) const;
-  std::string channel(const std::string& driver, const std::string& instance, const std::string& channel) const;
-  std::string gateway(const std::string& id) const;  ///< /iot/gateways/<id>
-  std::string gateway_alive(const std::string& id) const;
-  std::string gateway_draining(const std::string& id) const;
-  std::string orders(const std::string& id) const;
-  std::string order(const std::string& id, const std::string& instance) const;
-  std::string masters() const;                          ///< /iot/masters: the election's path
-  std::string topology(const std::string& name) const;  ///< /iot/topologies/<name>
-  std::string workers(const std::string& topology) const;
-  std::string topology_order(const std::string& topology) const;  ///< /iot/topologies/<name>/wanted
+  std::string driver(const DriverName& driver) const;
+  std::string instance(const DriverName& driver, const InstanceId& instance) const;
+  std::string channel(const DriverName& driver, const InstanceId& instance, const std::string& channel) const;
+  std::string gateway(const GatewayId& id) const;  ///< `/iot/gateways/<id>`
+  std::string gateway_alive(const GatewayId& id) const;
+  std::string gateway_draining(const GatewayId& id) const;
+  std::string orders(const GatewayId& id) const;
+  std::string order(const GatewayId& id, const InstanceId& instance) const;
+  std::string masters() const;                           ///< /iot/masters: the election's path
+  std::string topology(const TopologyName& name) const;  ///< `/iot/topologies/<name>`
+  std::string workers(const TopologyName& topology) const;
+  std::string topology_order(const TopologyName& topology) const;  ///< `/iot/topologies/<name>/wanted`
   /// Below it each worker that was killed leaves a persistent node of its name: empty, or why it did not drain.
-  std::string ended_workers(const std::string& topology) const;
-  /// Who reads a driver's channel as one group, and who of them reads what: /iot/groups/<group>/<driver>/<channel>.
-  std::string readers(const std::string& group, const std::string& driver, const std::string& channel) const;
+  std::string ended_workers(const TopologyName& topology) const;
+  /// Who reads a driver's channel as one group, and who of them reads what: `/iot/groups/<group>/<driver>/<channel>`.
+  std::string readers(const std::string& group, const DriverName& driver, const std::string& channel) const;
   std::string sensors, gateways, topologies, groups;
 };
 
 /// A new instance id: a random UUID without dashes.
-std::string new_instance_id();
+InstanceId new_instance_id();
 
 }  // namespace iotcloud::discovery

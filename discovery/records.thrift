@@ -1,9 +1,9 @@
-// The records of the registry and the structs that the services of gateway and master share (REFERENCE.md section 1).
+// The records of the registry and the structs that the services of gateway and master share (docs/wire.md#thrift).
 // Names, ids and requiredness up to id 99 are those of the original system and are never changed: its programs read
-// and write these bytes. What is new is optional and has an id from 100 up.
+// and write these bytes. New fields are optional and have ids from 100 up.
 namespace cpp iotcloud.discovery.wire
 
-// Seen from the driver: OUT = to the cloud.
+// Seen from the driver: OUT = from the driver to the broker.
 enum TDirection {
   IN = 0,
   OUT = 1
@@ -44,7 +44,7 @@ struct TSensor {
   4: binary metadata
   5: list<TChannel> channels
   6: optional string sensorId
-  // The exact state as DriverState spells it; `state` has the nearest word of the original.
+  // The exact state as DriverState spells it; `state` has the original's nearest state.
   100: optional string exactState
   101: optional string reason
   // Wall time of the last change, milliseconds since 1970 UTC.
@@ -53,7 +53,7 @@ struct TSensor {
   103: optional string plugin
   104: optional string sha256
   105: optional string signedBy
-  // The name that it was deployed under, and its number within that name on its gateway, from 1 on.
+  // The name under which the instance was deployed, and its number among those of that name on its gateway, from 1 on.
   106: optional string deployment
   107: optional i32 index
 }
@@ -74,12 +74,14 @@ struct TSite {
   100: optional i64 sinceMs
   // In answers of the master: whether the gateway's process lives. Not set in the registry.
   101: optional bool alive
-  // Whether its Thrift service speaks TLS.
+  // Whether the gateway's Thrift service requires TLS.
   102: optional bool tls
-  // In answers of the master: whether it drains (takes no new instances, and those that it has are stopped), and
-  // whether it is of the original system (it is called, and follows no orders).
+  // In answers of the master: whether the gateway drains (it gets no new instances, and its instances are stopped), and
+  // whether it is of the original system (the master calls it, because it does not follow orders in the registry).
   103: optional bool draining
   104: optional bool original
+  // In answers of the master: why the gateway follows no orders (the registry was emptied, say); empty: it follows them.
+  105: optional string frozen
 }
 
 struct TResponse {
@@ -109,6 +111,6 @@ struct THeartBeatRequest {
 
 struct THeartBeatResponse {
   1: i32 totalSensors
-  // Spelt so in the original.
+  // The original spells it so.
   2: i32 responsiveSonsor
 }

@@ -11,7 +11,7 @@ namespace iotcloud::discovery {
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
   const std::string embedded_scheme = "embedded://";
   if (options.url.starts_with(embedded_scheme)) {
-    auto server = embedded::Server::named(options.url.substr(embedded_scheme.size()));
+    auto server = embedded::RegistryServer::named(options.url.substr(embedded_scheme.size()));
     return make_client(embedded::make_connection(std::move(server), options.session_timeout), options);
   }
   if (options.url.starts_with("zookeeper://")) {
@@ -38,7 +38,7 @@ void put(Registry& registry, const std::string& path, const std::string& data, c
       registry.create(path, data, true, fence);
       return;
     } catch (const RegistryError& error) {
-      if (error.code() != RegistryErrorCode::exists) throw;  // it came meanwhile: set it
+      if (error.code() != RegistryErrorCode::exists) throw;  // another client created it meanwhile: set it
     }
   }
 }

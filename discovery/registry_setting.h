@@ -5,9 +5,9 @@
 
 namespace iotcloud::discovery {
 
-/// Reads what every process says about the registry beside its URL: `registry.session_timeout`, `registry.user`,
+/// Reads the keys for the registry that every process has besides its URL: `registry.session_timeout`, `registry.user`,
 /// `registry.password_file` (the password is its first line) or `registry.password_variable` (of the environment), and
-/// `registry.others_may_read`. They stand at the top of a file, with the dot in the key. The URL is left empty.
+/// `registry.others_may_read`. They are at the top of a file, with the dot in the key. Leaves the URL empty.
 /// \throws config::ConfigError
 RegistryOptions read_registry_options(config::Section& top);
 

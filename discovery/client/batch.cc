@@ -2,9 +2,9 @@
 
 namespace iotcloud::discovery {
 
-std::shared_ptr<Batch> Batch::start(Connection& connection, std::span<const std::string> paths, const Read& read,
-                                    Done done) {
-  const std::shared_ptr<Batch> batch(new Batch(paths.size(), std::move(done)));
+std::shared_ptr<Batch> Batch::start(RegistryConnection& connection, std::span<const std::string> paths,
+                                    const Read& read, Done done) {
+  std::shared_ptr<Batch> batch(new Batch(paths.size(), std::move(done)));
   for (std::size_t place = 0; place < paths.size(); ++place) {
     read(connection, paths[place], [batch, place](Reply reply) { batch->answered(place, std::move(reply)); });
   }
@@ -14,7 +14,7 @@ std::shared_ptr<Batch> Batch::start(Connection& connection, std::span<const std:
 void Batch::answered(std::size_t place, Reply reply) {
   Reply all;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     away_ = away_ || reply.status == Status::away;
     replies_[place] = std::move(reply);
     if (--missing_ > 0) return;

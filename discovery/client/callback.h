@@ -1,19 +1,18 @@
 #pragma once
 
-#include <condition_variable>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <thread>
 #include <utility>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/client/serial_thread.h>
 
 namespace iotcloud::discovery {
 
-/// A user's callback behind a door that can be shut. It runs on the dispatcher; when states come faster than it runs,
-/// each `report` replaces the one that still waits (`deliver_latest`), or all are delivered (`deliver_each`).
+/// A user's callback that can be shut off. The dispatcher runs it. If states come faster than it runs, deliver_latest()
+/// replaces the waiting state, deliver_each() delivers them all.
 template <typename State>
 class Callback : public std::enable_shared_from_this<Callback<State>> {
  public:
@@ -22,7 +21,7 @@ class Callback : public std::enable_shared_from_this<Callback<State>> {
 
   void deliver_latest(SerialThread& dispatcher, State state) {
     {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       if (shut_ || !function_) return;
       const bool waits = waiting_.has_value();
       waiting_ = std::move(state);
@@ -36,24 +35,25 @@ class Callback : public std::enable_shared_from_this<Callback<State>> {
     dispatcher.post([self = this->shared_from_this(), state = std::move(state)] { self->run(state); });
   }
 
-  /// No call begins afterwards; one that runs on another thread is waited for.
+  /// No call of the callback begins after this. If another thread runs the callback now, shut() waits for the end of
+  /// that call.
   void shut() {
-    std::unique_lock lock(mutex_);
+    const config::MutexLock lock(mutex_);
     shut_ = true;
     if (running_ == std::this_thread::get_id()) return;
-    left_.wait(lock, [this] { return running_ == std::thread::id(); });
+    left_.wait(mutex_, [this]() IOTCLOUD_REQUIRES(mutex_) { return running_ == std::thread::id(); });
   }
 
  private:
   void run(std::optional<State> state) {
     {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       if (shut_) return;
       if (!state) state = std::exchange(waiting_, std::nullopt);
       running_ = std::this_thread::get_id();
     }
     const auto leave = [this] {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       running_ = std::thread::id();
       left_.notify_all();
     };
@@ -61,17 +61,17 @@ class Callback : public std::enable_shared_from_this<Callback<State>> {
       function_(*state);
     } catch (...) {
       leave();
-      throw;  // to the dispatcher, which logs it
+      throw;  // the dispatcher logs it
     }
     leave();
   }
 
   const Function function_;
-  std::mutex mutex_;
-  std::condition_variable left_;
-  bool shut_ = false;             ///< guarded by mutex_
-  std::thread::id running_;       ///< guarded by mutex_
-  std::optional<State> waiting_;  ///< guarded by mutex_
+  config::Mutex mutex_;
+  config::ConditionVariable left_;
+  bool shut_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  std::thread::id running_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::optional<State> waiting_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace iotcloud::discovery

@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <future>
 
-#include <iotcloud/config/log.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/client/client_state.h>
+#include <iotcloud/discovery/logger.h>
 
 namespace iotcloud::discovery {
 namespace {
@@ -11,7 +11,6 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using std::chrono::milliseconds;
 
-const config::Logger log{"discovery"};
 constexpr milliseconds first_complaint{2000};
 constexpr milliseconds repeat_pause{20};
 constexpr milliseconds renew_pause{500};
@@ -48,7 +47,7 @@ struct ClientState::HoldGuard : Guard {
   HoldGuard(std::weak_ptr<ClientState> c, std::shared_ptr<Hold> h) : state(std::move(c)), hold(std::move(h)) {}
   ~HoldGuard() override {
     hold->on_created->shut();
-    // The removal is under way before this returns: later calls of this thread find the node gone.
+    // The removal has been sent when this returns: this thread's later calls find the node gone.
     if (const auto alive = state.lock()) {
       alive->on_worker_and_wait([state = alive.get(), hold = hold] { state->holds_.release(hold); });
     }
@@ -78,7 +77,7 @@ struct ClientState::TimerGuard : Guard {
 };
 
 void ClientState::open() {
-  Connection::Events events;
+  RegistryConnection::Events events;
   events.connected = [this](std::int64_t session, milliseconds timeout) {
     worker_.post([this, session, timeout] { on_connected(session, timeout); });
   };
@@ -94,13 +93,13 @@ void ClientState::open() {
     if (!connection_->open(std::move(events))) renew_later();
   });
   worker_.post_at(Clock::now() + first_complaint, [this] {
-    if (link_changes_ == 0) log.warn("the registry {} cannot be reached yet; trying on", options_.url);
+    if (link_changes_ == 0) logger.warn("the registry {} cannot be reached yet; trying on", options_.url);
   });
 }
 
 void ClientState::close() {
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     closed_ = true;
     state_ = SessionState::closed;
     changed_.notify_all();
@@ -116,7 +115,8 @@ void ClientState::on_connected(std::int64_t session, milliseconds timeout) {
   ++link_changes_;
   if (!std::exchange(linked_, true)) metrics().connected.add(1);
   renewed_in_vain_ = false;
-  log.info("connected to the registry {}", options_.url);
+  connection_->ask_no_more();
+  logger.info("connected to the registry {}", options_.url);
   enter(SessionState::connected);
   holds_.connected(session);
   watches_.connected();
@@ -126,27 +126,47 @@ void ClientState::on_disconnected(Clock::time_point when) {
   if (!std::exchange(linked_, false)) return;
   metrics().connected.add(-1);
   metrics().losses.add();
-  log.warn("lost the connection to the registry {}; connecting again", options_.url);
+  logger.warn("lost the connection to the registry {}; connecting again", options_.url);
   holds_.disconnected();
   watches_.disconnected();
   enter(SessionState::connecting);
   const auto change = ++link_changes_;
   worker_.post_at(when + connection_->certain_after_disconnect(timeout_), [this, change] {
     if (link_changes_ != change) return;
-    log.warn("the session with the registry {} may be over: no contact for too long", options_.url);
+    logger.warn("the session with the registry {} may be over: no contact for too long", options_.url);
     enter(SessionState::expired);
+  });
+  worker_.post_at(when + timeout_, [this, change] { ask_for_new(change); });
+}
+
+void ClientState::ask_for_new(std::uint64_t change) {
+  if (link_changes_ != change) return;
+  const bool asked = connection_->ask_for_new([this, change] { worker_.post([this, change] { on_serving(change); }); });
+  if (!asked) worker_.post_at(Clock::now() + renew_pause, [this, change] { ask_for_new(change); });
+}
+
+/// A server takes new sessions, but this client is still without a connection. A server that goes on from where it was
+/// takes the old session back within its time-out, or lets it expire. One that does neither has an earlier state than
+/// this client has seen, and will never answer this session.
+void ClientState::on_serving(std::uint64_t change) {
+  worker_.post_at(Clock::now() + timeout_, [this, change] {
+    if (link_changes_ != change) return;
+    logger.warn("the registry {} serves others and not this session: it was emptied, or put back to an earlier state",
+                options_.url);
+    on_expired();
   });
 }
 
 void ClientState::on_expired() {
   if (std::exchange(linked_, false)) metrics().connected.add(-1);
   metrics().expiries.add();
+  connection_->ask_no_more();
   ++link_changes_;
-  log.warn("the registry {} has dropped the session; starting a new one", options_.url);
+  logger.warn("the registry {} has dropped the session; starting a new one", options_.url);
   holds_.disconnected();
   watches_.disconnected();
   enter(SessionState::expired);
-  // A session that never began and is over already will fare no better at once.
+  // If this session expired before it was ever connected, wait a moment before the next attempt.
   if (std::exchange(renewed_in_vain_, true) || !connection_->renew()) renew_later();
 }
 
@@ -158,7 +178,7 @@ void ClientState::renew_later() {
 
 void ClientState::enter(SessionState state) {
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (closed_ || state_ == state) return;
     state_ = state;
     changed_.notify_all();
@@ -166,29 +186,33 @@ void ClientState::enter(SessionState state) {
   for (const auto& [number, listener] : listeners_) listener->deliver_each(dispatcher_, state);
 }
 
-Reply ClientState::call(const std::string& what, const std::function<void(Connection&, Done)>& operation,
+Reply ClientState::call(const std::string& what, const std::function<void(RegistryConnection&, Done)>& operation,
                         bool* in_doubt) {
   const auto deadline = Clock::now() + options_.operation_timeout;
   bool lost_once = false;
-  std::unique_lock lock(mutex_);
+  config::UniqueLock lock(mutex_);
   const auto give_up = [&](const std::string& problem) {
     const std::string seconds = std::to_string(options_.operation_timeout.count()) + " ms";
     return RegistryError(RegistryErrorCode::away, what + ": " + problem + " within " + seconds + " from the registry " +
                                                       options_.url + "; is it running?");
   };
   const auto wait_until = [&](Clock::time_point limit, const auto& condition) {
-    changed_.wait_until(lock, limit, [&] { return closed_ || condition(); });
+    mutex_.assert_held();
+    changed_.wait_until(mutex_, limit, [&] {
+      mutex_.assert_held();
+      return closed_ || condition();
+    });
     if (closed_) throw RegistryError(RegistryErrorCode::closed, what + ": the registry was closed");
     return condition();
   };
   for (;;) {
-    if (!wait_until(deadline, [&] { return state_ == SessionState::connected; })) {
+    if (!wait_until(deadline, [this]() IOTCLOUD_REQUIRES(mutex_) { return state_ == SessionState::connected; })) {
       throw give_up(lost_once ? "no second answer after the connection was lost" : "no connection");
     }
     const auto pending = std::make_shared<Pending>();
     lock.unlock();
     operation(*connection_, [this, pending](Reply reply) {
-      const std::lock_guard answer_lock(mutex_);
+      const config::MutexLock answer_lock(mutex_);
       pending->reply = std::move(reply);
       changed_.notify_all();
     });
@@ -199,14 +223,16 @@ Reply ClientState::call(const std::string& what, const std::function<void(Connec
       return std::move(*pending->reply);
     }
     lost_once = true;
-    wait_until(std::min(deadline, Clock::now() + repeat_pause), [&] { return state_ != SessionState::connected; });
+    wait_until(std::min(deadline, Clock::now() + repeat_pause),
+               [this]() IOTCLOUD_REQUIRES(mutex_) { return state_ != SessionState::connected; });
   }
 }
 
 void ClientState::on_worker_and_wait(std::function<void()> task) {
   auto packaged = std::make_shared<std::packaged_task<void()>>(std::move(task));
   const auto done = packaged->get_future();
-  // Only the worker's queue owns the task from here on. A worker that has stopped drops it: nobody waits for ever.
+  // From here on only the worker's queue owns the task. If the worker has stopped, it drops the task, which also ends
+  // the wait below.
   worker_.post([packaged = std::move(packaged)] { (*packaged)(); });
   done.wait();
 }
@@ -220,7 +246,7 @@ GuardPtr ClientState::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& re
   refusal = Status::ok;
   GuardPtr guard;
   const auto add = [&] {
-    // From here on the guard sees to it that nothing is left behind, should the answer not come in time.
+    // From here on the guard cleans up, even if the answer does not come in time.
     guard = std::make_unique<HoldGuard>(weak_from_this(), hold);
     worker_.post([this, hold] { holds_.add(hold); });
   };
@@ -228,7 +254,7 @@ GuardPtr ClientState::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& re
     add();
     return guard;
   }
-  const auto create = [&](Connection&, Done done) {
+  const auto create = [&](RegistryConnection&, Done done) {
     hold->first_answer = [done = std::move(done)](Status status) {
       Reply reply;
       reply.status = status;

@@ -19,43 +19,51 @@ enum class Status {
   not_empty,
   bad_version,
   bad_path,  ///< a child of an ephemeral node, or a path that the server refuses
-  denied,    ///< the node belongs to others
-  fenced,    ///< a write whose fence is gone; goes before the other reasons
-  away,      ///< the connection or the session went: whether a write took effect is unknown
+  denied,    ///< the node belongs to another user
+  fenced,    ///< the write's fence is gone; takes precedence over the other reasons
+  away,      ///< the connection or the session was lost: whether a write took effect is unknown
 };
 
 struct Reply {
   Status status = Status::away;
-  Node node;                       ///< get
-  std::string path;                ///< create without a fence: the real path
-  std::vector<std::string> names;  ///< children, sorted
+  Node node;                       ///< set by get
+  std::string path;                ///< set by create without a fence: the real path
+  std::vector<std::string> names;  ///< set by children, sorted
 };
 using Done = std::function<void(Reply)>;
 
-/// One session after another with a registry's server: the narrow seam below RegistryClient, modelled on ZooKeeper's
-/// protocol. Operations are asynchronous and take effect in the order in which one thread makes them; `done` is called
-/// exactly once, possibly before the operation returns, and must neither block nor call the connection. The same holds
-/// for the events. Thread safe, but `open` and `renew` are called by one thread only.
-class Connection {
+/// A sequence of sessions with a registry's server: the narrow interface between the client and an implementation of
+/// the registry, modelled on ZooKeeper's protocol. Operations are asynchronous and take effect in the order in which
+/// one thread makes them. `done` is called exactly once, possibly before the operation returns, and must neither block
+/// nor call the connection; the same holds for the events. Thread safe, but only one thread may call `open`, `renew`,
+/// `ask_for_new` and `ask_no_more`.
+class RegistryConnection {
  public:
   struct Events {
-    /// The session lives: a new one, or the same one reached again. \param timeout as agreed with the server.
+    /// The client is connected: in a new session, or in the old one again. \param timeout as agreed with the server.
     std::function<void(std::int64_t session, std::chrono::milliseconds timeout)> connected;
     std::function<void()> disconnected;
-    /// The server has dropped the session; nothing more happens until renew().
+    /// The server has dropped the session; no event follows until renew().
     std::function<void()> expired;
-    /// A watch fired: what stands at `path`, or below it, changed. Once for each read with `watch`.
+    /// A watch fired: the node at `path`, or its list of children, changed. Once for each read with `watch`.
     std::function<void(const std::string& path)> changed;
   };
 
-  virtual ~Connection() = default;  ///< ends the session; no event or `done` comes afterwards
+  virtual ~RegistryConnection() = default;  ///< ends the session; no event or `done` comes afterwards
 
-  /// Starts to connect, for ever. \return false when not even that is possible now (the host's name is not known, say);
+  /// Starts to connect, without a limit in time. \return false if it cannot even start (an unknown host name, say);
   /// call renew() later.
   virtual bool open(Events events) = 0;
-  /// After `expired`: starts a new session. May take seconds (a host's name is looked up). \return as open().
+  /// After `expired`, or when the server will not take the old session back: starts a new session. May take seconds (to
+  /// look up a host's name). \return as open().
   virtual bool renew() = 0;
-  /// How long after `disconnected` the session is certain to live still, when the server hears nothing.
+  /// Asks, without a limit in time, whether a server takes new sessions, whatever becomes of this one. A server whose
+  /// state was emptied or put back takes no client that has seen a later state, and does not tell it so. `serves` is
+  /// called at most once, as an event is. \return as open().
+  virtual bool ask_for_new(std::function<void()> serves) = 0;
+  /// Ends the question, if there is one; `serves` is not called any more.
+  virtual void ask_no_more() = 0;
+  /// How long after `disconnected` the session certainly still lives, if the server hears nothing.
   virtual std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const = 0;
 
   virtual void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential,
@@ -63,9 +71,10 @@ class Connection {
   virtual void set(const std::string& path, const std::string& data, std::int64_t expected_version, const Fence& fence,
                    Done done) = 0;
   virtual void remove(const std::string& path, std::int64_t expected_version, const Fence& fence, Done done) = 0;
-  /// With `watch`, `changed(path)` follows once when the node changes, goes, or comes if it is not there.
+  /// With `watch`, `changed(path)` follows once when the node changes, is removed, or, if it does not exist, is
+  /// created.
   virtual void get(const std::string& path, bool watch, Done done) = 0;
-  /// With `watch`, `changed(path)` follows once when children come or go, or the node itself does.
+  /// With `watch`, `changed(path)` follows once when children are created or removed, or the node itself is.
   virtual void children(const std::string& path, bool watch, Done done) = 0;
 };
 

@@ -1,21 +1,20 @@
 #include <algorithm>
 #include <utility>
 
-#include <iotcloud/config/log.h>
 #include <iotcloud/discovery/client/holds.h>
 #include <iotcloud/discovery/client/path.h>
+#include <iotcloud/discovery/logger.h>
 
 namespace iotcloud::discovery {
 namespace {
 
-const config::Logger log{"discovery"};
-constexpr std::chrono::milliseconds retry_pause{50};
-/// While the registry refuses, for a reason that only people can mend.
+constexpr std::chrono::milliseconds hold_retry_pause{50};
+/// Pause before the next attempt when the registry refused the last one for a reason that only a person can remove.
 constexpr std::chrono::milliseconds refused_pause{1000};
 
 }  // namespace
 
-void Holds::add(HoldPtr hold) {
+void Holds::add(const HoldPtr& hold) {
   holds_.insert(hold);
   step(hold);
 }
@@ -31,15 +30,15 @@ void Holds::release(const HoldPtr& hold) {
 void Holds::connected(std::int64_t session) {
   connected_ = true;
   if (std::exchange(session_, session) != session) taken_.clear();
-  waiting_.clear();  // all are tried anew
+  waiting_.clear();  // all of them try again
   const std::vector<HoldPtr> all(holds_.begin(), holds_.end());
   for (const HoldPtr& hold : all) step(hold);
 }
 
-/// Does what is next for this hold, when nothing is under way already.
+/// Takes a hold's next step, unless an operation is under way.
 void Holds::step(const HoldPtr& hold) {
   if (hold->busy) return;
-  if (hold->session != session_) {  // that session's nodes are gone
+  if (hold->session != session_) {  // the old session's nodes are gone
     forget_node(hold);
     hold->in_doubt = false;
   }
@@ -47,7 +46,7 @@ void Holds::step(const HoldPtr& hold) {
   if (hold->released && !exists && !hold->in_doubt) {
     holds_.erase(hold);
   } else if (!connected_) {
-    return;  // connected() goes on
+    return;  // connected() calls this again
   } else if (hold->in_doubt) {
     resolve_doubt(hold);
   } else if (hold->released) {
@@ -104,7 +103,7 @@ void Holds::let_through(const std::string& parent) {
 void Holds::created(const HoldPtr& hold, const Reply& reply) {
   switch (reply.status) {
     case Status::ok:
-      if (taken(reply.path)) {  // another hold of the same name took this node for its own: ours is the one it made
+      if (taken(reply.path)) {  // another hold took this node: take the one that it created
         hold->in_doubt = true;
         step(hold);
       } else {
@@ -120,7 +119,7 @@ void Holds::created(const HoldPtr& hold, const Reply& reply) {
           hold->parent_known = true;
           step(hold);
         } else if (status == Status::away) {
-          step_later(hold, retry_pause);
+          step_later(hold, hold_retry_pause);
         } else {
           refused(hold, status);
         }
@@ -128,16 +127,16 @@ void Holds::created(const HoldPtr& hold, const Reply& reply) {
       return;
     case Status::away:
       hold->in_doubt = true;
-      step_later(hold, retry_pause);
+      step_later(hold, hold_retry_pause);
       return;
     default:
       refused(hold, reply.status);
   }
 }
 
-/// The node is there and ours.
+/// The node exists and is ours.
 void Holds::settle(const HoldPtr& hold, const std::string& real_path) {
-  if (hold->session != session_) {  // it was, in a session that is over
+  if (hold->session != session_) {  // it belongs to a session that is over
     step(hold);
     return;
   }
@@ -162,10 +161,10 @@ void Holds::refused(const HoldPtr& hold, Status status) {
     return;
   }
   if (!std::exchange(hold->complained, true)) {
-    log.warn("{} cannot be created for now: {}", hold->path,
-             status == Status::exists   ? "another session's node stands there; waiting for it to go"
-             : status == Status::denied ? "what stands above it belongs to another user of the registry; trying on"
-                                        : "the registry refuses; trying on");
+    logger.warn("{} cannot be created for now: {}", hold->path,
+                status == Status::exists   ? "another session's node stands there; waiting for it to go"
+                : status == Status::denied ? "what stands above it belongs to another user of the registry; trying on"
+                                           : "the registry refuses; trying on");
   }
   if (status == Status::exists) {
     wait_for_place(hold);
@@ -174,8 +173,8 @@ void Holds::refused(const HoldPtr& hold, Status status) {
   }
 }
 
-/// Another session's node stands there (that of a process which died a moment ago, say): its end is watched. In a new
-/// session of ours everything begins anew.
+/// Another session's node is at the path (that of a process which died a moment ago, say). Watches it until it is gone.
+/// When this client gets a new session, the hold starts again from the beginning.
 void Holds::wait_for_place(const HoldPtr& hold) {
   hold->busy = true;
   connection_.get(hold->path, true, on_worker([this, hold, session = session_](const Reply& reply) {
@@ -183,7 +182,7 @@ void Holds::wait_for_place(const HoldPtr& hold) {
                     if (reply.status == Status::ok && session == session_ && !hold->released) {
                       waiting_.emplace(hold->path, hold);
                     } else if (reply.status == Status::away) {
-                      step_later(hold, retry_pause);
+                      step_later(hold, hold_retry_pause);
                     } else {
                       step(hold);
                     }
@@ -208,7 +207,7 @@ void Holds::remove(const HoldPtr& hold) {
   connection_.get(hold->real_path, false, on_worker([this, hold](const Reply& reply) {
                     hold->busy = false;
                     if (reply.status == Status::away) {
-                      step_later(hold, retry_pause);
+                      step_later(hold, hold_retry_pause);
                     } else if (reply.status == Status::ok && reply.node.owner_session == hold->session) {
                       remove_own(hold);
                     } else {
@@ -223,7 +222,7 @@ void Holds::remove_own(const HoldPtr& hold) {
   connection_.remove(hold->real_path, -1, {}, on_worker([this, hold](const Reply& reply) {
                        hold->busy = false;
                        if (reply.status == Status::away) {
-                         step_later(hold, retry_pause);
+                         step_later(hold, hold_retry_pause);
                        } else {
                          forget_node(hold);
                          step(hold);
@@ -237,7 +236,7 @@ void Holds::forget_node(const HoldPtr& hold) {
   hold->real_path.clear();
 }
 
-/// Looks for a node that a creation without answer has left.
+/// Looks for the node that was created if the creation whose answer was lost took effect.
 void Holds::resolve_doubt(const HoldPtr& hold) {
   if (!hold->sequential) {
     look_at(hold, {hold->path});
@@ -247,7 +246,7 @@ void Holds::resolve_doubt(const HoldPtr& hold) {
   connection_.children(parent_of(hold->path), false, on_worker([this, hold](const Reply& reply) {
                          hold->busy = false;
                          if (reply.status == Status::away) {
-                           step_later(hold, retry_pause);
+                           step_later(hold, hold_retry_pause);
                            return;
                          }
                          const std::string parent = parent_of(hold->path);
@@ -275,7 +274,7 @@ void Holds::look_at(const HoldPtr& hold, std::vector<std::string> candidates) {
   connection_.get(path, false, on_worker([this, hold, path, candidates](const Reply& reply) {
                     hold->busy = false;
                     if (reply.status == Status::away) {
-                      step_later(hold, retry_pause);
+                      step_later(hold, hold_retry_pause);
                     } else if (reply.status == Status::ok && reply.node.owner_session == hold->session &&
                                reply.node.data == hold->data && !taken(path)) {
                       settle(hold, path);
@@ -285,7 +284,7 @@ void Holds::look_at(const HoldPtr& hold, std::vector<std::string> candidates) {
                   }));
 }
 
-void Holds::make_parents(const std::string& path, std::function<void(Status)> next) {
+void Holds::make_parents(const std::string& path, const std::function<void(Status)>& next) {
   const std::string parent = parent_of(path);
   connection_.create(parent, "", false, false, {}, on_worker([this, path, parent, next](const Reply& reply) {
                        if (reply.status == Status::no_node && parent != "/") {

@@ -15,40 +15,41 @@
 
 namespace iotcloud::discovery {
 
-/// One held node.
+/// An ephemeral node that the client creates again whenever it is lost, until its guard is destroyed.
 struct Hold {
   std::string path;
   std::string data;
   bool sequential = false;
   std::shared_ptr<Callback<std::string>> on_created;
-  /// Told of the first attempt's outcome, on the worker. When it is set, a first attempt that the server refuses is
-  /// the last one; when it is empty, it is tried for ever.
+  /// Called on the worker with the outcome of the first attempt to create the node. If this function is set, a refused
+  /// first attempt is not repeated; if it is empty, attempts go on until one succeeds.
   std::function<void(Status)> first_answer;
 
  private:
   friend class Holds;
-  bool released = false;      ///< the guard is gone
-  bool busy = false;          ///< an operation is under way, or due at a later time
-  std::string real_path;      ///< empty: not created, as far as is known
-  std::int64_t session = 0;   ///< of the node, or of the creation in doubt
-  bool in_doubt = false;      ///< a creation in `session` was not answered
-  bool parent_known = false;  ///< what it stands below was there a moment ago
-  bool suspect = false;       ///< its node was changed or removed by somebody, and may be another's now
-  bool complained = false;    ///< said in the log that it cannot be created
+  bool released = false;      ///< the guard is destroyed
+  bool busy = false;          ///< an operation is under way or scheduled
+  std::string real_path;      ///< empty: not created, as far as we know
+  std::int64_t session = 0;   ///< the session of the node, or of the creation in doubt
+  bool in_doubt = false;      ///< the answer to a creation in `session` was lost
+  bool parent_known = false;  ///< the parent existed a moment ago
+  bool suspect = false;       ///< somebody changed or removed the node: it may belong to another session now
+  bool complained = false;    ///< the log has said that the node cannot be created
 };
 
-/// Keeps ephemeral nodes: creates them again in every new session, finds out about creations whose answer was lost
-/// (the node is ours when our session owns it), and removes them when they are released, whatever happened before.
-/// All methods run on the worker.
+/// Keeps ephemeral nodes: creates them again in every new session, finds out whether a creation took place whose answer
+/// was lost (a node that our session owns and that has the hold's data is ours), and removes them when they are
+/// released, whatever happened before. All methods run on the worker.
 class Holds {
  public:
-  Holds(Connection& connection, SerialThread& worker, SerialThread& dispatcher)
+  Holds(RegistryConnection& connection, SerialThread& worker, SerialThread& dispatcher)
       : connection_(connection), worker_(worker), dispatcher_(dispatcher) {}
 
-  void add(std::shared_ptr<Hold> hold);
+  void add(const std::shared_ptr<Hold>& hold);
   void release(const std::shared_ptr<Hold>& hold);
   void connected(std::int64_t session);
-  /// A watch fired: the node that stood in somebody's way may be gone, or a held one be another's.
+  /// A watch fired: another session's node at a hold's path may be gone, or a held node may belong to another session
+  /// now.
   void changed(const std::string& path);
   void disconnected() { connected_ = false; }
 
@@ -66,21 +67,21 @@ class Holds {
   void let_through(const std::string& parent);
   void resolve_doubt(const HoldPtr& hold);
   void look_at(const HoldPtr& hold, std::vector<std::string> candidates);
-  void make_parents(const std::string& path, std::function<void(Status)> next);
+  void make_parents(const std::string& path, const std::function<void(Status)>& next);
   bool taken(const std::string& real_path) const { return taken_.contains(real_path); }
   void forget_node(const HoldPtr& hold);
-  /// Brings the answer to the worker.
+  /// Makes a callback that runs `next` with the answer on the worker.
   Done on_worker(std::function<void(Reply)> next);
 
-  Connection& connection_;
+  RegistryConnection& connection_;
   SerialThread& worker_;
   SerialThread& dispatcher_;
   bool connected_ = false;
   std::int64_t session_ = 0;
   std::set<HoldPtr> holds_;
-  std::map<std::string, HoldPtr> taken_;         ///< by real path: this session's nodes that holds have for their own
-  std::multimap<std::string, HoldPtr> waiting_;  ///< by path, for the node that stands there to go
-  /// By parent: those that wait until the first creation below it has found it, or made it, once for all.
+  std::map<std::string, HoldPtr> taken_;         ///< by real path: this session's nodes that belong to holds
+  std::multimap<std::string, HoldPtr> waiting_;  ///< by path: holds that wait until another node at their path is gone
+  /// By parent: holds that wait until the first creation below it has found or made the parent for all of them.
   std::map<std::string, std::vector<HoldPtr>> behind_;
 };
 

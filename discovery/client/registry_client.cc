@@ -20,7 +20,8 @@ void check(const std::string& path, const std::string& data) {
   }
 }
 
-/// An earlier attempt was not answered, and now it looks as if it had, or somebody else's call had, taken effect.
+/// The error for a write whose repetition shows that either its first attempt, whose answer was lost, or another
+/// client's write took effect.
 RegistryError doubt(const std::string& what) {
   return RegistryError(RegistryErrorCode::away,
                        what + ": the connection was lost meanwhile; whether it took effect is unknown");
@@ -61,7 +62,7 @@ RegistryError refusal(const std::string& what, Status status) {
 
 class RegistryClient : public Registry {
  public:
-  RegistryClient(std::unique_ptr<Connection> connection, const RegistryOptions& options)
+  RegistryClient(std::unique_ptr<RegistryConnection> connection, const RegistryOptions& options)
       : core_(std::make_shared<ClientState>(std::move(connection), options)) {
     core_->open();
   }
@@ -77,7 +78,7 @@ class RegistryClient : public Registry {
       bool in_doubt = false;
       const Reply reply = core_->call(
           what,
-          [&](Connection& connection, Done done) {
+          [&](RegistryConnection& connection, Done done) {
             connection.create(path, data, false, false, fence, std::move(done));
           },
           &in_doubt);
@@ -95,7 +96,7 @@ class RegistryClient : public Registry {
     bool in_doubt = false;
     const Reply reply = core_->call(
         what,
-        [&](Connection& connection, Done done) {
+        [&](RegistryConnection& connection, Done done) {
           connection.set(path, data, expected_version, fence, std::move(done));
         },
         &in_doubt);
@@ -106,7 +107,7 @@ class RegistryClient : public Registry {
   std::optional<Node> get(const std::string& path) override {
     check_path(path);
     Reply reply = core_->call(
-        "get " + path, [&](Connection& connection, Done done) { connection.get(path, false, std::move(done)); },
+        "get " + path, [&](RegistryConnection& connection, Done done) { connection.get(path, false, std::move(done)); },
         nullptr);
     if (reply.status == Status::no_node) return std::nullopt;
     if (reply.status != Status::ok) throw refusal("get " + path, reply.status);
@@ -120,7 +121,9 @@ class RegistryClient : public Registry {
     bool in_doubt = false;
     const Reply reply = core_->call(
         what,
-        [&](Connection& connection, Done done) { connection.remove(path, expected_version, fence, std::move(done)); },
+        [&](RegistryConnection& connection, Done done) {
+          connection.remove(path, expected_version, fence, std::move(done));
+        },
         &in_doubt);
     if (reply.status == Status::ok) return true;
     if (reply.status == Status::no_node) return in_doubt;
@@ -132,7 +135,7 @@ class RegistryClient : public Registry {
     check_path(path);
     Reply reply = core_->call(
         "children of " + path,
-        [&](Connection& connection, Done done) { connection.children(path, false, std::move(done)); }, nullptr);
+        [&](RegistryConnection& connection, Done done) { connection.children(path, false, std::move(done)); }, nullptr);
     if (reply.status == Status::no_node) return std::nullopt;
     if (reply.status != Status::ok) throw refusal("children of " + path, reply.status);
     return std::move(reply.names);
@@ -141,7 +144,7 @@ class RegistryClient : public Registry {
   std::vector<std::optional<Node>> get_all(const std::vector<std::string>& paths) override {
     std::vector<std::optional<Node>> nodes;
     nodes.reserve(paths.size());
-    const auto read = [](Connection& connection, const std::string& path, Done done) {
+    const auto read = [](RegistryConnection& connection, const std::string& path, Done done) {
       connection.get(path, false, std::move(done));
     };
     for_each_answer("get ", paths, read, [&](const std::string& path, Reply& reply) {
@@ -159,7 +162,7 @@ class RegistryClient : public Registry {
   std::vector<std::optional<std::vector<std::string>>> children_of_all(const std::vector<std::string>& paths) override {
     std::vector<std::optional<std::vector<std::string>>> lists;
     lists.reserve(paths.size());
-    const auto read = [](Connection& connection, const std::string& path, Done done) {
+    const auto read = [](RegistryConnection& connection, const std::string& path, Done done) {
       connection.children(path, false, std::move(done));
     };
     for_each_answer("children of ", paths, read, [&](const std::string& path, Reply& reply) {
@@ -211,17 +214,17 @@ class RegistryClient : public Registry {
   }
 
  private:
-  /// A persistent, empty node and its parents, whoever makes them.
+  /// Makes a persistent, empty node and its parents. Accepts a node that exists already.
   void make(const std::string& path, const Fence& fence) {
     try {
       create(path, "", true, fence);
     } catch (const RegistryError& error) {
       if (error.code() == RegistryErrorCode::exists) return;
-      if (error.code() != RegistryErrorCode::away || !get(path)) throw;  // in doubt, and there all the same
+      if (error.code() != RegistryErrorCode::away || !get(path)) throw;  // the answer was lost, but the node exists
     }
   }
 
-  /// Reads in batches, each of which has the operation time-out to itself.
+  /// Reads in batches; the operation time-out counts for each batch.
   void for_each_answer(const std::string& what, const std::vector<std::string>& paths, const Batch::Read& read,
                        const std::function<void(const std::string&, Reply&)>& use) {
     for (const std::string& path : paths) check_path(path);
@@ -230,7 +233,9 @@ class RegistryClient : public Registry {
       std::shared_ptr<Batch> batch;
       core_->call(
           what + part.front() + (part.size() > 1 ? " and others" : ""),
-          [&](Connection& connection, Done done) { batch = Batch::start(connection, part, read, std::move(done)); },
+          [&](RegistryConnection& connection, Done done) {
+            batch = Batch::start(connection, part, read, std::move(done));
+          },
           nullptr);
       for (std::size_t i = 0; i < part.size(); ++i) use(part[i], batch->replies()[i]);
     }
@@ -255,7 +260,7 @@ class RegistryClient : public Registry {
 
 }  // namespace
 
-std::unique_ptr<Registry> make_client(std::unique_ptr<Connection> connection, const RegistryOptions& options) {
+std::unique_ptr<Registry> make_client(std::unique_ptr<RegistryConnection> connection, const RegistryOptions& options) {
   return std::make_unique<RegistryClient>(std::move(connection), options);
 }
 

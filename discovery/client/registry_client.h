@@ -7,7 +7,7 @@
 
 namespace iotcloud::discovery {
 
-/// The registry that `connection` leads to; connects in the background. `options.url` is for messages only.
-std::unique_ptr<Registry> make_client(std::unique_ptr<Connection> connection, const RegistryOptions& options);
+/// Makes a registry on a connection; it connects in the background. `options.url` is for messages only.
+std::unique_ptr<Registry> make_client(std::unique_ptr<RegistryConnection> connection, const RegistryOptions& options);
 
 }  // namespace iotcloud::discovery

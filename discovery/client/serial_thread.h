@@ -1,19 +1,19 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <map>
-#include <mutex>
 #include <string>
 #include <thread>
 #include <utility>
 
+#include <iotcloud/config/mutex.h>
+
 namespace iotcloud::discovery {
 
-/// Runs tasks one at a time on its own thread: in the order posted, later ones when their time has come.
-/// Thread safe. A task that throws is logged. Tasks that have not run when it stops are dropped.
+/// Runs tasks one at a time on its own thread: in the order of posting, scheduled tasks when their time has come.
+/// Thread safe. A task that throws is logged. When it stops, it drops the tasks that have not run.
 class SerialThread {
  public:
   using Task = std::function<void()>;
@@ -26,7 +26,7 @@ class SerialThread {
 
   void post(Task task) { post_at(Instant::min(), std::move(task)); }
   void post_at(Instant when, Task task);
-  /// Returns when the task that runs is done; later posts are ignored. Not from its own thread.
+  /// Returns when the current task is done; ignores later posts. Do not call it on its own thread.
   void stop();
   bool is_current() const { return std::this_thread::get_id() == thread_.get_id(); }
 
@@ -34,11 +34,12 @@ class SerialThread {
   void run();
 
   const std::string name_;
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  bool stopping_ = false;                                    ///< guarded by mutex_
-  std::uint64_t posted_ = 0;                                 ///< guarded by mutex_
-  std::map<std::pair<Instant, std::uint64_t>, Task> tasks_;  ///< by time, then order; guarded by mutex_
+  config::Mutex mutex_;
+  config::ConditionVariable wake_;
+  bool stopping_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  std::uint64_t posted_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  /// by time, then in the order of posting
+  std::map<std::pair<Instant, std::uint64_t>, Task> tasks_ IOTCLOUD_GUARDED_BY(mutex_);
   std::thread thread_;
 };
 

@@ -1,16 +1,17 @@
+#include <functional>
 #include <utility>
 
-#include <iotcloud/config/log.h>
 #include <iotcloud/discovery/client/watches.h>
+#include <iotcloud/discovery/logger.h>
 
 namespace iotcloud::discovery {
 namespace {
 
-const config::Logger log{"discovery"};
 constexpr std::chrono::milliseconds read_pause{2};
-/// A long list of children is sent whole at each change: 10 000 names, some 360 KB, are read every 50 ms at most.
+/// The pause between two reads of a list of children grows with the list, because the server always sends all of it: a
+/// list of 10 000 names, some 360 KB, is read every 50 ms at most.
 constexpr std::chrono::microseconds read_pause_per_name{5};
-constexpr std::chrono::milliseconds retry_pause{50};
+constexpr std::chrono::milliseconds listing_retry_pause{50};
 constexpr std::chrono::milliseconds denied_pause{2000};
 
 }  // namespace
@@ -20,7 +21,7 @@ void Watch::shut() {
   if (on_children) on_children->shut();
 }
 
-void Watches::add(WatchPtr watch) {
+void Watches::add(const WatchPtr& watch) {
   PlacePtr& place = places_of(*watch)[watch->path];
   if (!place) {
     place = std::make_shared<Place>();
@@ -28,8 +29,8 @@ void Watches::add(WatchPtr watch) {
     place->lists_children = watch->on_children != nullptr;
   }
   place->watches.push_back(watch);
-  if (!connected_ || place->reading) return;  // the answer is for this one too
-  if (place->names && !place->scheduled) {    // a long list is not sent twice
+  if (!connected_ || place->reading) return;  // the answer under way serves this watch too
+  if (place->names && !place->scheduled) {    // the list is known: report it without a read
     watch->told = true;
     watch->on_children->deliver_latest(dispatcher_, place->names);
   } else {
@@ -108,16 +109,16 @@ void Watches::answered(const PlacePtr& place, Reply reply) {
   if (place->watches.empty()) return;
   const bool again = std::exchange(place->again, false);
   if (reply.status != Status::ok && reply.status != Status::no_node) {
-    // The next `connected` reads again; should the connection stand all the same, this does.
+    // If the connection was lost, the next connected() reads again; otherwise the read that is scheduled here does.
     const bool denied = reply.status == Status::denied;
     if (denied && !std::exchange(place->complained, true)) {
-      log.warn(
+      logger.warn(
           "{} cannot be watched: it belongs to another user of the registry; are registry.user and "
           "registry.password_file those of the process that created it?",
           place->path);
     }
     if (!place->scheduled) {
-      schedule(place, std::chrono::steady_clock::now() + (denied ? denied_pause : retry_pause));
+      schedule(place, std::chrono::steady_clock::now() + (denied ? denied_pause : listing_retry_pause));
     }
     return;
   }
@@ -125,7 +126,7 @@ void Watches::answered(const PlacePtr& place, Reply reply) {
   if (again) touch(place);
 }
 
-/// Tells what is new to all, and what is not to those who do not know it yet.
+/// Reports news to all watches, and the current state to those that do not have it yet.
 void Watches::report(Place& place, Reply reply) {
   bool fresh = place.status != reply.status;
   if (place.lists_children) {
@@ -134,7 +135,10 @@ void Watches::report(Place& place, Reply reply) {
     fresh = fresh || *place.names != names;
     if (fresh) place.names = std::make_shared<const std::optional<std::vector<std::string>>>(std::move(names));
   } else {
-    fresh = fresh || place.version != reply.node.version || place.created != reply.node.created;
+    const std::size_t data_hash = std::hash<std::string>()(reply.node.data);
+    fresh = fresh || place.version != reply.node.version || place.created != reply.node.created ||
+            place.data_hash != data_hash;
+    place.data_hash = data_hash;
     place.version = reply.node.version;
     place.created = reply.node.created;
   }

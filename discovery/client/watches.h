@@ -13,7 +13,7 @@
 
 namespace iotcloud::discovery {
 
-/// Sorted names, shared by all who are told of them; nullopt: no such node.
+/// Sorted names, shared by all watches that get them; nullopt: no such node.
 using SharedNames = std::shared_ptr<const std::optional<std::vector<std::string>>>;
 using NodeCallback = Callback<std::optional<Node>>;
 using ChildrenCallback = Callback<SharedNames>;
@@ -28,21 +28,20 @@ struct Watch {
 
  private:
   friend class Watches;
-  bool told = false;  ///< once at least
+  bool told = false;  ///< the callback got at least one state
 };
 
-/// Makes lasting watches of the server's one-shot ones: after each change it reads again, which sets the next one.
-/// The first change is read at once; further ones wait for a few milliseconds, so that many become one. What several
-/// watch is read once for all of them.
-/// All methods run on the worker.
+/// Turns the server's one-shot watches into lasting ones: after each change it reads again, which sets the next watch.
+/// It reads the first change at once; further changes wait for a few milliseconds and are read together. Several
+/// watches of one path share a read. All methods run on the worker.
 class Watches {
  public:
-  Watches(Connection& connection, SerialThread& worker, SerialThread& dispatcher)
+  Watches(RegistryConnection& connection, SerialThread& worker, SerialThread& dispatcher)
       : connection_(connection), worker_(worker), dispatcher_(dispatcher) {}
 
-  void add(std::shared_ptr<Watch> watch);
+  void add(const std::shared_ptr<Watch>& watch);
   void remove(const std::shared_ptr<Watch>& watch);
-  /// Everything is read again: what changed meanwhile is reported.
+  /// Reads everything again and reports what changed meanwhile.
   void connected();
   void disconnected() { connected_ = false; }
   void changed(const std::string& path);
@@ -50,20 +49,22 @@ class Watches {
  private:
   using WatchPtr = std::shared_ptr<Watch>;
 
-  /// What is read for all watches of one kind on one path.
+  /// The shared state of all watches of one kind on one path.
   struct Place {
     std::string path;
     bool lists_children = false;
-    std::vector<WatchPtr> watches;  ///< none: it is over
-    bool reading = false;           ///< an answer is under way
-    bool again = false;             ///< something changed meanwhile
-    bool scheduled = false;         ///< a read is due at a later time
+    std::vector<WatchPtr> watches;  ///< empty: nobody watches the path any more
+    bool reading = false;           ///< a read was sent and is not answered yet
+    bool again = false;             ///< something changed after that read was sent
+    bool scheduled = false;         ///< a read is scheduled
     bool complained = false;
     SerialThread::Instant last_read = SerialThread::Instant::min();
-    // As it was told last; nothing yet when there is no status. Of a node the version suffices to see a change.
+    // The state that was reported last; without a status nothing was reported yet. `version`, `created` and a hash of
+    // the data show whether a node has changed: a server that was emptied counts versions and creations anew.
     std::optional<Status> status;
     std::int64_t version = 0;
     std::int64_t created = 0;
+    std::size_t data_hash = 0;
     SharedNames names;
   };
   using PlacePtr = std::shared_ptr<Place>;
@@ -76,7 +77,7 @@ class Watches {
   void answered(const PlacePtr& place, Reply reply);
   void report(Place& place, Reply reply);
 
-  Connection& connection_;
+  RegistryConnection& connection_;
   SerialThread& worker_;
   SerialThread& dispatcher_;
   bool connected_ = false;

@@ -6,11 +6,14 @@
 namespace iotcloud::discovery::embedded {
 namespace {
 
-class EmbeddedConnection : public Connection {
+class EmbeddedConnection : public RegistryConnection {
  public:
-  EmbeddedConnection(std::shared_ptr<Server> server, std::chrono::milliseconds timeout)
+  EmbeddedConnection(std::shared_ptr<RegistryServer> server, std::chrono::milliseconds timeout)
       : server_(std::move(server)), timeout_(timeout) {}
-  ~EmbeddedConnection() override { server_->close_session(session_); }
+  ~EmbeddedConnection() override {
+    ask_no_more();
+    server_->close_session(session_);
+  }
   EmbeddedConnection(const EmbeddedConnection&) = delete;
   EmbeddedConnection& operator=(const EmbeddedConnection&) = delete;
 
@@ -19,9 +22,16 @@ class EmbeddedConnection : public Connection {
     return renew();
   }
   bool renew() override {
+    server_->close_session(session_);  // the server may know it still, if it refuses it
     session_ = server_->open_session(events_, timeout_);
     return true;
   }
+  bool ask_for_new(std::function<void()> serves) override {
+    ask_no_more();
+    question_ = server_->ask_for_new(std::move(serves));
+    return true;
+  }
+  void ask_no_more() override { server_->ask_no_more(std::exchange(question_, 0)); }
   std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const override {
     return timeout;  // a partition is noticed at once
   }
@@ -43,15 +53,17 @@ class EmbeddedConnection : public Connection {
   }
 
  private:
-  const std::shared_ptr<Server> server_;
+  const std::shared_ptr<RegistryServer> server_;
   const std::chrono::milliseconds timeout_;
   Events events_;
   std::atomic<std::int64_t> session_{0};
+  std::int64_t question_ = 0;  ///< 0: none is open
 };
 
 }  // namespace
 
-std::unique_ptr<Connection> make_connection(std::shared_ptr<Server> server, std::chrono::milliseconds session_timeout) {
+std::unique_ptr<RegistryConnection> make_connection(std::shared_ptr<RegistryServer> server,
+                                                    std::chrono::milliseconds session_timeout) {
   return std::make_unique<EmbeddedConnection>(std::move(server), session_timeout);
 }
 

@@ -16,25 +16,25 @@ Reply with_status(Status status) {
 
 }  // namespace
 
-std::shared_ptr<Server> Server::named(const std::string& name) {
-  static std::mutex mutex;
-  static std::map<std::string, std::weak_ptr<Server>> servers;
-  const std::lock_guard lock(mutex);
-  std::weak_ptr<Server>& known = servers[name];
+std::shared_ptr<RegistryServer> RegistryServer::named(const std::string& name) {
+  static config::Mutex mutex;
+  static std::map<std::string, std::weak_ptr<RegistryServer>> servers;
+  const config::MutexLock lock(mutex);
+  std::weak_ptr<RegistryServer>& known = servers[name];
   auto server = known.lock();
   if (!server) {
-    server = std::make_shared<Server>();
+    server = std::make_shared<RegistryServer>();
     known = server;
   }
   return server;
 }
 
-Server::Server() {
+RegistryServer::RegistryServer() {
   tree_["/"];
 }
 
-std::vector<std::int64_t> Server::sessions() const {
-  const std::lock_guard lock(mutex_);
+std::vector<std::int64_t> RegistryServer::sessions() const {
+  const config::MutexLock lock(mutex_);
   std::vector<std::int64_t> numbers;
   for (const auto& [number, session] : sessions_) {
     if (!session.expired) numbers.push_back(number);
@@ -42,44 +42,95 @@ std::vector<std::int64_t> Server::sessions() const {
   return numbers;
 }
 
-void Server::partition(std::int64_t session) {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::partition(std::int64_t session) {
+  const config::MutexLock lock(mutex_);
   const auto found = sessions_.find(session);
   if (found != sessions_.end()) cut_off(found->second);
 }
 
-void Server::partition_before_next_answer(std::int64_t session) {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::partition_before_next_answer(std::int64_t session) {
+  const config::MutexLock lock(mutex_);
   const auto found = sessions_.find(session);
   if (found != sessions_.end()) found->second.loses_answer = true;
 }
 
-void Server::restore(std::int64_t session) {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::restore(std::int64_t session) {
+  const config::MutexLock lock(mutex_);
   if (sessions_.contains(session)) let_in(session);
 }
 
-void Server::stop() {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::stop() {
+  const config::MutexLock lock(mutex_);
   down_ = true;
   for (auto& [number, session] : sessions_) cut_off(session);
 }
 
-void Server::start() {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::start() {
+  const config::MutexLock lock(mutex_);
   down_ = false;
   std::vector<std::int64_t> numbers;
   for (const auto& [number, session] : sessions_) numbers.push_back(number);
   for (const std::int64_t number : numbers) let_in(number);
+  for (const auto& [number, serves] : std::exchange(questions_, {})) serves();
 }
 
-void Server::cut_off(Session& session) {
+std::int64_t RegistryServer::ask_for_new(std::function<void()> serves) {
+  const config::MutexLock lock(mutex_);
+  const std::int64_t number = ++last_question_;
+  if (down_) {
+    questions_.emplace(number, std::move(serves));
+  } else {
+    serves();
+  }
+  return number;
+}
+
+bool RegistryServer::is_asked() const {
+  const config::MutexLock lock(mutex_);
+  return !questions_.empty();
+}
+
+void RegistryServer::ask_no_more(std::int64_t question) {
+  const config::MutexLock lock(mutex_);
+  questions_.erase(question);
+}
+
+std::shared_ptr<const RegistryServer::Image> RegistryServer::image() const {
+  const config::MutexLock lock(mutex_);
+  auto image = std::make_shared<Image>(Image{tree_, last_change_});
+  std::vector<std::string> ephemeral;
+  for (const auto& [path, entry] : tree_) {
+    if (entry.node.ephemeral) ephemeral.push_back(path);
+  }
+  for (const std::string& path : ephemeral) {
+    image->tree.at(parent_of(path)).children.erase(name_of(path));
+    image->tree.erase(path);
+  }
+  return image;
+}
+
+void RegistryServer::put_back(const std::shared_ptr<const Image>& image) {
+  const config::MutexLock lock(mutex_);
+  for (auto& [number, session] : sessions_) {
+    cut_off(session);
+    session.refused = true;
+    session.to_tell.clear();
+  }
+  node_watchers_.clear();
+  children_watchers_.clear();
+  tree_.clear();
+  tree_["/"];
+  if (image) tree_ = image->tree;
+  last_change_ = image ? image->last_change : 0;
+}
+
+void RegistryServer::cut_off(Session& session) {
   if (std::exchange(session.reachable, false)) session.events.disconnected();
 }
 
-void Server::let_in(std::int64_t number) {
+void RegistryServer::let_in(std::int64_t number) {
   Session& session = sessions_.at(number);
-  if (session.reachable) return;
+  if (session.reachable || session.refused) return;
   if (session.expired) {
     session.events.expired();
     sessions_.erase(number);
@@ -90,8 +141,8 @@ void Server::let_in(std::int64_t number) {
   for (const std::string& path : std::exchange(session.to_tell, {})) session.events.changed(path);
 }
 
-void Server::expire(std::int64_t session) {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::expire(std::int64_t session) {
+  const config::MutexLock lock(mutex_);
   const auto found = sessions_.find(session);
   if (found == sessions_.end() || found->second.expired) return;
   found->second.expired = true;
@@ -103,8 +154,8 @@ void Server::expire(std::int64_t session) {
   }
 }
 
-std::int64_t Server::open_session(Connection::Events events, std::chrono::milliseconds timeout) {
-  const std::lock_guard lock(mutex_);
+std::int64_t RegistryServer::open_session(RegistryConnection::Events events, std::chrono::milliseconds timeout) {
+  const config::MutexLock lock(mutex_);
   const std::int64_t number = ++last_session_;
   Session& session = sessions_[number];
   session.events = std::move(events);
@@ -114,21 +165,21 @@ std::int64_t Server::open_session(Connection::Events events, std::chrono::millis
   return number;
 }
 
-void Server::close_session(std::int64_t session) {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::close_session(std::int64_t session) {
+  const config::MutexLock lock(mutex_);
   if (sessions_.erase(session) == 0) return;
   forget_watches(session);
   drop_nodes(session);
 }
 
-bool Server::reachable(std::int64_t session) const {
+bool RegistryServer::reachable(std::int64_t session) const {
   const auto found = sessions_.find(session);
   return found != sessions_.end() && found->second.reachable && !found->second.expired;
 }
 
-void Server::create(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
-                    bool sequential, const Fence& fence, const Done& done) {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::create(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
+                            bool sequential, const Fence& fence, const Done& done) {
+  const config::MutexLock lock(mutex_);
   Reply reply;
   if (reachable(session)) {
     reply.status = stands(fence) ? put_node(session, path, data, ephemeral, sequential, reply.path) : Status::fenced;
@@ -141,8 +192,8 @@ void Server::create(std::int64_t session, const std::string& path, const std::st
   done(std::move(reply));
 }
 
-Status Server::put_node(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
-                        bool sequential, std::string& real_path) {
+Status RegistryServer::put_node(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
+                                bool sequential, std::string& real_path) {
   const std::string parent_path = parent_of(path);
   const auto parent = tree_.find(parent_path);
   if (path == "/") return Status::exists;
@@ -164,9 +215,9 @@ Status Server::put_node(std::int64_t session, const std::string& path, const std
   return Status::ok;
 }
 
-void Server::set(std::int64_t session, const std::string& path, const std::string& data, std::int64_t expected_version,
-                 const Fence& fence, const Done& done) {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::set(std::int64_t session, const std::string& path, const std::string& data,
+                         std::int64_t expected_version, const Fence& fence, const Done& done) {
+  const config::MutexLock lock(mutex_);
   if (!reachable(session)) {
     done(with_status(Status::away));
     return;
@@ -187,9 +238,9 @@ void Server::set(std::int64_t session, const std::string& path, const std::strin
   }
 }
 
-void Server::remove(std::int64_t session, const std::string& path, std::int64_t expected_version, const Fence& fence,
-                    const Done& done) {
-  const std::lock_guard lock(mutex_);
+void RegistryServer::remove(std::int64_t session, const std::string& path, std::int64_t expected_version,
+                            const Fence& fence, const Done& done) {
+  const config::MutexLock lock(mutex_);
   if (!reachable(session)) {
     done(with_status(Status::away));
     return;
@@ -211,33 +262,32 @@ void Server::remove(std::int64_t session, const std::string& path, std::int64_t 
   }
 }
 
-void Server::get(std::int64_t session, const std::string& path, bool watch, const Done& done) {
-  const std::lock_guard lock(mutex_);
+template <typename Fill>
+void RegistryServer::look(std::int64_t session, const std::string& path, Watchers* watchers, const Done& done,
+                          Fill&& fill) {
+  const config::MutexLock lock(mutex_);
   if (!reachable(session)) {
     done(with_status(Status::away));
     return;
   }
-  if (watch) node_watchers_[path].insert(session);
+  if (watchers) (*watchers)[path].insert(session);
   const auto found = tree_.find(path);
   Reply reply = with_status(found == tree_.end() ? Status::no_node : Status::ok);
-  if (found != tree_.end()) reply.node = found->second.node;
+  if (found != tree_.end()) fill(reply, found->second);
   done(std::move(reply));
 }
 
-void Server::children(std::int64_t session, const std::string& path, bool watch, const Done& done) {
-  const std::lock_guard lock(mutex_);
-  if (!reachable(session)) {
-    done(with_status(Status::away));
-    return;
-  }
-  if (watch) children_watchers_[path].insert(session);
-  const auto found = tree_.find(path);
-  Reply reply = with_status(found == tree_.end() ? Status::no_node : Status::ok);
-  if (found != tree_.end()) reply.names.assign(found->second.children.begin(), found->second.children.end());
-  done(std::move(reply));
+void RegistryServer::get(std::int64_t session, const std::string& path, bool watch, const Done& done) {
+  look(session, path, watch ? &node_watchers_ : nullptr, done,
+       [](Reply& reply, const Entry& entry) { reply.node = entry.node; });
 }
 
-void Server::erase(const std::string& path) {
+void RegistryServer::children(std::int64_t session, const std::string& path, bool watch, const Done& done) {
+  look(session, path, watch ? &children_watchers_ : nullptr, done,
+       [](Reply& reply, const Entry& entry) { reply.names.assign(entry.children.begin(), entry.children.end()); });
+}
+
+void RegistryServer::erase(const std::string& path) {
   const std::string parent_path = parent_of(path);
   tree_.erase(path);
   tree_.at(parent_path).children.erase(name_of(path));
@@ -247,7 +297,7 @@ void Server::erase(const std::string& path) {
   fire(children_watchers_, parent_path);
 }
 
-void Server::drop_nodes(std::int64_t session) {
+void RegistryServer::drop_nodes(std::int64_t session) {
   std::vector<std::string> owned;
   for (const auto& [path, entry] : tree_) {
     if (entry.node.ephemeral && entry.node.owner_session == session) owned.push_back(path);
@@ -255,7 +305,7 @@ void Server::drop_nodes(std::int64_t session) {
   for (const std::string& path : owned) erase(path);
 }
 
-void Server::forget_watches(std::int64_t session) {
+void RegistryServer::forget_watches(std::int64_t session) {
   for (Watchers* watchers : {&node_watchers_, &children_watchers_}) {
     for (auto place = watchers->begin(); place != watchers->end();) {
       place->second.erase(session);
@@ -264,7 +314,7 @@ void Server::forget_watches(std::int64_t session) {
   }
 }
 
-void Server::fire(Watchers& watchers, const std::string& path) {
+void RegistryServer::fire(Watchers& watchers, const std::string& path) {
   const auto found = watchers.find(path);
   if (found == watchers.end()) return;
   const std::set<std::int64_t> to_tell = std::move(found->second);

@@ -2,45 +2,57 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <set>
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/client/connection.h>
 
 namespace iotcloud::discovery::embedded {
 
 /// The in-process registry: ZooKeeper's model (sessions, ephemeral and sequential nodes, versions, one-shot watches)
-/// without a process of its own. Nothing is stored: the tree lives as long as somebody refers to the server.
-/// Sessions expire only when a test says so, since within one process nobody dies alone. Thread safe.
-class Server : public std::enable_shared_from_this<Server> {
+/// without a process of its own. Nothing is stored on disk: the tree lives as long as somebody refers to the server.
+/// Only tests expire sessions, because within one process no client dies alone. Thread safe.
+class RegistryServer : public std::enable_shared_from_this<RegistryServer> {
  public:
-  /// The server of that name, made when there is none. It dies with the last who refers to it.
-  static std::shared_ptr<Server> named(const std::string& name);
+  /// The server of that name, made if it does not exist. It is destroyed with its last user.
+  static std::shared_ptr<RegistryServer> named(const std::string& name);
 
-  Server();
+  RegistryServer();
 
-  /// Sessions that live, oldest first; those partitioned too.
+  /// Live sessions, oldest first, including partitioned ones.
   std::vector<std::int64_t> sessions() const;
-  /// Cuts a session's client off: its operations fail and it hears nothing; the session lives on.
+  /// Cuts a session's client off: its operations fail and it hears no events; the session lives on.
   void partition(std::int64_t session);
-  /// The session's next creation takes effect, but it is cut off before it hears so.
+  /// The session's next creation takes effect, but the client is cut off before it gets the answer.
   void partition_before_next_answer(std::int64_t session);
-  /// The client reaches the server again: under its old session, or hears that it expired meanwhile.
+  /// Lets the client connect again: to its old session, or, if that expired meanwhile, the client is told so.
   void restore(std::int64_t session);
-  /// Away for everybody, clients that come now included, as if the server were down; sessions live on.
+  /// Cuts off all clients, new ones included, as if the server were down; sessions live on.
   void stop();
   void start();
-  /// The session's ephemeral nodes go; its client hears of it at once, or when restored.
+  /// Removes the session's ephemeral nodes; its client hears of it at once, or when restored.
   void expire(std::int64_t session);
+  /// The persistent nodes as they are now, as a backup of the server's disk has them.
+  struct Image;
+  std::shared_ptr<const Image> image() const;
+  /// Puts an earlier state in place of all nodes; null: an empty tree. As ZooKeeper does, the server never lets clients
+  /// in again that have seen a later state; it does not tell them why.
+  void put_back(const std::shared_ptr<const Image>& image);
+  /// Whether a client that is cut off waits to hear that the server takes new sessions.
+  bool is_asked() const;
 
   /// \name For the connection only.
   /// `events` are called with the server locked: they must not call back.
   /// @{
-  std::int64_t open_session(Connection::Events events, std::chrono::milliseconds timeout);
+  std::int64_t open_session(RegistryConnection::Events events, std::chrono::milliseconds timeout);
+  /// Calls back once, at once or later, when the server takes new sessions. \return a number for ask_no_more().
+  std::int64_t ask_for_new(std::function<void()> serves);
+  void ask_no_more(std::int64_t question);
   void close_session(std::int64_t session);
   void create(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral, bool sequential,
               const Fence& fence, const Done& done);
@@ -59,38 +71,54 @@ class Server : public std::enable_shared_from_this<Server> {
     std::uint32_t next_sequence = 0;
   };
   struct Session {
-    Connection::Events events;
+    RegistryConnection::Events events;
     std::chrono::milliseconds timeout{0};
     bool reachable = true;
-    bool loses_answer = false;         ///< of the next creation
-    bool expired = false;              ///< but its client does not know yet
-    std::vector<std::string> to_tell;  ///< watches that fired while it was not reachable
+    bool loses_answer = false;         ///< the next creation's answer gets lost
+    bool refused = false;              ///< the client has seen a later state of the tree
+    bool expired = false;              ///< the session has expired, but its client was cut off and does not know yet
+    std::vector<std::string> to_tell;  ///< watches that fired while the client was cut off
   };
   using Watchers = std::map<std::string, std::set<std::int64_t>>;  ///< by path
 
-  void cut_off(Session& session);
-  void let_in(std::int64_t number);
-  bool reachable(std::int64_t session) const;
-  bool stands(const Fence& fence) const { return fence.path.empty() || tree_.contains(fence.path); }
+  /// Answers a request that changes nothing. \param watchers to which the session is added for this path; null: the
+  /// request sets no watch.
+  /// \param fill takes (Reply&, const Entry&), and is called when the node is there.
+  template <typename Fill>
+  void look(std::int64_t session, const std::string& path, Watchers* watchers, const Done& done, Fill&& fill)
+      IOTCLOUD_EXCLUDES(mutex_);
+  void cut_off(Session& session) IOTCLOUD_REQUIRES(mutex_);
+  void let_in(std::int64_t number) IOTCLOUD_REQUIRES(mutex_);
+  bool reachable(std::int64_t session) const IOTCLOUD_REQUIRES(mutex_);
+  bool stands(const Fence& fence) const IOTCLOUD_REQUIRES(mutex_) {
+    return fence.path.empty() || tree_.contains(fence.path);
+  }
   Status put_node(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
-                  bool sequential, std::string& real_path);
-  void erase(const std::string& path);
-  void drop_nodes(std::int64_t session);
-  void forget_watches(std::int64_t session);
-  void fire(Watchers& watchers, const std::string& path);
+                  bool sequential, std::string& real_path) IOTCLOUD_REQUIRES(mutex_);
+  void erase(const std::string& path) IOTCLOUD_REQUIRES(mutex_);
+  void drop_nodes(std::int64_t session) IOTCLOUD_REQUIRES(mutex_);
+  void forget_watches(std::int64_t session) IOTCLOUD_REQUIRES(mutex_);
+  void fire(Watchers& watchers, const std::string& path) IOTCLOUD_REQUIRES(mutex_);
 
-  mutable std::mutex mutex_;
-  // Guarded by mutex_:
-  std::map<std::string, Entry> tree_;
-  std::map<std::int64_t, Session> sessions_;
-  Watchers node_watchers_;
-  Watchers children_watchers_;
-  std::int64_t last_change_ = 0;
-  std::int64_t last_session_ = 0;
-  bool down_ = false;
+  mutable config::Mutex mutex_;
+  std::map<std::string, Entry> tree_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::map<std::int64_t, Session> sessions_ IOTCLOUD_GUARDED_BY(mutex_);
+  Watchers node_watchers_ IOTCLOUD_GUARDED_BY(mutex_);
+  Watchers children_watchers_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::int64_t last_change_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  std::int64_t last_session_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  bool down_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  std::map<std::int64_t, std::function<void()>> questions_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by ask_for_new()
+  std::int64_t last_question_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
 };
 
-/// A connection to a server; its session's number is seen in Server::sessions().
-std::unique_ptr<Connection> make_connection(std::shared_ptr<Server> server, std::chrono::milliseconds session_timeout);
+struct RegistryServer::Image {
+  std::map<std::string, Entry> tree;
+  std::int64_t last_change = 0;
+};
+
+/// Connects to a server; RegistryServer::sessions() has the number of its session.
+std::unique_ptr<RegistryConnection> make_connection(std::shared_ptr<RegistryServer> server,
+                                                    std::chrono::milliseconds session_timeout);
 
 }  // namespace iotcloud::discovery::embedded

@@ -50,11 +50,11 @@ Value value_of(const DriverRecord& driver, const Program::Key& key) noexcept {
     case Program::Source::metadata:
       return metadata_of(driver, key.name);
     case Program::Source::driver:
-      return driver.name;
+      return driver.name.str();
     case Program::Source::gateway:
-      return driver.gateway;
+      return driver.gateway.str();
     case Program::Source::instance:
-      return driver.instance;
+      return driver.instance.str();
     case Program::Source::state:
       return state_word(driver.state);
   }
@@ -85,7 +85,8 @@ bool compare(Kind kind, std::string_view value, const Program::Literal& literal)
   if (!literal.is_number) return compare<std::string_view>(kind, value, literal.text);
   double number = 0;
   if (to_number(value, number)) return compare<double>(kind, number, literal.number);
-  return kind == Kind::not_equal;  // what is no number is not that number, and neither more nor less
+  // a value that is not a number differs from every number, and is neither less nor greater
+  return kind == Kind::not_equal;
 }
 
 std::string_view trimmed(std::string_view text) noexcept {
@@ -94,7 +95,7 @@ std::string_view trimmed(std::string_view text) noexcept {
   return text;
 }
 
-/// Two coordinates: of one key "39.17,-86.52", or of two keys.
+/// Reads two coordinates, from one key ("39.17,-86.52") or from two keys.
 bool place_of(const DriverRecord& driver, const std::string& pair, const std::string& first_key,
               const std::string& second_key, double& first, double& second) noexcept {
   if (const Value both = metadata_of(driver, pair)) {
@@ -153,16 +154,16 @@ bool condition_holds(const Program& program, const Program::Node& node, const Dr
   }
 }
 
-/// As deep as parentheses stand within each other, and chains of `and` or `or` are long: max_size bounds both.
-bool holds(const Program& program, std::uint32_t index, const DriverRecord& driver) noexcept {
+/// Recurses as deep as parentheses are nested and chains of `and` or `or` are long: max_size bounds both.
+bool node_holds(const Program& program, std::uint32_t index, const DriverRecord& driver) noexcept {
   const Program::Node& node = program.nodes[index];
   switch (node.kind) {
     case Kind::all_of:
-      return holds(program, node.left, driver) && holds(program, node.right, driver);
+      return node_holds(program, node.left, driver) && node_holds(program, node.right, driver);
     case Kind::any_of:
-      return holds(program, node.left, driver) || holds(program, node.right, driver);
+      return node_holds(program, node.left, driver) || node_holds(program, node.right, driver);
     case Kind::none_of:
-      return !holds(program, node.left, driver);
+      return !node_holds(program, node.left, driver);
     default:
       return condition_holds(program, node, driver);
   }
@@ -178,8 +179,8 @@ double internal::great_circle(double latitude, double longitude, const Program::
   return 2 * earth_radius * std::asin(std::min(1.0, std::sqrt(square)));
 }
 
-bool Selection::matches(const DriverRecord& driver) const noexcept {
-  return !program_ || holds(*program_, static_cast<std::uint32_t>(program_->nodes.size() - 1), driver);
+bool internal::holds(const Program& program, const DriverRecord& driver) noexcept {
+  return node_holds(program, static_cast<std::uint32_t>(program.nodes.size() - 1), driver);
 }
 
 }  // namespace iotcloud::discovery

@@ -28,7 +28,7 @@ enum class TokenKind {
 struct Token {
   TokenKind kind = TokenKind::end;
   std::size_t offset = 0;  ///< of its first character in the expression
-  std::string text;        ///< of a word, key or text: without quotes and escapes
+  std::string text;        ///< a word, key or text, without quotes and escapes
   double number = 0;
 };
 
@@ -36,7 +36,7 @@ struct Token {
 class Lexer {
  public:
   explicit Lexer(std::string_view text) : text_(text) {}
-  /// The next token; `end` again and again at the end. \throws SelectionError for what is no token.
+  /// The next token; at the end always `end`. \throws SelectionError if there is no valid token.
   Token next();
 
  private:
@@ -49,10 +49,10 @@ class Lexer {
   std::size_t at_ = 0;
 };
 
-/// What stands there, for messages: `"lab"`, `the end`.
+/// Describes a token for messages: `"lab"`, `the end`.
 std::string describe(const Token& token, std::string_view text);
 
-/// The number that the whole text is. \return false: it is none, or not finite.
+/// Converts a text that is one number. \return false if it is not, or not finite.
 bool to_number(std::string_view text, double& number) noexcept;
 
 }  // namespace iotcloud::discovery::internal

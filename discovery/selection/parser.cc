@@ -44,7 +44,7 @@ bool is_keyword(std::string_view word) {
   return false;
 }
 
-/// One pass over the tokens, one function for each rule, one token ahead.
+/// A recursive descent parser: one pass, one function for each rule, one token of look-ahead.
 class Parser {
  public:
   explicit Parser(std::string_view text) : text_(text), lexer_(text) {

@@ -13,7 +13,7 @@ struct Selection::Program {
   enum class Kind : std::uint8_t {
     all_of,  ///< both children
     any_of,
-    none_of,  ///< of its one child: not
+    none_of,  ///< `not`: its one child
     exists,
     equal,
     not_equal,
@@ -29,11 +29,11 @@ struct Selection::Program {
     within_location,  ///< great circle
     within_position,  ///< plane
   };
-  /// Where a key's value stands in a record.
+  /// The part of a record that has a key's value.
   enum class Source : std::uint8_t { metadata, driver, gateway, instance, state };
   struct Key {
     Source source = Source::metadata;
-    std::string name;  ///< in the metadata
+    std::string name;  ///< the metadata's key
   };
   struct Literal {
     bool is_number = false;
@@ -44,12 +44,12 @@ struct Selection::Program {
     double first = 0;   ///< latitude, radians; x, metres
     double second = 0;  ///< longitude, radians; y, metres
     double radius = 0;  ///< metres
-    double cosine = 1;  ///< of the latitude
+    double cosine = 1;  ///< cosine of the latitude
   };
   struct Node {
     Kind kind = Kind::all_of;
-    std::uint32_t left = 0;   ///< a node; a key's comparisons: the first of its literals; within_*: a circle
-    std::uint32_t right = 0;  ///< a node; a key's comparisons: one behind the last of its literals
+    std::uint32_t left = 0;   ///< a child; for comparisons the first of the key's literals; for within_* the circle
+    std::uint32_t right = 0;  ///< a child; for comparisons one past the key's last literal
     Key key;
   };
 
@@ -63,6 +63,9 @@ namespace internal {
 
 /// \throws SelectionError
 Selection::Program compile(std::string_view text);
+
+/// Whether the expression holds for the driver.
+bool holds(const Selection::Program& program, const DriverRecord& driver) noexcept;
 
 /// Metres on the sphere between two places in radians: haversine, with the Earth's mean radius (IUGG: 6371.0088 km).
 double great_circle(double latitude, double longitude, const Selection::Program::Circle& centre) noexcept;

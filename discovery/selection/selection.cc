@@ -7,7 +7,7 @@
 namespace iotcloud::discovery {
 namespace {
 
-/// More of a line than this is not shown.
+/// Messages show at most this much of a line.
 constexpr std::size_t shown = 100;
 
 bool continues_character(char c) {
@@ -40,7 +40,7 @@ std::string place_words(std::string_view text, std::size_t offset) {
   return line > 1 ? "line " + std::to_string(line) + ", " + column : column;
 }
 
-/// The line around `offset`, cut where it is long, and the caret below the character.
+/// The line at `offset`, shortened if it is long, and a caret below the character.
 std::string point_at(std::string_view text, std::size_t offset) {
   std::size_t begin = line_begin(text, offset);
   std::size_t end = std::min(text.find('\n', offset), text.size());
@@ -75,6 +75,10 @@ SelectionError::SelectionError(std::string_view text, std::size_t offset, const 
 
 Selection Selection::parse(std::string_view text) {
   return Selection(std::make_shared<const Program>(internal::compile(text)));
+}
+
+bool Selection::matches(const DriverRecord& driver) const noexcept {
+  return !program_ || internal::holds(*program_, driver);
 }
 
 const std::string& Selection::text() const {

@@ -10,8 +10,8 @@
 
 namespace iotcloud::discovery {
 
-/// An expression that cannot be read. what() is three lines: the place and what was expected, the line of the
-/// expression, and a caret below the character.
+/// An expression that cannot be parsed. what() has three lines: the place and what was expected, the expression's line,
+/// and a caret below the character.
 class SelectionError : public config::Error {
  public:
   /// \param offset of the character in `text`, in bytes; text.size() is the end.
@@ -21,7 +21,7 @@ class SelectionError : public config::Error {
   int line() const { return line_; }                             ///< in the expression, from 1
   int column() const { return column_; }                         ///< in that line, in characters, from 1
   const std::string& problem() const { return problem_; }        ///< what was expected
-  const std::string& pointer_lines() const { return pointer_; }  ///< the line of the expression, and the caret below it
+  const std::string& pointer_lines() const { return pointer_; }  ///< the expression's line, and the caret below it
 
  private:
   std::size_t offset_;
@@ -31,20 +31,20 @@ class SelectionError : public config::Error {
   std::string pointer_;
 };
 
-/// Chooses drivers by what they are, with an expression (discovery/selection/README.md):
+/// Selects drivers by their records, with an expression (discovery/selection/README.md):
 /// `site == "lab" and battery > 20 and within(location, 39.17, -86.52, 500 m)`.
-/// Immutable: cheap to copy, may be used by many threads at once.
+/// Immutable: cheap to copy; many threads may use it at once.
 class Selection {
  public:
-  /// Chooses every driver.
+  /// Selects every driver.
   Selection() = default;
-  /// \throws SelectionError, also for more than max_size bytes or max_depth parentheses and `not`s within each other.
+  /// \throws SelectionError, also for more than max_size bytes or max_depth nested parentheses and `not`s.
   static Selection parse(std::string_view text);
 
-  /// Takes time in proportion to the expression, at most; allocates nothing.
+  /// Takes time in proportion to the expression's length at most; allocates nothing.
   bool matches(const DriverRecord& driver) const noexcept;
   bool everything() const { return program_ == nullptr; }
-  const std::string& text() const;  ///< as it was parsed; empty: everything
+  const std::string& text() const;  ///< the text that was parsed; empty: selects every driver
 
   static constexpr std::size_t max_size = 4096;
   static constexpr int max_depth = 64;

@@ -1,38 +1,37 @@
-#include <condition_variable>
 #include <memory>
-#include <mutex>
 #include <thread>
 #include <utility>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/zookeeper/closing.h>
 
 namespace iotcloud::discovery::zookeeper {
 namespace {
 
-constexpr std::chrono::seconds patience_at_exit{4};  // the library itself waits for 3 s at most
+constexpr std::chrono::seconds patience_at_exit{4};  // the library itself waits for at most 3 s
 
-/// How many close now.
+/// Counts the handles that are being closed.
 class Count {
  public:
   void add(int change) {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     count_ += change;
     changed_.notify_all();
   }
   void wait_for_none(std::chrono::milliseconds patience) {
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, patience, [this] { return count_ == 0; });
+    const config::MutexLock lock(mutex_);
+    changed_.wait_for(mutex_, patience, [this]() IOTCLOUD_REQUIRES(mutex_) { return count_ == 0; });
   }
 
  private:
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  int count_ = 0;  ///< guarded by mutex_
+  config::Mutex mutex_;
+  config::ConditionVariable changed_;
+  int count_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
 };
 
 struct Closing {
   ~Closing() { count->wait_for_none(patience_at_exit); }
-  /// Shared with the threads: one may outlast the process's last objects.
+  /// The closing threads share it, because one may still run after this static object is destroyed.
   const std::shared_ptr<Count> count = std::make_shared<Count>();
 };
 
@@ -46,7 +45,7 @@ void close_elsewhere(std::function<void()> close, std::chrono::milliseconds pati
   all->add(1);
   std::thread([close = std::move(close), own, all]() mutable {
     close();
-    close = nullptr;  // what it owns goes before anybody is told
+    close = nullptr;  // destroys what the function owns before the waiting threads are told
     own->add(-1);
     all->add(-1);
   }).detach();

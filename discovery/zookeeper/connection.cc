@@ -4,21 +4,22 @@
 #include <mutex>
 #include <utility>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/zookeeper/connection.h>
 #include <iotcloud/discovery/zookeeper/handle.h>
+#include <iotcloud/discovery/zookeeper/logger.h>
 
 namespace iotcloud::discovery::zookeeper {
 namespace {
 
-const config::Logger log{"discovery.zookeeper"};
-/// For the server to hear that a session ends, so that its nodes are gone when the registry is.
+/// Time for the server to hear that a session ends, so that its nodes are gone when the registry is closed.
 constexpr std::chrono::milliseconds patience_at_end{500};
 
-class ZooKeeperConnection : public Connection {
+class ZooKeeperConnection : public RegistryConnection {
  public:
   explicit ZooKeeperConnection(Settings settings) : settings_(std::move(settings)) {}
   ~ZooKeeperConnection() override {
+    ask_no_more();
     if (const auto last = replace(nullptr)) last->shut(patience_at_end);
   }
   ZooKeeperConnection(const ZooKeeperConnection&) = delete;
@@ -33,14 +34,32 @@ class ZooKeeperConnection : public Connection {
     if (const auto old = replace(nullptr)) old->shut(std::chrono::milliseconds::zero());
     auto fresh = Handle::open(settings_, events_);
     if (!fresh) {
-      log.debug("cannot begin to connect to {}: {}", settings_.url.hosts, std::strerror(errno));
+      logger.debug("cannot begin to connect to {}: {}", settings_.url.hosts, std::strerror(errno));
       return false;
     }
     replace(std::move(fresh));
     return true;
   }
 
-  /// The client pings after a third of the time-out without traffic, and gives a silent server up after two thirds:
+  bool ask_for_new(std::function<void()> serves) override {
+    ask_no_more();
+    const auto once = std::make_shared<std::once_flag>();
+    Events events;
+    events.connected = [once, serves = std::move(serves)](std::int64_t, std::chrono::milliseconds) {
+      std::call_once(*once, serves);
+    };
+    events.disconnected = [] {};
+    events.expired = [] {};
+    events.changed = [](const std::string&) {};
+    question_ = Handle::open(settings_, events);
+    return question_ != nullptr;
+  }
+
+  void ask_no_more() override {
+    if (const auto question = std::exchange(question_, nullptr)) question->shut(std::chrono::milliseconds::zero());
+  }
+
+  /// The client pings after a third of the time-out without traffic, and gives up a silent server after two thirds:
   /// when it notices, the server may have heard nothing for two thirds already.
   std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const override {
     return timeout / 3;
@@ -80,8 +99,8 @@ class ZooKeeperConnection : public Connection {
   }
 
  private:
-  /// A read of a node that is not there sets no watch: asking whether it exists does. When it came in between, the
-  /// read is made again.
+  /// A read of a missing node sets no watch; asking whether the node exists does. If the node was created in between,
+  /// the read is repeated.
   Done watching(const std::string& path, Done done, std::function<void(Done)> read_again) {
     return [this, path, done = std::move(done), read_again = std::move(read_again)](Reply reply) {
       if (reply.status != Status::no_node) {
@@ -103,7 +122,7 @@ class ZooKeeperConnection : public Connection {
   void with_handle(const Done& done, const Use& use) {
     std::shared_ptr<Handle> handle;
     {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       handle = handle_;
     }
     if (handle) {
@@ -114,19 +133,20 @@ class ZooKeeperConnection : public Connection {
   }
 
   std::shared_ptr<Handle> replace(std::shared_ptr<Handle> fresh) {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     return std::exchange(handle_, std::move(fresh));
   }
 
   const Settings settings_;
   Events events_;  ///< constant after open()
-  std::mutex mutex_;
-  std::shared_ptr<Handle> handle_;  ///< null between two sessions; guarded by mutex_
+  config::Mutex mutex_;
+  std::shared_ptr<Handle> handle_ IOTCLOUD_GUARDED_BY(mutex_);  ///< null between two sessions
+  std::shared_ptr<Handle> question_;                            ///< a session only to see whether a server takes it
 };
 
 }  // namespace
 
-std::unique_ptr<Connection> make_connection(Settings settings) {
+std::unique_ptr<RegistryConnection> make_connection(Settings settings) {
   return std::make_unique<ZooKeeperConnection>(std::move(settings));
 }
 

@@ -12,12 +12,12 @@ namespace iotcloud::discovery::zookeeper {
 struct Settings {
   Url url;
   std::chrono::milliseconds session_timeout{10000};
-  /// "user:password" for digest authentication; empty: none.
+  /// "user:password" for digest authentication; empty: no authentication.
   std::string identity;
-  bool others_may_read = false;  ///< of the nodes that are created; means something with an identity only
+  bool others_may_read = false;  ///< everybody may read nodes that this process creates; needs an identity
 };
 
-/// Sessions with a ZooKeeper ensemble through its C client. The chroot is made when it is missing.
-std::unique_ptr<Connection> make_connection(Settings settings);
+/// Makes sessions with a ZooKeeper ensemble through its C client. Creates the chroot if it does not exist.
+std::unique_ptr<RegistryConnection> make_connection(Settings settings);
 
 }  // namespace iotcloud::discovery::zookeeper

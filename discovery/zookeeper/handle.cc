@@ -2,14 +2,12 @@
 #include <array>
 #include <utility>
 
-#include <iotcloud/config/log.h>
 #include <iotcloud/discovery/zookeeper/closing.h>
 #include <iotcloud/discovery/zookeeper/handle.h>
+#include <iotcloud/discovery/zookeeper/logger.h>
 
 namespace iotcloud::discovery::zookeeper {
 namespace {
-
-const config::Logger log{"discovery.zookeeper"};
 
 Reply with_status(int code) {
   Reply reply;
@@ -27,9 +25,9 @@ Node to_node(const char* data, int size, const Stat& stat) {
   return node;
 }
 
-/// The library's messages are for its maintainers; what users need to know the registry client says.
+/// The library's messages are for its maintainers; the registry client logs what users need to know.
 void library_log(const char* message) {
-  log.debug("{}", message);
+  logger.debug("{}", message);
 }
 
 }  // namespace
@@ -53,24 +51,24 @@ Status to_status(int code) {
     case ZINVALIDACL:
       return Status::denied;
     default:
-      return Status::away;  // connection or session lost, or on its way there
+      return Status::away;  // the connection or session is lost, or soon will be
   }
 }
 
-std::shared_ptr<Handle> Handle::open(const Settings& settings, const Connection::Events& events) {
+std::shared_ptr<Handle> Handle::open(const Settings& settings, const RegistryConnection::Events& events) {
   static std::once_flag once;
   std::call_once(once, [] { zoo_set_debug_level(ZOO_LOG_LEVEL_WARN); });
   auto self = std::make_shared<Handle>(settings, events);
-  const std::unique_lock lock(self->open_mutex_);  // no callback calls before the handle is known
+  const config::WriteLock lock(self->open_mutex_);  // keeps callbacks from calling the handle before it is stored
   self->handle_ =
       zookeeper_init2(settings.url.hosts.c_str(), &Handle::on_event, static_cast<int>(settings.session_timeout.count()),
                       nullptr, self.get(), ZOO_NO_LOG_CLIENTENV, &library_log);
   if (self->handle_ == nullptr) return nullptr;
-  // The library would look the servers' names up whenever its socket is ready, a fifth of what it does in all. It still
-  // does when a connection is lost.
+  // Without this the library looks up the servers' names whenever its socket is ready, which is a fifth of its work. It
+  // still looks them up when a connection is lost.
   zoo_set_servers_resolution_delay(self->handle_, -1);
   if (const std::string& identity = settings.identity; !identity.empty()) {
-    // The library tells every server that it connects to, before anything else.
+    // The library authenticates with every server before it does anything else.
     zoo_add_auth(self->handle_, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
   }
   return self;
@@ -78,17 +76,17 @@ std::shared_ptr<Handle> Handle::open(const Settings& settings, const Connection:
 
 void Handle::shut(std::chrono::milliseconds patience) {
   {
-    const std::unique_lock lock(callback_mutex_);
+    const config::WriteLock lock(callback_mutex_);
     shut_ = true;
   }
   zhandle_t* handle = nullptr;
   {
-    const std::unique_lock lock(open_mutex_);
+    const config::WriteLock lock(open_mutex_);
     handle = std::exchange(handle_, nullptr);
   }
   std::vector<Done> unanswered;
   {
-    const std::lock_guard lock(requests_mutex_);
+    const config::MutexLock lock(requests_mutex_);
     for (const auto& [key, request] : requests_) {
       if (request->done) unanswered.push_back(std::exchange(request->done, nullptr));
     }
@@ -98,16 +96,16 @@ void Handle::shut(std::chrono::milliseconds patience) {
   close_elsewhere([self = shared_from_this(), handle] { zookeeper_close(handle); }, patience);
 }
 
-/// Makes one asynchronous call; `done` is called by the library's thread, or here when it refuses.
+/// Makes one asynchronous call; the library's thread calls `done`, or this thread if the library refuses the call.
 template <typename Call>
 void Handle::start(Done done, const Call& call) {
   auto request = std::make_unique<Request>(Request{this, std::move(done)});
   Request* const key = request.get();
   int code = ZINVALIDSTATE;
   {
-    const std::shared_lock lock(open_mutex_);  // shut() cannot come in between
+    const config::ReadLock lock(open_mutex_);  // keeps shut() out
     {
-      const std::lock_guard requests_lock(requests_mutex_);
+      const config::MutexLock requests_lock(requests_mutex_);
       requests_.emplace(key, std::move(request));
     }
     if (handle_ != nullptr) code = call(handle_, key);
@@ -117,18 +115,18 @@ void Handle::start(Done done, const Call& call) {
 }
 
 Done Handle::taken(const void* key) {
-  const std::lock_guard lock(requests_mutex_);
+  const config::MutexLock lock(requests_mutex_);
   const auto node = requests_.extract(key);
   return std::move(node.mapped()->done);
 }
 
 void Handle::finish(const void* key, Reply reply) {
   Handle& self = *static_cast<const Request*>(key)->handle;
-  const std::shared_lock lock(self.callback_mutex_);
+  const config::ReadLock lock(self.callback_mutex_);
   if (const Done done = self.taken(key)) done(std::move(reply));
 }
 
-/// One transaction of two: whether the fence's node is there, and the write.
+/// Sends one transaction of two operations: a check that the fence's node exists, and the write.
 void Handle::start_fenced(const Fence& fence, const zoo_op_t& write, Done done) {
   const std::string fence_path = full(fence.path);
   std::array<zoo_op_t, 2> both{zoo_op_t{}, write};
@@ -216,7 +214,7 @@ void Handle::on_removed(int code, const void* request) {
 
 void Handle::on_fenced(int code, const void* request) {
   Reply reply = with_status(code);
-  // Of a transaction that fails only the part that failed has an error which says so.
+  // In a failed transaction only the operation that failed has an error that says so.
   if (code == ZNONODE && static_cast<const Request*>(request)->results.front().err == ZNONODE) {
     reply.status = Status::fenced;
   }
@@ -240,7 +238,7 @@ void Handle::on_names(int code, const String_vector* names, const void* request)
 
 void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, void* context) {
   auto& self = *static_cast<Handle*>(context);
-  const std::shared_lock lock(self.callback_mutex_);
+  const config::ReadLock lock(self.callback_mutex_);
   if (self.shut_) return;
   if (type != ZOO_SESSION_EVENT) {
     if (path != nullptr) self.events_.changed(self.stripped(path));
@@ -252,15 +250,16 @@ void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, 
   } else if (state == ZOO_EXPIRED_SESSION_STATE) {
     self.events_.expired();
   } else if (state == ZOO_AUTH_FAILED_STATE) {
-    log.error("{} refuses the way in which this process says who it is; does it know digest authentication?",
-              self.settings_.url.hosts);
+    logger.error("{} refuses the way in which this process says who it is; does it know digest authentication?",
+                 self.settings_.url.hosts);
     self.events_.expired();
   } else {
     self.events_.disconnected();
   }
 }
 
-/// Under way before any other call of this session, so it takes effect first.
+/// Creates the nodes of the chroot. These calls are sent before any other call of this session, so they take effect
+/// first.
 void Handle::make_chroot(zhandle_t* handle) const {
   const std::string& chroot = settings_.url.chroot;
   const auto ignore = [](int /*code*/, const char* /*path*/, const void* /*request*/) {};
@@ -270,7 +269,7 @@ void Handle::make_chroot(zhandle_t* handle) const {
   }
 }
 
-/// With an identity a node is its creator's, and nobody else's or everybody's to read; without, it is everybody's.
+/// With an identity a node belongs to its creator, and others may read it or not; without one everybody may use it.
 const ACL_vector* Handle::new_nodes_acl() const {
   static char auth[] = "auth", world[] = "world", anyone[] = "anyone", nothing[] = "";
   static std::array<ACL, 2> rights{ACL{ZOO_PERM_ALL, Id{auth, nothing}}, ACL{ZOO_PERM_READ, Id{world, anyone}}};

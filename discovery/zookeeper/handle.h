@@ -4,36 +4,37 @@
 #include <chrono>
 #include <map>
 #include <memory>
-#include <mutex>
-#include <shared_mutex>
 #include <string>
 #include <vector>
 
 #include <zookeeper/zookeeper.h>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/client/connection.h>
 #include <iotcloud/discovery/zookeeper/connection.h>
 
 namespace iotcloud::discovery::zookeeper {
 
-/// The outcome in the words of the seam.
+/// Translates a result code of the C client.
 Status to_status(int code);
 
-/// One handle of the C client, which is one session, and the requests that it has not answered yet. Thread safe.
+/// One handle of the C client, which is one session, and its unanswered requests. Thread safe.
 ///
-/// Closing a handle may take seconds (it waits for the library's threads, which may be looking a name up or writing to
-/// a server that hangs) and must not happen in a callback. So it happens on a thread of its own, which keeps this
-/// object until the library has let go of it.
+/// Closing a handle may take seconds (it waits for the library's threads, which may be looking up a name or writing to
+/// a server that hangs) and must not happen in a callback. So a thread of its own does it, and keeps this object until
+/// the library no longer uses it.
 class Handle : public std::enable_shared_from_this<Handle> {
  public:
-  /// Begins to connect. \return null, with `errno` set, when not even that is possible.
-  static std::shared_ptr<Handle> open(const Settings& settings, const Connection::Events& events);
-  Handle(const Settings& settings, Connection::Events events) : settings_(settings), events_(std::move(events)) {}
+  /// Begins to connect. \return null, with `errno` set, if it cannot even begin.
+  static std::shared_ptr<Handle> open(const Settings& settings, const RegistryConnection::Events& events);
+  Handle(const Settings& settings, RegistryConnection::Events events)
+      : settings_(settings), events_(std::move(events)) {}
   Handle(const Handle&) = delete;
   Handle& operator=(const Handle&) = delete;
 
-  /// Answers what is under way with `away`; no event and no answer comes when it has returned. Not from a callback.
-  /// \param patience how long to wait for the end of the session; it ends in the background after that.
+  /// Answers pending requests with `away`; no event and no answer comes after it has returned. Do not call it from a
+  /// callback.
+  /// \param patience how long to wait for the end of the session, which otherwise ends in the background.
   void shut(std::chrono::milliseconds patience);
 
   void create(const std::string& path, const std::string& data, int mode, const Fence& fence, Done done);
@@ -46,8 +47,8 @@ class Handle : public std::enable_shared_from_this<Handle> {
  private:
   struct Request {
     Handle* handle;
-    Done done;                                 ///< empty: answered by shut()
-    std::array<zoo_op_result_t, 2> results{};  ///< of a fenced write: its fence's, its own
+    Done done;                                 ///< empty: shut() has answered the request
+    std::array<zoo_op_result_t, 2> results{};  ///< of a fenced write: of the check of the fence, and of the write
   };
 
   template <typename Call>
@@ -68,16 +69,16 @@ class Handle : public std::enable_shared_from_this<Handle> {
   std::string stripped(const std::string& path) const;
 
   const Settings settings_;
-  const Connection::Events events_;
+  const RegistryConnection::Events events_;
 
-  std::shared_mutex open_mutex_;
-  zhandle_t* handle_ = nullptr;  ///< guarded by open_mutex_: shared to call, exclusive to take it away
+  config::SharedMutex open_mutex_;  ///< shared to call the handle, exclusive to remove it
+  zhandle_t* handle_ IOTCLOUD_GUARDED_BY(open_mutex_) = nullptr;
 
-  std::shared_mutex callback_mutex_;
-  bool shut_ = false;  ///< guarded by callback_mutex_: shared while a callback runs, exclusive to set
+  config::SharedMutex callback_mutex_;  ///< shared while a callback runs, exclusive to shut
+  bool shut_ IOTCLOUD_GUARDED_BY(callback_mutex_) = false;
 
-  std::mutex requests_mutex_;
-  std::map<const void*, std::unique_ptr<Request>> requests_;  ///< not answered yet; guarded by requests_mutex_
+  config::Mutex requests_mutex_;
+  std::map<const void*, std::unique_ptr<Request>> requests_ IOTCLOUD_GUARDED_BY(requests_mutex_);  ///< unanswered
 };
 
 }  // namespace iotcloud::discovery::zookeeper

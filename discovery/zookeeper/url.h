@@ -4,13 +4,13 @@
 
 namespace iotcloud::discovery::zookeeper {
 
-/// What "zookeeper://host:port,host:port/chroot" says.
+/// The parts of "zookeeper://host:port,host:port/chroot".
 struct Url {
-  std::string hosts;   ///< "host:port,host:port", as the C client takes it
+  std::string hosts;   ///< "host:port,host:port", in the C client's form
   std::string chroot;  ///< "/a/b", or empty
 };
 
-/// A port that is not given is 2181. \throws config::Error.
+/// Parses a URL. A missing port becomes 2181. \throws config::Error.
 Url parse_url(const std::string& url);
 
 }  // namespace iotcloud::discovery::zookeeper

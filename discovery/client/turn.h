@@ -1,0 +1,40 @@
+#pragma once
+
+#include <mutex>
+
+#include <iotcloud/config/thread_safety.h>
+
+namespace iotcloud::discovery {
+
+/// A mutex that is held while the dispatcher runs a callback of one directory or election, so that the object's
+/// destructor waits for the callback. The dispatcher runs one callback at a time, so only destructors ever wait. The
+/// mutex is recursive because a user's callback may destroy its own object.
+class IOTCLOUD_CAPABILITY("turn") Turn {
+ public:
+  Turn() = default;
+  Turn(const Turn&) = delete;
+  Turn& operator=(const Turn&) = delete;
+
+  void lock() IOTCLOUD_ACQUIRE() { mutex_.lock(); }
+  void unlock() IOTCLOUD_RELEASE() { mutex_.unlock(); }
+  /// For functions that such a callback calls, in which the thread safety analysis does not see that the turn is held.
+  /// Does nothing at run time.
+  void assert_held() const IOTCLOUD_ASSERT_CAPABILITY(this) {}
+
+ private:
+  std::recursive_mutex mutex_;
+};
+
+/// Holds a turn to the end of the scope.
+class IOTCLOUD_SCOPED_CAPABILITY TurnLock {
+ public:
+  explicit TurnLock(Turn& turn) IOTCLOUD_ACQUIRE(turn) : turn_(turn) { turn_.lock(); }
+  ~TurnLock() IOTCLOUD_RELEASE() { turn_.unlock(); }
+  TurnLock(const TurnLock&) = delete;
+  TurnLock& operator=(const TurnLock&) = delete;
+
+ private:
+  Turn& turn_;
+};
+
+}  // namespace iotcloud::discovery
