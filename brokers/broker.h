@@ -15,12 +15,13 @@
 
 namespace iotcloud::brokers {
 
-/// Where messages of a channel go. `name` is the wire name `gateway.driver[.instance].queue` (REFERENCE.md 3).
+/// Where messages of a channel go. `name` is the wire name `gateway.driver[.instance].queue` (docs/wire.md#topics).
 struct Topic {
   std::string exchange;  ///< RabbitMQ: the direct exchange the publisher declares. Others ignore it.
   std::string name;      ///< binding key, queue name prefix, Kafka topic
   bool durable = false;  ///< survives a restart of the server: durable exchange and queue, persistent messages
   friend bool operator==(const Topic&, const Topic&) = default;
+  // clang-tidy 14 takes the zero that it compares with for a pointer: NOLINTNEXTLINE(modernize-use-nullptr)
   friend auto operator<=>(const Topic&, const Topic&) = default;
 };
 
@@ -31,10 +32,19 @@ enum class PublishStatus {
   closed,       ///< the publisher was closed
 };
 
+/// What publish() returns.
+struct Published {
+  PublishStatus status = PublishStatus::closed;
+  /// Of an accepted message: 1, 2, 3, ... for each publisher. on_outcome names the message by it, and may do so before
+  /// publish() has returned. Otherwise 0.
+  std::uint64_t number = 0;
+  friend bool operator==(const Published& published, PublishStatus other) { return published.status == other; }
+};
+
 /// What became of a message that was accepted.
 enum class Outcome {
   confirmed,  ///< the broker has it
-  refused,    ///< the broker said no (too large, no permission)
+  refused,    ///< the broker will never take it: it is too large, or a header is
   dropped,    ///< by the channel's own policy: superseded (keep_newest), too old (deadline), see `reason`
   unknown,    ///< the publisher was closed before the broker answered
 };
@@ -50,6 +60,7 @@ enum class WhenFull {
 inline constexpr std::uint8_t normal_priority = 4;
 inline constexpr std::uint8_t urgent_priority = 5;
 
+/// How one publisher treats its messages. Copied when the publisher is made; the callbacks live as long as it does.
 struct PublisherOptions {
   WhenFull when_full = WhenFull::block;
   std::size_t capacity = 1024;            ///< messages that may wait (not yet confirmed ones included)
@@ -63,9 +74,9 @@ struct PublisherOptions {
   /// ("fenced"): its sender may have lost the right to send it. Called before each attempt, from any thread, also
   /// inside publish(); must not block. Empty: never.
   std::function<config::Clock::Instant()> void_before;
-  /// Called once for each accepted message with its publish number (1, 2, 3, ... for each publisher) and, for drops,
-  /// the reason ("superseded", "deadline", "no_reader", "fenced", ...). From any thread, never from inside publish().
-  /// May be empty.
+  /// Called once for each accepted message with its number (Published::number) and, for drops, the reason
+  /// ("superseded", "deadline", "no_reader", "fenced", ...). From any thread, never from inside publish(). May be
+  /// empty.
   std::function<void(std::uint64_t number, Outcome outcome, const std::string& reason)> on_outcome;
   /// Called after a would_block when there is room again. From any thread. May be empty.
   std::function<void()> on_writable;
@@ -83,9 +94,9 @@ class Publisher {
  public:
   virtual ~Publisher() = default;  ///< closes without draining
   /// Sends on the caller's thread when that cannot block, otherwise the connection's writer does, in order.
-  virtual PublishStatus publish(Message message) = 0;
+  virtual Published publish(Message message) = 0;
   /// publish() for a message with a past (from a spool). A broker that cannot carry the past sends it as a new one.
-  virtual PublishStatus publish_again(Message message, const Past& past) {
+  virtual Published publish_again(Message message, const Past& past) {
     static_cast<void>(past);
     return publish(std::move(message));
   }
@@ -95,6 +106,7 @@ class Publisher {
   virtual std::size_t pending() const = 0;
 };
 
+/// What a reader says of a message that it was handed.
 enum class Settlement {
   accept,  ///< done with it
   retry,   ///< deliver it again, before what follows in the topic where the broker can
@@ -106,6 +118,7 @@ enum class Settlement {
 class Settler {
  public:
   virtual ~Settler() = default;
+  /// \param tag of the delivery, which only the broker that made it understands.
   virtual void settle(std::uint64_t tag, Settlement settlement) noexcept = 0;
 };
 
@@ -129,13 +142,14 @@ class Delivery {
   }
   ~Delivery() { settle(Settlement::retry); }
 
+  /// Once; later calls do nothing. Any thread.
   void settle(Settlement settlement) noexcept {
     if (auto settler = std::exchange(settler_, nullptr)) settler->settle(tag_, settlement);
   }
 
   Message message;
-  bool redelivered = false;
-  std::uint32_t tries = 1;  ///< how often this reader has been handed it, this time included
+  bool redelivered = false;  ///< somebody may have been handed it before
+  std::uint32_t tries = 1;   ///< how often this reader has been handed it, this time included
 
  private:
   std::shared_ptr<Settler> settler_;  ///< null: nothing to settle (automatic acknowledgement, or done)
@@ -146,13 +160,14 @@ class Delivery {
 /// another thread then keeps the connection alive. Must not throw (a throw is logged and counts as `retry`).
 using Handler = std::function<void(Delivery)>;
 
+/// How one subscription reads its topic. Copied when the subscription is made.
 struct SubscriptionOptions {
   std::string group;      ///< who reads: the topology's name. Each group has its own queue `<topic>.<group>`.
                           ///< Empty: the topic's own queue `<topic>` (a driver's inbound channel, the original's way).
   bool exclusive = true;  ///< a second reader of the same queue gets nothing until this one is gone
-  bool automatic_ack = false;
-  std::uint16_t prefetch = 100;             ///< unsettled deliveries under way at most
-  std::size_t keep_last = 0;                ///< conflate: of what waits only the newest N are handed on. 0 = keep all
+  bool automatic_ack = false;    ///< a delivery counts as accepted when it is handed on; there is nothing to settle
+  std::uint16_t prefetch = 100;  ///< unsettled deliveries under way at most
+  std::size_t keep_last = 0;     ///< conflate: of what waits only the newest N are handed on. 0 = keep all
   std::uint8_t priority = normal_priority;  ///< see normal_priority
   /// A delivery that was handed on so often and is to be retried again is rejected instead. 0 = retried for ever.
   std::uint32_t max_tries = 0;
@@ -174,6 +189,7 @@ class Subscription {
   virtual bool active() const = 0;
 };
 
+/// How a broker's connection is. `blocked`: connected, but the server takes no messages now (a memory or disk alarm).
 enum class ConnectionState { connecting, connected, blocked, closed };
 
 /// One broker (a server or a cluster of them behind `urls`). Connects by itself, with back-off and jitter, says once
@@ -181,9 +197,14 @@ enum class ConnectionState { connecting, connected, blocked, closed };
 class Broker {
  public:
   virtual ~Broker() = default;
+  /// Returns at once, also while the server is away. The caller owns the publisher. \throws config::Error for a topic
+  /// or options that this kind of broker cannot have.
   virtual std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) = 0;
+  /// Returns at once; the handler runs as soon as the server is there. The caller owns the subscription. \throws
+  /// config::Error for a topic or options that this kind of broker cannot have.
   virtual std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
                                                   Handler handler) = 0;
+  /// Of the connections together: the worst of them.
   virtual ConnectionState state() const = 0;
   /// The preferred one of its URLs.
   virtual const std::string& url() const = 0;
@@ -197,6 +218,7 @@ struct Tls {
   friend bool operator==(const Tls&, const Tls&) = default;
 };
 
+/// How to reach a broker, and how this process connects to it.
 struct BrokerOptions {
   /// The servers of one broker: the first is preferred; the others are used in turn while it is away.
   /// "embedded://NAME" (the in-process broker of that name), "amqp://user:password@host:port/vhost" (RabbitMQ, with TLS
@@ -211,10 +233,10 @@ struct BrokerOptions {
   Tls tls;
   /// What only one kind of broker knows; each kind's README names them. An unknown one is an error.
   std::map<std::string, std::string> properties;
-  std::chrono::milliseconds heartbeat{4000};
-  std::chrono::milliseconds rpc_timeout{5000};
-  const config::Clock* clock = nullptr;  ///< nullptr: the system's
-  config::Metrics* metrics = nullptr;    ///< nullptr: the process's
+  std::chrono::milliseconds heartbeat{4000};    ///< a peer that is silent for two to three of these is given up
+  std::chrono::milliseconds rpc_timeout{5000};  ///< for connecting, and for each answer of the server
+  const config::Clock* clock = nullptr;         ///< nullptr: the system's
+  config::Metrics* metrics = nullptr;           ///< nullptr: the process's
   friend bool operator==(const BrokerOptions&, const BrokerOptions&) = default;
 };
 

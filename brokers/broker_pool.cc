@@ -3,7 +3,7 @@
 namespace iotcloud::brokers {
 
 std::shared_ptr<Broker> BrokerPool::get(const BrokerAddress& address, const BrokerOptions& how) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   std::erase_if(brokers_, [](const auto& entry) { return entry.second.expired(); });
   if (auto broker = brokers_[address].lock()) return broker;
   BrokerOptions options = how;

@@ -10,21 +10,21 @@ namespace iotcloud::brokers {
 
 /// A logical broker of a configuration file.
 struct BrokerSetting {
-  std::string name;       ///< "rabbitmq": what drivers, channel records and topologies call it
-  std::string type;       ///< a kind of broker (broker_kinds()); empty: what its URLs say
+  std::string name;       ///< the name that drivers, channel records and topologies use: "rabbitmq"
+  std::string type;       ///< a kind of broker (broker_kinds()); empty: the URLs decide
   BrokerOptions options;  ///< without clock and metrics
 };
 
-/// Reads what connecting to a broker takes from a section of YAML: `urls`, `user`, `password_file`,
-/// `password_variable`, `tls: {ca, certificate, key}`, `heartbeat`, `properties`. The caller reads its own keys beside
-/// them and finishes the section. `urls` may be missing.
+/// Reads a broker's connection options from a section of YAML: `urls`, `user`, `password_file`, `password_variable`,
+/// `tls: {ca, certificate, key}`, `heartbeat`, `properties`. The caller reads its own keys and finishes the section.
+/// `urls` may be missing.
 /// \param session_timeout of the registry: the broker must notice a dead reader before the registry names another one,
-///   so the heartbeat is at most half of it.
-/// \throws config::ConfigError for values that cannot be, with file, line and remedy.
+/// so the heartbeat is at most half of it.
+/// \throws config::ConfigError for impossible values, with file, line and remedy.
 BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout);
 
-/// The heartbeat when none is given: a server cuts a silent client off after two to three of them, and a topic's next
-/// reader is to start within the session's time-out plus two seconds.
+/// The default heartbeat. A server disconnects a silent client after two to three heartbeats, and a topic's next reader
+/// must start within the session's time-out plus two seconds.
 std::chrono::milliseconds usual_heartbeat(std::chrono::milliseconds session_timeout);
 
 }  // namespace iotcloud::brokers

@@ -98,7 +98,7 @@ std::string printable_url(const std::string& url) {
   const auto scheme_end = url.find("://");
   const std::size_t start = scheme_end == std::string::npos ? 0 : scheme_end + 3;
   const std::string_view rest = std::string_view(url).substr(start);
-  // The last '@' of all: also a password with a raw '/' or '@', which parsing refuses, must not be shown.
+  // The last '@' of all, so that a password with a raw '/' or '@', which parsing refuses, is hidden too.
   const auto at = rest.rfind('@');
   if (at == std::string_view::npos) return url;
   const auto colon = rest.substr(0, at).find(':');

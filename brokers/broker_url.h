@@ -8,15 +8,15 @@ namespace iotcloud::brokers {
 /// The parts of a broker's URL, percent-decoded: scheme://user:password@host:port/path.
 struct BrokerUrl {
   std::string scheme;      ///< lower case
-  std::string user;        ///< empty: none given
-  std::string password;    ///< empty: none given
-  std::string host;        ///< of "embedded://NAME": the name; IPv6 without its brackets
-  std::uint16_t port = 0;  ///< 0: none given
+  std::string user;        ///< empty: the URL has none
+  std::string password;    ///< empty: the URL has none
+  std::string host;        ///< for "embedded://NAME" the name; IPv6 without its brackets
+  std::uint16_t port = 0;  ///< 0: the URL has none
   std::string path;        ///< without the leading slash: RabbitMQ's virtual host
   bool has_path = false;   ///< "amqp://host/" (an empty path) differs from "amqp://host" (none)
 };
 
-/// \throws config::Error that shows the URL without its password and says what is wrong with it.
+/// \throws config::Error that shows the URL without its password and says what is wrong.
 BrokerUrl parse_broker_url(const std::string& url);
 
 }  // namespace iotcloud::brokers

@@ -12,9 +12,9 @@ struct Credentials {
   std::string password;
 };
 
-/// Who connects to this URL: BrokerOptions' user and password go before the URL's. Read anew at each call, so that a
-/// password that changes is taken at the next connection.
-/// \throws config::Error naming the file or variable that is not there; never showing what is in it.
+/// The user and password for this URL: BrokerOptions' override the URL's. Read anew at each call, so that the next
+/// connection uses a changed password.
+/// \throws config::Error naming the missing file or variable, never its contents.
 Credentials credentials_for(const BrokerOptions& options, const BrokerUrl& url);
 
 }  // namespace iotcloud::brokers

@@ -6,6 +6,8 @@
 #include <string_view>
 #include <utility>
 
+#include <iotcloud/brokers/limits.h>
+
 namespace iotcloud::brokers {
 namespace {
 
@@ -30,8 +32,7 @@ enum Field : std::uint16_t { sensor_id = 1, site = 2, body = 3, properties = 4 }
 constexpr std::string_view time_property = "time";
 constexpr std::size_t field_head = 3;
 constexpr std::size_t length_size = 4;
-constexpr int deepest = 32;                    // structs and containers within each other, in fields that are skipped
-constexpr std::size_t most_properties = 8192;  // more than any sender of ours may have (limits.h)
+constexpr int deepest = 32;  // nested structs and containers in skipped fields
 
 class Writer {
  public:
@@ -57,7 +58,7 @@ class Writer {
   std::byte* at_;
 };
 
-/// Takes bytes from the front; after the first failure everything fails.
+/// Takes bytes from the front; after the first error every call fails.
 class Reader {
  public:
   explicit Reader(std::span<const std::byte> bytes) : rest_(bytes) {}
@@ -89,7 +90,8 @@ class Reader {
     const auto bytes = string();
     return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
   }
-  /// Of a container whose entries take at least `smallest` bytes each: more than there is room for is a lie.
+  /// Reads the size of a container whose entries have at least `smallest` bytes each; a size beyond the remaining bytes
+  /// is an error.
   std::size_t count(std::size_t smallest) {
     const auto size = number<std::int32_t>();
     if (size < 0 || static_cast<std::size_t>(size) > rest_.size() / smallest) fail();
@@ -169,7 +171,7 @@ void read_properties(Reader& reader, OpenedEnvelope& opened) {
   const Type value_type = reader.type();
   const std::size_t entries = reader.count(2 * length_size);
   const bool strings = key_type == Type::string && value_type == Type::string;
-  if (entries > most_properties || (entries > 0 && !strings)) reader.fail();
+  if (entries > max_received_properties || (entries > 0 && !strings)) reader.fail();
   for (std::size_t i = 0; i < entries && reader.good(); ++i) {
     const std::string_view key = reader.text();
     const std::string_view value = reader.text();

@@ -11,7 +11,7 @@
 
 namespace iotcloud::brokers {
 
-/// An encoded message. Its bytes are not cleared before they are written.
+/// An encoded message, in memory that is not cleared before it is written.
 struct EnvelopeBytes {
   std::unique_ptr<std::byte[]> data;
   std::size_t size = 0;
@@ -21,16 +21,16 @@ struct EnvelopeBytes {
 /// writes; `time_ms` travels as the property "time". One copy of the body.
 EnvelopeBytes encode_envelope(const Message& message);
 
-/// A message whose body still lies in the bytes it was read from.
+/// A message whose body is still in the bytes that it was read from.
 struct OpenedEnvelope {
   Message message;  ///< without its payload
   std::span<const std::byte> body;
-  std::optional<std::int64_t> time_ms;  ///< nothing when the sender gave none, or none that is a number
+  std::optional<std::int64_t> time_ms;  ///< nothing if the sender set no time, or one that is not a number
 };
 
-/// Reads a TSensorMessage, whoever wrote it: unknown fields are skipped, as are missing ones. \return nothing for bytes
-/// that are none: wrong types, lengths or container sizes, nesting without end, truncated. Needs memory for what is
-/// there only, whatever the bytes say. Never throws, `std::bad_alloc` apart.
+/// Reads any TSensorMessage; skips unknown fields and accepts missing ones. \return nothing for other bytes: wrong
+/// types, lengths or container sizes, endless nesting, truncation. Allocates memory only for what the bytes contain,
+/// whatever they claim. Throws nothing but `std::bad_alloc`.
 std::optional<OpenedEnvelope> open_envelope(std::span<const std::byte> bytes);
 
 }  // namespace iotcloud::brokers

@@ -1,4 +1,5 @@
-/** What a record of Kafka holds, as the original system writes it (REFERENCE: TBinaryProtocol, without framing). */
+/** What a record of Kafka holds, as the original system writes it in Thrift's binary protocol without framing
+    (docs/wire.md#envelope). */
 namespace cpp iotcloud.brokers.envelope
 
 struct TSensorMessage {

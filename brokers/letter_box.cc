@@ -4,20 +4,15 @@
 #include <limits>
 #include <utility>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/brokers/logger.h>
 
 namespace iotcloud::brokers {
-namespace {
-
-const config::Logger logger{"brokers"};
-
-}  // namespace
-
 LetterBox::LetterBox(Broker& broker, std::string topic, std::function<void(bool)> moved)
     : topic_(std::move(topic)), moved_(std::move(moved)) {
   PublisherOptions options;
   options.own_queue = true;
-  options.capacity = std::numeric_limits<int>::max();  // each holds an unsettled message, and prefetch limits those
+  // each letter holds an unsettled message, whose number prefetch limits
+  options.capacity = std::numeric_limits<int>::max();
   options.on_outcome = [this](std::uint64_t number, Outcome outcome, const std::string& reason) {
     on_outcome(number, outcome, reason);
   };
@@ -25,15 +20,18 @@ LetterBox::LetterBox(Broker& broker, std::string topic, std::function<void(bool)
 }
 
 void LetterBox::send(Message letter, Delivery original, std::shared_ptr<const void> owner) {
-  const std::lock_guard lock(mutex_);  // the outcome waits until its number is known
-  if (publisher_->publish(std::move(letter)) != PublishStatus::accepted) return;  // it stays in the broker
-  under_way_.emplace(++last_number_, UnderWay{std::move(owner), std::move(original)});
+  const config::MutexLock lock(mutex_);  // so that an outcome waits until its number is stored
+  const Published published = publisher_->publish(std::move(letter));
+  if (published != PublishStatus::accepted) return;  // the original stays in the broker
+  under_way_.emplace(published.number, UnderWay{std::move(owner), std::move(original)});
 }
 
 void LetterBox::on_outcome(std::uint64_t number, Outcome outcome, const std::string& reason) {
-  std::unique_lock lock(mutex_);
-  auto node = under_way_.extract(number);
-  lock.unlock();
+  decltype(under_way_)::node_type node;
+  {
+    const config::MutexLock lock(mutex_);
+    node = under_way_.extract(number);
+  }
   if (node.empty()) return;
   Delivery& original = node.mapped().original;
   if (outcome == Outcome::confirmed) {
@@ -44,13 +42,13 @@ void LetterBox::on_outcome(std::uint64_t number, Outcome outcome, const std::str
     logger.error("the broker refused a dead letter for {}: {}; the message is rejected", topic_, reason);
     original.settle(Settlement::reject);
   }
-  // Otherwise nobody knows, and the message goes back to its queue.
+  // Otherwise the outcome is unknown, and the message goes back to its queue.
 }
 
-/// Stands between a delivery and who handles it.
+/// Settles a delivery in place of its handler.
 class DeadLetters::Guard final : public Settler {
  public:
-  /// What its subscription reads, and how.
+  /// A subscription's topic and options.
   struct Subscribed {
     Topic topic;
     SubscriptionOptions options;
@@ -105,14 +103,14 @@ Handler DeadLetters::guard(const Topic& topic, const SubscriptionOptions& option
 void DeadLetters::drain(const std::string& dead_letter, std::chrono::milliseconds limit) {
   LetterBox* box = nullptr;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (const auto found = boxes_.find(dead_letter); found != boxes_.end()) box = found->second.get();
   }
   if (box != nullptr) box->drain(limit);
 }
 
 LetterBox& DeadLetters::box(const std::string& topic) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   auto& box = boxes_[topic];
   if (!box) box = std::make_unique<LetterBox>(broker_, topic, [](bool) {});
   return *box;

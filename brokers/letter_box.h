@@ -5,51 +5,50 @@
 #include <functional>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <string>
 
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers {
 
-/// Moves messages that are given up to a dead-letter topic, durable and with a queue of its own. The original is
-/// accepted only when the broker has confirmed the letter, so a message is in at least one of the two queues at any
-/// time; in both when the process ends in between. A letter that the broker refuses is rejected.
-/// Thread safe. The broker outlives it.
+/// Moves given up messages to a durable dead-letter topic with a queue of its own. It accepts the original only when
+/// the broker has confirmed the letter, so a message is in at least one of the two queues at any time, and in both if
+/// the process ends in between. If the broker refuses the letter, the original is rejected.
+/// Thread safe. The broker must outlive it.
 class LetterBox {
  public:
-  /// \param moved called for each original that was settled: true when its letter was confirmed, false when refused.
+  /// \param moved called for each settled original: true if its letter was confirmed, false if it was refused.
   LetterBox(Broker& broker, std::string topic, std::function<void(bool confirmed)> moved);
 
-  /// \param letter the message with whatever says why it is given up. \param owner lives until the original is settled.
+  /// \param letter the message, with the reason why it was given up. \param owner kept until the original is settled.
   void send(Message letter, Delivery original, std::shared_ptr<const void> owner = nullptr);
-  /// Waits until the broker has answered for everything, `limit` at most.
+  /// Waits until the broker has answered for all letters, `limit` at most.
   void drain(std::chrono::milliseconds limit) { static_cast<void>(publisher_->drain(limit)); }
 
  private:
   struct UnderWay {
     std::shared_ptr<const void> owner;
-    Delivery original;  ///< dies first
+    Delivery original;  ///< destroyed first
   };
   void on_outcome(std::uint64_t number, Outcome outcome, const std::string& reason);
 
   const std::string topic_;
   const std::function<void(bool)> moved_;
-  std::mutex mutex_;
-  std::uint64_t last_number_ = 0;                ///< guarded by mutex_
-  std::map<std::uint64_t, UnderWay> under_way_;  ///< by publish number; guarded by mutex_
-  std::unique_ptr<Publisher> publisher_;         ///< dies first: no callback runs after it
+  config::Mutex mutex_;
+  std::map<std::uint64_t, UnderWay> under_way_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by publish number
+  std::unique_ptr<Publisher> publisher_;  ///< destroyed first, so that no callback runs after it
 };
 
-/// What one broker object does with deliveries that its subscriptions reject or retry too often
-/// (SubscriptionOptions::dead_letter, max_tries). Thread safe. Dies before the connections of its broker.
+/// How one broker object treats deliveries that its subscriptions reject or retry too often
+/// (SubscriptionOptions::dead_letter, max_tries). Thread safe. Must be destroyed before its broker's connections.
 class DeadLetters {
  public:
   explicit DeadLetters(Broker& broker) : broker_(broker) {}
-  /// A handler that keeps the subscription's rules and calls `handler`; `handler` itself when there are none.
-  /// The result must not be called after this object's end.
+  /// Wraps `handler` in the subscription's rules; returns `handler` itself if it has none.
+  /// The result must not be called after this object is destroyed.
   Handler guard(const Topic& topic, const SubscriptionOptions& options, Handler handler);
-  /// Waits until what is on its way to a dead-letter topic is there and its originals are settled, `limit` at most.
+  /// Waits until all letters to a dead-letter topic are confirmed and their originals settled, `limit` at most.
   void drain(const std::string& dead_letter, std::chrono::milliseconds limit);
 
  private:
@@ -57,8 +56,8 @@ class DeadLetters {
   LetterBox& box(const std::string& topic);
 
   Broker& broker_;
-  std::mutex mutex_;
-  std::map<std::string, std::unique_ptr<LetterBox>> boxes_;  ///< by topic; guarded by mutex_
+  config::Mutex mutex_;
+  std::map<std::string, std::unique_ptr<LetterBox>> boxes_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by topic
 };
 
 }  // namespace iotcloud::brokers

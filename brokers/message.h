@@ -40,6 +40,7 @@ class Payload {
     return Payload(std::move(owner), bytes.data(), bytes.size());
   }
 
+  // The bytes live as long as a Payload that shares them.
   const std::byte* data() const { return data_; }
   std::size_t size() const { return size_; }
   bool empty() const { return size_ == 0; }
@@ -87,13 +88,13 @@ class Properties {
   std::vector<Entry> entries_;
 };
 
-/// What travels: a payload and its metadata (REFERENCE.md 4: headers sensorID, siteID, time, custom properties).
+/// What travels: a payload and its metadata (docs/wire.md#message-metadata says how it travels).
 struct Message {
-  Payload payload;
+  Payload payload;           ///< any bytes; 128 MiB at most (brokers/limits.h)
   std::string driver_id;     ///< id of the driver instance that sent it or is to get it
   std::string gateway_id;    ///< empty when not known
   std::int64_t time_ms = 0;  ///< milliseconds since 1970 UTC, set by the device's side and carried to the answer
-  Properties properties;
+  Properties properties;     ///< any others; names that docs/wire.md#message-metadata uses are not carried
 };
 
 }  // namespace iotcloud::brokers

@@ -39,7 +39,7 @@ void Meters::outcome(Outcome outcome, const std::string& reason) {
     confirmed_.add();
     return;
   }
-  // A server's own words for a refusal are for the log and the callback, not for a label.
+  // A server's own text for a refusal goes to the log and the callback, not into a label.
   const std::string label = outcome == Outcome::dropped ? reason : std::string();
   metrics_.counter(outcomes_name, outcomes_help, {{"broker", kind_}, {"outcome", word(outcome)}, {"reason", label}})
       .add();

@@ -8,22 +8,24 @@
 
 namespace iotcloud::brokers {
 
-/// Why a message was dropped: the words that on_outcome and the metrics use.
+/// Why a message was dropped, in the words of on_outcome and the metrics.
 namespace reason {
-inline constexpr const char* superseded = "superseded";  ///< a newer one came while it waited (keep_newest, keep_last)
-inline constexpr const char* deadline = "deadline";      ///< it grew too old
-inline constexpr const char* no_reader = "no_reader";    ///< superseded while nobody read the topic
-inline constexpr const char* undecodable = "undecodable";  ///< received bytes that make no message
+/// a newer one replaced it while it waited (keep_newest, keep_last)
+inline constexpr const char* superseded = "superseded";
+inline constexpr const char* deadline = "deadline";        ///< it grew too old
+inline constexpr const char* no_reader = "no_reader";      ///< superseded while the topic had no reader
+inline constexpr const char* undecodable = "undecodable";  ///< received bytes that are not a message
 inline constexpr const char* fenced = "fenced";            ///< its sender lost the right to send it (void_before)
 inline constexpr const char* closed = "closed";            ///< the publisher was closed first
 // Of a spool (spool/spooled_publisher.h):
 inline constexpr const char* spool_full = "spool_full";        ///< the oldest gave way (drop_oldest)
 inline constexpr const char* spool_failed = "spool_failed";    ///< the disk is full or broken (drop_oldest)
-inline constexpr const char* spool_damaged = "spool_damaged";  ///< it could not be read any more
-inline constexpr const char* spooled = "spooled";              ///< closed first: it is kept, and sent by the next one
+inline constexpr const char* spool_damaged = "spool_damaged";  ///< it became unreadable
+/// closed first: the spool keeps it, and the next publisher sends it
+inline constexpr const char* spooled = "spooled";
 }  // namespace reason
 
-/// What a broker of one kind counts. The counters are the process's, not one broker object's. Thread safe.
+/// Counters of one kind of broker, shared by all its broker objects in the process. Thread safe.
 class Meters {
  public:
   /// \param metrics nullptr: the process's own. \param kind "embedded", "rabbitmq"
@@ -31,9 +33,9 @@ class Meters {
   void outcome(Outcome outcome, const std::string& reason);
   void received(bool redelivered);
   void conflated();  ///< a delivery that keep_last skipped
-  /// A message that the server confirmed before an earlier one of its topic: readers may have got them in that order.
+  /// The server confirmed a message before an earlier one of its topic: readers may have got them in that order.
   void overtook();
-  /// A record that no handler got: undecodable, or beyond its deadline where the server knows none.
+  /// No handler got a record: it was undecodable, or expired on a server without deadlines.
   void skipped(const std::string& reason);
 
  private:

@@ -3,8 +3,8 @@
 #include <utility>
 
 #include "iotcloud/brokers/activemq/connection/io_loop.h"
-#include "iotcloud/brokers/activemq/consuming/consume_link.h"
-#include "iotcloud/brokers/activemq/publishing/publish_link.h"
+#include "iotcloud/brokers/activemq/consuming/receiver_link.h"
+#include "iotcloud/brokers/activemq/publishing/sender_link.h"
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"
@@ -13,42 +13,21 @@
 namespace iotcloud::brokers::activemq {
 namespace {
 
-class ActiveMqPublisher final : public Publisher {
- public:
-  ActiveMqPublisher(PublishLink& link, const Topic& topic, const PublisherOptions& options)
-      : link_(link), outlet_(link.add(topic, options)) {}
-  ~ActiveMqPublisher() override { link_.remove(outlet_); }
-  PublishStatus publish(Message message) override { return link_.publish(outlet_, std::move(message)); }
-  PublishStatus publish_again(Message message, const Past& past) override {
-    return link_.publish(outlet_, std::move(message), past);
-  }
-  bool drain(std::chrono::milliseconds limit) override { return link_.drain(outlet_, limit); }
-  std::size_t pending() const override { return link_.pending(*outlet_); }
-
- private:
-  PublishLink& link_;
-  const std::shared_ptr<Outlet> outlet_;
-};
-
 class ActiveMqSubscription final : public Subscription {
  public:
-  ActiveMqSubscription(ConsumeLink& link, const Topic& topic, const SubscriptionOptions& options, Handler handler)
-      : link_(link), inlet_(link.add(topic, options, std::move(handler))) {}
-  ~ActiveMqSubscription() override { link_.remove(inlet_); }
-  void pause() override { link_.pause(*inlet_); }
-  void resume() override { link_.resume(inlet_); }
-  bool active() const override { return link_.active(*inlet_); }
+  ActiveMqSubscription(ReceiverLink& link, const Topic& topic, const SubscriptionOptions& options, Handler handler)
+      : link_(link), reader_(link.add(topic, options, std::move(handler))) {}
+  ~ActiveMqSubscription() override { link_.remove(reader_); }
+  void pause() override { link_.pause(*reader_); }
+  void resume() override { link_.resume(*reader_); }
+  bool active() const override { return link_.active(*reader_); }
 
  private:
-  ConsumeLink& link_;
-  const std::shared_ptr<Inlet> inlet_;
+  ReceiverLink& link_;
+  const std::shared_ptr<SessionReader> reader_;
 };
 
-const config::Clock& clock_of(const BrokerOptions& options) {
-  return options.clock != nullptr ? *options.clock : config::system_clock();
-}
-
-/// Bulk data and urgent messages have connections and threads of their own; those for urgent ones begin when first
+/// Normal and urgent messages have separate connections and threads; those for urgent messages are started when first
 /// used.
 class ActiveMqBroker final : public Broker {
  public:
@@ -60,9 +39,9 @@ class ActiveMqBroker final : public Broker {
         urgent_loop_(clock_of(options)),
         publishing_(loop_, options_, urls, "publishing", meters_, log_),
         urgent_publishing_(urgent_loop_, options_, urls, "publishing-urgent", meters_, log_),
-        consuming_(std::make_shared<ConsumeLink>(loop_, options_, urls, "consuming", meters_, log_)),
+        consuming_(std::make_shared<ReceiverLink>(loop_, options_, urls, "consuming", meters_, log_)),
         urgent_consuming_(
-            std::make_shared<ConsumeLink>(urgent_loop_, options_, urls, "consuming-urgent", meters_, log_)) {
+            std::make_shared<ReceiverLink>(urgent_loop_, options_, urls, "consuming-urgent", meters_, log_)) {
     publishing_.start();
     loop_.start({&publishing_, consuming_.get()});
   }
@@ -79,8 +58,8 @@ class ActiveMqBroker final : public Broker {
   std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
     check(topic);
     if (options.priority >= urgent_priority) start_urgent();
-    return std::make_unique<ActiveMqPublisher>(options.priority >= urgent_priority ? urgent_publishing_ : publishing_,
-                                               topic, options);
+    SenderLink& link = options.priority >= urgent_priority ? urgent_publishing_ : publishing_;
+    return std::make_unique<client::CorePublisher>(link.core(), topic, options);
   }
 
   std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
@@ -112,10 +91,10 @@ class ActiveMqBroker final : public Broker {
   ConnectionLog log_;
   IoLoop loop_;
   IoLoop urgent_loop_;
-  PublishLink publishing_;
-  PublishLink urgent_publishing_;
-  const std::shared_ptr<ConsumeLink> consuming_;
-  const std::shared_ptr<ConsumeLink> urgent_consuming_;
+  SenderLink publishing_;
+  SenderLink urgent_publishing_;
+  const std::shared_ptr<ReceiverLink> consuming_;
+  const std::shared_ptr<ReceiverLink> urgent_consuming_;
   std::unique_ptr<DeadLetters> dead_letters_ = std::make_unique<DeadLetters>(*this);
 };
 

@@ -8,7 +8,7 @@
 
 namespace iotcloud::brokers::activemq {
 
-/// A broker that speaks AMQP 1.0 to ActiveMQ (Classic) servers; `urls` are options.urls, parsed.
+/// Makes a broker that speaks AMQP 1.0 to ActiveMQ (Classic) servers; `urls` are the parsed options.urls.
 std::unique_ptr<Broker> make_activemq_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls);
 
 }  // namespace iotcloud::brokers::activemq

@@ -23,6 +23,7 @@ Arrived AckWindow::next() {
   Entry& entry = entries_[tag - first_tag_];
   entry.state = State::handed_on;
   ++handed_on_;
+  newest_handed_on_ = std::max(newest_handed_on_, tag);
   return {entry.message, entry.redelivered, tag, ++entry.tries};
 }
 
@@ -46,7 +47,7 @@ bool AckWindow::settle(std::uint64_t tag, Settlement settlement) {
 std::vector<AckWindow::Action> AckWindow::take(std::size_t patience) {
   std::vector<Action> actions;
   const auto kind_of = [](State state) { return state == State::accept ? Kind::acknowledge : Kind::reject; };
-  // The settled ones in front: runs of one kind, each with one `multiple`.
+  // Settled deliveries at the front: one action with `multiple` for each run of the same kind.
   while (!entries_.empty() && !unsettled(entries_.front())) {
     if (entries_.front().state != State::told) {
       const Kind kind = kind_of(entries_.front().state);
@@ -60,7 +61,7 @@ std::vector<AckWindow::Action> AckWindow::take(std::size_t patience) {
     entries_.pop_front();
     ++first_tag_;
   }
-  // Behind an unsettled one: each for itself.
+  // Settled deliveries behind an unsettled one: one acknowledgement each.
   if (settled_ == 0) return actions;
   const bool all = settled_ > patience;
   for (std::size_t i = 0; i < entries_.size(); ++i) {
@@ -97,6 +98,7 @@ void AckWindow::clear() {
   waiting_.clear();
   first_tag_ = 1;
   settled_ = handed_on_ = 0;
+  newest_handed_on_ = 0;
 }
 
 }  // namespace iotcloud::brokers::client

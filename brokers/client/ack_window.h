@@ -14,49 +14,51 @@ struct Arrived {
   Message message;
   bool redelivered = false;
   std::uint64_t tag = 0;    ///< the channel's delivery tag
-  std::uint32_t tries = 0;  ///< how often it was handed on, this time included
+  std::uint32_t tries = 0;  ///< how often it was handed on, including this time
 };
 
-/// What one consumer has from the server: keeps each message until it is settled, and turns settlements into
-/// as few acknowledgements as possible (`multiple` up to the first delivery that is unsettled). A retry stays here: the
-/// server is told nothing and the kept message is handed on again. Not thread safe.
+/// The messages that one consumer has received. Keeps each message until it is settled, and turns settlements into as
+/// few acknowledgements as possible (`multiple` up to the first unsettled delivery). A retry sends the server nothing:
+/// the window hands the kept message on again. Not thread safe.
 class AckWindow {
  public:
   enum class Kind { acknowledge, reject };
   struct Action {
     Kind kind = Kind::acknowledge;
     std::uint64_t tag = 0;
-    bool multiple = false;  ///< all unsettled ones up to the tag
+    bool multiple = false;  ///< covers all unsettled deliveries up to the tag
     friend bool operator==(const Action&, const Action&) = default;
   };
 
-  /// Notes a delivery; the server counts tags up from 1 on each channel. \return false when the tag is not the next
-  /// one.
+  /// Adds a delivery. The server counts tags up from 1 on each channel. \return false when the tag is not the next one.
   bool delivered(Arrived arrived);
-  /// Notes a delivery, the next one, that needs no handling: it counts as accepted.
+  /// Adds the next delivery as accepted, because it needs no handling.
   void skipped();
-  /// The oldest message that waits to be handed on, marked as redelivered when it was before. `waiting() > 0`.
+  /// Takes the oldest message that waits to be handed on, marked as redelivered if it was handed on before. Requires
+  /// `waiting() > 0`.
   Arrived next();
   std::size_t waiting() const { return waiting_.size(); }
-  /// `retry` makes it wait again, before all that came after it.
-  /// \return false for what is not under way (settled before, or of an earlier channel).
+  /// Settles a delivery. `retry` makes it wait again, before all later ones.
+  /// \return false when the delivery is not handed on (already settled, or of an earlier channel).
   bool settle(std::uint64_t tag, Settlement settlement);
-  /// What to send now. Settled deliveries behind an unsettled one wait for it, accepted ones until there are more than
-  /// `patience` of them (so that one slow delivery does not eat up the whole prefetch); 0 = send everything.
+  /// The acknowledgements to send now. Settled deliveries behind an unsettled one wait for it. Accepted ones wait only
+  /// until there are more than `patience`, so that one slow delivery does not use up the whole prefetch; 0: send all.
   std::vector<Action> take(std::size_t patience);
-  /// Deliveries that somebody has and has not settled.
+  /// The highest tag that next() has returned; 0: none.
+  std::uint64_t newest_handed_on() const { return newest_handed_on_; }
+  /// Number of deliveries that were handed on and not settled.
   std::size_t handed_on() const { return handed_on_; }
-  /// For servers that are told how far a reader has come, instead of take(): forgets the settled deliveries in front.
-  /// \return the tag of the first that is unsettled, or is still to come
+  /// Removes the settled deliveries at the front. Replaces take() for servers that are told a reader's position.
+  /// \return the tag of the first delivery that is unsettled or still to come.
   std::uint64_t advance();
   bool is_settled(std::uint64_t tag) const;
-  /// Makes all that is handed on and unsettled wait again: nobody can settle it any more.
+  /// Makes all handed-on, unsettled deliveries wait again, because no handler can settle them any more.
   void return_all();
-  /// Deliveries that are settled and not told to the server yet.
+  /// Number of settled deliveries that the server does not know about yet.
   std::size_t settled() const { return settled_; }
-  /// All deliveries that are kept, settled ones behind an unsettled one included.
+  /// Number of deliveries kept, including settled ones behind an unsettled one.
   std::size_t size() const { return entries_.size(); }
-  /// Forgets everything: the channel is gone.
+  /// Removes everything, because the channel is gone.
   void clear();
 
  private:
@@ -74,6 +76,7 @@ class AckWindow {
   std::uint64_t first_tag_ = 1;
   std::size_t settled_ = 0;
   std::size_t handed_on_ = 0;
+  std::uint64_t newest_handed_on_ = 0;
 };
 
 }  // namespace iotcloud::brokers::client

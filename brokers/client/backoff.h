@@ -6,8 +6,8 @@
 
 namespace iotcloud::brokers::client {
 
-/// Waiting times that double up to a limit, each shortened by up to a half at random, so that many clients of a server
-/// that comes back do not all come at once. Not thread safe.
+/// Waiting times that double up to a limit, each shortened at random by up to a half, so that the clients of a
+/// restarted server do not all come back at once. Not thread safe.
 class Backoff {
  public:
   Backoff(std::chrono::milliseconds first, std::chrono::milliseconds limit) : first_(first), limit_(limit) {}

@@ -1,13 +1,11 @@
 #include "iotcloud/brokers/client/connection_log.h"
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/brokers/logger.h>
 
 namespace iotcloud::brokers::client {
 namespace {
 
-const config::Logger logger{"brokers"};
-
-// More reasons than that in a row are noise.
+// Logs at most this many reasons in a row.
 constexpr std::size_t most_reasons = 8;
 
 }  // namespace
@@ -17,14 +15,14 @@ bool ConnectionLog::first(std::set<std::string>& said, const std::string& text) 
 }
 
 void ConnectionLog::failed(const std::string& server, const std::string& reason) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (!first(said_failures_, server + reason)) return;
   said_connected_.clear();
   logger.warn("cannot connect to {}: {}; trying again", server, reason);
 }
 
 void ConnectionLog::lost(const std::string& server, const std::string& reason) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (said_lost_) return;
   said_lost_ = true;
   said_connected_.clear();
@@ -33,7 +31,7 @@ void ConnectionLog::lost(const std::string& server, const std::string& reason) {
 }
 
 void ConnectionLog::connected(const std::string& server) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (!first(said_connected_, server)) return;
   said_lost_ = false;
   said_failures_.clear();

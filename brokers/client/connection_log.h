@@ -1,35 +1,36 @@
 #pragma once
 
-#include <mutex>
 #include <set>
 #include <string>
+#include <utility>
+
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers::client {
 
-/// Says once that the broker cannot be reached (once for each reason: of several servers each may have its own), and
-/// once that it can: for all connections of a broker object together. Thread safe.
+/// Logs once that the broker cannot be reached (once for each reason, because each server may have its own), and once
+/// that it is reachable again, for all connections of a broker object together. Thread safe.
 class ConnectionLog {
  public:
-  /// \param url already without its password
+  /// \param url without its password
   explicit ConnectionLog(std::string url) : url_(std::move(url)) {}
-  void failed(const std::string& reason) { failed(url_, reason); }  ///< an attempt to connect
-  void lost(const std::string& reason) { lost(url_, reason); }      ///< a connection that was there
+  void failed(const std::string& reason) { failed(url_, reason); }  ///< an attempt to connect failed
+  void lost(const std::string& reason) { lost(url_, reason); }      ///< an open connection was lost
   void connected() { connected(url_); }
-  /// The same for one of several servers, `server` being its URL without the password.
+  /// The same for one of several servers; `server` is its URL without the password.
   void failed(const std::string& server, const std::string& reason);
   void lost(const std::string& server, const std::string& reason);
   void connected(const std::string& server);
 
  private:
-  /// Whether this was not said yet since the last change.
-  bool first(std::set<std::string>& said, const std::string& text);
+  /// Whether `text` is new since the last change.
+  static bool first(std::set<std::string>& said, const std::string& text);
 
   const std::string url_;
-  std::mutex mutex_;
-  // All below: guarded by mutex_.
-  bool said_lost_ = false;
-  std::set<std::string> said_failures_;
-  std::set<std::string> said_connected_;
+  config::Mutex mutex_;
+  bool said_lost_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  std::set<std::string> said_failures_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::set<std::string> said_connected_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace iotcloud::brokers::client

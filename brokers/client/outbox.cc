@@ -11,10 +11,14 @@ namespace {
 
 constexpr std::chrono::milliseconds first_retry{20};
 constexpr std::chrono::milliseconds last_retry{1000};
-// A message that nobody reads goes to the server and back for every try: often at first, for about three seconds, so
-// that a reader that starts with the publisher waits little, then rarely.
+// A message that no queue takes goes to the server and back with each try. So it is tried often for about three
+// seconds, so that a reader that starts together with the publisher waits little, and rarely after that.
 constexpr unsigned eager_tries = 20;
 constexpr std::chrono::milliseconds last_eager_retry{200};
+// A refusal can make the server close the channel that all publishers of the connection share, so refused messages are
+// tried again more rarely.
+constexpr std::chrono::milliseconds first_after_refusal{50};
+constexpr std::chrono::milliseconds last_after_refusal{5000};
 
 PublisherOptions with_some_capacity(PublisherOptions options) {
   options.capacity = std::max<std::size_t>(options.capacity, 1);
@@ -34,19 +38,20 @@ Outbox::Outbox(Topic to, PublisherOptions how)
       id(new_id()),
       eager_(first_retry, last_eager_retry),
       patient_(last_retry, last_retry),
-      backoff_(first_retry, last_retry) {}
+      backoff_(first_retry, last_retry),
+      refusals_(first_after_refusal, last_after_refusal) {}
 
 bool Outbox::has_room() const {
   return options.when_full == WhenFull::keep_newest || waiting_.size() + under_way_ < options.capacity;
 }
 
-Outgoing Outbox::accept(Message message, Instant now, const Past& past) {
+AcceptedMessage Outbox::accept(Message message, Instant now, const Past& past) {
   ++pending_;
   return {std::move(message), ++last_number_, now - past.age, false, past.possibly_sent};
 }
 
-void Outbox::add_waiting(Outgoing outgoing) {
-  insert(std::move(outgoing));
+void Outbox::add_waiting(AcceptedMessage accepted) {
+  insert(std::move(accepted));
   trim();
 }
 
@@ -54,18 +59,18 @@ bool Outbox::may_send() const {
   return ready && !closed && !retry_at_ && under_way_ < options.capacity && (proven_ || under_way_ == 0);
 }
 
-Outgoing Outbox::take_next() {
-  Outgoing next = std::move(waiting_.front());
+AcceptedMessage Outbox::take_next() {
+  AcceptedMessage next = std::move(waiting_.front());
   waiting_.pop_front();
   ++under_way_;
   return next;
 }
 
-void Outbox::insert(Outgoing outgoing) {
+void Outbox::insert(AcceptedMessage accepted) {
   const auto place =
-      std::upper_bound(waiting_.begin(), waiting_.end(), outgoing.number,
-                       [](std::uint64_t number, const Outgoing& other) { return number < other.number; });
-  waiting_.insert(place, std::move(outgoing));
+      std::upper_bound(waiting_.begin(), waiting_.end(), accepted.number,
+                       [](std::uint64_t number, const AcceptedMessage& other) { return number < other.number; });
+  waiting_.insert(place, std::move(accepted));
 }
 
 void Outbox::trim() {
@@ -90,6 +95,7 @@ void Outbox::confirmed(std::uint64_t number) {
   unread_ = false;
   put_off_in_row_ = 0;
   retry_at_.reset();
+  complaint_.clear();
   forget_tries();
   settle(number, Outcome::confirmed, "");
 }
@@ -99,29 +105,38 @@ void Outbox::refused(std::uint64_t number, const std::string& reason) {
   settle(number, Outcome::refused, reason);
 }
 
-void Outbox::returned(Outgoing outgoing, Instant now) {
+void Outbox::returned(AcceptedMessage accepted, Instant now) {
   --under_way_;
   if (!retry_at_) retry_at_ = now + (++unread_tries_ <= eager_tries ? eager_ : patient_).next();
   proven_ = false;
   unread_ = true;
-  insert(std::move(outgoing));
+  insert(std::move(accepted));
   trim();
 }
 
-void Outbox::put_off(Outgoing outgoing, Instant now) {
+void Outbox::put_off(AcceptedMessage accepted, Instant now) {
   --under_way_;
   if (!retry_at_) retry_at_ = now + backoff_.next();
   proven_ = false;
   ++put_off_in_row_;
-  outgoing.resent = true;
-  insert(std::move(outgoing));
+  accepted.resent = true;
+  insert(std::move(accepted));
   trim();
 }
 
-void Outbox::lost(Outgoing outgoing) {
+bool Outbox::refused_for_now(AcceptedMessage accepted, const std::string& why, Instant now) {
   --under_way_;
-  outgoing.resent = true;
-  insert(std::move(outgoing));
+  if (!retry_at_) retry_at_ = now + refusals_.next();
+  proven_ = false;
+  insert(std::move(accepted));
+  trim();
+  return std::exchange(complaint_, why) != why;
+}
+
+void Outbox::lost(AcceptedMessage accepted) {
+  --under_way_;
+  accepted.resent = true;
+  insert(std::move(accepted));
   trim();
 }
 
@@ -134,8 +149,14 @@ void Outbox::disconnected() {
   forget_tries();
 }
 
+void Outbox::interrupted() {
+  ready = false;
+  proven_ = false;
+}
+
 void Outbox::forget_tries() {
   unread_tries_ = 0;
+  refusals_.reset();
   eager_.reset();
   backoff_.reset();
 }
@@ -145,12 +166,12 @@ void Outbox::expire(Instant now) {
   if (waiting_.empty() || (!has_deadline && !options.void_before)) return;
   const Instant void_before = options.void_before ? options.void_before() : Instant::min();
   const std::size_t before = waiting_.size();
-  if (has_deadline || waiting_.front().accepted < void_before) {
-    std::erase_if(waiting_, [&](const Outgoing& outgoing) {
-      const bool fenced = outgoing.accepted < void_before;
-      const bool old = fenced || (has_deadline && outgoing.accepted + options.deadline <= now);
+  if (has_deadline || waiting_.front().accepted_at < void_before) {
+    std::erase_if(waiting_, [&](const AcceptedMessage& accepted) {
+      const bool fenced = accepted.accepted_at < void_before;
+      const bool old = fenced || (has_deadline && accepted.accepted_at + options.deadline <= now);
       if (old) {
-        events_.push_back({outgoing.number, Outcome::dropped, fenced ? reason::fenced : reason::deadline});
+        events_.push_back({accepted.number, Outcome::dropped, fenced ? reason::fenced : reason::deadline});
       }
       return old;
     });
@@ -162,7 +183,7 @@ std::optional<Instant> Outbox::next_timer() const {
   if (waiting_.empty()) return std::nullopt;
   std::optional<Instant> next = retry_at_;
   if (options.deadline.count() > 0) {
-    const Instant expires = waiting_.front().accepted + options.deadline;
+    const Instant expires = waiting_.front().accepted_at + options.deadline;
     if (!next || expires < *next) next = expires;
   }
   return next;
@@ -177,7 +198,7 @@ void Outbox::close(const std::vector<std::uint64_t>& under_way_numbers) {
   closed = true;
   wants_writable_ = writable_due_ = false;
   for (const std::uint64_t number : under_way_numbers) settle(number, Outcome::unknown, reason::closed);
-  for (const Outgoing& outgoing : waiting_) settle(outgoing.number, Outcome::unknown, reason::closed);
+  for (const AcceptedMessage& accepted : waiting_) settle(accepted.number, Outcome::unknown, reason::closed);
   waiting_.clear();
 }
 

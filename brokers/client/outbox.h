@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "iotcloud/brokers/client/backoff.h"
@@ -15,20 +16,22 @@ namespace iotcloud::brokers::client {
 
 using Instant = config::Clock::Instant;
 
-/// An accepted message on its way out.
-struct Outgoing {
+struct Lane;
+
+/// A message that publish() has accepted and that has no outcome yet.
+struct AcceptedMessage {
   Message message;
   std::uint64_t number = 0;  ///< of its publisher
-  Instant accepted;
-  bool resent = false;  ///< was sent on a connection that was lost before the answer
+  Instant accepted_at;
+  bool resent = false;  ///< sent on a connection that was lost before the answer came
   bool old = false;     ///< an earlier process may have sent it
 };
 
-/// One publisher's messages: what waits, what is under way, and which outcomes are still to be reported.
-/// Pure bookkeeping; guarded by the mutex of the link that owns it.
+/// One publisher's messages: those that wait, the number under way (sent and unanswered), and the outcomes still to be
+/// reported. Does no I/O. Guarded by the mutex of the PublishCore that owns it.
 ///
-/// A topic is *proven* once a message came through: until then, and again when one came back because nobody reads the
-/// topic, one message at a time is sent, so that those behind it cannot overtake it when a reader appears.
+/// A topic is *proven* once a message was confirmed. Until then, and again after a message was returned because nobody
+/// reads the topic, only one message at a time is sent, so that later ones cannot overtake it when a reader appears.
 class Outbox {
  public:
   Outbox(Topic topic, PublisherOptions options);
@@ -41,76 +44,94 @@ class Outbox {
 
   const Topic topic;
   const PublisherOptions options;
-  const std::uint64_t id;  ///< by chance, so that it tells this publisher from all others anywhere
+  const std::uint64_t id;  ///< random, so that it identifies this publisher among all publishers anywhere
 
-  /// Numbers the message. Null: would_block. Otherwise it is the caller's to send or to add_waiting().
+  /// Whether accept() may be called now; if not, publish() answers `would_block`.
   bool has_room() const;
-  Outgoing accept(Message message, Instant now, const Past& past = {});
+  AcceptedMessage accept(Message message, Instant now, const Past& past = {});
   void refuse_room() { wants_writable_ = true; }
-  /// Adds to what waits; keep_newest may drop the oldest.
-  void add_waiting(Outgoing outgoing);
+  /// Adds a message to the waiting ones; with keep_newest this may drop the oldest.
+  void add_waiting(AcceptedMessage accepted);
 
-  /// Whether the next message may be sent now, as far as this publisher is concerned.
+  /// Whether this publisher's state allows sending its next message now.
   bool may_send() const;
   bool idle() const { return waiting_.empty(); }
-  /// Takes what is next, noting that it is under way; the caller has asked may_send().
-  Outgoing take_next();
-  const Outgoing& next() const { return waiting_.front(); }
+  /// Takes the next waiting message and counts it as under way. Requires may_send().
+  AcceptedMessage take_next();
+  const AcceptedMessage& next() const { return waiting_.front(); }
   void sent_directly() { ++under_way_; }
 
   void confirmed(std::uint64_t number);
   void refused(std::uint64_t number, const std::string& reason);
-  /// Came back unread: it waits again and is tried after a while. Whether an earlier sending of it was read is as
-  /// unknown as before.
-  void returned(Outgoing outgoing, Instant now);
-  /// The server could not store it now (a queue without its leader, one that is full): tried again after a while,
-  /// marked as sent before, because another queue may have it.
-  void put_off(Outgoing outgoing, Instant now);
-  /// So often in a row.
+  /// The server returned the message because no queue takes it: it waits and is tried again after a pause. Its mark
+  /// `resent` stays as it was.
+  void returned(AcceptedMessage accepted, Instant now);
+  /// The server could not store the message now (a queue has no leader or is full): it is tried again after a pause,
+  /// marked as sent before, because another queue may have stored it.
+  void put_off(AcceptedMessage accepted, Instant now);
+  /// The server refused the message for a reason that may pass (a missing permission or exchange, a limit): it is tried
+  /// again after a pause. \return whether this reason is new since the last confirmation
+  bool refused_for_now(AcceptedMessage accepted, const std::string& why, Instant now);
+  /// How often in a row the server could not store a message.
   std::size_t put_off_in_row() const { return put_off_in_row_; }
-  /// The connection was lost before the answer.
-  void lost(Outgoing outgoing);
-  /// A new connection: everything has to be proven again.
+  /// The connection was lost before this message was answered: it waits again.
+  void lost(AcceptedMessage accepted);
+  /// The connection is lost: on the next one the topic must be proven again, without a pause.
   void disconnected();
-  /// Drops what is too old, and what its sender may not send any more.
+  /// The server closed the channel because of some publisher's message: the topic must be proven again, but a pause
+  /// before a retry goes on.
+  void interrupted();
+  /// Whether expire() may ever drop anything.
+  bool may_expire() const { return options.deadline.count() > 0 || options.void_before; }
+  /// Drops messages that are past their deadline, and those that were accepted before options.void_before.
   void expire(Instant now);
-  /// When something is to be done without anyone asking (a message to try again, or one that expires).
+  /// When fire_timer() must be called (a message is to be tried again, or expires); nullopt: there is no timer.
   std::optional<Instant> next_timer() const;
-  /// Lets a message be tried again when its time has come.
+  /// Handles the timer: drops expired messages, and ends the pause before a retry if it is over.
   void fire_timer(Instant now);
-  /// Everything without an outcome becomes `unknown`. `under_way_numbers`: those that the link knows.
+  /// Gives every message without an outcome the outcome `unknown`. \param under_way_numbers the numbers of those that
+  /// are under way, which only the core knows
   void close(const std::vector<std::uint64_t>& under_way_numbers);
 
   bool closed = false;
-  bool ready = false;        ///< its exchange was declared on this connection
-  bool in_runnable = false;  ///< stands in the link's list of those with something to send
-  bool in_report = false;    ///< stands in the link's list of those with something to report
-  bool reporting = false;    ///< a thread is calling its callbacks
+  bool ready = false;        ///< the transport can send to the topic now: exchange and queue are declared where needed
+  Lane* lane = nullptr;      ///< the lane in which it takes turns with other publishers; set once, when it is added
+  bool in_runnable = false;  ///< listed in its lane
+  bool in_report = false;    ///< listed in the core's list of publishers with something to report
+  std::thread::id reporter;  ///< the thread that runs this publisher's callbacks; default value: none does
 
   std::size_t pending() const { return pending_; }
   bool has_report() const { return !events_.empty() || writable_due_; }
-  /// Hands the outcomes over to be reported; follow with reported(number of events).
+  /// Takes the outcomes that are to be reported; call reported() afterwards.
   std::vector<Event> take_events(bool& writable);
   void reported(std::size_t count) { pending_ -= count; }
+  /// As above; keeps the vector's memory for later events.
+  void reported(std::vector<Event> events) {
+    reported(events.size());
+    events.clear();
+    if (events_.empty() && events_.capacity() < events.capacity()) events_.swap(events);
+  }
 
  private:
   void settle(std::uint64_t number, Outcome outcome, std::string reason);
-  void insert(Outgoing outgoing);
+  void insert(AcceptedMessage accepted);
   void trim();
   void forget_tries();
 
-  std::deque<Outgoing> waiting_;  ///< ascending numbers
+  std::deque<AcceptedMessage> waiting_;  ///< ascending numbers
   std::vector<Event> events_;
   std::uint64_t last_number_ = 0;
-  std::size_t pending_ = 0;    ///< accepted, outcome not reported yet
-  std::size_t under_way_ = 0;  ///< sent, no answer yet
+  std::size_t pending_ = 0;    ///< messages accepted whose outcome is not reported yet
+  std::size_t under_way_ = 0;  ///< messages sent without an answer
   std::size_t put_off_in_row_ = 0;
   bool proven_ = false;
-  bool unread_ = false;  ///< the last answer was: nobody reads it
+  bool unread_ = false;  ///< the last answer was that nobody reads the topic
   std::optional<Instant> retry_at_;
-  unsigned unread_tries_ = 0;  ///< so often in a row nobody read it
-  Backoff eager_, patient_;    ///< for what nobody reads: at first, and later
-  Backoff backoff_;            ///< for what the server could not store
+  unsigned unread_tries_ = 0;  ///< how often in a row that was the answer
+  Backoff eager_, patient_;    ///< pauses while nobody reads the topic: at first, and later
+  Backoff backoff_;            ///< pauses after the server could not store a message
+  Backoff refusals_;           ///< pauses after a refusal for a reason that may pass
+  std::string complaint_;      ///< that reason; empty after a confirmation
   bool wants_writable_ = false;
   bool writable_due_ = false;
 };

@@ -8,21 +8,21 @@
 
 namespace iotcloud::brokers::client {
 
-/// When the earliest of many publishers' timers is due, without asking all of them each time: a connection may have
+/// Tracks the earliest timer of many publishers without asking all of them each time, because a connection may have
 /// thousands. Guarded by the connection's mutex.
 class OutboxTimers {
  public:
   using Instant = config::Clock::Instant;
 
-  /// To be told of every change of a publisher's messages. \return whether its timer is the earliest of all now, so
-  /// that who sleeps until next() sleeps for too long.
+  /// Call it after every change of a publisher's messages. \return true if its timer is now the earliest, so that a
+  /// thread that sleeps until the previous next() must be woken.
   bool note(const Outbox& outbox) {
     const std::optional<Instant> timer = outbox.next_timer();
     if (!timer || *timer >= next_) return false;
     next_ = *timer;
     return true;
   }
-  /// No publisher has a timer before that; it may be a message's that has been sent since.
+  /// No publisher has an earlier timer. The timer may belong to a message that was sent meanwhile.
   Instant next() const { return next_; }
   /// Fires the timers that are due and calls `fired` with each of their publishers. Does nothing before next().
   /// \param outboxes all publishers of the connection (shared_ptr)

@@ -12,46 +12,46 @@
 
 namespace iotcloud::brokers::client {
 
-/// Which server of a cluster a connection uses: the first one is preferred, the others stand in for it in turn while it
-/// is away. Each server has a back-off of its own, so that one that is away does not delay the next. While a connection
-/// is on another server the preferred one is to be asked now and then; once it has answered for `settled` in a row, the
-/// connection should move back, so that the load is as it was meant to be. Not thread safe; no I/O of its own.
+/// Chooses the server of a cluster for a connection. The first server is preferred; while it is away the others replace
+/// it in turn. Each server has its own back-off, so that one that is away does not delay the next. While a connection
+/// uses another server, the preferred one is asked from time to time; when it has answered for `settled` in a row, the
+/// connection should move back, which restores the intended load. Not thread safe; does no I/O.
 class ServerList {
  public:
   using Instant = config::Clock::Instant;
   struct Times {
-    std::chrono::milliseconds first_wait{50};  ///< after a failure, for the same server; doubles up to
+    std::chrono::milliseconds first_wait{50};  ///< after a failure of the same server; doubles
     std::chrono::milliseconds longest_wait{2000};
-    std::chrono::milliseconds steady{2000};     ///< after a connection that lasted so long waits start small again
-    std::chrono::milliseconds ask_every{1000};  ///< the preferred server, while on another
-    std::chrono::milliseconds settled{5000};    ///< it must have answered so long; up to half as much again at random
+    std::chrono::milliseconds steady{2000};     ///< after a connection that lasted this long, waits start small again
+    std::chrono::milliseconds ask_every{1000};  ///< how often to ask the preferred server, while on another
+    std::chrono::milliseconds settled{5000};    ///< how long it must have answered; up to half as much again at random
   };
   static constexpr std::size_t preferred = 0;
 
-  /// \param servers how many there are, at least 1
+  /// \param servers the number of servers, at least 1
   explicit ServerList(std::size_t servers) : ServerList(servers, Times()) {}
   ServerList(std::size_t servers, Times times);
 
   std::size_t size() const { return servers_.size(); }
-  /// The server to connect to now; nothing when none is due before next_attempt().
+  /// The server to connect to now; nothing before next_attempt().
   std::optional<std::size_t> due(Instant now) const;
-  /// When due() has something to say.
+  /// When due() will return a server.
   Instant next_attempt() const;
-  /// What became of an attempt.
+  /// Reports the outcome of an attempt.
   void failed(std::size_t server, Instant now);
   void connected(std::size_t server, Instant now);
-  /// The connection broke.
+  /// The connection was lost.
   void lost(Instant now);
-  /// The connection was ended on purpose, to move back: the preferred server is due at once.
+  /// The connection was closed on purpose, to move back: the preferred server is due at once.
   void left();
-  /// Where the connection is; nothing while there is none.
+  /// The connection's server; nothing without a connection.
   std::optional<std::size_t> current() const { return current_; }
 
-  /// Whether it is time to find out if the preferred server answers. False while connected to it, or not at all.
+  /// Whether it is time to ask the preferred server. False while connected to it, and while not connected.
   bool must_ask(Instant now) const;
-  /// What the preferred server did when it was asked.
+  /// Reports whether the preferred server answered.
   void asked(bool answers, Instant now);
-  /// Whether to end the connection for the preferred server's sake.
+  /// Whether to close the connection in favour of the preferred server.
   bool must_move_back(Instant now) const;
 
  private:
@@ -66,7 +66,7 @@ class ServerList {
   Instant connected_at_{};
   Instant next_question_{};
   std::optional<Instant> answers_since_;
-  std::chrono::milliseconds settled_{};  ///< with its random part
+  std::chrono::milliseconds settled_{};  ///< including its random part
   std::minstd_rand random_{std::random_device{}()};
 };
 

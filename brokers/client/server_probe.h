@@ -9,12 +9,12 @@
 
 namespace iotcloud::brokers::client {
 
-/// Finds out whether a server answers, without waiting for it: opens a TCP connection, says the first words of the
-/// protocol, and takes any byte for an answer (a server that hangs accepts connections too). One question at a time.
-/// Not thread safe. start() may wait for the resolution of the host's name.
+/// Finds out whether a server answers, without waiting for it: it opens a TCP connection, sends the protocol's first
+/// bytes, and takes any byte as an answer (because a hanging server accepts connections too). One question at a time.
+/// Not thread safe. start() may wait until the host's name is resolved.
 class ServerProbe {
  public:
-  /// \param greeting what a client of the protocol says first; empty: the TCP connection alone is an answer
+  /// \param greeting a client's first bytes; empty: the TCP connection alone is an answer
   ServerProbe(std::string host, std::uint16_t port, std::string greeting, const config::Clock& clock);
   ~ServerProbe();
   ServerProbe(const ServerProbe&) = delete;
@@ -22,8 +22,8 @@ class ServerProbe {
 
   bool under_way() const { return under_way_; }
   void start();
-  /// Looks whether there is an answer: true, or false when it is sure that there will be none within the limit.
-  /// Nothing while it is not known yet, or nothing was asked.
+  /// Checks for an answer: true, or false when it is certain that none will come within the limit. Nothing while it is
+  /// unknown, or if no question is under way.
   std::optional<bool> poll();
 
  private:

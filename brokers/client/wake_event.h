@@ -10,8 +10,8 @@
 
 namespace iotcloud::brokers::client {
 
-/// Lets a thread sleep on a socket and be woken by others. signal() is thread safe; wait() and clear() are its one
-/// thread's.
+/// Lets a thread sleep on a socket while others can wake it. Any thread may call signal(); one thread calls wait() and
+/// clear().
 class WakeEvent {
  public:
   WakeEvent() : event_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
@@ -21,15 +21,15 @@ class WakeEvent {
   WakeEvent(const WakeEvent&) = delete;
   WakeEvent& operator=(const WakeEvent&) = delete;
 
-  /// For a library that signals by itself: it writes eight bytes, a number above 0.
+  /// For a library that signals by itself, by writing a number above 0 in eight bytes.
   int descriptor() const { return event_; }
 
   void signal() {
     const std::uint64_t one = 1;
-    [[maybe_unused]] const auto written = ::write(event_, &one, sizeof(one));  // full: it is signalled already
+    [[maybe_unused]] const auto written = ::write(event_, &one, sizeof(one));  // if it is full, it is signalled already
   }
 
-  /// Takes the signals that came.
+  /// Resets the signal.
   void clear() {
     std::uint64_t count = 0;
     [[maybe_unused]] const auto got = ::read(event_, &count, sizeof(count));
@@ -39,7 +39,7 @@ class WakeEvent {
     bool readable = false;
     bool writable = false;
   };
-  /// Sleeps until the socket (-1: none) can be read, or written when asked for, a signal came, or the time passed.
+  /// Sleeps until the socket (-1: none) is readable, or writable if asked for, until a signal, or until the limit.
   Result wait(int socket, bool want_write, std::chrono::milliseconds limit) {
     const auto events = static_cast<short>(want_write ? POLLIN | POLLOUT : POLLIN);
     pollfd waiting[2] = {{event_, POLLIN, 0}, {socket, events, 0}};

@@ -20,9 +20,9 @@ Reader::Reader(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> 
 
 void Reader::settle(std::uint64_t tag, Settlement settlement) noexcept {
   WakeList wake;
-  const std::lock_guard lock(server_->mutex);
+  const config::MutexLock lock(server_->mutex);
   const auto found = unsettled.find(tag);
-  if (found == unsettled.end()) return;  // the server went away meanwhile, or the subscription was closed
+  if (found == unsettled.end()) return;  // the server was stopped meanwhile, or the subscription was closed
   if (settlement == Settlement::retry && queue) queue->put_back(std::move(found->second));
   unsettled.erase(found);
   if (queue) server_->poke(*queue, wake);
@@ -33,7 +33,7 @@ Connection::Connection(std::shared_ptr<ServerState> of, const config::Clock& tim
 
 void Connection::open() {
   {
-    const std::lock_guard lock(server->mutex);
+    const config::MutexLock lock(server->mutex);
     server->join(*this);
   }
   thread_ = std::thread([this] { run(); });
@@ -42,33 +42,33 @@ void Connection::open() {
 
 void Connection::close() {
   {
-    const std::lock_guard lock(server->mutex);
+    const config::MutexLock lock(server->mutex);
     closing_ = true;
   }
   wake();
   thread_.join();
-  const std::lock_guard lock(server->mutex);
+  const config::MutexLock lock(server->mutex);
   server->leave(*this);
-  // Readers hold their connection: what is left of them here must not hold it in a circle.
+  // Readers own their connection, so the lists must let go of them, or neither would be destroyed.
   ready.clear();
   to_report.clear();
 }
 
 void Connection::wake() {
   {
-    const std::lock_guard lock(sleep_mutex_);
+    const config::MutexLock lock(sleep_mutex_);
     woken_ = true;
   }
   sleep_over_.notify_one();
 }
 
 void Connection::sleep(std::optional<Instant> until) {
-  std::unique_lock lock(sleep_mutex_);
-  const auto over = [this] { return woken_; };
+  const config::MutexLock lock(sleep_mutex_);
+  const auto over = [this]() IOTCLOUD_REQUIRES(sleep_mutex_) { return woken_; };
   if (until) {
-    sleep_over_.wait_for(lock, *until - clock.now(), over);
+    sleep_over_.wait_for(sleep_mutex_, *until - clock.now(), over);
   } else {
-    sleep_over_.wait(lock, over);
+    sleep_over_.wait(sleep_mutex_, over);
   }
   woken_ = false;
 }
@@ -76,7 +76,7 @@ void Connection::sleep(std::optional<Instant> until) {
 std::optional<Instant> Connection::next_deadline(Instant now) {
   std::optional<Instant> next;
   for (Producer* producer : timed) {
-    WakeList unneeded;  // this thread is awake
+    WakeList unneeded;  // expire() wants one; this thread is awake already
     server->expire(*producer, now, unneeded);
     producer->timed = !producer->waiting.empty();
     if (!producer->timed) continue;
@@ -88,13 +88,13 @@ std::optional<Instant> Connection::next_deadline(Instant now) {
 }
 
 void Connection::run() {
-  std::unique_lock lock(server->mutex);
+  config::UniqueLock lock(server->mutex);
   while (!closing_) {
-    if (deliver_next(lock)) continue;
+    if (deliver_next()) continue;
     const std::optional<Instant> deadline = next_deadline(clock.now());
     if (!to_report.empty()) {
       const std::shared_ptr<Producer> producer = to_report.front();
-      report(producer, lock);
+      report(producer);
       continue;
     }
     sleeping = true;
@@ -105,7 +105,7 @@ void Connection::run() {
   }
 }
 
-bool Connection::deliver_next(std::unique_lock<std::mutex>& lock) {
+bool Connection::deliver_next() {
   if (ready.empty()) return false;
   const std::shared_ptr<Reader> reader = std::static_pointer_cast<Reader>(std::move(ready.front()));
   ready.pop_front();
@@ -116,7 +116,7 @@ bool Connection::deliver_next(std::unique_lock<std::mutex>& lock) {
   {
     WakeList wake;
     stored = server->take(*reader, clock.now(), wake, conflated);
-    // Woken under the lock: this happens only when a queue was full.
+    // `wake` wakes threads while the lock is held, but it has some only if the queue was full.
   }
   for (; conflated > 0; --conflated) meters.conflated();
   if (!stored) return true;
@@ -126,12 +126,13 @@ bool Connection::deliver_next(std::unique_lock<std::mutex>& lock) {
   if (!reader->options.automatic_ack) reader->unsettled.emplace(tag, *stored);
   {
     WakeList unneeded;
-    server->poke(reader, unneeded);  // in turn with the other subscriptions of this connection
+    server->poke(reader, unneeded);  // puts it behind this connection's other consumers in `ready`
   }
   reader->running = true;
-  lock.unlock();
-  run_handler(reader, std::move(*stored), tag);
-  lock.lock();
+  {
+    const config::Unlocked unlocked(server->mutex);
+    run_handler(reader, std::move(*stored), tag);
+  }
   reader->running = false;
   if (reader->closed) changed.notify_all();
   return true;
@@ -151,23 +152,28 @@ void Connection::run_handler(const std::shared_ptr<Reader>& reader, Stored store
   }
 }
 
-void Connection::report(const std::shared_ptr<Producer>& producer, std::unique_lock<std::mutex>& lock) {
-  changed.wait(lock, [&] { return !producer->reporting; });
+void Connection::call_back(const Producer& producer, const std::vector<Producer::Event>& events, bool writable) {
+  try {
+    for (const auto& event : events) producer.options.on_outcome(event.number, event.outcome, event.reason);
+    if (writable && producer.options.on_writable) producer.options.on_writable();
+  } catch (const std::exception& error) {
+    logger.error("a callback of the publisher of topic {} threw: {}", producer.topic.name, error.what());
+  } catch (...) {
+    logger.error("a callback of the publisher of topic {} threw", producer.topic.name);
+  }
+}
+
+void Connection::report(const std::shared_ptr<Producer>& producer) {
+  while (producer->reporting) changed.wait(server->mutex);
   if (std::exchange(producer->in_report, false)) std::erase(to_report, producer);
   const std::vector<Producer::Event> events = std::exchange(producer->events, {});
   const bool writable = std::exchange(producer->writable_due, false);
   if (events.empty() && !writable) return;
   producer->reporting = true;
-  lock.unlock();
-  try {
-    for (const auto& event : events) producer->options.on_outcome(event.number, event.outcome, event.reason);
-    if (writable && producer->options.on_writable) producer->options.on_writable();
-  } catch (const std::exception& error) {
-    logger.error("a callback of the publisher of topic {} threw: {}", producer->topic.name, error.what());
-  } catch (...) {
-    logger.error("a callback of the publisher of topic {} threw", producer->topic.name);
+  {
+    const config::Unlocked unlocked(server->mutex);
+    call_back(*producer, events, writable);
   }
-  lock.lock();
   producer->reporting = false;
   producer->pending -= events.size();
   changed.notify_all();

@@ -1,19 +1,18 @@
 #pragma once
 
-#include <condition_variable>
 #include <deque>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include "iotcloud/brokers/embedded/server_state.h"
 #include "iotcloud/brokers/meters.h"
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers::embedded {
 
-/// A consumer together with what runs for it: settles deliveries and owns the handler.
+/// A subscription: a consumer of the server with its handler, which also settles the handler's deliveries.
 class Reader final : public Settler, public Consumer, public std::enable_shared_from_this<Reader> {
  public:
   Reader(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> owner, Handler handler_to_run);
@@ -26,47 +25,53 @@ class Reader final : public Settler, public Consumer, public std::enable_shared_
   const std::shared_ptr<Connection> owner_;
 };
 
-/// One broker object's link to the server, with the one thread that runs its handlers and reports its outcomes.
+/// A broker object's connection to the server, with the one thread that runs its handlers and reports its outcomes.
 class Connection : public std::enable_shared_from_this<Connection> {
  public:
   Connection(std::shared_ptr<ServerState> server, const config::Clock& clock, Meters meters);
-  /// The thread must have been joined: close().
+  /// \pre close() was called.
   ~Connection() = default;
+  /// Joins the server and starts the thread.
   void open();
+  /// Joins the thread and leaves the server.
   void close();
 
-  /// Ends the thread's sleep. Thread safe.
+  /// Wakes the thread. Thread safe.
   void wake();
   bool on_own_thread() const { return std::this_thread::get_id() == thread_.get_id(); }
-
-  /// Calls the callbacks of one producer on the calling thread; `lock` holds the server's mutex and is released
-  /// meanwhile. Waits when another thread does so already.
-  void report(const std::shared_ptr<Producer>& producer, std::unique_lock<std::mutex>& lock);
 
   const std::shared_ptr<ServerState> server;
   const config::Clock& clock;
   Meters meters;
 
-  // Guarded by the server's mutex.
-  std::vector<std::shared_ptr<Reader>> consumers;
-  std::deque<std::shared_ptr<Consumer>> ready;  ///< those with something to take
-  std::vector<Producer*> producers;
-  std::deque<std::shared_ptr<Producer>> to_report;
-  std::vector<Producer*> timed;     ///< producers with messages that wait and grow old
-  std::condition_variable changed;  ///< a handler or a callback ended, an outcome was reported
-  bool sleeping = false;
+  /// For code that holds the server's mutex under another name. Does nothing at run time.
+  void assert_held() const IOTCLOUD_ASSERT_CAPABILITY(server->mutex) {}
+  /// Calls one producer's callbacks on the calling thread. The server's mutex is released during the calls. If another
+  /// thread calls this producer's callbacks already, waits until it has done so.
+  void report(const std::shared_ptr<Producer>& producer) IOTCLOUD_REQUIRES(server->mutex);
+
+  std::vector<std::shared_ptr<Reader>> consumers IOTCLOUD_GUARDED_BY(server->mutex);
+  std::deque<std::shared_ptr<Consumer>> ready IOTCLOUD_GUARDED_BY(server->mutex);  ///< consumers with messages to take
+  std::vector<Producer*> producers IOTCLOUD_GUARDED_BY(server->mutex);
+  std::deque<std::shared_ptr<Producer>> to_report IOTCLOUD_GUARDED_BY(server->mutex);
+  /// Producers whose waiting messages have a deadline.
+  std::vector<Producer*> timed IOTCLOUD_GUARDED_BY(server->mutex);
+  config::ConditionVariable changed;  ///< signals that a handler or callback ended, or that an outcome was reported
+  /// The thread waits in sleep(), so it must be woken for work.
+  bool sleeping IOTCLOUD_GUARDED_BY(server->mutex) = false;
 
  private:
   void run();
-  bool deliver_next(std::unique_lock<std::mutex>& lock);
+  bool deliver_next() IOTCLOUD_REQUIRES(server->mutex);
+  static void call_back(const Producer& producer, const std::vector<Producer::Event>& events, bool writable);
   void run_handler(const std::shared_ptr<Reader>& reader, Stored stored, std::uint64_t tag);
-  std::optional<Instant> next_deadline(Instant now);
+  std::optional<Instant> next_deadline(Instant now) IOTCLOUD_REQUIRES(server->mutex);
   void sleep(std::optional<Instant> until);
 
-  bool closing_ = false;  ///< guarded by the server's mutex
-  std::mutex sleep_mutex_;
-  std::condition_variable sleep_over_;
-  bool woken_ = false;  ///< guarded by sleep_mutex_
+  bool closing_ IOTCLOUD_GUARDED_BY(server->mutex) = false;
+  config::Mutex sleep_mutex_;
+  config::ConditionVariable sleep_over_;
+  bool woken_ IOTCLOUD_GUARDED_BY(sleep_mutex_) = false;
   std::thread thread_;
 };
 

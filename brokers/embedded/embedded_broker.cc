@@ -19,7 +19,7 @@ class EmbeddedPublisher final : public Publisher {
     producer_->options = options;
     producer_->options.capacity = std::max<std::size_t>(options.capacity, 1);
     producer_->connection = connection_.get();
-    const std::lock_guard lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
     producer_->route = server_.route(topic.name);
     connection_->producers.push_back(producer_.get());
     if (options.own_queue) server_.make_own_queue(topic, connection_->clock.now());
@@ -27,7 +27,7 @@ class EmbeddedPublisher final : public Publisher {
 
   ~EmbeddedPublisher() override {
     WakeList wake;
-    std::unique_lock lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
     producer_->closed = true;
     producer_->wants_writable = producer_->writable_due = false;
     for (const auto& waiting : producer_->waiting) {
@@ -35,40 +35,41 @@ class EmbeddedPublisher final : public Publisher {
     }
     producer_->waiting.clear();
     std::erase(producer_->route->waiting, producer_.get());
-    if (!connection_->on_own_thread() || !producer_->reporting) connection_->report(producer_, lock);
+    if (!connection_->on_own_thread() || !producer_->reporting) connection_->report(producer_);
     std::erase(connection_->producers, producer_.get());
     std::erase(connection_->timed, producer_.get());
   }
 
-  PublishStatus publish(Message message) override { return publish_again(std::move(message), {}); }
+  Published publish(Message message) override { return publish_again(std::move(message), {}); }
 
-  PublishStatus publish_again(Message message, const Past& past) override {
+  Published publish_again(Message message, const Past& past) override {
     WakeList wake;
-    const std::lock_guard lock(server_.mutex);
-    if (producer_->closed) return PublishStatus::closed;
+    const config::MutexLock lock(server_.mutex);
+    if (producer_->closed) return {PublishStatus::closed};
     const Instant now = connection_->clock.now();
     server_.expire(*producer_, now, wake);
     if (const char* why = refusal(message)) {
       accept();
       server_.settle(*producer_, producer_->last_number, Outcome::refused, why, wake);
-      return PublishStatus::accepted;
+      return {PublishStatus::accepted, producer_->last_number};
     }
     Producer::Waiting waiting{std::move(message), producer_->last_number + 1, now - past.age, past.possibly_sent};
     if (producer_->waiting.empty() && server_.deliver(*producer_->route, waiting, producer_->options, now, wake)) {
       accept();
       server_.settle(*producer_, producer_->last_number, Outcome::confirmed, "", wake);
-      return PublishStatus::accepted;
+      return {PublishStatus::accepted, producer_->last_number};
     }
     return wait(std::move(waiting), wake);
   }
 
   bool drain(std::chrono::milliseconds limit) override {
     const auto end = std::chrono::steady_clock::now() + limit;
-    std::unique_lock lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
+    connection_->assert_held();
     while (producer_->pending > 0) {
       if (!producer_->events.empty() && !producer_->reporting) {
-        connection_->report(producer_, lock);
-      } else if (connection_->changed.wait_until(lock, end) == std::cv_status::timeout) {
+        connection_->report(producer_);
+      } else if (connection_->changed.wait_until(server_.mutex, end) == std::cv_status::timeout) {
         return producer_->pending == 0;
       }
     }
@@ -76,22 +77,22 @@ class EmbeddedPublisher final : public Publisher {
   }
 
   std::size_t pending() const override {
-    const std::lock_guard lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
     return producer_->pending;
   }
 
  private:
-  void accept() {
+  void accept() IOTCLOUD_REQUIRES(server_.mutex) {
     ++producer_->last_number;
     ++producer_->pending;
   }
 
-  /// The server cannot take it now: it waits here, under the channel's own policy.
-  PublishStatus wait(Producer::Waiting waiting, WakeList& wake) {
+  /// Keeps a message that the server cannot take now, or refuses or replaces one, as `when_full` says.
+  Published wait(Producer::Waiting waiting, WakeList& wake) IOTCLOUD_REQUIRES(server_.mutex) {
     if (producer_->waiting.size() >= producer_->options.capacity) {
       if (producer_->options.when_full == WhenFull::block) {
         producer_->wants_writable = true;
-        return PublishStatus::would_block;
+        return {PublishStatus::would_block};
       }
       const bool unread = server_.running() && producer_->route->queues.empty();
       server_.settle(*producer_, producer_->waiting.front().number, Outcome::dropped,
@@ -103,13 +104,14 @@ class EmbeddedPublisher final : public Publisher {
       if (std::find(all.begin(), all.end(), producer_.get()) == all.end()) all.push_back(producer_.get());
       if (producer_->options.deadline.count() > 0 && !producer_->timed) {
         producer_->timed = true;
+        connection_->assert_held();
         connection_->timed.push_back(producer_.get());
-        wake.add(*connection_);  // it must know when to wake up
+        wake.add(*connection_);  // so that its thread wakes up for the deadline
       }
     }
     accept();
     producer_->waiting.push_back(std::move(waiting));
-    return PublishStatus::accepted;
+    return {PublishStatus::accepted, producer_->last_number};
   }
 
   const std::shared_ptr<Connection> connection_;
@@ -128,7 +130,7 @@ class EmbeddedSubscription final : public Subscription {
     reader_->options = options;
     reader_->connection = connection_.get();
     WakeList wake;
-    const std::lock_guard lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
     connection_->consumers.push_back(reader_);
     server_.attach(reader_, connection_->clock.now(), wake);
   }
@@ -136,31 +138,31 @@ class EmbeddedSubscription final : public Subscription {
   ~EmbeddedSubscription() override {
     {
       WakeList wake;
-      const std::lock_guard lock(server_.mutex);
+      const config::MutexLock lock(server_.mutex);
       reader_->closed = true;
       server_.detach(*reader_, connection_->clock.now(), wake);
       std::erase(connection_->consumers, reader_);
     }
-    std::unique_lock lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
     if (!connection_->on_own_thread()) {
-      connection_->changed.wait(lock, [&] { return !reader_->running; });
+      while (reader_->running) connection_->changed.wait(server_.mutex);
     }
   }
 
   void pause() override {
-    const std::lock_guard lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
     reader_->paused = true;
   }
 
   void resume() override {
     WakeList wake;
-    const std::lock_guard lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
     reader_->paused = false;
     server_.poke(reader_, wake);
   }
 
   bool active() const override {
-    const std::lock_guard lock(server_.mutex);
+    const config::MutexLock lock(server_.mutex);
     return reader_->active;
   }
 
@@ -190,7 +192,7 @@ class EmbeddedBroker final : public Broker {
                                                   dead_letters_.guard(topic, options, std::move(handler)));
   }
   ConnectionState state() const override {
-    const std::lock_guard lock(connection_->server->mutex);
+    const config::MutexLock lock(connection_->server->mutex);
     return connection_->server->running() ? ConnectionState::connected : ConnectionState::connecting;
   }
   const std::string& url() const override { return url_; }
@@ -198,7 +200,7 @@ class EmbeddedBroker final : public Broker {
  private:
   const std::string url_;
   const std::shared_ptr<Connection> connection_;
-  DeadLetters dead_letters_{*this};  ///< its publishers die before the connection
+  DeadLetters dead_letters_{*this};  ///< destroyed before the connection, with its publishers
 };
 
 }  // namespace

@@ -8,7 +8,7 @@
 
 namespace iotcloud::brokers::embedded {
 
-/// A broker of the in-process server that the first URL names (see server.h).
+/// Makes a broker on the in-process server that the first URL names (see server.h).
 std::unique_ptr<Broker> make_embedded_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls);
 
 }  // namespace iotcloud::brokers::embedded

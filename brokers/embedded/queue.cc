@@ -5,7 +5,7 @@
 namespace iotcloud::brokers::embedded {
 namespace {
 
-/// What a message costs: its payload and an estimate of the rest.
+/// How many bytes of queue_bytes_limit a message counts for: its payload and an estimate for the rest.
 std::size_t cost(const Stored& stored) {
   return stored.message.payload.size() + 256;
 }

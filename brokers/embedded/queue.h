@@ -22,23 +22,23 @@ class Connection;
 /// A message in a queue.
 struct Stored {
   Message message;
-  std::uint64_t sequence = 0;      ///< its place in the queue; kept when it comes back
-  std::optional<Instant> expires;  ///< worthless from then on
+  std::uint64_t sequence = 0;      ///< its place in the queue, which it keeps when it is put back
+  std::optional<Instant> expires;  ///< when it is dropped; nullopt: never
   bool redelivered = false;
-  std::uint32_t tries = 0;  ///< how often the reader that has it was handed it
+  std::uint32_t tries = 0;  ///< how often its current reader got it
 };
 
-/// The server's side of one subscription. Guarded by the server's mutex, constants apart.
+/// The server's side of one subscription. Guarded by the server's mutex, except constants.
 struct Consumer {
   Topic topic;
   SubscriptionOptions options;
-  Connection* connection = nullptr;  ///< outlives it
+  Connection* connection = nullptr;  ///< must outlive the consumer
 
   std::shared_ptr<Queue> queue;  ///< null while the server is away
-  bool active = false;           ///< reads; false: another holds the queue exclusively, or the server is away
+  bool active = false;           ///< gets messages; false: exclusivity forbids it, or the server is away
   bool paused = false;
   bool closed = false;
-  bool in_ready = false;  ///< stands in its connection's list of those with something to do
+  bool in_ready = false;  ///< is in Connection::ready
   bool running = false;   ///< its handler runs
   std::uint64_t last_tag = 0;
   std::map<std::uint64_t, Stored> unsettled;  ///< by tag
@@ -46,7 +46,7 @@ struct Consumer {
   bool can_take() const;
 };
 
-/// One queue with its readers. No locks: guarded by the server's mutex.
+/// One queue with its readers. Has no lock: guarded by the server's mutex.
 class Queue {
  public:
   Queue(std::string name, bool durable, Instant made = {})
@@ -58,21 +58,21 @@ class Queue {
   std::size_t bytes() const { return bytes_; }
   bool has_readers() const { return !readers_.empty(); }
   Instant unused_since() const { return unused_since_; }
-  /// All readers, in the order they came; those that are not active stand by.
+  /// All readers, oldest first. Inactive ones wait to take over.
   const std::vector<std::shared_ptr<Consumer>>& readers() const { return readers_; }
 
   /// Appends a message.
   void push(Message message, std::optional<Instant> expires, bool possibly_redelivered = false);
   /// Puts a message back in its old place.
   void put_back(Stored stored);
-  /// The oldest that is still worth something; nullopt when there is none.
+  /// Takes the oldest message that has not expired; nullopt if there is none.
   std::optional<Stored> pop(Instant now);
-  /// Drops the oldest until `keep` are left. \return how many went.
+  /// Drops the oldest messages until `keep` are left. \return how many it dropped.
   std::size_t trim(std::size_t keep);
-  /// Messages that are handed out and unsettled.
+  /// Messages that readers have and have not settled.
   std::size_t unsettled() const;
 
-  /// Adds a reader; it becomes active unless exclusivity (its own or another's) forbids.
+  /// Adds a reader, which becomes active unless its own or another's exclusivity forbids it.
   void attach(const std::shared_ptr<Consumer>& consumer);
   /// Removes a reader, puts its unsettled messages back and lets the next one take over.
   void detach(Consumer& consumer, Instant now);
@@ -85,7 +85,7 @@ class Queue {
   std::deque<Stored> items_;  ///< ascending in `sequence`
   std::size_t bytes_ = 0;
   std::uint64_t last_sequence_ = 0;
-  std::vector<std::shared_ptr<Consumer>> readers_;  ///< in the order they came
+  std::vector<std::shared_ptr<Consumer>> readers_;  ///< oldest first
   Instant unused_since_{};
 };
 

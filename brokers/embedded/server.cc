@@ -13,6 +13,7 @@ WakeList::~WakeList() {
 }
 
 void WakeList::add(Connection& connection) {
+  connection.assert_held();
   if (!connection.sleeping) return;
   connection.sleeping = false;
   if (!first_) {
@@ -41,6 +42,7 @@ void ServerState::stop(WakeList& wake) {
   if (!running_) return;
   running_ = false;
   for (Connection* connection : connections_) {
+    connection->assert_held();
     for (const auto& consumer : connection->consumers) {
       if (!consumer->queue) continue;
       consumer->queue->detach(*consumer, connection->clock.now());
@@ -58,9 +60,11 @@ void ServerState::start(WakeList& wake) {
   if (running_) return;
   running_ = true;
   for (Connection* connection : connections_) {
+    connection->assert_held();
     for (const auto& consumer : connection->consumers) attach(consumer, connection->clock.now(), wake);
   }
   for (Connection* connection : connections_) {
+    connection->assert_held();
     for (Producer* producer : connection->producers) {
       if (producer->options.own_queue) make_own_queue(producer->topic, connection->clock.now());
       flush(*producer, connection->clock.now(), wake);
@@ -70,6 +74,7 @@ void ServerState::start(WakeList& wake) {
 
 void ServerState::remove_idle(Route& route, Instant now) {
   std::erase_if(route.queues, [&](const std::shared_ptr<Queue>& queue) {
+    mutex.assert_held();
     const bool idle = !queue->durable() && !queue->has_readers() && now - queue->unused_since() > idle_queue_limit;
     if (idle) queues_.erase(queue->name());
     return idle;
@@ -80,6 +85,7 @@ void ServerState::sweep(Instant now) {
   if (now - last_sweep_ < idle_queue_limit) return;
   last_sweep_ = now;
   std::erase_if(routes_, [&](const auto& entry) {
+    mutex.assert_held();
     remove_idle(*entry.second, now);
     return entry.second->queues.empty() && entry.second.use_count() == 1;  // no publisher holds it
   });
@@ -144,13 +150,14 @@ void ServerState::settle(Producer& producer, std::uint64_t number, Outcome outco
   }
   if (!producer.in_report) {
     producer.in_report = true;
+    producer.connection->assert_held();
     producer.connection->to_report.push_back(producer.shared_from_this());
   }
   wake.add(*producer.connection);
 }
 
 void ServerState::flush_waiting(Route& route, Instant now, WakeList& wake) {
-  const std::vector<Producer*> waiting = route.waiting;  // flush() takes those out that are done
+  const std::vector<Producer*> waiting = route.waiting;  // a copy, because flush() removes producers that are done
   for (Producer* producer : waiting) flush(*producer, now, wake);
 }
 
@@ -162,7 +169,7 @@ void ServerState::flush_topics_of(const Queue& queue, Instant now, WakeList& wak
   }
 }
 
-/// Makes the queue unless it is there, and binds it to the topic.
+/// Makes the queue if it does not exist, and binds it to the topic.
 std::shared_ptr<Queue> ServerState::bound_queue(const std::string& name, const Topic& topic, Instant now) {
   auto& queue = queues_[name];
   if (!queue) queue = std::make_shared<Queue>(name, topic.durable, now);
@@ -207,14 +214,15 @@ void ServerState::poke(Queue& queue, WakeList& wake) {
 void ServerState::poke(const std::shared_ptr<Consumer>& consumer, WakeList& wake) {
   if (consumer->in_ready || !consumer->can_take()) return;
   consumer->in_ready = true;
+  consumer->connection->assert_held();
   consumer->connection->ready.push_back(consumer);
   wake.add(*consumer->connection);
 }
 
 Server Server::named(const std::string& name) {
-  static std::mutex mutex;
+  static config::Mutex mutex;
   static std::map<std::string, std::weak_ptr<ServerState>> servers;
-  const std::lock_guard lock(mutex);
+  const config::MutexLock lock(mutex);
   std::erase_if(servers, [](const auto& entry) { return entry.second.expired(); });
   auto& known = servers[name];
   std::shared_ptr<ServerState> state = known.lock();
@@ -223,24 +231,24 @@ Server Server::named(const std::string& name) {
 }
 
 void Server::stop() {
-  WakeList wake;  // before the lock: it wakes after the lock is gone
-  const std::lock_guard lock(state_->mutex);
+  WakeList wake;  // declared before the lock, so that it wakes threads after the lock is released
+  const config::MutexLock lock(state_->mutex);
   state_->stop(wake);
 }
 
 void Server::start() {
   WakeList wake;
-  const std::lock_guard lock(state_->mutex);
+  const config::MutexLock lock(state_->mutex);
   state_->start(wake);
 }
 
 bool Server::running() const {
-  const std::lock_guard lock(state_->mutex);
+  const config::MutexLock lock(state_->mutex);
   return state_->running();
 }
 
 std::size_t Server::depth(const std::string& topic, const std::string& group) const {
-  const std::lock_guard lock(state_->mutex);
+  const config::MutexLock lock(state_->mutex);
   const Queue* queue = state_->find(queue_name(topic, group));
   return queue == nullptr ? 0 : queue->size() + queue->unsettled();
 }

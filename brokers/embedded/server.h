@@ -7,19 +7,20 @@ namespace iotcloud::brokers::embedded {
 
 class ServerState;
 
-/// The in-process broker behind all "embedded://NAME" of one name: its queues live as long as any broker, or this
-/// handle, uses them. Tests hold a handle to take the server away and bring it back. Thread safe.
+/// A handle on the in-process broker that all "embedded://NAME" URLs of one name share. The broker and its queues live
+/// as long as a handle or a Broker object uses them. Tests hold a handle to stop the server and start it again. Thread
+/// safe.
 class Server {
  public:
-  /// The server of that name in this process; made, and running, when nobody uses one yet.
+  /// The server of that name in this process; makes a running one if there is none.
   static Server named(const std::string& name);
 
-  /// As SIGKILL to a real one: connections are lost at once, with them what was under way; only durable topics keep
-  /// their queues. Brokers wait and come back by themselves after start().
+  /// Acts like SIGKILL on a real server: connections are lost at once, and only durable topics keep their queues.
+  /// Unsettled messages go back to their queues. Broker objects wait, and reconnect after start().
   void stop();
   void start();
   bool running() const;
-  /// Messages that wait in the queue of `topic` and `group`, those handed out but unsettled included.
+  /// The number of messages in the queue of `topic` and `group`, including unsettled ones.
   std::size_t depth(const std::string& topic, const std::string& group) const;
 
   /// For the broker objects of this process.

@@ -4,34 +4,34 @@
 #include <deque>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <vector>
 
 #include "iotcloud/brokers/embedded/queue.h"
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers::embedded {
 
-/// Queues of non-durable topics that nobody has read for this long vanish (as in RabbitMQ).
+/// The queue of a non-durable topic is removed when it has had no reader for this long (as in RabbitMQ).
 inline constexpr std::chrono::seconds idle_queue_limit{60};
-/// A queue that holds more than this takes no more: publishers wait, each under its own policy.
+/// A queue with more bytes than this takes no more messages: messages wait at their publishers, as `when_full` says.
 inline constexpr std::size_t queue_bytes_limit = std::size_t{256} << 20;
 
 struct Producer;
 
-/// Where messages of one topic go.
+/// The queues of one topic.
 struct Route {
   std::vector<std::shared_ptr<Queue>> queues;
-  std::vector<Producer*> waiting;  ///< producers with messages that could not be routed yet
+  std::vector<Producer*> waiting;  ///< producers with messages that could not be delivered yet
 };
 
-/// The server's side of one publisher. Guarded by the server's mutex, constants apart.
+/// The server's side of one publisher. Guarded by the server's mutex, except constants.
 struct Producer : std::enable_shared_from_this<Producer> {
   struct Waiting {
     Message message;
     std::uint64_t number = 0;
     Instant accepted;
-    bool old = false;  ///< an earlier process may have sent it
+    bool old = false;  ///< an earlier process may have sent it already
   };
   struct Event {
     std::uint64_t number = 0;
@@ -41,87 +41,91 @@ struct Producer : std::enable_shared_from_this<Producer> {
 
   Topic topic;
   PublisherOptions options;
-  Connection* connection = nullptr;  ///< outlives it
+  Connection* connection = nullptr;  ///< must outlive the producer
 
   std::shared_ptr<Route> route;
   std::deque<Waiting> waiting;
-  std::vector<Event> events;  ///< outcomes that on_outcome has not seen yet
+  std::vector<Event> events;  ///< outcomes to report to on_outcome
   std::uint64_t last_number = 0;
-  std::size_t pending = 0;      ///< accepted, outcome not reported yet
-  bool wants_writable = false;  ///< said would_block
-  bool writable_due = false;    ///< on_writable is to be called
-  bool in_report = false;       ///< stands in its connection's list of producers with something to report
+  std::size_t pending = 0;      ///< accepted messages whose outcome was not reported yet
+  bool wants_writable = false;  ///< publish() answered would_block
+  bool writable_due = false;    ///< on_writable must be called
+  bool in_report = false;       ///< is in Connection::to_report
   bool reporting = false;       ///< a thread is calling its callbacks
-  bool timed = false;           ///< stands in its connection's list of producers whose messages grow old
+  bool timed = false;           ///< is in Connection::timed
   bool closed = false;
 };
 
-/// Connections to wake once the server's mutex is released: a thread that is woken while it is held would only run into
-/// it and sleep again.
+/// Collects connections, and wakes their threads when it is destroyed. Declare it before the lock of the server's
+/// mutex: a thread that is woken before the mutex is released would only block on it.
 class WakeList {
  public:
   WakeList() = default;
   WakeList(const WakeList&) = delete;
   WakeList& operator=(const WakeList&) = delete;
   ~WakeList();
-  /// Only connections whose thread sleeps are noted. The server's mutex is held.
+  /// Adds a connection if its thread sleeps. The caller holds the server's mutex.
   void add(Connection& connection);
 
  private:
-  std::shared_ptr<Connection> first_;  ///< the usual case, without an allocation
+  std::shared_ptr<Connection> first_;  ///< one connection is the usual case, which needs no allocation
   std::vector<std::shared_ptr<Connection>> others_;
 };
 
-/// All that stands behind one "embedded://NAME". `mutex` guards everything; functions that take a WakeList need it
-/// held.
+/// The server behind one "embedded://NAME". `mutex` also guards its connections, producers, consumers and queues.
 class ServerState {
  public:
-  std::mutex mutex;
+  config::Mutex mutex;
 
-  bool running() const { return running_; }
-  void stop(WakeList& wake);
-  void start(WakeList& wake);
-  void join(Connection& connection) { connections_.push_back(&connection); }
-  void leave(Connection& connection) { std::erase(connections_, &connection); }
+  bool running() const IOTCLOUD_REQUIRES(mutex) { return running_; }
+  void stop(WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  void start(WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  void join(Connection& connection) IOTCLOUD_REQUIRES(mutex) { connections_.push_back(&connection); }
+  void leave(Connection& connection) IOTCLOUD_REQUIRES(mutex) { std::erase(connections_, &connection); }
 
-  std::shared_ptr<Route> route(const std::string& topic);
-  /// The queue of a publisher with PublisherOptions::own_queue, now or when the server starts.
-  void make_own_queue(const Topic& topic, Instant now);
-  /// Gives one message to all queues bound to the route. \return false when there is none, one is full, or the server
-  /// is away; the message is untouched then.
-  bool deliver(Route& route, Producer::Waiting& waiting, const PublisherOptions& options, Instant now, WakeList& wake);
-  /// Hands over what waits at this producer, as far as it goes.
-  void flush(Producer& producer, Instant now, WakeList& wake);
-  /// Drops what waits at this producer beyond its deadline.
-  void expire(Producer& producer, Instant now, WakeList& wake);
-  /// Notes an outcome, to be reported by the producer's connection.
-  void settle(Producer& producer, std::uint64_t number, Outcome outcome, const char* reason, WakeList& wake);
+  std::shared_ptr<Route> route(const std::string& topic) IOTCLOUD_REQUIRES(mutex);
+  /// Makes the queue of a publisher with PublisherOptions::own_queue, now or when the server starts.
+  void make_own_queue(const Topic& topic, Instant now) IOTCLOUD_REQUIRES(mutex);
+  /// Gives one message to all queues of the route. \return false if there is no queue, one is full, or the server is
+  /// away; the message is then unchanged.
+  bool deliver(Route& route, Producer::Waiting& waiting, const PublisherOptions& options, Instant now, WakeList& wake)
+      IOTCLOUD_REQUIRES(mutex);
+  /// Delivers this producer's waiting messages, as many as possible.
+  void flush(Producer& producer, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  /// Drops this producer's waiting messages that are past their deadline, or fenced (PublisherOptions::void_before).
+  void expire(Producer& producer, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  /// Records an outcome, which the thread of the producer's connection reports.
+  void settle(Producer& producer, std::uint64_t number, Outcome outcome, const char* reason, WakeList& wake)
+      IOTCLOUD_REQUIRES(mutex);
 
-  void attach(const std::shared_ptr<Consumer>& consumer, Instant now, WakeList& wake);
-  void detach(Consumer& consumer, Instant now, WakeList& wake);
-  /// Takes the next message for a consumer that can take one; nullopt when all that waited had expired.
-  std::optional<Stored> take(Consumer& consumer, Instant now, WakeList& wake, std::size_t& conflated);
-  /// Lets the readers of a queue know that there is something for them.
-  void poke(Queue& queue, WakeList& wake);
-  void poke(const std::shared_ptr<Consumer>& consumer, WakeList& wake);
-  const Queue* find(const std::string& queue_name) const;
-  /// Forgets queues that nobody uses any more and topics without queues and publishers; now and then.
-  void sweep(Instant now);
+  void attach(const std::shared_ptr<Consumer>& consumer, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  void detach(Consumer& consumer, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  /// Takes the next message for a consumer that can take one; nullopt if all waiting messages had expired. \param
+  /// conflated set to the number of messages that keep_last dropped.
+  std::optional<Stored> take(Consumer& consumer, Instant now, WakeList& wake, std::size_t& conflated)
+      IOTCLOUD_REQUIRES(mutex);
+  /// Puts the readers of a queue that can take messages on their connections' list `ready`, and wakes those
+  /// connections.
+  void poke(Queue& queue, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  void poke(const std::shared_ptr<Consumer>& consumer, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  const Queue* find(const std::string& queue_name) const IOTCLOUD_REQUIRES(mutex);
+  /// Removes idle queues, and topics without queues and publishers; does nothing if it did so within idle_queue_limit.
+  void sweep(Instant now) IOTCLOUD_REQUIRES(mutex);
 
  private:
-  std::shared_ptr<Queue> bound_queue(const std::string& name, const Topic& topic, Instant now);
-  void flush_waiting(Route& route, Instant now, WakeList& wake);
-  void flush_topics_of(const Queue& queue, Instant now, WakeList& wake);
-  void remove_idle(Route& route, Instant now);
+  std::shared_ptr<Queue> bound_queue(const std::string& name, const Topic& topic, Instant now) IOTCLOUD_REQUIRES(mutex);
+  void flush_waiting(Route& route, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  void flush_topics_of(const Queue& queue, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  void remove_idle(Route& route, Instant now) IOTCLOUD_REQUIRES(mutex);
 
-  bool running_ = true;
-  std::vector<Connection*> connections_;
-  std::map<std::string, std::shared_ptr<Queue>> queues_;
-  std::map<std::string, std::shared_ptr<Route>> routes_;  ///< by topic
-  Instant last_sweep_{};
+  bool running_ IOTCLOUD_GUARDED_BY(mutex) = true;
+  std::vector<Connection*> connections_ IOTCLOUD_GUARDED_BY(mutex);
+  std::map<std::string, std::shared_ptr<Queue>> queues_ IOTCLOUD_GUARDED_BY(mutex);
+  std::map<std::string, std::shared_ptr<Route>> routes_ IOTCLOUD_GUARDED_BY(mutex);  ///< by topic
+  Instant last_sweep_ IOTCLOUD_GUARDED_BY(mutex){};
 };
 
-/// The queue that a group reads: `<topic>.<group>`, or the topic's own.
+/// The name of a group's queue: `<topic>.<group>`; for an empty group that of the topic's own queue, `<topic>`.
 std::string queue_name(const std::string& topic, const std::string& group);
 
 }  // namespace iotcloud::brokers::embedded

@@ -8,16 +8,15 @@
 #include <fmt/core.h>
 
 #include "iotcloud/brokers/credentials.h"
+#include <iotcloud/brokers/kafka/logger.h>
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/log.h>
 
 namespace iotcloud::brokers::kafka {
 namespace {
 
-const config::Logger logger{"brokers.kafka"};
-
 constexpr int default_port = 9092;
-constexpr std::chrono::milliseconds refresh_period{500};  // of user and password, while nobody lets us in
+// How often user and password are read again while the servers refuse them.
+constexpr std::chrono::milliseconds refresh_period{500};
 
 int number_of(const std::string& name, const std::string& value, int smallest, int largest) {
   int number = 0;
@@ -60,7 +59,7 @@ Settings common_settings(const KafkaOptions& options) {
       {"message.max.bytes", std::to_string(options.max_message_bytes)},
       {"receive.message.max.bytes", std::to_string(std::max(100'000'000, 2 * options.max_message_bytes))},
       {"topic.metadata.refresh.fast.interval.ms", "100"},
-      // A topic or partition that is made later is seen within so long.
+      // Within this time the library notices new topics and partitions.
       {"topic.metadata.refresh.interval.ms", "5000"},
   };
   const Credentials credentials = credentials_for(options.broker, options.urls.front());
@@ -80,7 +79,7 @@ Settings common_settings(const KafkaOptions& options) {
   return settings;
 }
 
-/// What the library says itself is for debugging: the links say what users need to know, once.
+/// The library's own log lines are for debugging; producer and groups log what users need to know, once.
 void on_log(const rd_kafka_t*, int, const char* facility, const char* text) {
   logger.debug("{}: {}", facility, text);
 }
@@ -123,7 +122,7 @@ Client::Client(rd_kafka_type_t type, const KafkaOptions& options, const Settings
   for (const auto& [name, value] : all) {
     if (rd_kafka_conf_set(conf.get(), name.c_str(), value.c_str(), problem.data(), problem.size()) !=
         RD_KAFKA_CONF_OK) {
-      // The library's own words could hold the value.
+      // The library's own message could contain the value.
       throw ClientError("librdkafka does not take the setting " + name);
     }
   }
@@ -131,16 +130,17 @@ Client::Client(rd_kafka_type_t type, const KafkaOptions& options, const Settings
   rd_kafka_conf_set_events(conf.get(), events);
   handle_ = rd_kafka_new(type, conf.get(), problem.data(), problem.size());
   if (handle_ == nullptr) throw ClientError(problem.data());
-  static_cast<void>(conf.release());  // it is the handle's now
+  static_cast<void>(conf.release());  // the handle owns it now
 }
 
 Client::~Client() {
-  // A consumer was closed by its group, or is to vanish as it is.
+  // Without closing the consumer: Group has done that, unless it must vanish without leaving the group.
   rd_kafka_destroy_flags(handle_, RD_KAFKA_DESTROY_F_NO_CONSUMER_CLOSE);
 }
 
 bool Client::connected() const {
-  // Given no time it sends a request if it can, and does not wait for the answer: a server may be far away.
+  // With a time-out of zero the call sends a request if it can, and does not wait for the answer, which may take long
+  // from a distant server.
   const rd_kafka_metadata_t* metadata = nullptr;
   const rd_kafka_resp_err_t error = rd_kafka_metadata(handle_, 0, nullptr, &metadata, 0);
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR) rd_kafka_metadata_destroy(metadata);
@@ -169,17 +169,18 @@ void Client::refresh_credentials(const KafkaOptions& options) {
     if (credentials.user.empty()) return;
     if (rd_kafka_error_t* error =
             rd_kafka_sasl_set_credentials(handle_, credentials.user.c_str(), credentials.password.c_str())) {
-      rd_kafka_error_destroy(error);  // the old ones go on being tried
+      rd_kafka_error_destroy(error);  // the library keeps trying the old credentials
     }
   } catch (const config::Error& error) {
-    logger.debug("{}", error.what());  // the old ones go on being tried, and the log says that in vain
+    // The library keeps trying the old credentials, whose failure is logged elsewhere.
+    logger.debug("{}", error.what());
   }
 }
 
 std::string lasting_words(rd_kafka_event_t* event) {
   std::string words = rd_kafka_event_error_string(event);
   words.resize(std::min({words.size(), words.find(" (after "), words.find('\n')}));
-  // Of one handshake the library speaks in several ways; what OpenSSL said of it is in all of them.
+  // The library describes one handshake in several ways; OpenSSL's text is in all of them.
   constexpr std::string_view openssl = ":SSL routines::";
   const auto place = words.find(openssl);
   if (place == std::string::npos) return words;
@@ -238,8 +239,8 @@ std::vector<MadeTopic> made_topics(rd_kafka_event_t* event, const std::vector<st
       case RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED:
       case RD_KAFKA_RESP_ERR_POLICY_VIOLATION:
       case RD_KAFKA_RESP_ERR__UNSUPPORTED_FEATURE:
-      case RD_KAFKA_RESP_ERR__TIMED_OUT:  // no controller answers
-        // Others make topics here: it may be there already.
+      case RD_KAFKA_RESP_ERR__TIMED_OUT:  // the controller did not answer
+        // Ask later, because another client may have made the topic.
         return MadeTopic{std::move(name), true, text != nullptr ? text : rd_kafka_err2str(error)};
       default:
         return MadeTopic{std::move(name), false, text != nullptr ? text : rd_kafka_err2str(error)};

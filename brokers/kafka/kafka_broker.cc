@@ -3,16 +3,16 @@
 #include <algorithm>
 #include <cctype>
 #include <functional>
-#include <mutex>
 #include <utility>
 
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/kafka/client.h"
-#include "iotcloud/brokers/kafka/publish_link.h"
-#include "iotcloud/brokers/kafka/reading/consume_link.h"
+#include "iotcloud/brokers/kafka/producer.h"
+#include "iotcloud/brokers/kafka/reading/consumer_groups.h"
 #include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers::kafka {
 namespace {
@@ -30,40 +30,23 @@ void check_topic(const std::string& name) {
                       "give the gateway, the driver and the channel such names");
 }
 
-class KafkaPublisher final : public Publisher {
- public:
-  KafkaPublisher(PublishLink& link, const Topic& topic, const PublisherOptions& options)
-      : link_(link), outbox_(link.add(topic, options)) {}
-  ~KafkaPublisher() override { link_.remove(outbox_); }
-  PublishStatus publish(Message message) override { return link_.publish(outbox_, std::move(message)); }
-  PublishStatus publish_again(Message message, const Past& past) override {
-    return link_.publish(outbox_, std::move(message), past);
-  }
-  bool drain(std::chrono::milliseconds limit) override { return link_.drain(outbox_, limit); }
-  std::size_t pending() const override { return link_.pending(*outbox_); }
-
- private:
-  PublishLink& link_;
-  const std::shared_ptr<Outbox> outbox_;
-};
-
 class KafkaSubscription final : public Subscription {
  public:
-  /// \param leave called before the end
-  KafkaSubscription(ConsumeLink& link, const Topic& topic, const SubscriptionOptions& options, Handler handler,
+  /// \param leave called before the subscription ends
+  KafkaSubscription(ConsumerGroups& link, const Topic& topic, const SubscriptionOptions& options, Handler handler,
                     std::function<void()> leave)
-      : link_(link), inlet_(link.add(topic, options, std::move(handler))), leave_(std::move(leave)) {}
+      : link_(link), subscriber_(link.add(topic, options, std::move(handler))), leave_(std::move(leave)) {}
   ~KafkaSubscription() override {
     leave_();
-    link_.remove(inlet_);
+    link_.remove(subscriber_);
   }
-  void pause() override { link_.reader().pause(*inlet_); }
-  void resume() override { link_.reader().resume(*inlet_); }
-  bool active() const override { return link_.reader().active(*inlet_); }
+  void pause() override { link_.reader().pause(*subscriber_); }
+  void resume() override { link_.reader().resume(*subscriber_); }
+  bool active() const override { return link_.reader().active(*subscriber_); }
 
  private:
-  ConsumeLink& link_;
-  const std::shared_ptr<Inlet> inlet_;
+  ConsumerGroups& link_;
+  const std::shared_ptr<Subscriber> subscriber_;
   const std::function<void()> leave_;
 };
 
@@ -80,14 +63,14 @@ class KafkaBroker final : public Broker {
 
   std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
     check_topic(topic.name);
-    return std::make_unique<KafkaPublisher>(lane(options.priority).publishing, topic, options);
+    return std::make_unique<client::CorePublisher>(lane(options.priority).publishing.core(), topic, options);
   }
 
   std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
                                           Handler handler) override {
     check_topic(topic.name);
     SubscriptionOptions all = options;
-    // Kafka itself keeps nothing aside for a reader that rejects a message.
+    // Kafka has no dead letter queue of its own for rejected messages.
     if (all.dead_letter.empty() && !topic.name.ends_with(dead_letters_suffix)) {
       all.dead_letter = topic.name.substr(0, longest_name - dead_letters_suffix.size());
       all.dead_letter += dead_letters_suffix;
@@ -110,18 +93,18 @@ class KafkaBroker final : public Broker {
   const std::string& url() const override { return url_; }
 
  private:
-  /// Connections of their own.
+  /// Producer and groups with their own connections.
   struct Lane {
     explicit Lane(KafkaBroker& broker)
         : publishing(broker.options_, broker.meters_, broker.clock_, broker.log_),
           consuming(broker.options_, broker.meters_, broker.clock_, broker.log_) {}
-    PublishLink publishing;
-    ConsumeLink consuming;
+    Producer publishing;
+    ConsumerGroups consuming;
   };
 
   Lane& lane(std::uint8_t priority) {
     if (priority < urgent_priority) return normal_;
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (!urgent_) urgent_ = std::make_unique<Lane>(*this);
     return *urgent_;
   }
@@ -132,9 +115,9 @@ class KafkaBroker final : public Broker {
   const config::Clock& clock_;
   ConnectionLog log_;
   Lane normal_;
-  std::mutex mutex_;
-  std::unique_ptr<Lane> urgent_;     ///< made when it is first needed; guarded by mutex_, in its making
-  DeadLetters dead_letters_{*this};  ///< its publishers die before the connections
+  config::Mutex mutex_;
+  std::unique_ptr<Lane> urgent_ IOTCLOUD_GUARDED_BY(mutex_);  ///< for urgent channels; made when first needed
+  DeadLetters dead_letters_{*this};  ///< declared last, so that its publishers are destroyed before the connections
 };
 
 }  // namespace

@@ -8,8 +8,8 @@
 
 namespace iotcloud::brokers::kafka {
 
-/// A broker that speaks to Kafka; `urls` are options.urls, parsed: the servers to ask first.
-/// \throws config::Error for properties that make no sense.
+/// Makes a broker that speaks to Kafka; `urls` are the parsed options.urls: the servers to ask first.
+/// \throws config::Error for wrong properties.
 std::unique_ptr<Broker> make_kafka_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls);
 
 }  // namespace iotcloud::brokers::kafka

@@ -7,20 +7,23 @@
 #include <string_view>
 #include <utility>
 
+#include <iotcloud/brokers/limits.h>
+
 namespace iotcloud::brokers::kafka {
 namespace {
 
-// The words of the original system, as on RabbitMQ (REFERENCE.md 4).
+// The original system's names, as on RabbitMQ (docs/wire.md#message-metadata).
 constexpr std::string_view driver_header = "sensorID";
 constexpr std::string_view gateway_header = "siteID";
 constexpr std::string_view time_header = "time";
-// Our own.
+// Names that only this project uses.
 constexpr std::string_view resent_header = "x-iotcloud-resent";
 constexpr std::string_view expires_header = "x-iotcloud-expires";
 
-// A record's time beyond this distance from now is a device's clock gone wrong, or a reading that was spooled.
+// A message's time that is further from now than this comes from a wrong clock of the device, or from a spooled
+// message.
 constexpr std::int64_t believable_ms = 3'600'000;
-// A smaller body is copied rather than keeping the whole answer of the server, up to a megabyte, for it.
+// A smaller body is copied; a larger one keeps the server's whole answer, up to a megabyte, in memory.
 constexpr std::size_t worth_keeping = 4096;
 
 bool reserved(std::string_view name) {
@@ -28,7 +31,7 @@ bool reserved(std::string_view name) {
          name == expires_header;
 }
 
-/// The library reads names of headers as C strings: a zero byte goes as "%00", and so "%" as "%25".
+/// The library reads header names as C strings, so a zero byte is written as "%00", and "%" as "%25".
 std::string header_name(const std::string& name) {
   if (name.find_first_of(std::string_view("\0%", 2)) == std::string::npos) return name;
   std::string escaped;
@@ -91,13 +94,14 @@ std::optional<std::int64_t> to_number(std::string_view text) {
 }
 
 struct ReadHeaders {
-  Message message;  ///< what the headers of a record with a bare body say
+  Message message;  ///< the metadata in the headers of a record with a bare body
   std::optional<std::int64_t> time_ms;
   bool bare_body = false;
   RecordMarks marks;
 };
 
-ReadHeaders read_headers(const rd_kafka_message_t& record) {
+/// \return nothing if there are more than max_received_properties
+std::optional<ReadHeaders> read_headers(const rd_kafka_message_t& record) {
   ReadHeaders read;
   rd_kafka_headers_t* headers = nullptr;
   if (rd_kafka_message_headers(&record, &headers) != RD_KAFKA_RESP_ERR_NO_ERROR) return read;
@@ -106,6 +110,7 @@ ReadHeaders read_headers(const rd_kafka_message_t& record) {
   std::size_t size = 0;
   for (std::size_t i = 0;
        rd_kafka_header_get_all(headers, i, &name_text, &value_bytes, &size) == RD_KAFKA_RESP_ERR_NO_ERROR; ++i) {
+    if (i == max_received_properties) return std::nullopt;
     const std::string_view name(name_text);
     const std::string_view value(static_cast<const char*>(value_bytes), value_bytes != nullptr ? size : 0);
     if (name == driver_header) {
@@ -143,7 +148,7 @@ rd_kafka_resp_err_t produce(rd_kafka_t* client, rd_kafka_topic_t* topic, const M
     memory.size = size;
   };
   field(RD_KAFKA_VTYPE_RKT).rkt = topic;
-  // Never without a key: those would be spread over the partitions, and their order lost.
+  // Always with a key: records without one would be spread over the partitions and lose their order.
   bytes(RD_KAFKA_VTYPE_KEY, message.driver_id.data(), message.driver_id.size());
   if (native) {
     bytes(RD_KAFKA_VTYPE_VALUE, message.payload.data(), message.payload.size());
@@ -159,18 +164,19 @@ rd_kafka_resp_err_t produce(rd_kafka_t* client, rd_kafka_topic_t* topic, const M
     rd_kafka_error_destroy(error);
     return code;
   }
-  static_cast<void>(headers.release());  // they are the library's now
+  static_cast<void>(headers.release());  // the library owns them now
   return RD_KAFKA_RESP_ERR_NO_ERROR;
 }
 
 std::optional<ReadRecord> read_record(std::shared_ptr<const rd_kafka_message_t> record, bool native) {
-  ReadHeaders headers = read_headers(*record);
+  std::optional<ReadHeaders> headers = read_headers(*record);
+  if (!headers) return std::nullopt;
   std::span<const std::byte> body(static_cast<const std::byte*>(record->payload),
                                   record->payload != nullptr ? record->len : 0);
-  ReadRecord read{{}, headers.marks};
-  std::optional<std::int64_t> time = headers.time_ms;
-  if (native || headers.bare_body) {
-    read.message = std::move(headers.message);
+  ReadRecord read{{}, headers->marks};
+  std::optional<std::int64_t> time = headers->time_ms;
+  if (native || headers->bare_body) {
+    read.message = std::move(headers->message);
   } else {
     std::optional<OpenedEnvelope> opened = open_envelope(body);
     if (!opened) return std::nullopt;

@@ -11,17 +11,17 @@
 
 namespace iotcloud::brokers::kafka {
 
-/// What a record says beside its message, in headers of its own whatever the form of the value.
+/// Metadata of a record in headers of its own, whatever the form of its value.
 struct RecordMarks {
-  bool resent = false;          ///< given to a client before that was lost: possibly a duplicate
-  std::int64_t expires_ms = 0;  ///< since 1970 UTC: to be dropped by the reader from then on. 0 = never
+  bool resent = false;          ///< an earlier, lost client had it: possibly a duplicate
+  std::int64_t expires_ms = 0;  ///< since 1970 UTC: the reader drops the record after this time. 0 = never
 };
 
-/// Gives the message to the library: as a TSensorMessage, or (`native`) as the bare body with the metadata in headers.
-/// The key is the driver's id, so that all of one driver goes to one partition. Never blocks.
-/// \param envelope what encode_envelope() made of it, unless `native`; lives, as does the message, until the report.
-/// \param now_ms the wall clock; the record has the message's time when that is near to it, because servers delete
-/// records by their age. \param opaque comes back with the report. \return why it was not taken.
+/// Gives the message to the library: as a TSensorMessage, or (`native`) as the bare body with metadata in headers. The
+/// key is the driver's id, so that all messages of a driver go to one partition. Never blocks.
+/// \param envelope encode_envelope()'s result, unless `native`; it and the message must live until the report.
+/// \param now_ms the wall clock. The record has the message's time if that is near to it, because servers delete
+/// records by their age. \param opaque comes back with the report. \return why it was refused.
 rd_kafka_resp_err_t produce(rd_kafka_t* client, rd_kafka_topic_t* topic, const Message& message,
                             const RecordMarks& marks, bool native, std::int64_t now_ms, const EnvelopeBytes& envelope,
                             void* opaque);
@@ -31,9 +31,9 @@ struct ReadRecord {
   RecordMarks marks;
 };
 
-/// The message of a record, whoever wrote it. A record that has our header with the driver's id, and every one when
-/// `native`, has a bare body; all others must be a TSensorMessage. A large body is not copied: it keeps the record.
-/// \return nothing for what cannot be understood.
+/// Reads a record of any sender. A record with our header for the driver's id has a bare body, as has every record if
+/// `native`; all others must be a TSensorMessage. A large body is not copied: it keeps the record alive.
+/// \return nothing for an undecodable record.
 std::optional<ReadRecord> read_record(std::shared_ptr<const rd_kafka_message_t> record, bool native);
 
 }  // namespace iotcloud::brokers::kafka

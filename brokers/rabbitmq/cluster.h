@@ -12,22 +12,22 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// The servers of one broker, the way into each of them, and what queues are made of there. Thread safe: immutable.
+/// The servers of one broker, how to connect to them, and how their queues are declared. Thread safe: immutable.
 class Cluster {
  public:
-  /// \throws config::Error for a property that RabbitMQ does not know, or a value that it cannot have.
+  /// \throws config::Error for a property that RabbitMQ does not have, and for a bad value.
   Cluster(const BrokerOptions& options, std::vector<BrokerUrl> urls);
 
   std::size_t size() const { return urls_.size(); }
   /// For logs: the URL without its password.
   const std::string& name(std::size_t server) const { return names_.at(server); }
   const BrokerUrl& url(std::size_t server) const { return urls_.at(server); }
-  /// Connects and logs in; the password is read now. \param purpose shown by RabbitMQ's tools. \throws LinkError
+  /// Connects and logs in, with the password as it is now. \param purpose shown by RabbitMQ's tools. \throws LinkError
   std::unique_ptr<AmqpLink> connect(std::size_t server, const char* purpose) const;
 
   std::chrono::milliseconds rpc_timeout() const { return options_.rpc_timeout; }
   QueueType queue_type() const { return queue_type_; }
-  /// So long a message may be under way without an answer before the connection is made anew.
+  /// How long a message may wait for an answer before the connection is made anew.
   std::chrono::milliseconds confirm_timeout() const { return confirm_timeout_; }
   /// How many channels a connection asks for.
   int channels() const { return channels_; }

@@ -12,8 +12,8 @@ namespace {
 
 constexpr std::chrono::milliseconds keeper_period{250};
 
-/// What a client says first; the server answers with what it can do. Under TLS that would take a handshake: there the
-/// connection alone has to do.
+/// The first bytes of a client, which the server answers. Empty under TLS, which would need a handshake first: there an
+/// open TCP connection counts as an answer.
 std::string greeting_for(const BrokerUrl& url) {
   using namespace std::string_literals;
   return url.scheme == "amqps" ? "" : "AMQP\0\0\x09\x01"s;
@@ -28,14 +28,14 @@ Connections::Connections(const Cluster& cluster, Meters& meters, const config::C
       log_(cluster.name(0)),
       probe_(cluster.url(0).host, static_cast<std::uint16_t>(port_of(cluster.url(0))), greeting_for(cluster.url(0)),
              clock) {
-  publishing_.push_back(std::make_unique<PublishLink>(cluster_, "publishing", meters_, clock_, log_));
+  publishing_.push_back(std::make_unique<PublishChannel>(cluster_, "publishing", meters_, clock_, log_));
   keeper_ = std::thread([this] { keep(); });
   pthread_setname_np(keeper_.native_handle(), "amqp-keeper");
 }
 
 Connections::~Connections() {
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     stopping_ = true;
   }
   stop_.notify_all();
@@ -44,88 +44,102 @@ Connections::~Connections() {
 }
 
 void Connections::stop_reading() {
-  ConsumeLinks links;
+  ReadConnections links;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     links = consuming_;
     links.insert(links.end(), urgent_.begin(), urgent_.end());
   }
   for (const auto& link : links) link->close();
 }
 
-PublishLink& Connections::publishing(std::uint8_t priority) {
-  const std::lock_guard lock(mutex_);
+PublishChannel& Connections::publishing(std::uint8_t priority) {
+  const config::MutexLock lock(mutex_);
   if (priority < urgent_priority) return *publishing_.front();
   if (publishing_.size() < 2) {
-    publishing_.push_back(std::make_unique<PublishLink>(cluster_, "publishing urgent", meters_, clock_, log_));
+    publishing_.push_back(std::make_unique<PublishChannel>(cluster_, "publishing urgent", meters_, clock_, log_));
   }
   return *publishing_.back();
 }
 
-ConsumeLink& Connections::roomy(ConsumeLinks& links) {
+std::shared_ptr<ReadConnection> Connections::roomy(std::uint8_t priority) {
+  ReadConnections& links = links_for(priority);
   const auto found = std::find_if(links.begin(), links.end(), [](const auto& link) { return link->has_room(); });
-  if (found != links.end()) return **found;
-  const char* purpose = &links == &urgent_ ? "consuming urgent" : "consuming";
-  return *links.emplace_back(std::make_shared<ConsumeLink>(cluster_, purpose, meters_, clock_, log_));
+  if (found != links.end()) return *found;
+  const char* purpose = priority >= urgent_priority ? "consuming urgent" : "consuming";
+  return links.emplace_back(std::make_shared<ReadConnection>(cluster_, purpose, meters_, clock_, log_));
 }
 
-std::shared_ptr<Inlet> Connections::subscribe(const Topic& topic, const SubscriptionOptions& options, Handler handler) {
-  const std::lock_guard lock(mutex_);
-  return roomy(links_for(options.priority)).add(topic, options, std::move(handler));
+std::shared_ptr<ChannelReader> Connections::subscribe(const Topic& topic, const SubscriptionOptions& options,
+                                                      Handler handler) {
+  const config::MutexLock lock(mutex_);
+  return roomy(options.priority)->add(topic, options, std::move(handler));
 }
 
 ConnectionState Connections::state() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   std::vector<ConnectionState> states;
   for (const auto& link : publishing_) states.push_back(link->state());
-  for (const ConsumeLinks* links : {&urgent_, &consuming_}) {
+  for (const ReadConnections* links : {&urgent_, &consuming_}) {
     for (const auto& link : *links) states.push_back(link->state());
   }
-  // The worst of all.
+  // The state of the worst connection.
   for (const ConnectionState state : {ConnectionState::connecting, ConnectionState::blocked}) {
     if (std::find(states.begin(), states.end(), state) != states.end()) return state;
   }
   return ConnectionState::connected;
 }
 
+Connections::Links Connections::links() const {
+  Links links{{}, consuming_, urgent_};
+  for (const auto& channel : publishing_) links.publishing.push_back(channel.get());
+  return links;
+}
+
 void Connections::keep() {
-  std::unique_lock lock(mutex_);
-  // By the system's clock: the other kind of wait is not known to the thread sanitizer.
-  while (!stop_.wait_until(lock, std::chrono::system_clock::now() + keeper_period, [this] { return stopping_; })) {
-    look_after();
-    ask_preferred(lock);
+  const config::MutexLock lock(mutex_);
+  const auto stopping = [this]() IOTCLOUD_REQUIRES(mutex_) { return stopping_; };
+  while (!stop_.wait_for(mutex_, keeper_period, stopping)) {
+    const Links now = links();
+    // Look_after() locks links' mutexes, uses sockets and resolves names, which may take long.
+    const config::Unlocked unlocked(mutex_);
+    look_after(now);
+    ask_preferred(now);
   }
 }
 
-void Connections::look_after() {
-  for (const auto& link : publishing_) link->watch();
-  for (ConsumeLinks* links : {&urgent_, &consuming_}) {
-    for (std::size_t i = 0; i < links->size(); ++i) {  // there may be more at the end
-      const std::shared_ptr<ConsumeLink> link = (*links)[i];
+void Connections::look_after(const Links& links) {
+  for (PublishChannel* const channel : links.publishing) channel->watch();
+  const auto attend = [this](const ReadConnections& reading, std::uint8_t priority) {
+    for (const auto& link : reading) {
       link->attend();
-      // One is enough for a while: how many channels the server allows the new one is known when it is connected.
-      if (link->crowded()) link->share(roomy(*links));
+      if (!link->crowded()) continue;
+      // One new connection at a time: the server tells it only after connecting how many channels it allows.
+      std::shared_ptr<ReadConnection> other;
+      {
+        const config::MutexLock lock(mutex_);
+        other = roomy(priority);
+      }
+      link->share(*other);
     }
-  }
+  };
+  attend(links.urgent, urgent_priority);
+  attend(links.consuming, normal_priority);
 }
 
-void Connections::ask_preferred(std::unique_lock<std::mutex>& lock) {
+void Connections::ask_preferred(const Links& links) {
   if (cluster_.size() < 2) return;
-  bool must_ask =
-      std::any_of(publishing_.begin(), publishing_.end(), [](const auto& link) { return link->must_ask_preferred(); });
-  for (const ConsumeLinks* links : {&urgent_, &consuming_}) {
-    must_ask = must_ask ||
-               std::any_of(links->begin(), links->end(), [](const auto& link) { return link->must_ask_preferred(); });
-  }
-  lock.unlock();  // the name's resolution may take long
+  const auto for_each = [&](const auto& what) {
+    for (PublishChannel* const channel : links.publishing) what(*channel);
+    for (const auto& link : links.urgent) what(*link);
+    for (const auto& link : links.consuming) what(*link);
+  };
+  bool must_ask = false;
+  for_each([&](const auto& link) { must_ask = must_ask || link.must_ask_preferred(); });
   if (must_ask && !probe_.under_way()) probe_.start();
   const std::optional<bool> answer = probe_.poll();
-  lock.lock();
   if (!answer) return;
-  for (const auto& link : publishing_) link->preferred_answered(*answer);
-  for (const ConsumeLinks* links : {&urgent_, &consuming_}) {
-    for (const auto& link : *links) link->preferred_answered(*answer);
-  }
+  for_each([&](auto& link) { link.preferred_answered(*answer); });
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

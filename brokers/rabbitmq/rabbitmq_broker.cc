@@ -11,7 +11,7 @@
 namespace iotcloud::brokers::rabbitmq {
 namespace {
 
-/// AMQP's short strings: names of exchanges and queues, routing keys.
+/// Limit of AMQP's short strings: names of exchanges and queues, routing keys.
 constexpr std::size_t longest_name = 255;
 
 void check_name(const std::string& name, const char* what) {
@@ -19,43 +19,27 @@ void check_name(const std::string& name, const char* what) {
   throw config::Error(std::string("the ") + what + " \"" + name + "\" must have 1 to 255 bytes for RabbitMQ");
 }
 
-class RabbitMqPublisher final : public Publisher {
- public:
-  RabbitMqPublisher(PublishLink& link, const Topic& topic, const PublisherOptions& options)
-      : link_(link), outbox_(link.add(topic, options)) {}
-  ~RabbitMqPublisher() override { link_.remove(outbox_); }
-  PublishStatus publish(Message message) override { return link_.publish(outbox_, std::move(message)); }
-  PublishStatus publish_again(Message message, const Past& past) override {
-    return link_.publish(outbox_, std::move(message), past);
-  }
-  bool drain(std::chrono::milliseconds limit) override { return link_.drain(outbox_, limit); }
-  std::size_t pending() const override { return link_.pending(*outbox_); }
-
- private:
-  PublishLink& link_;
-  const std::shared_ptr<Outbox> outbox_;
-};
-
 class RabbitMqSubscription final : public Subscription {
  public:
-  explicit RabbitMqSubscription(std::shared_ptr<Inlet> inlet) : inlet_(std::move(inlet)) {}
-  // It may move to another connection between the question where it is and what is asked of it there.
+  explicit RabbitMqSubscription(std::shared_ptr<ChannelReader> reader) : reader_(std::move(reader)) {}
+  // The reader may move to another connection between home() and the call on that connection, which then returns false:
+  // try again.
   ~RabbitMqSubscription() override {
-    while (!inlet_->home()->remove(inlet_)) {
+    while (!reader_->home()->remove(reader_)) {
     }
   }
   void pause() override {
-    while (!inlet_->home()->pause(*inlet_)) {
+    while (!reader_->home()->pause(*reader_)) {
     }
   }
   void resume() override {
-    while (!inlet_->home()->resume(inlet_)) {
+    while (!reader_->home()->resume(*reader_)) {
     }
   }
-  bool active() const override { return inlet_->home()->active(*inlet_); }
+  bool active() const override { return reader_->home()->active(*reader_); }
 
  private:
-  const std::shared_ptr<Inlet> inlet_;
+  const std::shared_ptr<ChannelReader> reader_;
 };
 
 class RabbitMqBroker final : public Broker {
@@ -65,11 +49,11 @@ class RabbitMqBroker final : public Broker {
         cluster_(options, urls),
         meters_(options.metrics, "rabbitmq"),
         connections_(cluster_, meters_, options.clock != nullptr ? *options.clock : config::system_clock()) {}
-  ~RabbitMqBroker() override { connections_.stop_reading(); }  // its dead letters die next
+  ~RabbitMqBroker() override { connections_.stop_reading(); }  // the member dead_letters_ is destroyed next
 
   std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
     check_name(topic.name, "topic");
-    return std::make_unique<RabbitMqPublisher>(connections_.publishing(options.priority), topic, options);
+    return std::make_unique<client::CorePublisher>(connections_.publishing(options.priority).core(), topic, options);
   }
 
   std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
@@ -88,7 +72,8 @@ class RabbitMqBroker final : public Broker {
   const Cluster cluster_;
   Meters meters_;
   Connections connections_;
-  DeadLetters dead_letters_{*this};  ///< its publishers die before the connections
+  /// Declared after the connections, so that its publishers are destroyed before them.
+  DeadLetters dead_letters_{*this};
 };
 
 }  // namespace

@@ -7,7 +7,7 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// A broker that speaks AMQP 0-9-1 to a RabbitMQ server; `urls` are options.urls, parsed.
+/// Makes a broker that speaks AMQP 0-9-1 to RabbitMQ servers; `urls` are the parsed options.urls.
 std::unique_ptr<Broker> make_rabbitmq_broker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls);
 
 }  // namespace iotcloud::brokers::rabbitmq

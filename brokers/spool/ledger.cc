@@ -4,7 +4,7 @@
 
 namespace iotcloud::brokers::spool {
 
-void Ledger::stored() {
+void Ledger::note_stored() {
   const std::uint64_t less = next_ - ++last_number_;
   if (shifts_.empty() || shifts_.back().less != less) shifts_.push_back({next_, less});
   ++next_;
@@ -16,12 +16,19 @@ void Ledger::settled_unstored(Outcome outcome, const std::string& reason) {
   add_event(++last_number_, 1, outcome, reason);
 }
 
-void Ledger::send(std::size_t bytes) {
+std::uint64_t Ledger::number_before(std::uint64_t sequence) const {
+  if (sequence >= next_) return last_number_;
+  const auto shift = std::find_if(shifts_.rbegin(), shifts_.rend(),
+                                  [&](const Shift& candidate) { return candidate.from <= sequence; });
+  return shift == shifts_.rend() ? 0 : sequence - shift->less - 1;
+}
+
+void Ledger::note_sent(std::size_t bytes) {
   under_way_.push_back({unsent_++, bytes, false});
   under_way_bytes_ += bytes;
 }
 
-bool Ledger::unsend(const char* reason) {
+bool Ledger::note_not_taken(const char* reason) {
   const UnderWay entry = under_way_.back();
   under_way_bytes_ -= entry.bytes;
   under_way_.pop_back();
@@ -34,10 +41,10 @@ bool Ledger::unsend(const char* reason) {
   return dropped;
 }
 
-void Ledger::answered(std::uint64_t inner_number, Outcome outcome, const std::string& reason) {
+void Ledger::note_answered(std::uint64_t inner_number, Outcome outcome, const std::string& reason) {
   if (inner_number < first_inner_ || inner_number - first_inner_ >= under_way_.size()) return;
   UnderWay& entry = under_way_[inner_number - first_inner_];
-  if (entry.done || outcome == Outcome::unknown) return;  // unknown: it stays in the spool
+  if (entry.done || outcome == Outcome::unknown) return;  // unknown: the message stays in the spool
   entry.done = true;
   under_way_bytes_ -= entry.bytes;
   settle(entry.sequence, entry.sequence + 1, outcome, reason);

@@ -11,53 +11,62 @@
 
 namespace iotcloud::brokers::spool {
 
-/// The bookkeeping of one spooled publisher: which of its records were handed to the inner publisher, which are done
-/// with, and which outcomes are still to be reported. Records have sequence numbers (the spool's), accepted messages
-/// publish numbers (this publisher's), what is under way the inner publisher's numbers. Guarded by its owner's mutex.
+/// The bookkeeping of one spooled publisher: which records the inner publisher (that of the broker) has, which are
+/// finished, and which outcomes must still be reported. A message has up to three numbers: as a record the spool's
+/// sequence number, when it is accepted this publisher's publish number, and when it is under way the inner publisher's
+/// number. Its owner's mutex guards it.
 class Ledger {
  public:
-  /// One or more messages in a row with the same outcome.
+  /// One or more consecutive messages with the same outcome.
   struct Event {
-    std::uint64_t first_number = 0;  ///< 0: accepted by an earlier process; all of the event then
+    std::uint64_t first_number = 0;  ///< 0: an earlier process accepted all messages of the event
     std::uint64_t count = 0;
     Outcome outcome = Outcome::confirmed;
     std::string reason;
   };
 
-  /// \param mark first record that is not done with \param next what the next record gets; those before it are an
-  /// earlier process's
+  /// \param mark sequence number of the first unfinished record. \param next sequence number that the next record gets;
+  /// an earlier process wrote the records below it.
   Ledger(std::uint64_t mark, std::uint64_t next) : unsent_(mark), next_(next), own_(next) { pending_ = next - mark; }
 
-  /// A message was stored as the next record.
-  void stored();
-  /// A message was accepted and has its outcome already.
+  /// Notes that a message was accepted and stored as the next record.
+  void note_stored();
+  /// Notes that a message was accepted, is not stored, and has its outcome already.
   void settled_unstored(Outcome outcome, const std::string& reason);
 
+  /// The publish number of the message that was accepted last.
+  std::uint64_t last_number() const { return last_number_; }
   std::uint64_t next() const { return next_; }
-  /// The next record to hand to the inner publisher; next() when all were.
+  /// The first record that the inner publisher has not got; next() if it has all.
   std::uint64_t unsent() const { return unsent_; }
   bool all_sent() const { return unsent_ == next_; }
+  /// Whether an earlier process wrote the record.
   bool is_old(std::uint64_t sequence) const { return sequence < own_; }
-  /// The record unsent() is handed over; the inner publisher gives it the next of its numbers.
-  void send(std::size_t bytes);
-  /// It did not take it after all. When newer ones were dropped meanwhile it is dropped too. \return whether
-  bool unsend(const char* reason);
-  /// The inner publisher's outcome.
-  void answered(std::uint64_t inner_number, Outcome outcome, const std::string& reason);
-  /// Gives up what is unsent below `sequence`. \return how many
+  /// The highest publish number of which this holds: its message and all before it are records below `sequence`, or
+  /// were never stored. 0: there is none. \param sequence at least mark().
+  std::uint64_t number_before(std::uint64_t sequence) const;
+  /// Notes that the record unsent() is passed to the inner publisher, under that one's next number.
+  void note_sent(std::size_t bytes);
+  /// Notes that the inner publisher did not take the record of the last note_sent(). If records behind it were dropped
+  /// meanwhile, it is dropped too. \return whether it was dropped.
+  bool note_not_taken(const char* reason);
+  /// Notes the inner publisher's outcome.
+  void note_answered(std::uint64_t inner_number, Outcome outcome, const std::string& reason);
+  /// Gives up unsent records below `sequence`. \return their number.
   std::uint64_t drop_below(std::uint64_t sequence, const char* reason);
-  /// Every message of this publisher without an outcome becomes `unknown`.
+  /// Gives every message of this publisher without an outcome the outcome `unknown`.
   void close(const char* reason);
 
-  /// Every record below is done with.
+  /// All records below this are finished.
   std::uint64_t mark() const { return under_way_.empty() ? unsent_ : under_way_.front().sequence; }
   std::size_t under_way() const { return under_way_.size(); }
   std::size_t under_way_bytes() const { return under_way_bytes_; }
-  /// Messages that have no outcome, or one that has not been reported.
+  /// Number of messages without an outcome, or with one that was not reported.
   std::size_t pending() const { return pending_; }
 
   bool has_events() const { return !events_.empty(); }
   std::vector<Event> take_events() { return std::exchange(events_, {}); }
+  /// Notes that these outcomes were reported.
   void reported(const std::vector<Event>& events);
 
  private:
@@ -66,7 +75,7 @@ class Ledger {
     std::size_t bytes = 0;
     bool done = false;
   };
-  /// From this record on, a publish number is the sequence number and this much.
+  /// From record `from` on, a publish number is the sequence number minus `less`.
   struct Shift {
     std::uint64_t from = 0;
     std::uint64_t less = 0;  ///< number = sequence - less (modulo 2^64)
@@ -78,9 +87,9 @@ class Ledger {
   std::uint64_t unsent_;
   std::uint64_t next_;
   const std::uint64_t own_;         ///< records from here on are this publisher's
-  std::uint64_t last_number_ = 0;   ///< publish number
-  std::deque<Shift> shifts_;        ///< ascending; those that no record needs any more are gone
-  std::deque<UnderWay> under_way_;  ///< ascending
+  std::uint64_t last_number_ = 0;   ///< publish number of the last accepted message
+  std::deque<Shift> shifts_;        ///< ascending, without those that no record needs any more
+  std::deque<UnderWay> under_way_;  ///< records that the inner publisher has, ascending; finished ones may remain
   std::uint64_t first_inner_ = 1;   ///< the inner publisher's number of under_way_.front()
   std::size_t under_way_bytes_ = 0;
   std::size_t pending_ = 0;

@@ -5,7 +5,7 @@ namespace iotcloud::brokers::spool {
 SpoolMeters::SpoolMeters(config::Metrics* metrics, const config::Labels& labels)
     : metrics_(metrics != nullptr ? *metrics : config::process_metrics()),
       labels_(labels),
-      messages_(metrics_.gauge("iotcloud_spool_messages", "Messages in spools that are not done with", labels)),
+      messages_(metrics_.gauge("iotcloud_spool_messages", "Unfinished messages in spools", labels)),
       bytes_(metrics_.gauge("iotcloud_spool_bytes", "Bytes that spools take on disk", labels)),
       restored_(metrics_.counter("iotcloud_spool_restored_total", "Messages that an earlier process left in the spool",
                                  labels)),

@@ -7,16 +7,16 @@
 
 namespace iotcloud::brokers::spool {
 
-/// What the spools of one channel count (several may have the same labels: their levels add up). Thread safe.
+/// Metrics of one spool. The gauges of spools with the same labels add up. Thread safe.
 class SpoolMeters {
  public:
-  /// \param metrics nullptr: the process's own
+  /// \param metrics nullptr: the process's.
   SpoolMeters(config::Metrics* metrics, const config::Labels& labels);
-  ~SpoolMeters();  ///< takes its own share off the levels
+  ~SpoolMeters();  ///< subtracts this spool's part from the gauges
   SpoolMeters(const SpoolMeters&) = delete;
   SpoolMeters& operator=(const SpoolMeters&) = delete;
 
-  /// Guarded by the caller: one thread at a time.
+  /// Sets this spool's part of the gauges. The caller must not call it on two threads at a time.
   void level(std::uint64_t messages, std::uint64_t bytes);
   void dropped(const std::string& reason, std::uint64_t count);
   void restored(std::uint64_t count) { restored_.add(count); }

@@ -1,6 +1,7 @@
 #include "iotcloud/brokers/spool/spool_thread.h"
 
 #include <algorithm>
+#include <chrono>
 
 #include <pthread.h>
 
@@ -12,48 +13,49 @@ using Time = Served::Time;
 }  // namespace
 
 std::shared_ptr<SpoolThread> SpoolThread::of_process() {
-  static std::mutex mutex;
+  static config::Mutex mutex;
   static std::weak_ptr<SpoolThread> shared;
-  const std::lock_guard lock(mutex);
+  const config::MutexLock lock(mutex);
   auto thread = shared.lock();
   if (!thread) shared = thread = std::make_shared<SpoolThread>();
   return thread;
 }
 
 SpoolThread::SpoolThread() {
-  thread_ = std::thread([state = state_] { run(state); });
+  thread_ = std::thread([state = state_] { run(*state); });
   pthread_setname_np(thread_.native_handle(), "spool");
 }
 
 SpoolThread::~SpoolThread() {
   {
-    const std::lock_guard lock(state_->mutex);
+    const config::MutexLock lock(state_->mutex);
     state_->stopping = true;
   }
   state_->changed.notify_all();
   if (thread_.get_id() == std::this_thread::get_id()) {
-    thread_.detach();  // the last publisher was closed by one of its own callbacks
+    thread_.detach();  // a callback on this thread closed the last publisher, and a thread cannot join itself
   } else {
     thread_.join();
   }
 }
 
-void SpoolThread::join(Served& served) {
-  const std::lock_guard lock(state_->mutex);
+void SpoolThread::add(Served& served) {
+  const config::MutexLock lock(state_->mutex);
   state_->due[&served] = Time::max();
 }
 
-void SpoolThread::leave(Served& served) {
-  std::unique_lock lock(state_->mutex);
-  state_->due.erase(&served);
+void SpoolThread::remove(Served& served) {
+  State& state = *state_;
+  const config::MutexLock lock(state.mutex);
+  state.due.erase(&served);
   if (thread_.get_id() == std::this_thread::get_id()) return;
-  state_->changed.wait(lock, [&] { return state_->serving != &served; });
+  state.changed.wait(state.mutex, [&]() IOTCLOUD_REQUIRES(state.mutex) { return state.serving != &served; });
 }
 
 void SpoolThread::wake(Served& served) {
   {
-    const Time now = std::chrono::system_clock::now();
-    const std::lock_guard lock(state_->mutex);
+    const Time now = std::chrono::steady_clock::now();
+    const config::MutexLock lock(state_->mutex);
     const auto found = state_->due.find(&served);
     if (found == state_->due.end() || found->second <= now) return;
     found->second = now;
@@ -61,29 +63,29 @@ void SpoolThread::wake(Served& served) {
   state_->changed.notify_all();
 }
 
-void SpoolThread::run(const std::shared_ptr<State>& state) {
-  std::unique_lock lock(state->mutex);
-  while (!state->stopping) {
-    const auto next = std::min_element(state->due.begin(), state->due.end(),
+void SpoolThread::run(State& state) {
+  config::UniqueLock lock(state.mutex);
+  while (!state.stopping) {
+    const auto next = std::min_element(state.due.begin(), state.due.end(),
                                        [](const auto& a, const auto& b) { return a.second < b.second; });
-    if (next == state->due.end() || next->second == Time::max()) {
-      state->changed.wait(lock);
+    if (next == state.due.end() || next->second == Time::max()) {
+      state.changed.wait(state.mutex);
       continue;
     }
-    if (next->second > std::chrono::system_clock::now()) {
-      state->changed.wait_until(lock, Time(next->second));
+    if (next->second > std::chrono::steady_clock::now()) {
+      state.changed.wait_until(state.mutex, Time(next->second));
       continue;
     }
     Served* const served = next->first;
-    next->second = Time::max();  // whoever wakes it from now on is heard
-    state->serving = served;
+    next->second = Time::max();  // set before serve(), so that a wake() during it is not lost
+    state.serving = served;
     lock.unlock();
     const std::optional<Time> again = served->serve();
     lock.lock();
-    state->serving = nullptr;
-    const auto found = state->due.find(served);
-    if (found != state->due.end() && again) found->second = std::min(found->second, *again);
-    state->changed.notify_all();
+    state.serving = nullptr;
+    const auto found = state.due.find(served);
+    if (found != state.due.end() && again) found->second = std::min(found->second, *again);
+    state.changed.notify_all();
   }
 }
 

@@ -1,26 +1,27 @@
 #pragma once
 
-#include <chrono>
-#include <condition_variable>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <thread>
 
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/mutex.h>
+
 namespace iotcloud::brokers::spool {
 
-/// What the spools' thread works for.
+/// A spool that the spools' thread serves.
 class Served {
  public:
-  using Time = std::chrono::system_clock::time_point;
+  /// The steady clock's time, so that a change of the wall clock neither delays nor hurries the work.
+  using Time = config::Clock::Instant;
   virtual ~Served() = default;
-  /// Does what is to be done. Called on the spools' thread. \return when it wants to be called again if nobody wakes it
+  /// Does the work that is due; the spools' thread calls it. \return when to call it again if no wake() comes before.
   virtual std::optional<Time> serve() noexcept = 0;
 };
 
-/// One thread for all spools of the process: it hands on what waits on disk, puts files on the disk and removes them.
-/// It ends with the last of its users. Thread safe.
+/// The one thread that serves all spools of the process: it sends messages that wait on disk, and syncs and removes
+/// files. It ends with the last object that holds it. Thread safe.
 class SpoolThread {
  public:
   static std::shared_ptr<SpoolThread> of_process();
@@ -29,21 +30,21 @@ class SpoolThread {
   SpoolThread(const SpoolThread&) = delete;
   SpoolThread& operator=(const SpoolThread&) = delete;
 
-  void join(Served& served);
-  /// Returns when serve() does not run and never will again; from inside serve() at once.
-  void leave(Served& served);
-  /// Calls serve() soon.
+  void add(Served& served);
+  /// Returns when serve() does not run and will not run again. Called from serve(), it returns at once.
+  void remove(Served& served);
+  /// Has serve() called soon.
   void wake(Served& served);
 
  private:
   struct State {
-    std::mutex mutex;
-    std::condition_variable changed;
-    std::map<Served*, Served::Time> due;  ///< guarded by mutex
-    Served* serving = nullptr;            ///< guarded by mutex
-    bool stopping = false;                ///< guarded by mutex
+    config::Mutex mutex;
+    config::ConditionVariable changed;
+    std::map<Served*, Served::Time> due IOTCLOUD_GUARDED_BY(mutex);
+    Served* serving IOTCLOUD_GUARDED_BY(mutex) = nullptr;
+    bool stopping IOTCLOUD_GUARDED_BY(mutex) = false;
   };
-  static void run(const std::shared_ptr<State>& state);
+  static void run(State& state);
 
   const std::shared_ptr<State> state_ = std::make_shared<State>();
   std::thread thread_;

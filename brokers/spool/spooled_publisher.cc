@@ -14,7 +14,7 @@ class SpooledPublisher final : public Publisher {
   }
   ~SpooledPublisher() override { queue_->close(); }
 
-  PublishStatus publish(Message message) override { return queue_->publish(std::move(message)); }
+  Published publish(Message message) override { return queue_->publish(std::move(message)); }
   bool drain(std::chrono::milliseconds limit) override { return queue_->drain(limit); }
   std::size_t pending() const override { return queue_->pending(); }
 

@@ -1,11 +1,13 @@
 #include "iotcloud/brokers/activemq/connection/engine.h"
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <chrono>
 #include <cstring>
 #include <memory>
 #include <random>
+#include <string_view>
 #include <system_error>
 
 #include <fmt/core.h>
@@ -29,7 +31,7 @@ namespace iotcloud::brokers::activemq {
 namespace {
 
 constexpr std::uint32_t largest_frame = 1U << 20U;
-// So much is read at a time, so that a fast server does not keep everything else waiting.
+// A limit for one read, so that a fast server does not starve everything else.
 constexpr std::size_t most_read_at_once = 1U << 20U;
 constexpr const char* own_trouble = "iotcloud:socket";
 constexpr const char* system_authorities = "/etc/ssl/certs/ca-certificates.crt";
@@ -65,6 +67,16 @@ std::string describe(pn_condition_t* condition) {
   return text;
 }
 
+bool may_pass(pn_condition_t* condition) {
+  if (condition == nullptr || !pn_condition_is_set(condition)) return false;
+  // The server reports "failed" if its store or another broker failed.
+  constexpr std::array passing{
+      "amqp:unauthorized-access", "amqp:not-found",        "amqp:not-allowed", "amqp:resource-limit-exceeded",
+      "amqp:resource-locked",     "amqp:resource-deleted", "failed",           "amqp:connection:forced"};
+  const std::string_view name = pn_condition_get_name(condition);
+  return std::find(passing.begin(), passing.end(), name) != passing.end();
+}
+
 void Engine::AddressesFreer::operator()(addrinfo* list) const {
   ::freeaddrinfo(list);
 }
@@ -82,13 +94,13 @@ Engine::Engine(const BrokerOptions& options, const BrokerUrl& url, const std::st
   next_address_ = found;
   if (pn_connection_driver_init(&driver_, nullptr, nullptr) != 0) throw std::bad_alloc();
   destroyer_.reset(&driver_);
-  // The server knows connections by this name and wants each once.
+  // The server knows connections by this name, and accepts each name once.
   pn_connection_set_container(connection(), unique_name(purpose).c_str());
   pn_connection_set_hostname(connection(), url.host.c_str());
   pn_transport_set_idle_timeout(transport(), static_cast<pn_millis_t>(2 * options.heartbeat.count()));
   pn_transport_set_max_frame(transport(), largest_frame);
   pn_sasl_t* const sasl = pn_sasl(transport());
-  pn_sasl_set_allow_insecure_mechs(sasl, true);  // PLAIN without TLS: what the URL asks for
+  pn_sasl_set_allow_insecure_mechs(sasl, true);  // PLAIN without TLS, as the URL asks
   if (credentials.user.empty()) {
     pn_sasl_allowed_mechs(sasl, "ANONYMOUS");
   } else {
@@ -171,8 +183,8 @@ void Engine::receive(bool readable, bool writable) {
     finish_connecting();
     if (connecting_) return;
   }
-  // The server was silent until the time before the socket was looked at, which is done whatever was said of it: what
-  // comes while this process stands still is there then.
+  // Take the time before the socket is read: bytes that arrived while this process stood still then count as a sign of
+  // life of the server.
   const auto looked_at = steady_ms();
   const bool came = read();
   pn_transport_tick(transport(), came ? steady_ms() : looked_at);
@@ -187,7 +199,7 @@ bool Engine::read() {
     if (count > 0) {
       pn_connection_driver_read_done(&driver_, static_cast<std::size_t>(count));
       taken += static_cast<std::size_t>(count);
-      if (static_cast<std::size_t>(count) < room.size) break;  // there is no more
+      if (static_cast<std::size_t>(count) < room.size) break;  // the socket is empty
     } else if (count == 0) {
       pn_connection_driver_read_close(&driver_);
       break;

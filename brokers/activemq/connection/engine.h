@@ -17,17 +17,17 @@ struct addrinfo;
 
 namespace iotcloud::brokers::activemq {
 
-/// The port of a URL, or the one that its scheme stands for.
+/// The port in the URL, or the default of its scheme.
 std::uint16_t port_of(const BrokerUrl& url);
 bool is_tls(const BrokerUrl& url);
 
-/// One TCP connection to a server and proton's protocol engine on it. Never waits for the server. Whoever calls holds
-/// the mutex of the link that owns it.
+/// One TCP connection to a server, with proton's protocol engine on it. Never waits for the server. Callers hold the
+/// mutex of the link that owns it.
 class Engine {
  public:
-  /// Begins to connect. May wait for the resolution of the host's name.
+  /// Begins to connect. May wait until the host's name is resolved.
   /// \param purpose for the server's list of connections
-  /// \throws config::Error for a name that is not known, a certificate or a password that cannot be read
+  /// \throws config::Error for an unknown host name, and for an unreadable certificate or password
   Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose);
   ~Engine();
   Engine(const Engine&) = delete;
@@ -36,14 +36,14 @@ class Engine {
   pn_connection_t* connection() const { return driver_.connection; }
   pn_transport_t* transport() const { return driver_.transport; }
   int socket() const { return socket_; }
-  /// What poll() is to wait for, beside what the server sends.
+  /// Whether poll() must wait for room to write, too.
   bool wants_to_write() const { return connecting_ || unwritten_; }
 
-  /// Takes what the server sent, and looks after time-outs and heartbeats. Events follow.
+  /// Reads from the server, and handles time-outs and heartbeats. New events may follow.
   void receive(bool readable, bool writable);
-  /// The next event; nullptr when there is none. Valid until the next call.
+  /// The next event, or nullptr. Valid until the next call.
   pn_event_t* next_event() { return pn_connection_driver_next_event(&driver_); }
-  /// Sends what there is to send, as far as the socket takes it.
+  /// Sends waiting bytes, as far as the socket takes them.
   void send();
 
  private:
@@ -58,7 +58,7 @@ class Engine {
   void connect_next();
   void finish_connecting();
   void fail(int error);
-  bool read();  ///< \return whether something came
+  bool read();  ///< \return whether bytes came
 
   pn_connection_driver_t driver_{};
   std::unique_ptr<pn_connection_driver_t, DriverDestroyer> destroyer_;
@@ -69,12 +69,15 @@ class Engine {
   bool unwritten_ = false;
 };
 
-/// The text of an error; "the server closed it" when it has none.
+/// The text of an error; "the server closed it" if it has none.
 std::string describe(pn_condition_t* condition);
+/// Whether the server may accept later what it refused for this reason: a missing permission, a reached limit, a server
+/// that is stopping.
+bool may_pass(pn_condition_t* condition);
 
-/// Sends a message; its body may be empty. \return the delivery, whose outcome is to come
+/// Sends a message; its body may be empty. \return the delivery, which gets its outcome later
 pn_delivery_t* send_message(pn_link_t* sender, std::uint64_t tag, std::string_view head, std::string_view body);
-/// Takes a delivery's bytes, all of which are there.
+/// Reads the bytes of a complete delivery.
 WireBytes receive_message(pn_delivery_t* delivery);
 
 }  // namespace iotcloud::brokers::activemq

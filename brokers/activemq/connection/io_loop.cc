@@ -9,9 +9,10 @@
 namespace iotcloud::brokers::activemq {
 namespace {
 
-// Handlers may keep the sockets waiting for one to two of these.
+// How often the standing-by thread checks whether handlers run long. So they keep the sockets waiting for one to two of
+// these periods.
 constexpr std::chrono::milliseconds look_every{10};
-// So often nothing was to be seen: then the thread that stands by sleeps until handlers run again.
+// After this many checks without handlers the standing-by thread sleeps until handlers run again.
 constexpr int looks_in_vain = 100;
 
 thread_local const IoLoop* gathering = nullptr;
@@ -19,7 +20,7 @@ thread_local const IoLoop* gathering = nullptr;
 }  // namespace
 
 void IoLoop::start(std::vector<Service*> services) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (!threads_.empty() || ending_) return;
   services_ = std::move(services);
   begin_thread();
@@ -34,7 +35,7 @@ void IoLoop::begin_thread() {
 void IoLoop::stop() {
   std::vector<std::thread> threads;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     ending_ = true;
     threads.swap(threads_);
     changed_.notify_all();
@@ -60,27 +61,26 @@ void IoLoop::flush() {
 }
 
 void IoLoop::run() {
-  std::unique_lock lock(mutex_);
+  const config::MutexLock lock(mutex_);
   while (!ending_) {
     if (server_.load() == std::thread::id()) server_ = std::this_thread::get_id();
     if (!serves()) {
-      stand_by(lock);
+      stand_by();
       continue;
     }
-    lock.unlock();
-    flush();  // what the thread before this one had left for later
+    const config::Unlocked unlocked(mutex_);
+    flush();  // send what the previous serving thread held back
     while (serves() && !ending_) round();
-    lock.lock();
   }
 }
 
-void IoLoop::stand_by(std::unique_lock<std::mutex>& lock) {
-  changed_.wait(lock, [this] { return ending_ || watched_; });
+void IoLoop::stand_by() {
+  changed_.wait(mutex_, [this] { return ending_ || watched_; });
   int in_vain = 0;
   while (!ending_) {
     const std::uint64_t round = rounds_;
     const std::uint64_t batch = batches_;
-    if (changed_.wait_for(lock, look_every, [this] { return ending_.load(); })) return;
+    if (changed_.wait_for(mutex_, look_every, [this] { return ending_.load(); })) return;
     if (handler_ == server_ && rounds_ == round) {
       server_ = std::this_thread::get_id();
       return;
@@ -89,7 +89,7 @@ void IoLoop::stand_by(std::unique_lock<std::mutex>& lock) {
     if (in_vain < looks_in_vain) continue;
     watched_ = false;
     if (batches_ == batch) return;
-    watched_ = true;  // handlers began just now, and nobody was told
+    watched_ = true;  // handlers began just now and did not wake this thread
     in_vain = 0;
   }
 }
@@ -97,7 +97,7 @@ void IoLoop::stand_by(std::unique_lock<std::mutex>& lock) {
 int IoLoop::wait_ms(Instant until) const {
   if (until == Instant::max()) return -1;
   const Instant now = clock_.now();
-  if (until <= now) return 0;  // also min(), from which nothing can be subtracted
+  if (until <= now) return 0;  // also for min(), which cannot be subtracted from
   const auto wait = std::chrono::ceil<std::chrono::milliseconds>(until - now);
   return static_cast<int>(std::min<std::int64_t>(wait.count(), 60'000));
 }
@@ -129,7 +129,7 @@ void IoLoop::run_handlers() {
   ++batches_;
   handler_ = me;
   if (!watched_) {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     watched_ = true;
     changed_.notify_one();
   }

@@ -12,20 +12,18 @@
 #include <proton/terminus.h>
 #include <proton/transport.h>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/brokers/activemq/logger.h>
 
 namespace iotcloud::brokers::activemq {
 namespace {
 
-const config::Logger logger{"brokers.activemq"};
-
-// How often a connection is looked after without any event.
+// How often a connection is checked if no event arrives.
 constexpr std::chrono::milliseconds look_period{250};
 constexpr std::chrono::seconds goodbye{1};
 constexpr int answers_at_once = 1000;
 
-/// What a client says first; the server answers with the same. Under TLS that would take a handshake: there the
-/// connection alone has to do.
+/// The first bytes of a client, which the server answers with the same bytes. Empty under TLS, which would need a
+/// handshake first: there an open TCP connection counts as an answer.
 std::string greeting_for(const BrokerUrl& url) {
   using namespace std::string_literals;
   return is_tls(url) ? "" : "AMQP\x03\x01\0\0"s;
@@ -33,38 +31,47 @@ std::string greeting_for(const BrokerUrl& url) {
 
 }  // namespace
 
-ServerLink::ServerLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
-                       std::string purpose, ConnectionLog& log)
+const config::Clock& clock_of(const BrokerOptions& options) {
+  return options.clock != nullptr ? *options.clock : config::system_clock();
+}
+
+ServerLink::ServerLink(config::Mutex& mutex, IoLoop& loop, const BrokerOptions& options,
+                       const std::vector<BrokerUrl>& urls, std::string purpose, ConnectionLog& log)
     : loop_(loop),
       options_(options),
+      mutex_(mutex),
       urls_(urls),
       purpose_(std::move(purpose)),
-      clock_(options.clock != nullptr ? *options.clock : config::system_clock()),
+      clock_(clock_of(options)),
       log_(log),
       servers_(urls.size()),
       probe_(urls.front().host, port_of(urls.front()), greeting_for(urls.front()), clock_) {}
 
 void ServerLink::start() {
-  const Lock lock(mutex_);
+  const config::MutexLock lock(mutex_);
+  begin();
+}
+
+void ServerLink::begin() {
   if (!std::exchange(started_, true)) wake();
 }
 
 void ServerLink::close() {
-  Lock lock(mutex_);
+  const config::MutexLock lock(mutex_);
   closing_ = true;
   wake();
-  changed_.wait_until(lock, std::chrono::system_clock::now() + goodbye, [this] { return !engine_; });
+  changed_.wait_until(mutex_, clock_, now() + goodbye, [this]() IOTCLOUD_REQUIRES(mutex_) { return !engine_; });
   if (engine_) lost("the server did not say goodbye");
 }
 
 void ServerLink::wake() {
-  // The loop passes over what has not started, so a word from before would be spent, and start()'s own kept back for
-  // it.
+  // The loop ignores a link that has not started. A wake-up before the start would be lost, but would set woken_, which
+  // would suppress the one in start().
   if (started_ && !std::exchange(woken_, true)) loop_.wake();
 }
 
 IoLoop::Service::Wish ServerLink::wish() {
-  const Lock lock(mutex_);
+  const config::MutexLock lock(mutex_);
   Wish wish;
   if (!started_) return wish;
   if (woken_) {
@@ -80,12 +87,13 @@ IoLoop::Service::Wish ServerLink::wish() {
 }
 
 void ServerLink::serve(bool readable, bool writable) {
-  Lock lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (!started_ || (!readable && !writable && !woken_ && now() < std::min(armed_, next_look_))) return;
   guarded([&] {
+    mutex_.assert_held();
     if (engine_) engine_->receive(readable, writable);
     dispatch();
-    if (now() >= next_look_ || phase_ == Phase::away) look_after(lock);
+    if (now() >= next_look_ || phase_ == Phase::away) look_after();
     armed_ = Instant::max();
     woken_ = false;
     if (closing_) {
@@ -97,13 +105,14 @@ void ServerLink::serve(bool readable, bool writable) {
     dispatch();
   });
   lost_engine_.reset();
-  report(lock);
+  report();
 }
 
 void ServerLink::flush() {
-  const Lock lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (phase_ != Phase::up) return;
   guarded([this] {
+    mutex_.assert_held();
     before_flush();
     if (engine_) engine_->send();
   });
@@ -115,15 +124,15 @@ void ServerLink::finish() {
   if (phase_ != Phase::up) return lost("closing");
   if (std::exchange(goodbye_said_, true)) return;
   say_goodbye();
-  pn_connection_close(engine_->connection());  // the server's own follows
+  pn_connection_close(engine_->connection());  // the server then closes its end
 }
 
-void ServerLink::look_after(Lock& lock) {
+void ServerLink::look_after() {
   next_look_ = now() + look_period;
   if (phase_ == Phase::away) {
     if (closing_) return;
     if (const auto server = servers_.due(now())) {
-      attempt(lock, *server);
+      attempt(*server);
     } else {
       next_look_ = std::min(next_look_, servers_.next_attempt());
     }
@@ -142,10 +151,10 @@ void ServerLink::look_after(Lock& lock) {
     abandon("no answer to a question about its queues");
     return;
   }
-  look_after_preferred(lock);
+  look_after_preferred();
 }
 
-void ServerLink::look_after_preferred(Lock& lock) {
+void ServerLink::look_after_preferred() {
   if (probe_.under_way()) {
     if (const auto answers = probe_.poll()) servers_.asked(*answers, now());
   }
@@ -153,26 +162,26 @@ void ServerLink::look_after_preferred(Lock& lock) {
     moving_back_ = true;
     abandon("its preferred server is back");
   } else if (servers_.must_ask(now()) && !probe_.under_way()) {
-    lock.unlock();  // it may have to wait for the resolution of a name
+    const config::Unlocked unlocked(mutex_);  // start() may wait until the host's name is resolved
     probe_.start();
-    lock.lock();
   }
 }
 
-void ServerLink::attempt(Lock& lock, std::size_t server) {
+void ServerLink::attempt(std::size_t server) {
   server_ = server;
   blamed_ = false;
   phase_ = Phase::connecting;
   attempt_ends_ = now() + options_.rpc_timeout;
   std::unique_ptr<Engine> engine;
-  std::string problem;  // a password file that is not there, a certificate that cannot be read
-  lock.unlock();
-  try {
-    engine = std::make_unique<Engine>(options_, urls_[server], purpose_);
-  } catch (const std::exception& error) {
-    problem = error.what();
+  std::string problem;  // for example a missing password file or an unreadable certificate
+  {
+    const config::Unlocked unlocked(mutex_);
+    try {
+      engine = std::make_unique<Engine>(options_, urls_[server], purpose_);
+    } catch (const std::exception& error) {
+      problem = error.what();
+    }
   }
-  lock.lock();
   if (!engine || closing_) {
     phase_ = Phase::away;
     if (closing_) return;
@@ -198,6 +207,9 @@ void ServerLink::handle(pn_event_t* event) {
       return greet();
     case PN_CONNECTION_REMOTE_CLOSE:
       return on_remote_close();
+    case PN_SESSION_REMOTE_OPEN:
+      if (pn_event_session(event) != session_) on_session_open(pn_event_session(event));
+      return;
     case PN_SESSION_REMOTE_CLOSE:
       return on_session_remote_close(pn_event_session(event));
     case PN_LINK_REMOTE_OPEN:
@@ -221,7 +233,7 @@ void ServerLink::handle(pn_event_t* event) {
 void ServerLink::on_remote_close() {
   pn_condition_t* const condition = pn_connection_remote_condition(engine_->connection());
   const std::string why = describe(condition);
-  blamed_ = pn_condition_is_set(condition) && pn_condition_get_name(condition) != std::string("amqp:connection:forced");
+  blamed_ = pn_condition_is_set(condition) && !may_pass(condition);
   pn_connection_close(engine_->connection());
   engine_->send();
   lost(why);
@@ -236,9 +248,10 @@ void ServerLink::on_session_remote_close(pn_session_t* session) {
 }
 
 void ServerLink::on_link_remote_close(pn_link_t* link) {
-  const std::string why = describe(pn_link_remote_condition(link));
+  pn_condition_t* const condition = pn_link_remote_condition(link);
+  const std::string why = describe(condition);
   if (link == sender_ || link == answers_) {
-    blamed_ = link == sender_;
+    blamed_ = link == sender_ && !may_pass(condition);
     return abandon(why);
   }
   on_receiver_closed(link, why);
@@ -268,7 +281,7 @@ void ServerLink::greet() {
   session_ = pn_session(engine_->connection());
   pn_session_open(session_);
   sender_ = pn_sender(session_, "out");
-  pn_terminus_set_type(pn_link_target(sender_), PN_TARGET);  // without an address: each message says where it goes
+  pn_terminus_set_type(pn_link_target(sender_), PN_TARGET);  // no address: each message has its own
   pn_link_open(sender_);
   answers_ = pn_receiver(session_, "answers");
   pn_terminus_set_type(pn_link_source(answers_), PN_SOURCE);
@@ -280,8 +293,9 @@ void ServerLink::greet() {
 void ServerLink::greeted() {
   const char* const address = pn_terminus_get_address(pn_link_remote_source(answers_));
   answers_address_ = address == nullptr ? "" : address;
-  // Nobody answers when the server has no statistics; it must not make a queue for the question.
+  // A server without the statistics plug-in does not answer, and must not make a queue for the question.
   ask("", [this](const std::vector<QueueFacts>&) {
+    mutex_.assert_held();
     phase_ = Phase::up;
     servers_.connected(server_, now());
     log_.connected();

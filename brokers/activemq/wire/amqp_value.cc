@@ -7,7 +7,7 @@ namespace {
 
 using Kind = AmqpValue::Kind;
 
-// Described values within descriptors, at most so deep.
+// Limit on nested described values within descriptors.
 constexpr int deepest = 8;
 constexpr std::uint8_t described = 0x00;
 
@@ -30,7 +30,7 @@ std::uint64_t widened(std::uint64_t number, std::size_t width) {
   return static_cast<std::uint64_t>(static_cast<std::int64_t>(number << unused) >> unused);
 }
 
-/// What stands behind a constructor is so wide; of kinds with a length, that length.
+/// The width of the data after this constructor; for kinds with a length prefix, the prefix's width.
 std::size_t width_of(std::uint8_t code) {
   switch (code >> 4U) {
     case 0x4:
@@ -90,7 +90,7 @@ AmqpValue AmqpReader::read(int depth) {
     return number_value(Kind::other, 0);
   }
   const std::size_t width = width_of(code);
-  if (code >= 0xa0) {  // a length, then so many bytes
+  if (code >= 0xa0) {  // a length prefix, then that many bytes
     std::string_view bytes = take(take_number(width));
     switch (code) {
       case 0xa0:

@@ -7,13 +7,13 @@
 
 namespace iotcloud::brokers::activemq {
 
-/// Bytes that are no AMQP 1.0.
+/// The bytes are not valid AMQP 1.0.
 class MalformedAmqp : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// One AMQP 1.0 value as it stands on the wire. Refers to the bytes it was read from.
+/// One AMQP 1.0 value. Refers to the bytes from which it was read.
 struct AmqpValue {
   enum class Kind {
     null,
@@ -27,26 +27,26 @@ struct AmqpValue {
     text,  ///< a string or a symbol
     list,
     map,
-    other,  ///< what has no text here: arrays, decimals, characters, UUIDs, described values
+    other,  ///< kinds without a text form: arrays, decimals, characters, UUIDs, described values
   };
   Kind kind = Kind::null;
-  std::uint64_t number = 0;  ///< of booleans and integers; signed ones and timestamps as two's complement
+  std::uint64_t number = 0;  ///< value of booleans and integers; signed ones and timestamps in two's complement
   double real = 0;
-  std::string_view bytes;    ///< of binary and text; of lists and maps their elements, one after the other
-  std::size_t elements = 0;  ///< of lists and maps (a map's keys and values, each)
+  std::string_view bytes;    ///< content of binary and text; of lists and maps the encoded elements
+  std::size_t elements = 0;  ///< number of elements of lists and maps (keys and values count separately)
 
   std::int64_t signed_number() const { return static_cast<std::int64_t>(number); }
 };
 
-/// Reads values one after the other. Trusts nothing: every length is checked, nesting is not followed unless asked for.
+/// Reads one value after another. Checks every length, and does not follow nested values unless asked to.
 class AmqpReader {
  public:
   explicit AmqpReader(std::string_view bytes) : rest_(bytes) {}
   bool at_end() const { return rest_.empty(); }
   /// \throws MalformedAmqp
   AmqpValue read();
-  /// Reads the descriptor in front of a described value. \return its code, or 0 when it is none that is a number.
-  /// \throws MalformedAmqp when there is no descriptor
+  /// Reads the descriptor before a described value. \return its code, or 0 when it is not a number.
+  /// \throws MalformedAmqp when there is no descriptor.
   std::uint64_t read_descriptor();
 
  private:
@@ -57,7 +57,7 @@ class AmqpReader {
   std::string_view rest_;
 };
 
-/// Appends values to bytes.
+/// Appends encoded values to a string.
 class AmqpWriter {
  public:
   explicit AmqpWriter(std::string& out) : out_(out) {}
@@ -66,11 +66,11 @@ class AmqpWriter {
   void octet(std::uint8_t value);
   void number(std::uint32_t value);
   void text(std::string_view value);
-  /// The head of binary data; the bytes are to follow.
+  /// Writes the head of binary data; the caller appends the bytes.
   void binary_head(std::size_t size);
-  /// The descriptor of one of a message's sections.
+  /// Writes the descriptor of a message section.
   void descriptor(std::uint8_t code);
-  /// Begins a list or a map; end() fills in how long it became.
+  /// Begins a list or a map; end() fills in its length.
   std::size_t begin_list();
   std::size_t begin_map();
   void end(std::size_t begun, std::size_t elements);

@@ -11,7 +11,7 @@ AmqpValue of_kind(AmqpReader& reader, Kind kind) {
   return value;
 }
 
-/// The field of a list at that place; null when the list is shorter.
+/// \return the list's field at this position; null when the list is shorter.
 AmqpValue field(const AmqpValue& list, std::size_t place) {
   AmqpReader fields(list.bytes);
   AmqpValue value;

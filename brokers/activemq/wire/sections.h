@@ -8,7 +8,7 @@
 
 namespace iotcloud::brokers::activemq {
 
-/// The descriptors of a message's sections.
+/// The descriptor codes of a message's sections.
 enum class Section : std::uint8_t {
   header = 0x70,
   delivery_annotations = 0x71,
@@ -21,14 +21,14 @@ enum class Section : std::uint8_t {
   footer = 0x78,
 };
 
-/// The parts of a message that we look at. Refers to the message's bytes.
+/// The parts of a message that the client reads. Refers to the message's bytes.
 struct Sections {
-  std::uint64_t delivery_count = 0;  ///< how often it was delivered before
+  std::uint64_t delivery_count = 0;  ///< number of earlier deliveries
   AmqpValue to;
   AmqpValue correlation_id;
   AmqpValue application_properties;  ///< a map, or null
   enum class Body { none, data, value, sequence } body = Body::none;
-  std::vector<std::string_view> data;  ///< of a body of data, which may come in several parts
+  std::vector<std::string_view> data;  ///< content of a data body, which may have several parts
   AmqpValue value;
 };
 

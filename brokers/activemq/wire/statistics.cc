@@ -10,7 +10,7 @@ namespace {
 
 using Kind = AmqpValue::Kind;
 
-// The plug-in's words; the second asks for a last answer after all others.
+// Names that the server's plug-in understands; the second asks it to send an empty last answer.
 constexpr std::string_view prefix = "ActiveMQ.Statistics.Destination";
 constexpr std::string_view with_end = "ActiveMQ.Statistics.Destination.List.End.With.Null";
 
@@ -22,7 +22,7 @@ std::string name_of(std::string_view destination) {
 }  // namespace
 
 std::string statistics_question(const std::string& queues, const std::string& reply_to, std::uint64_t number) {
-  // A topic keeps nothing when no plug-in takes the question.
+  // A topic drops the question if no plug-in takes it.
   const std::string subject =
       queues.empty() ? "topic://" + std::string(prefix) + "none" : "queue://" + std::string(prefix) + queues;
   std::string bytes;

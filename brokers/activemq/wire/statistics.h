@@ -7,20 +7,20 @@
 
 namespace iotcloud::brokers::activemq {
 
-/// What a server's statistics plug-in says of one of its queues.
+/// What a server's statistics plug-in reports about one of its queues.
 struct QueueFacts {
   std::string name;
   std::uint64_t readers = 0;
-  std::uint64_t messages = 0;  ///< those that are delivered and not settled included
+  std::uint64_t messages = 0;  ///< includes delivered but unsettled ones
 };
 
-/// The question about queues, as a message: names separated by commas, with wildcards. Each queue there is answers, and
-/// then comes an empty answer. An empty name asks whether anybody answers at all.
+/// A message that asks about queues: names separated by commas, with wildcards. Each existing queue answers, and an
+/// empty answer follows. An empty name asks whether anybody answers at all.
 std::string statistics_question(const std::string& queues, const std::string& reply_to, std::uint64_t number);
 
 struct StatisticsAnswer {
-  std::uint64_t question = 0;       ///< its number; 0 when it answers none
-  std::optional<QueueFacts> facts;  ///< nothing: this was the last answer
+  std::uint64_t question = 0;       ///< number of the question; 0 if this answers none
+  std::optional<QueueFacts> facts;  ///< empty: this was the last answer
 };
 
 /// \throws MalformedAmqp

@@ -12,15 +12,16 @@
 #include "iotcloud/brokers/activemq/names.h"
 #include "iotcloud/brokers/activemq/wire/amqp_value.h"
 #include "iotcloud/brokers/activemq/wire/sections.h"
+#include <iotcloud/brokers/limits.h>
 
 namespace iotcloud::brokers::activemq {
 namespace {
 
-// The words of the original system, so that its programs read ours (REFERENCE.md 4).
+// The original system's names, so that its programs read these messages (docs/wire.md#message-metadata).
 constexpr std::string_view driver_property = "sensorID";
 constexpr std::string_view gateway_property = "siteID";
 constexpr std::string_view time_property = "time";
-// Our own.
+// Names that only this project uses.
 constexpr std::string_view index_property = "iotcloud_properties";
 constexpr std::string_view resent_property = "iotcloud_resent";
 
@@ -29,7 +30,7 @@ bool reserved(std::string_view name) {
          name == resent_property;
 }
 
-/// Length of the UTF-8 character at the start of `text`; 0 when there is none.
+/// Length of the UTF-8 character at the start of `text`; 0 when there is no valid one.
 std::size_t character_at(std::string_view text) {
   const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
   const unsigned char first = byte(0);
@@ -54,14 +55,14 @@ bool is_utf8(std::string_view text) {
   return true;
 }
 
-/// Whether a JMS server carries a property of this name as it is, without giving it a meaning.
+/// Whether a JMS server passes a property of this name on unchanged and gives it no meaning.
 bool plain_name(std::string_view name) {
   if (name.empty() || name.starts_with("JMS") || name.starts_with("AMQ_") || !is_utf8(name)) return false;
   return name.find('\0') == std::string_view::npos;
 }
 
-/// The text of the index: entries in order, joined by '&'; "name" for what stands in a property of its own,
-/// "name=value" for what stands only here.
+/// The index property: entries in order, joined by '&'. An entry is "name" for a property of its own, and "name=value"
+/// for one that only the index carries.
 class Index {
  public:
   void add(std::string_view name) {
@@ -83,25 +84,24 @@ class Index {
   bool needed_ = false;
 };
 
-/// nullopt for what has no sensible text: maps, lists, arrays.
+/// nullopt for kinds without a useful text: maps, lists, arrays.
 std::optional<std::string> text_of(const AmqpValue& value) {
-  using Kind = AmqpValue::Kind;
   switch (value.kind) {
-    case Kind::null:
+    case AmqpValue::Kind::null:
       return std::string();
-    case Kind::text:
-    case Kind::binary:
+    case AmqpValue::Kind::text:
+    case AmqpValue::Kind::binary:
       return std::string(value.bytes);
-    case Kind::boolean:
+    case AmqpValue::Kind::boolean:
       return value.number != 0 ? "true" : "false";
-    case Kind::unsigned_number:
+    case AmqpValue::Kind::unsigned_number:
       return std::to_string(value.number);
-    case Kind::signed_number:
-    case Kind::timestamp:
+    case AmqpValue::Kind::signed_number:
+    case AmqpValue::Kind::timestamp:
       return std::to_string(value.signed_number());
-    case Kind::single_real:
+    case AmqpValue::Kind::single_real:
       return fmt::format("{}", static_cast<float>(value.real));
-    case Kind::double_real:
+    case AmqpValue::Kind::double_real:
       return fmt::format("{}", value.real);
     default:
       return std::nullopt;
@@ -114,14 +114,11 @@ std::int64_t number_of(std::string_view text) {
   return error == std::errc() && end == text.data() + text.size() ? number : 0;
 }
 
-/// The properties that have a text, as they came.
+/// The properties that have a text form, in the order received.
 using Texts = std::vector<std::pair<std::string, std::string>>;
 
-// More properties than that are an attack: looking for each among all others takes its time.
-constexpr std::size_t most_properties = 10'000;
-
 Texts properties_of(const AmqpValue& map) {
-  if (map.elements / 2 > most_properties) throw MalformedAmqp("too many properties");
+  if (map.elements / 2 > max_received_properties) throw MalformedAmqp("too many properties");
   Texts texts;
   AmqpReader entries(map.bytes);
   for (std::size_t i = 0; i < map.elements; i += 2) {
@@ -161,7 +158,7 @@ void apply_index(std::string_view index, Texts& texts, Message& message) {
   }
 }
 
-/// The body's bytes stay where they are, in `bytes`, unless they came in several parts.
+/// The payload refers to `bytes`, unless the body has several parts.
 std::optional<Payload> payload_of(const Sections& sections, const WireBytes& bytes) {
   const auto wrap = [&](std::string_view body) {
     return body.empty() ? Payload() : Payload::wrap(bytes.owner, std::as_bytes(std::span(body)));
@@ -262,7 +259,7 @@ void write_head(const Message& message, const Envelope& envelope, std::string& o
   write_header(writer, envelope);
   write_address(writer, envelope.to);
   write_properties(writer, message, envelope.resent);
-  writer.descriptor(static_cast<std::uint8_t>(Section::data));  // a BytesMessage for JMS
+  writer.descriptor(static_cast<std::uint8_t>(Section::data));  // JMS programs see a BytesMessage
   writer.binary_head(message.payload.size());
 }
 

@@ -12,31 +12,32 @@
 
 namespace iotcloud::brokers::activemq {
 
-/// What goes with a message beside its own metadata.
+/// What the wire message carries besides the message's own metadata.
 struct Envelope {
-  std::string to;  ///< where it goes, see send_address()
+  std::string to;  ///< the address, see send_address()
   bool durable = false;
-  bool resent = false;  ///< sent before, to a connection that was lost: possibly a duplicate
+  bool resent = false;  ///< sent before on a connection that was lost, so possibly a duplicate
   std::uint8_t priority = 4;
-  std::chrono::milliseconds expires_in{0};  ///< 0 = never
+  std::chrono::milliseconds expires_in{0};  ///< 0: never
 };
 
-/// A message as JMS programs see it: a BytesMessage with the string properties sensorID, siteID, time and the custom
-/// ones. JMS knows no order of properties, wants names that mean nothing to it, and strings of characters: the property
-/// `iotcloud_properties` has the names in order, and both name and value of those that JMS would not carry unchanged.
+/// Encodes a message as JMS programs see it: a BytesMessage with the string properties sensorID, siteID, time and the
+/// custom ones. JMS keeps no order of properties, and some names and values do not pass through it unchanged. So the
+/// property `iotcloud_properties` lists the names in order, with both name and value of properties that JMS would
+/// change.
 ///
-/// Appends all of the message but its payload, which is to follow.
+/// Appends the whole message except its payload, which the caller appends.
 void write_head(const Message& message, const Envelope& envelope, std::string& out);
 
-/// The bytes of a message that came, and who owns them.
+/// The bytes of a received message, and their owner.
 struct WireBytes {
   std::shared_ptr<const void> owner;
   std::string_view text;
 };
 
-/// The message of whoever sent it; `redelivered` when it says so itself. Properties that are no strings are written as
-/// text, nested ones are skipped; of a text message the body is the text. The payload shares the bytes.
-/// \return nothing when the body is a map, a list or an object, or the bytes are no AMQP.
+/// Decodes a message of any sender; `redelivered` is what the message says itself. Properties that are not strings
+/// become text, nested ones are skipped; the text of a text message becomes the payload. The payload shares the bytes.
+/// \return nothing when the body is a map, a list or an object, or when the bytes are not AMQP.
 std::optional<client::Arrived> from_wire(const WireBytes& bytes);
 
 }  // namespace iotcloud::brokers::activemq

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "iotcloud/brokers/client/read_transport.h"
 #include "iotcloud/brokers/kafka/client.h"
 #include "iotcloud/brokers/kafka/reading/progress.h"
 #include <iotcloud/brokers/broker.h>
@@ -16,25 +17,25 @@ namespace iotcloud::brokers::kafka {
 class Reader;
 struct Member;
 
-/// One subscription. Guarded by the reader's mutex, constants apart.
-struct Inlet {
-  Inlet(std::shared_ptr<Member> of, Topic to, SubscriptionOptions how, Handler what)
-      : member(std::move(of)), topic(std::move(to)), options(std::move(how)), handler(std::move(what)) {}
+/// One subscription. Guarded by the reader's mutex, except for the constants.
+struct Subscriber : client::Subscriber {
+  Subscriber(std::shared_ptr<Member> of, Topic to, SubscriptionOptions how, Handler what)
+      : client::Subscriber(std::move(to), std::move(how), std::move(what)), member(std::move(of)) {}
   const std::shared_ptr<Member> member;
-  const Topic topic;
-  const SubscriptionOptions options;
-  const Handler handler;
   std::size_t unsettled = 0;  ///< deliveries of its feeds, waiting ones included
-  bool paused = false;
-  bool closed = false;
-  bool running = false;  ///< its handler runs
 };
 
 /// A topic and one of its partitions.
 using PartitionKey = std::pair<std::string, std::int32_t>;
 
-/// One partition that the group gave to this process. Guarded by the reader's mutex, constants apart.
-class Feed final : public Settler, public std::enable_shared_from_this<Feed> {
+/// A base class, so that the window is constructed before the inbox that refers to it.
+struct FeedProgress {
+  Progress progress;
+};
+
+/// One partition that the group assigned to this process. Inbox::more is set from a signal of its queue until the queue
+/// was found empty. Guarded by the reader's mutex, except for the constants.
+class Feed final : public FeedProgress, public client::Inbox {
  public:
   Feed(std::shared_ptr<Reader> to, std::shared_ptr<Member> of, std::shared_ptr<Client> from, PartitionKey what,
        Progress how_far);
@@ -45,29 +46,22 @@ class Feed final : public Settler, public std::enable_shared_from_this<Feed> {
   const std::shared_ptr<Member> member;
   const PartitionKey key;
 
-  std::shared_ptr<Client> client;  ///< null once it is closed
-  Queue queue;                     ///< where its records come in; signals the reader when it is not empty any more
-  Progress progress;
-  std::shared_ptr<Inlet> inlet;  ///< who reads it now; may be null
-  std::uint64_t generation = 0;  ///< counts readers, so that late settlements of an earlier one are known as such
-  bool may_have_more = false;    ///< the queue was not seen empty since the last signal
-  bool leaving = false;          ///< the group wants it back: nothing more is handed on
-  bool closed = false;
-  bool running = false;  ///< a handler runs with a message of it
-  bool in_ready = false;
-  bool dirty = true;        ///< there may be something to commit
-  bool complained = false;  ///< the last record could not be understood, and that was logged
+  std::shared_ptr<Client> client;  ///< null once the feed is closed
+  Queue queue;                     ///< receives the partition's records; signals the reader when it becomes non-empty
+  bool leaving = false;            ///< the group revokes the partition: nothing more is handed on
+  bool complained = false;         ///< the last record was undecodable, and that was logged
 
-  /// What the user's Delivery carries: the tag, made unique over all readers of this feed.
-  std::uint64_t public_tag(std::uint64_t tag) const { return generation << 48U | tag; }
+  /// The subscription that reads it now; may be null.
+  Subscriber* reads_it() const { return static_cast<Subscriber*>(subscriber.get()); }
 };
 
-/// This process as a member of one group. Guarded by the reader's mutex, constants apart.
+/// This process as a member of one group. Guarded by the reader's mutex, except for the constants.
 struct Member {
   explicit Member(std::string group) : name(std::move(group)) {}
   const std::string name;
   bool connected = false;
-  std::vector<std::shared_ptr<Inlet>> inlets;  ///< the first of a topic reads it, others stand by
+  /// The first subscription to a topic reads it, the others stand by.
+  std::vector<std::shared_ptr<Subscriber>> subscribers;
   std::map<PartitionKey, std::shared_ptr<Feed>> feeds;
 };
 

@@ -7,20 +7,19 @@
 #include <string_view>
 #include <utility>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/brokers/kafka/logger.h>
+#include <iotcloud/brokers/kafka/reading/assignment.h>
 
 namespace iotcloud::brokers::kafka {
 namespace {
 
-const config::Logger logger{"brokers.kafka"};
-
 constexpr std::chrono::milliseconds committed_limit{3000};
-constexpr std::chrono::milliseconds handler_limit{1000};  // for handlers of partitions that leave
+constexpr std::chrono::milliseconds handler_limit{1000};  // how long handlers of revoked partitions may still run
 constexpr std::chrono::milliseconds commit_period{100};
-constexpr std::chrono::milliseconds last_commit_limit{3000};  // a group that is just changing refuses it for so long
+constexpr std::chrono::milliseconds last_commit_limit{3000};  // a group in a rebalance refuses commits meanwhile
 constexpr std::chrono::milliseconds last_commit_pause{50};
 constexpr std::chrono::milliseconds subscription_pause{20};
-constexpr std::chrono::milliseconds leave_limit{5000};  // then the server finds out for itself
+constexpr std::chrono::milliseconds leave_limit{5000};  // after that the server notices by the session's time-out
 constexpr std::size_t most_complaints = 100;
 constexpr std::chrono::milliseconds usual_session{6000};  // the shortest that servers allow unless told otherwise
 
@@ -30,10 +29,10 @@ Settings consumer_settings(const std::string& group, std::chrono::milliseconds s
       {"enable.auto.commit", "false"},
       {"enable.auto.offset.store", "false"},
       {"auto.offset.reset", "earliest"},
-      {"partition.assignment.strategy", "cooperative-sticky"},
+      {"partition.assignment.strategy", assignment_strategy(rd_kafka_version())},
       {"session.timeout.ms", std::to_string(session.count())},
       {"heartbeat.interval.ms", std::to_string(session.count() / 4)},
-      // Also how long others wait for us in a rebalance. The thread of the groups calls often.
+      // This is also how long other members wait for this one in a rebalance. The groups' thread polls often.
       {"max.poll.interval.ms", std::to_string(std::max<std::int64_t>(60'000, 2 * session.count()))},
       {"fetch.wait.max.ms", "500"},
       {"queued.min.messages", "10000"},
@@ -80,12 +79,13 @@ std::chrono::milliseconds Group::serve() {
   if (closing_ && !client_) return std::chrono::milliseconds(1000);
   try {
     if (!client_) start_client();
-  } catch (const std::exception& error) {  // ClientError, config::Error: no client for now
+  } catch (const std::exception& error) {  // ClientError, config::Error: try to make the client later
     log_.failed(error.what());
     start_at_ = clock_.now() + std::chrono::seconds(1);
   }
   if (!client_) return std::chrono::milliseconds(1000);
-  // In this order: what was said of a connection before it was there again is not taken for its loss.
+  // First the events, then the check for servers: otherwise an old event about a failed connection would count as a
+  // loss of the new one.
   while (const Event event{rd_kafka_queue_poll(events_.get(), 0)}) on_event(event.get());
   look_for_servers();
   if (broken_ || closed()) {
@@ -155,7 +155,7 @@ std::chrono::milliseconds Group::serve_closing(Instant now) {
     end_client();
     return std::chrono::milliseconds(0);
   }
-  // While the group changes a commit is refused; the members that stay take part until that is over.
+  // In a rebalance the group refuses commits; the members that stay take part until it is over.
   const bool may_commit = connected_ && rd_kafka_assignment_lost(client_->get()) == 0;
   const rd_kafka_resp_err_t error = may_commit ? commit_unsaved(assigned_) : RD_KAFKA_RESP_ERR__STATE;
   if (error != RD_KAFKA_RESP_ERR_NO_ERROR && may_commit && now < close_by_) return last_commit_pause;
@@ -167,10 +167,10 @@ std::chrono::milliseconds Group::serve_closing(Instant now) {
 
 void Group::leave_group() {
   leaving_ = true;
-  // A subscription that waits for the end of a rebalance would outlive the closing of librdkafka 2.0.2: an assertion
-  // there, or a member that joins again for ever. Unsubscribing takes it back.
+  // In librdkafka 2.0.2, a subscription that waits for the end of a rebalance survives the closing of the consumer,
+  // which then fails an assertion or joins the group again for ever. Unsubscribing cancels it.
   rd_kafka_unsubscribe(client_->get());
-  // The library hands on its last events by way of a queue that is not its own.
+  // The library delivers its last events through this queue, which must be the application's own.
   Queue last(rd_kafka_queue_new(client_->get()));
   watch(last);
   check(rd_kafka_consumer_close_queue(client_->get(), last.get()), "leave the group");
@@ -182,7 +182,7 @@ bool Group::closed() const {
 }
 
 bool Group::cooperative() const {
-  // Null while a client that closes has left its group already: then either way of giving up will do.
+  // Null if a closing client has left its group already; then both ways of giving up partitions work.
   const char* protocol = rd_kafka_rebalance_protocol(client_->get());
   return protocol != nullptr && std::string_view(protocol) == "COOPERATIVE";
 }
@@ -249,7 +249,8 @@ void Group::on_error(rd_kafka_event_t* event) {
     session_ = usual_session;
     broken_ = true;
   } else if (error == RD_KAFKA_RESP_ERR_UNKNOWN_TOPIC_OR_PART || error == RD_KAFKA_RESP_ERR__UNKNOWN_TOPIC) {
-    // Just made and not known everywhere yet, or deleted: ask again, and tell the group again.
+    // The topic was just made and is not known on all servers yet, or it was deleted: ask for it again, and subscribe
+    // again.
     made_.clear();
     there_.clear();
     subscribed_.clear();
@@ -346,6 +347,110 @@ void Group::commit_settled(Instant now) {
       rd_kafka_commit_queue(client_->get(), list_of(commits).get(), events_.get(), nullptr, nullptr);
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR) return;
   for (const CommitOf& commit : commits) reader_->commit_failed(*member_, commit.key);
+}
+
+void Group::follow_subscriptions(Instant now) {
+  if (!connected_) return;
+  const std::set<std::string> wanted = reader_->topics(*member_);
+  if (asked_.empty() && ask_topics_at_ <= now) {
+    std::set_difference(wanted.begin(), wanted.end(), made_.begin(), made_.end(), std::back_inserter(asked_));
+    if (!asked_.empty()) request_topics(*client_, events_.get(), asked_, options_);
+    for (const std::string& topic : made_) {
+      if (there_.contains(topic)) continue;
+      // Subscribe only to topics that the server knows: otherwise the group checks again only after a long time.
+      if (!client_->knows(topic, options_.broker.rpc_timeout)) {
+        made_ = there_;  // so that the missing topics are asked for again
+        ask_topics_at_ = clock_.now() + topic_backoff_.next();
+        break;
+      }
+      topic_backoff_.reset();
+      there_.insert(topic);
+    }
+  }
+  std::set<std::string> topics;
+  std::set_intersection(wanted.begin(), wanted.end(), there_.begin(), there_.end(),
+                        std::inserter(topics, topics.end()));
+  if (topics.empty()) return;
+  std::set<std::string> told;
+  std::set_difference(topics.begin(), topics.end(), forgotten_.begin(), forgotten_.end(),
+                      std::inserter(told, told.end()));
+  if (told == subscribed_) {
+    // librdkafka postpones a subscription during a rebalance and may then forget it, so the request is repeated until
+    // it has taken effect.
+    if (!subscription_is_taken_) subscription_is_taken_ = subscription() == told;
+    if (subscription_is_taken_) {
+      if (forgotten_.empty()) return join_for_unread(now);
+      forgotten_.clear();  // this member has left the group for these topics; the next request joins again
+      told = std::move(topics);
+    }
+  } else if (forgotten_.empty()) {
+    join_backoff_.reset();
+  }
+  tell_subscription(std::move(told));
+}
+
+void Group::tell_subscription(std::set<std::string> topics) {
+  rd_kafka_resp_err_t error = RD_KAFKA_RESP_ERR_NO_ERROR;
+  if (topics.empty()) {
+    error = rd_kafka_unsubscribe(client_->get());
+  } else {
+    const PartitionList list(rd_kafka_topic_partition_list_new(static_cast<int>(topics.size())));
+    for (const std::string& topic : topics) {
+      rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
+    }
+    error = rd_kafka_subscribe(client_->get(), list.get());
+  }
+  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
+    subscribed_ = std::move(topics);
+    subscription_is_taken_ = false;
+    join_again_at_ = Instant{};
+  } else if (complaints_.insert(rd_kafka_err2str(error)).second) {
+    logger.warn("group {}: cannot subscribe: {}", member_->name, rd_kafka_err2str(error));
+  }
+}
+
+// The group's leader, which assigns the partitions, asks one node for them, and assumes that a topic which this node
+// does not know yet has no partitions. librdkafka 2.0.2 learns of them later but does nothing, so the topic would never
+// have a reader. So a member without partitions of a topic joins again for it; more and more rarely, because other
+// members may have all of them.
+void Group::join_for_unread(Instant now) {
+  if (join_again_at_ == Instant{} || now < join_again_at_) return;
+  forgotten_ = unread();
+  logger.debug("group {}: got no partition of {} topics; joining again", member_->name, forgotten_.size());
+  std::set<std::string> read;
+  std::set_difference(subscribed_.begin(), subscribed_.end(), forgotten_.begin(), forgotten_.end(),
+                      std::inserter(read, read.end()));
+  tell_subscription(std::move(read));
+}
+
+std::set<std::string> Group::unread() const {
+  std::set<std::string> topics = subscribed_;
+  for (const auto& [topic, partition] : assigned_) topics.erase(topic);
+  return topics;
+}
+
+void Group::on_topics(rd_kafka_event_t* event) {
+  for (const MadeTopic& made : made_topics(event, asked_)) {
+    if (!made.complaint.empty() && complaints_.insert(made.name + made.complaint).second) {
+      logger.warn("cannot make the topic {}: {}; {}", made.name, made.complaint,
+                  made.there ? "using it if it is there" : "trying again");
+    }
+    if (made.there) {
+      made_.insert(made.name);
+    } else {
+      ask_topics_at_ = clock_.now() + topic_backoff_.next();
+    }
+  }
+  asked_.clear();
+}
+
+std::set<std::string> Group::subscription() const {
+  rd_kafka_topic_partition_list_t* list = nullptr;
+  if (rd_kafka_subscription(client_->get(), &list) != RD_KAFKA_RESP_ERR_NO_ERROR) return {};
+  const PartitionList owned(list);
+  std::set<std::string> topics;
+  for (const auto& entry : entries_of(*list)) topics.insert(entry.topic);
+  return topics;
 }
 
 }  // namespace iotcloud::brokers::kafka

@@ -19,12 +19,13 @@ using client::Backoff;
 using client::ConnectionLog;
 using Instant = config::Clock::Instant;
 
-/// One consumer of librdkafka: this process as a member of one group, for all topics that it reads in it. Takes part in
-/// the group's rebalances (cooperative: what stays is read on), gives partitions to the reader, commits. Not thread
-/// safe: the thread of the groups calls it, so that no handler can hold up the group.
+/// One consumer of librdkafka: this process as a member of one group, for all topics that it reads in the group. Takes
+/// part in the group's rebalances (cooperative or eager, see assignment.h), gives assigned partitions to the reader,
+/// and commits. Not thread safe: only the groups' thread calls it, so that no
+/// handler can hold up the group.
 class Group {
  public:
-  /// \param wake signalled when there is something to serve
+  /// \param wake is signalled when there is an event to serve
   Group(const KafkaOptions& options, std::shared_ptr<Reader> reader, std::shared_ptr<Member> member,
         const config::Clock& clock, ConnectionLog& log, client::WakeEvent& wake);
   ~Group();
@@ -32,10 +33,10 @@ class Group {
   Group& operator=(const Group&) = delete;
 
   const std::shared_ptr<Member>& member() const { return member_; }
-  /// Does what is due; waits for servers' answers, some seconds at most. \return how long nothing is due
+  /// Does what is due; waits for servers' answers, at most some seconds. \return how long it takes until something is
+  /// due
   std::chrono::milliseconds serve();
-  /// Begins to leave the group, after a last commit; go on with serve() until closed(), which takes some seconds at
-  /// most.
+  /// Begins to leave the group, after a last commit. Call serve() until closed(), which takes at most some seconds.
   void close() { closing_ = true; }
   bool closed() const;
 
@@ -52,9 +53,9 @@ class Group {
   void on_topics(rd_kafka_event_t* event);
   void follow_subscriptions(Instant now);
   void tell_subscription(std::set<std::string> topics);
-  std::set<std::string> subscription() const;  ///< what the library says
+  std::set<std::string> subscription() const;  ///< the library's present subscription
   void join_for_unread(Instant now);
-  std::set<std::string> unread() const;  ///< topics of which this member has no partition
+  std::set<std::string> unread() const;  ///< topics without a partition for this member
   void stop_reading(const std::set<PartitionKey>& keys);
   rd_kafka_resp_err_t commit_unsaved(const std::set<PartitionKey>& keys);
   void warn_of_unsaved(rd_kafka_resp_err_t error) const;
@@ -74,25 +75,26 @@ class Group {
   std::shared_ptr<Client> client_;
   Queue events_;
   bool connected_ = false;
-  Instant doubted_at_{};  ///< some connection failed: another one is looked for since then; zero: none did
-  bool broken_ = false;   ///< the client is of no use any more
+  Instant doubted_at_{};  ///< when a connection failed; since then the group looks for a server. Zero: none failed
+  bool broken_ = false;   ///< the client cannot be used any more
   bool closing_ = false;
   std::string last_error_;
   std::set<PartitionKey> assigned_;
-  std::map<PartitionKey, Committed> unsaved_;  ///< to commit, of assigned partitions that are not read any more
-  std::set<std::string> made_;                 ///< topics that were asked for with success
-  std::set<std::string> there_;                ///< those of them that servers tell of
-  std::set<std::string> subscribed_;           ///< what the group was told
-  bool subscription_is_taken_ = false;         ///< and what the library goes by
-  std::set<std::string> forgotten_;            ///< topics without a partition here: to leave, and to join for again
-  std::vector<std::string> asked_;             ///< topics of the one request that is under way
-  std::set<std::string> complaints_;           ///< those that were logged
+  std::map<PartitionKey, Committed> unsaved_;  ///< to commit, for assigned partitions that are not read any more
+  std::set<std::string> made_;                 ///< topics whose creation request succeeded
+  std::set<std::string> there_;                ///< topics of made_ that the servers list
+  std::set<std::string> subscribed_;           ///< the topics of the last subscription request
+  bool subscription_is_taken_ = false;         ///< the library has taken that subscription over
+  std::set<std::string> forgotten_;            ///< topics without a partition here: to leave and to join again
+  std::vector<std::string> asked_;             ///< topics of the request that is under way
+  std::set<std::string> complaints_;           ///< complaints that the log has already
   Instant ask_topics_at_{};
   Instant commit_at_{};
   Instant start_at_{};
-  Instant join_again_at_{};  ///< for topics of which the last assignment brought nothing; zero: there are none
-  bool leaving_ = false;     ///< closing, and the last commit was made or given up
-  Instant close_by_{};       ///< closing: until then the last commit may take, later how long leaving may
+  /// When to join again for topics of which this member got no partition; zero: there are none.
+  Instant join_again_at_{};
+  bool leaving_ = false;  ///< closing, and the last commit was made or given up
+  Instant close_by_{};    ///< closing: the limit for the last commit, later the limit for leaving
   Backoff topic_backoff_{std::chrono::milliseconds(20), std::chrono::milliseconds(2000)};
   Backoff join_backoff_{std::chrono::milliseconds(1000), std::chrono::milliseconds(300'000)};
 };

@@ -9,9 +9,9 @@
 namespace iotcloud::brokers::kafka {
 namespace {
 
-// The text beside a committed offset: "iotcloud1 END HANDED RANGES". END is "end" when the reader ended in order, else
-// "on"; HANDED how many offsets from the committed one on were handed on; RANGES "2,5-9," the settled ones among them,
-// counted in the same way.
+// The text beside a committed offset: "iotcloud1 END HANDED RANGES". END is "end" if the reader ended in order,
+// otherwise "on"; HANDED is how many offsets from the committed one on were handed on; RANGES, such as "2,5-9,", are
+// the settled ones among them, counted in the same way.
 constexpr std::string_view mark = "iotcloud1 ";
 constexpr std::size_t longest = 3000;  // servers take 4096 bytes
 
@@ -22,7 +22,7 @@ std::string_view take_word(std::string_view& text, char end) {
   return word;
 }
 
-std::optional<std::int64_t> to_number(std::string_view text) {
+std::optional<std::int64_t> to_offset(std::string_view text) {
   std::int64_t number = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
   constexpr std::int64_t sane = std::int64_t{1} << 60;
@@ -34,7 +34,7 @@ std::optional<std::int64_t> to_number(std::string_view text) {
 
 Progress::Progress(const Committed& committed, std::int64_t handed_on)
     : start_(committed.offset), next_(std::max<std::int64_t>(committed.offset, 0)), handed_on_(handed_on) {
-  if (committed.offset < 0) return;  // nobody of this group has read here
+  if (committed.offset < 0) return;  // the group has committed nothing for this partition yet
   doubtful_ = true;
   read_metadata(committed);
 }
@@ -44,14 +44,14 @@ void Progress::read_metadata(const Committed& committed) {
   if (!text.starts_with(mark)) return;
   text.remove_prefix(mark.size());
   const bool ended = take_word(text, ' ') == "end";
-  const std::optional<std::int64_t> handed = to_number(take_word(text, ' '));
+  const std::optional<std::int64_t> handed = to_offset(take_word(text, ' '));
   if (!handed) return;
   handed_on_ = std::max(handed_on_, committed.offset + *handed);
   doubtful_ = !ended;
   while (!text.empty()) {
     std::string_view range = take_word(text, ',');
-    const std::optional<std::int64_t> first = to_number(take_word(range, '-'));
-    const std::optional<std::int64_t> last = range.empty() ? first : to_number(range);
+    const std::optional<std::int64_t> first = to_offset(take_word(range, '-'));
+    const std::optional<std::int64_t> last = range.empty() ? first : to_offset(range);
     if (!first || !last || *last < *first) return;
     settled_before_.emplace_back(committed.offset + *first, committed.offset + *last);
   }
@@ -64,11 +64,11 @@ bool Progress::was_settled(std::int64_t offset) const {
 
 bool Progress::maybe_handed_on(std::int64_t offset, std::int64_t log_end) {
   if (wants_log_end()) doubtful_to_ = log_end;
-  return offset < handed_on_ || (doubtful_ && offset < *doubtful_to_);
+  return offset < handed_on() || (doubtful_ && offset < *doubtful_to_);
 }
 
 void Progress::note(std::int64_t offset) {
-  if (offset < next_) settled_before_.clear();  // the topic was made anew
+  if (offset < next_) settled_before_.clear();  // the topic was deleted and made again
   next_ = offset + 1;
   offsets_.push_back(offset);
 }
@@ -83,13 +83,13 @@ void Progress::skipped(std::int64_t offset) {
   window_.skipped();
 }
 
-Arrived Progress::next() {
-  Arrived arrived = window_.next();
-  handed_on_ = std::max(handed_on_, offsets_[arrived.tag - first_tag_] + 1);
-  return arrived;
+std::int64_t Progress::handed_on() const {
+  const std::uint64_t newest = window_.newest_handed_on();
+  return newest < first_tag_ ? handed_on_ : std::max(handed_on_, offsets_[newest - first_tag_] + 1);
 }
 
 std::optional<Committed> Progress::to_commit(bool final) {
+  handed_on_ = handed_on();
   const std::uint64_t first = window_.advance();
   for (; first_tag_ < first; ++first_tag_) offsets_.pop_front();
   const std::int64_t offset = offsets_.empty() ? next_ : offsets_.front();
@@ -100,7 +100,7 @@ std::optional<Committed> Progress::to_commit(bool final) {
 }
 
 std::string Progress::metadata(std::int64_t offset, bool final) const {
-  const std::int64_t handed = final ? std::max<std::int64_t>(handed_on_ - offset, 0) : 0;
+  const std::int64_t handed = final ? std::max<std::int64_t>(handed_on() - offset, 0) : 0;
   std::string text = fmt::format("{}{} {} ", mark, final ? "end" : "on", handed);
   if (window_.settled() == 0) return text;
   for (std::size_t i = 0; i < offsets_.size() && text.size() < longest; ++i) {

@@ -15,46 +15,48 @@ namespace iotcloud::brokers::kafka {
 using client::AckWindow;
 using client::Arrived;
 
-/// How far a group has come with a partition: what the server keeps for it.
+/// A group's progress in a partition, as the server keeps it.
 struct Committed {
-  std::int64_t offset = -1;  ///< the first that is not settled; below 0: nothing was committed yet
+  std::int64_t offset = -1;  ///< the first unsettled offset; below 0: nothing was committed yet
   std::string metadata;      ///< our own text beside it, see Progress; at most 4096 bytes
 };
 
-/// One reader's way through one partition: what came, what of it is settled, and what to commit. Kafka keeps one number
-/// for a group, so that number is the first unsettled offset; which ones behind it are settled goes into the text
-/// beside it, as does, at an orderly end, how far messages were handed on: the next reader skips the settled ones, and
-/// knows which may have been handed on before. Not thread safe.
+/// One reader's way through one partition: received messages, settled ones, and what to commit. Kafka keeps one number
+/// for a group, which is the first unsettled offset here. The text beside it lists settled offsets behind it and, at an
+/// orderly end, how far messages were handed on: so the next reader skips the settled ones and knows which may have
+/// been handed on before. Not thread safe.
 class Progress {
  public:
-  /// \param handed_on the first offset that this process never handed on, as far as it knows
+  /// \param handed_on the first offset that this process, as far as it knows, has not handed on
   Progress(const Committed& committed, std::int64_t handed_on);
 
-  /// The first offset to read; below 0: the oldest there is.
+  /// The first offset to read; below 0: the oldest in the partition.
   std::int64_t start() const { return start_; }
-  /// Whether a reader before settled it, although what lies before it was not.
+  /// Whether an earlier reader settled this offset, although one before it was unsettled.
   bool was_settled(std::int64_t offset) const;
-  /// Whether a reader before may have handed it on. \param log_end the end of the partition as known now: if the reader
-  /// before ended without a word, everything up to it (at the first call) is doubtful.
+  /// Whether an earlier reader may have handed on this offset. \param log_end the end of the partition as known now: if
+  /// the earlier reader ended without a farewell, every offset up to it (at the first call) is doubtful.
   bool maybe_handed_on(std::int64_t offset, std::int64_t log_end);
-  /// Only then does maybe_handed_on() look at `log_end`.
+  /// True only while maybe_handed_on() uses `log_end`.
   bool wants_log_end() const { return doubtful_ && !doubtful_to_; }
 
   void arrived(std::int64_t offset, Message message, bool redelivered);
-  /// Needs no handling: settled already, too old, not to be understood.
+  /// For an offset without a message to handle: settled already, too old, or undecodable.
   void skipped(std::int64_t offset);
   std::size_t waiting() const { return window_.waiting(); }
   std::size_t unsettled() const { return window_.size() - window_.settled(); }
   std::size_t size() const { return window_.size(); }
-  Arrived next();
+  Arrived next() { return window_.next(); }
   bool settle(std::uint64_t tag, Settlement settlement) { return window_.settle(tag, settlement); }
   void return_all() { window_.return_all(); }
-  /// The first offset that was never handed on.
-  std::int64_t handed_on() const { return handed_on_; }
+  /// The window that holds the messages, for the ReadCore.
+  AckWindow& window() { return window_; }
+  /// The first offset that was not handed on.
+  std::int64_t handed_on() const;
 
-  /// What to commit now; nothing when that was committed already. \param final no more is handed on
+  /// What to commit now; nothing if that was committed already. \param final nothing more is handed on
   std::optional<Committed> to_commit(bool final);
-  /// The last one did not reach the server.
+  /// The last commit did not reach the server.
   void commit_failed() { committed_.reset(); }
 
  private:
@@ -64,13 +66,14 @@ class Progress {
   std::string metadata(std::int64_t offset, bool final) const;
 
   std::int64_t start_;
-  std::int64_t next_;                        ///< the first offset that did not come yet
-  std::int64_t handed_on_;                   ///< see handed_on()
-  bool doubtful_ = false;                    ///< the reader before may have handed on anything
+  std::int64_t next_;  ///< the first offset that has not arrived
+  /// The first offset that was not handed on, among deliveries that have left the window; see handed_on().
+  std::int64_t handed_on_;
+  bool doubtful_ = false;                    ///< an earlier reader may have handed on anything
   std::optional<std::int64_t> doubtful_to_;  ///< the first offset that is not doubtful
   std::vector<Range> settled_before_;        ///< ascending
   AckWindow window_;
-  std::deque<std::int64_t> offsets_;  ///< of the deliveries in the window
+  std::deque<std::int64_t> offsets_;  ///< the offsets of the deliveries in the window
   std::uint64_t first_tag_ = 1;       ///< of offsets_.front()
   std::optional<std::pair<std::int64_t, std::string>> committed_;
 };

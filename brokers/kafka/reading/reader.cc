@@ -1,45 +1,60 @@
 #include "iotcloud/brokers/kafka/reading/reader.h"
 
 #include <algorithm>
-#include <exception>
 #include <utility>
 
 #include <pthread.h>
 
 #include "iotcloud/brokers/kafka/record.h"
-#include <iotcloud/config/log.h>
+#include <iotcloud/brokers/kafka/logger.h>
+#include <iotcloud/brokers/limits.h>
 
 namespace iotcloud::brokers::kafka {
 namespace {
 
-const config::Logger logger{"brokers.kafka"};
-
-// After so many handlers the queues are looked at again.
+// The most handlers in a row before the queues are checked again.
 constexpr std::size_t batch = 64;
-// Records taken from one partition in a row.
+// The most records taken from one partition in a row.
 constexpr std::size_t records_in_a_row = 64;
-// What handlers publish is kept back no longer, but for one handler that takes longer itself.
-constexpr std::chrono::microseconds longest_burst{200};
-// Behind one that is not settled for ever: so many are remembered, then the partition waits for it.
+// How long messages that handlers publish are kept back, unless a single handler takes longer.
+constexpr std::chrono::microseconds longest_gathering{200};
+// The most deliveries remembered behind one that stays unsettled; then the partition waits for that one.
 constexpr std::size_t longest_window = 65536;
+
+/// The first subscription to a topic reads it.
+std::shared_ptr<Subscriber> reader_of(const Member& member, const std::string& topic) {
+  const auto found = std::find_if(member.subscribers.begin(), member.subscribers.end(),
+                                  [&](const auto& subscriber) { return subscriber->topic.name == topic; });
+  return found == member.subscribers.end() ? nullptr : *found;
+}
+
+void on_news(rd_kafka_t*, void* opaque) {
+  auto& feed = *static_cast<Feed*>(opaque);
+  feed.reader->news(std::static_pointer_cast<Feed>(feed.shared_from_this()));
+}
 
 }  // namespace
 
 Feed::Feed(std::shared_ptr<Reader> to, std::shared_ptr<Member> of, std::shared_ptr<Client> from, PartitionKey what,
            Progress how_far)
-    : reader(std::move(to)),
+    : FeedProgress{std::move(how_far)},
+      Inbox(nullptr, progress.window()),
+      reader(std::move(to)),
       member(std::move(of)),
       key(std::move(what)),
       client(std::move(from)),
-      queue(rd_kafka_queue_get_partition(client->get(), key.first.c_str(), key.second)),
-      progress(std::move(how_far)) {}
+      queue(rd_kafka_queue_get_partition(client->get(), key.first.c_str(), key.second)) {}
 
 void Feed::settle(std::uint64_t tag, Settlement settlement) noexcept {
   reader->settle(*this, tag, settlement);
 }
 
 Reader::Reader(bool native, Meters& meters, const config::Clock& clock, std::function<void()> on_dirty)
-    : native_(native), meters_(meters), clock_(clock), on_dirty_(std::move(on_dirty)) {}
+    : native_(native),
+      meters_(meters),
+      clock_(clock),
+      on_dirty_(std::move(on_dirty)),
+      core_(*this, meters, clock, std::chrono::milliseconds(0)) {}
 
 void Reader::start() {
   thread_ = std::thread([this] { run(); });
@@ -48,93 +63,73 @@ void Reader::start() {
 
 void Reader::close() {
   {
-    const Lock lock(mutex_);
+    const config::MutexLock lock(core_.mutex);
     closing_ = true;
+    core_.stop();
   }
   wake_event_.signal();
   if (thread_.joinable()) thread_.join();
-  // Feeds hold their reader: what is left of them here must not hold it in a circle.
-  const Lock lock(mutex_);
-  ready_.clear();
-  const std::lock_guard news_lock(news_mutex_);
+  // Feeds own their reader, so the reader must drop its references to them, or neither would be destroyed.
+  const config::MutexLock lock(core_.mutex);
+  core_.connection_lost();
+  const config::MutexLock news_lock(news_mutex_);
   news_.clear();
 }
 
 void Reader::news(std::shared_ptr<Feed> feed) {
   {
-    const std::lock_guard lock(news_mutex_);
+    const config::MutexLock lock(news_mutex_);
     news_.push_back(std::move(feed));
-    if (news_.size() > 1) return;  // the thread was signalled and did not look yet
+    if (news_.size() > 1) return;  // the thread has been signalled and has not looked yet
   }
   wake_event_.signal();
 }
 
-void Reader::wake() {
+void Reader::wake() noexcept {
   if (std::exchange(sleeping_, false)) wake_event_.signal();
 }
 
-void Reader::mark_dirty(Feed& feed) {
-  if (!std::exchange(feed.dirty, true)) on_dirty_();
-}
-
-bool Reader::has_room(const Feed& feed) const {
-  if (feed.progress.size() >= longest_window) return false;
-  const std::size_t prefetch = std::max<std::size_t>(feed.inlet->options.prefetch, 1);
-  // What waits never stands in the way of what is newer when only the newest count.
-  const std::size_t newest = feed.inlet->options.keep_last > 0 ? feed.progress.waiting() : 0;
-  return feed.inlet->unsettled - newest < prefetch;
-}
-
-bool Reader::has_work(const Feed& feed) const {
-  if (feed.closed || feed.leaving || !feed.inlet || feed.inlet->closed || !feed.member->connected) return false;
-  return (feed.progress.waiting() > 0 && !feed.inlet->paused) || (feed.may_have_more && has_room(feed));
-}
-
-void Reader::make_ready(const std::shared_ptr<Feed>& feed) {
-  if (feed->in_ready || !has_work(*feed)) return;
-  feed->in_ready = true;
-  ready_.push_back(feed);
+bool Reader::has_room(const Feed& feed) {
+  if (feed.window.size() >= longest_window) return false;
+  const Subscriber& subscriber = *feed.reads_it();
+  const std::size_t prefetch = std::max<std::size_t>(subscriber.options.prefetch, 1);
+  // With keep_last, waiting messages must not use up the room for newer ones.
+  const std::size_t newest = subscriber.options.keep_last > 0 ? feed.window.waiting() : 0;
+  return subscriber.unsettled - newest < prefetch;
 }
 
 void Reader::settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept {
-  const Lock lock(mutex_);
-  constexpr std::uint64_t tag_mask = (std::uint64_t{1} << 48U) - 1;
-  const std::uint64_t tag = public_tag & tag_mask;
-  if (feed.closed || public_tag != feed.public_tag(tag) || !feed.progress.settle(tag, settlement)) return;
-  if (settlement != Settlement::retry) {
-    if (feed.inlet) --feed.inlet->unsettled;
-    mark_dirty(feed);
-  }
-  if (!feed.inlet) return;
-  // Other partitions of the subscription may have waited for room too.
-  for (const auto& [key, other] : feed.member->feeds) {
-    if (other->inlet == feed.inlet) make_ready(other);
-  }
-  if (!ready_.empty()) wake();
+  const config::MutexLock lock(core_.mutex);
+  core_.settle(feed, public_tag, settlement);
 }
 
-void Reader::accept(Feed& feed, std::uint64_t tag) {
-  if (!feed.progress.settle(tag, Settlement::accept)) return;
-  --feed.inlet->unsettled;
-  mark_dirty(feed);
+void Reader::settled(client::Inbox& inbox, bool first) noexcept {
+  auto& feed = static_cast<Feed&>(inbox);
+  --feed.reads_it()->unsettled;
+  if (first) on_dirty_();
+  // Other partitions of the subscription may wait for the same room.
+  for (const auto& [key, other] : feed.member->feeds) {
+    if (other->subscriber == feed.subscriber) core_.make_ready(*other);
+  }
+  if (core_.has_ready()) wake();
 }
 
 void Reader::run() {
-  Burst burst;  // of all that the handlers publish, before there is nothing to hand on for now
-  Lock lock(mutex_);
+  Gathering gathering;  // for all messages that the handlers publish until nothing is left to hand on
+  const config::MutexLock lock(core_.mutex);
   while (!closing_) {
     take_news();
-    hand_on(lock, burst);
-    if (!burst.empty()) {
-      lock.unlock();
-      burst.end();
-      lock.lock();
+    hand_on(gathering);
+    if (!gathering.empty()) {
+      const config::Unlocked unlocked(core_.mutex);
+      gathering.end();
     }
-    if (!ready_.empty() || closing_) continue;
+    if (core_.has_ready() || closing_) continue;
     sleeping_ = true;
-    lock.unlock();
-    wake_event_.wait(-1, false, std::chrono::minutes(1));
-    lock.lock();
+    {
+      const config::Unlocked unlocked(core_.mutex);
+      wake_event_.wait(-1, false, std::chrono::minutes(1));
+    }
     sleeping_ = false;
   }
 }
@@ -142,26 +137,28 @@ void Reader::run() {
 void Reader::take_news() {
   std::vector<std::shared_ptr<Feed>> news;
   {
-    const std::lock_guard lock(news_mutex_);
+    const config::MutexLock lock(news_mutex_);
     news.swap(news_);
   }
   for (const auto& feed : news) {
-    feed->may_have_more = true;
-    make_ready(feed);
+    feed->more = true;
+    core_.make_ready(*feed);
   }
 }
 
-void Reader::pull(Feed& feed) {
-  for (std::size_t i = 0; i < records_in_a_row && feed.may_have_more && has_room(feed); ++i) {
+bool Reader::fetch(client::Inbox& inbox) {
+  auto& feed = static_cast<Feed&>(inbox);
+  for (std::size_t i = 0; i < records_in_a_row && has_room(feed); ++i) {
     rd_kafka_message_t* record = rd_kafka_consume_queue(feed.queue.get(), 0);
     if (record == nullptr) {
-      feed.may_have_more = false;
-      return;
+      feed.more = false;
+      return false;
     }
-    // The record must end before its client does.
+    // The record must be destroyed before its client.
     take(feed, std::shared_ptr<const rd_kafka_message_t>(
                    record, [client = feed.client](rd_kafka_message_t* done) { rd_kafka_message_destroy(done); }));
   }
+  return has_room(feed);
 }
 
 void Reader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) {
@@ -179,20 +176,17 @@ void Reader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) 
     meters_.skipped(reason::undecodable);
     if (!std::exchange(feed.complained, true)) {
       logger.error(
-          "topic {}, partition {}: the record at offset {} is no TSensorMessage; skipping it and others like it "
-          "(property envelope: headers reads records with a bare body)",
-          feed.key.first, feed.key.second, offset);
+          "topic {}, partition {}: the record at offset {} is no TSensorMessage, or has more than {} headers; skipping "
+          "it "
+          "and others like it (property envelope: headers reads records with a bare body)",
+          feed.key.first, feed.key.second, offset, max_received_properties);
     }
-    feed.progress.skipped(offset);
-    mark_dirty(feed);
-    return;
+    return skip(feed, offset);
   }
   feed.complained = false;
   if (read->marks.expires_ms != 0 && read->marks.expires_ms <= clock_.wall_ms()) {
     meters_.skipped(reason::deadline);
-    feed.progress.skipped(offset);
-    mark_dirty(feed);
-    return;
+    return skip(feed, offset);
   }
   std::int64_t oldest = 0;
   std::int64_t end = offset + 1;
@@ -201,56 +195,175 @@ void Reader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) 
   }
   const bool again = feed.progress.maybe_handed_on(offset, end) || read->marks.resent;
   feed.progress.arrived(offset, std::move(read->message), again);
-  Inlet& inlet = *feed.inlet;
-  ++inlet.unsettled;
-  while (inlet.options.keep_last > 0 && feed.progress.waiting() > inlet.options.keep_last) {
-    accept(feed, feed.progress.next().tag);
-    meters_.conflated();
+  ++feed.reads_it()->unsettled;
+  core_.conflate(feed);
+}
+
+void Reader::skip(Feed& feed, std::int64_t offset) {
+  feed.progress.skipped(offset);
+  if (core_.make_dirty(feed)) on_dirty_();
+}
+
+void Reader::hand_on(Gathering& gathering) {
+  ReadCore::Turn turn(core_);
+  for (std::size_t i = 0; i < batch; ++i) {
+    const client::Inbox* const feed = core_.take(turn);
+    if (feed == nullptr) return;
+    gathering.more_follow(feed->window.waiting() > 0);
+    core_.run(turn);
+    if (gathering.empty() || clock_.now() - gathering.began() <= longest_gathering) continue;
+    const config::Unlocked unlocked(core_.mutex);
+    gathering.end();
   }
 }
 
-void Reader::hand_on(Lock& lock, Burst& burst) {
-  for (std::size_t i = 0; i < batch && !ready_.empty() && !closing_; ++i) {
-    const std::shared_ptr<Feed> feed = std::move(ready_.front());
-    ready_.pop_front();
-    feed->in_ready = false;
-    if (!has_work(*feed)) continue;
-    const std::shared_ptr<Inlet> inlet = feed->inlet;
-    pull(*feed);
-    if (feed->progress.waiting() == 0 || inlet->paused) {
-      make_ready(feed);
-      continue;
-    }
-    Arrived arrived = feed->progress.next();
-    meters_.received(arrived.redelivered);
-    std::shared_ptr<Settler> settler = feed;
-    if (inlet->options.automatic_ack) {
-      settler = nullptr;
-      accept(*feed, arrived.tag);
-    }
-    make_ready(feed);  // in turn with the others
-    const std::uint64_t tag = feed->public_tag(arrived.tag);
-    inlet->running = feed->running = true;
-    burst.more_follow(feed->progress.waiting() > 0);
-    lock.unlock();
-    run_handler(*inlet, std::move(arrived), std::move(settler), tag);
-    if (!burst.empty() && clock_.now() - burst.began() > longest_burst) burst.end();
-    lock.lock();
-    inlet->running = feed->running = false;
-    handler_ended_.notify_all();
+void Reader::give_to(Feed& feed, std::shared_ptr<Subscriber> subscriber) {
+  if (feed.subscriber == subscriber) return;
+  if (feed.subscriber) feed.reads_it()->unsettled -= feed.progress.unsettled();
+  feed.take_back();
+  feed.subscriber = std::move(subscriber);
+  if (feed.subscriber) feed.reads_it()->unsettled += feed.progress.unsettled();
+  core_.make_ready(feed);
+}
+
+void Reader::add(const std::shared_ptr<Subscriber>& subscriber) {
+  const config::MutexLock lock(core_.mutex);
+  Member& member = *subscriber->member;
+  member.subscribers.push_back(subscriber);
+  for (const auto& [key, feed] : member.feeds) {
+    if (key.first == subscriber->topic.name && !feed->subscriber) give_to(*feed, subscriber);
+  }
+  wake();
+}
+
+void Reader::remove(const std::shared_ptr<Subscriber>& subscriber) {
+  const config::MutexLock lock(core_.mutex);
+  Member& member = *subscriber->member;
+  core_.end(*subscriber);
+  std::erase(member.subscribers, subscriber);
+  for (const auto& [key, feed] : member.feeds) {
+    if (feed->subscriber == subscriber) give_to(*feed, reader_of(member, key.first));
+  }
+  wake();
+  core_.await_handler(*subscriber);
+}
+
+void Reader::pause(Subscriber& subscriber) {
+  const config::MutexLock lock(core_.mutex);
+  core_.pause(subscriber);
+}
+
+void Reader::resume(Subscriber& subscriber) {
+  const config::MutexLock lock(core_.mutex);
+  subscriber.paused = false;
+  for (const auto& [key, feed] : subscriber.member->feeds) {
+    if (feed->subscriber.get() == &subscriber) core_.resume(*feed);
   }
 }
 
-void Reader::run_handler(const Inlet& inlet, Arrived arrived, std::shared_ptr<Settler> settler, std::uint64_t tag) {
-  try {
-    Delivery delivery(std::move(arrived.message), arrived.redelivered, std::move(settler), tag);
-    delivery.tries = arrived.tries;
-    inlet.handler(std::move(delivery));
-  } catch (const std::exception& error) {
-    logger.error("the handler of topic {} threw: {}; the message is delivered again", inlet.topic.name, error.what());
-  } catch (...) {
-    logger.error("the handler of topic {} threw; the message is delivered again", inlet.topic.name);
+bool Reader::active(const Subscriber& subscriber) const {
+  const config::MutexLock lock(core_.mutex);
+  const auto& feeds = subscriber.member->feeds;
+  return subscriber.member->connected && !subscriber.closed &&
+         std::any_of(feeds.begin(), feeds.end(), [&](const auto& entry) {
+           return entry.second->subscriber.get() == &subscriber && !entry.second->leaving;
+         });
+}
+
+std::set<std::string> Reader::topics(const Member& member) const {
+  const config::MutexLock lock(core_.mutex);
+  std::set<std::string> names;
+  for (const auto& subscriber : member.subscribers) names.insert(subscriber->topic.name);
+  return names;
+}
+
+std::int64_t Reader::handed_on(const Member& member, const PartitionKey& key) const {
+  const config::MutexLock lock(core_.mutex);
+  const auto found = handed_on_.find({member.name, key});
+  return found == handed_on_.end() ? 0 : found->second;
+}
+
+void Reader::assigned(const std::shared_ptr<Feed>& feed) {
+  const config::MutexLock lock(core_.mutex);
+  Member& member = *feed->member;
+  member.feeds[feed->key] = feed;
+  feed->withheld = !member.connected;
+  // Do not forward records to the group's queue, where they would wait for the groups' thread.
+  rd_kafka_queue_forward(feed->queue.get(), nullptr);
+  rd_kafka_queue_cb_event_enable(feed->queue.get(), on_news, feed.get());
+  feed->more = true;  // the library does not signal a queue that is already non-empty
+  give_to(*feed, reader_of(member, feed->key.first));
+  wake();
+  core_.make_dirty(*feed);
+  on_dirty_();
+}
+
+std::vector<CommitOf> Reader::leave(Member& member, const std::set<PartitionKey>& keys,
+                                    std::chrono::milliseconds limit) {
+  const config::MutexLock lock(core_.mutex);
+  std::vector<std::shared_ptr<client::Inbox>> leaving;
+  for (const auto& [key, feed] : member.feeds) {
+    if (!keys.contains(key)) continue;
+    feed->leaving = feed->withheld = true;
+    leaving.push_back(feed);
   }
+  core_.await_handlers(leaving, clock_.now() + limit);
+  std::vector<CommitOf> commits;
+  for (const auto& inbox : leaving) {
+    auto& feed = static_cast<Feed&>(*inbox);
+    give_to(feed, nullptr);
+    core_.forget(feed);
+    handed_on_[{member.name, feed.key}] = feed.progress.handed_on();
+    if (auto commit = feed.progress.to_commit(true)) commits.push_back({feed.key, std::move(*commit)});
+    rd_kafka_queue_cb_event_enable(feed.queue.get(), nullptr, nullptr);
+    feed.queue.reset();
+    feed.client.reset();
+    member.feeds.erase(feed.key);
+  }
+  return commits;
+}
+
+std::vector<CommitOf> Reader::take_commits(Member& member) {
+  const config::MutexLock lock(core_.mutex);
+  std::vector<CommitOf> commits;
+  for (const auto& [key, feed] : member.feeds) {
+    if (!feed->in_dirty) continue;
+    core_.take_dirty(*feed);
+    if (auto commit = feed->progress.to_commit(false)) commits.push_back({key, std::move(*commit)});
+    core_.make_ready(*feed);  // the window may have room again
+  }
+  if (core_.has_ready()) wake();
+  return commits;
+}
+
+bool Reader::dirty(const Member& member) const {
+  const config::MutexLock lock(core_.mutex);
+  return std::any_of(member.feeds.begin(), member.feeds.end(),
+                     [](const auto& entry) { return entry.second->in_dirty; });
+}
+
+bool Reader::connected(const Member& member) const {
+  const config::MutexLock lock(core_.mutex);
+  return member.connected;
+}
+
+void Reader::commit_failed(Member& member, const PartitionKey& key) {
+  const config::MutexLock lock(core_.mutex);
+  const auto found = member.feeds.find(key);
+  if (found == member.feeds.end()) return;
+  found->second->progress.commit_failed();
+  core_.make_dirty(*found->second);
+}
+
+void Reader::set_connected(Member& member, bool connected) {
+  const config::MutexLock lock(core_.mutex);
+  if (std::exchange(member.connected, connected) == connected) return;
+  for (const auto& [key, feed] : member.feeds) {
+    feed->withheld = !connected || feed->leaving;
+    if (!connected) feed->take_back();
+    core_.make_ready(*feed);
+  }
+  wake();
 }
 
 }  // namespace iotcloud::brokers::kafka

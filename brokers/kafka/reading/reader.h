@@ -1,91 +1,90 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
-#include <deque>
 #include <functional>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <set>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "iotcloud/brokers/client/read_core.h"
 #include "iotcloud/brokers/client/wake_event.h"
-#include "iotcloud/brokers/kafka/burst.h"
+#include "iotcloud/brokers/kafka/gathering.h"
 #include "iotcloud/brokers/kafka/reading/feed.h"
 #include "iotcloud/brokers/meters.h"
 #include <iotcloud/config/clock.h>
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers::kafka {
+
+using client::ReadCore;
 
 struct CommitOf {
   PartitionKey key;
   Committed committed;
 };
 
-/// Takes records from the partitions that the groups gave to this process, and runs the handlers: one thread for all.
-/// What the groups' servers want is not its business (see Group): a handler that runs long holds up nothing there.
-/// Thread safe.
-class Reader : public std::enable_shared_from_this<Reader> {
+/// Takes records from the partitions that the groups assigned to this process, and runs the handlers, all on one
+/// thread: the transport of a ReadCore. Group serves the group protocol on another thread, so a handler that runs long
+/// does not delay it. Thread safe.
+class Reader final : client::ReadTransport, public std::enable_shared_from_this<Reader> {
  public:
-  /// \param native every record has a bare body. \param on_dirty called when there is something new to commit, from any
-  /// thread; must not call back.
+  /// \param native every record has a bare body. \param on_dirty called from any thread when there is something new to
+  /// commit; must not call the reader.
   Reader(bool native, Meters& meters, const config::Clock& clock, std::function<void()> on_dirty);
-  ~Reader() = default;
+  ~Reader() override = default;
   Reader(const Reader&) = delete;
   Reader& operator=(const Reader&) = delete;
   void start();
-  /// Ends the thread. Not from a handler.
+  /// Ends the thread. Not to be called from a handler.
   void close();
 
   // For subscriptions.
-  void add(const std::shared_ptr<Inlet>& inlet);
-  /// Returns when its handler does not run any more, unless called from it.
-  void remove(const std::shared_ptr<Inlet>& inlet);
-  void pause(Inlet& inlet);
-  void resume(Inlet& inlet);
-  bool active(const Inlet& inlet) const;
+  void add(const std::shared_ptr<Subscriber>& subscriber);
+  /// Ends a subscription; returns when its handler has returned, unless called from it.
+  void remove(const std::shared_ptr<Subscriber>& subscriber);
+  void pause(Subscriber& subscriber);
+  void resume(Subscriber& subscriber);
+  bool active(const Subscriber& subscriber) const;
   void settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept;
 
   // For groups.
   /// The topics that have a reader.
   std::set<std::string> topics(const Member& member) const;
-  /// The first offset of a partition that this process never handed on to the group; 0 when it never had it.
+  /// The first offset of a partition that this process has not handed on in this group; 0 if it never had the
+  /// partition.
   std::int64_t handed_on(const Member& member, const PartitionKey& key) const;
-  /// A partition is here: its records are handed on from now on.
+  /// A partition was assigned: its records are handed on from now on.
   void assigned(const std::shared_ptr<Feed>& feed);
-  /// Partitions leave: waits for their handlers, `limit` at most, then nothing of them is handed on or settled any
-  /// more. \return what to commit
+  /// Partitions are revoked: waits for their handlers, at most `limit`; afterwards none of their messages is handed on
+  /// or settled. \return what to commit
   std::vector<CommitOf> leave(Member& member, const std::set<PartitionKey>& keys, std::chrono::milliseconds limit);
   std::vector<CommitOf> take_commits(Member& member);
   /// Whether take_commits() may have something.
   bool dirty(const Member& member) const;
   void commit_failed(Member& member, const PartitionKey& key);
-  /// While not connected nothing is handed on. What was handed on and not settled when the connection broke is handed
-  /// on again.
+  /// While not connected nothing is handed on. Messages that were unsettled when the connection broke are handed on
+  /// again.
   void set_connected(Member& member, bool connected);
   bool connected(const Member& member) const;
-  /// There may be records in the feed's queue. From the library's threads.
+  /// There may be records in the feed's queue. Called from the library's threads.
   void news(std::shared_ptr<Feed> feed);
 
  private:
-  using Lock = std::unique_lock<std::mutex>;
+  // The ReadTransport.
+  void settled(client::Inbox& inbox, bool first) noexcept override IOTCLOUD_REQUIRES(core_.mutex);
+  void wake() noexcept override IOTCLOUD_REQUIRES(core_.mutex);
+  bool fetch(client::Inbox& inbox) override IOTCLOUD_REQUIRES(core_.mutex);
 
   void run();
-  void take_news();
-  bool has_room(const Feed& feed) const;
-  bool has_work(const Feed& feed) const;
-  void make_ready(const std::shared_ptr<Feed>& feed);
-  void pull(Feed& feed);
-  void take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record);
-  void accept(Feed& feed, std::uint64_t tag);
-  void hand_on(Lock& lock, Burst& burst);
-  void run_handler(const Inlet& inlet, Arrived arrived, std::shared_ptr<Settler> settler, std::uint64_t tag);
-  void give_to(Feed& feed, std::shared_ptr<Inlet> inlet);
-  void mark_dirty(Feed& feed);
-  void wake();
+  void take_news() IOTCLOUD_REQUIRES(core_.mutex);
+  static bool has_room(const Feed& feed);
+  void take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) IOTCLOUD_REQUIRES(core_.mutex);
+  void skip(Feed& feed, std::int64_t offset) IOTCLOUD_REQUIRES(core_.mutex);
+  void hand_on(Gathering& gathering) IOTCLOUD_REQUIRES(core_.mutex);
+  void give_to(Feed& feed, std::shared_ptr<Subscriber> subscriber) IOTCLOUD_REQUIRES(core_.mutex);
 
   const bool native_;
   Meters& meters_;
@@ -93,16 +92,15 @@ class Reader : public std::enable_shared_from_this<Reader> {
   const std::function<void()> on_dirty_;
   client::WakeEvent wake_event_;
 
-  std::mutex news_mutex_;                    ///< taken while the library holds its own: nothing is called with it held
-  std::vector<std::shared_ptr<Feed>> news_;  ///< guarded by news_mutex_
+  /// Locked while the library holds its own mutexes, so the holder calls nothing.
+  config::Mutex news_mutex_;
+  std::vector<std::shared_ptr<Feed>> news_ IOTCLOUD_GUARDED_BY(news_mutex_);
 
-  mutable std::mutex mutex_;
-  std::condition_variable handler_ended_;
-  // All below: guarded by mutex_.
-  bool closing_ = false;
-  bool sleeping_ = false;
-  std::deque<std::shared_ptr<Feed>> ready_;
-  std::map<std::pair<std::string, PartitionKey>, std::int64_t> handed_on_;  ///< by group; of partitions that left
+  ReadCore core_;
+  bool closing_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+  bool sleeping_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+  /// handed_on() of partitions that were revoked, by group and partition.
+  std::map<std::pair<std::string, PartitionKey>, std::int64_t> handed_on_ IOTCLOUD_GUARDED_BY(core_.mutex);
 
   std::thread thread_;
 };

@@ -6,8 +6,8 @@
 namespace iotcloud::brokers::rabbitmq {
 namespace {
 
-/// Of so many publishers, by far more than had their messages under way when a server went; then any other is
-/// forgotten.
+/// Limit on the publishers remembered, far more than have messages under way when a server fails. Beyond it any other
+/// publisher is forgotten.
 constexpr std::size_t most_publishers = 4096;
 
 }  // namespace

@@ -19,7 +19,7 @@ namespace {
 
 constexpr int wanted_frame = 131072;  // RabbitMQ's own default
 
-// The kernel counts what it needs for itself as well: an eighth at most, and something for each message.
+// The kernel also counts its own overhead against the buffer: at most an eighth, and a constant for each message.
 constexpr std::size_t some_heads = 16384;  // of frames
 constexpr std::size_t overhead_of_one = 2048;
 constexpr std::size_t with_overhead(std::size_t bytes) {
@@ -59,7 +59,7 @@ std::string describe_reply(const amqp_rpc_reply_t& reply) {
 amqp_bytes_t to_bytes(const std::string& text) {
   amqp_bytes_t bytes;
   bytes.len = text.size();
-  bytes.bytes = const_cast<char*>(text.data());  // the library takes only non-const pointers; it does not write
+  bytes.bytes = const_cast<char*>(text.data());  // the library takes only non-const pointers, but does not write
   return bytes;
 }
 
@@ -155,14 +155,14 @@ AmqpLink::SendBuffer AmqpLink::look_at_buffer() const {
       ::getsockopt(descriptor_, SOL_SOCKET, SO_SNDBUF, &size, &length) != 0) {
     return {};
   }
-  // Here the overhead of what is queued is not known: count it twice.
+  // The queue's overhead is unknown here: count the bytes twice.
   return {2 * static_cast<std::size_t>(queued), static_cast<std::size_t>(size)};
 }
 
 bool AmqpLink::room_for(std::size_t body_size) {
   const std::size_t needed = with_overhead(body_size) + some_heads;
-  // What was sent since the last look is at most all that stands in the buffer beside what stood there then. The half
-  // that is not counted on is for packets that the kernel cuts up, and for a buffer that it makes smaller.
+  // The buffer now holds at most its bytes at the last look plus those sent since. The other half is a reserve, for
+  // packets that the kernel splits and for a buffer that it shrinks.
   if (buffer_.queued + needed <= buffer_.size / 2) return true;
   const std::size_t gathered = writer_ ? writer_->gathered() : 0;
   buffer_ = look_at_buffer();
@@ -186,7 +186,7 @@ void AmqpLink::publish(amqp_channel_t channel, const std::string& exchange, cons
   if (!writer_) {
     writer_ = std::make_unique<FrameWriter>(static_cast<std::size_t>(amqp_get_frame_max(state_.get())));
   }
-  // Before, not behind: the kernel may hold back the end of what is said to go on, and this may be the last message.
+  // Flushed before, not after: the kernel may hold back bytes that announce more, and this may be the last message.
   if (writer_->full()) flush(true);
   const std::size_t before = writer_->gathered();
   writer_->add(channel, exchange, key, properties, body);
@@ -200,11 +200,12 @@ bool AmqpLink::flush(bool more_follows) {
 }
 
 void AmqpLink::push() {
-  const int on = 1;  // as it is already
+  const int on = 1;  // it is set already; setting it again makes the kernel send held-back bytes
   ::setsockopt(descriptor_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
 }
 
 void AmqpLink::send_method(amqp_channel_t channel, amqp_method_number_t number, void* decoded) {
+  buffer_.queued += overhead_of_one;
   const int status = amqp_send_method(state_.get(), channel, number, decoded);
   if (status != AMQP_STATUS_OK) throw LinkError(explain(status));
 }
@@ -233,7 +234,8 @@ std::string AmqpLink::declare_queue(amqp_channel_t channel, const Topic& topic, 
   QueueArguments arguments(topic, type, true);
   amqp_queue_declare(state_.get(), channel, to_bytes(topic.name), 0, topic.durable ? 1 : 0, 0, 0, arguments.table());
   std::string why = refusal_of(channel, "declare a queue");
-  if (!why.empty()) open_channel(channel);  // it may be there with other properties
+  // The queue may exist with other properties; a refusal has closed the channel.
+  if (!why.empty()) open_channel(channel);
   amqp_queue_bind(state_.get(), channel, to_bytes(topic.name), to_bytes(exchange_of(topic)), to_bytes(topic.name),
                   amqp_empty_table);
   if (const std::string unbound = refusal_of(channel, "bind a queue"); !unbound.empty()) {

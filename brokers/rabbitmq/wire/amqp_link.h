@@ -17,29 +17,29 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// The connection is lost or the server refused it; the text says why. Caught by the links, never seen by users.
+/// The connection is lost or the server refused it; the text says why. The links catch it, users never see it.
 class LinkError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
 struct LinkOptions {
-  BrokerUrl url;  ///< with the user and password that count
+  BrokerUrl url;  ///< with the effective user and password
   Tls tls;        ///< when the URL's scheme is "amqps"
   std::chrono::milliseconds heartbeat{4000};
   std::chrono::milliseconds rpc_timeout{5000};  ///< also for connecting and logging in
   std::string purpose;                          ///< shown by RabbitMQ's tools: "publishing", "consuming"
-  int channels = 2047;                          ///< at most; RabbitMQ's own default limit. The server may allow fewer
+  int channels = 2047;                          ///< at most; RabbitMQ's own default. The server may allow fewer
 };
 
-/// One open connection to RabbitMQ: librabbitmq's state behind an owning wrapper that keeps clear of its traps.
-/// Not thread safe, `descriptor()` and `push()` apart: one thread at a time. Methods throw LinkError when the
-/// connection is lost; it is of no use then.
+/// One open connection to RabbitMQ: librabbitmq's state in an owning wrapper that avoids its traps. One thread at a
+/// time may use it; only `descriptor()` and `push()` are thread safe. Methods throw LinkError when the connection is
+/// lost; it is then of no further use.
 class AmqpLink {
  public:
   /// Connects and logs in; waits at most twice the time-out.
   explicit AmqpLink(const LinkOptions& options);
-  /// Closes the socket without a word: call close() first when the server is to keep what was sent.
+  /// Closes the socket without AMQP's closing handshake: call close() first if the server must keep what was sent.
   ~AmqpLink();
   AmqpLink(const AmqpLink&) = delete;
   AmqpLink& operator=(const AmqpLink&) = delete;
@@ -48,22 +48,23 @@ class AmqpLink {
   int channel_limit() const;
   std::chrono::seconds heartbeat() const;
 
-  /// The next frame that is there, without waiting; reads the socket, sends a heartbeat when one is due and throws when
-  /// the server's are overdue. What it points to dies with release(). After it, go on while has_buffered().
+  /// The next available frame, without waiting. Reads the socket, sends a heartbeat if one is due, and throws if the
+  /// server's are overdue. release() frees the frame's memory. Repeat while has_buffered().
   std::optional<amqp_frame_t> next_frame();
-  /// Frames or parts of them that the library holds already: poll() would not tell. (Under TLS there is no third place:
-  /// the library takes whole records, which are smaller than its buffer, so OpenSSL keeps none.)
+  /// Whether the library holds frames or parts of them, which poll() would not show. (OpenSSL holds none: the library
+  /// reads whole records, which are smaller than its buffer.)
   bool has_buffered() const;
-  /// Gives back the memory of the frames of a channel.
+  /// Frees the memory of a channel's frames.
   void release(amqp_channel_t channel);
 
-  /// Whether a body of this size goes into the socket's send buffer without waiting.
+  /// Whether a message with a body of this size, or with 0 some methods, fits into the socket's send buffer without
+  /// waiting.
   bool room_for(std::size_t body_size);
-  /// The message leaves with flush(), or before: the body must live until then. Waits when there is no room.
+  /// Sends the message with flush(), or before: the body must live until then. Waits if there is no room.
   void publish(amqp_channel_t channel, const std::string& exchange, const std::string& key,
                const amqp_basic_properties_t& properties, std::span<const std::byte> body);
-  /// \param more_follows in a moment: the kernel may hold back the end until then, or until push()
-  /// \return whether it may hold back something
+  /// \param more_follows more is sent in a moment: the kernel may hold back the last packet until then, or until push()
+  /// \return whether it may hold back bytes
   bool flush(bool more_follows);
   /// Makes the kernel send what it holds back. Thread safe.
   void push();
@@ -76,13 +77,12 @@ class AmqpLink {
   /// Opens a channel and waits for the answer.
   void open_channel(amqp_channel_t channel);
   void select_confirms(amqp_channel_t channel);
-  /// Declares a direct exchange on a channel of its own that is opened for it. \return empty, or why the server
-  /// refused.
+  /// Declares a direct exchange on a channel that is opened for it. \return empty, or why the server refused.
   std::string declare_exchange(amqp_channel_t channel, const std::string& exchange, bool durable);
-  /// The topic's own queue, bound to its exchange; one that is there with other properties is used as it is.
+  /// Declares the topic's own queue, bound to its exchange; an existing one with other properties is used as it is.
   /// \return empty, or why the server refused.
   std::string declare_queue(amqp_channel_t channel, const Topic& topic, QueueType type);
-  /// Ends channel and connection in order, so that the server keeps all that was sent. Waits at most the time-out.
+  /// Closes channel and connection in order, so that the server keeps all that was sent. Waits at most the time-out.
   void close(amqp_channel_t channel) noexcept;
 
  private:
@@ -91,10 +91,10 @@ class AmqpLink {
   };
   void send_method(amqp_channel_t channel, amqp_method_number_t number, void* decoded);
   void check(const amqp_rpc_reply_t& reply, const char* doing) const;
-  /// Of the last request. \return empty when the server did it; otherwise why it did not, the channel being closed.
+  /// The result of the last request. \return empty if it succeeded; otherwise the reason, and the channel is closed.
   std::string refusal_of(amqp_channel_t channel, const char* doing);
 
-  /// Of the kernel, which counts its own overhead too.
+  /// The kernel's view, including its own overhead.
   struct SendBuffer {
     std::size_t queued = 0;
     std::size_t size = 0;
@@ -104,8 +104,10 @@ class AmqpLink {
   std::unique_ptr<amqp_connection_state_t_, Destroyer> state_;
   int descriptor_ = -1;
   const bool tls_;
-  std::unique_ptr<FrameWriter> writer_;  ///< made for the first message; none under TLS
-  SendBuffer buffer_;  ///< when it was looked at last, and `queued` at most since: asking each time would cost a call
+  std::unique_ptr<FrameWriter> writer_;  ///< made for the first message; not used under TLS
+  /// The state at the last look. `queued` has been kept as an upper bound since, which saves a system call for each
+  /// message.
+  SendBuffer buffer_;
 };
 
 amqp_bytes_t to_bytes(const std::string& text);

@@ -11,7 +11,7 @@
 namespace iotcloud::brokers::rabbitmq {
 
 inline constexpr amqp_channel_t publish_channel = 1;
-/// For declarations, opened and closed for each: a refusal closes the channel it came on.
+/// For declarations. It is opened and closed for each, because a refusal closes the channel.
 inline constexpr amqp_channel_t declare_channel = 2;
 
 /// A topic without an exchange of its own uses the server's standard one.
@@ -20,19 +20,19 @@ inline const std::string& exchange_of(const Topic& topic) {
   return topic.exchange.empty() ? standard : topic.exchange;
 }
 
-/// Of durable topics' queues; the others are classic ones in any case.
+/// The type of durable topics' queues; others are always classic.
 enum class QueueType {
   classic,  ///< on one node
   quorum,   ///< on a majority of the cluster's nodes: survives the loss of one
 };
 
-/// Quorum queues do not know exclusive consumers: several get messages at once, and what one that hangs has is handed
-/// on later, out of order. There the queue itself sees to it that one reads and the others stand by.
+/// Quorum queues have no exclusive consumers: several readers get messages at once, and those of a hanging reader are
+/// delivered later, out of order. So the queue itself picks one reader, and the others stand by.
 inline bool one_reader_by_queue(const Topic& topic, QueueType type) {
   return topic.durable && type == QueueType::quorum;
 }
 
-/// What a topic's queues are declared with. Lives as long as the request that takes table() is being sent.
+/// The arguments of a topic's queue declaration. Must live until the request with table() is sent.
 class QueueArguments {
  public:
   /// \param exclusive one reader at a time
@@ -56,13 +56,13 @@ class QueueArguments {
     return entry;
   }
 
-  // A queue that is not durable outlives a reader that reconnects, but not one that is gone for good.
+  // A queue that is not durable outlives a reader's reconnection, but not the reader's end.
   static constexpr std::int32_t idle_ms = 60'000;
   int count_ = 0;
   std::array<amqp_table_entry_t, 2> entries_{};
 };
 
-/// The server's own exchanges are there already and must not be declared.
+/// The server's own exchanges exist already and must not be declared.
 inline bool must_declare(const Topic& topic) {
   return !exchange_of(topic).starts_with("amq.");
 }

@@ -16,21 +16,22 @@
 namespace iotcloud::brokers::rabbitmq {
 namespace {
 
-// AMQP 0-9-1, 4.2.3: type, channel and size in front, a mark behind.
+// AMQP 0-9-1, 4.2.3: type, channel and size before the payload, a mark after it.
 constexpr std::size_t frame_head = 7;
 constexpr std::size_t frame_overhead = frame_head + 1;
 constexpr std::uint8_t frame_end = 0xCE;
 // A header frame begins with its class, its weight and the body's size.
 constexpr std::size_t header_head = 12;
 
-// Up to this size a copy costs less than one more piece.
+// Bodies up to this size are copied, which costs less than another piece.
 constexpr std::size_t small_body = 2048;
-// The server can begin with so much while the rest is made.
+// When this much is gathered, the server can begin with it while the rest is made.
 constexpr std::size_t gathering_limit = 65536;
-// Of a frame with basic.publish: two short strings and little else.
+// The largest frame with basic.publish: two short strings and little else.
 constexpr std::size_t largest_method = 1024;
 
-/// What one message takes of the buffer: the method, a header of a whole frame, the heads of its body's frames.
+/// The most that one message takes of the buffer: the method, a header of a whole frame, the heads of its body's
+/// frames.
 std::size_t most_of_one(std::size_t frame_max) {
   const std::size_t body_frames = max_payload / (frame_max - frame_overhead) + 1;
   return largest_method + frame_max + body_frames * frame_overhead + small_body;
@@ -90,7 +91,7 @@ void FrameWriter::add(amqp_channel_t channel, const std::string& exchange, const
   put(static_cast<std::uint16_t>(AMQP_BASIC_CLASS));
   put(std::uint16_t{0});
   put(static_cast<std::uint64_t>(body.size()));
-  // The library only reads the properties, but says so nowhere.
+  // The library does not write to the properties, although its type says so.
   const std::size_t values =
       encoded(amqp_encode_properties(AMQP_BASIC_CLASS, const_cast<amqp_basic_properties_t*>(&properties),
                                      {frame_max_ - frame_overhead - header_head, end_}));

@@ -9,17 +9,17 @@
 namespace iotcloud::brokers::rabbitmq {
 namespace {
 
-// The words of the original system, so that its programs read ours (REFERENCE.md 4).
+// The original system's names, so that its programs read these messages (docs/wire.md#message-metadata).
 constexpr std::string_view driver_header = "sensorID";
 constexpr std::string_view gateway_header = "siteID";
 constexpr std::string_view time_header = "time";
-// Our own: this copy was sent before on a connection that was lost.
+// Only in this project: this copy was sent before on a connection that was lost.
 constexpr std::string_view resent_header = "x-iotcloud-resent";
 
 amqp_bytes_t view(std::string_view text) {
   amqp_bytes_t bytes;
   bytes.len = text.size();
-  bytes.bytes = const_cast<char*>(text.data());  // the library takes only non-const pointers; it does not write
+  bytes.bytes = const_cast<char*>(text.data());  // the library takes only non-const pointers but does not write
   return bytes;
 }
 
@@ -31,7 +31,7 @@ bool reserved(std::string_view name) {
   return name == driver_header || name == gateway_header || name == time_header || name == resent_header;
 }
 
-/// nullopt for what has no sensible text: tables, arrays, decimals.
+/// nullopt for kinds without a useful text: tables, arrays, decimals.
 std::optional<std::string> text_of(const amqp_field_value_t& field) {
   switch (field.kind) {
     case AMQP_FIELD_KIND_UTF8:
@@ -67,7 +67,7 @@ std::optional<std::string> text_of(const amqp_field_value_t& field) {
   }
 }
 
-/// nullopt unless all of the text is one number.
+/// nullopt unless the whole text is one number.
 template <typename Number>
 std::optional<Number> parsed(std::string_view text, int base = 10) {
   Number number = 0;

@@ -13,21 +13,22 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// Which message it is, however often it is sent: the AMQP property message-id, `<publisher, 16 hex digits>-<number>`.
+/// Identifies a message, however often it is sent: the AMQP property message-id, `<publisher, 16 hex digits>-<number>`.
 struct Origin {
   std::uint64_t publisher = 0;  ///< Outbox::id
-  std::uint64_t number = 0;     ///< of that publisher, ascending
+  std::uint64_t number = 0;     ///< ascending for each publisher
   bool operator==(const Origin&) const = default;
 };
 
-/// The AMQP properties of one message (REFERENCE.md 4: headers sensorID, siteID, time and the custom properties).
-/// Points into itself and into the message: both must outlive its use. Reuse one object for many messages.
+/// Encodes the AMQP properties of one message (docs/wire.md#message-metadata).
+/// The result points into this object and into the message, which both must outlive its use. Reuse one object for many
+/// messages.
 class MessageProperties {
  public:
   struct Delivery {
     bool durable = false;
-    bool resent = false;                      ///< sent before, to a connection that was lost: possibly a duplicate
-    std::chrono::milliseconds expires_in{0};  ///< 0 = never
+    bool resent = false;                      ///< sent before on a connection that was lost, so possibly a duplicate
+    std::chrono::milliseconds expires_in{0};  ///< 0: never
     std::uint8_t priority = normal_priority;
     Origin origin;
   };
@@ -50,8 +51,8 @@ class MessageProperties {
   std::array<char, 40> message_id_{};
 };
 
-/// Fills the message's metadata from what a server sent, whoever published it: values that are no strings are written
-/// as text, nested tables and arrays are skipped. \return whether it is marked as sent before (see `resent`).
+/// Fills the message's metadata from the properties of any publisher. Values that are not strings become text, nested
+/// tables and arrays are skipped. \return whether the message is marked as sent before (see `resent`).
 bool decode_properties(const amqp_basic_properties_t& properties, Message& message);
 
 /// nullopt: another program published it.

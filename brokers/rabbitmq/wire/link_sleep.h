@@ -14,7 +14,7 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// Lets a link's thread sleep on its socket and be woken by others: at once, or later, without being woken to be told.
+/// Lets a link's thread sleep on its socket, while others can wake it at once, or set a later time without waking it.
 class LinkSleep {
  public:
   LinkSleep()
@@ -34,22 +34,22 @@ class LinkSleep {
   /// Thread safe.
   void signal() {
     const std::uint64_t one = 1;
-    [[maybe_unused]] const auto written = ::write(event_, &one, sizeof(one));  // full: it is signalled already
+    [[maybe_unused]] const auto written = ::write(event_, &one, sizeof(one));  // if it is full, it is signalled already
   }
 
-  /// What the next wait() ends for; -1: no socket. A broken connection ends it in any case. Calls of this and of
+  /// Sets the socket that ends the next wait(); -1: none. A broken connection always ends it. Calls of this and of
   /// put_off() must not overlap.
   void watch(int socket, bool want_write) {
     if (socket_ >= 0 && socket_ != socket) change(EPOLL_CTL_MOD, socket_, 0);
     socket_ = socket;
     if (socket_ >= 0) listen(want_write ? EPOLLIN | EPOLLOUT : EPOLLIN);
   }
-  /// Of a thread that sleeps: from now on the socket does not end its wait(), which ends by itself after so long.
+  /// For a sleeping thread: from now on the socket does not end its wait(), but the time does.
   void put_off(std::chrono::nanoseconds time) {
     if (socket_ >= 0) listen(0);
     signal_after(time);
   }
-  /// The wait() ends after so long; of several times the last counts. Thread safe. \param time less than a second
+  /// Ends wait() after `time`; a later call replaces an earlier one. Thread safe. \param time less than a second
   void signal_after(std::chrono::nanoseconds time) {
     itimerspec once{};
     once.it_value.tv_nsec = std::max<std::int64_t>(time.count(), 1);  // 0 would stop the timer
@@ -84,7 +84,7 @@ class LinkSleep {
     wanted.data.fd = descriptor;
     return ::epoll_ctl(set_, operation, descriptor, &wanted) == 0;
   }
-  /// A socket leaves the set by itself when it is closed, and a new one may have its number.
+  /// A closed socket leaves the set by itself, and a new one may have its number.
   void listen(std::uint32_t events) {
     if (!change(EPOLL_CTL_MOD, socket_, events) && errno == ENOENT) change(EPOLL_CTL_ADD, socket_, events);
   }

@@ -13,7 +13,7 @@ namespace {
 constexpr int default_port = 5672;
 constexpr int default_tls_port = 5671;
 
-/// Not set up: the connection must not be tried.
+/// Reports a wrong setting: the connection must not be tried.
 [[noreturn]] void unusable(const std::string& what, const std::string& file, const char* remedy) {
   throw LinkError(fmt::format("the {} \"{}\" cannot be used: {}", what, file, remedy));
 }

@@ -8,7 +8,7 @@
 
 namespace iotcloud::brokers::spool {
 
-/// Numbers in files are little endian.
+/// Appends a number in little endian.
 template <typename Number>
 void put_number(std::string& to, Number number) {
   for (std::size_t i = 0; i < sizeof(Number); ++i) {
@@ -16,7 +16,7 @@ void put_number(std::string& to, Number number) {
   }
 }
 
-/// The first bytes of `from`, which has enough of them.
+/// Reads a number from the first bytes of `from`, which must have enough of them.
 template <typename Number>
 Number get_number(std::span<const std::byte> from) {
   std::uint64_t number = 0;

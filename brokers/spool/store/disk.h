@@ -7,17 +7,17 @@
 
 namespace iotcloud::brokers::spool {
 
-/// The writes of a spool, so that a test can let them fail. Thread safe.
+/// The writes of a spool; a test can make them fail. Thread safe.
 class Disk {
  public:
   virtual ~Disk() = default;
-  /// Writes everything at `offset` (the parts are used up). \return 0 or an errno; part of it may be written then.
+  /// Writes everything at `offset` (and changes `parts`). \return 0 or an errno, after which a part may be written.
   virtual int write(int descriptor, iovec* parts, int count, std::uint64_t offset);
-  /// Returns when what was written is on the disk. \return 0 or an errno
+  /// Syncs written data to the disk. \return 0 or an errno
   virtual int sync(int descriptor);
 };
 
-/// The real one.
+/// The real disk.
 Disk& system_disk();
 
 }  // namespace iotcloud::brokers::spool

@@ -18,7 +18,7 @@ namespace {
 
 constexpr std::size_t place_size = 12;  // mark, checksum
 constexpr int places = 2;
-constexpr std::uint64_t distance = 512;  // a sector each
+constexpr std::uint64_t distance = 512;  // one sector for each place
 
 }  // namespace
 

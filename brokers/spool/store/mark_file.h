@@ -7,21 +7,21 @@
 
 namespace iotcloud::brokers::spool {
 
-/// The low-water mark of a spool in a small file: every record below it is done with. Two places in the file are
-/// written in turn, so that a write that does not come to its end leaves the other. Not thread safe.
+/// The low-water mark of a spool in a small file: every record below it is finished. The file has two places, written
+/// in turn, so that an interrupted write leaves the other intact. Not thread safe.
 class MarkFile {
  public:
-  /// Opens or makes the file. \throws config::Error when it cannot.
+  /// Opens or makes the file. \throws config::Error if it cannot.
   MarkFile(std::string path, Disk& disk);
   ~MarkFile();
   MarkFile(const MarkFile&) = delete;
   MarkFile& operator=(const MarkFile&) = delete;
 
-  /// 0 when there is none yet.
+  /// 0 if there is no mark yet.
   std::uint64_t mark() const { return mark_; }
-  /// There was something in the file, and neither place is whole.
+  /// The file was not empty, but neither place is intact.
   bool damaged() const { return damaged_; }
-  /// Writes a higher mark; a lower one is ignored. \return 0 or an errno: then it stands where it stood.
+  /// Writes a higher mark; ignores a lower one. \return 0 or an errno, after which the mark is unchanged.
   int raise(std::uint64_t mark);
   int sync() { return disk_.sync(descriptor_); }
   const std::string& path() const { return path_; }

@@ -14,13 +14,13 @@ namespace {
 using Bytes = std::span<const std::byte>;
 
 constexpr std::string_view record_mark = "\xF5rec";
-// No body is longer: what says so is damaged. The fixed part and the lengths of the properties are small beside it.
+// A record that says it has a longer body is damaged. The second term covers the ids, the properties and their lengths.
 constexpr std::size_t max_body = max_payload + 8 * max_metadata;
 constexpr std::size_t fixed_part =
     8 + 8 + 8 + 4 + 4 + 4;  // sequence, accepted, time, lengths of the ids, number of properties
-// More messages than anybody sends, and far from where counting on would begin again at 0.
+// A higher number is damaged: no spool reaches it, and it is far below the counter's overflow.
 constexpr std::uint64_t last_sequence = std::uint64_t{1} << 62;
-// More do not pass refusal(), which counts 16 bytes for each.
+// refusal() allows no more, because it counts 16 bytes for each.
 constexpr std::uint32_t max_properties = max_metadata / 16;
 
 void put_text(std::string& to, std::string_view text) {
@@ -28,7 +28,7 @@ void put_text(std::string& to, std::string_view text) {
   to += text;
 }
 
-/// Takes fields off the front of a record's body.
+/// Reads fields from the front of a record's body.
 class Fields {
  public:
   explicit Fields(Bytes bytes) : left_(bytes) {}
@@ -75,7 +75,7 @@ bool decode_body(Bytes body, Record& record) {
 }  // namespace
 
 std::uint32_t checksum(Bytes bytes, std::uint32_t so_far) {
-  if (bytes.empty()) return so_far;  // zlib would begin anew when there is no address
+  if (bytes.empty()) return so_far;  // zlib would restart the checksum for a null address
   return static_cast<std::uint32_t>(
       crc32_z(so_far, reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size()));
 }

@@ -36,7 +36,7 @@ std::string start_of_file() {
   return start;
 }
 
-/// A start that is damaged is not refused: what follows it may be good.
+/// Accepts a damaged file start: the records after it may be good.
 void check_version(int descriptor, const std::string& path) {
   std::byte start[Segment::file_start];
   if (::pread(descriptor, start, sizeof start, 0) != sizeof start) return;
@@ -136,7 +136,7 @@ bool SegmentReader::fill(std::size_t wanted) {
     const ssize_t got = ::pread(segment_->descriptor(), buffer_.data() + have, buffer_.size() - have,
                                 static_cast<off_t>(offset_ + have));
     if (got < 0 && errno == EINTR) continue;
-    if (got <= 0) break;  // a disk that cannot be read there: as damaged as what cannot be understood
+    if (got <= 0) break;  // an unreadable disk counts as damage
     have += static_cast<std::size_t>(got);
   }
   buffer_.resize(have);
@@ -150,7 +150,8 @@ bool SegmentReader::tail_is_torn() {
 
 std::optional<Record> SegmentReader::next() {
   std::uint64_t from = offset_;
-  // What is damaged and has nothing good behind it is looked at again next time: more may have been appended.
+  // Damaged bytes without a good record behind them are examined again in the next call, because they may be the
+  // beginning of a record that is being appended.
   const std::uint64_t resume = offset_;
   while (fill(record_start)) {
     Decoded decoded = decode_record(view());

@@ -20,11 +20,11 @@ class Segment {
  public:
   static constexpr std::size_t file_start = 16;
 
-  /// Makes a new file. \return null with errno set when it cannot.
+  /// Makes a new file. \return null with errno set if it cannot.
   static std::shared_ptr<Segment> create(const std::string& folder, std::uint64_t first, Disk& disk);
-  /// Opens one that is there. \throws config::Error when it cannot, or when it is of a later version.
+  /// Opens an existing file. \throws config::Error if it cannot, or if the file is of a later version.
   static std::shared_ptr<Segment> open(const std::string& folder, std::uint64_t first, Disk& disk);
-  /// The sequence number of the first record of the file of this name; nullopt when it is no segment's.
+  /// The first sequence number of the file with this name; nullopt if it is not a segment.
   static std::optional<std::uint64_t> first_of(std::string_view file_name);
   ~Segment();
   Segment(const Segment&) = delete;
@@ -32,19 +32,19 @@ class Segment {
 
   std::uint64_t first() const { return first_; }
   const std::string& path() const { return path_; }
-  /// Bytes in the file that are whole: readers go no further.
+  /// Size of the complete records: readers read no further.
   std::uint64_t size() const { return size_.load(std::memory_order_acquire); }
   int descriptor() const { return descriptor_; }
 
-  /// Appends a record's head and payload. \return 0, or an errno with the file as it was before.
+  /// Appends a record's head and payload. \return 0, or an errno, after which the file is unchanged.
   int append(std::string& head, const Payload& payload);
-  /// Takes the last bytes off: they are no whole record. \return 0 or an errno
+  /// Cuts the file to `size` bytes, to remove an end that is no complete record. \return 0 or an errno.
   int cut(std::uint64_t size);
   int sync() { return disk_.sync(descriptor_); }
-  /// Removes the file, or keeps it aside under another name when a reader found damage in it. \return its new path
+  /// Removes the file, or renames it if a reader found damage in it. \return its new path; empty: it was removed.
   std::string remove();
 
-  /// A reader found bytes that are no records.
+  /// Notes that a reader found bytes that are not records, so that remove() keeps the file.
   void note_damage() { damaged_ = true; }
 
  private:
@@ -58,20 +58,20 @@ class Segment {
   std::atomic<bool> damaged_{false};
 };
 
-/// Reads one segment's records in order, and goes on behind what is damaged. Not thread safe.
+/// Reads one segment's records in order, and continues after damaged ones. Not thread safe.
 class SegmentReader {
  public:
   SegmentReader(std::shared_ptr<Segment> segment, std::uint64_t offset);
 
-  /// The next good record; nullopt at the end (ask again after an append).
+  /// The next good record; nullopt at the end (call again after an append).
   std::optional<Record> next();
-  /// Behind the last good record.
+  /// End of the last good record.
   std::uint64_t offset() const { return good_end_; }
-  /// Bytes so far that were no records and had good ones behind them.
+  /// Number of damaged bytes so far that have a good record behind them.
   std::uint64_t skipped() const { return skipped_; }
-  /// Bytes at the end that are no record.
+  /// Number of bytes at the end that are not a record.
   std::uint64_t bad_tail() const { return std::max(segment_->size(), good_end_) - good_end_; }
-  /// Whether they are the beginning of one. Ask when next() has found no more.
+  /// Whether the bytes at the end are the beginning of a record. \pre next() found no more records.
   bool tail_is_torn();
   const std::shared_ptr<Segment>& segment() const { return segment_; }
 
@@ -80,11 +80,11 @@ class SegmentReader {
   std::span<const std::byte> view() const { return std::span(buffer_).subspan(begin_); }
 
   const std::shared_ptr<Segment> segment_;
-  std::uint64_t offset_;  ///< in the file, of what is looked at
+  std::uint64_t offset_;  ///< offset in the file of the current position
   std::uint64_t good_end_;
   std::uint64_t skipped_ = 0;
   std::vector<std::byte> buffer_;
-  std::size_t begin_ = 0;  ///< in the buffer, of what is looked at
+  std::size_t begin_ = 0;  ///< offset in the buffer of the current position
 };
 
 }  // namespace iotcloud::brokers::spool

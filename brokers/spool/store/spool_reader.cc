@@ -23,7 +23,7 @@ void SpoolReader::seek(const Position& position) {
 std::optional<Record> SpoolReader::next() {
   if (!current_) open(store_.segment_at(0), 0);
   while (current_) {
-    // Asked first: a segment with one behind it gets no more records.
+    // Asks before it reads: if there is a following segment now, this one gets no more records, so its end is its end.
     auto following = store_.segment_after(current_->segment()->first());
     if (auto record = current_->next()) return record;
     if (!following) return std::nullopt;

@@ -1,32 +1,30 @@
-#include "iotcloud/brokers/rabbitmq/publishing/burst.h"
+#include "iotcloud/brokers/client/burst.h"
 
-#include "iotcloud/brokers/rabbitmq/publishing/publish_link.h"
-
-namespace iotcloud::brokers::rabbitmq {
+namespace iotcloud::brokers::client {
 namespace {
 
-// A handler that takes longer is not quick: what was published before it would wait for too long.
+// A handler that takes longer is not quick: messages published before it would be held back for too long.
 constexpr std::chrono::microseconds quick_time{100};
-// So long messages are held back, and for one quick handler more.
+// Messages are held back for at most this time plus one quick handler.
 constexpr std::chrono::microseconds longest{300};
 
 }  // namespace
 
 thread_local Burst* Burst::innermost = nullptr;
 
-void Reachable::gone() {
-  const std::lock_guard lock(mutex_);
-  link_ = nullptr;
+void Burst::Target::push() {
+  const config::MutexLock lock(mutex_);
+  if (push_) push_();
 }
 
-void Reachable::push() {
-  const std::lock_guard lock(mutex_);
-  if (link_ != nullptr) link_->push();
+void Burst::Target::close() {
+  const config::MutexLock lock(mutex_);
+  push_ = nullptr;
 }
 
 Burst::~Burst() {
   innermost = outer_;
-  for (const auto& link : links_) link->push();
+  for (const auto& target : targets_) target->push();
 }
 
 void Burst::before_handler(bool follows, bool quick) {
@@ -36,7 +34,7 @@ void Burst::before_handler(bool follows, bool quick) {
     began_ = last_ = clock_.now();
   } else if (last_ - *began_ > longest) {
     began_ = last_;
-    return;  // this one sends all
+    return;  // messages published by this handler are not held back
   }
   holds_back_ = follows && quick;
 }
@@ -47,4 +45,4 @@ std::optional<bool> Burst::after_handler() {
   return last_ - before < quick_time;
 }
 
-}  // namespace iotcloud::brokers::rabbitmq
+}  // namespace iotcloud::brokers::client

@@ -1,0 +1,91 @@
+#include "iotcloud/brokers/kafka/reading/consumer_groups.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <pthread.h>
+
+namespace iotcloud::brokers::kafka {
+
+ConsumerGroups::ConsumerGroups(KafkaOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log)
+    : options_(std::move(options)),
+      clock_(clock),
+      log_(log),
+      reader_(std::make_shared<Reader>(options_.native_headers, meters, clock, [this] { wake_event_.signal(); })) {}
+
+ConsumerGroups::~ConsumerGroups() {
+  std::thread thread;
+  {
+    const config::MutexLock lock(mutex_);
+    closing_ = true;
+    thread = std::move(thread_);
+  }
+  wake_event_.signal();
+  if (thread.joinable()) thread.join();
+  reader_->close();
+}
+
+std::shared_ptr<Subscriber> ConsumerGroups::add(const Topic& topic, const SubscriptionOptions& options,
+                                                Handler handler) {
+  const config::MutexLock lock(mutex_);
+  std::shared_ptr<Group>& group = groups_[options.group.empty() ? topic.name : options.group];
+  if (!group) {
+    auto member = std::make_shared<Member>(options.group.empty() ? topic.name : options.group);
+    group = std::make_shared<Group>(options_, reader_, std::move(member), clock_, log_, wake_event_);
+  }
+  auto subscriber = std::make_shared<Subscriber>(group->member(), topic, options, std::move(handler));
+  reader_->add(subscriber);
+  if (!thread_.joinable()) {
+    reader_->start();
+    thread_ = std::thread([this] { run(); });
+    pthread_setname_np(thread_.native_handle(), "kafka-groups");
+  }
+  wake_event_.signal();
+  return subscriber;
+}
+
+void ConsumerGroups::remove(const std::shared_ptr<Subscriber>& subscriber) {
+  reader_->remove(subscriber);
+  wake_event_.signal();
+}
+
+ConnectionState ConsumerGroups::state() const {
+  const config::MutexLock lock(mutex_);
+  if (closing_) return ConnectionState::closed;
+  const bool all = std::all_of(groups_.begin(), groups_.end(),
+                               [&](const auto& entry) { return reader_->connected(*entry.second->member()); });
+  return all ? ConnectionState::connected : ConnectionState::connecting;
+}
+
+std::vector<std::shared_ptr<Group>> ConsumerGroups::groups_to_serve() {
+  std::vector<std::shared_ptr<Group>> serving = leaving_;
+  for (auto entry = groups_.begin(); entry != groups_.end();) {
+    const std::shared_ptr<Group>& group = entry->second;
+    serving.push_back(group);
+    if (!closing_ && !reader_->topics(*group->member()).empty()) {
+      ++entry;
+      continue;
+    }
+    // No subscription reads in this group any more; a new one makes another Group object.
+    leaving_.push_back(group);
+    group->close();
+    entry = groups_.erase(entry);
+  }
+  return serving;
+}
+
+void ConsumerGroups::run() {
+  on_thread_.assert_held();
+  const config::MutexLock lock(mutex_);
+  while (!closing_ || !leaving_.empty() || !groups_.empty()) {
+    std::vector<std::shared_ptr<Group>> serving = groups_to_serve();
+    const config::Unlocked unlocked(mutex_);
+    std::chrono::milliseconds limit{1000};
+    for (const auto& group : serving) limit = std::min(limit, group->serve());
+    serving.clear();
+    const std::size_t gone = std::erase_if(leaving_, [](const auto& group) { return group->closed(); });
+    if (limit.count() > 0 && gone == 0) wake_event_.wait(-1, false, limit);
+  }
+}
+
+}  // namespace iotcloud::brokers::kafka

@@ -1,0 +1,9 @@
+#pragma once
+
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::brokers {
+
+inline constexpr config::Logger logger{"brokers"};
+
+}  // namespace iotcloud::brokers

@@ -1,0 +1,103 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <amqp.h>
+
+#include "iotcloud/brokers/client/ack_window.h"
+#include "iotcloud/brokers/client/backoff.h"
+#include "iotcloud/brokers/client/read_transport.h"
+#include "iotcloud/brokers/rabbitmq/consuming/resent_marks.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/declarations.h"
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/mutex.h>
+
+namespace iotcloud::brokers::rabbitmq {
+
+using client::Arrived;
+using client::Backoff;
+
+class ReadConnection;
+
+/// Assembles the frames of one delivery: its method, its header, the pieces of its body. Copies the body once.
+class Assembly {
+ public:
+  void begin(const amqp_basic_deliver_t& deliver);
+  /// Both return the message when it is complete. \throws LinkError if the frames are inconsistent.
+  std::optional<Arrived> header(const amqp_frame_t& frame, ResentMarks& resent);
+  std::optional<Arrived> body(amqp_bytes_t piece);
+  /// Whether the current delivery, or the one returned last, has more headers than allowed. They were not read, and no
+  /// handler should get the message.
+  bool hostile() const { return hostile_; }
+  void reset() { *this = Assembly(); }
+
+ private:
+  std::optional<Arrived> finish();
+
+  Arrived arrived_;
+  bool expects_header_ = false;
+  bool hostile_ = false;
+  std::shared_ptr<std::byte[]> bytes_;
+  std::size_t size_ = 0;
+  std::size_t filled_ = 0;
+};
+
+/// One subscription as its connection sees it. Guarded by the mutex of its home, except for the constants. The members
+/// of its channel are changed only by the thread that holds that mutex and has the WireTurn of the home, so a thread
+/// with the WireTurn may read them without the mutex.
+class ChannelReader final : public client::OwnInbox {
+ public:
+  enum class Phase {
+    idle,     ///< no channel: not connected, or waiting for `retry_at`
+    opening,  ///< requested; the answer must come by `retry_at`
+    active,   ///< reads
+  };
+
+  ChannelReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what);
+  void settle(std::uint64_t tag, Settlement settlement) noexcept override;
+  /// The connection through which it reads. It moves to another one if the server has no channel left for it. Thread
+  /// safe.
+  std::shared_ptr<ReadConnection> home() const IOTCLOUD_EXCLUDES(home_mutex_);
+  /// To be called with the mutexes of both connections held.
+  void move_to(std::shared_ptr<ReadConnection> link) IOTCLOUD_EXCLUDES(home_mutex_);
+
+  const std::string queue;
+
+  Phase phase = Phase::idle;
+  std::optional<config::Clock::Instant> retry_at;
+  Backoff backoff{std::chrono::milliseconds(100), std::chrono::milliseconds(2000)};
+  std::string complaint;     ///< the last logged complaint, so that it is not logged again
+  bool read_before = false;  ///< it has been active before, on any channel
+  /// How many of the next messages may have been handed on before although the server does not mark them: a killed
+  /// server forgets what it had delivered. After a reconnection, all messages that wait in the queue count as such.
+  std::uint32_t doubtful = 0;
+  bool quick = false;  ///< whether its handler was quick when it was last measured
+
+  // Members of its channel.
+  amqp_channel_t channel = 0;
+  bool passive_exchange = false;  ///< the exchange exists with other properties: use it as it is
+  bool passive_queue = false;
+  // Used by the thread that has the WireTurn, without the mutex.
+  Assembly assembly;
+  ResentMarks resent;
+
+  /// Requests the channel, the queue and its messages; only the last answer, consume-ok, matters. \param on the
+  /// channel's number. \throws LinkError
+  void request(AmqpLink& wire, amqp_channel_t on, QueueType type) const;
+  /// The server has answered consume-ok: reading begins.
+  void begins();
+  /// The server closed the channel: logs the reason once, and adapts the next request to it.
+  void refused(const amqp_channel_close_t& answer);
+  void forget_channel();
+
+ private:
+  mutable config::Mutex home_mutex_;
+  std::shared_ptr<ReadConnection> home_ IOTCLOUD_GUARDED_BY(home_mutex_);
+};
+
+}  // namespace iotcloud::brokers::rabbitmq

@@ -1,0 +1,648 @@
+#include "iotcloud/brokers/rabbitmq/consuming/read_connection.h"
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include <pthread.h>
+
+#include "iotcloud/brokers/client/burst.h"
+#include <iotcloud/brokers/rabbitmq/logger.h>
+
+namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+// The most handlers in a row before the socket is checked and settlements are sent.
+constexpr std::size_t batch = 64;
+// How long acknowledgements may gather, so that one covers many messages.
+constexpr std::chrono::milliseconds gathering_time{2};
+// How long handed-on messages may take to be settled before the connection moves to the preferred server.
+constexpr std::chrono::seconds moving_patience{2};
+constexpr std::chrono::milliseconds moving_period{50};
+
+// The most frames, and bytes of bodies, read in a row before handlers run: the bytes read last are still in the
+// processor's cache, but megabytes would not be.
+constexpr std::size_t frames_in_a_row = 1024;
+constexpr std::size_t bytes_in_a_row = 131072;
+// The most subscriptions requested at once: the server may need milliseconds for each, so the last of thousands would
+// exceed the time limit for an answer.
+constexpr std::size_t most_opening = 64;
+
+}  // namespace
+
+ReadConnection::WireTurn::WireTurn(ReadConnection& link) : link_(link) {
+  while (link.wire_taken_) link.wire_free_.wait(link.core_.mutex);
+  link.wire_taken_ = true;
+}
+
+ReadConnection::WireTurn::~WireTurn() {
+  link_.wire_taken_ = false;
+  link_.buffered_ = link_.wire_ && link_.wire_->has_buffered();
+  link_.wire_free_.notify_one();
+}
+
+ReadConnection::ReadConnection(const Cluster& cluster, const char* purpose, Meters& meters, const config::Clock& clock,
+                               ConnectionLog& log)
+    : cluster_(cluster),
+      purpose_(purpose),
+      meters_(meters),
+      clock_(clock),
+      log_(log),
+      core_(*this, meters, clock, gathering_time),
+      channel_limit_(static_cast<std::size_t>(cluster.channels())),
+      servers_(cluster.size()) {}
+
+void ReadConnection::close() {
+  {
+    const config::MutexLock lock(core_.mutex);
+    if (std::exchange(closing_, true) || !started_) return;
+    core_.stop();
+  }
+  sleep_.signal();
+  thread_.join();
+  // Readers own their connection, so the connection must drop its references to them, or neither would be destroyed.
+  const config::MutexLock lock(core_.mutex);
+  const WireTurn turn(*this);
+  wire_role_.assert_held();
+  forget_connection();
+}
+
+std::shared_ptr<ChannelReader> ReadConnection::add(const Topic& topic, const SubscriptionOptions& options,
+                                                   Handler handler) {
+  auto reader = std::make_shared<ChannelReader>(shared_from_this(), topic, options, std::move(handler));
+  const config::MutexLock lock(core_.mutex);
+  readers_.push_back(reader);
+  set_timer(*reader, clock_.now());
+  start();
+  return reader;
+}
+
+void ReadConnection::start() {
+  if (closing_) return;
+  if (!std::exchange(started_, true)) {
+    thread_ = std::thread([this] { run(); });
+    pthread_setname_np(thread_.native_handle(), "amqp-consume");
+  }
+  wake();
+}
+
+bool ReadConnection::has_room() const {
+  const config::MutexLock lock(core_.mutex);
+  return readers_.size() < channel_limit_;
+}
+
+bool ReadConnection::crowded() const {
+  const config::MutexLock lock(core_.mutex);
+  return readers_.size() > channel_limit_;
+}
+
+void ReadConnection::share(ReadConnection& other) {
+  const config::MutexLock lock(core_.mutex);
+  const config::MutexLock others(other.core_.mutex);
+  for (auto i = readers_.size(); i-- > 0 && readers_.size() > channel_limit_;) {
+    if (other.readers_.size() >= other.channel_limit_) break;
+    const std::shared_ptr<ChannelReader> reader = readers_[i];
+    if (reader->phase != ChannelReader::Phase::idle || reader->Subscriber::running) continue;
+    readers_.erase(readers_.begin() + static_cast<std::ptrdiff_t>(i));
+    core_.forget(*reader);
+    other.set_timer(*reader, clock_.now());
+    reader->move_to(other.shared_from_this());
+    other.readers_.push_back(reader);
+  }
+  other.start();
+}
+
+bool ReadConnection::must_ask_preferred() const {
+  const config::MutexLock lock(core_.mutex);
+  return servers_.must_ask(clock_.now());
+}
+
+void ReadConnection::preferred_answered(bool answers) {
+  const config::MutexLock lock(core_.mutex);
+  servers_.asked(answers, clock_.now());
+  if (servers_.must_move_back(clock_.now())) wake();
+}
+
+bool ReadConnection::remove(const std::shared_ptr<ChannelReader>& reader) {
+  const config::MutexLock lock(core_.mutex);
+  if (!at_home(*reader)) return false;
+  core_.end(*reader);
+  std::erase(readers_, reader);
+  if (reader->phase != ChannelReader::Phase::idle) {
+    leaving_.push_back(reader);
+    say_or_leave();
+  }
+  core_.await_handler(*reader);
+  return true;
+}
+
+bool ReadConnection::pause(ChannelReader& reader) {
+  const config::MutexLock lock(core_.mutex);
+  if (!at_home(reader)) return false;
+  core_.pause(reader);
+  return true;
+}
+
+bool ReadConnection::resume(ChannelReader& reader) {
+  const config::MutexLock lock(core_.mutex);
+  if (!at_home(reader)) return false;
+  core_.resume(reader);
+  return true;
+}
+
+bool ReadConnection::active(const ChannelReader& reader) const {
+  const config::MutexLock lock(core_.mutex);
+  return at_home(reader) && reader.phase == ChannelReader::Phase::active;
+}
+
+ConnectionState ReadConnection::state() const {
+  const config::MutexLock lock(core_.mutex);
+  if (closing_) return ConnectionState::closed;
+  return !started_ || wire_ ? ConnectionState::connected : ConnectionState::connecting;
+}
+
+void ReadConnection::settle(ChannelReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept {
+  const config::MutexLock lock(core_.mutex);
+  // Otherwise the reader has moved, and the settlement is late.
+  if (at_home(reader)) core_.settle(reader, public_tag, settlement);
+}
+
+void ReadConnection::settled(client::Inbox& inbox, bool /*first*/) noexcept {
+  // Normally the connection's thread sends settlements after its handlers. This thread does if that thread sleeps, or
+  // is busy while unsent settlements use up much of the prefetch.
+  if (core_.hands_on_here() || (!sleeping_ && inbox.window.settled() <= inbox.patience())) return;
+  if (!wire_ || broken_) return;
+  if (core_.settlements_due()) {
+    say_or_leave();
+  } else {
+    sleep_.signal_after(core_.gathered_at() - clock_.now());
+  }
+}
+
+void ReadConnection::wake() noexcept {
+  if (std::exchange(sleeping_, false)) sleep_.signal();
+}
+
+void ReadConnection::say_or_leave() noexcept {
+  if (!wire_ || broken_) return;
+  left_for_wire_ = true;
+  if (wire_taken_) return;
+  try {
+    const WireTurn turn(*this);
+    wire_role_.assert_held();
+    say_all();
+  } catch (const std::exception&) {
+    broken_ = true;
+  }
+  if (broken_ || unsaid_ || buffered_) wake();
+}
+
+void ReadConnection::run() {
+  const config::MutexLock lock(core_.mutex);
+  while (!closing_) {
+    try {
+      if (!wire_) connect();
+      if (wire_) serve();
+      hand_on();
+      tell_what_is_due();
+      move_back();
+    } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
+      lose(error.what());
+    }
+    if (!closing_) sleep();
+  }
+  try {
+    const WireTurn turn(*this);
+    wire_role_.assert_held();
+    if (wire_) say_the_rest();
+    // The connection broke: the server delivers messages with unsent settlements again.
+  } catch (const std::exception& error) {
+    log_.lost(error.what());
+  }
+  const WireTurn turn(*this);
+  const std::unique_ptr<AmqpLink> wire = std::move(wire_);
+  const config::Unlocked unlocked(core_.mutex);
+  if (wire) wire->close(0);
+}
+
+void ReadConnection::serve() {
+  const WireTurn turn(*this);
+  wire_role_.assert_held();
+  if (broken_) throw LinkError("it broke");
+  writable_ = woken_to_write_;
+  check_timers();
+  write();
+  if (readable_ || wire_->has_buffered()) {
+    const config::Unlocked unlocked(core_.mutex);
+    read_frames();
+  }
+  write();
+  if (left_for_wire_) say_all();
+}
+
+void ReadConnection::tell_what_is_due() {
+  if (!wire_ || broken_) return;
+  if (!unsaid_ && !left_for_wire_ && leaving_.empty() && !core_.settlements_due()) return;
+  const WireTurn turn(*this);
+  wire_role_.assert_held();
+  say_all();
+}
+
+void ReadConnection::sleep() {
+  readable_ = true;
+  woken_to_write_ = false;
+  if (wire_ && !broken_ && buffered_) return;  // frames are buffered: read them without polling the socket
+  const bool more = (core_.has_ready() && !moving_since_) || broken_ || left_for_wire_;
+  const std::chrono::milliseconds limit = more ? std::chrono::milliseconds(0) : time_to_sleep();
+  sleep_.watch(wire_ ? wire_->descriptor() : -1, unsaid_);
+  sleeping_ = !more;
+  LinkSleep::Result woken;
+  {
+    const config::Unlocked unlocked(core_.mutex);
+    woken = sleep_.wait(limit);
+  }
+  sleeping_ = false;
+  readable_ = woken.readable || !more;  // read after a time-out too, which handles heartbeats
+  woken_to_write_ = woken.writable;
+}
+
+std::chrono::milliseconds ReadConnection::time_to_sleep() const {
+  const Instant now = clock_.now();
+  const auto until = [&](Instant instant) {
+    return std::max(std::chrono::milliseconds(0), std::chrono::ceil<std::chrono::milliseconds>(instant - now));
+  };
+  if (!wire_) return until(servers_.next_attempt());
+  std::chrono::milliseconds limit = std::chrono::milliseconds(wire_->heartbeat()) / 2;
+  if (moving_since_) limit = std::min(limit, moving_period);
+  if (next_timer_) limit = std::min(limit, until(*next_timer_));
+  if (!core_.dirty().empty()) limit = std::min(limit, until(core_.gathered_at()));
+  return limit;
+}
+
+void ReadConnection::connect() {
+  const std::optional<std::size_t> server = servers_.due(clock_.now());
+  if (!server) return;
+  std::unique_ptr<AmqpLink> wire;
+  {
+    const config::Unlocked unlocked(core_.mutex);
+    try {
+      wire = cluster_.connect(*server, purpose_);
+      log_.connected(cluster_.name(*server));
+    } catch (const LinkError& error) {
+      log_.failed(cluster_.name(*server), error.what());
+    }
+  }
+  broken_ = false;
+  wire_ = std::move(wire);
+  if (!wire_) {
+    servers_.failed(*server, clock_.now());
+    return;
+  }
+  servers_.connected(*server, clock_.now());
+  channel_limit_ = static_cast<std::size_t>(wire_->channel_limit());
+  for (const auto& reader : readers_) set_timer(*reader, clock_.now());
+}
+
+void ReadConnection::lose(const std::string& reason) {
+  if (servers_.current()) log_.lost(cluster_.name(*servers_.current()), reason);
+  servers_.lost(clock_.now());
+  std::unique_ptr<AmqpLink> wire;
+  {
+    const WireTurn turn(*this);
+    wire_role_.assert_held();
+    wire = std::move(wire_);
+    forget_connection();
+  }
+  const config::Unlocked unlocked(core_.mutex);
+  wire.reset();
+}
+
+void ReadConnection::forget_connection() {
+  broken_ = left_for_wire_ = unsaid_ = openers_wait_ = writable_ = false;
+  moving_since_.reset();
+  channels_.clear();
+  outgoing_.clear();
+  leaving_.clear();
+  core_.connection_lost();
+  for (const auto& reader : readers_) {
+    reader->forget_channel();
+    reader->backoff.reset();
+  }
+}
+
+void ReadConnection::move_back() {
+  if (!wire_ || broken_) return;
+  const Instant now = clock_.now();
+  if (!moving_since_) {
+    if (!servers_.must_move_back(now)) return;
+    moving_since_ = now;
+  }
+  const bool idle =
+      std::all_of(readers_.begin(), readers_.end(), [](const auto& reader) { return reader->window.handed_on() == 0; });
+  if (!idle && now - *moving_since_ < moving_patience) return;
+  std::unique_ptr<AmqpLink> wire;
+  {
+    const WireTurn turn(*this);
+    wire_role_.assert_held();
+    for (const auto& reader : readers_) {
+      if (reader->channel != 0) tell(*reader, 0);
+    }
+    say_the_rest();
+    wire = std::move(wire_);
+    servers_.left();
+    forget_connection();
+  }
+  const config::Unlocked unlocked(core_.mutex);
+  wire->close(0);
+}
+
+void ReadConnection::hand_on() {
+  if (!core_.has_ready() || moving_since_) return;
+  std::optional<client::Burst> burst(std::in_place, clock_);
+  {
+    ReadCore::Turn turn(core_);
+    for (std::size_t i = 0; i < batch; ++i) {
+      auto* const reader = static_cast<ChannelReader*>(core_.take(turn));
+      if (reader == nullptr) break;
+      burst->before_handler(core_.has_ready() && i + 1 < batch, reader->quick);
+      core_.run(turn);
+      reader->quick = burst->after_handler().value_or(reader->quick);
+    }
+  }
+  // Ends the burst, which sends what the handlers published on other connections.
+  const config::Unlocked unlocked(core_.mutex);
+  burst.reset();
+}
+
+void ReadConnection::attend() {
+  const config::MutexLock lock(core_.mutex);
+  // A user's thread that has the WireTurn needs it only for a moment.
+  if (!core_.hands_on() || !wire_ || broken_ || wire_taken_) return;
+  try {
+    const WireTurn turn(*this);
+    wire_role_.assert_held();
+    check_timers();
+    {
+      const config::Unlocked unlocked(core_.mutex);
+      read_frames();
+    }
+    say_all();
+  } catch (const std::exception&) {
+    broken_ = true;
+  }
+  wake();  // the connection's thread may sleep by now, and there may be messages to hand on
+}
+
+bool ReadConnection::handlers_wait() const {
+  const config::MutexLock lock(core_.mutex);
+  return core_.has_ready() && !core_.hands_on();
+}
+
+void ReadConnection::read_frames() {
+  std::size_t count = 0;
+  std::size_t bytes = 0;
+  do {
+    const std::optional<amqp_frame_t> frame = wire_->next_frame();
+    if (!frame) return;
+    if (frame->frame_type == AMQP_FRAME_BODY) bytes += frame->payload.body_fragment.len;
+    on_frame(*frame);
+    wire_->release(frame->channel);
+    if (bytes >= bytes_in_a_row && handlers_wait()) return;
+  } while (wire_->has_buffered() && ++count < frames_in_a_row);
+}
+
+void ReadConnection::on_frame(const amqp_frame_t& frame) {
+  if (frame.frame_type == AMQP_FRAME_METHOD) {
+    on_method(frame.payload.method, frame.channel);
+    return;
+  }
+  const auto found = channels_.find(frame.channel);
+  if (found == channels_.end() || !found->second) return;
+  ChannelReader& reader = *found->second;
+  std::optional<Arrived> complete;
+  if (frame.frame_type == AMQP_FRAME_HEADER) {
+    complete = reader.assembly.header(frame, reader.resent);
+  } else if (frame.frame_type == AMQP_FRAME_BODY) {
+    complete = reader.assembly.body(frame.payload.body_fragment);
+  }
+  if (complete) on_arrived(reader, std::move(*complete));
+}
+
+void ReadConnection::on_arrived(ChannelReader& reader, Arrived arrived) {
+  const bool hostile = reader.assembly.hostile();
+  const config::MutexLock lock(core_.mutex);
+  // Its channel is about to be closed, and the server delivers its messages to another reader.
+  if (reader.closed) return;
+  if (!arrived.redelivered && reader.doubtful > 0) {
+    --reader.doubtful;
+    arrived.redelivered = true;
+  }
+  if (hostile) {
+    logger.warn("queue {} held a message with too many headers; it is skipped", reader.queue);
+    meters_.skipped(reason::undecodable);
+    core_.skipped(reader);
+    return;
+  }
+  if (!core_.arrived(reader, std::move(arrived))) throw LinkError("a delivery out of turn");
+}
+
+void ReadConnection::on_method(const amqp_method_t& method, amqp_channel_t channel) {
+  if (method.id == AMQP_CONNECTION_CLOSE_METHOD) {
+    throw LinkError("the server closed it: " + describe(*static_cast<const amqp_connection_close_t*>(method.decoded)));
+  }
+  const auto found = channels_.find(channel);
+  if (found == channels_.end()) return;
+  ChannelReader* const reader = found->second.get();  // null: this client has requested the channel's end
+  if (method.id == AMQP_BASIC_DELIVER_METHOD) {
+    if (reader != nullptr) reader->assembly.begin(*static_cast<const amqp_basic_deliver_t*>(method.decoded));
+    return;
+  }
+  const config::MutexLock lock(core_.mutex);
+  switch (method.id) {
+    case AMQP_QUEUE_DECLARE_OK_METHOD:
+      if (reader != nullptr && reader->read_before) {
+        reader->doubtful = static_cast<const amqp_queue_declare_ok_t*>(method.decoded)->message_count;
+      }
+      return;
+    case AMQP_BASIC_CONSUME_OK_METHOD:
+      if (reader != nullptr) reader->begins();
+      return answered();
+    case AMQP_CHANNEL_CLOSE_METHOD:
+      return on_channel_closed(reader, *static_cast<const amqp_channel_close_t*>(method.decoded), channel);
+    case AMQP_CHANNEL_CLOSE_OK_METHOD:
+      channels_.erase(found);
+      return answered();
+    case AMQP_BASIC_CANCEL_METHOD:  // the queue was deleted
+      if (reader == nullptr || reader->closed) return;
+      close_channel(*reader);
+      return retry_later(*reader);
+    default:  // other answers to a request; only the last one, consume-ok, matters
+      return;
+  }
+}
+
+void ReadConnection::on_channel_closed(ChannelReader* reader, const amqp_channel_close_t& why, amqp_channel_t channel) {
+  // After the server's channel.close only close-ok may be sent on the channel.
+  std::erase_if(outgoing_, [&](const Outgoing& one) { return one.channel == channel; });
+  outgoing_.push_back({Outgoing::Kind::close_ok, channel, 0, false, nullptr});
+  if (reader != nullptr && reader->closed) {
+    reader->forget_channel();
+  } else if (reader != nullptr) {
+    reader->refused(why);
+    retry_later(*reader);
+  }
+  channels_.erase(channel);
+  answered();
+}
+
+void ReadConnection::answered() {
+  if (std::exchange(openers_wait_, false)) next_timer_ = clock_.now();
+}
+
+void ReadConnection::retry_later(ChannelReader& reader) {
+  set_timer(reader, clock_.now() + reader.backoff.next());
+}
+
+void ReadConnection::close_channel(ChannelReader& reader) {
+  outgoing_.push_back({Outgoing::Kind::close, reader.channel, 0, false, nullptr});
+  channels_[reader.channel] = nullptr;
+  reader.forget_channel();
+}
+
+/// The lowest free number, because the library keeps about 18 KB for each number that was ever used.
+amqp_channel_t ReadConnection::free_channel() const {
+  amqp_channel_t lowest = 1;
+  for (const auto& [number, reader] : channels_) {
+    if (number != lowest) break;
+    ++lowest;
+  }
+  return lowest;
+}
+
+void ReadConnection::open(const std::shared_ptr<ChannelReader>& reader) {
+  const auto limit = static_cast<amqp_channel_t>(wire_->channel_limit());
+  if (channels_.size() >= limit) {
+    retry_later(*reader);  // until a closing channel becomes free, or the keeper finds another connection
+    return;
+  }
+  reader->channel = free_channel();
+  reader->phase = ChannelReader::Phase::opening;
+  set_timer(*reader, clock_.now() + cluster_.rpc_timeout());
+  channels_[reader->channel] = reader;
+  outgoing_.push_back({Outgoing::Kind::request, reader->channel, 0, false, reader});
+}
+
+void ReadConnection::set_timer(ChannelReader& reader, Instant at) {
+  reader.retry_at = at;
+  if (!next_timer_ || at < *next_timer_) next_timer_ = at;
+}
+
+void ReadConnection::check_timers() {
+  if (!next_timer_) return;
+  const Instant now = clock_.now();
+  if (*next_timer_ > now) return;
+  next_timer_.reset();
+  std::size_t opening =
+      static_cast<std::size_t>(std::count_if(readers_.begin(), readers_.end(), [](const auto& reader) {
+        return reader->phase == ChannelReader::Phase::opening;
+      }));
+  for (const auto& reader : readers_) {
+    if (!reader->retry_at) continue;
+    const Instant at = *reader->retry_at;
+    if (at > now) {
+      set_timer(*reader, at);
+      continue;
+    }
+    if (reader->phase == ChannelReader::Phase::opening)
+      throw LinkError("no answer to the request to read " + reader->queue);
+    if (reader->phase == ChannelReader::Phase::idle && opening >= most_opening) {
+      openers_wait_ = true;
+      continue;
+    }
+    reader->retry_at.reset();
+    if (reader->phase != ChannelReader::Phase::idle) continue;
+    open(reader);
+    if (reader->phase == ChannelReader::Phase::opening) ++opening;
+  }
+}
+
+void ReadConnection::tell(ChannelReader& reader, std::size_t patience) {
+  using Kind = client::AckWindow::Kind;
+  for (const client::AckWindow::Action& action : reader.window.take(patience)) {
+    const auto kind = action.kind == Kind::acknowledge ? Outgoing::Kind::acknowledge : Outgoing::Kind::reject;
+    outgoing_.push_back({kind, reader.channel, action.tag, action.multiple, nullptr});
+  }
+}
+
+void ReadConnection::gather() {
+  for (const auto& inbox : core_.take_dirty()) {
+    auto& reader = static_cast<ChannelReader&>(*inbox);
+    if (!reader.closed && reader.channel != 0) tell(reader, reader.patience());
+  }
+  for (const auto& reader : std::exchange(leaving_, {})) {
+    if (reader->channel == 0) continue;  // the server has closed its channel
+    tell(*reader, 0);
+    close_channel(*reader);
+  }
+}
+
+void ReadConnection::write() {
+  if (outgoing_.empty()) {
+    unsaid_ = false;
+    return;
+  }
+  {
+    const config::Unlocked unlocked(core_.mutex);
+    auto next = outgoing_.begin();
+    for (; next != outgoing_.end(); ++next) {
+      if (!std::exchange(writable_, false) && !wire_->room_for(0)) break;
+      say(*next);
+    }
+    outgoing_.erase(outgoing_.begin(), next);
+  }
+  unsaid_ = !outgoing_.empty();
+}
+
+void ReadConnection::say(const Outgoing& what) {
+  switch (what.kind) {
+    case Outgoing::Kind::request:
+      return what.reader->request(*wire_, what.channel, cluster_.queue_type());
+    case Outgoing::Kind::acknowledge: {
+      amqp_basic_ack_t ack{};
+      ack.delivery_tag = what.tag;
+      ack.multiple = what.multiple ? 1 : 0;
+      return wire_->send(what.channel, AMQP_BASIC_ACK_METHOD, ack);
+    }
+    case Outgoing::Kind::reject: {
+      amqp_basic_nack_t nack{};
+      nack.delivery_tag = what.tag;
+      nack.multiple = what.multiple ? 1 : 0;
+      return wire_->send(what.channel, AMQP_BASIC_NACK_METHOD, nack);
+    }
+    case Outgoing::Kind::close: {
+      amqp_channel_close_t request{};
+      request.reply_code = AMQP_REPLY_SUCCESS;
+      return wire_->send(what.channel, AMQP_CHANNEL_CLOSE_METHOD, request);
+    }
+    case Outgoing::Kind::close_ok:
+      return wire_->send(what.channel, AMQP_CHANNEL_CLOSE_OK_METHOD, amqp_channel_close_ok_t{});
+  }
+}
+
+void ReadConnection::say_all() {
+  do {
+    left_for_wire_ = false;
+    gather();
+    write();
+  } while (left_for_wire_ && !unsaid_);
+  left_for_wire_ = false;  // the rest is written when the socket is writable
+}
+
+void ReadConnection::say_the_rest() {
+  gather();
+  const config::Unlocked unlocked(core_.mutex);
+  for (const Outgoing& what : outgoing_) say(what);
+  outgoing_.clear();
+}
+
+}  // namespace iotcloud::brokers::rabbitmq

@@ -1,0 +1,203 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "iotcloud/brokers/client/connection_log.h"
+#include "iotcloud/brokers/client/read_core.h"
+#include "iotcloud/brokers/client/server_list.h"
+#include "iotcloud/brokers/meters.h"
+#include "iotcloud/brokers/rabbitmq/cluster.h"
+#include "iotcloud/brokers/rabbitmq/consuming/channel_reader.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
+#include <iotcloud/config/mutex.h>
+
+namespace iotcloud::brokers::rabbitmq {
+
+using client::ConnectionLog;
+using client::ReadCore;
+
+/// A consuming connection of a broker object: the transport of a ReadCore, with one thread that reads the connection
+/// and runs the handlers.
+///
+/// Each subscription has a channel of its own, because a refusal (another reader is exclusive) closes the channel. No
+/// function waits for the server's answers: requests are sent one after the other, and answers are handled as they
+/// arrive.
+///
+/// Threads: the *wire* (the AmqpLink) belongs to one thread at a time, the one that has a WireTurn. The core's mutex,
+/// which users' threads lock to settle, is never held during I/O. Outgoing methods are gathered under the mutex and
+/// written without it, as far as the socket takes them at once; the rest waits until the connection's thread finds the
+/// socket writable. So a user's thread that settles or ends a subscription waits neither for the network nor for a
+/// thread that does. If no other thread has the WireTurn, it writes itself, which saves waking the connection's thread
+/// for each acknowledgement; otherwise the thread that has the WireTurn writes. While a handler runs long the broker's
+/// keeper reads on (attend()), up to the prefetch, answers heartbeats, and sends settlements.
+class ReadConnection final : client::ReadTransport, public std::enable_shared_from_this<ReadConnection> {
+ public:
+  /// \param purpose shown by RabbitMQ's tools. The other arguments outlive close().
+  ReadConnection(const Cluster& cluster, const char* purpose, Meters& meters, const config::Clock& clock,
+                 ConnectionLog& log);
+  ~ReadConnection() override = default;
+  ReadConnection(const ReadConnection&) = delete;
+  ReadConnection& operator=(const ReadConnection&) = delete;
+  /// Closes the connection and ends the thread, if there is one. Not to be called from a handler.
+  void close();
+
+  /// Adds a subscription. The first one starts the thread, which connects.
+  std::shared_ptr<ChannelReader> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
+  /// Ends a subscription; returns when its handler has returned, unless called from it.
+  /// This and the next three functions do nothing and return false if the subscription has moved to another connection:
+  /// ask its home().
+  bool remove(const std::shared_ptr<ChannelReader>& reader);
+  bool pause(ChannelReader& reader);
+  bool resume(ChannelReader& reader);
+  bool active(const ChannelReader& reader) const;
+  void settle(ChannelReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept;
+  ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection
+  /// The keeper calls this periodically: while a handler runs long, reads on and sends settlements.
+  void attend();
+  bool has_room() const;  ///< for one more subscription
+  bool crowded() const;   ///< it has more subscriptions than its server allows channels
+  /// Moves subscriptions for which it has no channel to another connection, as many as that one takes. Only the keeper
+  /// calls it, so that no other thread holds the mutexes of two connections.
+  void share(ReadConnection& other);
+  /// Whether it is time to probe the preferred server; preferred_answered() takes the result, after which the
+  /// connection may move back.
+  bool must_ask_preferred() const;
+  void preferred_answered(bool answers);
+
+ private:
+  using Instant = config::Clock::Instant;
+
+  /// A method that is to be sent on a channel.
+  struct Outgoing {
+    enum class Kind : std::uint8_t { request, acknowledge, reject, close, close_ok };
+    Kind kind = Kind::request;
+    amqp_channel_t channel = 0;
+    std::uint64_t tag = 0;  ///< for an acknowledgement or a rejection
+    bool multiple = false;
+    std::shared_ptr<const ChannelReader> reader;  ///< of a request
+  };
+
+  /// Exclusive use of the wire as long as the object lives, even while the mutex is released. Construct and destroy it
+  /// with the mutex held.
+  class WireTurn {
+   public:
+    /// Waits until no other thread has the WireTurn.
+    explicit WireTurn(ReadConnection& link) IOTCLOUD_REQUIRES(link.core_.mutex);
+    ~WireTurn() IOTCLOUD_NO_THREAD_SAFETY_ANALYSIS;  // the mutex is held, see above
+    WireTurn(const WireTurn&) = delete;
+    WireTurn& operator=(const WireTurn&) = delete;
+
+   private:
+    ReadConnection& link_;
+  };
+
+  // The ReadTransport.
+  void settled(client::Inbox& inbox, bool first) noexcept override IOTCLOUD_REQUIRES(core_.mutex);
+  void wake() noexcept override IOTCLOUD_REQUIRES(core_.mutex);
+
+  bool at_home(const ChannelReader& reader) const { return reader.home().get() == this; }
+
+  // Run on the connection's thread.
+  void start() IOTCLOUD_REQUIRES(core_.mutex);
+  void run();
+  void connect() IOTCLOUD_REQUIRES(core_.mutex);
+  void serve() IOTCLOUD_REQUIRES(core_.mutex);
+  void hand_on() IOTCLOUD_REQUIRES(core_.mutex);
+  void tell_what_is_due() IOTCLOUD_REQUIRES(core_.mutex);
+  void sleep() IOTCLOUD_REQUIRES(core_.mutex);
+  std::chrono::milliseconds time_to_sleep() const IOTCLOUD_REQUIRES(core_.mutex);
+  void lose(const std::string& reason) IOTCLOUD_REQUIRES(core_.mutex);
+  /// If the connection is to move to the preferred server: closes it once all handed-on messages are settled, or that
+  /// takes too long.
+  void move_back() IOTCLOUD_REQUIRES(core_.mutex);
+  void forget_connection() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+
+  // These need the WireTurn and throw LinkError.
+  void read_frames() IOTCLOUD_EXCLUDES(core_.mutex) IOTCLOUD_REQUIRES(wire_role_);
+  void on_frame(const amqp_frame_t& frame) IOTCLOUD_EXCLUDES(core_.mutex) IOTCLOUD_REQUIRES(wire_role_);
+  void on_method(const amqp_method_t& method, amqp_channel_t channel) IOTCLOUD_EXCLUDES(core_.mutex)
+      IOTCLOUD_REQUIRES(wire_role_);
+  void on_arrived(ChannelReader& reader, Arrived arrived) IOTCLOUD_EXCLUDES(core_.mutex) IOTCLOUD_REQUIRES(wire_role_);
+  void on_channel_closed(ChannelReader* reader, const amqp_channel_close_t& why, amqp_channel_t channel)
+      IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  bool handlers_wait() const IOTCLOUD_EXCLUDES(core_.mutex);
+  void open(const std::shared_ptr<ChannelReader>& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  amqp_channel_t free_channel() const IOTCLOUD_REQUIRES(wire_role_);
+  void check_timers() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void close_channel(ChannelReader& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void tell(ChannelReader& reader, std::size_t patience) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  /// Turns settlements and ended subscriptions into outgoing methods.
+  void gather() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  /// Writes outgoing methods, with the mutex released, as far as the socket takes them at once.
+  void write() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void say(const Outgoing& what) IOTCLOUD_REQUIRES(wire_role_);
+  /// gather() and write(), repeated if other threads left something meanwhile.
+  void say_all() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  /// Writes everything before the connection is closed; waits until the socket takes it.
+  void say_the_rest() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+
+  /// say_all() on a user's thread if no other thread has the WireTurn; otherwise that thread does it.
+  void say_or_leave() noexcept IOTCLOUD_REQUIRES(core_.mutex);
+  void set_timer(ChannelReader& reader, Instant at) IOTCLOUD_REQUIRES(core_.mutex);
+  void retry_later(ChannelReader& reader) IOTCLOUD_REQUIRES(core_.mutex);
+  /// The server has answered a request, so a waiting subscription may be requested.
+  void answered() IOTCLOUD_REQUIRES(core_.mutex);
+
+  const Cluster& cluster_;
+  const char* const purpose_;
+  Meters& meters_;
+  const config::Clock& clock_;
+  ConnectionLog& log_;
+  LinkSleep sleep_;  ///< only the connection's thread calls watch()
+  ReadCore core_;
+
+  // Used by the thread that has the WireTurn; replaced by the connection's thread, with the WireTurn and the mutex.
+  std::unique_ptr<AmqpLink> wire_;
+  config::ThreadRole wire_role_;  ///< the thread that has the WireTurn
+  /// Null: this client has requested the channel's end, and the answer is still to come.
+  std::map<amqp_channel_t, std::shared_ptr<ChannelReader>> channels_ IOTCLOUD_GUARDED_BY(wire_role_);
+  std::vector<Outgoing> outgoing_ IOTCLOUD_GUARDED_BY(wire_role_);
+  /// Poll reported room, so one method can be written without asking again.
+  bool writable_ IOTCLOUD_GUARDED_BY(wire_role_) = false;
+
+  config::ConditionVariable wire_free_;
+  bool wire_taken_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+  /// Something is to be written; the thread that has the WireTurn, or the connection's thread, does it.
+  bool left_for_wire_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+  bool unsaid_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;  ///< the socket took no more; some outgoing methods are left
+  /// The AmqpLink holds received bytes, which poll() does not show.
+  bool buffered_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+  bool readable_ IOTCLOUD_GUARDED_BY(core_.mutex) = true;  ///< used by the connection's thread: read the wire
+  /// Used by the connection's thread: poll reported the socket as writable.
+  bool woken_to_write_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+
+  bool started_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+  bool closing_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+  bool broken_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;    ///< another thread found the connection broken
+  bool sleeping_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;  ///< the connection's thread sleeps
+  std::vector<std::shared_ptr<ChannelReader>> readers_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  /// Removed subscriptions whose channels are not closed yet.
+  std::vector<std::shared_ptr<ChannelReader>> leaving_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  /// No reader's retry_at is earlier, except those of readers for which openers_wait_ is set.
+  std::optional<Instant> next_timer_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  /// Some subscriptions are due, but wait until the server has answered earlier requests.
+  bool openers_wait_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+
+  /// The number of channels that we request; once connected, the number that the server allows.
+  std::size_t channel_limit_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  client::ServerList servers_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  /// Set while the connection is about to move to the preferred server: nothing is handed on.
+  std::optional<Instant> moving_since_ IOTCLOUD_GUARDED_BY(core_.mutex);
+
+  std::thread thread_;
+};
+
+}  // namespace iotcloud::brokers::rabbitmq
