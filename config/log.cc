@@ -19,7 +19,7 @@ constexpr const char* json_pattern = R"({"time":"%Y-%m-%dT%H:%M:%S.%e%z","level"
 
 std::atomic<LogFormat> line_format{LogFormat::text};
 
-/// As a JSON string, quotes included. Bytes that are no UTF-8 are replaced.
+/// Writes text as a JSON string, quotes included. Replaces bytes that are not UTF-8.
 std::string quoted(std::string_view text) {
   return nlohmann::json(text).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
@@ -61,7 +61,7 @@ void log_line(LogLevel level, std::string_view part, std::string_view text) noex
     } else {
       sink().log(to_spdlog(level), "{}: {}", part, text);
     }
-  } catch (...) {  // a line that cannot be written must not stop the one who speaks
+  } catch (...) {  // a line that cannot be written must not stop the caller
   }
 }
 

@@ -6,18 +6,21 @@
 
 namespace iotcloud::config {
 
+/// How important a line is. `off`: no line is written.
 enum class LogLevel { debug, info, warn, error, off };
 
-/// Logs to stderr, one line each: time, level, the part of the system that speaks ("brokers.rabbitmq"), the text.
-/// Thread safe, never throws. spdlog stands behind it and is not seen here, to keep compile times low.
+/// Logs to stderr, one line each: time, level, the part of the system that logs ("brokers.rabbitmq"), the text. Thread
+/// safe, never throws. The header hides spdlog, to keep compile times low.
 void log_line(LogLevel level, std::string_view part, std::string_view text) noexcept;
 
-/// Lines below `level` are not written. Default: info. \throws ConfigError for a name that is none.
+/// Sets the lowest level that is written. Default: info. Thread safe.
 void set_log_level(LogLevel level);
+/// The lowest level that is written. Thread safe.
 LogLevel log_level();
+/// \param name "debug", "info", "warn", "error" or "off". \throws ConfigError for another name.
 LogLevel parse_log_level(std::string_view name);
 
-/// Speaks for one part of the system: `const Logger log{"brokers.rabbitmq"}; log.info("connected to {}", url);`
+/// Logs for one part of the system: `const Logger log{"brokers.rabbitmq"}; log.info("connected to {}", url);`
 class Logger {
  public:
   constexpr explicit Logger(std::string_view part) : part_(part) {}

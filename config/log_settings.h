@@ -10,33 +10,36 @@
 
 namespace iotcloud::config {
 
+/// How a line is written.
 enum class LogFormat {
   text,  ///< for people: time, level, part, text
   json,  ///< for programs: an object on each line with the members time (ISO 8601), level, part, text
 };
 
-/// How log lines are written from now on. Default: text. Thread safe.
+/// Sets how log lines are written from now on. Default: text. Thread safe.
 void set_log_format(LogFormat format);
+/// How lines are written now. Thread safe.
 LogFormat log_format();
-/// \throws ConfigError for a name that is none.
+/// \throws ConfigError for an unknown name.
 LogFormat parse_log_format(std::string_view name);
 
-/// The section `log` of a daemon's configuration file: what SIGHUP makes it read again. What is not said stays.
+/// The section `log` of a daemon's configuration file, which SIGHUP reads again. Missing keys change nothing.
 struct LogSettings {
   std::optional<LogLevel> level;
   std::optional<LogFormat> format;
 };
 
-/// Reads `log: {level: debug|info|warn|error|off, format: text|json}`. Each daemon's reader of its file calls it, so
-/// that the key is known there. \throws ConfigError.
+/// Reads `log: {level: debug|info|warn|error|off, format: text|json}`. Each daemon's configuration reader calls it, so
+/// that it knows the key. \throws ConfigError.
 LogSettings read_log_settings(Section& top);
-/// The same from a file whose other keys somebody else checks. \throws ConfigError.
+/// Reads the section from a file and ignores its other keys. \throws ConfigError.
 LogSettings load_log_settings(const std::string& file);
 
+/// Makes this process log so from now on. Thread safe.
 void apply(const LogSettings& settings);
 
-/// The options by which a program that this process starts logs as this one does at present:
-/// {"--log-level", "info", "--log-format", "json"}. Thread safe.
+/// The options that make a child process log as this one does now: {"--log-level", "info", "--log-format", "json"}.
+/// Thread safe.
 std::vector<std::string> log_options();
 
 }  // namespace iotcloud::config

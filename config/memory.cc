@@ -6,8 +6,10 @@ namespace iotcloud::config {
 
 void keep_freed_memory() {
   mallopt(M_TRIM_THRESHOLD, 64 << 20);
-  mallopt(M_TOP_PAD, 4 << 20);          // an arena grows by so much: fewer calls, and pages are used only when touched
-  mallopt(M_MMAP_THRESHOLD, 32 << 20);  // setting the others ends its adapting by itself, as far as this
+  // an arena grows in steps of this size: fewer system calls, and untouched pages cost nothing
+  mallopt(M_TOP_PAD, 4 << 20);
+  // the other settings stop its automatic growth, so it is set to the largest value that this would reach
+  mallopt(M_MMAP_THRESHOLD, 32 << 20);
 }
 
 }  // namespace iotcloud::config

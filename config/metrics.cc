@@ -4,16 +4,16 @@
 #include <cmath>
 #include <deque>
 #include <limits>
-#include <mutex>
 
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::config {
 
 namespace {
 
 constexpr int sub_buckets = 16;  // for each power of two
-constexpr int octaves = 40;      // up to 18 minutes; longer ones count in the last bucket
+constexpr int octaves = 40;      // up to 18 minutes; the last bucket counts longer durations
 constexpr int bucket_count = (octaves - 3) * sub_buckets;
 
 int bucket_of(std::uint64_t ns) {
@@ -23,7 +23,7 @@ int bucket_of(std::uint64_t ns) {
   return std::min((octave - 3) * sub_buckets + within, bucket_count - 1);
 }
 
-/// The middle of a bucket, ns.
+/// The middle of a bucket, in ns.
 double middle_of(int bucket) {
   if (bucket < sub_buckets) return bucket;
   const int octave = bucket / sub_buckets + 3;
@@ -98,54 +98,78 @@ struct Metrics::Impl {
   };
   using Key = std::pair<std::string, Labels>;
 
+  /// \param metrics one of the maps below
   template <typename Metric>
   Metric& find_or_make(std::map<Key, Named<Metric>>& metrics, const std::string& name, const std::string& help,
-                       const Labels& labels) {
-    const std::lock_guard lock(mutex);
-    auto& named = metrics[{name, labels}];  // map nodes stay where they are
+                       const Labels& labels) IOTCLOUD_REQUIRES(mutex) {
+    auto& named = metrics[{name, labels}];  // references to a map's nodes stay valid
     if (named.help.empty()) named.help = help;
     return named.metric;
   }
 
-  mutable std::mutex mutex;  // guards the maps, not the metrics in them
-  std::map<Key, Named<Counter>> counters;
-  std::map<Key, Named<Gauge>> gauges;
-  std::map<Key, Named<Histogram>> histograms;
-  mutable std::mutex sources_mutex;  // held while sources run
-  std::map<std::uint64_t, Source> sources;
-  std::uint64_t last_source = 0;
+  struct Registered {
+    Mutex running;  ///< held while the source runs
+    Source source IOTCLOUD_GUARDED_BY(running);
+  };
+
+  mutable Mutex mutex;  // guards the maps; the metrics in them need no lock
+  std::map<Key, Named<Counter>> counters IOTCLOUD_GUARDED_BY(mutex);
+  std::map<Key, Named<Gauge>> gauges IOTCLOUD_GUARDED_BY(mutex);
+  std::map<Key, Named<Histogram>> histograms IOTCLOUD_GUARDED_BY(mutex);
+  mutable Mutex sources_mutex;
+  std::map<std::uint64_t, std::shared_ptr<Registered>> sources IOTCLOUD_GUARDED_BY(sources_mutex);
+  std::uint64_t last_source IOTCLOUD_GUARDED_BY(sources_mutex) = 0;
 };
 
 Metrics::Metrics() : impl_(std::make_unique<Impl>()) {}
 Metrics::~Metrics() = default;
 
 Counter& Metrics::counter(const std::string& name, const std::string& help, const Labels& labels) {
+  const MutexLock lock(impl_->mutex);
   return impl_->find_or_make(impl_->counters, name, help, labels);
 }
 Gauge& Metrics::gauge(const std::string& name, const std::string& help, const Labels& labels) {
+  const MutexLock lock(impl_->mutex);
   return impl_->find_or_make(impl_->gauges, name, help, labels);
 }
 Histogram& Metrics::histogram(const std::string& name, const std::string& help, const Labels& labels) {
+  const MutexLock lock(impl_->mutex);
   return impl_->find_or_make(impl_->histograms, name, help, labels);
 }
 
 Metrics::SourceRegistration Metrics::add_source(Source source) {
-  const std::lock_guard lock(impl_->sources_mutex);
-  impl_->sources.emplace(++impl_->last_source, std::move(source));
+  const auto registered = std::make_shared<Impl::Registered>();
+  {
+    const MutexLock running(registered->running);
+    registered->source = std::move(source);
+  }
+  const MutexLock lock(impl_->sources_mutex);
+  impl_->sources.emplace(++impl_->last_source, registered);
   return SourceRegistration(*this, impl_->last_source);
 }
 void Metrics::remove_source(std::uint64_t id) {
-  const std::lock_guard lock(impl_->sources_mutex);
-  impl_->sources.erase(id);
+  std::shared_ptr<Impl::Registered> registered;
+  {
+    const MutexLock lock(impl_->sources_mutex);
+    registered = std::move(impl_->sources.extract(id).mapped());
+  }
+  Source source;  // declared before the locks, so that it is destroyed without any lock
+  const MutexLock running(registered->running);
+  source.swap(registered->source);
 }
 
 std::vector<Sample> Metrics::collect() const {
   std::vector<Sample> samples;
+  std::vector<std::shared_ptr<Impl::Registered>> sources;
   {
-    const std::lock_guard lock(impl_->sources_mutex);
-    for (const auto& [id, source] : impl_->sources) source(samples);
+    const MutexLock lock(impl_->sources_mutex);
+    for (const auto& [id, registered] : impl_->sources) sources.push_back(registered);
   }
-  const std::lock_guard lock(impl_->mutex);
+  for (const auto& registered : sources) {
+    const MutexLock running(registered->running);
+    if (registered->source) registered->source(samples);
+  }
+  const MutexLock lock(impl_->mutex);
   for (const auto& [key, named] : impl_->counters) {
     samples.push_back(
         {key.first, named.help, key.second, Sample::Kind::counter, static_cast<double>(named.metric.value()), {}});

@@ -38,6 +38,7 @@ class Gauge {
 /// free; the buckets are allocated at the first sample.
 class Histogram {
  public:
+  /// All samples so far, in nanoseconds; quantiles are within 4.5 %.
   struct Summary {
     std::uint64_t count = 0;
     double mean_ns = 0, p50_ns = 0, p99_ns = 0, max_ns = 0;
@@ -47,7 +48,7 @@ class Histogram {
   Histogram(const Histogram&) = delete;
   Histogram& operator=(const Histogram&) = delete;
 
-  /// \param times how many samples of this value (a batch that was timed as a whole).
+  /// \param times how many samples have this value (for a batch that was timed as a whole).
   void record_ns(std::int64_t ns, std::uint64_t times = 1);
   Summary summary() const;
 
@@ -59,6 +60,7 @@ class Histogram {
 
 /// One reading of one metric, as an exporter needs it.
 struct Sample {
+  /// Says which of the values below holds.
   enum class Kind { counter, gauge, histogram };
   std::string name;
   std::string help;
@@ -68,9 +70,9 @@ struct Sample {
   Histogram::Summary histogram;  ///< histogram only
 };
 
-/// The small interface through which rooms report: ask once for a metric by name and labels, keep the reference, use
-/// it for as long as `Metrics` lives. Asking twice gives the same object. Thread safe.
-/// Names follow Prometheus ("iotcloud_broker_messages_published_total").
+/// The interface through which rooms report metrics: ask once for a metric by name and labels, and keep the reference,
+/// which is valid as long as `Metrics` lives. The same name and labels give the same object. Thread safe. Names follow
+/// Prometheus ("iotcloud_broker_messages_published_total").
 class Metrics {
  public:
   Metrics();
@@ -79,9 +81,10 @@ class Metrics {
   Gauge& gauge(const std::string& name, const std::string& help, const Labels& labels = {});
   Histogram& histogram(const std::string& name, const std::string& help, const Labels& labels = {});
 
-  /// Appends samples of its own. Called by collect() on any thread, one call at a time; must not use this Metrics.
+  /// Appends samples of its own. collect() calls it on any thread, one call of a source at a time; it must neither call
+  /// collect() nor destroy its own registration.
   using Source = std::function<void(std::vector<Sample>& samples)>;
-  /// Ends a source: when its destructor returns the source does not run and never will again.
+  /// Ends a source: after its destructor returned, the source does not run any more.
   class SourceRegistration {
    public:
     SourceRegistration() = default;
@@ -101,7 +104,7 @@ class Metrics {
     Metrics* metrics_ = nullptr;
     std::uint64_t id_ = 0;
   };
-  /// For what has so many metrics that they are better read than pushed.
+  /// For parts with so many metrics that reading them on demand is cheaper than keeping them up to date.
   [[nodiscard]] SourceRegistration add_source(Source source);
   std::vector<Sample> collect() const;
 
@@ -111,7 +114,7 @@ class Metrics {
   std::unique_ptr<Impl> impl_;
 };
 
-/// The process's own metrics: what a room uses unless it is given others.
+/// The process's own metrics, which rooms use by default.
 Metrics& process_metrics();
 
 }  // namespace iotcloud::config

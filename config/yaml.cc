@@ -19,9 +19,9 @@ struct Section::Impl {
   YAML::Node node;  ///< a mapping
   std::string file;
   std::string path;
-  std::string pattern;                        ///< the path with `<name>` for names that the user chooses: see AskedKey
+  std::string pattern;  ///< as `path`, with `<name>` for names that the user chooses: see AskedKey
   std::shared_ptr<const std::string> source;  ///< the whole file
-  /// Keys asked for so far. Shared by all copies of a section, so that finish() sees what every reader asked for.
+  /// Keys that were asked for. All copies of a section share it, so that finish() sees what every reader asked for.
   std::set<std::string> asked;
 
   void note(const std::string& key, std::string kind, std::string fallback = "", std::string allowed = "");
@@ -107,7 +107,7 @@ Section Section::parse(std::string_view text, const std::string& name) {
 
 Section Section::load_file(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
-  std::string text(internal::most_text_bytes + 1, '\0');  // one more than is read: enough to refuse it
+  std::string text(internal::most_text_bytes + 1, '\0');  // one byte more than allowed is enough to refuse a file
   if (file) file.read(text.data(), static_cast<std::streamsize>(text.size()));
   if (!file.eof() && file.fail()) {
     throw ConfigError({path, 0, 0}, "", "this file cannot be read", "check its name and permissions");
@@ -118,7 +118,7 @@ Section Section::load_file(const std::string& path) {
 
 namespace {
 
-/// The value of a key, or an undefined node; a key with nothing behind it counts as missing.
+/// The value of a key, or an undefined node; a key without a value counts as missing.
 YAML::Node lookup(const YAML::Node& node, const std::string& key) {
   const YAML::Node value = node[key];
   if (!value || value.IsNull()) return YAML::Node(YAML::NodeType::Undefined);

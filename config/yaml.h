@@ -15,13 +15,14 @@
 
 namespace iotcloud::config {
 
-/// One mapping of a YAML file, read strictly: every key is asked for, or finish() reports it as unknown with the
+/// One mapping of a YAML file, read strictly: finish() reports a key that no reader has asked for as unknown, with the
 /// nearest known key. Wrong types, missing keys and values out of range throw ConfigError with file, line, column, the
-/// dotted key and what would be right. Duplicate keys are errors. Not thread safe; cheap to copy (shares the document).
+/// dotted key and what would be right. Duplicate keys are errors. Not thread safe; cheap to copy (copies share the
+/// document).
 class Section {
  public:
-  /// \throws ConfigError when the file cannot be read, is not YAML, or is not a mapping at the top. Refused, too, is
-  /// what no editor writes: other than UTF-8, control characters, more than 4 MiB, 32 levels or 500'000 values.
+  /// \throws ConfigError if the file cannot be read, is not YAML, or has no mapping at the top; and if it is not UTF-8,
+  /// has control characters, or has more than 4 MiB, 32 levels or 500'000 values.
   static Section load_file(const std::string& path);
   /// \param name stands for the file in messages.
   static Section parse(std::string_view text, const std::string& name);
@@ -35,9 +36,9 @@ class Section {
   std::int64_t require_int(const std::string& key, std::int64_t min, std::int64_t max);
   double double_or(const std::string& key, double fallback, double min, double max);
   bool bool_or(const std::string& key, bool fallback);
-  /// "250ms", "2s", "5m", "1h", "10us"; a bare number is refused, its unit would be a guess.
+  /// "250ms", "2s", "5m", "1h", "10us". A number without a unit is an error, because its unit would be a guess.
   std::chrono::microseconds duration_or(const std::string& key, std::chrono::microseconds fallback);
-  /// One of `choices`, or the error lists them.
+  /// One of `choices`; the error message lists them.
   std::string choice_or(const std::string& key, const std::string& fallback, const std::vector<std::string>& choices);
   std::string require_choice(const std::string& key, const std::vector<std::string>& choices);
 
@@ -57,13 +58,13 @@ class Section {
   std::optional<Section> optional_section(const std::string& key);
   Section require_section(const std::string& key);
 
-  /// \throws ConfigError for the first key that was never asked for. Also call it on every section read.
+  /// \throws ConfigError for the first key that nobody asked for. Call it on every section that was read.
   void finish() const;
 
-  /// An error at this key's value (or at this section, when `key` is empty or missing), for checks of the caller.
+  /// An error at this key's value (at this section if `key` is empty or missing), for the caller's own checks.
   [[nodiscard]] ConfigError error(const std::string& key, const std::string& problem,
                                   const std::string& remedy = "") const;
-  /// An error at one character of this key's value, which is a single value: `offset` bytes from its beginning.
+  /// An error at one character of this key's value, a scalar: `offset` bytes from its beginning.
   [[nodiscard]] ConfigError error_within(const std::string& key, std::size_t offset, const std::string& problem) const;
   Location where(const std::string& key = "") const;
   const std::string& path() const;  ///< dotted path of this section; empty at the top
@@ -77,7 +78,7 @@ class Section {
 /// "250ms", "2s", "5m", "1h", "10us"; nullopt for anything else.
 std::optional<std::chrono::microseconds> parse_duration(const std::string& text);
 
-/// The candidate nearest to `word` by edit distance, when it is near enough to suggest; otherwise empty.
+/// The candidate nearest to `word` by edit distance, if it is near enough to suggest; otherwise empty.
 std::string nearest(std::string_view word, const std::vector<std::string>& candidates);
 
 }  // namespace iotcloud::config

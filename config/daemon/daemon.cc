@@ -1,8 +1,6 @@
 #include <cerrno>
-#include <condition_variable>
 #include <cstdio>
 #include <cstdlib>
-#include <mutex>
 #include <thread>
 #include <vector>
 
@@ -17,6 +15,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/memory.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/config/version.h>
 #include <iotcloud/config/yaml/asked_keys.h>
 
@@ -35,18 +34,18 @@ sigset_t awaited_signals() {
   return set;
 }
 
-/// \param limit zero: none. \return the signal; 0: none came in time.
+/// \param limit zero: no limit. \return the signal; 0 if none came in time.
 int await_signal(const sigset_t& signals, std::chrono::microseconds limit) {
   for (;;) {
     const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(limit);
     const timespec wait{seconds.count(), std::chrono::nanoseconds(limit - seconds).count()};
     const int received = limit.count() > 0 ? sigtimedwait(&signals, nullptr, &wait) : sigwaitinfo(&signals, nullptr);
     if (received > 0) return received;
-    if (errno == EAGAIN) return 0;  // otherwise EINTR: a debugger, say
+    if (errno == EAGAIN) return 0;  // on EINTR (a debugger attached) wait again
   }
 }
 
-/// What SIGHUP asks for. A file that is wrong changes nothing.
+/// Handles SIGHUP. A file with errors changes nothing.
 void read_again(const std::string& file, Service& service, const Logger& log) {
   try {
     const LogSettings settings = load_log_settings(file);
@@ -58,19 +57,19 @@ void read_again(const std::string& file, Service& service, const Logger& log) {
   }
 }
 
-/// Ends the process when stopping takes longer than it may: what hangs cannot be asked to end.
+/// Ends the process when stopping exceeds the limit: a service that hangs cannot be asked to end.
 class StopWatchdog {
  public:
   StopWatchdog(std::string name, std::chrono::milliseconds limit)
       : thread_([this, name = std::move(name), limit] {
-          std::unique_lock lock(mutex_);
-          if (stopped_.wait_for(lock, limit, [this] { return done_; })) return;
+          const MutexLock lock(mutex_);
+          if (stopped_.wait_for(mutex_, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return done_; })) return;
           log_line(LogLevel::error, name, "did not stop within its limit; ending at once");
           _exit(exit_failed);
         }) {}
   ~StopWatchdog() {
     {
-      const std::lock_guard lock(mutex_);
+      const MutexLock lock(mutex_);
       done_ = true;
     }
     stopped_.notify_all();
@@ -78,13 +77,13 @@ class StopWatchdog {
   }
 
  private:
-  std::mutex mutex_;
-  std::condition_variable stopped_;
-  bool done_ = false;   // guarded by mutex_
-  std::thread thread_;  // last: it uses the others
+  Mutex mutex_;
+  ConditionVariable stopped_;
+  bool done_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  std::thread thread_;  // last, because it uses the other members
 };
 
-/// A second signal while stopping ends the process at once.
+/// From now on a second signal ends the process at once.
 void end_at_second_signal() {
   struct sigaction action {};
   action.sa_handler = [](int) { _exit(exit_failed); };
@@ -170,7 +169,7 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   log.info("{} received, stopping", received == SIGTERM ? "SIGTERM" : "SIGINT");
   end_at_second_signal();
 
-  // The service has nine tenths of the limit; the rest is for its destruction. At the limit the process ends.
+  // The service gets nine tenths of the limit, its destructor the rest. At the limit the process ends.
   const StopWatchdog watchdog(options.name, options.stop_limit);
   try {
     service->stop(options.stop_limit * 9 / 10);

@@ -7,37 +7,40 @@
 
 namespace iotcloud::config {
 
-/// A daemon's parts: built from its configuration file, started, stopped in order.
+/// A daemon's parts: built from its configuration file, started, and stopped in order.
 class Service {
  public:
   virtual ~Service() = default;
-  /// Returns once the service runs (it may still be connecting). \throws Error when it cannot.
+  /// Returns once the service runs (it may still be connecting). \throws Error if it cannot start.
   virtual void start() = 0;
-  /// Drains and stops; called once, from the main thread. Must return within `limit`.
+  /// Drains and stops. The main thread calls it once; it must return within `limit`.
   virtual void stop(std::chrono::milliseconds limit) = 0;
-  /// SIGHUP: reads again what can change while it runs, such as who may do what. From the main thread, between start()
-  /// and stop(). \throws Error: what could not be read stays as it was.
+  /// Called on SIGHUP: reads again what may change while the service runs, such as tokens. The main thread calls it
+  /// between start() and stop(). \throws Error if it cannot read something, whose old value then stays.
   virtual void reload() {}
-  /// Why it is not well, in one line ("the registry is away"); empty: it is. Between start() and stop(), on any thread;
-  /// returns soon, and takes the locks that its work takes: who waits for the answer knows that nothing hangs there.
+  /// Why the service is unhealthy, in one line ("the registry is away"); empty if it is healthy. Any thread may call it
+  /// between start() and stop(). It must return soon, and must take the locks that the service's work takes, so that an
+  /// answer proves that the work does not hang.
   virtual std::string trouble() const { return {}; }
 };
 
+/// What one daemon is: its name, and how its service is made.
 struct DaemonOptions {
   std::string name;         ///< "iotcloud-gateway"
   std::string description;  ///< one sentence for --help
   /// Reads and checks the whole configuration, and builds the service without starting it. \throws ConfigError.
   std::function<std::unique_ptr<Service>(const std::string& config_file)> build;
-  /// From the signal to the end of the process at the latest; the service is given a little less.
+  /// Longest time from the signal to the end of the process; the service gets a little less.
   std::chrono::milliseconds stop_limit{5000};
 };
 
 /// The frame that every daemon shares: `--config FILE`, `--check-config`, `--log-level`, `--log-format`, `--version`,
-/// `--help`; SIGPIPE ignored; SIGTERM and SIGINT stop in order; a second signal ends at once; SIGHUP reads the section
-/// `log` of the configuration again (log_settings.h), and calls reload(). When the service runs, "NAME ready" is
-/// logged, and systemd is told so; its watchdog is answered as long as trouble() returns. Blocks the signals before any
-/// other thread exists, so call it first in main(). \return the exit status: 0 stopped in order, 1 failed to start or
-/// to stop in time, 2 bad usage or bad configuration.
+/// `--help`. It ignores SIGPIPE; SIGTERM and SIGINT stop the service in order, a second signal ends the process at
+/// once; SIGHUP reads the section `log` of the configuration again (log_settings.h) and calls reload(). When the
+/// service runs, it logs "NAME ready" and tells systemd; it answers systemd's watchdog as long as trouble() returns. It
+/// blocks the signals before any other thread starts, so call it first in main().
+/// \return the exit status: 0 stopped in order, 1 failed to start or to stop in time, 2 wrong arguments or bad
+/// configuration.
 int run_daemon(int argc, char** argv, const DaemonOptions& options);
 
 }  // namespace iotcloud::config

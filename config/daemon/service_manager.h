@@ -5,19 +5,19 @@
 
 namespace iotcloud::config {
 
-/// Tells systemd how this process is, when it was started by a unit of `Type=notify`; otherwise nothing happens.
-/// Source: sd_notify(3), sd_watchdog_enabled(3). Used by the daemon's main thread.
+/// Reports this process's state to systemd if a unit of `Type=notify` started it; otherwise does nothing. Source:
+/// sd_notify(3), sd_watchdog_enabled(3). The daemon's main thread uses it.
 class ServiceManager {
  public:
-  /// Takes what the unit asks for from the environment, which children do not inherit.
+  /// Takes systemd's variables out of the environment, so that child processes do not inherit them.
   ServiceManager();
 
   void ready() const;
-  void reloading() const;  ///< ready() says when that is over
+  void reloading() const;  ///< ready() ends this state
   void stopping() const;
-  /// The process still does its work, or so it believes. \param status for people, shown by `systemctl status`
+  /// Answers the watchdog: the process works. \param status for people, shown by `systemctl status`
   void alive(const std::string& status) const;
-  /// How often alive() is due: twice in what `WatchdogSec=` allows; zero when nobody waits for it.
+  /// How often alive() is due: twice within `WatchdogSec=`; zero if systemd does not wait for it.
   std::chrono::microseconds period() const { return period_; }
 
  private:

@@ -34,7 +34,8 @@ void internal::note_asked(AskedKey key) {
       std::find_if(recorded->begin(), recorded->end(), [&](const AskedKey& one) { return one.path == key.path; });
   if (known == recorded->end()) {
     recorded->push_back(std::move(key));
-  } else if (known->kind == "text" && key.kind != "text") {  // asked whether it is there, and then for more
+    // One reader asked whether the key exists, and a later one asked for its value.
+  } else if (known->kind == "text" && key.kind != "text") {
     *known = std::move(key);
   }
 }

@@ -17,9 +17,9 @@ namespace {
 constexpr std::size_t deepest = 32;           ///< collections in collections
 constexpr std::size_t most_values = 500'000;  ///< about two seconds and 400 MB for yaml-cpp
 
-/// Looks at a document before its tree is built, and throws at what would make the tree's building or walking endless:
-/// for yaml-cpp 0.7 a text that begins with a comma is any number of empty documents (its YAML::LoadAll never returns),
-/// and a few aliases of aliases stand for a number of values that nobody lives to see walked.
+/// Inspects a document before its tree is built, and throws if building or walking the tree would not end: for yaml-cpp
+/// 0.7 a text that begins with a comma has any number of empty documents (its YAML::LoadAll never returns), and a few
+/// aliases of aliases stand for more values than anybody can walk.
 class Inspection : public YAML::EventHandler {
  public:
   Inspection(std::string_view text, const std::string& name) : text_(text), name_(name) {}
@@ -65,10 +65,10 @@ class Inspection : public YAML::EventHandler {
   void OnMapEnd() override { close(); }
 
  private:
-  /// What a value is when all aliases in it are written out.
+  /// The size of a value when all aliases in it are written out.
   struct Extent {
-    std::size_t values = 1;  ///< itself and all in it
-    std::size_t height = 0;  ///< collections in each other, itself included
+    std::size_t values = 1;  ///< this value and all values in it
+    std::size_t height = 0;  ///< depth of nested collections, this one included
   };
   struct Open {
     YAML::anchor_t anchor;
@@ -110,7 +110,7 @@ class Inspection : public YAML::EventHandler {
   const std::string& name_;
   int documents_ = 0;
   std::vector<Open> open_;
-  std::map<YAML::anchor_t, Extent> anchors_;  ///< those that are complete
+  std::map<YAML::anchor_t, Extent> anchors_;  ///< finished anchors only
   std::size_t values_ = 0;
 };
 
@@ -118,7 +118,7 @@ std::string join(const std::string& path, const std::string& key) {
   return path.empty() ? key : path + "." + key;
 }
 
-/// Duplicate keys, everywhere below `node`: yaml-cpp would let the first one win in silence.
+/// Refuses duplicate keys anywhere below `node`: yaml-cpp would silently take the first.
 void refuse_duplicates(const YAML::Node& node, const std::string& file, const std::string& path) {
   if (node.IsMap()) {
     std::set<std::string> seen;

@@ -9,7 +9,7 @@ bool is_space(char c) {
   return c == ' ' || c == '\t' || c == '\n' || c == '\r';
 }
 
-/// Goes through the source and knows the line and column.
+/// Walks through the source and counts lines and columns.
 class Cursor {
  public:
   Cursor(std::string_view source, const Location& begin) : source_(source), place_(begin) {
@@ -45,7 +45,7 @@ class Cursor {
 
 }  // namespace
 
-/// Folding changes white space only: the n-th other character of the value is the n-th other one of the source.
+/// Folding changes white space only, so the n-th other character of the value is the n-th other one of the source.
 Location place_in_scalar(std::string_view source, const Location& begin, std::string_view value, std::size_t offset) {
   if (begin.line < 1 || begin.column < 1) return begin;
   Cursor cursor(source, begin);
@@ -65,7 +65,7 @@ Location place_in_scalar(std::string_view source, const Location& begin, std::st
     cursor.skip_space();
     if (cursor.ended()) return begin;
     const Location here = cursor.place();
-    // An escape's first character: \\ before another one, '' for one.
+    // The first character of an escape: \\ escapes the next character, '' stands for one quote.
     if (style == '"' && cursor.current() == '\\') cursor.step();
     if (style == '\'' && cursor.current() == '\'' && cursor.next_is('\'')) cursor.step();
     if (cursor.ended() || cursor.current() != value[i]) return begin;

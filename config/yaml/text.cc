@@ -12,10 +12,10 @@ namespace {
 
 struct Character {
   std::uint32_t code = 0;
-  std::size_t bytes = 0;  ///< 0: what stands here is no UTF-8
+  std::size_t bytes = 0;  ///< 0: not UTF-8
 };
 
-/// The character at the beginning of `text`, which is not empty. Overlong forms and surrogates are no UTF-8 (RFC 3629).
+/// The first character of `text`, which is not empty. Overlong forms and surrogates are not UTF-8 (RFC 3629).
 Character decode(std::string_view text) {
   const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
   const unsigned char first = byte(0);
@@ -51,7 +51,7 @@ bool is_allowed(std::uint32_t code) {
   return code != 0xFFFE && code != 0xFFFF;
 }
 
-/// Only looked for when something is wrong: most texts need no counting of lines.
+/// Counts lines only for an error message: most texts need no place.
 Location place(std::string_view text, std::size_t offset, const std::string& name) {
   const std::string_view before = text.substr(0, offset);
   const auto line = 1 + std::count(before.begin(), before.end(), '\n');

@@ -1,0 +1,54 @@
+#pragma once
+
+#include <atomic>
+#include <memory>
+#include <string>
+
+#include <iotcloud/rpc/refusal_log.h>
+#include <iotcloud/rpc/stream.h>
+#include <iotcloud/rpc/thrift_server.h>
+
+namespace iotcloud::rpc {
+
+/// Answers one message. \param answer gets the answer after its length; unchanged if there is no answer.
+/// \return false if the message was not a call. \throws apache::thrift::TException if it cannot be read.
+bool answer_message(apache::thrift::TProcessor& processor, const std::string& message, int max_items,
+                    std::string& answer);
+
+/// One client's connection to a ThriftServer. Private to the server's sources.
+class ThriftConnection {
+ public:
+  /// \param tls null: no TLS
+  ThriftConnection(const ThriftServerOptions& options, const ThriftService& service,
+                   std::shared_ptr<const security::TlsContext> tls, int descriptor, RefusalLog& log);
+
+  /// Answers messages until the client disconnects, breaks a limit, or the server stops. Never throws.
+  void serve() noexcept;
+  /// Reads no more messages; the answer of the current call is still sent. Any thread.
+  void stop();
+  /// Ends the connection at once. Any thread.
+  void cut() { stream_.cut(); }
+  bool is_stranger() const { return !trusted_; }
+
+ private:
+  using TimePoint = Stream::Clock::time_point;
+  void open();
+  /// \return the next message, without its length. \throws StreamError, Refused
+  std::string read_message();
+  void answer(const std::string& message);
+  void refuse(const std::string& reason, const std::string& text);
+
+  const ThriftServerOptions& options_;
+  const ThriftService& service_;
+  const std::shared_ptr<const security::TlsContext> tls_;
+  RefusalLog& log_;
+  const TimePoint stranger_until_;
+  Stream stream_;
+  const std::string address_;
+  std::shared_ptr<ThriftPeer> peer_;
+  std::shared_ptr<apache::thrift::TProcessor> processor_;
+  std::atomic<bool> trusted_{false};
+  std::atomic<bool> stopping_{false};
+};
+
+}  // namespace iotcloud::rpc

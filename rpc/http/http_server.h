@@ -1,0 +1,49 @@
+#pragma once
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+
+namespace iotcloud::rpc {
+
+/// A GET, without its headers.
+struct HttpRequest {
+  std::string path;                          ///< "/metrics"
+  std::map<std::string, std::string> query;  ///< decoded
+};
+
+/// What is sent back.
+struct HttpAnswer {
+  int status = 200;
+  std::string content_type = "application/json";
+  std::string body;
+};
+
+/// Answers one GET. The server's thread makes one call at a time, so keep it short. An exception is answered as 500.
+using HttpHandler = std::function<HttpAnswer(const HttpRequest&)>;
+
+/// A small HTTP/1.1 server for a daemon's own pages, from construction to destruction: GET and HEAD, one thread, at
+/// most 64 connections. One more makes the server cut off the connection that has been the longest at sending its
+/// request or taking its answer; so slow clients keep nobody away. Counted: iotcloud_http_refused_total{reason}. No
+/// TLS: the address decides who can reach it. Only daemons link it. Thread safe.
+class HttpServer {
+ public:
+  /// \param address "host:port", for example "127.0.0.1:9100"; port 0: any free port.
+  /// \param pages the handler of each path, kept until the destructor ends.
+  /// \throws Error when the address cannot be read or bound.
+  HttpServer(const std::string& address, std::map<std::string, HttpHandler> pages);
+  /// Returns when no handler runs any more.
+  ~HttpServer();
+
+  std::string address() const;  ///< "host:port" with the real port
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Whether only this machine can reach "host:port".
+bool is_loopback_address(const std::string& address);
+
+}  // namespace iotcloud::rpc

@@ -1,0 +1,70 @@
+#include <filesystem>
+
+#include <arpa/inet.h>
+#include <fmt/format.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/rpc/listen_settings.h>
+
+namespace iotcloud::rpc {
+
+bool is_loopback(const std::string& host) {
+  if (host == "localhost" || host == "::1") return true;
+  in_addr address{};
+  return inet_pton(AF_INET, host.c_str(), &address) == 1 && (ntohl(address.s_addr) >> 24) == 127;
+}
+
+std::string exposure(const ListenSettings& settings) {
+  if (is_loopback(settings.host) || (!settings.tls.empty() && !settings.tokens.empty())) return "";
+  const char* missing = !settings.tls.empty() ? "tokens" : !settings.tokens.empty() ? "TLS" : "TLS and tokens";
+  return fmt::format("{} can be reached from other machines, and without {} anybody there could give orders",
+                     settings.host, missing);
+}
+
+HostAndPort split_address(const std::string& address) {
+  const auto colon = address.rfind(':');
+  if (colon != std::string::npos && colon > 0) {
+    const std::string digits = address.substr(colon + 1);
+    const bool is_number =
+        !digits.empty() && digits.size() <= 5 && digits.find_first_not_of("0123456789") == std::string::npos;
+    const int port = is_number ? std::stoi(digits) : 0;
+    std::string host = address.substr(0, colon);
+    if (host.starts_with('[') && host.ends_with(']')) host = host.substr(1, host.size() - 2);
+    if (port > 0 && port < 65536 && !host.empty()) return {host, port};
+  }
+  throw config::Error(fmt::format("\"{}\" is no address: give HOST:PORT, for example 127.0.0.1:12904", address));
+}
+
+void read_listen_settings(config::Section& section, ListenSettings& settings, int least_port) {
+  settings.host = section.string_or("host", settings.host);
+  settings.port = static_cast<int>(section.int_or("port", settings.port, least_port, 65535));
+  settings.tls = security::read_tls(section);
+  settings.tokens = section.string_or("tokens", settings.tokens);
+  if (const std::string problem = exposure(settings); !problem.empty()) {
+    throw section.error(
+        "host", problem,
+        "tls: {ca, certificate, key} (`iotcloud certs init` makes them) and tokens: FILE (`iotcloud token add`), "
+        "or 127.0.0.1");
+  }
+  if (!settings.tokens.empty() && !std::filesystem::exists(settings.tokens)) {
+    throw section.error("tokens", "the file \"" + settings.tokens + "\" is not there",
+                        "`iotcloud token add NAME --role admin --file " + settings.tokens + "` makes it");
+  }
+  if (const auto advertise = section.optional_string("advertise")) {
+    try {
+      static_cast<void>(split_address(*advertise));
+    } catch (const config::Error& e) {
+      throw section.error("advertise", e.what());
+    }
+    settings.advertise = *advertise;
+  } else if (settings.host == "0.0.0.0" || settings.host == "::") {
+    throw section.error("host", settings.host + " is every address, and others must be told one",
+                        "advertise: \"HOST:PORT\", a name of this machine that is in its certificate");
+  } else {
+    settings.advertise = settings.host.find(':') == std::string::npos
+                             ? fmt::format("{}:{}", settings.host, settings.port)
+                             : fmt::format("[{}]:{}", settings.host, settings.port);
+  }
+}
+
+}  // namespace iotcloud::rpc

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <string>
+
+#include <iotcloud/config/yaml.h>
+#include <iotcloud/security/tls.h>
+
+namespace iotcloud::rpc {
+
+/// Where a Thrift service listens, and how it authenticates clients.
+struct ListenSettings {
+  std::string host = "127.0.0.1";
+  int port = 0;
+  security::TlsFiles tls;
+  std::string tokens;     ///< file of tokens (security/tokens.h); empty: clients need no token
+  std::string advertise;  ///< the host:port by which others reach it
+};
+
+/// Reads `host`, `port`, `tls`, `tokens` and `advertise`. Missing keys keep their values; advertise becomes host:port.
+/// \param least_port 0 allows any free port.
+/// \throws ConfigError, also if exposure() gives a reason.
+void read_listen_settings(config::Section& section, ListenSettings& settings, int least_port = 1);
+
+/// Why the service must not listen with these settings; empty if it may. Its clients can run programs, so a port that
+/// other machines can reach needs TLS and tokens.
+std::string exposure(const ListenSettings& settings);
+
+/// True if only this machine can reach the host: 127.0.0.0/8, ::1, localhost.
+bool is_loopback(const std::string& host);
+
+/// An address "host:port"; a host that contains colons is written in brackets.
+struct HostAndPort {
+  std::string host;
+  int port = 0;
+};
+/// Splits "host:port" or "[::1]:port". \throws config::Error for any other text.
+HostAndPort split_address(const std::string& address);
+
+}  // namespace iotcloud::rpc

@@ -1,0 +1,94 @@
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <iotcloud/rpc/thrift_server.h>
+#include <iotcloud/security/audit_log.h>
+#include <iotcloud/security/tokens.h>
+
+namespace iotcloud::rpc {
+
+/// How a method of a Thrift service answers a refused call.
+enum class RefusalForm {
+  failure,   ///< the call fails with the reason (TApplicationException)
+  response,  ///< the result is a TResponse (discovery/records.thrift) with the reason
+  order,     ///< the result has a TResponse as field 1, and in field 3 the code of the reason (AccessOptions)
+  error,     ///< the method throws the exception of its field 1, whose own field 1 is the reason
+};
+
+/// Who may call a method, and how it answers others.
+struct MethodRule {
+  security::Role role = security::Role::admin;
+  RefusalForm form = RefusalForm::failure;
+  /// Orders (calls that viewers may not make) are in the audit log, except parts of an order, which would fill it.
+  bool audited = true;
+};
+/// The rule of every method of a service by its name. Nobody may call a method without a rule, so a new one must state
+/// its role.
+using MethodRules = std::map<std::string, MethodRule, std::less<>>;
+
+/// Who may do what with one service.
+struct AccessOptions {
+  std::string service;  ///< the same as ThriftServerOptions::name
+  MethodRules rules;
+  std::shared_ptr<security::TokenKeeper> tokens;  ///< null: clients need no token, everybody may do everything
+  std::shared_ptr<security::AuditLog> audit;      ///< null: orders are in the ordinary log only
+  /// RefusalForm::order: the codes for a client without a token, and for one whose role does not allow the call.
+  int not_authenticated = 0;
+  int not_allowed = 0;
+  /// How long the answer to a wrong token is delayed; after `wrong_tokens` of them the connection is closed.
+  std::chrono::milliseconds wrong_token_pause{1'000};
+  int wrong_tokens = 3;
+};
+
+/// One connection: its user, and the outcome of its current call. Used by the connection's thread.
+class Session {
+ public:
+  /// \param options must outlive the session.
+  Session(const AccessOptions& options, std::shared_ptr<ThriftPeer> peer);
+
+  /// Implements a service's authenticate(). \return why it failed; empty: the session is open.
+  std::string authenticate(const std::string& token);
+
+  /// The caller's current role.
+  security::Role role() const;
+
+  /// Notes for the audit log what the current call is about, and its outcome.
+  void note(std::string what, std::string outcome);
+
+  /// Why a call is refused, and the code that says so in RefusalForm::order.
+  struct Refusal {
+    std::string text;
+    int code = 0;
+    RefusalForm form = RefusalForm::failure;
+    bool unknown = false;  ///< the method has no rule
+  };
+  /// Whether the caller may call the method of that name; logs and counts a refusal. The guarded processor asks before
+  /// every call. A method that takes several kinds of orders asks again, for the kind.
+  std::optional<Refusal> refuse(const std::string& method);
+
+ private:
+  friend class GuardedProcessor;
+  void begin();
+  void end(const std::string& method);
+  security::AuditEntry entry(const std::string& method) const;
+
+  const AccessOptions& options_;
+  const std::shared_ptr<ThriftPeer> peer_;
+  std::optional<security::TokenEntry> holder_;
+  int wrong_tokens_ = 0;
+  bool told_ = false;  ///< the first call without a token was logged
+  std::string what_;
+  std::string outcome_;
+};
+
+/// A processor that passes on only the calls that the session may make, and writes orders to the audit log.
+std::shared_ptr<apache::thrift::TProcessor> guarded(std::shared_ptr<apache::thrift::TProcessor> processor,
+                                                    std::shared_ptr<Session> session);
+
+}  // namespace iotcloud::rpc

@@ -1,0 +1,78 @@
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <memory>
+#include <stdexcept>
+#include <string>
+
+namespace iotcloud::security {
+class TlsContext;
+}
+
+namespace iotcloud::rpc {
+
+/// Why a connection ended.
+class StreamError : public std::runtime_error {
+ public:
+  enum class Kind {
+    ended,      ///< the other side closed it
+    timed_out,  ///< the deadline passed
+    tls,        ///< one side does not trust the other's certificate, or the other side lacks TLS 1.2
+    broken,     ///< the network failed, or cut() was called
+  };
+  StreamError(Kind kind, const std::string& text) : std::runtime_error(text), kind_(kind) {}
+  Kind kind() const { return kind_; }
+
+ private:
+  Kind kind_;
+};
+
+/// A TCP connection whose every wait has a deadline, with or without TLS. A peer that sends byte by byte does not
+/// prolong a deadline. One thread uses it, but any thread may call cut() and cut_reading(). Never raises SIGPIPE.
+class Stream {
+ public:
+  using Clock = std::chrono::steady_clock;
+  static constexpr Clock::time_point never = Clock::time_point::max();
+
+  /// Owns the connected socket from now on. `tls` must outlive it; nullptr: no TLS. Sends nothing yet.
+  Stream(int descriptor, const security::TlsContext* tls);
+  /// Closes the connection. With TLS it sends close_notify, but does not wait for the peer's.
+  ~Stream();
+  Stream(const Stream&) = delete;
+  Stream& operator=(const Stream&) = delete;
+
+  /// Connects within the deadline; with TLS the server must prove that it is `host`. \throws StreamError
+  static std::unique_ptr<Stream> connect(const std::string& host, int port, const security::TlsContext* tls,
+                                         Clock::time_point deadline);
+  /// The server's side of the TLS handshake; without TLS it does nothing. \throws StreamError
+  void accept(Clock::time_point deadline);
+
+  /// \return from 1 to `size` bytes. \throws StreamError
+  std::size_t read_some(void* to, std::size_t size, Clock::time_point deadline);
+  /// \throws StreamError
+  void write_all(const void* from, std::size_t size, Clock::time_point deadline);
+
+  /// Ends every current and later operation of this connection with an error. Any thread.
+  void cut();
+  /// Ends all reading; an answer can still be written. Any thread.
+  void cut_reading();
+
+  std::string peer_address() const;  ///< "192.0.2.7:40112"
+  /// The subject of the other side's certificate, "CN=operator"; empty if it showed none.
+  std::string peer_certificate() const;
+
+ private:
+  struct Tls;
+  void begin_tls(const security::TlsContext& context);
+  void shake_hands(Clock::time_point deadline);
+  void wait(short events, Clock::time_point deadline) const;
+  /// Waits until an OpenSSL call that returned `result` can be repeated. \throws StreamError
+  void after_tls(int result, Clock::time_point deadline);
+
+  const int descriptor_;
+  const security::TlsContext* const context_;
+  std::unique_ptr<Tls> tls_;  ///< null before the handshake and without TLS
+};
+
+}  // namespace iotcloud::rpc

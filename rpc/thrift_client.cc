@@ -1,0 +1,103 @@
+#include <optional>
+
+#include <fmt/format.h>
+#include <thrift/TConfiguration.h>
+#include <thrift/protocol/TBinaryProtocol.h>
+#include <thrift/transport/TBufferTransports.h>
+#include <thrift/transport/TTransportException.h>
+#include <thrift/transport/TVirtualTransport.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/rpc/stream.h>
+#include <iotcloud/rpc/thrift_client.h>
+
+namespace iotcloud::rpc {
+
+using apache::thrift::TConfiguration;
+using apache::thrift::protocol::TBinaryProtocol;
+using apache::thrift::protocol::TProtocol;
+using apache::thrift::transport::TFramedTransport;
+using apache::thrift::transport::TTransportException;
+using apache::thrift::transport::TVirtualTransport;
+
+namespace {
+
+/// The largest answer.
+constexpr int most_bytes = 64 * 1024 * 1024;
+
+TTransportException exception_of(const StreamError& e) {
+  switch (e.kind()) {
+    case StreamError::Kind::ended:
+      return {TTransportException::END_OF_FILE, e.what()};
+    case StreamError::Kind::timed_out:
+      return {TTransportException::TIMED_OUT, e.what()};
+    case StreamError::Kind::tls:
+    case StreamError::Kind::broken:
+      break;
+  }
+  return {TTransportException::NOT_OPEN, e.what()};
+}
+
+}  // namespace
+
+class ThriftClient::Transport final : public TVirtualTransport<Transport> {
+ public:
+  explicit Transport(const ThriftClientOptions& options)
+      : TVirtualTransport(std::make_shared<TConfiguration>(most_bytes, most_bytes)), limit_(options.answer_limit) {
+    if (!options.tls.empty()) tls_.emplace(options.tls, security::TlsContext::Side::client);
+    try {
+      stream_ = Stream::connect(options.host, options.port, tls_ ? &*tls_ : nullptr,
+                                Stream::Clock::now() + options.connect_limit);
+    } catch (const StreamError& e) {
+      throw exception_of(e);
+    }
+  }
+
+  bool isOpen() const override { return stream_ != nullptr; }
+  void close() override { stream_.reset(); }
+
+  std::uint32_t read(std::uint8_t* to, std::uint32_t size) {
+    return use([&](Stream& stream) { return static_cast<std::uint32_t>(stream.read_some(to, size, deadline_)); });
+  }
+  void write(const std::uint8_t* from, std::uint32_t size) {
+    deadline_ = Stream::Clock::now() + limit_;
+    use([&](Stream& stream) {
+      stream.write_all(from, size, deadline_);
+      return 0U;
+    });
+  }
+  void flush() override {}
+
+  void set_limit(std::chrono::milliseconds limit) { limit_ = limit; }
+
+ private:
+  template <typename Use>
+  std::uint32_t use(Use&& use) {
+    if (!stream_) throw TTransportException(TTransportException::NOT_OPEN, "the connection is closed");
+    try {
+      return use(*stream_);
+    } catch (const StreamError& e) {
+      throw exception_of(e);
+    }
+  }
+
+  std::chrono::milliseconds limit_;
+  Stream::Clock::time_point deadline_ = Stream::never;
+  std::optional<security::TlsContext> tls_;
+  std::unique_ptr<Stream> stream_;
+};
+
+ThriftClient::ThriftClient(const ThriftClientOptions& options) : transport_(std::make_shared<Transport>(options)) {}
+
+ThriftClient::~ThriftClient() = default;
+
+std::shared_ptr<TProtocol> ThriftClient::protocol() const {
+  return std::make_shared<TBinaryProtocol>(
+      std::make_shared<TFramedTransport>(transport_, std::make_shared<TConfiguration>(most_bytes, most_bytes)));
+}
+
+void ThriftClient::set_answer_limit(std::chrono::milliseconds limit) {
+  transport_->set_limit(limit);
+}
+
+}  // namespace iotcloud::rpc

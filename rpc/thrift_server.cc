@@ -1,0 +1,215 @@
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <list>
+#include <thread>
+#include <utility>
+
+#include <fmt/format.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/rpc/connection.h>
+#include <iotcloud/rpc/logger.h>
+#include <iotcloud/rpc/refusal_log.h>
+
+namespace iotcloud::rpc {
+
+namespace {
+
+constexpr int backlog = 128;
+/// The pause after a connection could not be accepted because descriptors or memory ran out.
+constexpr int pause_ms = 100;
+
+/// \return a socket that listens. \throws Error
+int listen_on(const std::string& host, int port) {
+  const auto failed = [&](const std::string& why) {
+    return config::Error(
+        fmt::format("cannot listen on {}:{}: {}; is another program using the port?", host, port, why));
+  };
+  addrinfo hints{};
+  hints.ai_socktype = SOCK_STREAM;
+  hints.ai_flags = AI_PASSIVE;
+  addrinfo* found = nullptr;
+  if (const int error = getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found); error != 0)
+    throw failed(gai_strerror(error));
+  const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> all(found, freeaddrinfo);
+  int problem = EADDRNOTAVAIL;
+  // Tries IPv4 first: for most clients "localhost" is 127.0.0.1.
+  for (const int family : {AF_INET, AF_INET6}) {
+    for (const addrinfo* one = found; one != nullptr; one = one->ai_next) {
+      if (one->ai_family != family) continue;
+      const int descriptor = socket(family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+      const int on = 1;
+      if (descriptor >= 0 && setsockopt(descriptor, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
+          bind(descriptor, one->ai_addr, one->ai_addrlen) == 0 && listen(descriptor, backlog) == 0)
+        return descriptor;
+      problem = errno;
+      if (descriptor >= 0) close(descriptor);
+    }
+  }
+  throw failed(std::strerror(problem));
+}
+
+int port_of(int descriptor) {
+  sockaddr_storage address{};
+  socklen_t size = sizeof address;
+  getsockname(descriptor, reinterpret_cast<sockaddr*>(&address), &size);
+  return address.ss_family == AF_INET6 ? ntohs(reinterpret_cast<const sockaddr_in6&>(address).sin6_port)
+                                       : ntohs(reinterpret_cast<const sockaddr_in&>(address).sin_port);
+}
+
+class Descriptor {
+ public:
+  explicit Descriptor(int number) : number_(number) {}
+  ~Descriptor() { close(number_); }
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  int get() const { return number_; }
+
+ private:
+  const int number_;
+};
+
+}  // namespace
+
+void count_refusal(const std::string& service, const std::string& reason) {
+  config::process_metrics()
+      .counter("iotcloud_thrift_refused_total", "Connections, messages and calls that a Thrift service refused",
+               {{"service", service}, {"reason", reason}})
+      .add();
+}
+
+struct ThriftServer::Impl {
+  struct Client {
+    Client(const ThriftServerOptions& options, const ThriftService& service,
+           std::shared_ptr<const security::TlsContext> tls, int descriptor, RefusalLog& log)
+        : connection(options, service, std::move(tls), descriptor, log) {}
+    ThriftConnection connection;
+    std::atomic<bool> done{false};
+    bool evicted = false;  ///< used by the thread that accepts
+    std::jthread thread;
+  };
+
+  Impl(const ThriftServerOptions& o, ThriftService s)
+      : options(o),
+        service(std::move(s)),
+        listener(listen_on(o.host, o.port)),
+        wake(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+    reload();
+    acceptor = std::jthread([this](const std::stop_token& stop) { accept_all(stop); });
+  }
+
+  ~Impl() {
+    acceptor.request_stop();
+    eventfd_write(wake.get(), 1);
+    acceptor.join();
+    for (auto& client : clients) client.connection.stop();
+    clients.clear();
+  }
+
+  void reload() {
+    if (options.tls.empty()) return;
+    auto read = std::make_shared<const security::TlsContext>(options.tls, security::TlsContext::Side::server);
+    const config::MutexLock lock(mutex);
+    tls = std::move(read);
+  }
+
+  std::shared_ptr<const security::TlsContext> current_tls() {
+    const config::MutexLock lock(mutex);
+    return tls;
+  }
+
+  void accept_all(const std::stop_token& stop) {
+    std::array<pollfd, 2> waiting{pollfd{wake.get(), POLLIN, 0}, pollfd{listener.get(), POLLIN, 0}};
+    while (true) {
+      poll(waiting.data(), waiting.size(), -1);
+      eventfd_t ended = 0;
+      eventfd_read(wake.get(), &ended);
+      // checked after the read, which may have consumed the wake-up that came with the stop
+      if (stop.stop_requested()) return;
+      clients.remove_if([](const Client& client) { return client.done.load(); });
+      const int descriptor = accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK);
+      if (descriptor >= 0) {
+        take(descriptor);
+      } else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
+        log.refused("accept",
+                    fmt::format("{}: a connection cannot be accepted: {}", options.name, std::strerror(errno)));
+        count_refusal(options.name, "connections");
+        poll(waiting.data(), 1, pause_ms);  // ends earlier when a client disconnects
+      }
+    }
+  }
+
+  /// Serves a new connection if there is room.
+  void take(int descriptor) {
+    if (!make_room()) {
+      count_refusal(options.name, "connections");
+      close(descriptor);
+      log.refused("room",
+                  fmt::format("{}: a connection is refused: there are {} already", options.name, clients.size()));
+      return;
+    }
+    auto& client = clients.emplace_back(options, service, current_tls(), descriptor, log);
+    try {
+      client.thread = std::jthread([this, &client] {
+        client.connection.serve();
+        client.done = true;
+        eventfd_write(wake.get(), 1);
+      });
+    } catch (const std::system_error& e) {
+      clients.pop_back();
+      count_refusal(options.name, "connections");
+      log.refused("thread", fmt::format("{}: no thread for a connection: {}", options.name, e.what()));
+    }
+  }
+
+  /// Cuts the oldest stranger if there are too many connections. \return whether there is room
+  bool make_room() {
+    const auto most = static_cast<std::size_t>(options.max_connections);
+    if (clients.size() < most) return true;
+    if (clients.size() >= 2 * most) return false;  // cut connections have not ended yet
+    for (auto& client : clients) {
+      if (client.evicted || !client.connection.is_stranger()) continue;
+      client.evicted = true;
+      client.connection.cut();
+      count_refusal(options.name, "connections");
+      return true;
+    }
+    return false;
+  }
+
+  const ThriftServerOptions options;
+  const ThriftService service;
+  RefusalLog log{thrift_logger};
+  const Descriptor listener;
+  const Descriptor wake;  ///< wakes the thread that accepts
+  config::Mutex mutex;
+  /// For new connections; null: no TLS.
+  std::shared_ptr<const security::TlsContext> tls IOTCLOUD_GUARDED_BY(mutex);
+  /// In order of arrival; used by the thread that accepts, and after its end by the destructor.
+  std::list<Client> clients;
+  std::jthread acceptor;
+};
+
+ThriftServer::ThriftServer(const ThriftServerOptions& options, ThriftService service)
+    : impl_(std::make_unique<Impl>(options, std::move(service))) {}
+
+ThriftServer::~ThriftServer() = default;
+
+void ThriftServer::reload() {
+  impl_->reload();
+}
+
+int ThriftServer::port() const {
+  return port_of(impl_->listener.get());
+}
+
+}  // namespace iotcloud::rpc

@@ -1,0 +1,94 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include <iotcloud/security/tls.h>
+
+namespace apache::thrift {
+class TProcessor;
+}
+
+namespace iotcloud::rpc {
+
+/// The client at the other end of one connection. Used by the connection's thread.
+class ThriftPeer {
+ public:
+  ThriftPeer(std::string address, std::string certificate)
+      : address_(std::move(address)), certificate_(std::move(certificate)) {}
+
+  const std::string& address() const { return address_; }          ///< "192.0.2.7:40112"
+  const std::string& certificate() const { return certificate_; }  ///< "CN=operator"; empty without TLS
+
+  /// From now on only trust() makes the peer trusted. Without this call, its first answered call makes it trusted.
+  void ask_who_it_is() { asked_ = true; }
+  /// From now on the peer may send large messages, and be silent for any time.
+  void trust() { trusted_ = true; }
+  /// The connection is closed after the answer of the current call.
+  void hang_up() { hung_up_ = true; }
+
+  bool asked() const { return asked_; }
+  bool trusted() const { return trusted_; }  ///< any thread
+  bool hung_up() const { return hung_up_; }
+
+ private:
+  const std::string address_;
+  const std::string certificate_;
+  std::atomic<bool> trusted_{false};
+  bool asked_ = false;
+  bool hung_up_ = false;
+};
+
+/// Makes the handler of one connection. Called on the connection's thread.
+using ThriftService = std::function<std::shared_ptr<apache::thrift::TProcessor>(const std::shared_ptr<ThriftPeer>&)>;
+
+/// Where a server listens, and the limits of its clients.
+struct ThriftServerOptions {
+  std::string name = "thrift";  ///< names the service in metrics and logs
+  std::string host = "127.0.0.1";
+  int port = 0;            ///< 0: any free port, see ThriftServer::port()
+  security::TlsFiles tls;  ///< if not empty, clients must show a certificate of its authority
+  /// Each connection has a thread. At the limit the oldest stranger loses its connection; without strangers the new
+  /// connection is refused.
+  int max_connections = 256;
+  int max_message_bytes = 16 * 1024 * 1024;
+  int max_items = 100'000;  ///< most items in one list or map
+  /// Limit for clients that are not trusted yet.
+  int max_stranger_bytes = 64 * 1024;
+  /// Longest time from connecting until the client is trusted.
+  std::chrono::milliseconds stranger_limit{10'000};
+  /// Longest time from the first byte of a message to the last, in each direction.
+  std::chrono::milliseconds message_limit{30'000};
+};
+
+/// A Thrift server, framed and binary, one thread for each connection, with or without TLS 1.2+. Whatever a client
+/// sends or does not send, it cannot take more memory than the message limit, hold a thread beyond its time limits, or
+/// keep others from the server. Refusals are counted: iotcloud_thrift_refused_total{service, reason}; of each reason
+/// one a minute is logged. Reason for not using Thrift's own servers: they stop when a connection cannot be accepted,
+/// and have no deadline for a whole message.
+class ThriftServer {
+ public:
+  /// Serves once the constructor returns. \throws Error if it cannot listen on the address, or for unusable TLS files.
+  ThriftServer(const ThriftServerOptions& options, ThriftService service);
+  /// Takes no more calls and waits for those in progress; idle connections are closed.
+  ~ThriftServer();
+  ThriftServer(const ThriftServer&) = delete;
+  ThriftServer& operator=(const ThriftServer&) = delete;
+
+  int port() const;
+  /// Reads the TLS files again, for later connections. \throws Error that names the unusable file; then nothing
+  /// changes. Any thread.
+  void reload();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Counts one refusal in iotcloud_thrift_refused_total. \param service as in ThriftServerOptions::name
+void count_refusal(const std::string& service, const std::string& reason);
+
+}  // namespace iotcloud::rpc
