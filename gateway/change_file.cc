@@ -2,43 +2,31 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <utility>
 
 #include <fcntl.h>
-#include <nlohmann/json.hpp>
+#include <fmt/format.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/description/json.h>
 #include <iotcloud/gateway/change_file.h>
+#include <iotcloud/gateway/logger.h>
 
 namespace iotcloud::gateway {
 namespace {
 
-using nlohmann::json;
+constexpr std::size_t most_reason_bytes = 2000;  ///< the text comes from the driver and may have any length
 
-constexpr config::Logger log{"gateway"};
-constexpr std::size_t most_reason_bytes = 2000;  ///< a driver says what it likes
-
-std::string line_of(const StateChange& change) {
-  const json line = {{"time_ms", change.time_ms},
-                     {"instance", change.instance},
-                     {"driver", change.driver},
-                     {"state", to_string(change.state)},
-                     {"reason", change.reason.substr(0, most_reason_bytes)}};
-  // What is no UTF-8, a character cut in two among it, is replaced.
-  return line.dump(-1, ' ', false, json::error_handler_t::replace) + '\n';
+std::string line_of(StateChange change) {
+  if (change.reason.size() > most_reason_bytes) change.reason.resize(most_reason_bytes);
+  // to_text() replaces bytes that are not UTF-8, such as half of a character that resize() cut in two.
+  return discovery::to_text(discovery::to_json<nlohmann::json>(change)) + '\n';
 }
 
-/// \throws json::exception, config::Error.
-StateChange change_of(const std::string& text) {
-  const json line = json::parse(text);
-  return {line.at("instance").get<std::string>(), line.at("driver").get<std::string>(),
-          discovery::parse_driver_state(line.at("state").get<std::string>()), line.at("reason").get<std::string>(),
-          line.at("time_ms").get<std::int64_t>()};
-}
-
-bool write_all(const OwnedDescriptor& file, const std::string& bytes) {
+bool write_all(const processes::OwnedDescriptor& file, const std::string& bytes) {
   for (std::size_t done = 0; done < bytes.size();) {
     const ssize_t written = write(file.get(), bytes.data() + done, bytes.size() - done);
     if (written < 0 && errno != EINTR) return false;
@@ -55,58 +43,56 @@ std::deque<StateChange> ChangeFile::load() {
   std::string line;
   std::size_t number = 0;
   try {
-    while (std::getline(file, line) && !file.eof()) {  // at its end: without its line feed, so it is not whole
+    while (std::getline(file, line) && !file.eof()) {  // eof: the line has no line feed, so it is incomplete
       ++number;
-      changes.push_back(change_of(line));
+      changes.push_back(discovery::from_text<StateChange>(line, path_));
       if (changes.size() > most_) changes.pop_front();
     }
   } catch (const std::exception& e) {
     const std::string aside = path_ + ".damaged";
     std::error_code error;
     std::filesystem::rename(path_, aside, error);
-    log.warn("{}, the history of earlier lives, is damaged in line {} ({}); it is {}, and what stood before is kept",
-             path_, number, e.what(), error ? "overwritten" : "set aside as " + aside);
+    logger.warn("{}, the history of earlier lives, is damaged in line {} ({}); it is {}, and what stood before is kept",
+                path_, number, e.what(), error ? "overwritten" : "set aside as " + aside);
   }
   return changes;
-}
-
-void ChangeFile::add(const std::deque<StateChange>& all) {
-  if (!file_ || lines_ >= 2 * most_) {
-    replace(all);
-  } else {
-    append(all.back());
-  }
 }
 
 void ChangeFile::append(const StateChange& change) {
   if (write_all(file_, line_of(change))) {
     ++lines_;
+    synced_ = false;
     return;
   }
-  trouble(std::strerror(errno));
-  file_.reset();  // part of the line may be in it
+  trouble(fmt::format("{} cannot be written: {}", path_, std::strerror(errno)));
+  file_.reset();  // the file may end with part of the line
 }
 
-/// The file under another name first, so that at no time there is half of it.
+void ChangeFile::sync() {
+  if (!file_ || std::exchange(synced_, true) || fdatasync(file_.get()) == 0) return;
+  trouble(fmt::format("{} cannot be brought to the disk: {}", path_, std::strerror(errno)));
+  file_.reset();  // the system may have dropped what it could not write, so the next change writes all again
+}
+
 void ChangeFile::replace(const std::deque<StateChange>& all) {
-  const std::string fresh = path_ + ".new";
+  file_.reset();
   std::string text;
   for (const auto& change : all) text += line_of(change);
-  OwnedDescriptor file(open(fresh.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC, S_IRUSR | S_IWUSR));
-  if (!file || !write_all(file, text) || fdatasync(file.get()) != 0 || rename(fresh.c_str(), path_.c_str()) != 0) {
-    trouble(std::strerror(errno));
-    file_.reset();
+  try {
+    config::replace_file(path_, text, S_IRUSR | S_IWUSR);
+  } catch (const config::Error& e) {
+    trouble(e.what());
     return;
   }
-  file_ = std::move(file);
+  file_ = processes::OwnedDescriptor(open(path_.c_str(), O_WRONLY | O_APPEND | O_CLOEXEC));
   lines_ = all.size();
+  synced_ = true;
   told_ = false;
 }
 
 void ChangeFile::trouble(const std::string& problem) {
   if (std::exchange(told_, true)) return;
-  log.warn("{} cannot be written: {}; what happens to drivers is forgotten when this gateway restarts, until it can",
-           path_, problem);
+  logger.warn("{}; until that works, what happens to drivers is forgotten when this gateway restarts", problem);
 }
 
 }  // namespace iotcloud::gateway

@@ -5,36 +5,42 @@
 #include <string>
 
 #include <iotcloud/gateway/change_log.h>
-#include <iotcloud/gateway/host/control/unix_socket.h>
+#include <iotcloud/processes/descriptor.h>
 
 namespace iotcloud::gateway {
 
-/// Where a gateway's changes of state outlive it: a file with a JSON object on each line, to which each change is added
-/// as it comes; when it has twice as many as are kept it is replaced by a shorter one, at once and whole. A process
-/// that is killed loses nothing, a machine that loses its power perhaps the last seconds. When the disk is full or
-/// read-only that is logged, once, and tried again with the next change. Not thread safe; one process at a time.
+/// Keeps a gateway's changes of state across restarts, in a file with a JSON object on each line. Each change is
+/// appended when it happens. When the file has twice as many lines as are kept, a shorter file replaces it atomically.
+/// If the process is killed nothing is lost; if the machine loses power, only what was appended after the last sync()
+/// is. A write that fails (disk full or read-only) is logged once, and the next change tries again. Not thread safe;
+/// one process at a time.
 class ChangeFile {
  public:
   /// \param most how many changes are kept.
   ChangeFile(std::string path, std::size_t most) : path_(std::move(path)), most_(most) {}
 
-  /// What an earlier life left, the oldest first; nothing when there is none. A last line that is not whole is left
-  /// out. A file that is damaged elsewhere is set aside as <path>.damaged with a warning; what stands before the damage
-  /// is told. Never throws.
+  /// Reads the changes that an earlier run of the gateway wrote, the oldest first; empty if there is no file. Ignores
+  /// an incomplete last line. Renames a file that is damaged elsewhere to <path>.damaged, logs a warning and returns
+  /// the changes before the damage. Never throws.
   std::deque<StateChange> load();
-  /// \param all the changes kept, of which the latest was not added yet.
-  void add(const std::deque<StateChange>& all);
+  /// Whether the next change must be written with replace(), because the file is not open (at the start, and after a
+  /// failed write) or has become too long.
+  bool wants_all() const { return !file_ || lines_ >= 2 * most_; }
+  void append(const StateChange& change);
+  /// Waits until what was appended is on the disk; does nothing if it is.
+  void sync();
+  /// Waits until they are on the disk. \param all all changes to keep, including the new one.
+  void replace(const std::deque<StateChange>& all);
 
  private:
-  void append(const StateChange& change);
-  void replace(const std::deque<StateChange>& all);
   void trouble(const std::string& problem);
 
   const std::string path_;
   const std::size_t most_;
-  OwnedDescriptor file_;   ///< none: it is to be written anew
-  std::size_t lines_ = 0;  ///< in it
-  bool told_ = false;      ///< of trouble that lasts
+  processes::OwnedDescriptor file_;  ///< empty: the next write must be replace()
+  std::size_t lines_ = 0;            ///< number of lines in the file
+  bool synced_ = true;               ///< nothing was appended since the last sync() or replace()
+  bool told_ = false;                ///< a failed write was logged and none has succeeded since
 };
 
 }  // namespace iotcloud::gateway

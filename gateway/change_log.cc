@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <iterator>
+#include <optional>
 
 #include <iotcloud/gateway/change_file.h>
 #include <iotcloud/gateway/change_log.h>
@@ -16,15 +17,30 @@ ChangeLog::ChangeLog(std::size_t most, const std::string& file) : most_(most) {
 ChangeLog::~ChangeLog() = default;
 
 void ChangeLog::add(StateChange change) {
-  const std::lock_guard lock(mutex_);
-  if (const auto last = earlier_life_.extract(change.instance); last && last.mapped() == change) return;
-  changes_.push_back(std::move(change));
-  if (changes_.size() > most_) changes_.pop_front();
-  if (file_) file_->add(changes_);
+  const config::MutexLock file_lock(file_mutex_);
+  std::optional<std::deque<StateChange>> all;
+  {
+    const config::MutexLock lock(mutex_);
+    if (const auto last = earlier_life_.extract(change.instance); last && last.mapped() == change) return;
+    changes_.push_back(change);
+    if (changes_.size() > most_) changes_.pop_front();
+    if (file_ && file_->wants_all()) all = changes_;
+  }
+  if (!file_) return;
+  if (all) {
+    file_->replace(*all);
+  } else {
+    file_->append(change);
+  }
 }
 
-std::vector<StateChange> ChangeLog::of(const std::string& instance) const {
-  const std::lock_guard lock(mutex_);
+void ChangeLog::sync() {
+  const config::MutexLock file_lock(file_mutex_);
+  if (file_) file_->sync();
+}
+
+std::vector<StateChange> ChangeLog::of(const discovery::InstanceId& instance) const {
+  const config::MutexLock lock(mutex_);
   std::vector<StateChange> found;
   std::copy_if(changes_.begin(), changes_.end(), std::back_inserter(found),
                [&](const StateChange& change) { return instance.empty() || change.instance == instance; });

@@ -1,15 +1,15 @@
 #include <algorithm>
 #include <future>
-#include <mutex>
 #include <set>
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/gateway.h>
 #include <iotcloud/gateway/host/plugin.h>
-#include <iotcloud/gateway/registration/membership.h>
-#include <iotcloud/gateway/registration/order_feed.h>
+#include <iotcloud/gateway/logger.h>
+#include <iotcloud/gateway/membership.h>
+#include <iotcloud/gateway/order_feed.h>
 
 namespace iotcloud::gateway {
 
@@ -17,11 +17,11 @@ using std::chrono::milliseconds;
 
 namespace {
 
-constexpr config::Logger log{"gateway"};
-constexpr milliseconds retry_pause{1000};
 constexpr milliseconds taken_pause{250};
 constexpr milliseconds cleaning_pause{10'000};
 constexpr milliseconds record_share_of_stop{500};
+/// How long the hosts of a gateway whose place another one has may take to end.
+constexpr milliseconds fencing_limit{2000};
 
 const config::Clock& clock_of(const GatewayOptions& options) {
   return options.clock != nullptr ? *options.clock : config::system_clock();
@@ -47,17 +47,33 @@ struct Gateway::Impl {
         membership(*options.registry, options.paths,
                    {record_of(options), options.state_id, options.session_timeout, &clock}),
         loop("gateway"),
-        feed(*options.registry, options.paths, options.id, loop,
-             {[this](const std::set<std::string>& names) { instances.ordered_at_first(names); },
-              [this](const discovery::OrderRecord& order, std::int64_t version) { instances.follow(order, version); },
-              [this](const std::string& instance) { instances.forget(instance); }}),
+        feed(*options.registry, options.paths, options.id, loop, clock, listener()),
         instances({options.id, options.registry, options.paths, options.launcher.get(), options.brokers,
                    options.restart, &clock, options.history_file},
                   loop) {}
 
-  // Everything below runs on the loop unless it says otherwise.
+  OrderFeed::Listener listener() {
+    OrderFeed::Listener to;
+    to.on_first = [this](const auto& names) { instances.ordered_at_first(names); };
+    to.on_order = [this](const auto& order, std::int64_t version) { instances.follow(order, version); };
+    to.on_gone = [this](const auto& instance) { instances.forget(instance); };
+    to.present = [this] { return instances.present(); };
+    to.without_record = [this](const auto& of) { return instances.without_record(of); };
+    to.on_frozen = [this] { instances.publish_adopted(); };
+    to.on_looked = [this] {
+      knows_registry = true;
+      write_records();
+    };
+    return to;
+  }
+
+  // These functions run on the loop.
   void join(const std::shared_ptr<std::promise<std::string>>& first);
   void joined();
+  void write_records();
+  void alive_changed(const std::optional<discovery::Node>& node);
+  void await_return();
+  void end_replaced(const std::function<void(const std::string& why)>& then);
   void stop_orders();
   void finish_stop(const std::shared_ptr<std::promise<void>>& done);
 
@@ -65,17 +81,19 @@ struct Gateway::Impl {
   const config::Clock& clock;
   Membership membership;
   bool told_away = false;
-  bool told_taken = false;
   bool stopping = false;
-  discovery::GuardPtr session_listener;
+  bool awaits_return = false;
+  bool knows_registry = false;  ///< the feed has looked at it since the last connection
+  bool restore_due = false;     ///< the registry may have lost records of this gateway
+  discovery::GuardPtr session_listener, alive_watch;
 
-  std::mutex mutex;
-  bool started = false;  ///< guarded by mutex
-  bool stopped = false;  ///< guarded by mutex
+  config::Mutex mutex;
+  bool started IOTCLOUD_GUARDED_BY(mutex) = false;
+  bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
 
-  EventLoop loop;  ///< near the end: nothing runs on it when the above dies
+  EventLoop loop;  ///< after the members that callbacks on the loop use, so that it is destroyed before them
   OrderFeed feed;
-  OrderedInstances instances;  ///< dies first: what its fleet hears is posted to the loop
+  OrderedInstances instances;  ///< destroyed first, because its fleet posts events to the loop
 };
 
 Gateway::Gateway(GatewayOptions options) {
@@ -90,18 +108,23 @@ Gateway::Gateway(GatewayOptions options) {
 
 Gateway::~Gateway() {
   stop(milliseconds{5000});
-  // First nothing runs on the loop any more, then what posts to it goes, then the loop itself.
+  // The order matters: stop the loop, then destroy what posts to it, then the loop.
   impl_->loop.stop();
   impl_->stop_orders();
 }
 
-const std::string& Gateway::id() const {
+std::string Gateway::trouble() const {
+  const std::string frozen = impl_->feed.frozen();
+  return frozen.empty() ? "" : fmt::format("frozen: {}; `iotcloud registry adopt {}`", frozen, impl_->options.id);
+}
+
+const discovery::GatewayId& Gateway::id() const {
   return impl_->options.id;
 }
 
 void Gateway::start() {
   {
-    const std::lock_guard lock(impl_->mutex);
+    const config::MutexLock lock(impl_->mutex);
     impl_->started = true;
   }
   auto first = std::make_shared<std::promise<std::string>>();
@@ -114,7 +137,7 @@ void Gateway::start() {
   if (!refusal.empty()) throw config::Error(refusal);
 }
 
-/// \param first told of the outcome of start(), empty or why it failed; null once the gateway counts as started.
+/// \param first gets the outcome of start(): empty, or why it failed; null once start() has returned.
 void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first) try {
   const auto again = [&](milliseconds pause, const std::shared_ptr<std::promise<std::string>>& waiting) {
     loop.start_timer(pause, milliseconds{0}, [this, waiting] {
@@ -127,37 +150,45 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first
       if (first) first->set_value("");
       return;
     case Membership::Result::away:
-      if (!told_away) log.warn("the registry is away; the gateway {} registers when it comes", options.id);
+      if (!told_away) logger.warn("the registry is away; the gateway {} registers when it comes", options.id);
       told_away = true;
       if (first) first->set_value("");
-      again(retry_pause, nullptr);
+      again(options.retry_pause, nullptr);
       return;
     case Membership::Result::taken:
       break;
   }
   if (membership.hopeless()) {
-    const std::string taken = fmt::format(
-        "another gateway with the id \"{}\" is alive ({}); give this one an id of its own, or stop the other",
-        options.id, membership.incumbent());
-    if (first) {
-      first->set_value(taken);
-      return;
-    }
-    if (!std::exchange(told_taken, true)) log.error("{}; until then this gateway follows no orders", taken);
+    end_replaced([this, first](const std::string& why) {
+      if (first) {
+        first->set_value(why);
+      } else if (options.on_replaced) {
+        options.on_replaced(why);
+      }
+    });
+    return;
   }
   again(taken_pause, first);
 } catch (const std::exception& e) {
-  log.error("the gateway cannot register: {}", e.what());
+  logger.error("the gateway cannot register: {}", e.what());
   if (first) first->set_value(e.what());
 }
 
 void Gateway::Impl::joined() {
-  log.info("the gateway {} is registered", options.id);
-  // It is called on the registry's dispatcher, so it only posts.
+  logger.info("the gateway {} is registered", options.id);
+  // The callbacks run on the registry's dispatcher thread, so they only post to the loop.
   session_listener = options.registry->on_session([this](discovery::SessionState state) {
-    if (state == discovery::SessionState::connected) loop.post([this] { instances.write_records(); });
+    if (state == discovery::SessionState::connected) return;
+    loop.post([this, state] {
+      knows_registry = false;
+      instances.pause_records();
+      restore_due = restore_due || state == discovery::SessionState::expired;
+    });
   });
-  loop.start_timer(retry_pause, retry_pause, [this] { instances.write_records(); });
+  alive_watch = options.registry->watch_node(
+      options.paths.gateway_alive(options.id),
+      [this](const std::optional<discovery::Node>& node) { loop.post([this, node] { alive_changed(node); }); });
+  loop.start_timer(options.retry_pause, options.retry_pause, [this] { write_records(); });
   if (options.plugins) {
     loop.start_timer(cleaning_pause, cleaning_pause, [this] {
       if (const auto named = instances.plugins_named()) options.plugins->clean(*named);
@@ -166,9 +197,73 @@ void Gateway::Impl::joined() {
   feed.start();
 }
 
+/// Does nothing before the feed knows whether this is the registry that it knew: until then the records in it are
+/// needed as a witness.
+void Gateway::Impl::write_records() {
+  if (stopping || !knows_registry) return;
+  try {
+    if (restore_due) {
+      membership.restore_record();
+      instances.restore_records();
+      restore_due = false;
+    }
+    instances.resume_records();
+  } catch (const discovery::RegistryError& e) {
+    logger.debug("the records are restored when the registry answers: {}", e.what());
+  }
+}
+
+void Gateway::Impl::alive_changed(const std::optional<discovery::Node>& node) {
+  if (stopping) return;
+  switch (membership.holder(node)) {
+    case Membership::Holder::another:
+      end_replaced([this](const std::string& why) {
+        if (options.on_replaced) options.on_replaced(why);
+      });
+      return;
+    case Membership::Holder::nobody:
+      await_return();
+      return;
+    case Membership::Holder::self:
+      break;
+  }
+  if (restore_due) feed.look();
+}
+
+/// After the end of a session the node returns by itself. When somebody removed it, it does not.
+void Gateway::Impl::await_return() {
+  if (std::exchange(awaits_return, true)) return;
+  loop.start_timer(options.retry_pause, milliseconds{0}, [this] {
+    awaits_return = false;
+    if (stopping) return;
+    if (options.registry->session() != discovery::SessionState::connected) {
+      await_return();  // the same session may be connected again, which tells nobody of the node
+      return;
+    }
+    try {
+      if (options.registry->get(options.paths.gateway_alive(options.id))) return;
+      restore_due = true;  // whoever removed it may have removed more
+      membership.hold_again();
+    } catch (const discovery::RegistryError& e) {
+      logger.debug("whether this gateway shows that it lives is not known: {}", e.what());
+      await_return();
+    }
+  });
+}
+
+/// Ends the driver hosts, because another process has this gateway's place.
+void Gateway::Impl::end_replaced(const std::function<void(const std::string& why)>& then) {
+  const std::string why =
+      fmt::format("another gateway with the id \"{}\" is alive ({}); give this one an id of its own, or stop the other",
+                  options.id, membership.incumbent());
+  logger.error("{}; this gateway ends, and its driver hosts with it", why);
+  stop_orders();
+  instances.abandon(fencing_limit, [then, why] { then(why); });
+}
+
 void Gateway::stop(milliseconds limit) {
   {
-    const std::lock_guard lock(impl_->mutex);
+    const config::MutexLock lock(impl_->mutex);
     if (!impl_->started || impl_->stopped) return;
     impl_->stopped = true;
   }
@@ -181,7 +276,7 @@ void Gateway::stop(milliseconds limit) {
     impl->instances.stop(for_hosts, [impl, done] { impl->finish_stop(done); });
   });
   if (over.wait_until(deadline) != std::future_status::ready) {
-    log.error("not everything stopped within {} ms", limit.count());
+    logger.error("not everything stopped within {} ms", limit.count());
   }
 }
 
@@ -189,15 +284,16 @@ void Gateway::Impl::stop_orders() {
   stopping = true;
   feed.stop();
   session_listener.reset();
+  alive_watch.reset();
 }
 
 void Gateway::Impl::finish_stop(const std::shared_ptr<std::promise<void>>& done) {
   membership.leave();
-  log.info("the gateway {} has stopped", options.id);
+  logger.info("the gateway {} has stopped", options.id);
   done->set_value();
 }
 
-PluginStore* Gateway::plugins() const {
+processes::PluginStore* Gateway::plugins() const {
   return impl_->options.plugins.get();
 }
 
@@ -209,12 +305,12 @@ std::vector<discovery::DriverRecord> Gateway::instances() const {
   return impl_->instances.all();
 }
 
-std::vector<StateChange> Gateway::changes(const std::string& instance) const {
+std::vector<StateChange> Gateway::changes(const discovery::InstanceId& instance) const {
   return impl_->instances.changes().of(instance);
 }
 
-Gateway::Outcome Gateway::wait_for(const std::string& instance, const Condition& condition, milliseconds limit,
-                                   std::int64_t order_version) const {
+Gateway::AwaitedRecord Gateway::wait_for(const discovery::InstanceId& instance, const Condition& condition,
+                                         milliseconds limit, std::int64_t order_version) const {
   return impl_->instances.wait_for(instance, condition, limit, order_version);
 }
 

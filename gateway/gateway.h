@@ -15,59 +15,71 @@
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/placement.h>
 #include <iotcloud/gateway/ordered_instances.h>
-#include <iotcloud/gateway/plugins/plugin_store.h>
+#include <iotcloud/processes/plugin_store.h>
 
 namespace iotcloud::gateway {
 
+/// What a gateway is and what it uses.
 struct GatewayOptions {
-  std::string id;
-  std::string host = "127.0.0.1";  ///< where others reach its Thrift service
-  int port = 0;                    ///< of its Thrift service; 0: none
-  bool tls = false;                ///< whether that speaks TLS
+  discovery::GatewayId id;
+  std::string host = "127.0.0.1";  ///< the host under which others reach the gateway's Thrift service
+  int port = 0;                    ///< the port of the Thrift service; 0: the gateway has none
+  bool tls = false;                ///< whether the Thrift service uses TLS
   std::vector<brokers::BrokerSetting> brokers;
   discovery::Registry* registry = nullptr;  ///< not null; outlives the gateway
   discovery::Paths paths;
   std::shared_ptr<HostLauncher> launcher;  ///< not null
-  std::shared_ptr<PluginStore> plugins;    ///< that are sent; null: none can be
-  std::string state_id;                    ///< see Membership::Options
-  std::string history_file;                ///< where changes of state outlive the gateway; empty: they do not
+  /// The store of uploaded plugins; null: the gateway takes no uploads.
+  std::shared_ptr<processes::PluginStore> plugins;
+  std::string state_id;      ///< see Membership::Options
+  std::string history_file;  ///< keeps changes of state across restarts (ChangeFile); empty: memory only
   std::chrono::milliseconds session_timeout{10000};
   RestartPolicy restart;
-  const config::Clock* clock = nullptr;  ///< nullptr: the system's
+  std::chrono::milliseconds retry_pause{1000};  ///< until the next attempt at what the registry did not permit
+  const config::Clock* clock = nullptr;         ///< nullptr: the system's
+  /// Called once, on the gateway's thread, when another process has taken the gateway's place in the registry, which
+  /// may happen after this one was cut off: its driver hosts have ended, and it does nothing any more. \param why for
+  /// people
+  std::function<void(const std::string& why)> on_replaced{};
 };
 
-/// Makes its orders in the registry (/iot/gateways/<id>/orders) come true with driver hosts, and writes what is into
-/// the driver and channel records. Works on while the registry is away; what changed is written when it is back.
+/// Carries out the orders of one gateway in the registry (`/iot/gateways/<id>/orders`) with driver hosts, and reports
+/// the state of the instances in their driver and channel records. While the registry is unreachable the gateway goes
+/// on, and writes the changed records when the registry is back. A registry that comes back empty, or in an earlier
+/// state, gets the gateway's records again, but its orders are followed only after somebody adopted them (OrderFeed).
 /// Thread safe.
 class Gateway final : public config::Service {
  public:
-  /// \throws config::Error for options that cannot be (a bad id, a broker without URLs).
+  /// \throws config::Error for invalid options (a bad id, a broker without URLs).
   explicit Gateway(GatewayOptions options);
-  /// Stops with a limit of five seconds unless stopped.
+  /// Calls stop() with a limit of five seconds unless it was called.
   ~Gateway() override;
 
-  /// Takes over running hosts and registers. Returns when registered, or when the registry is away: then it keeps
-  /// trying. \throws config::Error when another gateway of this id is alive (known after its session could have
-  /// expired).
+  /// Adopts running hosts and registers the gateway. Returns when the gateway is registered, or when the registry is
+  /// unreachable; then the gateway keeps trying. \throws config::Error if another gateway with this id is alive, which
+  /// is certain only after the session of a dead one would have expired; the adopted hosts have ended then.
   void start() override;
   /// Stops the instances (their records say `inactive`), ends their hosts and leaves the registry. Orders stay.
   void stop(std::chrono::milliseconds limit) override;
 
-  const std::string& id() const;
-  /// Where plugins that are sent are kept; null: nowhere.
-  PluginStore* plugins() const;
-  /// The highest epoch of the orders seen: what an order given here must carry.
+  /// Why no orders are followed, in one line; empty: they are, or the registry is away.
+  std::string trouble() const override;
+
+  const discovery::GatewayId& id() const;
+  /// The store of uploaded plugins; null: the gateway takes no uploads.
+  processes::PluginStore* plugins() const;
+  /// The highest epoch of all orders so far. An order that this gateway's Thrift service writes must have it.
   std::int64_t epoch() const;
-  /// Instances as they are.
+  /// The current record of each instance.
   std::vector<discovery::DriverRecord> instances() const;
-  /// The latest changes of state of an instance, or of all when the id is empty, of those that are gone too; the oldest
-  /// first.
-  std::vector<StateChange> changes(const std::string& instance) const;
-  using Outcome = OrderedInstances::Outcome;
+  /// The latest changes of state of an instance, or of all instances (undeployed ones included) if the id is empty; the
+  /// oldest first.
+  std::vector<StateChange> changes(const discovery::InstanceId& instance) const;
+  using AwaitedRecord = OrderedInstances::AwaitedRecord;
   using Condition = OrderedInstances::Condition;
   /// See OrderedInstances::wait_for().
-  Outcome wait_for(const std::string& instance, const Condition& condition, std::chrono::milliseconds limit,
-                   std::int64_t order_version = -1) const;
+  AwaitedRecord wait_for(const discovery::InstanceId& instance, const Condition& condition,
+                         std::chrono::milliseconds limit, std::int64_t order_version = -1) const;
 
  private:
   struct Impl;

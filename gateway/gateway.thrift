@@ -1,13 +1,14 @@
-// The service of a gateway, framed and binary (port 12905). Methods, names and field ids are those of the original
-// system (REFERENCE.md section 1), so that its master can order here; what is new stands below them. Every order goes
-// by way of the registry, where the orders of this system's master stand too.
+// The service of a gateway: framed transport, binary protocol, port 12905. Methods, names and field ids are those of
+// the original system (docs/wire.md#thrift), so that its master can give orders; new methods stand below them. The
+// gateway writes each order that comes by this service into the registry, where this system's master writes its orders
+// too.
 include "iotcloud/discovery/records.thrift"
 namespace cpp iotcloud.gateway.wire
 
 struct TPing {
   // The gateway's id.
   1: string gateway
-  // Its wall time, milliseconds since 1970 UTC.
+  // The gateway's wall time, milliseconds since 1970 UTC.
   2: i64 timeMs
 }
 
@@ -23,57 +24,59 @@ struct TStateChange {
 }
 
 struct TLogPart {
-  // Whole lines, unless one is longer than what was asked for.
+  // Whole lines, unless a line is longer than `mostBytes`.
   1: string text
-  // Where to go on reading.
+  // The position of the next part.
   2: string position
 }
 
-// A plugin that somebody wants to send.
+// A plugin that a client wants to send.
 struct TPluginOffer {
-  // Plain file name.
+  // File name without a path.
   1: string plugin
-  // Of all its bytes, 64 hexadecimal digits in lower case.
+  // SHA-256 of the plugin's bytes: 64 hexadecimal digits in lower case.
   2: string sha256
-  // Bytes.
+  // In bytes.
   3: i64 size
-  // Ed25519, of all its bytes; empty: not signed.
+  // Ed25519 signature of the plugin's bytes; empty: not signed.
   4: binary signature
 }
 
-// A question that cannot be answered.
+// The gateway cannot answer the question.
 exception TSiteError {
   1: string reason
 }
 
 service TSensorSiteService {
-  // Spelt so in the original. totalSensors: instances ordered here; responsiveSonsor: those that are active or inactive
-  // as ordered.
+  // The original spells it so. totalSensors: number of instances that are ordered on this gateway; responsiveSonsor:
+  // number of those that are in the ordered state, active or inactive.
   records.THeartBeatResponse hearbeat(1: records.THeartBeatRequest heartBeat)
-  // filename: the plugin's file name in the gateway's plugin folder. className: the driver's name; empty or a Java
-  // class (it has dots): the plugin's own. SUCCESS when the instance is active; statusMessage is then its id.
-  // A deployment that fails is taken back.
+  // filename: the plugin's file name in the gateway's plugin folder. className: the driver's name; if it is empty or a
+  // Java class (it has dots), the plugin's own name is used. SUCCESS when the instance is active; statusMessage is then
+  // its id. A deployment that fails is undone.
   records.TResponse deploySensor(1: records.TSensorDeployDescriptor deployDescriptor)
-  // SUCCESS when the instance is gone, active, or inactive; FAILURE says why not, or that the outcome is not known.
+  // SUCCESS when the instance is gone, active or inactive, as was ordered. FAILURE: statusMessage says why it is not,
+  // or that the outcome is not known.
   records.TResponse unDeploySensor(1: string id)
   records.TResponse startSensor(1: string id)
   records.TResponse stopSensor(1: string id)
 
   // ---- new
-  // Opens the connection where the gateway asks for a token; SUCCESS where it does not.
+  // Must be the first call on a connection to a gateway that requires a token. A gateway that requires none answers
+  // SUCCESS.
   records.TResponse authenticate(1: string token)
-  // Answers while the gateway serves.
+  // Answers as long as the gateway serves calls.
   TPing ping()
-  // The latest changes of state of one instance, or of all when it is empty, of those that are gone too; the oldest
-  // first.
+  // The latest changes of state of an instance; if `instance` is empty, of all instances, also of those that are gone.
+  // The oldest is first.
   list<TStateChange> getChanges(1: string instance) throws (1: TSiteError error)
-  // What the driver host of the instance logs. position: of an earlier part; empty: the end of the log.
+  // A part of the log of the instance's driver host. position: that of an earlier answer; empty: the end of the log.
   TLogPart readLog(1: string instance, 2: string position, 3: i32 mostBytes) throws (1: TSiteError error)
-  // A plugin is sent in pieces, which fit into a message of 1 MB each. The answer is the upload's id; empty: the plugin
-  // is here already. An upload that nobody goes on with for a minute ends.
+  // Begins to send a plugin; its pieces must each fit into a message of 1 MB. The answer is the upload's id; empty: the
+  // gateway has the plugin already. An upload without a call for a minute ends.
   string offerPlugin(1: TPluginOffer offer) throws (1: TSiteError error)
-  // The bytes from `offset` on: all of them, in order. An error ends the upload.
+  // Sends the piece that begins at `offset`. Pieces must come in order, without gaps. An error ends the upload.
   void sendPlugin(1: string upload, 2: i64 offset, 3: binary bytes) throws (1: TSiteError error)
-  // Orders may name the plugin when this has answered.
+  // Ends the upload. Orders may name the plugin when this call has returned.
   void finishPlugin(1: string upload) throws (1: TSiteError error)
 }

@@ -8,9 +8,9 @@
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/registry_setting.h>
+#include <iotcloud/gateway/fleet/plugin_folder.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/host/plugin.h>
-#include <iotcloud/gateway/plugins/plugin_folder.h>
 
 namespace iotcloud::gateway {
 
@@ -45,7 +45,7 @@ std::vector<brokers::BrokerSetting> read_brokers(config::Section& file, millisec
   return brokers;
 }
 
-/// Runs a check whose error becomes one of this key.
+/// Runs a check; reports its error as an error of this configuration key.
 template <typename Check>
 void checked(const config::Section& section, const std::string& key, Check&& check) {
   try {
@@ -63,20 +63,21 @@ void read_thrift(config::Section& file, GatewayConfig& config) {
   config.gateway.port = listen.port;
   auto section = file.optional_section("thrift");
   if (!section) return;
-  config::read_listen_settings(*section, listen, 0);
-  if (!listen.tokens.empty()) checked(*section, "tokens", [&] { config::read_tokens(listen.tokens); });
+  rpc::read_listen_settings(*section, listen, 0);
+  if (!listen.tokens.empty()) checked(*section, "tokens", [&] { security::read_tokens(listen.tokens); });
   section->finish();
   config.gateway.host = listen.host;
   config.gateway.port = listen.port;
   config.gateway.tls = !listen.tls.empty();
   if (listen.port == 0) return;
-  const auto reached = config::split_address(listen.advertise);
+  const auto reached = rpc::split_address(listen.advertise);
   config.gateway.host = reached.host;
   config.gateway.port = reached.port;
 }
 
-/// What driver hosts give up. Whether that can be is seen here, not when the first driver comes.
-void read_confinement(config::Section& file, Confinement& confinement) {
+/// Reads the confinement of driver hosts, and checks now, rather than when the first driver is deployed, that this
+/// machine allows it.
+void read_confinement(config::Section& file, processes::Confinement& confinement) {
   confinement.no_new_privileges = true;
   confinement.filter_calls = file.bool_or("host_call_filter", true);
   confinement.debuggable = file.bool_or("host_debugging", false);
@@ -94,7 +95,7 @@ void read_confinement(config::Section& file, Confinement& confinement) {
   }
   if (confinement.user.empty()) return;
   checked(file, "host_user", [&] {
-    const Account account = find_account(confinement.user);
+    const processes::Account account = processes::find_account(confinement.user);
     if (account.user == 0) throw config::Error("driver hosts would run as root: name a user with no rights");
     if (geteuid() == 0 || geteuid() == account.user) return;
     throw config::Error(
@@ -114,11 +115,11 @@ void read_plugins(config::Section& file, GatewayConfig& config) {
   });
   constexpr std::int64_t usual_mb = 64, most_mb = 4096;
   config.plugin_upload_limit = file.int_or("plugins.upload_limit_mb", usual_mb, 1, most_mb) << 20;
-  PluginTrust::Options trust;
+  security::TrustedKeys::Options trust;
   trust.require_signature = file.bool_or("plugins.require_signature", false);
   trust.trusted_keys = file.strings_or("plugins.trusted_keys", {});
   checked(file, trust.trusted_keys.empty() ? "plugins.require_signature" : "plugins.trusted_keys",
-          [&] { config.trust = std::make_shared<PluginTrust>(trust); });
+          [&] { config.trust = std::make_shared<security::TrustedKeys>(trust); });
   config.hosts.trust = config.trust;
 }
 
@@ -155,7 +156,7 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   auto file = config::Section::load_file(path);
   GatewayConfig config;
   auto& gateway = config.gateway;
-  gateway.id = file.require_string("id");
+  gateway.id = discovery::GatewayId(file.require_string("id"));
   checked(file, "id", [&] { check_name("gateway id", gateway.id); });
   config.registry = discovery::read_registry_options(file);
   config.registry.url = file.require_string("registry");
@@ -172,7 +173,8 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
     config.metrics_address = metrics->require_string("address");
     metrics->finish();
   }
-  config::read_log_settings(file);  // the frame of the daemons applies them
+  // run_daemon() applies them; they are read here only so that finish() knows the keys
+  config::read_log_settings(file);
   file.finish();
   return config;
 }

@@ -1,20 +1,24 @@
 // iotcloud-gateway: connects the devices of one place to the brokers, by way of driver hosts.
+#include <atomic>
+#include <cstdlib>
 #include <memory>
 #include <optional>
 
+#include <signal.h>
 #include <unistd.h>
 
 #include <iotcloud/config/daemon/daemon.h>
-#include <iotcloud/config/exposition/metrics_endpoint.h>
-#include <iotcloud/config/log.h>
 #include <iotcloud/gateway/gateway_config.h>
-#include <iotcloud/gateway/processes/state_folder.h>
+#include <iotcloud/gateway/logger.h>
+#include <iotcloud/processes/state_folder.h>
+#include <iotcloud/rpc/http/metrics_endpoint.h>
 
 namespace {
 
 using namespace iotcloud;
 
-constexpr config::Logger log{"gateway"};
+/// Another process has this gateway's place in the registry.
+std::atomic<bool> replaced{false};
 
 /// The daemon's parts, in the order in which they depend on each other.
 class GatewayDaemon final : public config::Service {
@@ -26,15 +30,15 @@ class GatewayDaemon final : public config::Service {
     config_.hosts.state_dir = state_->path();
     config_.thrift.log_folder = state_->path();
     if (geteuid() == 0 && config_.hosts.confinement.user.empty()) {
-      log.warn(
+      gateway::logger.warn(
           "this gateway runs as root, and so does every driver: name a user with no rights in host_user, as which its "
           "driver hosts are to run");
     }
-    gateway::PluginStore::Options plugins;
+    processes::PluginStore::Options plugins;
     plugins.folder = state_->path() + "/plugins";
     plugins.most_bytes = config_.plugin_upload_limit;
     plugins.trust = config_.hosts.trust;
-    config_.hosts.store = std::make_shared<gateway::PluginStore>(plugins);
+    config_.hosts.store = std::make_shared<processes::PluginStore>(plugins);
     if (!config_.metrics_address.empty()) {
       config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
       of_hosts_ = config::process_metrics().add_source(
@@ -47,6 +51,10 @@ class GatewayDaemon final : public config::Service {
     options.history_file = state_->path() + "/history.jsonl";
     options.launcher = std::make_shared<gateway::ProcessLauncher>(config_.hosts);
     options.plugins = config_.hosts.store;
+    options.on_replaced = [](const std::string&) {  // it has said why in the log
+      replaced = true;
+      kill(getpid(), SIGTERM);
+    };
     gateway_.emplace(std::move(options));
     gateway_->start();
     service_.emplace(config_.thrift, *gateway_, *registry_, config_.gateway.paths);
@@ -68,15 +76,15 @@ class GatewayDaemon final : public config::Service {
   }
 
   std::string trouble() const override {
-    return registry_->session() == discovery::SessionState::connected ? "" : "the registry is away";
+    return registry_->session() == discovery::SessionState::connected ? gateway_->trouble() : "the registry is away";
   }
 
  private:
   static constexpr std::chrono::milliseconds thrift_share{500};
   gateway::GatewayConfig config_;
   config::Metrics::SourceRegistration of_hosts_;
-  std::optional<config::MetricsEndpoint> metrics_;
-  std::optional<gateway::StateFolder> state_;
+  std::optional<rpc::MetricsEndpoint> metrics_;
+  std::optional<processes::StateFolder> state_;
   std::unique_ptr<discovery::Registry> registry_;
   std::optional<gateway::Gateway> gateway_;
   std::optional<gateway::SiteService> service_;
@@ -91,5 +99,6 @@ int main(int argc, char** argv) {
   options.build = [](const std::string& file) {
     return std::make_unique<GatewayDaemon>(gateway::GatewayConfig::load(file));
   };
-  return config::run_daemon(argc, argv, options);
+  const int status = config::run_daemon(argc, argv, options);
+  return replaced ? EXIT_FAILURE : status;
 }

@@ -1,10 +1,10 @@
 #include <fmt/format.h>
 
-#include <iotcloud/config/log.h>
-#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/gateway/logger.h>
 #include <iotcloud/gateway/ordered_instances.h>
+#include <iotcloud/security/sha256.h>
 
 namespace iotcloud::gateway {
 
@@ -14,8 +14,6 @@ using discovery::OrderRecord;
 using std::chrono::milliseconds;
 
 namespace {
-
-constexpr config::Logger log{"gateway"};
 
 /// Whether a running instance must be replaced to follow the new order.
 bool differs_in_making(const OrderRecord& a, const OrderRecord& b) {
@@ -38,13 +36,46 @@ void OrderedInstances::adopt() {
     entry.order = found.spec.order;
     entry.status = found.status;
     entry.in_fleet = true;
+    entry.adopted = true;
   }
 }
 
-void OrderedInstances::ordered_at_first(const std::set<std::string>& names) {
+void OrderedInstances::publish_adopted() {
+  for (const auto& [instance, entry] : entries_) {
+    if (entry.adopted && entry.order_version == -1) publish_record(entry);
+  }
+}
+
+std::set<discovery::InstanceId> OrderedInstances::present() const {
+  std::set<discovery::InstanceId> present;
+  for (const auto& [instance, entry] : entries_) {
+    if (!entry.removing || entry.next) present.insert(instance);
+  }
+  return present;
+}
+
+std::set<discovery::InstanceId> OrderedInstances::without_record(
+    const std::set<discovery::InstanceId>& instances) const {
+  std::vector<discovery::InstanceId> asked;
+  std::vector<std::string> paths;
+  for (const auto& instance : instances) {
+    const auto found = entries_.find(instance);
+    if (found == entries_.end() || !(found->second.adopted || records_.has_written(instance))) continue;
+    asked.push_back(instance);
+    paths.push_back(options_.paths.instance(found->second.status.driver, instance));
+  }
+  const auto nodes = options_.registry->get_all(paths);
+  std::set<discovery::InstanceId> without;
+  for (std::size_t i = 0; i < asked.size(); ++i) {
+    if (!nodes[i]) without.insert(asked[i]);
+  }
+  return without;
+}
+
+void OrderedInstances::ordered_at_first(const std::set<discovery::InstanceId>& names) {
   unread_ = names;
   remove_stale_records(names);
-  std::vector<std::string> not_ordered;
+  std::vector<discovery::InstanceId> not_ordered;
   for (const auto& [instance, entry] : entries_) {
     if (!names.contains(instance)) not_ordered.push_back(instance);
   }
@@ -70,7 +101,7 @@ void OrderedInstances::follow(const OrderRecord& order, std::int64_t version) {
   if (order.active != was_active && entry.in_fleet) {
     order.active ? fleet_.activate(order.instance) : fleet_.deactivate(order.instance);
   }
-  publish_record(entry);  // its metadata may have changed; an adopted instance's record may be old
+  publish_record(entry);  // the order's metadata may have changed, and an adopted instance's record may be out of date
 }
 
 void OrderedInstances::create(const OrderRecord& order, std::int64_t version) {
@@ -86,7 +117,7 @@ void OrderedInstances::create(const OrderRecord& order, std::int64_t version) {
     check_name("instance id", order.instance);
     check_plugin_file_name(order.plugin);
     if (!order.driver.empty()) check_name("driver name", order.driver);
-    if (!order.sha256.empty() && !config::is_sha256(order.sha256))
+    if (!order.sha256.empty() && !security::is_sha256(order.sha256))
       throw config::Error("its order names a plugin by \"" + order.sha256 + "\", which is no SHA-256");
   } catch (const config::Error& e) {
     refuse(entry, e.what());
@@ -96,17 +127,17 @@ void OrderedInstances::create(const OrderRecord& order, std::int64_t version) {
   fleet_.create(order);
 }
 
-/// An order that cannot be followed: told in the record, no host is bothered.
+/// Rejects an invalid order: the instance's record says `failed` with the reason, and no host is involved.
 void OrderedInstances::refuse(Entry& entry, const std::string& reason) {
   entry.in_fleet = false;
   entry.status.state = DriverState::failed;
   entry.status.reason = reason;
   entry.status.since_ms = options_.clock->wall_ms();
-  log.error("the order for {} cannot be followed: {}", entry.order.instance, reason);
+  logger.error("the order for {} cannot be followed: {}", entry.order.instance, reason);
   try {
     check_name("driver name", entry.status.driver);
   } catch (const config::Error&) {
-    entry.status.driver = "unknown";  // the record needs a place that exists
+    entry.status.driver = discovery::DriverName("unknown");  // the record's path contains the driver's name
   }
   publish_record(entry);
 }
@@ -120,7 +151,7 @@ void OrderedInstances::replace(Entry& entry, const OrderRecord& order) {
   if (!std::exchange(entry.removing, true)) fleet_.remove(order.instance);
 }
 
-void OrderedInstances::forget(const std::string& instance) {
+void OrderedInstances::forget(const discovery::InstanceId& instance) {
   if (unread_) unread_->erase(instance);
   const auto found = entries_.find(instance);
   if (found == entries_.end()) return;
@@ -130,7 +161,7 @@ void OrderedInstances::forget(const std::string& instance) {
     if (!std::exchange(entry.removing, true)) fleet_.remove(instance);
     return;
   }
-  const std::string driver = entry.status.driver;
+  const discovery::DriverName driver = entry.status.driver;
   entries_.erase(found);
   drop_record(driver, instance);
 }
@@ -166,7 +197,8 @@ DriverRecord OrderedInstances::record_for(const Entry& entry) const {
   record.reason = entry.status.reason;
   record.since_ms = entry.status.since_ms;
   record.metadata = entry.status.metadata;
-  record.metadata.insert(entry.order.metadata.begin(), entry.order.metadata.end());  // the driver's own go before
+  // insert() keeps the driver's own entries
+  record.metadata.insert(entry.order.metadata.begin(), entry.order.metadata.end());
   record.channels = entry.status.channels;
   record.deployment = entry.order.name;
   record.index = entry.order.index;
@@ -178,25 +210,32 @@ DriverRecord OrderedInstances::record_for(const Entry& entry) const {
 
 void OrderedInstances::publish_record(const Entry& entry) {
   const auto record = record_for(entry);
+  const bool changed = [&] {
+    const config::MutexLock lock(mutex_);
+    const auto& told = told_[record.instance].record;
+    return told.state != record.state || told.reason != record.reason || told.since_ms != record.since_ms;
+  }();
+  // Added before the record is written, so that whoever sees the record finds the change in the log; and without the
+  // lock, because add() writes to the disk.
+  if (changed) changes_.add({record.instance, record.name, record.state, record.reason, record.since_ms});
   records_.put(record);
   {
-    const std::lock_guard lock(mutex_);
-    auto& told = told_[record.instance];
-    const bool changed = told.record.state != record.state || told.record.reason != record.reason ||
-                         told.record.since_ms != record.since_ms;
-    if (changed) changes_.add({record.instance, record.name, record.state, record.reason, record.since_ms});
-    told = {record, entry.order_version};
+    const config::MutexLock lock(mutex_);
+    told_[record.instance] = {record, entry.order_version};
   }
   changed_.notify_all();
 }
 
-void OrderedInstances::drop_record(const std::string& driver, const std::string& instance) {
+void OrderedInstances::drop_record(const discovery::DriverName& driver, const discovery::InstanceId& instance) {
+  const bool known = [&] {
+    const config::MutexLock lock(mutex_);
+    return told_.contains(instance);
+  }();
+  if (known) changes_.add({instance, driver, DriverState::undeployed, "as ordered", options_.clock->wall_ms()});
   records_.erase(driver, instance);
   {
-    const std::lock_guard lock(mutex_);
-    if (told_.erase(instance) > 0) {
-      changes_.add({instance, driver, DriverState::undeployed, "as ordered", options_.clock->wall_ms()});
-    }
+    const config::MutexLock lock(mutex_);
+    told_.erase(instance);
   }
   changed_.notify_all();
 }
@@ -205,21 +244,27 @@ void OrderedInstances::stop(milliseconds limit, std::function<void()> done) {
   stopping_ = true;
   fleet_.shutdown(limit, [this, done = std::move(done)] {
     records_.flush();
+    changes_.sync();
     done();
   });
 }
 
-/// Records of an earlier life whose orders went while no gateway was there to see it.
-void OrderedInstances::remove_stale_records(const std::set<std::string>& ordered) {
+void OrderedInstances::abandon(milliseconds limit, std::function<void()> done) {
+  records_.close();
+  stop(limit, std::move(done));
+}
+
+/// Removes records of instances whose orders were removed while no gateway ran.
+void OrderedInstances::remove_stale_records(const std::set<discovery::InstanceId>& ordered) {
   try {
     for (const auto& record : discovery::list_drivers(*options_.registry, options_.paths)) {
       if (record.gateway != options_.gateway || ordered.contains(record.instance)) continue;
-      if (entries_.contains(record.instance)) continue;  // it runs: forget() will see to it
-      log.info("removing the record of {} {}: it is not ordered any more", record.name, record.instance);
+      if (entries_.contains(record.instance)) continue;  // the instance runs: forget() removes its record
+      logger.info("removing the record of {} {}: it is not ordered any more", record.name, record.instance);
       records_.erase(record.name, record.instance);
     }
   } catch (const config::Error& e) {
-    log.warn("records of an earlier life of this gateway may have stayed: {}", e.what());
+    logger.warn("records that this gateway wrote before it was started again may have stayed: {}", e.what());
   }
 }
 
@@ -238,17 +283,18 @@ std::optional<std::set<std::string>> OrderedInstances::plugins_named() const {
 }
 
 std::vector<DriverRecord> OrderedInstances::all() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   std::vector<DriverRecord> all;
   for (const auto& [instance, told] : told_) all.push_back(told.record);
   return all;
 }
 
-OrderedInstances::Outcome OrderedInstances::wait_for(const std::string& instance, const Condition& condition,
-                                                     milliseconds limit, std::int64_t order_version) const {
-  std::unique_lock lock(mutex_);
-  Outcome outcome;
-  outcome.known = changed_.wait_for(lock, limit, [&] {
+OrderedInstances::AwaitedRecord OrderedInstances::wait_for(const discovery::InstanceId& instance,
+                                                           const Condition& condition, milliseconds limit,
+                                                           std::int64_t order_version) const {
+  const config::MutexLock lock(mutex_);
+  AwaitedRecord outcome;
+  outcome.known = changed_.wait_for(mutex_, limit, [&]() IOTCLOUD_REQUIRES(mutex_) {
     const auto found = told_.find(instance);
     outcome.record.reset();
     if (found == told_.end()) return condition(outcome.record);

@@ -1,31 +1,30 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <set>
 #include <string>
 #include <vector>
 
 #include <iotcloud/config/clock.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/gateway/change_log.h>
 #include <iotcloud/gateway/fleet/host_fleet.h>
-#include <iotcloud/gateway/registration/record_writer.h>
+#include <iotcloud/gateway/record_writer.h>
 
 namespace iotcloud::gateway {
 
-/// The instances that a gateway was ordered to run: makes each order come true in a fleet of driver hosts, and writes
-/// what is into the registry's records. Used on one event loop unless said otherwise.
+/// The instances that a gateway was ordered to run: carries out each order in a fleet of driver hosts, and writes the
+/// instances' state into the registry's records. Used on one event loop unless said otherwise.
 class OrderedInstances {
  public:
   struct Options {
-    std::string gateway;            ///< id
+    discovery::GatewayId gateway;
     discovery::Registry* registry;  ///< not null
     discovery::Paths paths;
     HostLauncher* launcher;  ///< not null
@@ -36,46 +35,70 @@ class OrderedInstances {
   };
   OrderedInstances(Options options, EventLoop& loop);
 
-  /// Takes over what an earlier life of the gateway left running.
+  /// Adopts the hosts and instances that an earlier run of the gateway left running.
   void adopt();
-  /// What stands in the registry, once it is known: what runs without an order is removed, what is said of it too.
-  void ordered_at_first(const std::set<std::string>& names);
-  /// Follows a new or changed order. \param version of its node
+  /// Called once, when the names of all orders in the registry are known: removes instances that run without an order,
+  /// and their records.
+  void ordered_at_first(const std::set<discovery::InstanceId>& names);
+  /// Follows a new or changed order. \param version the version of the order's node in the registry
   void follow(const discovery::OrderRecord& order, std::int64_t version);
-  /// The order was taken back: the instance and its record go.
-  void forget(const std::string& instance);
-  /// Writes records that could not be written.
-  void write_records() { records_.flush(); }
-  /// The SHA-256 of the plugins that orders name, also to go back to; nullopt while not all orders are known.
+  /// The order was removed: removes the instance and its record.
+  void forget(const discovery::InstanceId& instance);
+  /// Writes no record until resume_records(): the connection is lost, and the next one may lead to another state of the
+  /// registry.
+  void pause_records() { records_.pause(); }
+  /// Writes the records that could not be written, and brings the changes of state to the disk. To be called after a
+  /// reconnection, and periodically.
+  void resume_records() {
+    records_.resume();
+    changes_.sync();
+  }
+  /// Finds the records that the registry lost; resume_records() puts them back. \throws discovery::RegistryError.
+  void restore_records() { records_.restore(); }
+  /// Puts the records of adopted instances whose orders are not followed yet.
+  void publish_adopted();
+  /// The instances that are here to stay, as far as orders are known: ordered ones, and adopted ones.
+  std::set<discovery::InstanceId> present() const;
+  /// Those of these instances of which the registry once had a record by this gateway, and has none now.
+  /// \throws discovery::RegistryError.
+  std::set<discovery::InstanceId> without_record(const std::set<discovery::InstanceId>& instances) const;
+  /// The SHA-256 of all plugins that orders name, including those named for a rollback; nullopt while not all orders
+  /// are known.
   std::optional<std::set<std::string>> plugins_named() const;
-  /// Ends all instances, whose records say `inactive`; orders stay. `done` is called once when that is so.
+  /// Ends all instances and sets their records to `inactive`; the orders stay. Calls `done` once, when that is
+  /// finished.
   void stop(std::chrono::milliseconds limit, std::function<void()> done);
+  /// Like stop(), and writes nothing into the registry any more: the place there is another gateway's.
+  void abandon(std::chrono::milliseconds limit, std::function<void()> done);
 
-  // Thread safe.
+  // These are thread safe.
   std::vector<discovery::DriverRecord> all() const;
   const ChangeLog& changes() const { return changes_; }
-  /// What came of an order, see wait_for().
-  struct Outcome {
-    bool known = false;                             ///< false: the limit passed first
-    std::optional<discovery::DriverRecord> record;  ///< the record that met the condition; nullopt: there is none
+  /// The outcome of an order, see wait_for().
+  struct AwaitedRecord {
+    bool known = false;  ///< false: the limit passed before the condition held
+    /// The record for which the condition held; nullopt: it held for a missing record.
+    std::optional<discovery::DriverRecord> record;
   };
   using Condition = std::function<bool(const std::optional<discovery::DriverRecord>&)>;
-  /// Waits until the condition holds for the instance's record (nullopt: there is none), and the order's version in the
-  /// registry that the record follows is at least `order_version`.
-  Outcome wait_for(const std::string& instance, const Condition& condition, std::chrono::milliseconds limit,
-                   std::int64_t order_version) const;
+  /// Waits until the condition holds for the instance's record (nullopt if the instance has none) and the record
+  /// reflects version `order_version` of the order, or a later one.
+  AwaitedRecord wait_for(const discovery::InstanceId& instance, const Condition& condition,
+                         std::chrono::milliseconds limit, std::int64_t order_version) const;
 
  private:
-  /// One ordered instance. `in_fleet`: a host knows it, so its end will be reported.
+  /// One ordered instance. `in_fleet`: a host knows the instance and will report its end. `adopted`: an earlier run of
+  /// the gateway left it running, and wrote its record.
   struct Entry {
     discovery::OrderRecord order;
     std::int64_t order_version = -1;
     InstanceStatus status;
     bool in_fleet = false;
+    bool adopted = false;
     bool removing = false;
-    std::optional<discovery::OrderRecord> next;  ///< to be made when the present one is gone
+    std::optional<discovery::OrderRecord> next;  ///< the order to carry out when the current instance has ended
   };
-  /// What wait_for() sees of an instance.
+  /// What wait_for() sees of an instance: its record and the version of the order that the record reflects.
   struct Told {
     discovery::DriverRecord record;
     std::int64_t order_version = -1;
@@ -87,23 +110,25 @@ class OrderedInstances {
   void heard(const InstanceStatus& status);
   discovery::DriverRecord record_for(const Entry& entry) const;
   void publish_record(const Entry& entry);
-  void drop_record(const std::string& driver, const std::string& instance);
-  void remove_stale_records(const std::set<std::string>& ordered);
+  void drop_record(const discovery::DriverName& driver, const discovery::InstanceId& instance);
+  void remove_stale_records(const std::set<discovery::InstanceId>& ordered);
 
   const Options options_;
   RecordWriter records_;
-  std::map<std::string, Entry> entries_;
-  std::optional<std::set<std::string>> unread_;  ///< of the orders that stood at the start; nullopt: not known yet
+  std::map<discovery::InstanceId, Entry> entries_;
+  std::optional<std::set<discovery::InstanceId>>
+      /// Instances whose orders existed at the start and are not read yet; nullopt: the list is not known yet.
+      unread_;
   bool stopping_ = false;
 
   static constexpr std::size_t most_changes = 10'000;
   ChangeLog changes_;
 
-  mutable std::mutex mutex_;
-  mutable std::condition_variable changed_;
-  std::map<std::string, Told> told_;  ///< guarded by mutex_
+  mutable config::Mutex mutex_;
+  mutable config::ConditionVariable changed_;
+  std::map<discovery::InstanceId, Told> told_ IOTCLOUD_GUARDED_BY(mutex_);  ///< written only on the loop
 
-  HostFleet fleet_;  ///< dies first: its links' last events are posted to the loop
+  HostFleet fleet_;  ///< destroyed first, because its links post their last events to the loop
 };
 
 }  // namespace iotcloud::gateway

@@ -2,26 +2,31 @@
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/log.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/fleet/host_fleet.h>
+#include <iotcloud/gateway/logger.h>
 
 namespace iotcloud::gateway {
 
+using discovery::DriverName;
 using discovery::DriverState;
+using discovery::InstanceId;
 
 namespace {
 
-constexpr config::Logger log{"gateway"};
 constexpr std::chrono::milliseconds retire_limit{5000};
 
-std::string driver_name(const discovery::OrderRecord& order) {
-  return order.driver.empty() ? order.plugin.substr(0, order.plugin.rfind('.')) : order.driver;
+std::chrono::milliseconds next_delay(std::chrono::milliseconds last, const RestartPolicy& policy) {
+  return last.count() == 0 ? policy.first : std::min(last * 2, policy.longest);
 }
 
-/// Instances with the same one share a host. A plugin that was sent is named by its bytes too: other bytes, another
-/// host.
-std::string key_of(const HostOrder& order, const std::string& instance) {
+DriverName driver_name(const discovery::OrderRecord& order) {
+  return order.driver.empty() ? DriverName(order.plugin.substr(0, order.plugin.rfind('.'))) : order.driver;
+}
+
+/// Instances with the same key share a host. The key of an uploaded plugin contains the SHA-256 of its bytes, so each
+/// version has its own host.
+std::string key_of(const HostOrder& order, const InstanceId& instance) {
   std::string key = order.plugin;
   if (!order.sha256.empty()) key += "@" + order.sha256;
   if (order.isolated) key += "#" + instance;
@@ -38,13 +43,13 @@ bool isolated(const discovery::OrderRecord& order, const HostOrder& host, HostLa
 struct HostFleet::Host {
   std::string key;
   HostOrder order;
-  std::set<std::string> instances;
-  std::unique_ptr<HostLink> link;  ///< null while it waits to be started again
+  std::set<InstanceId> instances;
+  std::unique_ptr<HostLink> link;  ///< null while the host waits for its restart
   std::chrono::milliseconds delay{0};
-  int crashes = 0;                             ///< in a row, nobody's fault in particular
-  std::map<std::string, int> crashes_through;  ///< in a row, by the instance at fault
-  std::string last_end;                        ///< why it was started again
-  std::set<std::string> reviving;              ///< instances that run again since then, and are not active yet
+  int crashes = 0;                            ///< crashes in a row for which no instance is known to be at fault
+  std::map<InstanceId, int> crashes_through;  ///< crashes in a row, by the instance at fault
+  std::string last_end;                       ///< how the host last failed
+  std::set<InstanceId> reviving;  ///< instances that were created again after that failure and are not active yet
   config::Clock::Instant started;
   HandlerId restart_timer = 0;
 };
@@ -54,7 +59,9 @@ HostFleet::HostFleet(EventLoop& loop, HostLauncher& launcher, Placement placemen
       launcher_(launcher),
       placement_(std::move(placement)),
       options_(std::move(options)),
-      on_status_(std::move(on_status)) {}
+      on_status_(std::move(on_status)),
+      // Not the numbers of this gateway's earlier run, whose messages an adopted host may answer for.
+      last_passed_(options_.clock->wall_ms() * 1'000'000) {}
 
 HostFleet::~HostFleet() = default;
 
@@ -64,18 +71,23 @@ std::vector<HostedInstance> HostFleet::adopt() {
     auto host = std::make_shared<Host>();
     host->order = running.order;
     host->started = options_.clock->now();
-    host->key = key_of(running.order, running.instances.empty() ? "" : running.instances.front().spec.order.instance);
+    host->key =
+        key_of(running.order, running.instances.empty() ? InstanceId() : running.instances.front().spec.order.instance);
     for (auto instance : running.instances) {
       instance.status.plugin = running.order.identity;
-      const std::string& id = instance.spec.order.instance;
+      const InstanceId& id = instance.spec.order.instance;
       if (members_.contains(id)) continue;
       placement_.learn(instance.status.driver, instance.spec.brokers);
       host->instances.insert(id);
-      members_[id] = Member{instance.spec, host, instance.status};
+      auto& member = members_[id];
+      member.spec = instance.spec;
+      member.host = host;
+      member.status = instance.status;
+      member.started = options_.clock->now();
       adopted.push_back(instance);
     }
-    log.info("adopted the driver host {} of {} with {} instance(s)", running.name, running.order.plugin,
-             host->instances.size());
+    logger.info("adopted the driver host {} of {} with {} instance(s)", running.name, running.order.plugin,
+                host->instances.size());
     host->link = launcher_.adopt(running, events_of(host));
     if (host->instances.empty() || !hosts_.emplace(host->key, host).second) retire(host, retire_limit);
   }
@@ -109,7 +121,59 @@ HostEvents HostFleet::events_of(const std::shared_ptr<Host>& host) {
       if (const auto alive = weak.lock()) ended(alive, end);
     });
   };
+  events.on_pass = [this, weak](const PassedMessage& message) {
+    loop_.post([this, weak, message] {
+      if (const auto alive = weak.lock()) pass_on(alive, message);
+    });
+  };
+  events.on_answer = [this, weak](std::int64_t number, PassAnswer answer) {
+    loop_.post([this, weak, number, answer] {
+      if (const auto alive = weak.lock()) answered(alive, number, answer);
+    });
+  };
   return events;
+}
+
+/// Passes a message that one host has read to the host that runs its instance, which must be of the same driver.
+void HostFleet::pass_on(const std::shared_ptr<Host>& from, PassedMessage message) {
+  if (!from->link) return;
+  const auto found = members_.find(InstanceId(message.message.driver_id));
+  const auto same_driver = [&](const InstanceId& id) {
+    return members_.at(id).status.driver == found->second.status.driver;
+  };
+  if (found == members_.end() || !found->second.host || is_left_alone(found->second) ||
+      std::none_of(from->instances.begin(), from->instances.end(), same_driver)) {
+    from->link->answer(message.number, PassAnswer::nowhere);
+    return;
+  }
+  const auto to = found->second.host;
+  // One that failed and is to run again is not asked for before it runs: its host may not have been told yet.
+  if (to == from || !to->link || found->second.removing || found->second.restarting) {
+    from->link->answer(message.number, PassAnswer::comes);
+    return;
+  }
+  passed_[++last_passed_] = {from, message.number, to};
+  message.number = last_passed_;
+  to->link->deliver(message);
+}
+
+void HostFleet::answered(const std::shared_ptr<Host>& by, std::int64_t number, PassAnswer answer) {
+  const auto found = passed_.find(number);
+  if (found == passed_.end() || found->second.to.lock() != by) return;
+  const UnderWay message = found->second;
+  passed_.erase(found);
+  const auto from = message.from.lock();
+  if (from && from->link) from->link->answer(message.number, answer);
+}
+
+/// A host has ended: it answers for no message any more, and gets no answer. Its next life numbers its messages anew.
+void HostFleet::lose_passed(const std::shared_ptr<Host>& host) {
+  std::erase_if(passed_, [&](const auto& entry) { return entry.second.from.lock() == host; });
+  std::vector<std::int64_t> lost;
+  for (const auto& [number, message] : passed_) {
+    if (message.to.lock() == host) lost.push_back(number);
+  }
+  for (const auto number : lost) answered(host, number, PassAnswer::comes);
 }
 
 void HostFleet::launch(const std::shared_ptr<Host>& host) {
@@ -125,30 +189,32 @@ void HostFleet::create(const discovery::OrderRecord& order) {
   member.host = host;
   member.status.instance = order.instance;
   member.status.driver = driver_name(order);
+  member.started = options_.clock->now();
   host->instances.insert(order.instance);
   report(member, DriverState::deployed, "");
   if (host->link) host->link->create(member.spec);
 }
 
-void HostFleet::activate(const std::string& instance) {
+void HostFleet::activate(const InstanceId& instance) {
   auto& member = members_.at(instance);
   member.spec.order.active = true;
   if (member.host && member.host->link) member.host->link->activate(instance);
 }
 
-void HostFleet::deactivate(const std::string& instance) {
+void HostFleet::deactivate(const InstanceId& instance) {
   auto& member = members_.at(instance);
   member.spec.order.active = false;
   if (member.host && member.host->link) member.host->link->deactivate(instance);
 }
 
-void HostFleet::remove(const std::string& instance) {
+void HostFleet::remove(const InstanceId& instance) {
   auto& member = members_.at(instance);
   member.removing = true;
+  leave_alone(member);
   if (member.host && member.host->link) {
     member.host->link->remove(instance);
   } else {
-    finish(instance);  // its host does not run
+    finish(instance);  // its host does not run, so nobody else reports its end
   }
 }
 
@@ -165,21 +231,81 @@ void HostFleet::heard(const std::shared_ptr<Host>& host, const InstanceStatus& s
   const auto found = members_.find(status.instance);
   if (found == members_.end() || found->second.host != host) return;
   if (status.state == DriverState::undeployed) {
-    // Told by a host that was ended by someone else, it says nothing of what is wanted: the host's end is dealt with.
-    if (found->second.removing || all_ended_) finish(status.instance);
+    // A host that someone else ends reports `undeployed` too, although nobody ordered it. Ignored: ended() handles the
+    // end of that host.
+    if (found->second.removing || shutting_down_) finish(status.instance);
     return;
   }
-  found->second.status = status;
-  found->second.status.plugin = host->order.identity;
-  if (status.state == DriverState::active && host->reviving.erase(status.instance) > 0 && status.reason.empty()) {
-    found->second.status.reason = fmt::format("again, after its driver host {}", host->last_end);
+  Member& member = found->second;
+  if (status.state == DriverState::failed && !member.removing && !shutting_down_) {
+    driver_failed(host, member, status);
+    return;
   }
-  on_status_(found->second.status);
+  const bool runs = status.state == DriverState::active || status.state == DriverState::inactive;
+  if (member.restarting && !runs) return;  // its record says `failed` and why until it runs again
+  const bool restarted = std::exchange(member.restarting, false);
+  member.status = status;
+  member.status.plugin = host->order.identity;
+  const bool revived = status.state == DriverState::active && host->reviving.erase(status.instance) > 0;
+  if (revived && status.reason.empty()) {
+    member.status.reason = fmt::format("again, after its driver host {}", host->last_end);
+  } else if (restarted && status.reason.empty()) {
+    member.status.reason = fmt::format("again, after it failed: {}", member.last_failure);
+  }
+  on_status_(member.status);
 }
 
-/// The instance is gone. It leaves first, so that the listener may use its id again.
-void HostFleet::finish(const std::string& instance) {
+/// Plans the restart of an instance whose driver threw, while its host and the other instances go on.
+void HostFleet::driver_failed(const std::shared_ptr<Host>& host, Member& member, const InstanceStatus& status) {
+  if (member.restart_timer != 0) return;  // known already: an adopted host tells all states again
+  const auto& policy = options_.restart;
+  member.status = status;
+  member.status.plugin = host->order.identity;
+  member.last_failure = status.reason;
+  if (options_.clock->now() - member.started >= policy.healthy_after) {
+    member.failures = 0;
+    member.delay = std::chrono::milliseconds{0};
+  }
+  ++member.failures;
+  member.restarting = policy.give_up_after == 0 || member.failures < policy.give_up_after;
+  if (!member.restarting) {
+    member.status.reason =
+        fmt::format("{}; that was failure {} in a row, so it is left alone until it is started again", status.reason,
+                    member.failures);
+    on_status_(member.status);
+    return;
+  }
+  member.delay = next_delay(member.delay, policy);
+  member.status.reason = fmt::format("{}; it is started again in {} ms", status.reason, member.delay.count());
+  const auto start = [this, weak = std::weak_ptr<Host>(host), id = status.instance] {
+    if (const auto alive = weak.lock()) start_driver_again(alive, id);
+  };
+  member.restart_timer = loop_.start_timer(member.delay, std::chrono::microseconds{0}, start);
+  on_status_(member.status);
+}
+
+void HostFleet::start_driver_again(const std::shared_ptr<Host>& host, const InstanceId& instance) {
+  auto& member = members_.at(instance);  // leave_alone() stops the timer before a member goes
+  member.restart_timer = 0;
+  if (!host->link) return;  // start_again() creates it
+  member.started = options_.clock->now();
+  host->link->create(member.spec);
+}
+
+/// An instance that failed is not started again any more.
+void HostFleet::leave_alone(Member& member) {
+  member.restarting = false;
+  loop_.stop_handler(std::exchange(member.restart_timer, 0));
+}
+
+bool HostFleet::is_left_alone(const Member& member) {
+  return member.status.state == DriverState::failed && !member.restarting;
+}
+
+/// Removes an instance that has ended, then reports it, so that the listener may use its id again.
+void HostFleet::finish(const InstanceId& instance) {
   const auto found = members_.find(instance);
+  leave_alone(found->second);
   Member member = std::move(found->second);
   members_.erase(found);
   if (const auto host = member.host) {
@@ -201,10 +327,11 @@ void HostFleet::retire(const std::shared_ptr<Host>& host, std::chrono::milliseco
 
 void HostFleet::ended(const std::shared_ptr<Host>& host, const HostEnd& end) {
   host->link.reset();
+  lose_passed(host);
   retired_.erase(host);
   const bool serving = hosts_.contains(host->key) && hosts_.at(host->key) == host;
-  if (!serving || all_ended_) {
-    if (!end.reason.empty()) log.warn("the driver host of {}: {}", host->order.plugin, end.reason);
+  if (!serving || shutting_down_) {
+    if (!end.reason.empty()) logger.warn("the driver host of {}: {}", host->order.plugin, end.reason);
     const auto left = host->instances;
     for (const auto& id : left) finish(id);
     check_all_ended();
@@ -222,14 +349,16 @@ void HostFleet::ended(const std::shared_ptr<Host>& host, const HostEnd& end) {
   give_up(host, end.reason.empty() ? "its driver host was ended" : end.reason);
 }
 
-/// A person must act; orders may then be given again.
+/// Stops restarting a host: its instances stay `failed` until they are ordered to start.
 void HostFleet::give_up(const std::shared_ptr<Host>& host, const std::string& reason) {
   hosts_.erase(host->key);
-  log.error("the driver host of {} does not run: {}", host->order.plugin, reason);
+  logger.error("the driver host of {} does not run: {}", host->order.plugin, reason);
   for (const auto& id : host->instances) {
     auto& member = members_.at(id);
     member.host.reset();
-    if (member.status.state != DriverState::failed) report(member, DriverState::failed, reason);
+    const bool to_tell = !is_left_alone(member);
+    leave_alone(member);
+    if (to_tell) report(member, DriverState::failed, reason);
   }
 }
 
@@ -256,10 +385,11 @@ void HostFleet::crashed(const std::shared_ptr<Host>& host, const HostEnd& end) {
       give_up(host, reason);
       return;
     }
+    leave_alone(at_fault->second);
     report(at_fault->second, DriverState::failed, reason);
   }
-  const auto has_failed = [&](const std::string& id) { return members_.at(id).status.state == DriverState::failed; };
-  if (std::all_of(host->instances.begin(), host->instances.end(), has_failed)) {
+  const auto left_alone = [&](const InstanceId& id) { return is_left_alone(members_.at(id)); };
+  if (std::all_of(host->instances.begin(), host->instances.end(), left_alone)) {
     give_up(host, end.reason);
     return;
   }
@@ -268,11 +398,12 @@ void HostFleet::crashed(const std::shared_ptr<Host>& host, const HostEnd& end) {
 
 void HostFleet::start_again_later(const std::shared_ptr<Host>& host, const std::string& reason) {
   host->last_end = reason;
-  host->delay = host->delay.count() == 0 ? options_.restart.first : std::min(host->delay * 2, options_.restart.longest);
-  log.error("the driver host of {}: {}; it is started again in {} ms", host->order.plugin, reason, host->delay.count());
+  host->delay = next_delay(host->delay, options_.restart);
+  logger.error("the driver host of {}: {}; it is started again in {} ms", host->order.plugin, reason,
+               host->delay.count());
   for (const auto& id : host->instances) {
     auto& member = members_.at(id);
-    if (member.status.state == DriverState::failed) continue;  // by its own fault, before: it stays so
+    if (member.status.state == DriverState::failed) continue;  // it failed before, by its own fault
     report(member, DriverState::starting,
            fmt::format("its driver host {}; it is started again in {} ms", reason, host->delay.count()));
   }
@@ -286,15 +417,17 @@ void HostFleet::start_again(const std::shared_ptr<Host>& host) {
   if (!hosts_.contains(host->key) || hosts_.at(host->key) != host) return;
   launch(host);
   for (const auto& id : host->instances) {
-    const auto& member = members_.at(id);
-    if (member.status.state == DriverState::failed) continue;
-    host->reviving.insert(id);
+    auto& member = members_.at(id);
+    if (is_left_alone(member) || member.restart_timer != 0) continue;
+    if (!member.restarting) host->reviving.insert(id);
+    member.started = options_.clock->now();
     host->link->create(member.spec);
   }
 }
 
 void HostFleet::shutdown(std::chrono::milliseconds limit, std::function<void()> done) {
-  all_ended_ = std::move(done);
+  shutting_down_ = true;
+  on_all_ended_.push_back(std::move(done));
   const auto hosts = hosts_;
   for (const auto& [key, host] : hosts) {
     retire(host, limit);
@@ -306,9 +439,8 @@ void HostFleet::shutdown(std::chrono::milliseconds limit, std::function<void()> 
 }
 
 void HostFleet::check_all_ended() {
-  if (!all_ended_ || !retired_.empty() || !hosts_.empty()) return;
-  const auto done = std::exchange(all_ended_, nullptr);
-  done();
+  if (!retired_.empty() || !hosts_.empty()) return;
+  for (const auto& done : std::exchange(on_all_ended_, {})) done();
 }
 
 }  // namespace iotcloud::gateway

@@ -15,9 +15,11 @@
 
 namespace iotcloud::gateway {
 
-/// How long to wait before a crashed host is started again: doubles with each crash, and starts anew after a host that
-/// ran for `healthy_after`. At the crash that is number `give_up_after` in a row its instances become `failed`, and are
-/// left alone until they are ordered to start. Where one instance is known to be at fault only that one's count.
+/// When a crashed host is restarted. The pause before the restart doubles with each crash, and starts again from
+/// `first` after a host has run for `healthy_after`. After `give_up_after` crashes in a row the host's instances become
+/// `failed` until they are ordered to start. Crashes for which one instance is known to be at fault are counted for
+/// that instance, and only that one becomes `failed`. An instance whose driver threw is started again in its host by
+/// the same rules; meanwhile its state is `failed`, with the reason.
 struct RestartPolicy {
   std::chrono::milliseconds first{500};
   std::chrono::milliseconds longest{30000};
@@ -26,12 +28,12 @@ struct RestartPolicy {
 };
 
 /// All driver hosts of one gateway: one for each plugin, or for one instance with the property `isolation: instance`.
-/// Starts a host with its first instance, ends it with its last, and starts a crashed one again with its instances.
-/// Used on one event loop only; `on_status` is called on it.
+/// The fleet starts a host for its first instance, ends it after its last one, and restarts a crashed host with its
+/// instances. Used on one event loop only; `on_status` is called on it.
 class HostFleet {
  public:
   struct Options {
-    std::string gateway;
+    discovery::GatewayId gateway;
     RestartPolicy restart;
     const config::Clock* clock = nullptr;  ///< not null
   };
@@ -39,16 +41,17 @@ class HostFleet {
   HostFleet(EventLoop& loop, HostLauncher& launcher, Placement placement, Options options, OnStatus on_status);
   ~HostFleet();
 
-  /// Takes over what an earlier life of the gateway left running. \return the instances there are.
+  /// Adopts the hosts that an earlier run of the gateway left running. \return their instances.
   std::vector<HostedInstance> adopt();
 
-  /// The id must not be in use. Names were checked.
+  /// The id must not be in use, and the caller has checked all names.
   void create(const discovery::OrderRecord& order);
-  void activate(const std::string& instance);
-  void deactivate(const std::string& instance);
-  /// `undeployed` follows; then the id may be used again.
-  void remove(const std::string& instance);
-  /// Ends all hosts; `done` is called once when they have ended. Instances are reported as `undeployed`.
+  void activate(const discovery::InstanceId& instance);
+  void deactivate(const discovery::InstanceId& instance);
+  /// Begins to remove the instance. on_status reports `undeployed` when it has ended; then the id may be used again.
+  void remove(const discovery::InstanceId& instance);
+  /// Ends all hosts; `done` is called once when they have ended. Instances are reported as `undeployed`. A second call
+  /// waits for the same end, and its `done` is called after the first one's.
   void shutdown(std::chrono::milliseconds limit, std::function<void()> done);
 
  private:
@@ -58,19 +61,39 @@ class HostFleet {
     std::shared_ptr<Host> host;  ///< null: its plugin was refused
     InstanceStatus status;       ///< the last one reported
     bool removing = false;
+    config::Clock::Instant started;  ///< when it was last created in a host
+    int failures = 0;                ///< failures of its driver in a row
+    std::chrono::milliseconds delay{0};
+    HandlerId restart_timer = 0;  ///< 0: it does not wait for its restart
+    bool restarting = false;      ///< its driver failed, and it has not run since, but is to run again
+    std::string last_failure;     ///< why its driver failed last
+  };
+
+  /// A message on its way from one host to another.
+  struct UnderWay {
+    std::weak_ptr<Host> from;
+    std::int64_t number;  ///< by which `from` knows it
+    std::weak_ptr<Host> to;
   };
 
   std::shared_ptr<Host> host_for(const discovery::OrderRecord& order);
   HostEvents events_of(const std::shared_ptr<Host>& host);
   void launch(const std::shared_ptr<Host>& host);
   void heard(const std::shared_ptr<Host>& host, const InstanceStatus& status);
+  void driver_failed(const std::shared_ptr<Host>& host, Member& member, const InstanceStatus& status);
+  void start_driver_again(const std::shared_ptr<Host>& host, const discovery::InstanceId& instance);
+  void leave_alone(Member& member);
+  static bool is_left_alone(const Member& member);
+  void pass_on(const std::shared_ptr<Host>& from, PassedMessage message);
+  void answered(const std::shared_ptr<Host>& by, std::int64_t number, PassAnswer answer);
+  void lose_passed(const std::shared_ptr<Host>& host);
   void ended(const std::shared_ptr<Host>& host, const HostEnd& end);
   void crashed(const std::shared_ptr<Host>& host, const HostEnd& end);
   void give_up(const std::shared_ptr<Host>& host, const std::string& reason);
   void start_again_later(const std::shared_ptr<Host>& host, const std::string& reason);
   void start_again(const std::shared_ptr<Host>& host);
   void report(Member& member, discovery::DriverState state, const std::string& reason);
-  void finish(const std::string& instance);
+  void finish(const discovery::InstanceId& instance);
   void retire(const std::shared_ptr<Host>& host, std::chrono::milliseconds limit);
   void check_all_ended();
 
@@ -79,10 +102,13 @@ class HostFleet {
   Placement placement_;
   const Options options_;
   const OnStatus on_status_;
-  std::map<std::string, Member> members_;               ///< by instance
-  std::map<std::string, std::shared_ptr<Host>> hosts_;  ///< that take instances, by plugin (or plugin#instance)
-  std::set<std::shared_ptr<Host>> retired_;             ///< that are ending
-  std::function<void()> all_ended_;                     ///< set while shutting down
+  std::map<discovery::InstanceId, Member> members_;
+  std::map<std::string, std::shared_ptr<Host>> hosts_;  ///< the hosts that take instances, by key_of()
+  std::set<std::shared_ptr<Host>> retired_;             ///< the hosts that are shutting down
+  std::map<std::int64_t, UnderWay> passed_;             ///< messages passed to a host that has not answered
+  std::int64_t last_passed_ = 0;                        ///< the greatest number in passed_ so far
+  bool shutting_down_ = false;
+  std::vector<std::function<void()>> on_all_ended_;
 };
 
 }  // namespace iotcloud::gateway

@@ -7,9 +7,9 @@ namespace {
 class LinkToNothing final : public HostLink {
  public:
   void create(const InstanceSpec&) override {}
-  void activate(const std::string&) override {}
-  void deactivate(const std::string&) override {}
-  void remove(const std::string&) override {}
+  void activate(const discovery::InstanceId&) override {}
+  void deactivate(const discovery::InstanceId&) override {}
+  void remove(const discovery::InstanceId&) override {}
   void shutdown(std::chrono::milliseconds) override {}
 };
 

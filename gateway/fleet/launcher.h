@@ -12,49 +12,62 @@ namespace iotcloud::gateway {
 
 /// How a host ended.
 struct HostEnd {
+  /// Whether it may be started again.
   enum class How {
-    stopped,  ///< it was told to
+    stopped,  ///< it was told to stop
     refused,  ///< the plugin cannot be loaded: starting it again would not help
     crashed,  ///< it died, or was killed because it hung or took too much: it may be started again
   };
   How how = How::stopped;
-  std::string reason;    ///< for people; empty when it was told to
-  std::string instance;  ///< whose fault it was; empty: not known
+  std::string reason;              ///< for people; empty if it was told to stop
+  discovery::InstanceId instance;  ///< the instance at fault; empty: not known
 };
 
-/// What a gateway hears of a host, on the host's or the launcher's threads; must not call back into the link.
+/// A host's events. The functions run on threads of the host or the launcher, and must not call back into the link.
 struct HostEvents {
   std::function<void(const InstanceStatus&)> on_status;
-  std::function<void(const HostEnd&)> on_ended;  ///< once, last
+  std::function<void(const HostEnd&)> on_ended;  ///< called once, after all other events
+  /// The host has read a message for an instance that it does not run; HostLink::answer() must follow. May be empty.
+  std::function<void(const PassedMessage&)> on_pass{};
+  /// What became of a message of HostLink::deliver(). May be empty.
+  std::function<void(std::int64_t number, PassAnswer)> on_answer{};
 };
 
-/// A gateway's hold on one driver host. Commands return at once, work in the order given, and may be given before the
-/// host is up; what came of them is told by events. Thread safe.
+/// A gateway's handle on one driver host. Commands return at once, are carried out in the order given, and may be given
+/// before the host has started. Events report their outcome. Thread safe.
 class HostLink {
  public:
-  /// No event is under way or comes after it returned. A host process lives on; one in this process is stopped.
+  /// When it has returned, no event function runs or will run. A host process goes on; a host inside this process is
+  /// stopped.
   virtual ~HostLink() = default;
-  /// What the host was started with, as far as it is known.
+  /// Which plugin bytes the host was started with, as far as that is known.
   virtual PluginIdentity plugin() const { return {}; }
   virtual void create(const InstanceSpec& spec) = 0;
-  virtual void activate(const std::string& instance) = 0;
-  virtual void deactivate(const std::string& instance) = 0;
-  virtual void remove(const std::string& instance) = 0;
-  /// Removes all instances and ends the host; by force when `limit` has passed. on_ended follows.
+  virtual void activate(const discovery::InstanceId& instance) = 0;
+  virtual void deactivate(const discovery::InstanceId& instance) = 0;
+  virtual void remove(const discovery::InstanceId& instance) = 0;
+  /// Hands the host a message that another host has passed; on_answer follows, unless the host ends.
+  virtual void deliver(const PassedMessage& passed) { static_cast<void>(passed); }
+  /// Tells the host what became of a message that it has passed.
+  virtual void answer(std::int64_t number, PassAnswer answer) {
+    static_cast<void>(number);
+    static_cast<void>(answer);
+  }
+  /// Removes all instances and ends the host, by force when `limit` has passed. Then calls on_ended.
   virtual void shutdown(std::chrono::milliseconds limit) = 0;
 };
 
-/// The link to a host that could not be started; its end must be told by the launcher.
+/// The link to a host that could not be started. Its commands do nothing, and the launcher must call on_ended.
 std::unique_ptr<HostLink> link_to_nothing();
 
-/// A host found running, left by an earlier life of the gateway.
+/// A running host that an earlier run of the gateway left behind.
 struct RunningHost {
   std::string name;  ///< the launcher's own name for it
   HostOrder order;
   std::vector<HostedInstance> instances;
 };
 
-/// Starts driver hosts: as processes of their own, or inside this one.
+/// Starts driver hosts, as separate processes or inside this process.
 class HostLauncher {
  public:
   virtual ~HostLauncher() = default;
@@ -64,11 +77,11 @@ class HostLauncher {
     (void)order;
     return false;
   }
-  /// Starts a host; returns at once. A plugin that cannot be loaded is told by on_ended (refused).
+  /// Starts a host; returns at once. If the plugin cannot be loaded, on_ended reports `refused`.
   virtual std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) = 0;
   /// Hosts that outlived an earlier gateway of this id.
-  virtual std::vector<RunningHost> running(const std::string& gateway) = 0;
-  /// Takes one of them over; its instances' states are told again.
+  virtual std::vector<RunningHost> running(const discovery::GatewayId& gateway) = 0;
+  /// Adopts one of these hosts; on_status reports the states of its instances again.
   virtual std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) = 0;
 };
 

@@ -6,7 +6,7 @@ namespace iotcloud::gateway {
 
 namespace {
 
-/// All servers in turn, from this one on.
+/// All servers in their order, rotated so that this one is first.
 std::vector<std::string> starting_with(const std::string& url, std::vector<std::string> urls) {
   std::rotate(urls.begin(), std::find(urls.begin(), urls.end(), url), urls.end());
   return urls;
@@ -14,12 +14,12 @@ std::vector<std::string> starting_with(const std::string& url, std::vector<std::
 
 }  // namespace
 
-std::vector<BrokerPlan> Placement::place(const std::string& driver) {
+std::vector<BrokerPlan> Placement::place(const discovery::DriverName& driver) {
   std::vector<BrokerPlan> plans;
   for (const auto& broker : brokers_) {
     const auto& urls = broker.options.urls;
-    // The two kinds of groups take turns of their own: an instance has one of each, so one counter for both would put
-    // all groups of a kind on the same of two servers.
+    // Exclusive and shared groups have separate counters. Each instance has one group of each kind, so with one counter
+    // and two servers all groups of a kind would be on the same server.
     const auto next_url = [&](bool is_shared) -> const std::string& {
       return urls[next_[{broker.name, is_shared}]++ % urls.size()];
     };
@@ -33,7 +33,7 @@ std::vector<BrokerPlan> Placement::place(const std::string& driver) {
   return plans;
 }
 
-void Placement::learn(const std::string& driver, const std::vector<BrokerPlan>& plans) {
+void Placement::learn(const discovery::DriverName& driver, const std::vector<BrokerPlan>& plans) {
   for (const auto& plan : plans) {
     const auto broker =
         std::find_if(brokers_.begin(), brokers_.end(), [&](const auto& setting) { return setting.name == plan.name; });

@@ -1,20 +1,19 @@
-#include <condition_variable>
 #include <future>
 #include <map>
-#include <mutex>
+#include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/host/driver_host.h>
+#include <iotcloud/gateway/host/driver_instance.h>
 #include <iotcloud/gateway/host/event_loop.h>
-#include <iotcloud/gateway/host/instance/instance.h>
+#include <iotcloud/gateway/host/logger.h>
 
 namespace iotcloud::gateway {
 
 namespace {
-
-constexpr config::Logger log{"gateway.host"};
 
 bool wants_own_thread(const Plugin& plugin, const InstanceSpec& spec) {
   const auto property = spec.order.properties.find("thread");
@@ -34,21 +33,27 @@ struct DriverHost::Impl {
     environment->clock = options.clock != nullptr ? options.clock : &config::system_clock();
     environment->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
     environment->brokers = std::make_unique<brokers::BrokerPool>(nullptr, environment->metrics);
-    environment->shared_inboxes = std::make_unique<SharedInboxes>(*environment->clock, *environment->metrics);
     environment->closing = std::make_shared<EventLoop>("close");
+    environment->shared_channels = std::make_unique<SharedChannels>(environment->closing, *environment->clock,
+                                                                    *environment->metrics, options.passing);
     shared_loop = std::make_shared<EventLoop>(environment->plugin->name());
   }
 
-  std::shared_ptr<Instance> find(const std::string& id) {
-    const std::lock_guard lock(mutex);
+  std::shared_ptr<DriverInstance> find(const discovery::InstanceId& id) {
+    const config::MutexLock lock(mutex);
     const auto found = instances.find(id);
     return found == instances.end() ? nullptr : found->second;
   }
 
   void reported(const InstanceStatus& status) {
-    std::shared_ptr<Instance> gone;  // its own loop may die with it: outside the lock
+    if (status.state == discovery::DriverState::undeployed) {
+      environment->shared_channels->expect_no_more(status.instance);
+    } else if (status.state == discovery::DriverState::failed) {
+      environment->shared_channels->failed(status.instance);
+    }
+    std::shared_ptr<DriverInstance> gone;  // destroyed without the lock, because its own event loop may end with it
     {
-      const std::lock_guard lock(mutex);
+      const config::MutexLock lock(mutex);
       if (status.state == discovery::DriverState::undeployed) {
         const auto found = instances.find(status.instance);
         if (found != instances.end()) {
@@ -61,32 +66,29 @@ struct DriverHost::Impl {
     changed.notify_all();
   }
 
+  void leave_behind() IOTCLOUD_REQUIRES(mutex);
+
   const Listener listener;
   std::shared_ptr<HostEnvironment> environment;
   std::shared_ptr<EventLoop> shared_loop;
-  mutable std::mutex mutex;
-  std::condition_variable changed;
-  std::map<std::string, std::shared_ptr<Instance>> instances;  ///< guarded by mutex
-  bool stopped = false;                                        ///< guarded by mutex
+  mutable config::Mutex mutex;
+  config::ConditionVariable changed;
+  std::map<discovery::InstanceId, std::shared_ptr<DriverInstance>> instances IOTCLOUD_GUARDED_BY(mutex);
+  bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
 };
 
-namespace {
-
-/// A stuck thread may still use its instance and all that instances share: that stays until the process ends.
-template <typename Host>
-void leave_behind(Host& host) {
+/// Leaks the instances and what they share, because a stuck thread may use them until the process ends.
+void DriverHost::Impl::leave_behind() {
   auto kept = std::make_unique<std::vector<std::shared_ptr<void>>>();
-  kept->push_back(host.environment);
-  for (const auto& [id, instance] : host.instances) {
+  kept->push_back(environment);
+  for (const auto& [id, instance] : instances) {
     instance->loop()->abandon();
     kept->push_back(instance);
   }
   static_cast<void>(kept.release());
 }
 
-}  // namespace
-
-DriverHost::DriverHost(Options options, std::shared_ptr<const Plugin> plugin, Listener listener)
+DriverHost::DriverHost(const Options& options, std::shared_ptr<const Plugin> plugin, Listener listener)
     : impl_(std::make_shared<Impl>(options, std::move(plugin), std::move(listener))) {
   impl_->environment->report = [weak = std::weak_ptr<Impl>(impl_)](const InstanceStatus& status) {
     if (const auto impl = weak.lock()) impl->reported(status);
@@ -98,32 +100,35 @@ DriverHost::~DriverHost() {
 }
 
 void DriverHost::create(const InstanceSpec& spec) {
-  std::shared_ptr<Instance> instance;
+  std::shared_ptr<DriverInstance> instance;
+  std::shared_ptr<DriverInstance>
+      failed;  // destroyed without the lock: it may end its event loop, whose thread may lock it
   {
-    const std::lock_guard lock(impl_->mutex);
+    const config::MutexLock lock(impl_->mutex);
     if (impl_->stopped) return;
     auto& slot = impl_->instances[spec.order.instance];
     if (slot && slot->status().state != discovery::DriverState::failed) {
-      log.warn("instance {} runs already; the order to create it is ignored", spec.order.instance);
+      host_logger.warn("instance {} runs already; the order to create it is ignored", spec.order.instance);
       return;
     }
     const auto& plugin = *impl_->environment->plugin;
     auto loop = wants_own_thread(plugin, spec) ? std::make_shared<EventLoop>(plugin.name()) : impl_->shared_loop;
-    instance = std::make_shared<Instance>(impl_->environment, spec, std::move(loop));
-    slot = instance;
+    instance = std::make_shared<DriverInstance>(impl_->environment, spec, std::move(loop));
+    failed = std::exchange(slot, instance);
   }
+  impl_->environment->shared_channels->expect(spec.order.instance);
   instance->open();
 }
 
-void DriverHost::activate(const std::string& instance) {
+void DriverHost::activate(const discovery::InstanceId& instance) {
   if (const auto found = impl_->find(instance)) found->activate();
 }
 
-void DriverHost::deactivate(const std::string& instance) {
+void DriverHost::deactivate(const discovery::InstanceId& instance) {
   if (const auto found = impl_->find(instance)) found->deactivate();
 }
 
-void DriverHost::remove(const std::string& instance) {
+void DriverHost::remove(const discovery::InstanceId& instance) {
   if (const auto found = impl_->find(instance)) {
     found->remove();
     return;
@@ -136,26 +141,41 @@ void DriverHost::remove(const std::string& instance) {
 }
 
 bool DriverHost::stop(std::chrono::milliseconds limit) {
-  std::unique_lock lock(impl_->mutex);
+  config::UniqueLock lock(impl_->mutex);
   if (impl_->stopped) return true;
   impl_->stopped = true;
   for (const auto& [id, instance] : impl_->instances) instance->remove();
-  const bool done = impl_->changed.wait_for(lock, limit, [&] { return impl_->instances.empty(); });
+  const bool done = impl_->changed.wait_for(impl_->mutex, limit, [&impl = *impl_] {
+    impl.mutex.assert_held();
+    return impl.instances.empty();
+  });
   if (!done) {
-    log.error("{}: {} instance(s) did not close within {} ms; a driver is stuck in a callback",
-              impl_->environment->plugin->name(), impl_->instances.size(), limit.count());
-    leave_behind(*impl_);
+    host_logger.error("{}: {} instance(s) did not close within {} ms; a driver is stuck in a callback",
+                      impl_->environment->plugin->name(), impl_->instances.size(), limit.count());
+    impl_->leave_behind();
     return false;
   }
   lock.unlock();
-  // The last report, and the drains of instances that had failed, are over when this has run.
+  // This runs after the last report and after the drains of failed instances.
   auto over = std::make_shared<std::promise<void>>();
   impl_->environment->closing->post([over] { over->set_value(); });
   return over->get_future().wait_for(limit) == std::future_status::ready;
 }
 
+void DriverHost::deliver(PassedMessage passed) {
+  impl_->environment->shared_channels->take(std::move(passed));
+}
+
+void DriverHost::answered(std::int64_t number, PassAnswer answer) {
+  impl_->environment->shared_channels->answered(number, answer);
+}
+
+void DriverHost::nobody_answers() {
+  impl_->environment->shared_channels->nobody_answers();
+}
+
 std::vector<HostedInstance> DriverHost::list() const {
-  const std::lock_guard lock(impl_->mutex);
+  const config::MutexLock lock(impl_->mutex);
   std::vector<HostedInstance> all;
   for (const auto& [id, instance] : impl_->instances) all.push_back({instance->spec(), instance->status()});
   return all;
@@ -166,9 +186,9 @@ const Plugin& DriverHost::plugin() const {
 }
 
 std::vector<Stall> DriverHost::stalls() {
-  const std::lock_guard lock(impl_->mutex);
+  const config::MutexLock lock(impl_->mutex);
   std::vector<Stall> stalls;
-  Stall shared{"", false, impl_->shared_loop->stalled(), {}};
+  Stall shared{{}, false, impl_->shared_loop->stalled(), {}};
   const std::uint64_t served = impl_->shared_loop->serving();
   for (const auto& [id, instance] : impl_->instances) {
     if (instance->loop() == impl_->shared_loop) {

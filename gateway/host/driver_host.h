@@ -9,40 +9,50 @@
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/host/instance_spec.h>
+#include <iotcloud/gateway/host/passed_message.h>
 #include <iotcloud/gateway/host/plugin.h>
 
 namespace iotcloud::gateway {
 
-/// Runs all instances of one plugin: one event thread shared by them, or one each when the driver (or the property
-/// `thread: own` of an instance) asks for it. An instance that throws or fails becomes `failed`, the others go on.
-/// Thread safe. Commands return at once; what came of them is told to the listener.
+/// Runs all instances of one plugin: on one shared event thread, or on a thread of its own for an instance whose
+/// driver, or whose property `thread: own`, asks for it. An instance that throws or fails becomes `failed`, the others
+/// go on. Thread safe. Commands return at once; the listener gets their outcome.
 class DriverHost {
  public:
   struct Options {
-    std::string gateway;                          ///< id: part of the wire names
-    bool isolated = false;                        ///< for one instance only (`isolation: instance`)
-    std::chrono::milliseconds drain_limit{1000};  ///< for messages under way when an instance is removed
-    /// Where channels with WhenFull::spool keep their messages: <state_folder>/spool/<instance>/<channel>. Empty: such
-    /// a channel cannot be.
+    discovery::GatewayId gateway;                 ///< part of the channels' wire names
+    bool isolated = false;                        ///< the host runs one instance only (`isolation: instance`)
+    std::chrono::milliseconds drain_limit{1000};  ///< how long a removed instance's unconfirmed messages may take
+    /// Where channels with WhenFull::spool keep their messages: `<state_folder>/spool/<instance>/<channel>`. Empty:
+    /// such a channel is refused.
     std::string state_folder;
+    Passing passing{};                     ///< to and from the gateway's other hosts of the driver
     const config::Clock* clock = nullptr;  ///< nullptr: the system's
     config::Metrics* metrics = nullptr;    ///< nullptr: the process's
   };
   /// Called after every change of an instance's state, from the host's threads. Must not call back into the host.
   using Listener = std::function<void(const InstanceStatus&)>;
 
-  DriverHost(Options options, std::shared_ptr<const Plugin> plugin, Listener listener);
-  /// Stops with a limit of five seconds.
+  DriverHost(const Options& options, std::shared_ptr<const Plugin> plugin, Listener listener);
+  /// Calls stop() with a limit of five seconds.
   ~DriverHost();
 
-  /// An instance of that id that has failed is replaced; one that has not is left alone.
+  /// Replaces a failed instance with the same id; does nothing if that instance has not failed.
   void create(const InstanceSpec& spec);
-  void activate(const std::string& instance);
-  void deactivate(const std::string& instance);
-  /// Reported as `undeployed` when done. An unknown id is reported at once.
-  void remove(const std::string& instance);
+  void activate(const discovery::InstanceId& instance);
+  void deactivate(const discovery::InstanceId& instance);
+  /// Begins to remove the instance; the listener gets `undeployed` when it has ended, and at once for an unknown id.
+  void remove(const discovery::InstanceId& instance);
   /// Removes all instances. \return false when one did not close within the limit: its thread is left behind.
   bool stop(std::chrono::milliseconds limit);
+
+  /// Hands a message that another host has passed to its instance. Passing::answer says later, on any thread, what
+  /// became of it.
+  void deliver(PassedMessage passed);
+  /// What became of a message that this host has passed.
+  void answered(std::int64_t number, PassAnswer answer);
+  /// The gateway is gone: messages that were passed and not answered wait here again.
+  void nobody_answers();
 
   std::vector<HostedInstance> list() const;
   const Plugin& plugin() const;

@@ -22,19 +22,19 @@ namespace asio = boost::asio;
 
 namespace {
 
-constexpr config::Logger log{"gateway.loop"};
+constexpr config::Logger loop_logger{"gateway.loop"};
 constexpr std::chrono::seconds catch_up_limit{1};
 
 using Steady = std::chrono::steady_clock;
 
-/// No exception crosses a thread's entry.
+/// Runs a callback and logs its exception, because an exception must not leave the thread.
 void guarded(const std::function<void()>& callback) noexcept {
   try {
     callback();
   } catch (const std::exception& e) {
-    log.error("a callback threw: {}", e.what());
+    loop_logger.error("a callback threw: {}", e.what());
   } catch (...) {
-    log.error("a callback threw an exception that is not a std::exception");
+    loop_logger.error("a callback threw an exception that is not a std::exception");
   }
 }
 
@@ -61,11 +61,12 @@ struct EventLoop::Impl : std::enable_shared_from_this<EventLoop::Impl> {
     boost::system::error_code ignored;
   };
 
-  // No concurrency hint: with a hint of 1 what a callback posts would be overtaken by what others post after it.
+  // No concurrency hint: with a hint of 1, calls that other threads post later may overtake a call that a callback
+  // posts.
   asio::io_context context;
   asio::executor_work_guard<asio::io_context::executor_type> work{context.get_executor()};
   std::atomic<HandlerId> next_id{1};
-  std::unordered_map<HandlerId, std::shared_ptr<Handler>> handlers;  ///< loop's thread only
+  std::unordered_map<HandlerId, std::shared_ptr<Handler>> handlers;  ///< used on the loop's thread only
   std::thread thread;
   std::atomic<std::uint64_t> serving{0};
   std::atomic<bool> probe_out{false};
@@ -93,7 +94,7 @@ struct EventLoop::Impl : std::enable_shared_from_this<EventLoop::Impl> {
     watch->descriptor.async_wait(kind, [this, watch, for_writing](const boost::system::error_code& error) {
       if (watch->stopped) return;
       if (error) {
-        log.warn("a descriptor is not watched any more: {}", error.message());
+        loop_logger.warn("a descriptor is not watched any more: {}", error.message());
         return;
       }
       guarded(watch->callback);
@@ -105,7 +106,7 @@ struct EventLoop::Impl : std::enable_shared_from_this<EventLoop::Impl> {
 EventLoop::EventLoop(const std::string& name) : impl_(std::make_shared<Impl>()) {
   impl_->thread = std::thread([impl = impl_, name] {
     pthread_setname_np(pthread_self(), name.substr(0, 15).c_str());
-    prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);  // otherwise every sleep is 50 us late
+    prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);  // the default timer slack makes every sleep 50 us late
     impl->context.run();
   });
 }
@@ -118,7 +119,7 @@ void EventLoop::stop() {
   impl_->context.stop();
   if (!impl_->thread.joinable()) return;
   if (on_this_thread()) {
-    impl_->thread.detach();  // the thread's own share keeps Impl alive until it has left the callback
+    impl_->thread.detach();  // the thread's shared_ptr keeps Impl alive until the thread has left the callback
   } else {
     impl_->thread.join();
     impl_->handlers.clear();
@@ -155,10 +156,10 @@ HandlerId EventLoop::start_timer(std::chrono::microseconds first, std::chrono::m
 
 HandlerId EventLoop::watch_descriptor(int descriptor, bool for_writing, std::function<void()> callback, HandlerId id) {
   if (id == 0) id = new_handler();
-  // A duplicate: the caller may close its own, or watch it for reading and for writing.
+  // A duplicate, so that the caller may close its descriptor, or watch it for reading and for writing.
   const int duplicate = fcntl(descriptor, F_DUPFD_CLOEXEC, 0);
   if (duplicate < 0) {
-    log.error("descriptor {} cannot be watched: it is not open", descriptor);
+    loop_logger.error("descriptor {} cannot be watched: it is not open", descriptor);
     return id;
   }
   asio::dispatch(impl_->context, [impl = impl_.get(), id, duplicate, for_writing, callback = std::move(callback)] {
@@ -168,7 +169,7 @@ HandlerId EventLoop::watch_descriptor(int descriptor, bool for_writing, std::fun
       impl->handlers.emplace(id, watch);
       impl->wait_descriptor(watch, for_writing);
     } catch (const std::exception& e) {
-      log.error("a descriptor cannot be watched (a regular file?): {}", e.what());
+      loop_logger.error("a descriptor cannot be watched (a regular file?): {}", e.what());
     }
   });
   return id;

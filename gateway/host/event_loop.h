@@ -18,33 +18,36 @@ class EventLoop {
  public:
   /// \param name of the thread, as `top -H` shows it (cut to 15 characters).
   explicit EventLoop(const std::string& name);
-  /// Stops; what is still queued is destroyed unrun.
+  /// Stops the loop; queued calls are destroyed without being run.
   ~EventLoop();
   EventLoop(const EventLoop&) = delete;
   EventLoop& operator=(const EventLoop&) = delete;
 
   void post(std::function<void()> callback);
-  /// An id for start_timer or watch_descriptor, for callbacks that must know their own.
+  /// An id to pass to start_timer() or watch_descriptor(), for a callback that must know its own id.
   HandlerId new_handler();
-  /// First call after `first`, then each `period` (0: once). From intended times: a late call does not shift later
-  /// ones; what was missed is caught up, unless it is more than a second (and a period) behind: that is skipped.
+  /// Calls after `first`, then every `period` (0: only once). Times count from the intended start, so a late call does
+  /// not shift later ones. Missed calls are made up for, except those that are late by more than a second and by more
+  /// than a period: they are skipped.
   HandlerId start_timer(std::chrono::microseconds first, std::chrono::microseconds period,
                         std::function<void()> callback, HandlerId id = 0);
-  /// Calls while the descriptor is readable (or writable). It stays the caller's and may be watched several times.
-  /// A descriptor that cannot be watched is logged; its callback never runs.
+  /// Calls the callback while the descriptor is readable (or writable). The caller keeps owning the descriptor, and may
+  /// have it watched several times. If the descriptor cannot be watched, the loop logs that and never runs the
+  /// callback.
   HandlerId watch_descriptor(int descriptor, bool for_writing, std::function<void()> callback, HandlerId id = 0);
-  /// After this returns on the loop's thread the handler does not run any more; elsewhere: soon.
+  /// Ends a timer or a watch. Called on the loop's thread, it takes effect before it returns; on other threads, soon
+  /// after.
   void stop_handler(HandlerId id);
 
-  /// Runs nothing any more. Waits for the callback that runs, unless called from it. What is posted later is kept
-  /// until the loop dies, unrun.
+  /// Stops the loop for good. Waits for the running callback, unless called from it. Calls posted later are never run,
+  /// and are destroyed with the loop.
   void stop();
   bool on_this_thread() const;
-  /// How long the loop has not come round: 0 when it answers. A loop that sleeps answers; one stuck in a callback does
-  /// not. Each call also sends the next probe, so call it regularly.
+  /// How long the loop has been stuck in a callback; 0 if it has answered the last probe. Each call also posts the next
+  /// probe, so call it regularly.
   std::chrono::milliseconds stalled();
-  /// On the loop's thread: for whom its callback works while the object lives, so that others can name one who is
-  /// stuck.
+  /// While such an object lives on the loop's thread, serving() returns `whom`, so that other threads can tell whose
+  /// callback is stuck.
   class Serving {
    public:
     Serving(EventLoop& loop, std::uint64_t whom);
@@ -56,9 +59,9 @@ class EventLoop {
     EventLoop& loop_;
     const std::uint64_t before_;
   };
-  /// Whom the callback that runs now serves; 0: nobody, or nobody said.
+  /// The number given to the running callback's Serving object; 0: no callback runs, or it has none.
   std::uint64_t serving() const;
-  /// Gives a stuck thread up: it is detached and its memory stays. For the end of a process only.
+  /// Detaches a stuck thread and leaks its memory. Only for a process that is about to end.
   void abandon();
 
  private:

@@ -11,11 +11,11 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/memory.h>
-#include <iotcloud/gateway/host/control/control_server.h>
+#include <iotcloud/gateway/host/control_server.h>
 
 namespace {
 
-/// Blocks the signals that end the process before any thread exists, so that only the descriptor gets them.
+/// Blocks the signals that end the process before any thread exists, so that signals reach only the descriptor.
 int signal_descriptor() {
   signal(SIGPIPE, SIG_IGN);
   sigset_t ending;
@@ -71,7 +71,7 @@ int main(int argc, char** argv) {
     iotcloud::gateway::ControlServer server(std::move(options));
     status = server.run(signals);
     unlink(socket.c_str());
-    // A driver that is stuck must not keep the process; the sockets of brokers close with it.
+    // End at once: a stuck driver must not keep the process alive. The kernel closes the brokers' sockets.
     if (status != 0) std::_Exit(status);
   } catch (const std::exception& e) {
     iotcloud::config::Logger{"gateway.host"}.error("{}", e.what());

@@ -13,13 +13,28 @@
 namespace iotcloud::gateway {
 
 /// A logical broker of the gateway as one instance sees it: the gateway has already picked the server for each channel
-/// group, so all hosts together spread their groups round robin (REFERENCE.md 3).
+/// group, so all hosts together spread their groups round robin (docs/wire.md#topics).
 struct BrokerPlan {
   std::string name;                         ///< logical ("rabbitmq"): ChannelSpec::broker, ChannelRecord::transport
   std::string type;                         ///< kind of broker ("embedded", "rabbitmq")
-  brokers::BrokerOptions options;           ///< how to connect: without URLs, clock and metrics
-  std::vector<std::string> exclusive_urls;  ///< for this instance's own channels, the preferred server first
+  brokers::BrokerOptions options;           ///< how to connect; URLs, clock and metrics are not set
+  std::vector<std::string> exclusive_urls;  ///< for this instance's exclusive channels; the preferred server is first
   std::vector<std::string> shared_urls;     ///< for the channels that all instances of the driver share
+  static constexpr const char* what = "a broker of an instance";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(name, required),
+      IOTCLOUD_FIELD(type, required),
+      IOTCLOUD_FIELD_AS(options.user, required, "user", user),
+      IOTCLOUD_FIELD_AS(options.password_file, required, "password_file", passwordFile),
+      IOTCLOUD_FIELD_AS(options.password_variable, required, "password_variable", passwordVariable),
+      IOTCLOUD_FIELD_AS(options.tls.ca_file, required, "ca", ca),
+      IOTCLOUD_FIELD_AS(options.tls.certificate_file, required, "certificate", certificate),
+      IOTCLOUD_FIELD_AS(options.tls.key_file, required, "key", key),
+      IOTCLOUD_FIELD_AS(options.properties, required, "properties", properties),
+      IOTCLOUD_FIELD_AS(options.heartbeat, required, "heartbeat_ms", heartbeatMs),
+      IOTCLOUD_FIELD_AS(exclusive_urls, required, "own", own),
+      IOTCLOUD_FIELD_AS(shared_urls, required, "shared", shared),
+  };
   friend bool operator==(const BrokerPlan&, const BrokerPlan&) = default;
 };
 
@@ -27,49 +42,68 @@ struct BrokerPlan {
 struct InstanceSpec {
   discovery::OrderRecord order;
   std::vector<BrokerPlan> brokers;  ///< the first is the default
+  /// The encoding leaves out the order, which is encoded separately, as in the registry.
+  static constexpr const char* what = "what an instance needs";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(brokers, required)};
   friend bool operator==(const InstanceSpec&, const InstanceSpec&) = default;
 };
 
-/// Which bytes a plugin is.
+/// Identifies the bytes of a plugin.
 struct PluginIdentity {
   std::string sha256{};     ///< empty: not known
-  std::string signed_by{};  ///< the trusted key; empty: none
+  std::string signed_by{};  ///< the trusted key that signed it; empty: none
   friend bool operator==(const PluginIdentity&, const PluginIdentity&) = default;
 };
 
-/// What a host is started for.
+/// What a host is started with.
 struct HostOrder {
-  std::string plugin;         ///< plain file name ("turtle.so")
-  std::string gateway;        ///< id
-  bool isolated = false;      ///< for one instance only (`isolation: instance`)
-  std::string sha256{};       ///< as ordered, of a plugin that was sent; empty: of the gateway's plugin folder
-  PluginIdentity identity{};  ///< as found when it was started
+  std::string plugin;  ///< plain file name ("turtle.so")
+  discovery::GatewayId gateway;
+  bool isolated = false;  ///< for one instance only (`isolation: instance`)
+  /// The SHA-256 in the order, for an uploaded plugin; empty: the plugin is in the gateway's plugin folder.
+  std::string sha256{};
+  PluginIdentity identity{};  ///< the bytes found when the host was started
+  /// The encoding leaves out `identity`.
+  static constexpr const char* what = "the greeting of a driver host";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(plugin, required), IOTCLOUD_FIELD(gateway, required),
+                                            IOTCLOUD_FIELD(isolated, required), IOTCLOUD_FIELD(sha256, usual)};
 };
 
-/// What a driver host says of one instance.
+/// What a driver host reports about one instance.
 struct InstanceStatus {
-  std::string instance;
-  std::string driver;  ///< the order's name, or else the plugin's own
+  discovery::InstanceId instance;
+  discovery::DriverName driver;  ///< the order's name, or else the plugin's own
   discovery::DriverState state = discovery::DriverState::deployed;
   std::string reason;         ///< why it is in this state, for people
   std::int64_t since_ms = 0;  ///< wall time of the last change
   std::vector<discovery::ChannelRecord> channels;
-  std::map<std::string, std::string> metadata;  ///< what the driver itself says
-  PluginIdentity plugin{};                      ///< said by the fleet, not by the host
+  std::map<std::string, std::string> metadata;  ///< the metadata that the driver itself reports
+  PluginIdentity plugin{};                      ///< set by the fleet, not by the host
+  static constexpr const char* what = "the status of an instance";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(driver, required),   IOTCLOUD_FIELD(state, required),
+      IOTCLOUD_FIELD(reason, required),   IOTCLOUD_FIELD(since_ms, required), IOTCLOUD_FIELD(channels, required),
+      IOTCLOUD_FIELD(metadata, usual),  // an older host does not send it
+  };
   friend bool operator==(const InstanceStatus&, const InstanceStatus&) = default;
 };
 
-/// An event thread of a driver host that has not come round for a while.
+/// An event thread of a driver host that is stuck in a callback.
 struct Stall {
-  std::string instance;     ///< whose callback runs; empty: not known
-  bool own_thread = false;  ///< the thread is this instance's own (`thread: own`)
+  discovery::InstanceId instance;  ///< the instance whose callback runs; empty: not known
+  bool own_thread = false;         ///< the thread is this instance's own (`thread: own`)
   std::chrono::milliseconds time{0};
-  /// After how long it hangs, as the instance's property `hang_limit` says; 0: never. nullopt: as the gateway says.
+  /// The instance's property `hang_limit`: the time after which it counts as hanging; 0: never. nullopt: the gateway's
+  /// limit applies.
   std::optional<std::chrono::milliseconds> limit;
+  static constexpr const char* what = "an event thread that is stuck";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(own_thread, required),
+                 IOTCLOUD_FIELD_AS(time, required, "ms", ms), IOTCLOUD_FIELD_AS(limit, rare, "limit_ms", limitMs)};
   friend bool operator==(const Stall&, const Stall&) = default;
 };
 
-/// An instance as its host knows it: what was ordered and what is.
+/// An instance as its host knows it: what was ordered, and the current status.
 struct HostedInstance {
   InstanceSpec spec;
   InstanceStatus status;

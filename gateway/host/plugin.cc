@@ -9,9 +9,10 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
-#include <iotcloud/config/signing/sha256.h>
-#include <iotcloud/gateway/host/control/unix_socket.h>
 #include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/processes/descriptor.h>
+#include <iotcloud/processes/plugin_store.h>
+#include <iotcloud/security/sha256.h>
 
 namespace iotcloud::gateway {
 
@@ -19,7 +20,7 @@ namespace {
 
 using drivers::Descriptor;
 
-/// Reads nothing but the first three members until they are known to be ours.
+/// Checks the first three members of the descriptor before it reads any other.
 void check(const Descriptor& descriptor, const std::string& origin) {
   if (descriptor.sdk_version != drivers::sdk_version) {
     throw config::Error(fmt::format(
@@ -47,19 +48,20 @@ bool has_control_characters(const std::string& text) {
   return std::any_of(text.begin(), text.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
 }
 
-/// Reads the file once: what is hashed is what is copied, into memory that can then not be written any more.
+/// Copies the file into sealed memory and checks the hash of the same bytes, so that the file cannot change between the
+/// two.
 /// \return the copy's descriptor.
 int sealed_copy(const std::string& path, const std::string& sha256, const std::string& name) {
   const auto fail = [&](const char* what) {
     throw config::Error(
         fmt::format("the driver plugin {} ({}) cannot be {}: {}", name, path, what, std::strerror(errno)));
   };
-  const OwnedDescriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  const processes::OwnedDescriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
   if (!file) fail("opened");
   constexpr std::size_t longest_name = 200;  // the kernel allows 249 bytes
-  OwnedDescriptor copy(memfd_create(name.substr(0, longest_name).c_str(), MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  processes::OwnedDescriptor copy(memfd_create(name.substr(0, longest_name).c_str(), MFD_CLOEXEC | MFD_ALLOW_SEALING));
   if (!copy) fail("copied into memory");
-  config::Sha256 sha;
+  security::Sha256 sha;
   std::vector<char> buffer(std::size_t{256} * 1024);
   for (;;) {
     const auto got = read(file.get(), buffer.data(), buffer.size());
@@ -77,7 +79,7 @@ int sealed_copy(const std::string& path, const std::string& sha256, const std::s
     throw config::Error(
         fmt::format("the driver plugin {} ({}) was changed after the gateway had checked it: its SHA-256 is "
                     "{}, not {}",
-                    name, path, config::short_sha256(found), config::short_sha256(sha256)));
+                    name, path, security::short_sha256(found), security::short_sha256(sha256)));
   return copy.release();
 }
 
@@ -89,13 +91,14 @@ std::shared_ptr<const Plugin> Plugin::load(const std::string& path) {
 
 std::shared_ptr<const Plugin> Plugin::load_exactly(const std::string& path, const std::string& sha256,
                                                    const std::string& name) {
-  // Left open: the library's name is that of the descriptor, which must not become another file's.
+  // Never closed: the library is loaded under the path of this descriptor, whose number must not be reused for another
+  // file.
   const int copy = sealed_copy(path, sha256, name);
   return open(fmt::format("/proc/self/fd/{}", copy), fmt::format("{} ({})", name, path));
 }
 
 std::shared_ptr<const Plugin> Plugin::open(const std::string& path, const std::string& origin) {
-  // RTLD_LOCAL: two plugins with a class of the same name do not see each other's.
+  // RTLD_LOCAL keeps classes with the same name in two plugins apart.
   void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
   if (library == nullptr) {
     const std::string reason = dlerror();
@@ -122,8 +125,7 @@ void check_plugin_file_name(const std::string& file_name) {
   if (file_name.empty()) {
     throw config::Error("the order names no plugin; give its file name, for example \"turtle.so\"");
   }
-  if (file_name == "." || file_name == ".." || file_name.find('/') != std::string::npos ||
-      has_control_characters(file_name)) {
+  if (!processes::is_plain_file_name(file_name)) {
     throw config::Error(fmt::format(
         "\"{}\" is not a plain file name; a plugin is named by its file in the gateway's plugin folder (\"turtle.so\")",
         file_name));

@@ -8,16 +8,17 @@
 
 namespace iotcloud::gateway {
 
-/// A driver's code, checked: the descriptor of a shared library, or one that is linked in. Never unloaded: dlclose
-/// cannot promise that code really leaves; the end of its host process does.
+/// A driver's checked code: the descriptor of a shared library or of a linked-in driver. It is never unloaded, because
+/// only the end of the host process, not dlclose(), is sure to remove code.
 class Plugin {
  public:
   /// Opens a shared library and checks its descriptor before any C++ call into it.
-  /// \throws config::Error: no such file, no descriptor, or built for another SDK (names both sides).
+  /// \throws config::Error: if the file or its descriptor is missing, or the plugin was built for another SDK (the
+  /// message names both versions).
   static std::shared_ptr<const Plugin> load(const std::string& path);
-  /// The same of a file whose bytes were checked before: what is opened is a copy of them that nobody can change.
+  /// As load(), for a file whose bytes were checked before: loads a sealed copy that nobody can change.
   /// \param sha256 of the bytes that were checked. \param name of the plugin, for messages.
-  /// \throws config::Error as above, and when the file has other bytes by now.
+  /// \throws config::Error as above, and if the file has changed since.
   static std::shared_ptr<const Plugin> load_exactly(const std::string& path, const std::string& sha256,
                                                     const std::string& name);
   /// A linked-in driver. `descriptor` outlives the plugin. \throws config::Error as above.
@@ -35,12 +36,12 @@ class Plugin {
   std::string origin_;
 };
 
-/// A plugin is named by a plain file name inside the gateway's plugin folder, wherever the name came from.
+/// Checks that a plugin's name is a plain file name, so that it stays inside the gateway's plugin folder.
 /// \throws config::Error for an empty name, one with a slash, "." or "..", or a control character.
 void check_plugin_file_name(const std::string& file_name);
 
-/// Names of drivers, gateways, instances and channels become parts of registry paths and wire names.
-/// \param what the thing that is named, for the message ("driver name"). \throws config::Error.
+/// Checks the name of a driver, gateway, instance or channel, which becomes part of registry paths and wire names.
+/// \param what names the thing in the message ("driver name"). \throws config::Error for an unusable name.
 void check_name(const std::string& what, const std::string& name);
 
 }  // namespace iotcloud::gateway

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/config/mutex.h>
+
+namespace iotcloud::gateway {
+
+/// The latest metrics of the driver host processes. Their links collect them for the gateway's metrics page, because a
+/// host serves no page of its own. Each sample has its host's name in the label `host`. Thread safe.
+class HostMetrics {
+ public:
+  /// \param process the host's process id. Of two hosts with the same name, the samples of the one that called last are
+  /// shown.
+  void put(const std::string& host, int process, std::vector<config::Sample> samples);
+  /// Removes the samples of a host that has ended.
+  void forget(const std::string& host, int process);
+  /// Appends all samples; usable as a config::Metrics::Source.
+  void append(std::vector<config::Sample>& samples) const;
+
+ private:
+  struct Told {
+    int process = 0;
+    std::vector<config::Sample> samples;
+  };
+  mutable config::Mutex mutex_;
+  std::map<std::string, Told> hosts_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,90 @@
+#include <cerrno>
+#include <cstring>
+
+#include <fmt/format.h>
+#include <sys/stat.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/drivers/plugin.h>
+#include <iotcloud/gateway/fleet/plugin_folder.h>
+#include <iotcloud/gateway/fleet/plugin_source.h>
+#include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/processes/durable_file.h>
+#include <iotcloud/security/sha256.h>
+
+namespace iotcloud::gateway {
+
+PluginSource::PluginSource(std::string folder, std::shared_ptr<processes::PluginStore> store,
+                           std::shared_ptr<const security::TrustedKeys> trust)
+    : folder_(std::move(folder)),
+      store_(std::move(store)),
+      trust_(trust ? std::move(trust) : std::make_shared<const security::TrustedKeys>()) {}
+
+/// Reads the file's stamp; all zero if the file is missing.
+PluginSource::Stamp PluginSource::stamp_of(const std::string& path) {
+  struct stat status {};
+  if (stat(path.c_str(), &status) != 0) return {};
+  constexpr std::int64_t second = 1'000'000'000;
+  return {status.st_dev, status.st_ino, status.st_size, status.st_mtim.tv_sec * second + status.st_mtim.tv_nsec,
+          status.st_ctim.tv_sec * second + status.st_ctim.tv_nsec};
+}
+
+PluginSource::Found PluginSource::find(const HostOrder& order) {
+  check_plugin_file_name(order.plugin);
+  Found found;
+  std::string signature;
+  if (order.sha256.empty()) {
+    found.path = folder_ + "/" + order.plugin;
+    signature = found.path + ".sig";
+    struct stat status {};
+    if (stat(found.path.c_str(), &status) != 0)
+      throw config::Error(
+          fmt::format("there is no plugin {} in the gateway's folder {}: {}; put it there, or send a file "
+                      "with `iotcloud deploy --plugin ./{}`",
+                      order.plugin, folder_, std::strerror(errno), order.plugin));
+    check_plugin_file(folder_, order.plugin);
+  } else {
+    if (!store_)
+      throw config::Error(fmt::format("{} was sent, and this gateway keeps no plugins that are sent", order.plugin));
+    const auto kept = store_->path_of(order.sha256);
+    if (!kept)
+      throw config::Error(fmt::format(
+          "the plugin {} (SHA-256 {}) is not on this gateway; send it again: iotcloud update --plugin ./{} ID",
+          order.plugin, security::short_sha256(order.sha256), order.plugin));
+    found.path = *kept;
+    signature = store_->signature_path_of(order.sha256);
+  }
+  const Examined examined = examine(found.path, signature, order);
+  found.identity = examined.identity;
+  found.isolated = examined.isolated;
+  found.exactly = trust_->requires_signature() || !order.sha256.empty();
+  return found;
+}
+
+PluginSource::Examined PluginSource::examine(const std::string& path, const std::string& signature_path,
+                                             const HostOrder& order) {
+  const Stamp signature_stamp = stamp_of(signature_path);
+  const Basis basis{stamp_of(path), signature_stamp, trust_->generation()};
+  {
+    const config::MutexLock lock(mutex_);
+    const auto known = examined_.find(path);
+    if (known != examined_.end() && known->second.first == basis) return known->second.second;
+  }
+  const std::string content = processes::read_file(path, 0);
+  Examined found;
+  PluginIdentity& identity = found.identity;
+  identity.sha256 = security::sha256_hex(content);
+  found.isolated = content.find(IOTCLOUD_DRIVER_ISOLATION_MARK) != std::string::npos;
+  if (!order.sha256.empty() && identity.sha256 != order.sha256)
+    throw config::Error(
+        fmt::format("{}: it was sent with the SHA-256 {}, but {} has another now; send it again: iotcloud "
+                    "update --plugin ./{} ID",
+                    order.plugin, security::short_sha256(order.sha256), path, order.plugin));
+  const std::string signature = signature_stamp == Stamp{} ? "" : processes::read_file(signature_path, 0);
+  identity.signed_by = trust_->admit(order.plugin, content, signature);
+  const config::MutexLock lock(mutex_);
+  examined_[path] = {basis, found};
+  return found;
+}
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,59 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <tuple>
+#include <utility>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/host/instance_spec.h>
+#include <iotcloud/processes/plugin_store.h>
+#include <iotcloud/security/trusted_keys.h>
+
+namespace iotcloud::gateway {
+
+/// Finds the plugins that orders name, in the gateway's plugin folder or among the uploaded ones, and checks them
+/// before a host loads them. Thread safe.
+class PluginSource {
+ public:
+  /// \param folder of the gateway's own plugins, each with its signature beside it in FILE.sig.
+  /// \param store the uploaded plugins; null: there are none. \param trust null: no signature is required.
+  PluginSource(std::string folder, std::shared_ptr<processes::PluginStore> store,
+               std::shared_ptr<const security::TrustedKeys> trust);
+
+  /// A plugin that was found and checked.
+  struct Found {
+    std::string path;
+    PluginIdentity identity;
+    /// The host must load the bytes with the checked SHA-256, and refuse the file if it has changed since.
+    bool exactly = false;
+    bool isolated = false;  ///< the plugin requires a separate host for each instance (IOTCLOUD_DRIVER_ISOLATED)
+  };
+  /// \throws config::Error if the plugin is missing, is not the one that the order names, or lacks a required
+  /// signature.
+  Found find(const HostOrder& order);
+
+ private:
+  /// Identifies a version of a file (see stamp_of()), so that an unchanged file is not read and checked again, which
+  /// takes a tenth of a second.
+  using Stamp = std::tuple<std::uint64_t, std::uint64_t, std::int64_t, std::int64_t, std::int64_t>;
+  static Stamp stamp_of(const std::string& path);
+  struct Examined {
+    PluginIdentity identity;
+    bool isolated = false;
+  };
+  Examined examine(const std::string& path, const std::string& signature_path, const HostOrder& order);
+
+  const std::string folder_;
+  const std::shared_ptr<processes::PluginStore> store_;
+  const std::shared_ptr<const security::TrustedKeys> trust_;
+  config::Mutex mutex_;
+  /// What the result of examine() depends on: the stamps of the plugin's file and of its signature's file, and
+  /// TrustedKeys::generation().
+  using Basis = std::tuple<Stamp, Stamp, std::uint64_t>;
+  std::map<std::string, std::pair<Basis, Examined>> examined_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by path
+};
+
+}  // namespace iotcloud::gateway

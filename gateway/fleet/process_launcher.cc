@@ -1,0 +1,206 @@
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <optional>
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <iotcloud/config/log_settings.h>
+#include <iotcloud/gateway/fleet/plugin_folder.h>
+#include <iotcloud/gateway/fleet/process_launcher.h>
+#include <iotcloud/gateway/fleet/process_link.h>
+#include <iotcloud/gateway/logger.h>
+#include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/frames.h>
+#include <iotcloud/processes/silence.h>
+
+namespace iotcloud::gateway {
+
+namespace {
+
+constexpr std::chrono::milliseconds hello_pause{100};
+constexpr std::string_view socket_suffix = ".sock";
+
+void add_confinement(std::vector<std::string>& arguments, const processes::Confinement& confinement) {
+  if (!confinement.user.empty()) arguments.insert(arguments.end(), {"--user", confinement.user});
+  if (confinement.open_files > 0) {
+    arguments.insert(arguments.end(), {"--open-files", std::to_string(confinement.open_files)});
+  }
+  if (confinement.no_new_privileges) arguments.emplace_back("--no-new-privileges");
+  if (!confinement.debuggable) arguments.emplace_back("--no-debugging");
+  if (confinement.filter_calls) arguments.emplace_back("--filter-calls");
+}
+
+/// What a host that this process has just connected to says first. \param silence of all these hosts together: each of
+/// them has had all this time to say it. \param limit the silence after which a host counts as hanging.
+std::optional<protocol::HostReport> hello_of(const processes::OwnedDescriptor& socket, processes::Silence& silence,
+                                             std::chrono::milliseconds limit) {
+  processes::FrameReader frames;
+  for (;;) {
+    const bool too_long = silence.look(std::chrono::steady_clock::now()) >= limit;
+    if (!processes::wait_readable(socket.get(), too_long ? std::chrono::milliseconds{0} : hello_pause)) {
+      if (too_long) return std::nullopt;
+      continue;
+    }
+    const auto bytes = processes::receive_some(socket);
+    if (!bytes) return std::nullopt;
+    frames.feed(bytes->data(), bytes->size());
+    if (const auto body = frames.next()) return protocol::decode_report(*body);
+  }
+}
+
+/// The socket of a host of an earlier run, and this process's connection to it.
+struct FoundSocket {
+  std::string name;
+  processes::OwnedDescriptor connection;
+};
+
+/// Connects to all hosts of an earlier run; removes the sockets of those that have ended.
+std::vector<FoundSocket> connect_to_hosts(const std::string& folder) {
+  std::vector<FoundSocket> found;
+  std::error_code error;
+  for (const auto& file : std::filesystem::directory_iterator(folder, error)) {
+    const std::string name = file.path().filename();
+    if (!name.ends_with(socket_suffix)) continue;
+    if (auto connection = processes::connect_in(folder, name)) {
+      found.push_back({name, std::move(connection)});
+    } else {
+      unlink(file.path().c_str());  // nobody listens: its host has ended
+    }
+  }
+  return found;
+}
+
+/// The host behind a socket that an earlier run left, if this gateway can adopt it. Kills a host that it cannot adopt.
+std::optional<RunningHost> examine(const std::string& folder, const FoundSocket& found, processes::Silence& silence,
+                                   std::chrono::milliseconds hang_limit, const discovery::GatewayId& gateway,
+                                   const processes::ChildAccount* account) {
+  const std::string& name = found.name;
+  const int process = processes::peer_process(found.connection);
+  // Opened before the process is looked at: if the host ends meanwhile, its id may be another process's.
+  const processes::ChildProcess host_process(process, false);
+  const auto made_it = processes::has_argument(process, name);
+  if (!made_it) {
+    logger.warn(
+        "the command line of process {}, which has the socket {}, cannot be read; it counts as the driver host "
+        "that made it",
+        process, name);
+  } else if (!*made_it) {
+    logger.warn("process {} has the socket {}, but is not the driver host that made it; it is left alone", process,
+                name);
+    unlink((folder + "/" + name).c_str());
+    return std::nullopt;
+  }
+  std::string problem;
+  try {
+    const auto hello = hello_of(found.connection, silence, hang_limit);
+    if (!hello) {
+      problem = "it does not answer";
+    } else if (hello->version != protocol::version || hello->order.gateway != gateway) {
+      problem = "it is of another version or another gateway";
+    } else if (account != nullptr && !account->runs(process)) {
+      problem = "it runs as another user than host_user says";
+    } else {
+      return RunningHost{name, hello->order, hello->instances};
+    }
+  } catch (const config::Error& e) {
+    problem = e.what();
+  }
+  logger.warn("the driver host {} (process {}) that an earlier gateway process started is killed: {}", name, process,
+              problem);
+  host_process.kill();
+  unlink((folder + "/" + name).c_str());
+  return std::nullopt;
+}
+
+}  // namespace
+
+ProcessLauncher::ProcessLauncher(Options options)
+    : options_(std::move(options)), source_(options_.plugin_dir, options_.store, options_.trust) {
+  if (options_.host_program.empty()) options_.host_program = processes::program_beside("iotcloud-driver-host");
+  if (access(options_.host_program.c_str(), X_OK) != 0) {
+    throw config::Error(fmt::format("the driver host program {} cannot be run: {}; it belongs beside the gateway's own",
+                                    options_.host_program, std::strerror(errno)));
+  }
+  if (!std::filesystem::is_directory(options_.plugin_dir)) {
+    throw config::Error(fmt::format("the plugin folder {} is not there", options_.plugin_dir));
+  }
+  check_plugin_folder(options_.plugin_dir);
+  if (!options_.confinement.user.empty() && geteuid() == 0) {
+    account_ = std::make_shared<processes::ChildAccount>(options_.confinement.user, options_.state_dir);
+  }
+}
+
+processes::LogFile::Options ProcessLauncher::log_of(const std::string& plugin) const {
+  return {fmt::format("{}/{}.log", options_.state_dir, plugin.substr(0, plugin.rfind('.'))),
+          static_cast<std::uint64_t>(options_.log_limit_mb) << 20, options_.logs_kept};
+}
+
+std::function<void()> ProcessLauncher::log_keeper(const std::string& plugin) const {
+  if (!account_) return {};
+  return [account = account_, log_file = log_of(plugin)] { account->keep_within_bounds(log_file); };
+}
+
+bool ProcessLauncher::wants_isolation(const HostOrder& order) try {
+  return source_.find(order).isolated;
+} catch (const config::Error&) {
+  return false;  // launch() reports the error
+}
+
+std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostEvents events) try {
+  const auto found = source_.find(wanted);
+  HostOrder order = wanted;
+  order.identity = found.identity;
+  // Each host has a socket name of its own, so that an ending host and its successor do not conflict.
+  const std::string socket = discovery::new_instance_id().str().substr(0, 12) + std::string(socket_suffix);
+  const std::string log_file = log_of(order.plugin).path;
+  if (account_) account_->make_log(log_file);
+  // clang-format off
+  std::vector<std::string> arguments = {
+      options_.host_program,
+      "--plugin", found.path,
+      "--name=" + order.plugin,  // one argument, because the name may begin with a dash
+      "--sha256", order.identity.sha256,
+      "--gateway", order.gateway,
+      "--state", options_.state_dir,
+      "--socket", socket,
+      "--log", log_file,
+      "--log-limit-mb", std::to_string(options_.log_limit_mb),
+      "--logs-kept", std::to_string(options_.logs_kept)};
+  // clang-format on
+  if (order.isolated) arguments.emplace_back("--isolated");
+  const auto as_this_process = config::log_options();
+  arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
+  add_confinement(arguments, options_.confinement);
+  if (found.exactly) arguments.emplace_back("--exactly");
+  if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
+  if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
+  const int process = processes::spawn(std::move(arguments), log_file);
+  logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);
+  return std::make_unique<ProcessLink>(options_, order, socket, process, true, std::move(events),
+                                       log_keeper(order.plugin));
+} catch (const config::Error& e) {
+  events.on_ended({HostEnd::How::refused, e.what(), {}});
+  return link_to_nothing();
+}
+
+std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& gateway) {
+  std::vector<RunningHost> hosts;
+  // Connected to all of them first, so that several hosts that stand still keep this waiting only once.
+  const auto found = connect_to_hosts(options_.state_dir);
+  processes::Silence silence(std::chrono::steady_clock::now(), 2 * hello_pause);
+  for (const auto& socket : found) {
+    auto host = examine(options_.state_dir, socket, silence, options_.hang_limit, gateway, account_.get());
+    if (host) hosts.push_back(std::move(*host));
+  }
+  return hosts;
+}
+
+std::unique_ptr<HostLink> ProcessLauncher::adopt(const RunningHost& host, HostEvents events) {
+  const int process = processes::peer_process(processes::connect_in(options_.state_dir, host.name));
+  return std::make_unique<ProcessLink>(options_, host.order, host.name, process, false, std::move(events),
+                                       log_keeper(host.order.plugin));
+}
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,61 @@
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include <iotcloud/gateway/fleet/host_metrics.h>
+#include <iotcloud/gateway/fleet/launcher.h>
+#include <iotcloud/gateway/fleet/plugin_source.h>
+#include <iotcloud/processes/child_account.h>
+#include <iotcloud/processes/confinement.h>
+#include <iotcloud/processes/vitals.h>
+
+namespace iotcloud::gateway {
+
+/// Runs each driver host as a separate process, iotcloud-driver-host. It survives the gateway, whose next run finds it
+/// by its socket in the state folder. The launcher kills a host that hangs, spins or takes too much memory; that counts
+/// as a crash. Hosts log to `STATE/PLUGIN.log` (older logs: `PLUGIN.log.1` and so on), with the format and level that
+/// this process has when it starts the host.
+class ProcessLauncher final : public HostLauncher {
+ public:
+  struct Options {
+    std::string plugin_dir;
+    std::shared_ptr<processes::PluginStore> store;       ///< the uploaded plugins; null: there are none
+    std::shared_ptr<const security::TrustedKeys> trust;  ///< null: no signature is required
+    std::string state_dir;                               ///< the path of a locked StateFolder
+    std::string host_program;  ///< empty: iotcloud-driver-host beside this process's own program
+    std::chrono::milliseconds ping_period{1000};
+    /// A host hangs if its control thread or its shared event thread is stuck for `hang_limit`, or if an instance's own
+    /// event thread (`thread: own`) is stuck for `own_thread_hang_limit`.
+    std::chrono::milliseconds hang_limit{10000};
+    std::chrono::milliseconds own_thread_hang_limit{60000};
+    processes::VitalLimits limits;
+    processes::Confinement confinement;
+    int log_limit_mb = 10;  ///< the size at which a host's log is rotated
+    int logs_kept = 3;      ///< number of older logs that are kept
+    /// Gets the hosts' metrics every `metrics_period`; null: they are not collected.
+    std::shared_ptr<HostMetrics> metrics;
+    std::chrono::milliseconds metrics_period{2000};
+  };
+  /// \throws config::Error if the host program or a folder is missing, or this machine cannot confine hosts as
+  /// configured.
+  explicit ProcessLauncher(Options options);
+
+  bool wants_isolation(const HostOrder& order) override;
+  std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) override;
+  std::vector<RunningHost> running(const discovery::GatewayId& gateway) override;
+  std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;
+
+ private:
+  processes::LogFile::Options log_of(const std::string& plugin) const;
+  /// A function that rotates the log of this plugin's hosts; empty if the hosts may do that themselves.
+  std::function<void()> log_keeper(const std::string& plugin) const;
+
+  Options options_;
+  std::shared_ptr<const processes::ChildAccount> account_;  ///< null: hosts run under this process's account
+  PluginSource source_;
+};
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,88 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/fleet/process_launcher.h>
+#include <iotcloud/gateway/host/protocol.h>
+#include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/frames.h>
+#include <iotcloud/processes/unix_socket.h>
+
+namespace iotcloud::gateway {
+
+/// The link to a driver host process: one thread connects to it, sends, receives, pings, and notices its end.
+class ProcessLink final : public HostLink {
+ public:
+  /// \param socket_name the socket's name in the state folder; the host may not listen yet. \param process the host's
+  /// process id.
+  /// \param child whether the host is a child of this process, so that its exit status is available.
+  /// \param keep_log called about once per ping period on the link's thread; may be empty.
+  ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name, int process,
+              bool child, HostEvents events, std::function<void()> keep_log);
+  ~ProcessLink() override;
+
+  PluginIdentity plugin() const override { return order_.identity; }
+  void create(const InstanceSpec& spec) override;
+  void activate(const discovery::InstanceId& instance) override;
+  void deactivate(const discovery::InstanceId& instance) override;
+  void remove(const discovery::InstanceId& instance) override;
+  void deliver(const PassedMessage& passed) override;
+  void answer(std::int64_t number, PassAnswer answer) override;
+  void shutdown(std::chrono::milliseconds limit) override;
+
+ private:
+  using Instant = std::chrono::steady_clock::time_point;
+
+  void send(const protocol::HostCommand& command);
+  void send(std::string frame);
+  void run() noexcept;
+  bool connect();
+  void converse();
+  bool send_waiting();
+  bool receive();
+  void heard(const protocol::HostReport& event);
+  void judge(const std::vector<Stall>& stalls);
+  void name_after(const discovery::InstanceId& instance);
+  void ping();
+  void ask_for_metrics(Instant now);
+  void show_metrics(std::vector<config::Sample> samples);
+  bool overdue(std::chrono::nanoseconds silent);
+  std::chrono::milliseconds time_to_wait() const;
+  HostEnd wait_for_end();
+  void tell_end(const HostEnd& end);
+
+  const ProcessLauncher::Options options_;
+  const HostOrder order_;
+  const std::string socket_name_;
+  const processes::ChildProcess process_;
+  const HostEvents events_;
+  const std::function<void()> keep_log_;
+  processes::Waker waker_;
+  std::atomic<bool> leaving_{false};
+
+  config::Mutex mutex_;
+  std::vector<std::string> waiting_ IOTCLOUD_GUARDED_BY(mutex_);  ///< frames to send
+  bool shutting_down_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  Instant shutdown_deadline_ IOTCLOUD_GUARDED_BY(mutex_) = Instant::max();
+
+  // Used on the link's thread only.
+  processes::OwnedDescriptor socket_;
+  processes::FrameReader frames_;
+  Instant next_ping_, next_metrics_;
+  std::string name_;               ///< the host's name in its metrics
+  std::string refused_;            ///< why the host cannot serve
+  std::string killed_;             ///< why it was killed
+  discovery::InstanceId culprit_;  ///< the instance at fault for `killed_`
+  processes::Vitals vitals_;
+
+  std::jthread thread_;  ///< last, because it uses the other members
+};
+
+}  // namespace iotcloud::gateway

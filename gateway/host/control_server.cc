@@ -1,0 +1,263 @@
+#include <algorithm>
+#include <array>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <poll.h>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/host/control_server.h>
+#include <iotcloud/gateway/host/driver_host.h>
+#include <iotcloud/gateway/host/logger.h>
+#include <iotcloud/gateway/host/protocol.h>
+#include <iotcloud/processes/frames.h>
+#include <iotcloud/processes/unix_socket.h>
+
+namespace iotcloud::gateway {
+
+using protocol::HostCommand;
+using protocol::HostReport;
+using std::chrono::milliseconds;
+
+namespace {
+
+constexpr milliseconds stop_limit{4000};
+constexpr milliseconds log_pause{2000};  ///< the longest pause between checks of the log's size
+
+}  // namespace
+
+struct ControlServer::Impl {
+  explicit Impl(Options given)
+      : options(std::move(given)),
+        log_file(options.log),
+        listener(processes::listen_in(options.folder, options.socket_name)) {
+    try {
+      processes::confine(options.confinement);
+      DriverHost::Options host_options;
+      host_options.gateway = options.order.gateway;
+      host_options.isolated = options.order.isolated;
+      host_options.state_folder = options.folder;
+      host_options.passing.pass = [this](const PassedMessage& message) -> std::optional<PassAnswer> {
+        HostReport event;
+        event.kind = HostReport::Kind::pass;
+        event.passed = message;
+        std::string bytes = encode(event);
+        if (!processes::fits(bytes)) return PassAnswer::nowhere;
+        if (!send(std::move(bytes))) return PassAnswer::comes;
+        return std::nullopt;
+      };
+      host_options.passing.answer = [this](std::int64_t number, PassAnswer answer) {
+        HostReport event;
+        event.kind = HostReport::Kind::answer;
+        event.number = number;
+        event.answer = answer;
+        tell(event);
+      };
+      const auto& order = options.order;
+      auto plugin = options.exactly ? Plugin::load_exactly(options.plugin_path, order.identity.sha256, order.plugin)
+                                    : Plugin::load(options.plugin_path);
+      host.emplace(host_options, std::move(plugin), [this](const InstanceStatus& status) {
+        HostReport event;
+        event.kind = HostReport::Kind::status;
+        event.status = status;
+        tell(event);
+      });
+    } catch (const std::exception& e) {
+      refusal = e.what();
+      host_logger.error("{}", refusal);
+    }
+  }
+
+  void tell(const HostReport& event);
+  bool send(std::string frame);
+  void accept_gateway();
+  void greet();
+  void send_waiting();
+  void receive();
+  void obey(const HostCommand& command);
+  void lose_gateway(const char* why);
+  int stop(milliseconds limit);
+
+  const Options options;
+  const processes::LogFile log_file;
+  processes::OwnedDescriptor listener;
+  processes::OwnedDescriptor gateway;
+  processes::FrameReader frames;
+  processes::Waker waker;
+  std::string refusal;
+  std::optional<milliseconds> shutdown_limit;
+  config::Clock::Instant useful = config::system_clock().now();
+
+  config::Mutex mutex;
+  bool connected IOTCLOUD_GUARDED_BY(mutex) = false;
+  std::vector<std::string> waiting IOTCLOUD_GUARDED_BY(mutex);  ///< frames to send
+
+  std::optional<DriverHost> host;  ///< last, because its events use the other members
+};
+
+ControlServer::ControlServer(Options options) : impl_(std::make_unique<Impl>(std::move(options))) {}
+
+ControlServer::~ControlServer() = default;
+
+/// Sends a report to the gateway. Any thread may call it. Without a connection the report is dropped, because the
+/// greeting to the next gateway contains the state of all instances.
+void ControlServer::Impl::tell(const HostReport& event) {
+  send(encode(event));
+}
+
+/// \return whether there is a connection
+bool ControlServer::Impl::send(std::string frame) {
+  const config::MutexLock lock(mutex);
+  if (!connected) return false;
+  waiting.push_back(std::move(frame));
+  waker.wake();
+  return true;
+}
+
+void ControlServer::Impl::accept_gateway() {
+  processes::OwnedDescriptor fresh = processes::accept_from(listener);
+  // one gateway at a time: a dead gateway's connection ends before its next run connects
+  if (!fresh || gateway) return;
+  gateway = std::move(fresh);
+  frames = {};
+  {
+    const config::MutexLock lock(mutex);
+    waiting.clear();
+    // set before greet() lists the instances, so that changes from now on are reported after the list
+    connected = true;
+  }
+  greet();
+}
+
+void ControlServer::Impl::greet() {
+  HostReport hello;
+  hello.kind = HostReport::Kind::hello;
+  hello.order = options.order;
+  if (host) hello.instances = host->list();
+  bool taken = processes::send_all(gateway, encode(hello));
+  if (taken && !refusal.empty()) {
+    HostReport refused;
+    refused.kind = HostReport::Kind::refused;
+    refused.reason = refusal;
+    taken = processes::send_all(gateway, encode(refused));
+  }
+  if (!taken) lose_gateway("it went at once");
+}
+
+void ControlServer::Impl::send_waiting() {
+  waker.clear();
+  std::vector<std::string> now;
+  {
+    const config::MutexLock lock(mutex);
+    now.swap(waiting);
+  }
+  for (const auto& bytes : now) {
+    if (gateway && !processes::send_all(gateway, bytes)) lose_gateway("it does not read");
+  }
+}
+
+void ControlServer::Impl::receive() {
+  const auto bytes = processes::receive_some(gateway);
+  if (!bytes) {
+    lose_gateway("it closed the connection");
+    return;
+  }
+  frames.feed(bytes->data(), bytes->size());
+  try {
+    while (const auto body = frames.next()) obey(protocol::decode_command(*body));
+  } catch (const std::exception& e) {
+    lose_gateway(e.what());
+  }
+}
+
+void ControlServer::Impl::lose_gateway(const char* why) {
+  host_logger.warn("the gateway is gone ({}); this host goes on and waits for it", why);
+  gateway.reset();
+  {
+    const config::MutexLock lock(mutex);
+    connected = false;
+    waiting.clear();
+  }
+  if (host) host->nobody_answers();
+}
+
+void ControlServer::Impl::obey(const HostCommand& command) {
+  if (command.kind == HostCommand::Kind::shutdown) {
+    shutdown_limit = milliseconds(command.number);
+    return;
+  }
+  if (command.kind == HostCommand::Kind::ping) {
+    HostReport pong;
+    pong.kind = HostReport::Kind::pong;
+    pong.number = command.number;
+    if (host) pong.stalls = host->stalls();
+    tell(pong);
+    return;
+  }
+  if (command.kind == HostCommand::Kind::metrics) {
+    HostReport metrics;
+    metrics.kind = HostReport::Kind::metrics;
+    metrics.samples = config::process_metrics().collect();
+    tell(metrics);
+    return;
+  }
+  if (!host) return;
+  switch (command.kind) {
+    case HostCommand::Kind::create:
+      host->create(*command.spec);
+      break;
+    case HostCommand::Kind::activate:
+      host->activate(command.instance);
+      break;
+    case HostCommand::Kind::deactivate:
+      host->deactivate(command.instance);
+      break;
+    case HostCommand::Kind::remove:
+      host->remove(command.instance);
+      break;
+    case HostCommand::Kind::deliver:
+      host->deliver(command.passed);
+      break;
+    case HostCommand::Kind::answer:
+      host->answered(command.number, command.answer);
+      break;
+    case HostCommand::Kind::shutdown:
+    case HostCommand::Kind::ping:
+    case HostCommand::Kind::metrics:
+      break;
+  }
+}
+
+int ControlServer::Impl::stop(milliseconds limit) {
+  const bool in_order = !host || host->stop(limit);
+  send_waiting();
+  return in_order ? 0 : 1;
+}
+
+int ControlServer::run(int signals) {
+  auto& self = *impl_;
+  const auto& clock = config::system_clock();
+  while (!self.shutdown_limit) {
+    std::array<pollfd, 4> on{{{self.listener.get(), POLLIN, 0},
+                              {self.waker.get(), POLLIN, 0},
+                              {signals, POLLIN, 0},
+                              {self.gateway.get(), POLLIN, 0}}};  // poll() ignores descriptor -1
+    poll(on.data(), on.size(), static_cast<int>(std::min(self.options.orphan_limit, log_pause).count()));
+    self.log_file.look();
+    if (on[2].revents != 0) self.shutdown_limit = stop_limit;
+    if (on[1].revents != 0) self.send_waiting();
+    if (on[3].revents != 0) self.receive();
+    if (on[0].revents != 0) self.accept_gateway();
+    if (self.gateway || (self.host && !self.host->list().empty())) {
+      self.useful = clock.now();
+    } else if (clock.now() - self.useful >= self.options.orphan_limit) {
+      host_logger.info("no gateway and no instances: this host ends");
+      return 0;
+    }
+  }
+  return self.stop(*self.shutdown_limit);
+}
+
+}  // namespace iotcloud::gateway

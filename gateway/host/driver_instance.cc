@@ -1,0 +1,458 @@
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/config/yaml.h>
+#include <iotcloud/gateway/host/driver_instance.h>
+#include <iotcloud/gateway/host/logger.h>
+
+namespace iotcloud::gateway {
+
+using discovery::DriverState;
+
+namespace {
+
+constexpr const char* hang_limit_property = "hang_limit";
+
+std::uint64_t next_number() {
+  static std::atomic<std::uint64_t> last{0};
+  return ++last;
+}
+
+/// The property `hang_limit`; nullopt if it is missing or invalid (then open_now() refuses it).
+std::optional<std::chrono::milliseconds> hang_limit_of(const drivers::PropertyMap& properties) {
+  const auto found = properties.find(hang_limit_property);
+  if (found == properties.end()) return std::nullopt;
+  if (found->second == "never") return std::chrono::milliseconds{0};
+  const auto limit = config::parse_duration(found->second);
+  if (!limit || *limit < std::chrono::milliseconds{1}) return std::nullopt;
+  return std::chrono::duration_cast<std::chrono::milliseconds>(*limit);
+}
+
+void check_hang_limit(const drivers::PropertyMap& properties) {
+  const auto found = properties.find(hang_limit_property);
+  if (found == properties.end() || hang_limit_of(properties)) return;
+  throw config::Error(fmt::format("the property {}: \"{}\" is no time; give for example 30s, or never",
+                                  hang_limit_property, found->second));
+}
+
+}  // namespace
+
+struct DriverInstance::Incoming {
+  PlannedChannel plan;
+  std::shared_ptr<brokers::Broker> broker;  ///< declared before the members that use it
+  std::shared_ptr<ChannelQueue> queue;
+  config::Counter& received;
+  config::Counter& failed;                              ///< messages that the driver failed on
+  std::unique_ptr<brokers::Subscription> subscription;  ///< null: the channel uses a subscription that instances share
+};
+
+DriverInstance::DriverInstance(std::shared_ptr<HostEnvironment> environment, InstanceSpec spec,
+                               std::shared_ptr<EventLoop> loop)
+    : environment_(std::move(environment)),
+      id_(spec.order.instance),
+      properties_(spec.order.properties),
+      loop_(std::move(loop)),
+      number_(next_number()),
+      hang_limit_(hang_limit_of(properties_)),
+      spec_(std::move(spec)) {
+  status_.instance = id_;
+  status_.driver =
+      spec_.order.driver.empty() ? discovery::DriverName(environment_->plugin->name()) : spec_.order.driver;
+  status_.since_ms = environment_->clock->wall_ms();
+}
+
+DriverInstance::~DriverInstance() = default;
+
+InstanceSpec DriverInstance::spec() const {
+  const config::MutexLock lock(mutex_);
+  return spec_;
+}
+
+InstanceStatus DriverInstance::status() const {
+  const config::MutexLock lock(mutex_);
+  return status_;
+}
+
+void DriverInstance::report(DriverState state, const std::string& reason) {
+  InstanceStatus status;
+  {
+    const config::MutexLock lock(mutex_);
+    status_.state = state;
+    status_.reason = reason;
+    status_.since_ms = environment_->clock->wall_ms();
+    if (state == DriverState::failed || state == DriverState::undeployed) status_.channels.clear();
+    status = status_;
+  }
+  const auto level = state == DriverState::failed ? config::LogLevel::error : config::LogLevel::info;
+  config::log_line(
+      level, "gateway.host",
+      fmt::format("{} {}: {}{}{}", status.driver, id_, to_string(state), reason.empty() ? "" : ": ", reason));
+  environment_->report(status);
+}
+
+void DriverInstance::set_active(bool active) {
+  const config::MutexLock lock(mutex_);
+  spec_.order.active = active;
+}
+
+bool DriverInstance::call(const char* what, const std::function<void(std::string&)>& driver_call) {
+  std::string error;
+  const EventLoop::Serving serving(*loop_, number_);
+  driver_call(error);
+  if (!error.empty()) fail(fmt::format("{}: {}", what, error));
+  return error.empty() && !failing_;
+}
+
+// Commands. Each one posts its work to the event thread, which runs them in the order given.
+
+void DriverInstance::open() {
+  loop_->post([self = shared_from_this()] { self->open_now(); });
+}
+
+void DriverInstance::activate() {
+  set_active(true);
+  loop_->post([self = shared_from_this()] { self->activate_now(); });
+}
+
+void DriverInstance::deactivate() {
+  set_active(false);
+  loop_->post([self = shared_from_this()] { self->deactivate_now(); });
+}
+
+void DriverInstance::remove() {
+  loop_->post([self = shared_from_this()] { self->close_now(DriverState::undeployed, ""); });
+}
+
+void DriverInstance::open_now() {
+  report(DriverState::starting, "");
+  try {
+    check_hang_limit(properties_);
+    shell_ = environment_->plugin->descriptor().create();
+    if (shell_ == nullptr) {
+      fail("the driver's constructor threw");
+      return;
+    }
+    open_channels(status().driver);
+  } catch (const std::exception& e) {
+    fail(e.what());
+    return;
+  }
+  if (failing_) return;
+  if (spec().order.active) {
+    activate_now();
+  } else {
+    report(DriverState::inactive, "");
+  }
+}
+
+void DriverInstance::open_channels(const discovery::DriverName& driver) {
+  std::vector<drivers::ChannelSpec> wanted;
+  if (!call("channels", [&](std::string& error) { wanted = shell_->channels(properties_, error); })) return;
+  const auto planned = plan_channels(environment_->gateway, driver, spec(), std::move(wanted));
+  for (const auto& channel : planned) {
+    if (channel.spec.direction == drivers::Direction::out) open_outgoing(channel);
+  }
+  open_ = true;  // set before open(), in which the driver may publish already
+  if (!call("open", [&](std::string& error) { shell_->open(*this, error); })) return;
+  for (const auto& channel : planned) {
+    if (channel.spec.direction == drivers::Direction::in) open_incoming(channel);
+  }
+  const config::MutexLock lock(mutex_);
+  for (const auto& channel : planned) status_.channels.push_back(channel.record);
+}
+
+void DriverInstance::open_outgoing(const PlannedChannel& channel) {
+  const std::string& name = channel.spec.name;
+  // Runs an event's call into the driver on the event thread, if the instance is still open.
+  const auto on_event_thread = [weak = weak_from_this()](std::function<void(DriverInstance&)> tell) {
+    const auto self = weak.lock();
+    if (!self) return;
+    self->loop_->post([self, tell = std::move(tell)] {
+      if (self->running()) tell(*self);
+    });
+  };
+  OutgoingChannel::Events events;
+  events.on_writable = [on_event_thread, name] {
+    on_event_thread([name](DriverInstance& self) {
+      self.call("on_writable", [&](std::string& error) { self.shell_->on_writable(name, error); });
+    });
+  };
+  events.on_stored = [on_event_thread, name](std::uint64_t number) {
+    on_event_thread([name, number](DriverInstance& self) {
+      self.call("on_stored", [&](std::string& error) { self.shell_->on_stored(name, number, error); });
+    });
+  };
+  auto outgoing = std::make_unique<OutgoingChannel>(*environment_, id_, channel, std::move(events));
+  const config::WriteLock lock(channels_mutex_);
+  outgoing_.emplace(name, std::move(outgoing));
+}
+
+void DriverInstance::open_incoming(const PlannedChannel& channel) {
+  const std::string& name = channel.spec.name;
+  const config::Labels labels{{"driver", channel.record.driver}, {"channel", name}};
+  config::Labels failed = labels;
+  failed["reason"] = "failed";
+  auto& metrics = *environment_->metrics;
+  auto incoming = std::make_unique<Incoming>(
+      Incoming{channel, environment_->brokers->get(channel.address, channel.broker), nullptr,
+               metrics.counter("iotcloud_driver_received_total", "Messages handed to drivers", labels),
+               metrics.counter("iotcloud_driver_lost_total", lost_help, failed), nullptr});
+  // The queue is closed before `incoming` goes, so the pointer is valid whenever it delivers.
+  incoming->queue = std::make_shared<ChannelQueue>(
+      loop_, channel.spec.keep_last,
+      metrics.counter("iotcloud_driver_received_superseded_total",
+                      "Messages dropped by keep_last before a driver saw them", labels),
+      [weak = weak_from_this(), from = incoming.get()](brokers::Message&& message) {
+        const auto self = weak.lock();
+        return self ? self->deliver(*from, std::move(message)) : ChannelQueue::Handled::not_taken;
+      });
+  // Stored before it subscribes, so that close_now() finds it even if subscribing throws.
+  auto& kept = *incoming_.emplace_back(std::move(incoming));
+  if (channel.spec.shared) {
+    if (environment_->isolated) {
+      throw config::Error(
+          fmt::format("channel \"{}\" is shared and incoming, which needs all instances in one host; deploy without "
+                      "isolation, or with channel.{}.shared=false",
+                      name, name));
+    }
+    environment_->shared_channels->join(channel, kept.broker, id_, kept.queue);
+    return;
+  }
+  brokers::SubscriptionOptions options;
+  options.priority = channel.spec.priority;
+  options.keep_last = channel.spec.keep_last;
+  kept.subscription =
+      kept.broker->subscribe(channel.topic, options,
+                             // After close() the delivery is dropped, and goes back to the broker.
+                             [queue = kept.queue](brokers::Delivery delivery) { queue->push({std::move(delivery)}); });
+}
+
+void DriverInstance::activate_now() {
+  if (!running() || status().state == DriverState::active) return;
+  if (status().state != DriverState::starting) report(DriverState::starting, "");
+  if (call("activate", [&](std::string& error) { shell_->activate(error); })) report(DriverState::active, "");
+}
+
+void DriverInstance::deactivate_now() {
+  if (!running() || status().state != DriverState::active) return;
+  report(DriverState::stopping, "");
+  if (call("deactivate", [&](std::string& error) { shell_->deactivate(error); })) report(DriverState::inactive, "");
+}
+
+void DriverInstance::close_now(DriverState final_state, const std::string& reason) {
+  // Already closed: a failure during closing changes nothing.
+  if (std::exchange(closed_, true) && final_state == DriverState::failed) return;
+  if (final_state == DriverState::undeployed && status().state != DriverState::failed) {
+    report(DriverState::stopping, "");
+  }
+  open_ = false;
+  std::set<HandlerId> handlers;
+  {
+    const config::MutexLock lock(mutex_);
+    handlers.swap(handlers_);
+  }
+  for (const auto id : handlers) loop_->stop_handler(id);
+  close_incoming();
+  close_driver();
+  drain_then_report(final_state, reason);
+}
+
+/// What the driver has not seen goes back to the broker, or waits for the instance's return on a shared channel.
+void DriverInstance::close_incoming() {
+  for (auto& incoming : incoming_) {
+    // First: an open subscription would get again at once what the closed queue gives back to the broker.
+    incoming->subscription.reset();
+    auto unhandled = incoming->queue->close();
+    if (incoming->plan.spec.shared) {
+      environment_->shared_channels->leave(incoming->plan, id_, std::move(unhandled));
+    }
+  }
+  incoming_.clear();
+}
+
+void DriverInstance::close_driver() {
+  if (shell_ == nullptr) return;
+  std::string error;
+  const EventLoop::Serving serving(*loop_, number_);
+  shell_->close(error);
+  if (!error.empty()) host_logger.warn("{}: close: {}", id_, error);
+  environment_->plugin->descriptor().destroy(shell_);
+  shell_ = nullptr;
+}
+
+void DriverInstance::drain_then_report(DriverState final_state, const std::string& reason) {
+  auto closing = std::make_shared<OutgoingChannels>();
+  {
+    const config::WriteLock lock(channels_mutex_);  // waits for running publish() calls
+    closing->swap(outgoing_);
+  }
+  // A failure is reported at once; an ordered end is reported after the channels are drained.
+  const bool failed = final_state == DriverState::failed;
+  if (failed) {
+    // Close the spools before the report, because the instance's successor opens them as soon as the failure is known.
+    // They keep their messages.
+    for (auto& [name, channel] : *closing) {
+      if (channel->spooled()) channel->close();
+    }
+    report(final_state, reason);
+  }
+  const auto deadline = environment_->clock->now() + environment_->drain_limit;
+  environment_->closing->post([self = shared_from_this(), closing, deadline, failed, final_state, reason] {
+    for (auto& [name, channel] : *closing) {
+      const auto left = std::max(deadline - self->environment_->clock->now(), config::Clock::Instant::duration::zero());
+      channel->drain(std::chrono::duration_cast<std::chrono::milliseconds>(left));
+      channel->close();
+    }
+    closing->clear();
+    if (!failed) self->report(final_state, reason);
+  });
+}
+
+ChannelQueue::Handled DriverInstance::deliver(const Incoming& incoming, drivers::Message&& message) {
+  if (!running()) return ChannelQueue::Handled::not_taken;
+  incoming.received.add();
+  const std::string& channel = incoming.plan.spec.name;
+  if (call("on_message", [&](std::string& error) { shell_->on_message(channel, std::move(message), error); })) {
+    return ChannelQueue::Handled::done;
+  }
+  incoming.failed.add();
+  return ChannelQueue::Handled::failed;
+}
+
+// HostInterface: what the driver calls.
+
+drivers::PublishStatus DriverInstance::publish(std::string_view channel, drivers::Message message) noexcept try {
+  if (!running()) return drivers::PublishStatus::closed;
+  const config::ReadLock lock(channels_mutex_);
+  const auto found = outgoing_.find(channel);
+  if (found == outgoing_.end()) return drivers::PublishStatus::closed;
+  message.driver_id = id_;
+  message.gateway_id = environment_->gateway;
+  if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();
+  return found->second->publish(std::move(message));
+} catch (const std::exception& e) {
+  host_logger.error("{}: publish on {} failed: {}", id_, channel, e.what());
+  return drivers::PublishStatus::closed;
+}
+
+HandlerId DriverInstance::start_timer(std::chrono::microseconds first, std::chrono::microseconds period,
+                                      std::function<void()> callback) noexcept {
+  const HandlerId id = loop_->new_handler();
+  const bool once = period.count() == 0;
+  const config::MutexLock lock(mutex_);
+  if (!running()) return id;
+  handlers_.insert(id);
+  return loop_->start_timer(
+      first, period,
+      [weak = weak_from_this(), id, once, callback = std::move(callback)] {
+        const auto self = weak.lock();
+        if (!self || !self->running()) return;
+        if (once) {
+          const config::MutexLock erase_lock(self->mutex_);
+          self->handlers_.erase(id);
+        }
+        const EventLoop::Serving serving(*self->loop_, self->number_);
+        callback();
+      },
+      id);
+}
+
+HandlerId DriverInstance::watch_descriptor(int descriptor, bool for_writing, std::function<void()> callback) noexcept {
+  const HandlerId id = loop_->new_handler();
+  const config::MutexLock lock(mutex_);
+  if (!running()) return id;
+  handlers_.insert(id);
+  return loop_->watch_descriptor(
+      descriptor, for_writing,
+      [weak = weak_from_this(), callback = std::move(callback)] {
+        const auto self = weak.lock();
+        if (!self || !self->running()) return;
+        const EventLoop::Serving serving(*self->loop_, self->number_);
+        callback();
+      },
+      id);
+}
+
+void DriverInstance::stop_handler(HandlerId id) noexcept {
+  {
+    const config::MutexLock lock(mutex_);
+    if (handlers_.erase(id) == 0) return;
+  }
+  loop_->stop_handler(id);
+}
+
+void DriverInstance::post(std::function<void()> callback) noexcept {
+  loop_->post([weak = weak_from_this(), callback = std::move(callback)] {
+    const auto self = weak.lock();
+    if (!self || !self->running()) return;
+    const EventLoop::Serving serving(*self->loop_, self->number_);
+    callback();
+  });
+}
+
+void DriverInstance::log(drivers::LogLevel level, std::string_view text) noexcept {
+  static constexpr config::LogLevel levels[] = {config::LogLevel::debug, config::LogLevel::info, config::LogLevel::warn,
+                                                config::LogLevel::error};
+  const auto index = std::min<std::size_t>(static_cast<std::size_t>(level), 3);
+  config::log_line(levels[index], "driver." + environment_->plugin->name(), fmt::format("{}: {}", id_, text));
+}
+
+void DriverInstance::fail(std::string_view reason) noexcept {
+  if (failing_.exchange(true)) return;
+  loop_->post([self = shared_from_this(), text = std::string(reason)] { self->close_now(DriverState::failed, text); });
+}
+
+void DriverInstance::update_metadata(const drivers::PropertyMap& changes) noexcept {
+  {
+    const config::MutexLock lock(mutex_);
+    auto metadata = status_.metadata;
+    for (const auto& [key, value] : changes) {
+      if (value.empty()) {
+        metadata.erase(key);
+      } else {
+        metadata[key] = value;
+      }
+    }
+    std::size_t size = 0;
+    for (const auto& [key, value] : metadata) size += key.size() + value.size();
+    if (metadata.contains("") || size > most_metadata) {
+      host_logger.warn("{}: metadata of {} bytes, or an empty key, is not published; {} bytes are the most", id_, size,
+                       most_metadata);
+      return;
+    }
+    if (metadata == status_.metadata) return;
+    status_.metadata = std::move(metadata);
+    if (std::exchange(metadata_waits_, true)) return;
+  }
+  loop_->post([weak = weak_from_this()] {
+    if (const auto self = weak.lock()) self->report_metadata();
+  });
+}
+
+/// Runs on the event thread, as all reports before the end do, so that an older state is never reported after a newer
+/// one.
+void DriverInstance::report_metadata() {
+  if (closed_) return;
+  const auto now = environment_->clock->now();
+  if (metadata_told_ && now - *metadata_told_ < metadata_pause) {
+    const auto rest = std::chrono::ceil<std::chrono::microseconds>(metadata_pause - (now - *metadata_told_));
+    loop_->start_timer(rest, std::chrono::microseconds{0}, [weak = weak_from_this()] {
+      if (const auto self = weak.lock()) self->report_metadata();
+    });
+    return;
+  }
+  metadata_told_ = now;
+  InstanceStatus status;
+  {
+    const config::MutexLock lock(mutex_);
+    metadata_waits_ = false;
+    status = status_;
+  }
+  environment_->report(status);
+}
+
+}  // namespace iotcloud::gateway

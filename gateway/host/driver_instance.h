@@ -1,0 +1,110 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/host/channel_plan.h>
+#include <iotcloud/gateway/host/channel_queue.h>
+#include <iotcloud/gateway/host/host_environment.h>
+#include <iotcloud/gateway/host/outgoing_channel.h>
+
+namespace iotcloud::gateway {
+
+/// One driver instance in its host: runs the driver's life cycle, opens its channels, and implements the host interface
+/// that the driver uses. Commands are thread safe and return at once; the outcome is reported as a state.
+class DriverInstance final : public drivers::HostInterface, public std::enable_shared_from_this<DriverInstance> {
+ public:
+  DriverInstance(std::shared_ptr<HostEnvironment> environment, InstanceSpec spec, std::shared_ptr<EventLoop> loop);
+  ~DriverInstance() override;
+
+  void open();  ///< opens the driver, and activates it if the order says so
+  void activate();
+  void deactivate();
+  /// Closes for good; Reports `undeployed` when every accepted message has an outcome or the drain limit has passed.
+  void remove();
+
+  InstanceSpec spec() const;
+  InstanceStatus status() const;
+  const std::shared_ptr<EventLoop>& loop() const { return loop_; }
+  /// The value of EventLoop::serving() while a callback of this instance runs: unique in the process, never 0.
+  std::uint64_t number() const { return number_; }
+  /// The value of the property `hang_limit`; see Stall::limit.
+  std::optional<std::chrono::milliseconds> hang_limit() const { return hang_limit_; }
+
+  const std::string& instance_id() const noexcept override { return id_; }
+  const std::string& gateway_id() const noexcept override { return environment_->gateway; }
+  const drivers::PropertyMap& properties() const noexcept override { return properties_; }
+  drivers::PublishStatus publish(std::string_view channel, drivers::Message message) noexcept override;
+  HandlerId start_timer(std::chrono::microseconds first, std::chrono::microseconds period,
+                        std::function<void()> callback) noexcept override;
+  HandlerId watch_descriptor(int descriptor, bool for_writing, std::function<void()> callback) noexcept override;
+  void stop_handler(HandlerId id) noexcept override;
+  void post(std::function<void()> callback) noexcept override;
+  void log(drivers::LogLevel level, std::string_view text) noexcept override;
+  void fail(std::string_view reason) noexcept override;
+  void update_metadata(const drivers::PropertyMap& changes) noexcept override;
+
+  /// Shortest time between two reports of the driver's metadata.
+  static constexpr std::chrono::milliseconds metadata_pause{200};
+  /// Limit on the metadata: bytes of all keys and values together.
+  static constexpr std::size_t most_metadata = std::size_t{16} * 1024;
+
+ private:
+  struct Incoming;
+  using OutgoingChannels = std::map<std::string, std::unique_ptr<OutgoingChannel>, std::less<>>;
+
+  void open_now();
+  void open_channels(const discovery::DriverName& driver);
+  void open_outgoing(const PlannedChannel& channel);
+  void open_incoming(const PlannedChannel& channel);
+  void activate_now();
+  void deactivate_now();
+  void close_now(discovery::DriverState final_state, const std::string& reason);
+  void close_driver();
+  void close_incoming();
+  void drain_then_report(discovery::DriverState final_state, const std::string& reason);
+  ChannelQueue::Handled deliver(const Incoming& incoming, drivers::Message&& message);
+  /// Calls the driver; an error makes the instance `failed`. \return whether the call succeeded.
+  bool call(const char* what, const std::function<void(std::string&)>& driver_call);
+  void report(discovery::DriverState state, const std::string& reason);
+  void report_metadata();
+  void set_active(bool active);
+  bool running() const { return open_ && !failing_; }
+
+  const std::shared_ptr<HostEnvironment> environment_;
+  const discovery::InstanceId id_;
+  const drivers::PropertyMap properties_;
+  const std::shared_ptr<EventLoop> loop_;
+  const std::uint64_t number_;
+  const std::optional<std::chrono::milliseconds> hang_limit_;
+
+  std::atomic<bool> open_{false};
+  std::atomic<bool> failing_{false};
+
+  mutable config::Mutex mutex_;
+  InstanceSpec spec_ IOTCLOUD_GUARDED_BY(mutex_);
+  InstanceStatus status_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::set<HandlerId> handlers_ IOTCLOUD_GUARDED_BY(mutex_);
+  bool metadata_waits_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< report_metadata() is posted and has not run yet
+
+  config::SharedMutex channels_mutex_;
+  OutgoingChannels outgoing_ IOTCLOUD_GUARDED_BY(channels_mutex_);
+
+  // Used on the event thread only.
+  bool closed_ = false;
+  std::optional<config::Clock::Instant> metadata_told_;
+  drivers::DriverShell* shell_ = nullptr;
+  std::vector<std::unique_ptr<Incoming>> incoming_;
+};
+
+}  // namespace iotcloud::gateway

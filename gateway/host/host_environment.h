@@ -1,0 +1,34 @@
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include <iotcloud/brokers/broker_pool.h>
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/gateway/host/event_loop.h>
+#include <iotcloud/gateway/host/instance_spec.h>
+#include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/gateway/host/shared_channels.h>
+
+namespace iotcloud::gateway {
+
+/// What all instances of a host share. The instances share ownership, so that a hanging instance may outlive the host.
+struct HostEnvironment {
+  discovery::GatewayId gateway;
+  bool isolated = false;  ///< this host runs one instance only; other instances of the driver run in other hosts
+  std::chrono::milliseconds drain_limit{1000};
+  std::string state_folder;  ///< the folder that contains the spools; empty: spools are not possible
+  std::shared_ptr<const Plugin> plugin;
+  const config::Clock* clock = nullptr;
+  config::Metrics* metrics = nullptr;
+  std::unique_ptr<brokers::BrokerPool> brokers;
+  std::unique_ptr<SharedChannels> shared_channels;
+  /// The thread on which publishers are drained and late messages are given up, so that event threads do not wait.
+  std::shared_ptr<EventLoop> closing;
+  std::function<void(const InstanceStatus&)> report;
+};
+
+}  // namespace iotcloud::gateway

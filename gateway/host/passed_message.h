@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+
+#include <iotcloud/brokers/message.h>
+
+namespace iotcloud::gateway {
+
+/// A message of a shared channel on its way from the host that read it, through the gateway, to the host that runs its
+/// instance.
+struct PassedMessage {
+  std::int64_t number = 0;   ///< names it in the answer; unique for the one who passes it
+  std::string topic;         ///< the shared channel's wire name
+  brokers::Message message;  ///< driver_id names the instance
+};
+
+/// What became of a passed message.
+enum class PassAnswer {
+  handled,  ///< the driver has handled it
+  failed,   ///< the driver failed on it
+  comes,    ///< no driver saw it; its instance is about to be open: pass it again a little later
+  nowhere,  ///< no driver saw it; no host of this gateway runs its instance
+};
+
+/// What a message takes on its way, in bytes: its payload, ids and properties.
+inline std::size_t size_of(const brokers::Message& message) {
+  constexpr std::size_t around_a_property = 64;  ///< what the encoding adds, rounded up
+  std::size_t size = message.payload.size() + message.driver_id.size() + message.gateway_id.size();
+  for (const auto& [key, value] : message.properties) size += key.size() + value.size() + around_a_property;
+  return size;
+}
+
+/// How a host passes messages, and answers for those that are passed to it. Called on the host's threads; must not call
+/// back into the host. Both may be empty: then nothing is passed.
+struct Passing {
+  /// \return the answer if it is known at once, and none follows: `comes` if there is no gateway now, `nowhere` for a
+  /// message that is too large to pass.
+  std::function<std::optional<PassAnswer>(const PassedMessage&)> pass{};
+  std::function<void(std::int64_t number, PassAnswer)> answer{};
+};
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,55 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/gateway/host/instance_spec.h>
+#include <iotcloud/gateway/host/passed_message.h>
+
+/// The protocol between a gateway and a driver host process, over a Unix domain socket in the gateway's state folder.
+/// The host listens and serves one connection at a time; it closes others at once. Every frame (processes/frames.h) is
+/// JSON. The host first sends a hello report, so that a restarted gateway knows what runs. A host goes on when its
+/// gateway ends.
+namespace iotcloud::gateway::protocol {
+
+/// Increased with every incompatible change. A gateway ends a host that has another version instead of adopting it.
+inline constexpr int version = 3;
+
+/// A message from the gateway.
+struct HostCommand {
+  enum class Kind { create, activate, deactivate, remove, shutdown, ping, metrics, deliver, answer };
+  Kind kind = Kind::ping;
+  discovery::InstanceId instance;    ///< activate, deactivate, remove
+  std::optional<InstanceSpec> spec;  ///< create
+  std::int64_t number = 0;  ///< shutdown: the limit in milliseconds; ping: repeated in the pong; answer: see there
+  PassedMessage passed{};   ///< deliver: a message that another host read
+  PassAnswer answer{};      ///< answer: to the message that the host has passed under that number
+};
+
+/// A message from the host.
+struct HostReport {
+  enum class Kind { hello, refused, status, pong, metrics, pass, answer };
+  Kind kind = Kind::pong;
+  int version = protocol::version;        ///< hello
+  HostOrder order;                        ///< hello
+  std::vector<HostedInstance> instances;  ///< hello
+  std::string reason;                     ///< refused: why the plugin cannot be loaded
+  InstanceStatus status;                  ///< status
+  std::int64_t number = 0;                ///< pong: the number of the ping; answer: of the delivered message
+  std::vector<Stall> stalls;              ///< pong: the event threads that are stuck
+  std::vector<config::Sample> samples;    ///< metrics: all samples of the process
+  PassedMessage passed{};                 ///< pass: a message for an instance of another host
+  PassAnswer answer{};                    ///< answer
+};
+
+/// Encodes a complete frame. Bytes that are not UTF-8 are replaced.
+std::string encode(const HostCommand& command);
+std::string encode(const HostReport& event);
+/// Decodes the body of a frame. \throws config::Error if it is malformed.
+HostCommand decode_command(const std::string& body);
+HostReport decode_report(const std::string& body);
+
+}  // namespace iotcloud::gateway::protocol

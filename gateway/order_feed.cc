@@ -1,0 +1,361 @@
+#include <algorithm>
+#include <chrono>
+
+#include <fmt/format.h>
+
+#include <iotcloud/gateway/logger.h>
+#include <iotcloud/gateway/order_feed.h>
+
+namespace iotcloud::gateway {
+
+namespace {
+
+/// Time until the next attempt to read the orders, when the registry is there but did not answer.
+constexpr std::chrono::milliseconds look_pause{500};
+/// How long an order must be gone, and no other one must have gone, before that is an order to undeploy. Whoever
+/// removes the gateway's whole node removes the orders in it one by one, and the node of the orders only after them.
+constexpr std::chrono::milliseconds vanish_pause{200};
+/// An order that has been gone for so long is an order to undeploy, even if others go all the time.
+constexpr std::chrono::milliseconds longest_vanish_pause{5000};
+
+}  // namespace
+
+/// What the registry has of this gateway's orders.
+struct OrderFeed::Found {
+  std::optional<discovery::Node> list;    ///< the node of the orders
+  std::optional<discovery::Node> freeze;  ///< the mark that this gateway, or an earlier run of it, left
+  std::map<discovery::InstanceId, std::optional<discovery::Node>> orders;  ///< nullopt: not read, or just removed
+  Instances names() const {
+    Instances names;
+    for (const auto& [name, node] : orders) names.insert(name);
+    return names;
+  }
+};
+
+OrderFeed::OrderFeed(discovery::Registry& registry, discovery::Paths paths, discovery::GatewayId gateway,
+                     EventLoop& loop, const config::Clock& clock, Listener listener)
+    : registry_(registry),
+      paths_(std::move(paths)),
+      gateway_(std::move(gateway)),
+      loop_(loop),
+      clock_(clock),
+      listener_(std::move(listener)) {}
+
+// The registry calls back on its dispatcher thread; the callbacks only post to the loop.
+
+void OrderFeed::start() {
+  const std::string list = paths_.orders(gateway_);
+  names_watch_ = registry_.watch_children(list, [this](const std::optional<std::vector<std::string>>& names) {
+    loop_.post([this, names] { names_changed(names); });
+  });
+  node_watch_ = registry_.watch_node(list, [this](const std::optional<discovery::Node>& node) {
+    loop_.post([this, created = node ? std::optional(node->created) : std::nullopt] {
+      if (created != followed_ || !frozen().empty()) look();
+    });
+  });
+  session_listener_ = registry_.on_session([this](discovery::SessionState state) {
+    if (state == discovery::SessionState::connected) loop_.post([this] { look(); });
+  });
+}
+
+void OrderFeed::stop() {
+  stopped_ = true;
+  session_listener_.reset();
+  node_watch_.reset();
+  names_watch_.reset();
+  order_watches_.clear();
+}
+
+std::string OrderFeed::frozen() const {
+  const auto freeze = freeze_record();
+  return freeze ? freeze->reason : "";
+}
+
+std::optional<discovery::FreezeRecord> OrderFeed::freeze_record() const {
+  const config::MutexLock lock(mutex_);
+  return freeze_;
+}
+
+void OrderFeed::look(Reading reading) {
+  if (stopped_) return;
+  try {
+    const Found found = read_registry(frozen().empty() ? reading : Reading::all);
+    if (found.freeze && frozen().empty()) take_up_freeze(*found.freeze);
+    if (const auto trouble = objection(found)) {
+      freeze(*trouble, found);
+    } else {
+      follow_all(found);
+    }
+    listener_.on_looked();
+    return;
+  } catch (const discovery::RegistryError& e) {
+    logger.debug("the orders are read when the registry answers: {}", e.what());
+  }
+  // Without a connection the next one calls this again.
+  if (registry_.session() != discovery::SessionState::connected || std::exchange(retrying_, true)) return;
+  loop_.start_timer(look_pause, std::chrono::microseconds{0}, [this] {
+    retrying_ = false;
+    look();
+  });
+}
+
+/// Also follows the orders that were given while the registry was unreachable. Several masters may have led one after
+/// the other meanwhile, and the orders are not read in the order in which they were given. So an order with an older
+/// epoch than another one is valid here (`initial_`).
+void OrderFeed::follow_all(const Found& found) {
+  const auto answer = adoption(*found.list);
+  const bool adopted = thaw();
+  const bool other = std::exchange(followed_, found.list->created) != found.list->created;
+  if (adopted || other) {
+    handled_.clear();
+    epoch_ = answer ? answer->epoch : 0;  // a registry that was emptied or restored counts epochs anew
+  }
+  Instances names = found.names();
+  if (!adopted) names.merge(just_gone(names));
+  follow_names(names);
+  if (!gone_.empty()) look_again_soon();
+  for (const auto& [name, node] : found.orders) {
+    if (!node || is_handled(name, *node)) continue;
+    initial_.insert(name);
+    take(name, *node);
+  }
+}
+
+/// \param names of the orders that are there
+/// \return the other orders, unless they have been gone for long enough to take that for an order to undeploy.
+OrderFeed::Instances OrderFeed::just_gone(const Instances& names) {
+  const auto now = clock_.now();
+  std::erase_if(gone_, [&](const auto& entry) { return names.contains(entry.first); });
+  for (const auto& [name, watch] : order_watches_) {
+    if (!names.contains(name) && gone_.try_emplace(name, now).second) last_gone_ = now;
+  }
+  const bool more_go = now - last_gone_ < vanish_pause;
+  std::erase_if(gone_, [&](const auto& entry) { return !more_go || now - entry.second >= longest_vanish_pause; });
+  Instances young;
+  for (const auto& [name, since] : gone_) young.insert(name);
+  return young;
+}
+
+void OrderFeed::look_again_soon() {
+  if (std::exchange(looks_again_, true)) return;
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(last_gone_ + vanish_pause - clock_.now());
+  loop_.start_timer(std::max(left, std::chrono::milliseconds{1}), std::chrono::microseconds{0}, [this] {
+    looks_again_ = false;
+    look(Reading::names);
+  });
+}
+
+OrderFeed::Found OrderFeed::read_registry(Reading reading) {
+  const std::string list = paths_.orders(gateway_);
+  const std::string mark = discovery::freeze_path(paths_, gateway_);
+  Found found;
+  auto both = registry_.get_all({list, mark});
+  if (!both[0] && !both[1] && nothing_to_lose()) {
+    discovery::put(registry_, list, "");
+    both = registry_.get_all({list, mark});
+  }
+  found.list = std::move(both[0]);
+  found.freeze = std::move(both[1]);
+  const auto children = registry_.children(list);
+  if (found.list && !children) return read_registry(reading);  // it has just gone, and the orders went with it
+  const auto names = children.value_or(std::vector<std::string>());
+  std::vector<std::string> paths;
+  if (reading == Reading::all) {
+    for (const auto& name : names) paths.push_back(paths_.order(gateway_, discovery::InstanceId(name)));
+  }
+  auto nodes = registry_.get_all(paths);
+  nodes.resize(names.size());
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    found.orders.emplace(discovery::InstanceId(names[i]), std::move(nodes[i]));
+  }
+  return found;
+}
+
+/// An earlier run of this gateway was frozen, and nobody has adopted the registry since.
+void OrderFeed::take_up_freeze(const discovery::Node& node) {
+  discovery::FreezeRecord record;
+  try {
+    record = discovery::decode_freeze(node.data, discovery::freeze_path(paths_, gateway_));
+  } catch (const config::Error& e) {
+    record.reason = e.what();
+    record.token = discovery::new_instance_id().str();
+  }
+  record.lasting = true;  // that run's memory of the orders' node ended with it
+  logger.error("{}; since then this gateway follows no orders: `iotcloud registry adopt {}`", record.reason, gateway_);
+  {
+    const config::MutexLock lock(mutex_);
+    freeze_ = std::move(record);
+  }
+  listener_.on_frozen();
+}
+
+/// No instance runs, and none was ordered as far as this gateway knows.
+bool OrderFeed::nothing_to_lose() const {
+  return frozen().empty() && order_watches_.empty() && listener_.present().empty();
+}
+
+/// \return why these are not the orders that this gateway is to follow; nullopt: they are.
+std::optional<OrderFeed::Objection> OrderFeed::objection(const Found& found) const {
+  const auto freeze = freeze_record();
+  if (found.list && adoption(*found.list)) return std::nullopt;
+  if (freeze && freeze->lasting) return Objection{freeze->reason, true};
+  if (found.list && nothing_to_lose()) return std::nullopt;
+  if (!found.list) {
+    return Objection{"the registry has no orders for this gateway: it was emptied, or the gateway's node was removed",
+                     !followed_};
+  }
+  if (followed_ && found.list->created != *followed_) {
+    return Objection{"the registry's orders are not those that this gateway followed: it was emptied or restored",
+                     false};
+  }
+  for (const auto& [instance, handled] : handled_) {
+    const auto now = found.orders.find(instance);
+    if (now == found.orders.end() || !now->second || now->second->created != handled.first) continue;
+    if (now->second->version < handled.second) {
+      return Objection{
+          fmt::format("the registry was put back to an earlier state: the order of {} is an older one", instance),
+          true};
+    }
+  }
+  Instances vanished;
+  for (const auto& instance : listener_.present()) {
+    if (!found.orders.contains(instance)) vanished.insert(instance);
+  }
+  if (vanished.empty()) return std::nullopt;
+  const auto lost = listener_.without_record(vanished);
+  if (lost.empty()) return std::nullopt;
+  return Objection{fmt::format("the registry was put back to an earlier state: the order of {} is gone, and what this "
+                               "gateway recorded of it, too",
+                               *lost.begin()),
+                   true};
+}
+
+/// \return a master's answer to the present freeze; nullopt: there is none yet, or the feed is not frozen.
+std::optional<discovery::Adoption> OrderFeed::adoption(const discovery::Node& list) const {
+  const auto freeze = freeze_record();
+  if (!freeze || list.data.empty()) return std::nullopt;
+  try {
+    auto answer = discovery::decode_adoption(list.data, paths_.orders(gateway_));
+    if (answer.token == freeze->token) return answer;
+  } catch (const config::Error& e) {
+    logger.warn("{}", e.what());
+  }
+  return std::nullopt;
+}
+
+void OrderFeed::freeze(const Objection& objection, const Found& found) {
+  auto record = freeze_record();
+  const bool fresh = !record;
+  if (fresh) {
+    record = discovery::FreezeRecord{objection.reason, clock_.wall_ms(), discovery::new_instance_id().str(),
+                                     objection.lasting};
+    logger.error(
+        "{}; what runs here goes on, and no orders are followed until a master says that they are meant as they stand: "
+        "`iotcloud registry adopt {}`",
+        record->reason, gateway_);
+  }
+  record->lasting = record->lasting || objection.lasting;
+  {
+    const config::MutexLock lock(mutex_);
+    freeze_ = record;
+  }
+  gone_.clear();
+  if (fresh) listener_.on_frozen();
+  const std::string bytes = encode(*record);
+  if (!found.freeze || found.freeze->data != bytes) {
+    discovery::put(registry_, discovery::freeze_path(paths_, gateway_), bytes);
+  }
+}
+
+/// \return whether the feed was frozen.
+bool OrderFeed::thaw() {
+  if (frozen().empty()) return false;
+  registry_.remove(discovery::freeze_path(paths_, gateway_));
+  logger.warn("the registry's orders are followed again, as they stand now");
+  const config::MutexLock lock(mutex_);
+  freeze_.reset();
+  return true;
+}
+
+bool OrderFeed::is_handled(const discovery::InstanceId& instance, const discovery::Node& node) const {
+  const auto found = handled_.find(instance);
+  return found != handled_.end() && found->second == std::make_pair(node.created, node.version);
+}
+
+/// Names that only come on top of others need no look at the rest: it is still the same registry.
+void OrderFeed::names_changed(const std::optional<std::vector<std::string>>& names) {
+  if (stopped_) return;
+  Instances now;
+  if (names) now.insert(names->begin(), names->end());
+  const auto stays = [&](const auto& watched) { return now.contains(watched.first); };
+  if (frozen().empty() && !order_watches_.empty() && std::all_of(order_watches_.begin(), order_watches_.end(), stays)) {
+    follow_names(now);
+  } else {
+    look(told_first_ && !order_watches_.empty() ? Reading::names : Reading::all);
+  }
+}
+
+void OrderFeed::follow_names(const Instances& names) {
+  if (!std::exchange(told_first_, true)) {
+    initial_ = names;
+    listener_.on_first(names);
+  }
+  for (const auto& name : names) {
+    if (order_watches_.contains(name)) continue;
+    order_watches_[name] =
+        registry_.watch_node(paths_.order(gateway_, name), [this, name](const std::optional<discovery::Node>& node) {
+          loop_.post([this, name, node] { order_changed(name, node); });
+        });
+  }
+  for (auto it = order_watches_.begin(); it != order_watches_.end();) {
+    if (names.contains(it->first)) {
+      ++it;
+      continue;
+    }
+    const discovery::InstanceId instance = it->first;
+    it = order_watches_.erase(it);
+    handled_.erase(instance);
+    listener_.on_gone(instance);
+  }
+}
+
+/// An order that is gone, or stands in another node than before, may belong to another state of the whole registry.
+void OrderFeed::order_changed(const discovery::InstanceId& instance, const std::optional<discovery::Node>& node) {
+  if (stopped_ || !frozen().empty() || !order_watches_.contains(instance)) return;
+  if (!node && gone_.contains(instance)) return;
+  const auto handled = handled_.find(instance);
+  const bool same = node && (handled == handled_.end() ||
+                             (handled->second.first == node->created && handled->second.second <= node->version));
+  if (!same) {
+    look(node ? Reading::all : Reading::names);
+  } else if (!is_handled(instance, *node)) {
+    take(instance, *node);
+  }
+}
+
+void OrderFeed::take(const discovery::InstanceId& instance, const discovery::Node& node) {
+  try {
+    read(instance, node);
+    handled_[instance] = {node.created, node.version};
+  } catch (const std::exception& e) {
+    logger.error("an order is ignored: {}", e.what());
+  }
+}
+
+void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Node& node) {
+  const std::string path = paths_.order(gateway_, instance);
+  const auto order = discovery::decode_order(node.data, path);
+  if (order.instance != instance) {
+    throw config::Error(fmt::format("the order at {} is for the instance \"{}\"", path, order.instance));
+  }
+  const bool stood_before = initial_.erase(instance) > 0;
+  if (order.epoch < epoch_ && !stood_before) {
+    logger.warn("an order for {} is ignored: its epoch {} is older than {}, so its master no longer leads", instance,
+                order.epoch, epoch_.load());
+    return;
+  }
+  epoch_ = std::max(epoch_.load(), order.epoch);
+  listener_.on_order(order, node.version);
+}
+
+}  // namespace iotcloud::gateway

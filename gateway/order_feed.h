@@ -1,0 +1,119 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/discovery/freeze.h>
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/gateway/host/event_loop.h>
+
+namespace iotcloud::gateway {
+
+/// Follows the orders of one gateway in the registry (/iot/gateways/<id>/orders) and passes each version of an order to
+/// the listener once. The feed ignores an order whose epoch is older than one seen before, because its master no longer
+/// leads. Orders that exist when the feed starts, or when the registry is reachable again, may have any epoch.
+///
+/// Orders that are not there are an order to undeploy only while the registry is the one that had them. When the node
+/// of the orders is gone or is another one than before, or when orders vanished together with what this gateway has
+/// recorded of their instances, the registry was emptied or put back to an earlier state. Then the feed is frozen: the
+/// listener hears of no order, and the node discovery::freeze_path() says why, also to the gateway's next run. The feed
+/// goes on when a master adopts the registry as it is (discovery::Adoption), or when the orders' own node is back.
+/// Used on one event loop, on which the listener is called, unless said otherwise.
+class OrderFeed {
+ public:
+  using Instances = std::set<discovery::InstanceId>;
+  struct Listener {
+    /// The names of the orders that exist when the feed starts. Called once, before the next two.
+    std::function<void(const Instances& names)> on_first;
+    /// An order was given or changed; `version` is the node's.
+    std::function<void(const discovery::OrderRecord& order, std::int64_t version)> on_order;
+    /// The order was removed, and it and its like have been gone for a moment.
+    std::function<void(const discovery::InstanceId& instance)> on_gone;
+    /// The instances that the gateway has, ordered in this run or adopted from an earlier one.
+    std::function<Instances()> present;
+    /// Of these instances, those whose record this gateway has written and does not find in the registry.
+    /// \throws discovery::RegistryError.
+    std::function<Instances(const Instances& of)> without_record;
+    /// The feed has just been frozen.
+    std::function<void()> on_frozen;
+    /// The orders have been read, and are followed or not: from now on the gateway may write its records.
+    std::function<void()> on_looked;
+  };
+
+  OrderFeed(discovery::Registry& registry, discovery::Paths paths, discovery::GatewayId gateway, EventLoop& loop,
+            const config::Clock& clock, Listener listener);
+
+  void start();
+  /// Afterwards the listener is not called any more.
+  void stop();
+  /// Looks whether the registry still has this gateway's orders, and reads them; the listener's on_looked tells when
+  /// that is done, which may be later, when the registry answers.
+  void look() { look(Reading::all); }
+  /// The highest epoch of the orders seen. Thread safe.
+  std::int64_t epoch() const { return epoch_; }
+  /// Why no orders are followed now; empty: they are followed. Thread safe.
+  std::string frozen() const;
+
+ private:
+  /// Orders that are gone take a look at their names only, so that one of thousands does not cost a read of all.
+  enum class Reading { all, names };
+  struct Found;
+  struct Objection {
+    std::string reason;
+    bool lasting = false;  ///< see FreezeRecord
+  };
+  void look(Reading reading);
+  Found read_registry(Reading reading);
+  bool nothing_to_lose() const;
+  std::optional<Objection> objection(const Found& found) const;
+  std::optional<discovery::Adoption> adoption(const discovery::Node& list) const;
+  void take_up_freeze(const discovery::Node& node);
+  void freeze(const Objection& objection, const Found& found);
+  void follow_all(const Found& found);
+  bool thaw();
+  Instances just_gone(const Instances& names);
+  void look_again_soon();
+  std::optional<discovery::FreezeRecord> freeze_record() const;
+  void names_changed(const std::optional<std::vector<std::string>>& names);
+  void follow_names(const Instances& names);
+  void order_changed(const discovery::InstanceId& instance, const std::optional<discovery::Node>& node);
+  void take(const discovery::InstanceId& instance, const discovery::Node& node);
+  void read(const discovery::InstanceId& instance, const discovery::Node& node);
+  bool is_handled(const discovery::InstanceId& instance, const discovery::Node& node) const;
+
+  discovery::Registry& registry_;
+  const discovery::Paths paths_;
+  const discovery::GatewayId gateway_;
+  EventLoop& loop_;
+  const config::Clock& clock_;
+  const Listener listener_;
+  std::atomic<std::int64_t> epoch_{0};
+  /// Orders that existed at the start or after a reconnection and are not read yet: they may have any epoch.
+  Instances initial_;
+  std::map<discovery::InstanceId, std::pair<std::int64_t, std::int64_t>>
+      handled_;                           ///< for each order that was read, the creation id and version of its node
+  std::optional<std::int64_t> followed_;  ///< creation id of the node whose orders are followed; nullopt: none yet
+  std::map<discovery::InstanceId, config::Clock::Instant> gone_;  ///< the orders that are just_gone(), and since when
+  config::Clock::Instant last_gone_{};                            ///< when the last one of them went
+  bool looks_again_ = false;                                      ///< a timer is set
+  bool told_first_ = false;
+  bool stopped_ = false;
+  bool retrying_ = false;
+  std::map<discovery::InstanceId, discovery::GuardPtr> order_watches_;
+  discovery::GuardPtr names_watch_, node_watch_, session_listener_;
+
+  mutable config::Mutex mutex_;
+  std::optional<discovery::FreezeRecord> freeze_ IOTCLOUD_GUARDED_BY(mutex_);  ///< written only on the loop
+};
+
+}  // namespace iotcloud::gateway

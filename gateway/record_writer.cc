@@ -1,0 +1,160 @@
+#include <iotcloud/gateway/logger.h>
+#include <iotcloud/gateway/record_writer.h>
+
+namespace iotcloud::gateway {
+
+namespace {
+
+constexpr int race_attempts = 5;
+
+using discovery::RegistryError;
+using discovery::RegistryErrorCode;
+
+/// Tries again when another gateway removes the driver's empty node between the creation of the parent and of the
+/// child.
+void put_again_when_parent_went(discovery::Registry& registry, const std::string& path, const std::string& data) {
+  for (int attempt = 1;; ++attempt) {
+    try {
+      discovery::put(registry, path, data);
+      return;
+    } catch (const RegistryError& e) {
+      if (e.code() != RegistryErrorCode::no_node || attempt == race_attempts) throw;
+    }
+  }
+}
+
+}  // namespace
+
+void RecordWriter::resume() {
+  paused_ = false;
+  flush();
+}
+
+bool RecordWriter::has_written(const discovery::InstanceId& instance) const {
+  const auto found = entries_.find(instance);
+  return found != entries_.end() && found->second.written;
+}
+
+void RecordWriter::restore() {
+  std::vector<std::string> paths;
+  std::vector<Entry*> wanted;
+  for (auto& [instance, entry] : entries_) {
+    if (!entry.wanted) continue;
+    paths.push_back(paths_.instance(entry.driver, instance));
+    wanted.push_back(&entry);
+  }
+  const auto nodes = registry_.get_all(paths);
+  for (std::size_t i = 0; i < nodes.size(); ++i) {
+    Entry& entry = *wanted[i];
+    if (!entry.dirty && nodes[i] && nodes[i]->data == encode(*entry.wanted)) continue;
+    entry.channels.reset();
+    entry.shown.reset();
+    entry.dirty = true;
+  }
+}
+
+void RecordWriter::put(const discovery::DriverRecord& record) {
+  auto& entry = entries_[record.instance];
+  if (!entry.driver.empty() && entry.driver != record.name && !paused_ && !closed_) {
+    // The driver was renamed (now the plugin's own name is known): remove the record at the old path.
+    try {
+      remove_record(entry.driver, record.instance);
+    } catch (const RegistryError& e) {
+      logger.warn("the record of {} under its former name {} was not removed: {}", record.instance, entry.driver,
+                  e.what());
+    }
+    entry.channels.reset();
+    entry.shown.reset();
+  }
+  entry.driver = record.name;
+  entry.wanted = record;
+  entry.dirty = true;
+  write(record.instance, entry);
+}
+
+void RecordWriter::erase(const discovery::DriverName& driver, const discovery::InstanceId& instance) {
+  auto& entry = entries_[instance];
+  if (entry.driver.empty()) entry.driver = driver;
+  entry.wanted.reset();
+  entry.dirty = true;
+  if (write(instance, entry)) entries_.erase(instance);
+}
+
+bool RecordWriter::flush() {
+  bool all = true;
+  for (auto it = entries_.begin(); it != entries_.end();) {
+    all = (!it->second.dirty || write(it->first, it->second)) && all;
+    it = !it->second.dirty && !it->second.wanted ? entries_.erase(it) : std::next(it);
+  }
+  return all;
+}
+
+bool RecordWriter::write(const discovery::InstanceId& instance, Entry& entry) {
+  if (paused_ || closed_ || registry_.session() != discovery::SessionState::connected) return false;
+  try {
+    if (entry.wanted) {
+      write_record(*entry.wanted, entry);
+    } else {
+      remove_record(entry.driver, instance);
+    }
+    entry.dirty = false;
+    entry.written = true;
+    told_away_ = false;
+    return true;
+  } catch (const RegistryError& e) {
+    if (!told_away_) logger.warn("the state of {} is not in the registry yet: {}", instance, e.what());
+    told_away_ = true;
+    entry.channels.reset();  // an unknown part of it was written
+    entry.shown.reset();
+    return false;
+  }
+}
+
+void RecordWriter::write_record(const discovery::DriverRecord& record, Entry& entry) {
+  const std::string path = paths_.instance(record.name, record.instance);
+  const bool comes = record.state == discovery::DriverState::active;
+  if (comes && entry.shown == record.channels) {  // the channels are unchanged: write the record only
+    discovery::put(registry_, path, encode(record));
+    return;
+  }
+  entry.shown.reset();
+  if (!entry.channels) {
+    const auto children = registry_.children(path);
+    entry.channels.emplace();
+    if (children) entry.channels->insert(children->begin(), children->end());
+  }
+  auto& present = *entry.channels;
+  std::set<std::string> wanted;
+  for (const auto& channel : record.channels) wanted.insert(channel.name);
+
+  if (!comes || !registry_.get(path)) {
+    auto first = record;
+    if (comes) first.state = discovery::DriverState::starting;
+    put_again_when_parent_went(registry_, path, encode(first));
+  }
+  for (const auto& channel : record.channels) {
+    discovery::put(registry_, paths_.channel(record.name, record.instance, channel.name), encode(channel));
+    present.insert(channel.name);
+  }
+  if (comes) discovery::put(registry_, path, encode(record));
+  for (auto it = present.begin(); it != present.end();) {
+    if (wanted.contains(*it)) {
+      ++it;
+      continue;
+    }
+    registry_.remove(paths_.channel(record.name, record.instance, *it));
+    it = present.erase(it);
+  }
+  if (comes) entry.shown = record.channels;
+}
+
+void RecordWriter::remove_record(const discovery::DriverName& driver, const discovery::InstanceId& instance) {
+  discovery::remove_tree(registry_, paths_.instance(driver, instance));
+  try {
+    registry_.remove(paths_.driver(driver));
+  } catch (const RegistryError& e) {
+    if (e.code() != RegistryErrorCode::not_empty) throw;  // not_empty: the driver has other instances
+  }
+}
+
+}  // namespace iotcloud::gateway

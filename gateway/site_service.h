@@ -1,0 +1,44 @@
+#pragma once
+
+#include <chrono>
+#include <memory>
+#include <string>
+
+#include <iotcloud/gateway/gateway.h>
+#include <iotcloud/rpc/listen_settings.h>
+#include <iotcloud/rpc/session.h>
+
+namespace iotcloud::gateway {
+
+/// The gateway's Thrift service (gateway.thrift): translates calls into orders in the registry and answers when their
+/// outcome is known.
+class SiteService {
+ public:
+  struct Options {
+    /// Port 0: any free port, see port().
+    rpc::ListenSettings listen{"127.0.0.1", 12905, {}, "", ""};
+    std::chrono::milliseconds outcome_limit{15000};  ///< how long a call waits for the outcome of its order
+    int max_connections = 64;
+    int max_message_bytes = 1 << 20;
+    int max_items = 10000;   ///< the most items in one list or map
+    std::string log_folder;  ///< the folder of the driver hosts' logs; empty: readLog has nothing to read
+  };
+
+  /// The role that each method requires of its caller. Nobody may call a method that is not listed.
+  static const rpc::MethodRules& rules();
+
+  /// Serves from construction on. The gateway and the registry outlive it. \throws config::Error if it cannot listen,
+  /// or if other machines could give orders without TLS and tokens.
+  SiteService(Options options, Gateway& gateway, discovery::Registry& registry, discovery::Paths paths);
+  /// Takes no new calls and waits for the running ones.
+  ~SiteService();
+  int port() const;
+  /// Reads the certificates and the token file again. \throws config::Error if one is unusable; then nothing changes.
+  void reload();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace iotcloud::gateway

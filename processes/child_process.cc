@@ -1,0 +1,107 @@
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/processes/child_process.h>
+
+namespace iotcloud::processes {
+
+namespace {
+
+/// Settings that keep a child from inheriting the session, signals and descriptors (sockets above all).
+class Spawning {
+ public:
+  explicit Spawning(const std::string& log_file) {
+    posix_spawn_file_actions_init(&actions_);
+    posix_spawn_file_actions_addopen(&actions_, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+    posix_spawn_file_actions_addopen(&actions_, STDOUT_FILENO, log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0600);
+    posix_spawn_file_actions_adddup2(&actions_, STDOUT_FILENO, STDERR_FILENO);
+    posix_spawn_file_actions_addclosefrom_np(&actions_, STDERR_FILENO + 1);
+    posix_spawnattr_init(&attributes_);
+    posix_spawnattr_setflags(&attributes_, POSIX_SPAWN_SETSID | POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
+    sigset_t set;
+    sigemptyset(&set);
+    posix_spawnattr_setsigmask(&attributes_, &set);
+    sigfillset(&set);
+    posix_spawnattr_setsigdefault(&attributes_, &set);
+  }
+  ~Spawning() {
+    posix_spawn_file_actions_destroy(&actions_);
+    posix_spawnattr_destroy(&attributes_);
+  }
+  Spawning(const Spawning&) = delete;
+  Spawning& operator=(const Spawning&) = delete;
+
+  pid_t spawn(std::vector<std::string> arguments) {
+    std::vector<char*> argv;
+    argv.reserve(arguments.size() + 1);
+    for (auto& argument : arguments) argv.push_back(argument.data());
+    argv.push_back(nullptr);
+    pid_t child = 0;
+    const int error = posix_spawn(&child, argv[0], &actions_, &attributes_, argv.data(), environ);
+    if (error != 0) throw config::Error(fmt::format("{} cannot be started: {}", arguments[0], std::strerror(error)));
+    return child;
+  }
+
+ private:
+  posix_spawn_file_actions_t actions_;
+  posix_spawnattr_t attributes_;
+};
+
+}  // namespace
+
+int spawn(std::vector<std::string> arguments, const std::string& log_file) {
+  return Spawning(log_file).spawn(std::move(arguments));
+}
+
+std::string program_beside(const std::string& name) {
+  std::error_code error;
+  const auto own = std::filesystem::read_symlink("/proc/self/exe", error);
+  return own.parent_path() / name;
+}
+
+std::optional<bool> has_argument(int process, const std::string& argument) {
+  if (process <= 0 || (::kill(process, 0) != 0 && errno == ESRCH)) return false;
+  const OwnedDescriptor file(open(fmt::format("/proc/{}/cmdline", process).c_str(), O_RDONLY | O_CLOEXEC));
+  if (!file) return std::nullopt;
+  std::string arguments(1, '\0');
+  std::array<char, 4096> part{};
+  ssize_t size = 0;
+  while ((size = read(file.get(), part.data(), part.size())) > 0) {
+    arguments.append(part.data(), static_cast<std::size_t>(size));
+  }
+  if (size < 0 && errno != ESRCH) return std::nullopt;
+  return arguments.find('\0' + argument + '\0') != std::string::npos;
+}
+
+ChildProcess::ChildProcess(int process, bool own)
+    : process_(process), own_(own), descriptor_(static_cast<int>(syscall(SYS_pidfd_open, process, 0))) {}
+
+bool ChildProcess::wait(std::chrono::milliseconds limit) const {
+  return !descriptor_ || wait_readable(descriptor_.get(), limit);
+}
+
+void ChildProcess::kill() const noexcept {
+  if (descriptor_) syscall(SYS_pidfd_send_signal, descriptor_.get(), SIGKILL, nullptr, 0);
+}
+
+std::string ChildProcess::how_it_ended() const {
+  int status = 0;
+  if (!own_ || waitpid(process_, &status, 0) != process_) return "died";
+  if (WIFSIGNALED(status)) {
+    return fmt::format("crashed (signal {}, {})", WTERMSIG(status), strsignal(WTERMSIG(status)));
+  }
+  return fmt::format("exited with status {}", WEXITSTATUS(status));
+}
+
+}  // namespace iotcloud::processes

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include <sys/types.h>
+
+namespace iotcloud::processes {
+
+/// An account of this machine.
+struct Account {
+  std::string name;
+  uid_t user = 0;
+  gid_t group = 0;
+  std::string home;
+};
+/// \throws config::Error when there is no account of that name.
+Account find_account(const std::string& name);
+
+/// What a process gives up before it runs somebody else's code. The default is nothing.
+struct Confinement {
+  /// The account to change to, with its groups; empty: no change. Only root can change the account.
+  std::string user;
+  std::uint64_t open_files = 0;    ///< limit on open descriptors; 0: the inherited limit
+  bool no_new_privileges = false;  ///< programs that it starts gain no privileges by set-user-id bits
+  bool debuggable = true;          ///< false: no core dumps, and no debugger of the same user
+  bool filter_calls = false;       ///< see filter_system_calls()
+};
+
+/// Applies the confinement to this process, for good. Call it while the process has one thread.
+/// \throws config::Error if a step fails; the process is then partly confined and must not go on.
+void confine(const Confinement& confinement);
+
+/// System calls that no plugin needs fail with EPERM from now on, in all threads and in what they start: those that
+/// look into other processes, mount, load code into the kernel, set the clock, open name spaces, restart the machine
+/// (call_filter.cc has the list). \throws config::Error when the kernel has no seccomp.
+void filter_system_calls();
+
+}  // namespace iotcloud::processes

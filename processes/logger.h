@@ -1,0 +1,9 @@
+#pragma once
+
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::processes {
+
+inline constexpr config::Logger logger{"processes"};
+
+}  // namespace iotcloud::processes

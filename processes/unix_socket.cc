@@ -1,0 +1,97 @@
+#include <array>
+#include <cerrno>
+#include <cstring>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/socket.h>
+#include <sys/time.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/processes/unix_socket.h>
+
+namespace iotcloud::processes {
+
+namespace {
+
+constexpr timeval send_limit{2, 0};
+
+/// An address holds 107 characters, but a folder's path may be longer. So the address names the folder by its open
+/// descriptor.
+struct Address {
+  Address(const std::string& folder, const std::string& name)
+      : holder(open(folder.c_str(), O_PATH | O_DIRECTORY | O_CLOEXEC)) {
+    const std::string path = fmt::format("/proc/self/fd/{}/{}", holder.get(), name);
+    fits = holder && path.size() < sizeof(address.sun_path);
+    if (fits) std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
+  }
+  const sockaddr* get() const { return reinterpret_cast<const sockaddr*>(&address); }
+
+  OwnedDescriptor holder;
+  sockaddr_un address{AF_UNIX, {}};
+  bool fits = false;
+};
+
+OwnedDescriptor new_socket() {
+  return OwnedDescriptor(socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+}
+
+void limit_sends(const OwnedDescriptor& socket) {
+  setsockopt(socket.get(), SOL_SOCKET, SO_SNDTIMEO, &send_limit, sizeof(send_limit));
+}
+
+}  // namespace
+
+OwnedDescriptor listen_in(const std::string& folder, const std::string& name) {
+  const Address address(folder, name);
+  OwnedDescriptor socket = new_socket();
+  if (!address.fits || !socket || bind(socket.get(), address.get(), sizeof(sockaddr_un)) != 0 ||
+      listen(socket.get(), 8) != 0) {
+    throw config::Error(fmt::format("cannot listen on {}/{}: {}; is the folder there and writable?", folder, name,
+                                    std::strerror(errno)));
+  }
+  return socket;
+}
+
+OwnedDescriptor connect_in(const std::string& folder, const std::string& name) {
+  const Address address(folder, name);
+  OwnedDescriptor socket = new_socket();
+  if (!address.fits || !socket || connect(socket.get(), address.get(), sizeof(sockaddr_un)) != 0) return {};
+  limit_sends(socket);
+  return socket;
+}
+
+OwnedDescriptor accept_from(const OwnedDescriptor& listener) {
+  OwnedDescriptor socket(accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC));
+  if (socket) limit_sends(socket);
+  return socket;
+}
+
+int peer_process(const OwnedDescriptor& socket) {
+  ucred credentials{};
+  socklen_t size = sizeof(credentials);
+  if (getsockopt(socket.get(), SOL_SOCKET, SO_PEERCRED, &credentials, &size) != 0) return 0;
+  return credentials.pid;
+}
+
+bool send_all(const OwnedDescriptor& socket, const std::string& bytes) {
+  for (std::size_t sent = 0; sent < bytes.size();) {
+    const ssize_t n = send(socket.get(), bytes.data() + sent, bytes.size() - sent, MSG_NOSIGNAL);
+    if (n < 0 && errno == EINTR) continue;
+    if (n <= 0) return false;
+    sent += static_cast<std::size_t>(n);
+  }
+  return true;
+}
+
+std::optional<std::string> receive_some(const OwnedDescriptor& socket) {
+  std::array<char, 65536> buffer;
+  const ssize_t n = recv(socket.get(), buffer.data(), buffer.size(), MSG_DONTWAIT);
+  if (n > 0) return std::string(buffer.data(), static_cast<std::size_t>(n));
+  if (n < 0 && (errno == EAGAIN || errno == EINTR)) return std::string{};
+  return std::nullopt;
+}
+
+}  // namespace iotcloud::processes

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include <iotcloud/processes/descriptor.h>
+
+namespace iotcloud::processes {
+
+/// Listens on a Unix domain socket in a folder, whose path may have any length (the address uses the folder's
+/// descriptor).
+/// \throws config::Error when it cannot listen.
+OwnedDescriptor listen_in(const std::string& folder, const std::string& name);
+/// Connects to such a socket. \return an empty descriptor if it cannot; errno says why.
+OwnedDescriptor connect_in(const std::string& folder, const std::string& name);
+/// Accepts the next connection; an empty descriptor if none waits.
+OwnedDescriptor accept_from(const OwnedDescriptor& listener);
+/// The id of the process at the other end of a connected socket; 0 if unknown.
+int peer_process(const OwnedDescriptor& socket);
+
+/// Sends all bytes; waits at most two seconds for room in the socket. \return false if the peer is gone or does not
+/// read.
+bool send_all(const OwnedDescriptor& socket, const std::string& bytes);
+/// Reads the bytes that have arrived, at most 64 KB. \return nullopt at the end of the stream or on an error; empty if
+/// there is nothing.
+std::optional<std::string> receive_some(const OwnedDescriptor& socket);
+}  // namespace iotcloud::processes

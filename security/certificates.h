@@ -1,0 +1,26 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace iotcloud::security {
+
+/// A small installation's own authority, in one folder: ca.pem and ca.key, and for each holder NAME.pem and NAME.key.
+/// Keys are elliptic (P-256), in files that only their owner may read. Existing files are never overwritten. \throws
+/// Error
+struct Authority {
+  std::string folder;
+
+  /// Makes the folder if it is missing, and the authority in it, valid for ten years.
+  void make() const;
+  /// Makes a certificate for the daemons of one machine, valid for two years: they serve under `host` and this
+  /// machine's `localhost`, and call others with it. \param host a DNS name or an address, as clients write it.
+  void certify_host(const std::string& host) const;
+  /// Makes a certificate for a client, valid for two years. \param name letters, digits, '-', '_' and '.'.
+  void certify_caller(const std::string& name) const;
+
+  std::string certificate(const std::string& name) const { return folder + "/" + name + ".pem"; }
+  std::string key(const std::string& name) const { return folder + "/" + name + ".key"; }
+};
+
+}  // namespace iotcloud::security

@@ -1,0 +1,10 @@
+#pragma once
+
+#include <iotcloud/config/log.h>
+
+namespace iotcloud::security {
+
+inline constexpr config::Logger access_logger{"access"};
+inline constexpr config::Logger keys_logger{"keys"};
+
+}  // namespace iotcloud::security

@@ -1,0 +1,76 @@
+#include <array>
+#include <memory>
+
+#include <fmt/format.h>
+#include <openssl/err.h>
+#include <openssl/ssl.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/security/tls.h>
+
+namespace iotcloud::security {
+
+std::string tls_error() {
+  const unsigned long code = ERR_get_error();  // the first error: later ones follow from it
+  ERR_clear_error();
+  if (code == 0) return "unknown error";
+  if (const char* reason = ERR_reason_error_string(code)) return reason;
+  std::array<char, 256> text{};
+  ERR_error_string_n(code, text.data(), text.size());
+  return text.data();
+}
+
+TlsFiles read_tls(config::Section& section) {
+  auto tls = section.optional_section("tls");
+  if (!tls) return {};
+  TlsFiles files;
+  files.ca = tls->require_string("ca");
+  files.certificate = tls->require_string("certificate");
+  files.key = tls->require_string("key");
+  tls->finish();
+  try {
+    const TlsContext tried(files, TlsContext::Side::server);
+  } catch (const config::Error& e) {
+    throw section.error("tls", e.what(), "`iotcloud certs init` makes such files");
+  }
+  return files;
+}
+
+namespace {
+
+/// OpenSSL would ask for a key's password at the terminal, which a daemon does not have.
+int no_password(char*, int, int, void*) {
+  return 0;
+}
+
+}  // namespace
+
+TlsContext::TlsContext(const TlsFiles& files, Side side)
+    : context_(SSL_CTX_new(side == Side::server ? TLS_server_method() : TLS_client_method())), side_(side) {
+  const std::unique_ptr<SSL_CTX, decltype(&SSL_CTX_free)> owned(context_, SSL_CTX_free);
+  const auto must = [](bool done, const char* what, const std::string& file) {
+    if (!done) throw config::Error(fmt::format("{} {} cannot be used: {}", what, file, tls_error()));
+  };
+  ERR_clear_error();
+  must(context_ != nullptr, "TLS", "");
+  must(SSL_CTX_set_min_proto_version(context_, TLS1_2_VERSION) == 1, "TLS 1.2", "");
+  SSL_CTX_set_options(context_, SSL_OP_NO_TICKET | SSL_OP_NO_RENEGOTIATION | SSL_OP_NO_COMPRESSION);
+  SSL_CTX_set_session_cache_mode(context_, SSL_SESS_CACHE_OFF);
+  SSL_CTX_set_num_tickets(context_, 0);
+  SSL_CTX_set_mode(context_, SSL_MODE_ENABLE_PARTIAL_WRITE | SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER);
+  SSL_CTX_set_default_passwd_cb(context_, no_password);
+  SSL_CTX_set_verify(context_, SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT, nullptr);
+  must(SSL_CTX_load_verify_locations(context_, files.ca.c_str(), nullptr) == 1, "the authorities' file", files.ca);
+  if (side == Side::server) SSL_CTX_set_client_CA_list(context_, SSL_load_client_CA_file(files.ca.c_str()));
+  must(SSL_CTX_use_certificate_chain_file(context_, files.certificate.c_str()) == 1, "the certificate",
+       files.certificate);
+  must(SSL_CTX_use_PrivateKey_file(context_, files.key.c_str(), SSL_FILETYPE_PEM) == 1, "the private key", files.key);
+  must(SSL_CTX_check_private_key(context_) == 1, "the private key", files.key);
+  SSL_CTX_up_ref(context_);  // a reference for the destructor to release
+}
+
+TlsContext::~TlsContext() {
+  SSL_CTX_free(context_);
+}
+
+}  // namespace iotcloud::security

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <string>
+
+#include <iotcloud/config/yaml.h>
+
+struct ssl_ctx_st;  // OpenSSL's SSL_CTX
+
+namespace iotcloud::security {
+
+/// This side's identity and its trusted authorities, as PEM files. All empty: no TLS.
+struct TlsFiles {
+  std::string ca;           ///< the trusted authorities
+  std::string certificate;  ///< the own certificate, followed by those between it and the authority
+  std::string key;          ///< the certificate's private key, without a password
+  bool empty() const { return ca.empty() && certificate.empty() && key.empty(); }
+  friend bool operator==(const TlsFiles&, const TlsFiles&) = default;
+};
+
+/// Reads `tls: {ca, certificate, key}`; all three are needed and checked. Without the section: no TLS.
+/// \throws ConfigError if one is missing or unusable, with file, line and remedy.
+TlsFiles read_tls(config::Section& section);
+
+/// What all connections of one side share: TLS 1.2 or later; both sides show a certificate of the authority. Sessions
+/// are not resumed, so that every connection is checked anew. Thread safe.
+class TlsContext {
+ public:
+  /// Which end of a connection it is for.
+  enum class Side { server, client };
+  /// \throws Error that names the unusable file.
+  TlsContext(const TlsFiles& files, Side side);
+  ~TlsContext();
+  TlsContext(const TlsContext&) = delete;
+  TlsContext& operator=(const TlsContext&) = delete;
+
+  ssl_ctx_st* get() const { return context_; }
+  Side side() const { return side_; }
+
+ private:
+  ssl_ctx_st* context_;
+  const Side side_;
+};
+
+/// Takes OpenSSL's error of this thread, in one line, and clears it; "unknown error" if there is none.
+std::string tls_error();
+
+}  // namespace iotcloud::security

@@ -1,0 +1,233 @@
+#include <algorithm>
+#include <cctype>
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <fstream>
+#include <string_view>
+#include <utility>
+
+#include <fmt/format.h>
+#include <openssl/crypto.h>
+#include <openssl/evp.h>
+#include <openssl/rand.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/security/logger.h>
+#include <iotcloud/security/private_file.h>
+#include <iotcloud/security/tokens.h>
+
+namespace iotcloud::security {
+
+namespace {
+
+constexpr std::size_t secret_bytes = 32;
+constexpr std::size_t salt_bytes = 16;
+constexpr std::size_t hash_bytes = 32;
+/// scrypt's cost: 16 MiB and some ten milliseconds for each hash.
+struct Cost {
+  std::uint64_t n = 16'384;
+  std::uint64_t r = 8;
+  std::uint64_t p = 1;
+};
+constexpr std::uint64_t most_memory = std::uint64_t{64} << 20;
+
+using Bytes = std::vector<unsigned char>;
+
+std::string to_hex(const Bytes& bytes) {
+  std::string text;
+  for (const unsigned char byte : bytes) text += fmt::format("{:02x}", byte);
+  return text;
+}
+
+std::optional<Bytes> from_hex(std::string_view text) {
+  if (text.empty() || text.size() % 2 != 0) return std::nullopt;
+  Bytes bytes(text.size() / 2);
+  for (std::size_t i = 0; i < bytes.size(); ++i) {
+    const char* const at = text.data() + 2 * i;
+    const auto [end, error] = std::from_chars(at, at + 2, bytes[i], 16);
+    if (error != std::errc() || end != at + 2) return std::nullopt;
+  }
+  return bytes;
+}
+
+Bytes random_bytes(std::size_t size) {
+  Bytes bytes(size);
+  if (RAND_bytes(bytes.data(), static_cast<int>(size)) != 1)
+    throw config::Error("the system gives no random numbers for a token");
+  return bytes;
+}
+
+std::optional<Bytes> scrypt(const std::string& secret, const Bytes& salt, const Cost& cost) {
+  Bytes hash(hash_bytes);
+  if (EVP_PBE_scrypt(secret.data(), secret.size(), salt.data(), salt.size(), cost.n, cost.r, cost.p, most_memory,
+                     hash.data(), hash.size()) != 1)
+    return std::nullopt;
+  return hash;
+}
+
+std::vector<std::string_view> split(std::string_view text, char separator) {
+  std::vector<std::string_view> parts;
+  while (true) {
+    const auto at = text.find(separator);
+    parts.push_back(text.substr(0, at));
+    if (at == std::string_view::npos) return parts;
+    text.remove_prefix(at + 1);
+  }
+}
+
+struct Hash {
+  Cost cost;
+  Bytes salt;
+  Bytes hash;
+};
+
+std::optional<Hash> parse_hash(std::string_view text) {
+  const auto parts = split(text, '$');
+  if (parts.size() != 6 || parts[0] != "scrypt") return std::nullopt;
+  Hash parsed;
+  const auto number = [](std::string_view digits, std::uint64_t& value) {
+    const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
+    return error == std::errc() && end == digits.data() + digits.size() && value > 0 && value <= (1 << 20);
+  };
+  if (!number(parts[1], parsed.cost.n) || !number(parts[2], parsed.cost.r) || !number(parts[3], parsed.cost.p))
+    return std::nullopt;
+  const auto salt = from_hex(parts[4]);
+  const auto hash = from_hex(parts[5]);
+  if (!salt || !hash || hash->size() != hash_bytes) return std::nullopt;
+  parsed.salt = *salt;
+  parsed.hash = *hash;
+  return parsed;
+}
+
+bool is_name(std::string_view name) {
+  const auto good = [](unsigned char c) { return std::isalnum(c) != 0 || c == '-' || c == '_'; };
+  return !name.empty() && name.size() <= 64 && std::all_of(name.begin(), name.end(), good);
+}
+
+void write_tokens(const std::string& file, const std::vector<TokenEntry>& entries) {
+  std::string text;
+  for (const auto& entry : entries) text += fmt::format("{}:{}:{}\n", entry.name, to_string(entry.role), entry.hash);
+  replace_private_file(file, text);
+}
+
+}  // namespace
+
+std::string to_string(Role role) {
+  switch (role) {
+    case Role::anyone:
+      return "anyone";
+    case Role::viewer:
+      return "viewer";
+    case Role::operating:
+      return "operator";
+    case Role::admin:
+      return "admin";
+  }
+  return "anyone";
+}
+
+Role parse_role(const std::string& name) {
+  for (const Role role : {Role::viewer, Role::operating, Role::admin})
+    if (name == to_string(role)) return role;
+  throw config::Error(fmt::format("\"{}\" is no role: there are viewer, operator and admin", name));
+}
+
+std::vector<TokenEntry> read_tokens(const std::string& file) {
+  struct stat status {};
+  if (stat(file.c_str(), &status) != 0)
+    throw config::Error(fmt::format("the token file {} cannot be read: {}", file, std::strerror(errno)));
+  if ((status.st_mode & S_IWOTH) != 0)
+    throw config::Error(fmt::format("the token file {} can be written by everybody; chmod 600 {}", file, file));
+  std::ifstream in(file);
+  std::vector<TokenEntry> entries;
+  std::string line;
+  for (int number = 1; std::getline(in, line); ++number) {
+    if (line.empty() || line.starts_with('#')) continue;
+    const auto parts = split(line, ':');
+    if (parts.size() != 3 || !is_name(parts[0]) || !parse_hash(parts[2]))
+      throw config::Error(
+          fmt::format("{}:{}: not a line NAME:ROLE:HASH; `iotcloud token add` writes them", file, number));
+    TokenEntry entry{std::string(parts[0]), Role::viewer, std::string(parts[2])};
+    try {
+      entry.role = parse_role(std::string(parts[1]));
+    } catch (const config::Error& e) {
+      throw config::Error(fmt::format("{}:{}: {}", file, number, e.what()));
+    }
+    const auto same = [&](const TokenEntry& other) { return other.name == entry.name; };
+    if (std::any_of(entries.begin(), entries.end(), same))
+      throw config::Error(fmt::format("{}:{}: there is a token of {} already", file, number, entry.name));
+    entries.push_back(std::move(entry));
+  }
+  if (in.bad()) throw config::Error(fmt::format("the token file {} cannot be read to its end", file));
+  return entries;
+}
+
+std::string add_token(const std::string& file, const std::string& name, Role role) {
+  if (!is_name(name))
+    throw config::Error(fmt::format("\"{}\" cannot be a token's name: 1 to 64 letters, digits, '-' and '_'", name));
+  auto entries = access(file.c_str(), F_OK) == 0 ? read_tokens(file) : std::vector<TokenEntry>{};
+  const auto same = [&](const TokenEntry& entry) { return entry.name == name; };
+  if (std::any_of(entries.begin(), entries.end(), same))
+    throw config::Error(
+        fmt::format("{} has a token of {} already; take it away first: iotcloud token remove {} --file {}", file, name,
+                    name, file));
+  const std::string secret = to_hex(random_bytes(secret_bytes));
+  const Bytes salt = random_bytes(salt_bytes);
+  const Cost cost;
+  const auto hash = scrypt(secret, salt, cost);
+  if (!hash) throw config::Error("OpenSSL cannot hash a token with scrypt");
+  entries.push_back(
+      {name, role, fmt::format("scrypt${}${}${}${}${}", cost.n, cost.r, cost.p, to_hex(salt), to_hex(*hash))});
+  write_tokens(file, entries);
+  return name + "." + secret;
+}
+
+bool remove_token(const std::string& file, const std::string& name) {
+  auto entries = read_tokens(file);
+  if (std::erase_if(entries, [&](const TokenEntry& entry) { return entry.name == name; }) == 0) return false;
+  write_tokens(file, entries);
+  return true;
+}
+
+TokenKeeper::TokenKeeper(std::string file) : file_(std::move(file)) {
+  reload();
+}
+
+void TokenKeeper::reload() {
+  std::map<std::string, TokenEntry> read;
+  for (auto& entry : read_tokens(file_)) read[entry.name] = entry;
+  if (read.empty())
+    access_logger.warn("the token file {} is empty: nobody gets in; iotcloud token add NAME --role ROLE --file {}",
+                       file_, file_);
+  const config::WriteLock lock(mutex_);
+  entries_ = std::move(read);
+}
+
+std::optional<TokenEntry> TokenKeeper::holder(const std::string& token) const {
+  const auto dot = token.find('.');
+  if (dot == std::string::npos) return std::nullopt;
+  TokenEntry entry;
+  {
+    const config::ReadLock lock(mutex_);
+    const auto at = entries_.find(token.substr(0, dot));
+    if (at == entries_.end()) return std::nullopt;
+    entry = at->second;
+  }
+  const auto wanted = parse_hash(entry.hash);
+  const config::MutexLock one_at_a_time(hashing_);
+  const auto hash = scrypt(token.substr(dot + 1), wanted->salt, wanted->cost);
+  if (!hash || CRYPTO_memcmp(hash->data(), wanted->hash.data(), hash_bytes) != 0) return std::nullopt;
+  return entry;
+}
+
+std::optional<Role> TokenKeeper::role_of(const TokenEntry& entry) const {
+  const config::ReadLock lock(mutex_);
+  const auto at = entries_.find(entry.name);
+  if (at == entries_.end() || at->second.hash != entry.hash) return std::nullopt;
+  return at->second.role;
+}
+
+}  // namespace iotcloud::security

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <iotcloud/config/mutex.h>
+
+namespace iotcloud::security {
+
+/// What a user may do: each role includes those before it.
+enum class Role {
+  anyone,     ///< not authenticated
+  viewer,     ///< reads
+  operating,  ///< changes how existing programs run: starts, stops, describes, activates. Written "operator"
+  admin,      ///< everything; also decides which programs run
+};
+/// "viewer", "operator", "admin"; "anyone".
+std::string to_string(Role role);
+/// \throws Error for an unknown name; the message lists the roles.
+Role parse_role(const std::string& name);
+
+/// One line of a token file: "NAME:ROLE:scrypt$N$r$p$SALT$HASH", the last two in hexadecimal.
+struct TokenEntry {
+  std::string name;
+  Role role = Role::viewer;
+  std::string hash;  ///< everything after the role
+
+  friend bool operator==(const TokenEntry&, const TokenEntry&) = default;
+};
+
+/// Reads a token file, as `iotcloud token` writes it. Empty lines and lines that begin with '#' are skipped, and lost
+/// when the file is written. \throws Error with file and line if it cannot be read or everybody may write it.
+std::vector<TokenEntry> read_tokens(const std::string& file);
+
+/// Makes a token and adds it to the file; makes the file, for its owner only, if it is missing.
+/// \return the token, NAME.SECRET, which nothing stores. \throws Error if the name has a token already or is malformed.
+std::string add_token(const std::string& file, const std::string& name, Role role);
+/// \return whether a token of that name was removed. \throws Error
+bool remove_token(const std::string& file, const std::string& name);
+
+/// Finds the owner of a token. Thread safe.
+class TokenKeeper {
+ public:
+  /// \throws Error as read_tokens().
+  explicit TokenKeeper(std::string file);
+  /// Reads the file again. \throws Error, and then nothing changes.
+  void reload();
+  /// Takes some ten milliseconds, one call at a time: call it once for each connection. \return nullopt if nobody has
+  /// this token
+  std::optional<TokenEntry> holder(const std::string& token) const;
+  /// The current role of this entry's owner; nullopt if the token was removed or replaced.
+  std::optional<Role> role_of(const TokenEntry& entry) const;
+
+ private:
+  const std::string file_;
+  mutable config::SharedMutex mutex_;
+  std::map<std::string, TokenEntry> entries_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by name
+  mutable config::Mutex hashing_;                                          ///< one hash at a time: each takes 16 MiB
+};
+
+}  // namespace iotcloud::security
