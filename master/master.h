@@ -1,7 +1,5 @@
 #pragma once
 
-#include <chrono>
-#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -10,44 +8,24 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/orders/orders.h>
+#include <iotcloud/master/api/answers.h>
+#include <iotcloud/master/master_options.h>
+#include <iotcloud/master/orders/order_kinds.h>
 #include <iotcloud/master/topologies/topology_orders.h>
 
 namespace iotcloud::master {
 
-class DirectGateways;
-
-struct MasterOptions {
-  std::string id = "master";  ///< in logs and in `iotcloud status`
-  /// host:port of this master's Thrift API, as others reach it: what a standby master names as the leader's address.
-  std::string address;
-  discovery::Paths paths;
-  /// How long an order waits for its outcomes when the caller says nothing.
-  std::chrono::milliseconds outcome_timeout{30'000};
-  /// An order for a gateway that is lost is recorded and `pending`; with false it is `failed` and not recorded.
-  bool record_for_lost_gateways = true;
-  DirectGateways* direct = nullptr;  ///< gateways that are called, not ordered; outlives the master; may be null
-};
-
-struct MasterStatus {
-  std::string id;
-  bool leading = false;
-  std::int64_t epoch = 0;      ///< of this master's orders; 0 while it does not lead
-  std::string leader;          ///< host:port of the master that leads; empty: none, or not known
-  bool registry_away = false;  ///< no connection to the registry now
-};
-
-/// The gateway master: turns what people want into orders in the registry, and answers when it knows what became of
-/// them. All state is in the registry, so a master may die and another take its place at any time. Several masters on
-/// one registry elect a leader; the others answer reads and refuse orders.
+/// The gateway master: turns people's requests into orders in the registry, and answers when it knows the orders'
+/// outcomes. All state is in the registry, so a master may die and another take its place at any time. Several masters
+/// on one registry elect a leader; the others answer reads and refuse orders.
 ///
 /// Thread safe. Calls block: reads for the registry's operation time-out at most, orders for their wait limit on top.
-/// Uses no Thrift; a gateway need only follow its orders (discovery::OrderRecord).
+/// Does not use Thrift: a gateway only has to follow its orders in the registry (discovery::OrderRecord).
 class Master {
  public:
   /// Stands for election at once. \param registry outlives the master.
   Master(discovery::Registry& registry, MasterOptions options);
-  /// Calls close() and waits until no order is under way any more.
+  /// Calls close(), and waits until the last order has returned.
   ~Master();
   Master(const Master&) = delete;
   Master& operator=(const Master&) = delete;
@@ -57,20 +35,23 @@ class Master {
   OrderResult undeploy(const InstanceSelection& selection);
   OrderResult start(const InstanceSelection& selection);
   OrderResult stop(const InstanceSelection& selection);
-  /// Done when the gateways have written it into the instances' records. What a driver itself says of a key goes
-  /// before.
+  /// Outcomes are `done` when the gateways have written the changes into the instances' records. A value that the
+  /// driver itself reports for a key takes precedence.
   OrderResult update_metadata(const InstanceSelection& selection, const MetadataChanges& changes);
   OrderResult change_deployment(const DeploymentChange& change);
-  /// Marks gateways as draining and stops their instances: `all` passes such a gateway by, naming it is refused, and
-  /// what is started there waits. Undrain ends that; what drain stopped starts again. Both may be repeated.
+  /// Marks gateways as draining, and stops their instances. A deployment to all gateways skips a draining gateway, one
+  /// that names it is refused, and an instance that is started there starts after undrain(). undrain() removes the
+  /// mark, and starts again what drain() stopped. Both may be repeated.
   OrderResult drain(const GatewaySelection& selection);
   OrderResult undrain(const GatewaySelection& selection);
   /// Gives instances another version of their plugin, one gateway (or `at_once` instances) after the other. Each must
-  /// come to what it was, active or inactive; when one does not, it and all that were updated before go back, and their
-  /// outcomes are `failed`. What every instance is to run stands in its order at any time: when this master ends in the
-  /// middle, each keeps the version that it has by then, and the same update can be given again.
+  /// return to its state, active or inactive. When one does not, it and all that were updated before it go back, and
+  /// their outcomes are `failed`. Each instance's order always names the version that it is to run: when this master
+  /// ends in the middle, each instance keeps the version that it has by then, and the same update can be ordered again.
   OrderResult update(const UpdateRequest& request);
-  /// The same for a topology: answers when all of its workers that run now have followed, or ended.
+  /// Takes any order as JSON, by the name of its kind (orders/order_kinds.h); also those that have no method here.
+  GivenOrder give(const std::string& order, const std::string& json);
+  /// Gives an order to a topology, and answers when all workers that run now have followed it or, for a kill, ended.
   TopologyResult order(const TopologyRequest& request);
 
   /// Why this master takes no orders now; nullopt: it takes them. Does not throw.
@@ -80,10 +61,12 @@ class Master {
   std::vector<discovery::DriverRecord> drivers() const;
   std::vector<discovery::GatewayStatus> gateways() const;
   std::vector<discovery::TopologyStatus> topologies() const;
-  std::vector<discovery::PlacedOrder> orders() const;  ///< what is wanted of every instance; not of the original's
-  MasterStatus status() const;                         ///< does not throw
+  /// The orders of all instances; gateways of the original system have none.
+  std::vector<discovery::PlacedOrder> orders() const;
+  MasterStatus status() const;  ///< does not throw
 
-  /// Ends all waiting: orders under way answer `unknown`, later ones too. For a stop in time.
+  /// Ends all waiting, so that the master can stop quickly: orders under way answer `unknown` at once, and so do later
+  /// ones.
   void close();
 
  private:

@@ -1,18 +1,19 @@
-// The services of the gateway master, framed and binary. Methods, names and field ids up to 99 are those of the
-// original system (REFERENCE.md section 1) and are never changed; what is new stands below them in each service.
+// The services of the gateway master: framed transport, binary protocol. Methods, names and field ids up to 99 are
+// those of the original system (docs/wire.md#thrift) and are never changed; new methods stand below them in each
+// service.
 include "iotcloud/discovery/records.thrift"
 namespace cpp iotcloud.master.wire
 
-// ---- new: an order's outcome for each instance
+// ---- new: the outcome of an order for each instance
 
 enum TOutcome {
   // The gateway reported the wanted state.
   DONE = 0,
   // The gateway reported a failure, or the order could not be written.
   FAILED = 1,
-  // Recorded; the gateway is lost and follows when it comes back.
+  // The order is recorded; the gateway is lost, and carries the order out when it comes back.
   PENDING = 2,
-  // Nothing was heard in time: it may still happen.
+  // The gateway did not report in time; it may still carry the order out.
   UNKNOWN = 3
 }
 
@@ -25,83 +26,83 @@ struct TInstanceOutcome {
 
 enum TRefusal {
   NONE = 0,
-  // Another master leads: `leader`.
+  // Another master leads; `leader` is its address.
   NOT_LEADING = 1,
   UNKNOWN_GATEWAY = 2,
   UNKNOWN_INSTANCE = 3,
   BAD_REQUEST = 4,
   REGISTRY_AWAY = 5,
-  // authenticate() first.
+  // The client must call authenticate() first.
   NOT_AUTHENTICATED = 6,
   UNKNOWN_TOPOLOGY = 7,
-  // The role of the token that was shown may not do this.
+  // The role of the client's token does not allow this call.
   NOT_ALLOWED = 8
 }
 
-// SUCCESS only when every outcome is DONE.
+// `response` is SUCCESS only when every outcome is DONE.
 struct TOrderResponse {
   1: records.TResponse response
   2: list<TInstanceOutcome> outcomes
-  // When the order was refused as a whole: nothing was written.
+  // Why the order was refused as a whole; nothing was written then.
   3: TRefusal refusal
-  // host:port of the master that leads, when this one does not and knows it.
+  // host:port of the leading master, if it is another one and known.
   4: optional string leader
 }
 
 struct TDeployRequest {
-  // Empty: all that are registered.
+  // Ids; empty: all registered gateways.
   1: list<string> gateways
-  // File name, in the gateway's plugin folder unless `sha256` is given.
+  // File name; of a file in the gateway's plugin folder unless `sha256` is set.
   2: string plugin
-  // The driver's name; empty: the plugin's own.
+  // The driver's name; empty: the plugin's own name is used.
   3: string driver
   4: map<string, string> properties
   5: map<string, string> metadata
-  // Instances on each gateway.
+  // Number of instances on each gateway.
   6: i32 count = 1
-  // How long to wait for the outcomes, milliseconds; 0: as long as the master thinks fit.
+  // How long to wait for the outcomes, in milliseconds; 0: as long as the master's configuration says.
   7: i64 waitMs
-  // Of a plugin that was sent with offerPlugin and so on; empty: of the gateways' folders.
+  // SHA-256 of a plugin that was sent (offerPlugin); empty: the plugin is in the gateways' folders.
   8: string sha256
-  // Of the deployment. With the gateway and a number from 1 to `count` it names an instance, which is not deployed twice.
-  // Empty: the instances have no names.
+  // Name of the deployment. Name, gateway and a number from 1 to `count` identify an instance, which is not deployed
+  // twice. Empty: the instances have no names.
   9: string name
-  // With a name: these numbers, not 1 to `count`.
+  // With a name: the numbers of the instances to deploy, instead of 1 to `count`.
   10: list<i32> indexes
-  // The manifest that the instances belong to; empty: a person deploys.
+  // The manifest to which the instances belong; empty: a person deploys them.
   11: string manager
-  // false: they are deployed, and wait to be started.
+  // false: the instances are deployed, but not started.
   12: bool active = true
 }
 
-// What is wanted of one instance.
+// The state that is ordered for an instance.
 struct TOrder {
   1: string gateway
   2: string instance
-  // Empty: the plugin's own.
+  // The driver's name; empty: the plugin's own name is used.
   3: string driver
   4: string plugin
   5: map<string, string> properties
   6: map<string, string> metadata
-  // Active, once its gateway does not drain.
+  // Whether the instance is to be active while its gateway does not drain.
   7: bool active
-  // Its name and its number, from 1 on; empty and 0: it has none.
+  // Name of the deployment, and number in it, from 1 on; empty and 0: the instance has no name.
   8: string name
   9: i32 index
-  // The manifest that it belongs to; empty: a person deployed it.
+  // The manifest to which the instance belongs; empty: a person deployed it.
   10: string manager
-  // Of a plugin that was sent; empty: of the gateway's folder.
+  // SHA-256 of a plugin that was sent; empty: the plugin is in the gateway's folder.
   11: string sha256
-  // Keys of properties that look like secrets, which only an admin is told; they do not stand in `properties`.
+  // Keys of properties that look like secrets. `properties` leaves them out unless the client is an admin.
   12: list<string> hidden
 }
 
-// What instances were deployed with, to be changed. They keep their ids; those whose properties change are made anew.
+// A change of what instances were deployed with. They keep their ids; an instance whose properties change is made anew.
 struct TDeploymentChange {
   1: list<string> instances
-  // All of them. Not set: as they are.
+  // All new properties; not set: they stay as they are.
   2: optional map<string, string> properties
-  // The manifest that they belong to from now on. Not set: as it is.
+  // The manifest to which the instances belong from now on; not set: it stays as it is.
   3: optional string manager
   4: i64 waitMs
 }
@@ -113,56 +114,56 @@ struct TGatewaySelection {
 
 struct TInstanceSelection {
   1: list<string> instances
-  // When not empty, the instances must be on one of these.
+  // If not empty, the instances must be on these gateways.
   2: list<string> gateways
   3: i64 waitMs
 }
 
 struct TUpdateRequest {
-  // waitMs: for each step, and as long again to go back.
+  // waitMs is the limit for each step, and for the return to the old plugin.
   1: TInstanceSelection selection
   2: string plugin
   // As in TDeployRequest.
   3: string sha256
-  // Instances in one step; 0: all of one gateway.
+  // Number of instances in one step; 0: all of one gateway.
   4: i32 atOnce
-  // How long those of a step must stay up before the next one, milliseconds.
+  // How long the instances of a step must stay in their state before the next step, in milliseconds.
   5: i64 settleMs
 }
 
-// A plugin that somebody wants to send.
+// A plugin that a client wants to send.
 struct TPluginOffer {
-  // Plain file name.
+  // File name without a path.
   1: string plugin
-  // Of all its bytes, 64 hexadecimal digits in lower case.
+  // SHA-256 of the plugin's bytes: 64 hexadecimal digits in lower case.
   2: string sha256
-  // Bytes.
+  // In bytes.
   3: i64 size
-  // Ed25519, of all its bytes; empty: not signed.
+  // Ed25519 signature of the plugin's bytes; empty: not signed.
   4: binary signature
 }
 
-// What became of the sending, for one gateway.
+// The state of an upload for one gateway.
 struct TPluginTarget {
   1: string gateway
-  // Why it does not take the plugin; empty: it does, or has it.
+  // Why the gateway does not take the plugin; empty: it takes it, or has it.
   2: string problem
-  // The plugin is there.
+  // The gateway has the plugin.
   3: bool has
 }
 
 struct TUploadResponse {
   // FAILURE: nothing was sent to any gateway, or there is no such upload.
   1: records.TResponse response
-  // Empty: there is nothing (more) to be sent.
+  // The upload's id; empty: no (more) pieces need to be sent.
   2: string upload
   3: TRefusal refusal
   4: optional string leader
-  // All gateways that were named.
+  // One for each gateway that the client named.
   5: list<TPluginTarget> targets
 }
 
-// Of one worker.
+// A component in a worker.
 struct TComponentShape {
   1: i32 parallelism
   2: i32 tasks
@@ -172,13 +173,13 @@ struct TWorker {
   1: string name
   2: string host
   3: i64 pid
-  // host:port of its pages, on its own machine; empty: none.
+  // host:port of the worker's pages, on its own machine; empty: none.
   4: string http
-  // active, inactive, draining
+  // "active", "inactive" or "draining".
   5: string state
-  // Of the last order that it followed; 0: none.
+  // Revision of the last order that the worker followed; 0: none.
   6: i64 revision
-  // What of that order it could not do; empty: it did all.
+  // What the worker could not do of that order; empty: it did all.
   7: string error
   8: i64 sinceMs
   9: map<string, TComponentShape> components
@@ -191,11 +192,11 @@ struct TTopology {
   3: list<string> spouts
   4: list<string> bolts
   5: list<string> workers
-  // The same with what they say of themselves.
+  // The same workers, with their records.
   6: list<TWorker> workerRecords
-  // What is ordered: active, inactive, killed.
+  // The ordered state: "active", "inactive" or "killed".
   7: string wanted
-  // Of the last order; 0: none.
+  // Revision of the last order; 0: none.
   8: i64 revision
 }
 
@@ -209,9 +210,9 @@ enum TTopologyChange {
 struct TTopologyRequest {
   1: string topology
   2: TTopologyChange change
-  // REBALANCE: in each worker, by component.
+  // For REBALANCE: the parallelism in each worker, by component.
   3: map<string, i32> parallelism
-  // KILL: what is under way is waited for so long at most, milliseconds.
+  // For KILL: how long workers wait at most for tuples under way, in milliseconds.
   4: i64 drainMs
   5: i64 waitMs
 }
@@ -223,14 +224,14 @@ struct TWorkerOutcome {
   4: string reason
 }
 
-// SUCCESS only when every outcome is DONE.
+// `response` is SUCCESS only when every outcome is DONE.
 struct TTopologyResponse {
   1: records.TResponse response
-  // Of each worker that ran.
+  // One for each worker that ran.
   2: list<TWorkerOutcome> outcomes
   3: TRefusal refusal
   4: optional string leader
-  // To be said besides the outcomes, for people.
+  // A text for the user, in addition to the outcomes.
   5: string text
 }
 
@@ -249,38 +250,39 @@ struct TDriverChange {
 struct TDriverHistory {
   // The oldest first.
   1: list<TDriverChange> changes
-  // Gateways that could not be asked, and why.
+  // By id of a gateway that could not be asked: the reason.
   2: map<string, string> silent
 }
 
 struct TLogPart {
-  // Whole lines, unless one is longer than what was asked for.
+  // Whole lines, unless a line is longer than `mostBytes`.
   1: string text
-  // Where to go on reading.
+  // The position of the next part.
   2: string position
 }
 
 struct TMasterStatus {
   1: string id
   2: bool leading
-  // Of this master's orders; 0 while it does not lead.
+  // Epoch of this master's leadership, which is in its orders; 0: it does not lead.
   3: i64 epoch
-  // host:port of the master that leads; empty: none, or not known.
+  // host:port of the leading master; empty: none leads, or it is not known.
   4: string leader
   5: bool registryAway
 }
 
-// A question that cannot be answered now.
+// The master cannot answer the question now.
 exception TMasterError {
   1: string reason
 }
 
-// For people's programs; port 12904.
+// For the CLI and other clients; port 12904.
 service TMasterAPIService {
   // An empty list of sites means all. SUCCESS only when every gateway has done it.
   list<string> getSites()
   records.TSiteDetailsResponse getSite(1: string siteId)
-  // filename: the plugin's file name. className: the driver's name; empty or a Java class: the plugin's own.
+  // filename: the plugin's file name. className: the driver's name; if it is empty or a Java class, the plugin's own is
+  // used.
   records.TResponse deploySensor(1: list<string> sites, 2: records.TSensorDeployDescriptor deployDescriptor)
   records.TResponse unDeploySensor(1: list<string> sites, 2: string id)
   records.TResponse unDeployAllSensor(1: string id)
@@ -292,44 +294,49 @@ service TMasterAPIService {
   list<records.TSensor> getAllSensors()
 
   // ---- new
-  // Opens the connection where the master asks for a token; SUCCESS where it does not.
+  // Must be the first call on a connection to a master that requires a token. A master that requires none answers
+  // SUCCESS.
   records.TResponse authenticate(1: string token)
   TMasterStatus getStatus() throws (1: TMasterError error)
-  // With `alive`.
+  // All gateways; `alive` is set.
   list<records.TSite> listGateways() throws (1: TMasterError error)
-  // With exactState, reason and sinceMs.
+  // All instances; exactState, reason and sinceMs are set.
   list<records.TSensor> listDrivers() throws (1: TMasterError error)
   list<TTopology> listTopologies() throws (1: TMasterError error)
-  // The latest changes of state, as the gateways remember them since their start. instances: ids, or how they begin;
-  // empty for all. gateways: empty for all. most: so many of the latest; 0, and more than 10000: 10000.
+  // The latest changes of state that the gateways have recorded since their start. instances: ids, or beginnings of
+  // ids; empty: all. gateways: empty: all. most: how many changes at most; 0, and more than 10000, mean 10000.
   TDriverHistory getHistory(1: list<string> instances, 2: list<string> gateways, 3: i32 most)
     throws (1: TMasterError error)
-  // What the driver host of an instance logs. position: of an earlier part; empty: the end of the log.
+  // A part of the log of an instance's driver host. position: that of an earlier answer; empty: the end of the log.
   TLogPart readLog(1: string gateway, 2: string instance, 3: string position, 4: i32 mostBytes)
     throws (1: TMasterError error)
   TOrderResponse deploy(1: TDeployRequest request)
   TOrderResponse undeploy(1: TInstanceSelection selection)
   TOrderResponse start(1: TInstanceSelection selection)
   TOrderResponse stop(1: TInstanceSelection selection)
-  // An empty value takes the key away.
+  // A key with an empty value is removed.
   TOrderResponse updateMetadata(1: TInstanceSelection selection, 2: map<string, string> changes)
   TOrderResponse changeDeployment(1: TDeploymentChange change)
-  // What is wanted of every instance. Not of those on gateways of the original system.
+  // The orders for all instances, except those on gateways of the original system.
   list<TOrder> listOrders() throws (1: TMasterError error)
-  // Nothing is deployed on a gateway that drains, and its instances are stopped; undrain starts those again.
+  // While a gateway drains, nothing is deployed on it and its instances are stopped; undrain() starts them again.
   TOrderResponse drain(1: TGatewaySelection selection)
   TOrderResponse undrain(1: TGatewaySelection selection)
+  // Gives any order to driver instances. order: the name of its kind, which is that of its method here if it has one.
+  // json: the order as JSON, with the fields of its struct in orders/orders.h.
+  TOrderResponse giveOrder(1: string order, 2: string json)
   TTopologyResponse orderTopology(1: TTopologyRequest request)
-  // A plugin is sent to gateways in pieces of half a megabyte at most, one after the other, by way of one master. It
-  // passes them on; an upload that nobody goes on with for a minute ends. gateways: empty for all.
+  // Begins to send a plugin to gateways. The pieces, half a megabyte each at most, must go one after the other to the
+  // same master, which passes them on. An upload without a call for a minute ends. gateways: empty: all.
   TUploadResponse offerPlugin(1: TPluginOffer offer, 2: list<string> gateways)
   TUploadResponse sendPlugin(1: string upload, 2: i64 offset, 3: binary bytes)
   TUploadResponse finishPlugin(1: string upload)
-  // Instances keep id, properties and metadata. All that were updated go back when one does not come to its state.
+  // Gives instances another plugin. They keep id, properties and metadata. If one does not reach its state, all
+  // instances that were updated return to the old plugin.
   TOrderResponse update(1: TUpdateRequest request)
 }
 
-// For gateways of the original system; port 12903. Gateways of this one write to the registry themselves.
+// For gateways of the original system; port 12903. Gateways of this system write to the registry themselves.
 service TMasterService {
   records.TResponse registerSite(1: records.TSite site)
   records.TResponse unRegisterSite(1: records.TSite site)

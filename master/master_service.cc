@@ -5,22 +5,22 @@
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/access/audit_log.h>
-#include <iotcloud/config/access/tokens.h>
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/exposition/metrics_endpoint.h>
-#include <iotcloud/config/log.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/metrics.h>
-#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/logger.h>
 #include <iotcloud/master/master.h>
 #include <iotcloud/master/master_service.h>
 #include <iotcloud/master/originals/gateway_handler.h>
 #include <iotcloud/master/originals/original_gateways.h>
+#include <iotcloud/rpc/http/metrics_endpoint.h>
+#include <iotcloud/rpc/thrift_server.h>
+#include <iotcloud/security/audit_log.h>
+#include <iotcloud/security/tokens.h>
 
 namespace iotcloud::master {
 
@@ -28,15 +28,15 @@ using std::chrono::milliseconds;
 
 namespace {
 
-constexpr config::Logger logger{"master"};
-/// Less than a daemon may take to stop: a call that waits for an absent registry must not hold that up.
+/// The registry's operation time-out. Shorter than the time that a daemon may take to stop, because calls that wait for
+/// an absent registry delay the stop.
 constexpr milliseconds registry_timeout{3'000};
 
-/// Gateways of the original system know neither TLS nor tokens, so only this machine may reach what they register with.
-void read_original_address(config::Section& section, config::ListenSettings& address) {
+/// Gateways of the original system have neither TLS nor tokens, so only this machine may reach this address.
+void read_original_address(config::Section& section, rpc::ListenSettings& address) {
   address.host = section.string_or("host", address.host);
   address.port = static_cast<int>(section.int_or("port", address.port, 1, 65535));
-  if (config::is_loopback(address.host)) return;
+  if (rpc::is_loopback(address.host)) return;
   throw section.error("host",
                       fmt::format("{} can be reached from other machines, and gateways of the original system speak no "
                                   "TLS: anybody there could register one",
@@ -44,8 +44,8 @@ void read_original_address(config::Section& section, config::ListenSettings& add
                       "127.0.0.1; from elsewhere use a tunnel, for example ssh -L 12903:127.0.0.1:12903 HOST");
 }
 
-config::ThriftServerOptions server_options(const char* name, const config::ListenSettings& settings) {
-  config::ThriftServerOptions options;
+rpc::ThriftServerOptions server_options(const char* name, const rpc::ListenSettings& settings) {
+  rpc::ThriftServerOptions options;
   options.name = name;
   options.host = settings.host;
   options.port = settings.port;
@@ -53,7 +53,7 @@ config::ThriftServerOptions server_options(const char* name, const config::Liste
   return options;
 }
 
-/// Runs a check whose error becomes one of this key.
+/// Runs a check, and reports its error as one of this key.
 template <typename Check>
 void check_key(const config::Section& section, const std::string& key, Check&& check) {
   try {
@@ -68,9 +68,9 @@ class MasterService final : public config::Service {
   explicit MasterService(MasterDaemonConfig config) : config_(std::move(config)) {}
 
   void start() override {
-    if (const auto problem = config::exposure(config_.api); !problem.empty()) throw config::Error(problem);
-    if (!config_.api.tokens.empty()) tokens_ = std::make_shared<config::TokenKeeper>(config_.api.tokens);
-    if (!config_.audit_file.empty()) audit_ = std::make_shared<config::AuditLog>(config_.audit_file);
+    if (const auto problem = rpc::exposure(config_.api); !problem.empty()) throw config::Error(problem);
+    if (!config_.api.tokens.empty()) tokens_ = std::make_shared<security::TokenKeeper>(config_.api.tokens);
+    if (!config_.audit_file.empty()) audit_ = std::make_shared<security::AuditLog>(config_.audit_file);
     registry_ = discovery::make_registry(config_.registry);
     OriginalGatewaysOptions original_options;
     original_options.paths = discovery::Paths(config_.sensors_root);
@@ -87,14 +87,14 @@ class MasterService final : public config::Service {
     access.tokens = tokens_;
     access.audit = audit_;
     access.gateways = {config_.api.tls, config_.gateway_token_file};
-    api_ = std::make_unique<config::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));
+    api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));
     original_->start([this] { return master_->status().leading; });
-    gateways_ = std::make_unique<config::ThriftServer>(
-        server_options("gateways", config_.gateways),
-        serve_original_gateways(*original_, [this] { return master_->status(); }));
+    gateways_ =
+        std::make_unique<rpc::ThriftServer>(server_options("gateways", config_.gateways),
+                                            serve_original_gateways(*original_, [this] { return master_->status(); }));
     if (!config_.metrics_address.empty())
-      metrics_ = std::make_unique<config::MetricsEndpoint>(config_.metrics_address, config::process_metrics(),
-                                                           [this] { return trouble(); });
+      metrics_ = std::make_unique<rpc::MetricsEndpoint>(config_.metrics_address, config::process_metrics(),
+                                                        [this] { return trouble(); });
     logger.info("{}: API on {}:{} {}, registry {}", config_.id, config_.api.host, api_->port(),
                 config_.api.tls.empty() ? "without TLS" : "with TLS", config_.registry.url);
   }
@@ -111,29 +111,29 @@ class MasterService final : public config::Service {
     if (status.registry_away) return "the registry is away";
     return status.leading || !status.leader.empty() ? "" : "no master leads";
   }
-  ~MasterService() override { end(); }  // start() may have thrown half way
+  ~MasterService() override { end(); }  // frees what start() made before it threw
 
  private:
   void end() {
-    if (master_) master_->close();  // orders under way answer at once, so that the servers can end
+    if (master_) master_->close();  // orders under way return at once, so that the servers can end
     metrics_.reset();
     api_.reset();
     gateways_.reset();
-    if (original_) original_->stop();  // it asks the master
+    if (original_) original_->stop();  // before the master goes, because it asks the master
     master_.reset();
     original_.reset();
     registry_.reset();
   }
 
   const MasterDaemonConfig config_;
-  std::shared_ptr<config::TokenKeeper> tokens_;
-  std::shared_ptr<config::AuditLog> audit_;
+  std::shared_ptr<security::TokenKeeper> tokens_;
+  std::shared_ptr<security::AuditLog> audit_;
   std::unique_ptr<discovery::Registry> registry_;
   std::unique_ptr<OriginalGateways> original_;
   std::unique_ptr<Master> master_;
-  std::unique_ptr<config::ThriftServer> api_;
-  std::unique_ptr<config::ThriftServer> gateways_;
-  std::unique_ptr<config::MetricsEndpoint> metrics_;
+  std::unique_ptr<rpc::ThriftServer> api_;
+  std::unique_ptr<rpc::ThriftServer> gateways_;
+  std::unique_ptr<rpc::MetricsEndpoint> metrics_;
 };
 
 }  // namespace
@@ -147,8 +147,8 @@ MasterDaemonConfig load_master_config(const std::string& file) {
   config.registry.operation_timeout = registry_timeout;
   config.sensors_root = top.string_or("zk.root", "/iot/sensors");
   if (auto api = top.optional_section("api")) {
-    config::read_listen_settings(*api, config.api);
-    if (!config.api.tokens.empty()) check_key(*api, "tokens", [&] { config::read_tokens(config.api.tokens); });
+    rpc::read_listen_settings(*api, config.api);
+    if (!config.api.tokens.empty()) check_key(*api, "tokens", [&] { security::read_tokens(config.api.tokens); });
     config.gateway_token_file = api->string_or("gateway_token_file", "");
     if (!config.gateway_token_file.empty() && !std::filesystem::exists(config.gateway_token_file))
       throw api->error("gateway_token_file", "the file \"" + config.gateway_token_file + "\" is not there",
@@ -175,7 +175,7 @@ MasterDaemonConfig load_master_config(const std::string& file) {
         orders->choice_or("for_lost_gateways", "record", {"record", "refuse"}) == "record";
     orders->finish();
   }
-  config::read_log_settings(top);  // the frame of the daemons applies them
+  config::read_log_settings(top);  // only checks these keys: the frame of the daemon (config/) applies them
   top.finish();
   return config;
 }

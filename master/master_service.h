@@ -5,21 +5,21 @@
 #include <string>
 
 #include <iotcloud/config/daemon/daemon.h>
-#include <iotcloud/config/thrift/listen_settings.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/rpc/listen_settings.h>
 
 namespace iotcloud::master {
 
-/// config/master.yaml, read and checked.
+/// The settings of config/master.yaml, checked.
 struct MasterDaemonConfig {
   std::string id;
   discovery::RegistryOptions registry;
   std::string sensors_root;  ///< zk.root
-  config::ListenSettings api{"127.0.0.1", 12904, {}, "", ""};
-  config::ListenSettings gateways{"127.0.0.1", 12903, {}, "", ""};  ///< of the original system: on loopback
-  std::string gateway_token_file;                                   ///< what gateways are shown; empty: nothing
-  std::string audit_file;                                           ///< empty: no audit log
-  std::string metrics_address;                                      ///< host:port; empty: no metrics over HTTP
+  rpc::ListenSettings api{"127.0.0.1", 12904, {}, "", ""};
+  rpc::ListenSettings gateways{"127.0.0.1", 12903, {}, "", ""};  ///< for gateways of the original system; loopback only
+  std::string gateway_token_file;  ///< the token that this master shows to gateways; empty: none
+  std::string audit_file;          ///< empty: no audit log
+  std::string metrics_address;     ///< host:port; empty: no metrics over HTTP
   std::chrono::milliseconds outcome_timeout{30'000};
   bool record_for_lost_gateways = true;
 };

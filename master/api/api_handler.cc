@@ -15,6 +15,8 @@
 
 namespace iotcloud::master {
 
+using discovery::GatewayId;
+using discovery::InstanceId;
 using discovery::wire::TResponse;
 using discovery::wire::TSensor;
 using discovery::wire::TSensorDeployDescriptor;
@@ -23,56 +25,23 @@ using discovery::wire::TSiteDetailsResponse;
 
 namespace {
 
-/// For the audit log.
-std::string words(const std::vector<std::string>& items, const char* when_empty) {
-  constexpr std::size_t shown = 20;
-  if (items.empty()) return when_empty;
-  const auto end = items.begin() + static_cast<std::ptrdiff_t>(std::min(shown, items.size()));
-  return fmt::format("{}{}", fmt::join(items.begin(), end, ","),
-                     items.size() > shown ? fmt::format(" and {} more", items.size() - shown) : "");
+std::vector<GatewayId> gateway_ids(const std::vector<std::string>& texts) {
+  return {texts.begin(), texts.end()};
 }
-std::string words(const InstanceSelection& selection) {
-  return fmt::format("{} on {}", words(selection.instances, "none"), words(selection.gateways, "any"));
+std::string words(const PluginOffer& offer, const std::vector<GatewayId>& gateways) {
+  return fmt::format("{}, SHA-256 {}, to {}", offer.plugin, offer.sha256, master::words(gateways, "all"));
 }
-std::string words(const DeployRequest& request) {
-  return fmt::format("{} of {} on {}", request.count, request.plugin, words(request.gateways, "all"));
-}
-/// Properties may hold secrets: how many, not which.
-std::string words(const wire::TDeploymentChange& change) {
-  return fmt::format("{}{}{}", words(change.instances, "none"),
-                     change.__isset.properties ? fmt::format(": {} properties", change.properties.size()) : "",
-                     change.__isset.manager ? fmt::format(", of \"{}\"", change.manager) : "");
-}
-std::string words(const wire::TPluginOffer& offer, const std::vector<std::string>& gateways) {
-  return fmt::format("{}, SHA-256 {}, to {}", offer.plugin, offer.sha256, words(gateways, "all"));
-}
-std::string words(const wire::TUpdateRequest& request) {
-  const auto update = from_wire(request);
-  return fmt::format("{} to {}{}", words(update.selection), update.plugin,
-                     update.sha256.empty() ? "" : ", SHA-256 " + update.sha256);
-}
-std::string words(const wire::TTopologyRequest& request) {
-  const auto name = wire::_TTopologyChange_VALUES_TO_NAMES.find(request.change);
+std::string words(const TopologyRequest& request) {
+  const auto name = wire::_TTopologyChange_VALUES_TO_NAMES.find(static_cast<int>(request.change));
   return fmt::format("{} {}", name == wire::_TTopologyChange_VALUES_TO_NAMES.end() ? "?" : name->second,
                      request.topology);
 }
 
-wire::TDriverChange wire_change(const DriverChange& change) {
-  wire::TDriverChange told;
-  told.__set_gateway(change.gateway);
-  told.__set_instance(change.instance);
-  told.__set_driver(change.driver);
-  told.__set_state(change.state);
-  told.__set_reason(change.reason);
-  told.__set_timeMs(change.time_ms);
-  return told;
-}
-
-/// One connection.
+/// The handler of one connection.
 class ApiHandler final : public wire::TMasterAPIServiceIf {
  public:
   ApiHandler(Master& master, PluginUploads& uploads, const GatewayAccess& gateways,
-             std::shared_ptr<config::Session> session)
+             std::shared_ptr<rpc::Session> session)
       : master_(master), uploads_(uploads), gateways_(gateways), session_(std::move(session)) {}
 
   // ---- of the original
@@ -98,26 +67,27 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   void deploySensor(TResponse& response, const std::vector<std::string>& sites,
                     const TSensorDeployDescriptor& descriptor) override {
     DeployRequest request;
-    request.gateways = sites;
+    request.gateways = gateway_ids(sites);
     request.plugin = descriptor.filename;
     // "cgl.iotcloud.turtle.TurtleSensor" names a class of the original; ours are named by their plugin.
-    if (descriptor.className.find('.') == std::string::npos) request.driver = descriptor.className;
+    if (descriptor.className.find('.') == std::string::npos)
+      request.driver = discovery::DriverName(descriptor.className);
     request.properties = descriptor.properties;
     respond(response, words(request), [&] { return master_.deploy(request); });
   }
 
   void unDeploySensor(TResponse& response, const std::vector<std::string>& sites, const std::string& id) override {
-    const InstanceSelection selection{{id}, sites, {}};
+    const InstanceSelection selection{{InstanceId(id)}, gateway_ids(sites), {}};
     respond(response, words(selection), [&] { return master_.undeploy(selection); });
   }
   void unDeployAllSensor(TResponse& response, const std::string& id) override { unDeploySensor(response, {}, id); }
   void startSensor(TResponse& response, const std::vector<std::string>& sites, const std::string& id) override {
-    const InstanceSelection selection{{id}, sites, {}};
+    const InstanceSelection selection{{InstanceId(id)}, gateway_ids(sites), {}};
     respond(response, words(selection), [&] { return master_.start(selection); });
   }
   void startAllSensor(TResponse& response, const std::string& id) override { startSensor(response, {}, id); }
   void stopSiteSensors(TResponse& response, const std::vector<std::string>& sites, const std::string& id) override {
-    const InstanceSelection selection{{id}, sites, {}};
+    const InstanceSelection selection{{InstanceId(id)}, gateway_ids(sites), {}};
     respond(response, words(selection), [&] { return master_.stop(selection); });
   }
   void stopAllSensors(TResponse& response, const std::string& id) override { stopSiteSensors(response, {}, id); }
@@ -138,14 +108,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   }
 
   void getStatus(wire::TMasterStatus& out) override {
-    read([&] {
-      const auto status = master_.status();
-      out.__set_id(status.id);
-      out.__set_leading(status.leading);
-      out.__set_epoch(status.epoch);
-      out.__set_leader(status.leader);
-      out.__set_registryAway(status.registry_away);
-    });
+    read([&] { discovery::fill_wire(master_.status(), out); });
   }
   void listGateways(std::vector<TSite>& out) override {
     read([&] {
@@ -167,69 +130,77 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
 
   void getHistory(wire::TDriverHistory& out, const std::vector<std::string>& instances,
                   const std::vector<std::string>& gateways, std::int32_t most) override {
-    read([&] {
-      auto history = read_history(master_, gateways_, instances, gateways, most);
-      for (auto& change : history.changes) out.changes.push_back(wire_change(change));
-      out.__set_silent(std::move(history.silent));
-    });
+    read([&] { discovery::fill_wire(read_history(master_, gateways_, instances, gateway_ids(gateways), most), out); });
   }
   void readLog(wire::TLogPart& out, const std::string& gateway, const std::string& instance,
                const std::string& position, std::int32_t most_bytes) override {
     read([&] {
-      auto part = read_log(master_, gateways_, gateway, instance, position, most_bytes);
-      out.__set_text(std::move(part.text));
-      out.__set_position(std::move(part.position));
+      discovery::fill_wire(read_log(master_, gateways_, GatewayId(gateway), InstanceId(instance), position, most_bytes),
+                           out);
     });
   }
 
   void deploy(wire::TOrderResponse& out, const wire::TDeployRequest& request) override {
-    const auto deployment = from_wire(request);
-    order(out, words(deployment), [&] { return master_.deploy(deployment); });
+    order<DeployRequest>(out, request, &Master::deploy);
   }
   void undeploy(wire::TOrderResponse& out, const wire::TInstanceSelection& selection) override {
-    order(out, words(from_wire(selection)), [&] { return master_.undeploy(from_wire(selection)); });
+    order<InstanceSelection>(out, selection, &Master::undeploy);
   }
   void start(wire::TOrderResponse& out, const wire::TInstanceSelection& selection) override {
-    order(out, words(from_wire(selection)), [&] { return master_.start(from_wire(selection)); });
+    order<InstanceSelection>(out, selection, &Master::start);
   }
   void stop(wire::TOrderResponse& out, const wire::TInstanceSelection& selection) override {
-    order(out, words(from_wire(selection)), [&] { return master_.stop(from_wire(selection)); });
+    order<InstanceSelection>(out, selection, &Master::stop);
   }
   void updateMetadata(wire::TOrderResponse& out, const wire::TInstanceSelection& selection,
                       const std::map<std::string, std::string>& changes) override {
-    order(out, words(from_wire(selection)), [&] { return master_.update_metadata(from_wire(selection), changes); });
+    order<InstanceSelection>(out, selection, &Master::update_metadata, changes);
   }
   void changeDeployment(wire::TOrderResponse& out, const wire::TDeploymentChange& change) override {
-    order(out, words(change), [&] { return master_.change_deployment(from_wire(change)); });
+    order<DeploymentChange>(out, change, &Master::change_deployment);
   }
   void listOrders(std::vector<wire::TOrder>& out) override {
     read([&] {
-      const bool with_secrets = session_->role() == config::Role::admin;
+      const bool with_secrets = session_->role() == security::Role::admin;
       for (const auto& placed : master_.orders()) out.push_back(to_wire(placed, with_secrets));
     });
   }
   void drain(wire::TOrderResponse& out, const wire::TGatewaySelection& selection) override {
-    order(out, words(selection.gateways, "none"), [&] { return master_.drain(from_wire(selection)); });
+    order<GatewaySelection>(out, selection, &Master::drain);
   }
   void undrain(wire::TOrderResponse& out, const wire::TGatewaySelection& selection) override {
-    order(out, words(selection.gateways, "none"), [&] { return master_.undrain(from_wire(selection)); });
+    order<GatewaySelection>(out, selection, &Master::undrain);
   }
-  void offerPlugin(wire::TUploadResponse& out, const wire::TPluginOffer& offer,
+  void update(wire::TOrderResponse& out, const wire::TUpdateRequest& request) override {
+    order<UpdateRequest>(out, request, &Master::update);
+  }
+  void giveOrder(wire::TOrderResponse& out, const std::string& name, const std::string& json) override {
+    if (const auto refusal = session_->refuse(name)) {
+      out.__set_response(failure(refusal->text));
+      out.__set_refusal(
+          static_cast<wire::TRefusal::type>(refusal->unknown ? wire::TRefusal::BAD_REQUEST : refusal->code));
+      session_->note(name, refusal->text);
+      return;
+    }
+    const auto given = master_.give(name, json);
+    session_->note(fmt::format("{} {}", name, given.what), given.result.summary());
+    out = to_wire(given.result);
+  }
+  void orderTopology(wire::TTopologyResponse& out, const wire::TTopologyRequest& request) override {
+    order<TopologyRequest>(out, request, &Master::order);
+  }
+  void offerPlugin(wire::TUploadResponse& out, const wire::TPluginOffer& wanted,
                    const std::vector<std::string>& gateways) override {
-    order(out, words(offer, gateways), [&] { return uploads_.offer(from_wire(offer), gateways); });
+    const auto offer = discovery::as_own<PluginOffer>(wanted);
+    const auto receivers = gateway_ids(gateways);
+    pass_on(out, words(offer, receivers), [&] { return uploads_.offer(offer, receivers); });
   }
   void sendPlugin(wire::TUploadResponse& out, const std::string& upload, std::int64_t offset,
                   const std::string& bytes) override {
-    order(out, upload, [&] { return uploads_.send(upload, offset, bytes); });
+    pass_on(out, upload, [&] { return uploads_.send(upload, offset, bytes); });
   }
   void finishPlugin(wire::TUploadResponse& out, const std::string& upload) override {
-    order(out, upload, [&] { return uploads_.finish(upload); });
-  }
-  void update(wire::TOrderResponse& out, const wire::TUpdateRequest& request) override {
-    order(out, words(request), [&] { return master_.update(from_wire(request)); });
-  }
-  void orderTopology(wire::TTopologyResponse& out, const wire::TTopologyRequest& request) override {
-    order(out, words(request), [&] { return master_.order(from_wire(request)); });
+    pass_on(out, upload, [&] { return uploads_.finish(upload); });
   }
 
  private:
@@ -249,12 +220,20 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     response = to_response(tell(std::move(what), body));
   }
 
-  template <typename Response, typename Body>
-  void order(Response& out, std::string what, Body&& body) {
+  /// Converts an order from its Thrift struct, and gives it to the master.
+  template <typename Order, typename Response, typename Wire, typename Give, typename... Arguments>
+  void order(Response& out, const Wire& given, Give give, const Arguments&... arguments) {
+    const auto order = discovery::as_own<Order>(given);
+    Master& master = master_;  // GCC 12's -fsanitize=vptr mistakes the closure for `this` in (master_.*give)(...)
+    out = to_wire(tell(words(order), [&] { return (master.*give)(order, arguments...); }));
+  }
+
+  template <typename Body>
+  void pass_on(wire::TUploadResponse& out, std::string what, Body&& body) {
     out = to_wire(tell(std::move(what), body));
   }
 
-  /// Notes what becomes of an order, for the audit log.
+  /// Tells the audit log what became of an order.
   template <typename Body>
   auto tell(std::string what, Body&& body) {
     try {
@@ -270,7 +249,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   Master& master_;
   PluginUploads& uploads_;
   const GatewayAccess& gateways_;
-  const std::shared_ptr<config::Session> session_;
+  const std::shared_ptr<rpc::Session> session_;
 };
 
 /// What all connections share.
@@ -280,12 +259,12 @@ struct Shared {
   Master& master;
   const GatewayAccess gateways;
   PluginUploads uploads;
-  config::AccessOptions access;
+  rpc::AccessOptions access;
 };
 
 }  // namespace
 
-config::ThriftService serve_api(Master& master, ApiAccess access) {
+rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   auto shared = std::make_shared<Shared>(master, std::move(access.gateways), access.uploads);
   shared->access.service = "api";
   shared->access.rules = api_rules();
@@ -294,12 +273,12 @@ config::ThriftService serve_api(Master& master, ApiAccess access) {
   shared->access.not_authenticated = wire::TRefusal::NOT_AUTHENTICATED;
   shared->access.not_allowed = wire::TRefusal::NOT_ALLOWED;
   shared->access.wrong_token_pause = access.wrong_token_pause;
-  // The server's options keep this function, and so what is shared, for as long as there are connections.
-  return [shared](const std::shared_ptr<config::ThriftPeer>& peer) {
-    auto session = std::make_shared<config::Session>(shared->access, peer);
-    return config::guarded(std::make_shared<wire::TMasterAPIServiceProcessor>(std::make_shared<ApiHandler>(
-                               shared->master, shared->uploads, shared->gateways, session)),
-                           session);
+  // The server's options keep this function, and with it `shared`, for as long as there are connections.
+  return [shared](const std::shared_ptr<rpc::ThriftPeer>& peer) {
+    auto session = std::make_shared<rpc::Session>(shared->access, peer);
+    return rpc::guarded(std::make_shared<wire::TMasterAPIServiceProcessor>(
+                            std::make_shared<ApiHandler>(shared->master, shared->uploads, shared->gateways, session)),
+                        session);
   };
 }
 

@@ -16,7 +16,8 @@ namespace {
 constexpr std::chrono::milliseconds answer_limit{3000};
 constexpr std::int32_t most_changes = 10'000;
 
-const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>& gateways, const std::string& id) {
+const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>& gateways,
+                                     const discovery::GatewayId& id) {
   const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
   if (at == gateways.end()) throw config::Error(fmt::format("no gateway \"{}\"", id));
   return *at;
@@ -41,22 +42,23 @@ SiteAddress address_of(const discovery::GatewayStatus& gateway, const GatewayAcc
 }
 
 DriverHistory read_history(const Master& master, const GatewayAccess& access, const std::vector<std::string>& instances,
-                           const std::vector<std::string>& gateways, std::int32_t most) {
+                           const std::vector<discovery::GatewayId>& gateways, std::int32_t most) {
   const auto known = master.gateways();
   std::vector<const discovery::GatewayStatus*> asked;
   for (const auto& id : gateways) asked.push_back(&find(known, id));
   if (gateways.empty()) {
     for (const auto& gateway : known) asked.push_back(&gateway);
   }
-  // The beginning of an id of one that is gone can only be looked up in the gateway's answer.
-  std::vector<std::pair<std::string, std::future<std::vector<DriverChange>>>> answers;
+  // The gateways are asked for all instances: the beginning of an id may belong to an instance that is gone, which only
+  // they know.
+  std::vector<std::pair<discovery::GatewayId, std::future<std::vector<DriverChange>>>> answers;
   for (const auto* gateway : asked) {
     answers.emplace_back(gateway->record.id, std::async(std::launch::async, [gateway, &access] {
-                           return site_changes(address_of(*gateway, access), gateway->record.id, "", answer_limit);
+                           return site_changes(address_of(*gateway, access), gateway->record.id, {}, answer_limit);
                          }));
   }
   const auto wanted = [&](const DriverChange& change) {
-    const auto begins = [&](const std::string& id) { return change.instance.starts_with(id); };
+    const auto begins = [&](const std::string& id) { return change.instance.str().starts_with(id); };
     return instances.empty() || std::any_of(instances.begin(), instances.end(), begins);
   };
   DriverHistory history;
@@ -78,8 +80,8 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, co
   return history;
 }
 
-LogPart read_log(const Master& master, const GatewayAccess& access, const std::string& gateway,
-                 const std::string& instance, const std::string& position, std::int32_t most_bytes) {
+LogPart read_log(const Master& master, const GatewayAccess& access, const discovery::GatewayId& gateway,
+                 const discovery::InstanceId& instance, const std::string& position, std::int32_t most_bytes) {
   const auto known = master.gateways();
   return site_read_log(address_of(find(known, gateway), access), gateway, instance, position, most_bytes, answer_limit);
 }

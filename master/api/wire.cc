@@ -1,89 +1,28 @@
-#include <algorithm>
-#include <memory>
+#include <utility>
 
-#include <thrift/protocol/TBinaryProtocol.h>
-#include <thrift/transport/TBufferTransports.h>
-
-#include <iotcloud/config/error.h>
 #include <iotcloud/master/api/wire.h>
 #include <iotcloud/master/listing/secret_properties.h>
 
 namespace iotcloud::master {
 
-using apache::thrift::protocol::TBinaryProtocol;
-using apache::thrift::transport::TMemoryBuffer;
+using discovery::as_own;
+using discovery::as_wire;
 using discovery::wire::TResponse;
 using discovery::wire::TResponseState;
 
+// Our enumerations go over the wire as their numbers, which must be those of Thrift's enumerations.
+static_assert(static_cast<int>(Outcome::unknown) == wire::TOutcome::UNKNOWN);
+static_assert(static_cast<int>(Refusal::not_allowed) == wire::TRefusal::NOT_ALLOWED);
+static_assert(static_cast<int>(TopologyChange::kill) == wire::TTopologyChange::KILL);
+
 namespace {
 
-template <typename Struct>
-std::string to_bytes(const Struct& value) {
-  auto buffer = std::make_shared<TMemoryBuffer>();
-  TBinaryProtocol protocol(buffer);
-  value.write(&protocol);
-  return buffer->getBufferAsString();
-}
-
-/// As long as an answer is waited for at most.
-constexpr std::int64_t longest_drain_ms = 600'000;
-
-WaitLimit wait_limit(std::int64_t ms) {
-  if (ms <= 0) return std::nullopt;
-  return std::chrono::milliseconds(ms);
-}
-
-wire::TOutcome::type to_wire(Outcome outcome) {
-  switch (outcome) {
-    case Outcome::done:
-      return wire::TOutcome::DONE;
-    case Outcome::failed:
-      return wire::TOutcome::FAILED;
-    case Outcome::pending:
-      return wire::TOutcome::PENDING;
-    case Outcome::unknown:
-      return wire::TOutcome::UNKNOWN;
-  }
-  return wire::TOutcome::UNKNOWN;
-}
-
-wire::TRefusal::type to_wire(Refusal refusal) {
-  switch (refusal) {
-    case Refusal::none:
-      return wire::TRefusal::NONE;
-    case Refusal::not_leading:
-      return wire::TRefusal::NOT_LEADING;
-    case Refusal::unknown_gateway:
-      return wire::TRefusal::UNKNOWN_GATEWAY;
-    case Refusal::unknown_instance:
-      return wire::TRefusal::UNKNOWN_INSTANCE;
-    case Refusal::bad_request:
-      return wire::TRefusal::BAD_REQUEST;
-    case Refusal::registry_away:
-      return wire::TRefusal::REGISTRY_AWAY;
-    case Refusal::unknown_topology:
-      return wire::TRefusal::UNKNOWN_TOPOLOGY;
-  }
-  return wire::TRefusal::BAD_REQUEST;
-}
-
-wire::TWorker to_wire(const discovery::WorkerRecord& worker) {
-  wire::TWorker out;
-  out.__set_name(worker.name);
-  out.__set_host(worker.host);
-  out.__set_pid(worker.pid);
-  out.__set_http(worker.http);
-  out.__set_state(worker.state);
-  out.__set_revision(worker.revision);
-  out.__set_error(worker.error);
-  out.__set_sinceMs(worker.since_ms);
-  for (const auto& [name, component] : worker.components) {
-    wire::TComponentShape shape;
-    shape.__set_parallelism(component.parallelism);
-    shape.__set_tasks(component.tasks);
-    out.components[name] = shape;
-  }
-  return out;
+/// Converts an answer, and fills its `response` with the text for people.
+template <typename Wire, typename Result>
+Wire answer_of(const Result& result, bool good) {
+  auto answer = as_wire<Wire>(result);
+  answer.__set_response(good ? success(result.summary()) : failure(result.summary()));
+  return answer;
 }
 
 }  // namespace
@@ -107,44 +46,55 @@ TResponse to_response(const OrderResult& result) {
 }
 
 discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway) {
-  auto site = to_wire(gateway.record);
+  auto site = discovery::to_wire(gateway.record);
   site.__set_alive(gateway.alive);
   site.__set_draining(gateway.draining);
   site.__set_original(gateway.original);
+  if (!gateway.frozen.empty()) site.__set_frozen(gateway.frozen);
   return site;
+}
+
+discovery::GatewayStatus from_wire(discovery::wire::TSite site) {
+  discovery::GatewayStatus gateway;
+  gateway.alive = site.alive;
+  gateway.draining = site.draining;
+  gateway.original = site.original;
+  gateway.frozen = site.frozen;
+  gateway.record = discovery::from_wire(std::move(site));
+  return gateway;
 }
 
 wire::TOrder to_wire(const discovery::PlacedOrder& placed, bool with_secrets) {
   wire::TOrder out;
+  discovery::fill_wire<discovery::Deployment>(placed.order, out);
   out.__set_gateway(placed.gateway);
   out.__set_instance(placed.order.instance);
-  out.__set_driver(placed.order.driver);
-  out.__set_plugin(placed.order.plugin);
-  for (const auto& [key, value] : placed.order.properties) {
-    if (with_secrets || !is_secret(key, value)) {
-      out.properties.emplace(key, value);
-    } else {
-      out.hidden.push_back(key);
-    }
-  }
-  out.__set_metadata(placed.order.metadata);
-  out.__set_active(placed.order.active || placed.order.drained);
-  out.__set_name(placed.order.name);
   out.__set_index(placed.order.index);
-  out.__set_manager(placed.order.manager);
-  out.__set_sha256(placed.order.sha256);
+  out.__set_active(placed.order.active || placed.order.drained);
+  if (with_secrets) return out;
+  std::erase_if(out.properties, [&](const auto& property) {
+    const bool hide = is_secret(property.first, property.second);
+    if (hide) out.hidden.push_back(property.first);
+    return hide;
+  });
   return out;
 }
 
+ListedOrder from_wire(wire::TOrder order) {
+  ListedOrder listed;
+  listed.gateway = discovery::GatewayId(std::move(order.gateway));
+  listed.order.instance = discovery::InstanceId(std::move(order.instance));
+  listed.order.index = order.index;
+  listed.hidden = std::move(order.hidden);
+  discovery::fill_own<wire::TOrder, discovery::Deployment>(order, listed.order);
+  return listed;
+}
+
 wire::TTopology to_wire(const discovery::TopologyStatus& topology) {
-  wire::TTopology out;
-  out.__set_name(topology.record.name);
-  out.__set_sinceMs(topology.record.since_ms);
-  out.__set_spouts(topology.record.spouts);
-  out.__set_bolts(topology.record.bolts);
+  auto out = as_wire<wire::TTopology>(topology.record);
   for (const auto& worker : topology.workers) {
     out.workers.push_back(worker.name);
-    out.workerRecords.push_back(to_wire(worker));
+    discovery::fill_wire(worker, out.workerRecords.emplace_back());
   }
   const bool killed = topology.order && topology.order->kill;
   const bool active = !topology.order || topology.order->active;
@@ -153,134 +103,47 @@ wire::TTopology to_wire(const discovery::TopologyStatus& topology) {
   return out;
 }
 
-wire::TTopologyResponse to_wire(const TopologyResult& result) {
-  wire::TTopologyResponse out;
-  out.__set_response(result.all_done() ? success(result.summary()) : failure(result.summary()));
-  out.__set_refusal(to_wire(result.refusal));
-  if (!result.leader.empty()) out.__set_leader(result.leader);
-  out.__set_text(result.text);
-  for (const auto& outcome : result.outcomes) {
-    wire::TWorkerOutcome one;
-    one.__set_worker(outcome.worker);
-    one.__set_host(outcome.host);
-    one.__set_outcome(to_wire(outcome.outcome));
-    one.__set_reason(outcome.reason);
-    out.outcomes.push_back(std::move(one));
-  }
-  return out;
+discovery::TopologyStatus from_wire(wire::TTopology topology) {
+  discovery::TopologyStatus status;
+  for (auto& worker : topology.workerRecords) discovery::fill_own(worker, status.workers.emplace_back());
+  auto& order = status.order.emplace();
+  order.revision = topology.revision;
+  order.active = topology.wanted == "active";
+  if (topology.wanted == "killed") order.kill.emplace();
+  discovery::fill_own(topology, status.record);
+  return status;
 }
 
 wire::TOrderResponse to_wire(const OrderResult& result) {
-  wire::TOrderResponse out;
-  out.__set_response(to_response(result));
-  out.__set_refusal(to_wire(result.refusal));
-  if (!result.leader.empty()) out.__set_leader(result.leader);
-  for (const auto& outcome : result.outcomes) {
-    wire::TInstanceOutcome one;
-    one.__set_gateway(outcome.gateway);
-    one.__set_instance(outcome.instance);
-    one.__set_outcome(to_wire(outcome.outcome));
-    one.__set_reason(outcome.reason);
-    out.outcomes.push_back(std::move(one));
-  }
-  return out;
+  return answer_of<wire::TOrderResponse>(result, result.all_done());
+}
+
+OrderResult from_wire(wire::TOrderResponse answer) {
+  auto result = as_own<OrderResult>(answer);
+  if (result.refusal != Refusal::none) result.text = std::move(answer.response.statusMessage);
+  return result;
+}
+
+wire::TTopologyResponse to_wire(const TopologyResult& result) {
+  return answer_of<wire::TTopologyResponse>(result, result.all_done());
+}
+
+TopologyResult from_wire(wire::TTopologyResponse answer) {
+  auto result = as_own<TopologyResult>(answer);
+  if (result.refusal != Refusal::none) result.text = std::move(answer.response.statusMessage);
+  return result;
 }
 
 wire::TUploadResponse to_wire(const UploadResult& result) {
-  wire::TUploadResponse out;
+  auto out = as_wire<wire::TUploadResponse>(result);
   out.__set_response(result.refusal.refusal == Refusal::none ? success() : failure(result.refusal.text));
-  out.__set_refusal(to_wire(result.refusal.refusal));
-  if (!result.refusal.leader.empty()) out.__set_leader(result.refusal.leader);
-  out.__set_upload(result.upload);
-  for (const auto& target : result.targets) {
-    wire::TPluginTarget one;
-    one.__set_gateway(target.gateway);
-    one.__set_problem(target.problem);
-    one.__set_has(target.has);
-    out.targets.push_back(std::move(one));
-  }
   return out;
 }
 
-DeployRequest from_wire(const wire::TDeployRequest& request) {
-  DeployRequest out;
-  out.gateways = request.gateways;
-  out.plugin = request.plugin;
-  out.driver = request.driver;
-  out.properties = request.properties;
-  out.metadata = request.metadata;
-  out.count = request.count;
-  out.wait = wait_limit(request.waitMs);
-  out.name = request.name;
-  out.indexes.assign(request.indexes.begin(), request.indexes.end());
-  out.manager = request.manager;
-  out.active = request.active;
-  out.sha256 = request.sha256;
-  return out;
-}
-
-DeploymentChange from_wire(const wire::TDeploymentChange& change) {
-  DeploymentChange out;
-  out.instances = change.instances;
-  if (change.__isset.properties) out.properties = change.properties;
-  if (change.__isset.manager) out.manager = change.manager;
-  out.wait = wait_limit(change.waitMs);
-  return out;
-}
-
-GatewaySelection from_wire(const wire::TGatewaySelection& selection) {
-  return {selection.gateways, wait_limit(selection.waitMs)};
-}
-
-UpdateRequest from_wire(const wire::TUpdateRequest& request) {
-  UpdateRequest out;
-  out.selection = from_wire(request.selection);
-  out.plugin = request.plugin;
-  out.sha256 = request.sha256;
-  out.at_once = request.atOnce;
-  out.settle = std::chrono::milliseconds(std::max<std::int64_t>(0, request.settleMs));
-  return out;
-}
-
-PluginOffer from_wire(const wire::TPluginOffer& offer) {
-  return {offer.plugin, offer.sha256, offer.size, offer.signature};
-}
-
-InstanceSelection from_wire(const wire::TInstanceSelection& selection) {
-  return {selection.instances, selection.gateways, wait_limit(selection.waitMs)};
-}
-
-TopologyRequest from_wire(const wire::TTopologyRequest& request) {
-  TopologyRequest out;
-  out.topology = request.topology;
-  if (request.change < wire::TTopologyChange::ACTIVATE || request.change > wire::TTopologyChange::KILL)
-    throw config::Error("this master does not know that change of a topology; it is older than the client");
-  switch (request.change) {
-    case wire::TTopologyChange::ACTIVATE:
-      out.change = TopologyChange::activate;
-      break;
-    case wire::TTopologyChange::DEACTIVATE:
-      out.change = TopologyChange::deactivate;
-      break;
-    case wire::TTopologyChange::REBALANCE:
-      out.change = TopologyChange::rebalance;
-      break;
-    case wire::TTopologyChange::KILL:
-      out.change = TopologyChange::kill;
-      break;
-  }
-  for (const auto& [component, parallelism] : request.parallelism) out.parallelism[component] = parallelism;
-  out.drain = std::chrono::milliseconds(std::clamp<std::int64_t>(request.drainMs, 0, longest_drain_ms));
-  out.wait = wait_limit(request.waitMs);
-  return out;
-}
-
-discovery::GatewayRecord from_wire(const discovery::wire::TSite& site) {
-  return discovery::decode_gateway(to_bytes(site), "registerSite");
-}
-
-discovery::DriverRecord from_wire(const discovery::wire::TSensor& sensor) {
-  return discovery::decode_driver(to_bytes(sensor), "registerSensor");
+UploadResult from_wire(wire::TUploadResponse answer) {
+  auto result = as_own<UploadResult>(answer);
+  result.refusal.text = std::move(answer.response.statusMessage);
+  return result;
 }
 
 }  // namespace iotcloud::master

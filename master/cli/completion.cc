@@ -2,14 +2,14 @@
 #include <chrono>
 #include <cstdlib>
 #include <future>
-#include <iostream>
+#include <map>
+#include <ostream>
 #include <set>
 #include <sstream>
 
 #include <CLI/CLI.hpp>
 
 #include <iotcloud/master/cli/completion.h>
-#include <iotcloud/master/cli/names.h>
 
 namespace iotcloud::master::cli {
 
@@ -48,19 +48,19 @@ else
 fi
 )";
 
-/// Where the last word stands.
+/// What the words before the last one mean for the last one.
 struct Place {
   const CLI::App* app = nullptr;
   const CLI::Option* value_of = nullptr;  ///< an option that awaits its value
-  std::size_t positionals = 0;            ///< that stand there already
-  std::vector<std::string> global;        ///< options of the program itself with their values
+  std::size_t positionals = 0;            ///< number of positional words before the last word
+  std::vector<std::string> global;        ///< options of the program itself, with their values, before the last word
 };
 
 bool takes_value(const CLI::Option& option) {
   return option.get_items_expected_max() > 0;
 }
 
-/// An option of this verb, or of one above it. \param word "--state", "-o"
+/// Finds an option of this verb or of one above it; nullptr: there is none. \param word "--state", "-o"
 const CLI::Option* find_option(const CLI::App* app, const std::string& word) {
   for (; app != nullptr; app = app->get_parent()) {
     if (const auto* option = app->get_option_no_throw(word)) return option;
@@ -75,7 +75,7 @@ const CLI::App* find_verb(const CLI::App* app, const std::string& word) {
   return nullptr;
 }
 
-/// Walks over all words but the last.
+/// Reads all words but the last.
 Place place_of_last(const CLI::App& root, const std::vector<std::string>& words) {
   Place place;
   place.app = &root;
@@ -86,7 +86,7 @@ Place place_of_last(const CLI::App& root, const std::vector<std::string>& words)
   for (std::size_t i = 0; i + 1 < words.size(); ++i) {
     const auto& word = words[i];
     if (place.value_of != nullptr) {
-      if (word == "=") continue;  // bash takes --option=value apart
+      if (word == "=") continue;  // bash splits --option=value into three words
       if (is_global(place.value_of)) place.global.push_back(word);
       place.value_of = nullptr;
       continue;
@@ -111,9 +111,31 @@ Place place_of_last(const CLI::App& root, const std::vector<std::string>& words)
   return place;
 }
 
-using Names = std::function<std::vector<std::string>(NameKind)>;
+/// Asks a master for names of one kind.
+using NamesOf = std::vector<std::string> (*)(MasterClient&);
+using Names = std::function<std::vector<std::string>(NamesOf)>;
 
-/// What can be the value of an option or of a word without one.
+template <typename Items, typename Name>
+std::vector<std::string> names_in(const Items& items, Name&& name) {
+  std::vector<std::string> names;
+  for (const auto& item : items) names.emplace_back(name(item));
+  return names;
+}
+
+/// How a word is completed: by the name of its option's type, or by its own name when it is positional.
+const std::map<std::string, NamesOf> completions{
+    {"GATEWAY", [](MasterClient& m) { return names_in(m.gateways(), [](const auto& g) { return g.record.id; }); }},
+    {"ID", [](MasterClient& m) { return names_in(m.drivers(), [](const auto& d) { return d.instance; }); }},
+    {"DRIVER", [](MasterClient& m) { return names_in(m.drivers(), [](const auto& d) { return d.name; }); }},
+    {"NAME", [](MasterClient& m) { return names_in(m.drivers(), [](const auto& d) { return d.deployment; }); }},
+    {"TOPOLOGY", [](MasterClient& m) { return names_in(m.topologies(), [](const auto& t) { return t.record.name; }); }},
+    {"FILE", nullptr},  // nullptr: files
+    {"DIR", nullptr},
+    {"PLUGIN", nullptr},
+    {"KEY", nullptr},
+};
+
+/// The possible values of an option or of a positional word.
 std::vector<std::string> values(const CLI::Option& option, const Names& names) {
   const auto type = option.get_type_name();
   const auto open = type.find('{');
@@ -123,19 +145,15 @@ std::vector<std::string> values(const CLI::Option& option, const Names& names) {
     for (std::string choice; std::getline(list, choice, ',');) choices.push_back(choice);
     return choices;
   }
-  const auto is = [&](const std::string& word) {
-    return type == word || option.get_name(true, false) == word || option.get_name(true, false).starts_with(word + " ");
-  };
-  if (is("FILE") || is("DIR") || is("PLUGIN") || is("KEY")) return {":files"};
-  if (is("GATEWAY")) return names(NameKind::gateways);
-  if (is("ID")) return names(NameKind::instances);
-  if (is("DRIVER")) return names(NameKind::drivers);
-  if (is("NAME")) return names(NameKind::deployments);
-  if (is("TOPOLOGY")) return names(NameKind::topologies);
+  const auto name = option.get_name(true, false);
+  for (const auto& [word, names_of] : completions) {
+    if (type != word && name != word && !name.starts_with(word + " ")) continue;
+    return names_of == nullptr ? std::vector<std::string>{":files"} : names(names_of);
+  }
   return {};
 }
 
-/// Those that go on where the word ends. \param kept stands before each of them.
+/// The words that begin with `begun`. \param kept is put before each of them.
 std::vector<std::string> fitting(const std::vector<std::string>& words, const std::string& begun,
                                  const std::string& kept = "") {
   if (words == std::vector<std::string>{":files"}) return words;
@@ -188,37 +206,49 @@ std::vector<std::string> candidates(const Place& place, std::string last, const 
   return {};
 }
 
+class Completion final : public Verb {
+ public:
+  Completion()
+      : Verb({"completion", "Print the script that makes a shell complete this command's words",
+              "source <(iotcloud completion bash)", std::nullopt, false}) {}
+  void declare(CLI::App& options) override {
+    options.add_option("SHELL", shell_, "the shell")->required()->check(CLI::IsMember({"bash", "zsh"}));
+  }
+  int run(Call& call) override {
+    call.out << (shell_ == "bash" ? bash_script : zsh_script);
+    return exit_ok;
+  }
+
+ private:
+  std::string shell_;
+};
+
 }  // namespace
 
-void add_completion(CLI::App& app, Words& words) {
-  auto& sub = *app.add_subcommand("completion", "Print what makes a shell complete this command's words");
-  sub.add_option("SHELL", words.shell, "the shell")->required()->check(CLI::IsMember({"bash", "zsh"}));
-  sub.footer("Example:\n  source <(iotcloud completion bash)");
+void add_completion_verbs(Verbs& verbs) {
+  verbs.add<Completion>();
 }
 
-int print_completion(const std::string& shell, std::ostream& out) {
-  out << (shell == "bash" ? bash_script : zsh_script);
-  return exit_ok;
-}
-
-int answer_shell(CLI::App& app, const std::vector<std::string>& words, const std::function<Command()>& command) {
+int answer_shell(CLI::App& app, const std::vector<std::string>& words, Call& call,
+                 const std::function<void()>& identify) {
   if (words.empty()) return exit_ok;
   const auto place = place_of_last(app, words);
-  const auto names = [&](NameKind kind) -> std::vector<std::string> {
+  const auto names = [&](NamesOf names_of) -> std::vector<std::string> {
     try {
       auto global = place.global;
-      global.push_back("status");  // the program wants a verb
+      global.push_back("status");  // the parser requires a verb
       std::reverse(global.begin(), global.end());
       app.parse(global);
-      auto answer = std::async(std::launch::async, [kind, made = command()] { return names_of(kind, made); });
+      identify();
+      auto answer = std::async(std::launch::async, [names_of, &call] { return names_of(*call.connect()); });
       if (answer.wait_for(patience) == std::future_status::ready) return answer.get();
     } catch (const std::exception&) {
-      return {};  // a shell has no place for complaints
+      return {};  // a shell that completes a word cannot show error messages
     }
-    std::cout.flush();
+    call.out.flush();
     std::_Exit(exit_ok);
   };
-  for (const auto& word : candidates(place, words.back(), names)) std::cout << word << '\n';
+  for (const auto& word : candidates(place, words.back(), names)) call.out << word << '\n';
   return exit_ok;
 }
 

@@ -1,26 +1,22 @@
 #pragma once
 
 #include <functional>
-#include <iosfwd>
 #include <string>
 #include <vector>
 
-#include <iotcloud/master/cli/arguments.h>
+#include <iotcloud/master/cli/verb.h>
 
-/// What a shell completes. The scripts only ask this program (`iotcloud __complete WORDS...`), which looks at its own
-/// options and verbs, so that they cannot grow stale.
+/// Completion of command lines in a shell. The shells' scripts only call this program (`iotcloud __complete WORDS...`),
+/// which looks at the options of its verbs, so the scripts never get out of date.
 namespace iotcloud::master::cli {
 
-/// The verb that prints the script for a shell into `words.shell`.
-void add_completion(CLI::App& app, Words& words);
-/// \return the exit status.
-int print_completion(const std::string& shell, std::ostream& out);
-
-/// What can stand in the place of the last word, one a line; ":files" alone: a file's name. Never complains.
-/// \param words of the command line behind the program's name; the last one is being written and may be empty.
-/// \param command called after the options that say where the master is were parsed by `app`: what they make. May
-/// throw.
-/// \return the exit status. May end the process: a master that does not answer at once is not waited for.
-int answer_shell(CLI::App& app, const std::vector<std::string>& words, const std::function<Command()>& command);
+/// Prints the possible completions of the last word, one on each line; the line ":files" alone means any file's name.
+/// Prints no error messages.
+/// \param words of the command line after the program's name. The user is typing the last one, which may be empty.
+/// \param call gets the completions. \param identify sets the credentials for the master; called after `app` has parsed
+/// the options that say where the master is. May throw.
+/// \return the exit status. May end the process, because it does not wait for a master that does not answer at once.
+int answer_shell(CLI::App& app, const std::vector<std::string>& words, Call& call,
+                 const std::function<void()>& identify);
 
 }  // namespace iotcloud::master::cli

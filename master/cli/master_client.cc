@@ -9,9 +9,10 @@
 
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/thrift/listen_settings.h>
-#include <iotcloud/config/thrift/thrift_client.h>
+#include <iotcloud/master/api/wire.h>
 #include <iotcloud/master/cli/master_client.h>
+#include <iotcloud/rpc/listen_settings.h>
+#include <iotcloud/rpc/thrift_client.h>
 
 namespace iotcloud::master::cli {
 
@@ -19,23 +20,29 @@ using apache::thrift::TApplicationException;
 using apache::thrift::TException;
 using apache::thrift::transport::TTransportException;
 using std::chrono::milliseconds;
-using wire::TMasterAPIServiceClient;
+using Client = wire::TMasterAPIServiceClient;
+using discovery::as_own;
+using discovery::as_wire;
 
 namespace {
 
 constexpr milliseconds connect_limit{3'000};
 constexpr milliseconds read_limit{30'000};
-/// For the first answer on a connection: a master that waits for its registry takes three seconds.
+/// Time limit of the first answer on a connection: a master that waits for its registry takes three seconds.
 constexpr milliseconds first_answer_limit{5'000};
-/// What a master takes for an order on top of the wait it was asked for.
+/// How much longer than the requested wait a master may take to answer an order.
 constexpr milliseconds order_margin{30'000};
-/// Longest wait of a master that is not asked for one.
-constexpr int longest_own_wait_ms = 600'000;
+/// The longest that a master may wait by itself when the order does not say how long.
+constexpr milliseconds longest_own_wait{600'000};
 constexpr milliseconds election_pause{200};
 
-config::HostAndPort split(const std::string& address) {
+std::vector<std::string> texts(const std::vector<discovery::GatewayId>& ids) {
+  return {ids.begin(), ids.end()};
+}
+
+rpc::HostAndPort split(const std::string& address) {
   try {
-    return config::split_address(address);
+    return rpc::split_address(address);
   } catch (const config::Error&) {
     throw std::invalid_argument(
         fmt::format("\"{}\" is no address of a master: give HOST:PORT, for example 127.0.0.1:12904", address));
@@ -48,11 +55,11 @@ struct MasterClient::Impl {
   std::vector<std::string> addresses;
   MasterAccess access;
   milliseconds election_patience{};
-  std::string address;  ///< of the connection, and of the last one after it broke
-  std::unique_ptr<config::ThriftClient> connection;
-  std::unique_ptr<TMasterAPIServiceClient> client;
+  std::string address;  ///< of the connection, or of the last one if that is broken
+  std::unique_ptr<rpc::ThriftClient> connection;
+  std::unique_ptr<Client> client;
 
-  /// What went wrong, and what may be missing.
+  /// Says what went wrong, and which options may be missing.
   std::string text_of(const TException& e) const {
     const auto* transport = dynamic_cast<const TTransportException*>(&e);
     const bool no_tls = access.tls.empty() && transport != nullptr &&
@@ -65,14 +72,14 @@ struct MasterClient::Impl {
   void connect(const std::string& to) {
     client.reset();
     const auto [host, port] = split(to);
-    config::ThriftClientOptions options;
+    rpc::ThriftClientOptions options;
     options.host = host;
     options.port = port;
     options.tls = access.tls;
     options.connect_limit = connect_limit;
     options.answer_limit = first_answer_limit;
-    auto fresh = std::make_unique<config::ThriftClient>(options);
-    auto asking = std::make_unique<TMasterAPIServiceClient>(fresh->protocol());
+    auto fresh = std::make_unique<rpc::ThriftClient>(options);
+    auto asking = std::make_unique<Client>(fresh->protocol());
     open(*asking, to);
     fresh->set_answer_limit(read_limit);
     connection = std::move(fresh);
@@ -80,14 +87,14 @@ struct MasterClient::Impl {
     address = to;
   }
 
-  /// A master that hangs still takes connections: one is there when it has answered something.
-  void open(TMasterAPIServiceClient& fresh, const std::string& to) const {
+  /// Makes one call, because a master that hangs still accepts connections: only an answer shows that it works.
+  void open(Client& fresh, const std::string& to) const {
     if (access.token.empty()) {
       try {
         wire::TMasterStatus ignored;
         fresh.getStatus(ignored);
       } catch (const wire::TMasterError&) {
-        // That is an answer.
+        // An error is an answer too.
       }
       return;
     }
@@ -114,11 +121,13 @@ struct MasterClient::Impl {
                     fmt::join(problems, "; ")));
   }
 
-  template <typename Ask>
-  auto read(Ask&& ask) {
+  template <typename Answer, typename... Parameters, typename... Arguments>
+  Answer ask(void (Client::*question)(Answer&, Parameters...), const Arguments&... arguments) {
     connect_any();
     try {
-      return ask(*client);
+      Answer answer;
+      (client.get()->*question)(answer, arguments...);
+      return answer;
     } catch (const wire::TMasterError& e) {
       throw Failed(fmt::format("master {}: {}", address, e.reason));
     } catch (const TApplicationException& e) {
@@ -129,16 +138,32 @@ struct MasterClient::Impl {
     }
   }
 
-  template <typename Answer = wire::TOrderResponse, typename Give>
-  Answer order(std::int64_t wait_ms, Give&& give, std::size_t steps = 1) {
+  /// Converts an order to its Thrift struct, and gives it.
+  template <typename Own, typename Answer, typename Wire, typename... Parameters, typename... Arguments>
+  auto order(milliseconds limit, const Own& own, void (Client::*method)(Answer&, const Wire&, Parameters...),
+             const Arguments&... arguments) {
+    return from_wire(give(limit, method, as_wire<Wire>(own), arguments...));
+  }
+  template <typename Own, typename Method, typename... Arguments>
+  auto order(const Own& own, Method method, const Arguments&... arguments) {
+    return order(answer_limit(own.wait), own, method, arguments...);
+  }
+
+  /// How long the answer to an order may take.
+  static milliseconds answer_limit(const WaitLimit& wait, std::size_t steps = 1) {
+    return std::min(wait.value_or(longest_own_wait), longest_own_wait) * static_cast<std::int64_t>(steps) +
+           order_margin;
+  }
+
+  template <typename Answer, typename... Parameters, typename... Arguments>
+  Answer give(milliseconds limit, void (Client::*method)(Answer&, Parameters...), const Arguments&... arguments) {
     const auto patience = std::chrono::steady_clock::now() + election_patience;
     connect_any();
     while (true) {
-      const auto own_wait = wait_ms > 0 ? std::min<std::int64_t>(wait_ms, longest_own_wait_ms) : longest_own_wait_ms;
-      connection->set_answer_limit(milliseconds{own_wait} * static_cast<std::int64_t>(steps) + order_margin);
+      connection->set_answer_limit(limit);
       Answer answer;
       try {
-        give(*client, answer);
+        (client.get()->*method)(answer, arguments...);
       } catch (const TApplicationException& e) {
         throw Failed(fmt::format("master {}: {}", address, e.what()));
       } catch (const TException& e) {
@@ -149,7 +174,7 @@ struct MasterClient::Impl {
                         address, e.what()));
       }
       if (answer.refusal != wire::TRefusal::NOT_LEADING) return answer;
-      // Nothing was written: the order may be given again.
+      // The master wrote nothing, so the order may be given again.
       const auto standby = address;
       const auto leader = answer.__isset.leader ? answer.leader : "";
       std::string silence;
@@ -161,7 +186,7 @@ struct MasterClient::Impl {
           silence = e.what();
         }
       }
-      // No leader, or one that has just died: the others are electing another.
+      // There is no leader, or it has just died and the other masters elect a new one.
       if (std::chrono::steady_clock::now() > patience) {
         if (silence.empty()) return answer;
         throw Unreachable(fmt::format("master {} is on standby and names {} as the leader, which does not answer: {}",
@@ -187,130 +212,89 @@ const std::string& MasterClient::address() const {
   return impl_->address;
 }
 
-wire::TMasterStatus MasterClient::status() {
-  return impl_->read([](auto& client) {
-    wire::TMasterStatus out;
-    client.getStatus(out);
-    return out;
-  });
+MasterStatus MasterClient::status() {
+  return as_own<MasterStatus>(impl_->ask(&Client::getStatus));
 }
 
-std::vector<discovery::wire::TSite> MasterClient::gateways() {
-  return impl_->read([](auto& client) {
-    std::vector<discovery::wire::TSite> out;
-    client.listGateways(out);
-    return out;
-  });
+std::vector<discovery::GatewayStatus> MasterClient::gateways() {
+  std::vector<discovery::GatewayStatus> gateways;
+  for (auto& site : impl_->ask(&Client::listGateways)) gateways.push_back(from_wire(std::move(site)));
+  return gateways;
 }
 
-std::vector<discovery::wire::TSensor> MasterClient::drivers() {
-  return impl_->read([](auto& client) {
-    std::vector<discovery::wire::TSensor> out;
-    client.listDrivers(out);
-    return out;
-  });
+std::vector<discovery::DriverRecord> MasterClient::drivers() {
+  std::vector<discovery::DriverRecord> drivers;
+  for (auto& sensor : impl_->ask(&Client::listDrivers))
+    drivers.push_back(discovery::from_wire(std::move(sensor), "the master's answer"));
+  return drivers;
 }
 
-std::vector<wire::TTopology> MasterClient::topologies() {
-  return impl_->read([](auto& client) {
-    std::vector<wire::TTopology> out;
-    client.listTopologies(out);
-    return out;
-  });
+std::vector<discovery::TopologyStatus> MasterClient::topologies() {
+  std::vector<discovery::TopologyStatus> topologies;
+  for (auto& topology : impl_->ask(&Client::listTopologies)) topologies.push_back(from_wire(std::move(topology)));
+  return topologies;
 }
 
-std::vector<wire::TOrder> MasterClient::orders() {
-  return impl_->read([](auto& client) {
-    std::vector<wire::TOrder> out;
-    client.listOrders(out);
-    return out;
-  });
+std::vector<ListedOrder> MasterClient::orders() {
+  std::vector<ListedOrder> orders;
+  for (auto& order : impl_->ask(&Client::listOrders)) orders.push_back(from_wire(std::move(order)));
+  return orders;
 }
 
-wire::TDriverHistory MasterClient::history(const std::vector<std::string>& instances,
-                                           const std::vector<std::string>& gateways, std::int32_t most) {
-  return impl_->read([&](auto& client) {
-    wire::TDriverHistory out;
-    client.getHistory(out, instances, gateways, most);
-    return out;
-  });
+DriverHistory MasterClient::history(const std::vector<std::string>& instances,
+                                    const std::vector<discovery::GatewayId>& gateways, std::int32_t most) {
+  return as_own<DriverHistory>(impl_->ask(&Client::getHistory, instances, texts(gateways), most));
 }
 
-wire::TLogPart MasterClient::read_log(const std::string& gateway, const std::string& instance,
-                                      const std::string& position, std::int32_t most_bytes) {
-  return impl_->read([&](auto& client) {
-    wire::TLogPart out;
-    client.readLog(out, gateway, instance, position, most_bytes);
-    return out;
-  });
+LogPart MasterClient::read_log(const discovery::GatewayId& gateway, const discovery::InstanceId& instance,
+                               const std::string& position, std::int32_t most_bytes) {
+  return as_own<LogPart>(impl_->ask(&Client::readLog, gateway, instance, position, most_bytes));
 }
 
-wire::TOrderResponse MasterClient::deploy(const wire::TDeployRequest& request) {
-  return impl_->order(request.waitMs, [&](auto& client, auto& answer) { client.deploy(answer, request); });
+OrderResult MasterClient::deploy(const DeployRequest& request) {
+  return impl_->order(request, &Client::deploy);
 }
-
-wire::TOrderResponse MasterClient::undeploy(const wire::TInstanceSelection& selection) {
-  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.undeploy(answer, selection); });
+OrderResult MasterClient::undeploy(const InstanceSelection& selection) {
+  return impl_->order(selection, &Client::undeploy);
 }
-
-wire::TOrderResponse MasterClient::start(const wire::TInstanceSelection& selection) {
-  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.start(answer, selection); });
+OrderResult MasterClient::start(const InstanceSelection& selection) {
+  return impl_->order(selection, &Client::start);
 }
-
-wire::TOrderResponse MasterClient::stop(const wire::TInstanceSelection& selection) {
-  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.stop(answer, selection); });
+OrderResult MasterClient::stop(const InstanceSelection& selection) {
+  return impl_->order(selection, &Client::stop);
 }
-
-wire::TOrderResponse MasterClient::update_metadata(const wire::TInstanceSelection& selection,
-                                                   const std::map<std::string, std::string>& changes) {
-  return impl_->order(selection.waitMs,
-                      [&](auto& client, auto& answer) { client.updateMetadata(answer, selection, changes); });
+OrderResult MasterClient::update_metadata(const InstanceSelection& selection, const MetadataChanges& changes) {
+  return impl_->order(selection, &Client::updateMetadata, changes);
 }
-
-wire::TOrderResponse MasterClient::change_deployment(const wire::TDeploymentChange& change) {
-  return impl_->order(change.waitMs, [&](auto& client, auto& answer) { client.changeDeployment(answer, change); });
+OrderResult MasterClient::change_deployment(const DeploymentChange& change) {
+  return impl_->order(change, &Client::changeDeployment);
 }
-
-wire::TOrderResponse MasterClient::drain(const wire::TGatewaySelection& selection) {
-  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.drain(answer, selection); });
+OrderResult MasterClient::drain(const GatewaySelection& selection) {
+  return impl_->order(selection, &Client::drain);
 }
-
-wire::TOrderResponse MasterClient::undrain(const wire::TGatewaySelection& selection) {
-  return impl_->order(selection.waitMs, [&](auto& client, auto& answer) { client.undrain(answer, selection); });
+OrderResult MasterClient::undrain(const GatewaySelection& selection) {
+  return impl_->order(selection, &Client::undrain);
 }
-
-wire::TOrderResponse MasterClient::update(const wire::TUpdateRequest& request, std::size_t steps) {
-  return impl_->order(
-      request.selection.waitMs > 0 ? request.selection.waitMs + request.settleMs : 0,
-      [&](auto& client, auto& answer) { client.update(answer, request); }, 2 * steps + 1);
+OrderResult MasterClient::update(const UpdateRequest& request, std::size_t steps) {
+  auto wait = request.selection.wait;
+  if (wait) *wait += request.settle;
+  return impl_->order(Impl::answer_limit(wait, 2 * steps + 1), request, &Client::update);
 }
-
-wire::TUploadResponse MasterClient::offer_plugin(const wire::TPluginOffer& offer,
-                                                 const std::vector<std::string>& gateways) {
-  return impl_->order<wire::TUploadResponse>(
-      read_limit.count(), [&](auto& client, auto& answer) { client.offerPlugin(answer, offer, gateways); });
+OrderResult MasterClient::give(const std::string& kind, const std::string& json, const WaitLimit& wait,
+                               std::size_t steps) {
+  return from_wire(impl_->give(Impl::answer_limit(wait, steps), &Client::giveOrder, kind, json));
 }
-
-wire::TUploadResponse MasterClient::send_plugin(const std::string& upload, std::int64_t offset,
-                                                const std::string& bytes) {
-  return impl_->read([&](auto& client) {
-    wire::TUploadResponse out;
-    client.sendPlugin(out, upload, offset, bytes);
-    return out;
-  });
+TopologyResult MasterClient::order(const TopologyRequest& request) {
+  return impl_->order(request, &Client::orderTopology);
 }
-
-wire::TUploadResponse MasterClient::finish_plugin(const std::string& upload) {
-  return impl_->read([&](auto& client) {
-    wire::TUploadResponse out;
-    client.finishPlugin(out, upload);
-    return out;
-  });
+UploadResult MasterClient::offer_plugin(const PluginOffer& offer, const std::vector<discovery::GatewayId>& gateways) {
+  return impl_->order(Impl::answer_limit(read_limit), offer, &Client::offerPlugin, texts(gateways));
 }
-
-wire::TTopologyResponse MasterClient::order(const wire::TTopologyRequest& request) {
-  return impl_->order<wire::TTopologyResponse>(
-      request.waitMs, [&](auto& client, auto& answer) { client.orderTopology(answer, request); });
+UploadResult MasterClient::send_plugin(const std::string& upload, std::int64_t offset, const std::string& bytes) {
+  return from_wire(impl_->ask(&Client::sendPlugin, upload, offset, bytes));
+}
+UploadResult MasterClient::finish_plugin(const std::string& upload) {
+  return from_wire(impl_->ask(&Client::finishPlugin, upload));
 }
 
 }  // namespace iotcloud::master::cli

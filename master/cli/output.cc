@@ -4,7 +4,9 @@
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
+#include <yaml-cpp/emitter.h>
 
+#include <iotcloud/config/clock.h>
 #include <iotcloud/master/cli/output.h>
 
 namespace iotcloud::master::cli {
@@ -16,7 +18,9 @@ std::size_t width(const std::string& text) {
       std::count_if(text.begin(), text.end(), [](unsigned char c) { return (c & 0xc0) != 0x80; }));
 }
 
-/// Letters first, then what cannot change the meaning; everything else is quoted as JSON, which is YAML too.
+/// Whether YAML reads the text as a string without quotes: it begins with a letter, has only harmless characters, and
+/// is no word such as "no". Needed because the emitter does not quote "1e3" and "no", which readers take for a number
+/// and a boolean.
 bool plain_in_yaml(const std::string& text) {
   static const std::vector<std::string> words{"null", "true", "false", "yes", "no", "on", "off", "y", "n"};
   if (text.empty() || std::isalpha(static_cast<unsigned char>(text[0])) == 0) return false;
@@ -28,34 +32,33 @@ bool plain_in_yaml(const std::string& text) {
   return std::find(words.begin(), words.end(), lower) == words.end();
 }
 
-std::string scalar(const nlohmann::ordered_json& value) {
-  if (value.is_string() && plain_in_yaml(value.get_ref<const std::string&>())) return value.get<std::string>();
-  return value.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+void emit_text(YAML::Emitter& emitter, const std::string& text) {
+  if (!plain_in_yaml(text)) emitter << YAML::DoubleQuoted;
+  emitter << text;
 }
 
-void print_block(std::ostream& out, const nlohmann::ordered_json& value, std::size_t indent, bool after_dash) {
-  const std::string margin(indent, ' ');
-  const auto is_block = [](const auto& v) { return v.is_structured() && !v.empty(); };
-  bool first = after_dash;
-  if (value.is_object() && !value.empty()) {
+void emit(YAML::Emitter& emitter, const nlohmann::ordered_json& value) {
+  if (value.is_structured() && value.empty())
+    emitter << YAML::Flow;  // block style would put an empty one on a line of its own
+  if (value.is_object()) {
+    emitter << YAML::BeginMap;
     for (const auto& [key, item] : value.items()) {
-      out << (first ? "" : margin) << scalar(key) << ':';
-      first = false;
-      if (is_block(item)) {
-        out << '\n';
-        print_block(out, item, indent + 2, false);
-      } else {
-        out << ' ' << scalar(item) << '\n';
-      }
+      emitter << YAML::Key;
+      emit_text(emitter, key);
+      emitter << YAML::Value;
+      emit(emitter, item);
     }
-  } else if (value.is_array() && !value.empty()) {
-    for (const auto& item : value) {
-      out << (first ? "" : margin) << "- ";
-      first = false;
-      print_block(out, item, indent + 2, true);
-    }
+    emitter << YAML::EndMap;
+  } else if (value.is_array()) {
+    emitter << YAML::BeginSeq;
+    for (const auto& item : value) emit(emitter, item);
+    emitter << YAML::EndSeq;
+  } else if (value.is_string()) {
+    emit_text(emitter, value.get_ref<const std::string&>());
+  } else if (value.is_null()) {
+    emitter << YAML::Null;
   } else {
-    out << (first ? "" : margin) << scalar(value) << '\n';
+    emitter << value.dump();  // the shortest text of this number
   }
 }
 
@@ -78,12 +81,25 @@ void print_table(std::ostream& out, const std::vector<std::string>& head,
 }
 
 void print_yaml(std::ostream& out, const nlohmann::ordered_json& value) {
-  print_block(out, value, 0, false);
+  YAML::Emitter emitter(out);
+  emitter.SetNullFormat(YAML::LowerNull);
+  emit(emitter, value);
+  out << '\n';
 }
 
 void print_data(std::ostream& out, Format format, const nlohmann::ordered_json& json) {
   if (format == Format::yaml) return print_yaml(out, json);
   out << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << '\n';
+}
+
+void print(std::ostream& out, Format format, const std::vector<std::string>& head,
+           const std::vector<std::vector<std::string>>& rows, const nlohmann::ordered_json& json) {
+  if (format == Format::table) return print_table(out, head, rows);
+  print_data(out, format, json);
+}
+
+std::int64_t now_ms() {
+  return config::system_clock().wall_ms();
 }
 
 std::string age(std::int64_t since_ms, std::int64_t now_ms) {

@@ -16,30 +16,30 @@ DriverView::DriverView(discovery::Registry& registry, const discovery::Paths& pa
 DriverView::~DriverView() {
   std::map<std::string, Entry> all;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     all.swap(entries_);
   }
   forget(std::move(all));
 }
 
-/// Without the lock: a watch's destructor waits for its callback, which wants the lock.
+/// Destroys entries without the lock, because a watch's destructor waits for its callback, which takes the lock.
 void DriverView::forget(std::map<std::string, Entry> gone) {
   gone.clear();
 }
 
-void DriverView::ordered(const std::string& instance) {
-  const std::lock_guard lock(mutex_);
+void DriverView::ordered(const discovery::InstanceId& instance) {
+  const config::MutexLock lock(mutex_);
   if (!entries_.empty()) ordered_.insert(instance);
 }
 
 std::vector<DriverRecord> DriverView::list() {
-  const std::lock_guard one_at_a_time(listing_);
+  const config::MutexLock one_at_a_time(listing_);
   const auto instances = discovery::list_instances(registry_, paths_);
   std::vector<DriverRecord> drivers;
   if (instances.size() <= options_.few) {
     std::map<std::string, Entry> all;
     {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       all.swap(entries_);
       unread_ = 0;
       ordered_.clear();
@@ -53,7 +53,7 @@ std::vector<DriverRecord> DriverView::list() {
     watch_all(instances);
     read_ordered(instances);
     wait_until_read();
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     drivers.reserve(instances.size());
     for (const auto& path : instances) {
       if (const auto& record = entries_.at(path).record) drivers.push_back(*record);
@@ -63,12 +63,12 @@ std::vector<DriverRecord> DriverView::list() {
   return drivers;
 }
 
-/// Watches what is new, and forgets what is gone.
+/// Watches new instances and forgets those that are gone.
 void DriverView::watch_all(const std::vector<std::string>& instances) {
   std::map<std::string, Entry> gone;
   std::vector<std::string> fresh;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     gone.swap(entries_);
     for (const auto& path : instances) {
       if (auto known = gone.extract(path)) {
@@ -84,15 +84,15 @@ void DriverView::watch_all(const std::vector<std::string>& instances) {
   forget(std::move(gone));
   for (const auto& path : fresh) {
     auto watch = registry_.watch_node(path, [this, path](const std::optional<Node>& node) { take(path, node); });
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     entries_.at(path).watch = std::move(watch);
   }
 }
 
-/// On the registry's dispatcher, or by the one who lists: the later writing counts.
+/// Called on the registry's dispatcher and by the listing thread: the record written later wins.
 void DriverView::take(const std::string& path, const std::optional<Node>& node) {
   auto record = discovery::driver_of(node, path);
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   const auto found = entries_.find(path);
   if (found == entries_.end()) return;
   auto& entry = found->second;
@@ -107,10 +107,10 @@ void DriverView::take(const std::string& path, const std::optional<Node>& node) 
 void DriverView::read_ordered(const std::vector<std::string>& instances) {
   std::vector<std::string> again;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (ordered_.empty()) return;
     for (const auto& path : instances) {
-      if (ordered_.contains(path.substr(path.rfind('/') + 1))) again.push_back(path);
+      if (ordered_.contains(discovery::InstanceId(path.substr(path.rfind('/') + 1)))) again.push_back(path);
     }
     ordered_.clear();
   }
@@ -119,8 +119,9 @@ void DriverView::read_ordered(const std::vector<std::string>& instances) {
 }
 
 void DriverView::wait_until_read() {
-  std::unique_lock lock(mutex_);
-  if (all_read_.wait_for(lock, options_.first_limit, [this] { return unread_ == 0; })) return;
+  const config::MutexLock lock(mutex_);
+  const auto all_read = [this]() IOTCLOUD_REQUIRES(mutex_) { return unread_ == 0; };
+  if (all_read_.wait_for(mutex_, options_.first_limit, all_read)) return;
   throw RegistryError(RegistryErrorCode::away, "the records of all driver instances were not read in time");
 }
 

@@ -13,7 +13,7 @@ std::string lower_case(std::string text) {
   return text;
 }
 
-/// Not as a part of another word, such as monkey.
+/// Whether the text contains the word as a word of its own: "key", but not in "monkey".
 bool has_word(const std::string& text, const std::string& word) {
   const auto is_letter = [&](std::size_t at) {
     return at < text.size() && std::isalpha(static_cast<unsigned char>(text[at])) != 0;

@@ -7,22 +7,31 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/discovery/records.h>
+
 namespace iotcloud::master {
 
-/// What became of an order for one instance on one gateway.
+/// What became of an order for one instance on one gateway. Numbers are those of TOutcome.
 enum class Outcome {
   done,     ///< the gateway reported the wanted state
   failed,   ///< the gateway reported a failure, or the order could not be written
   pending,  ///< recorded; the gateway is lost and will do it when it comes back
-  unknown,  ///< nothing was heard in time: it may still happen
+  unknown,  ///< no report came in time: the change may still happen
 };
 std::string to_string(Outcome outcome);
+inline std::string json_value(Outcome outcome) {
+  return to_string(outcome);
+}
 
+/// What became of an order for one instance.
 struct InstanceOutcome {
-  std::string gateway;
-  std::string instance;
+  discovery::GatewayId gateway;
+  discovery::InstanceId instance;
   Outcome outcome = Outcome::unknown;
-  std::string reason;  ///< for people; empty when done and nothing is to be said
+  std::string reason;  ///< why, for people; may be empty for `done`
+  static constexpr const char* what = "an outcome";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(instance, usual), IOTCLOUD_FIELD(gateway, usual),
+                                            IOTCLOUD_FIELD(outcome, usual), IOTCLOUD_FIELD(reason, usual)};
   friend bool operator==(const InstanceOutcome&, const InstanceOutcome&) = default;
 };
 
@@ -30,23 +39,28 @@ struct InstanceOutcome {
 enum class Change { undeploy, start, stop };
 std::string to_string(Change change);
 
-/// Why a master took no order at all: nothing was written.
+/// Why a master took no order at all: nothing was written. Numbers are those of TRefusal.
 enum class Refusal {
   none,
-  not_leading,       ///< another master leads: OrderResult::leader
-  unknown_gateway,   ///< the text lists the known ones
-  unknown_instance,  ///< the text says which
-  bad_request,       ///< a name that cannot be one, a count out of range
-  registry_away,     ///< the registry did not answer
-  unknown_topology,  ///< the text lists the known ones
+  not_leading,        ///< another master leads: OrderResult::leader
+  unknown_gateway,    ///< the text lists the known ones
+  unknown_instance,   ///< the text says which
+  bad_request,        ///< an invalid name, a count out of range
+  registry_away,      ///< the registry did not answer
+  not_authenticated,  ///< the service requires a token
+  unknown_topology,   ///< the text lists the known ones
+  not_allowed,        ///< the role of the token may not do this
 };
 
 /// The answer to an order: refused as a whole, or an outcome for each instance.
 struct OrderResult {
   Refusal refusal = Refusal::none;
-  std::string text;    ///< why it was refused, and how to mend it
+  std::string text;    ///< why the order was refused, and how to mend it
   std::string leader;  ///< host:port of the master that leads, when `not_leading` and known
   std::vector<InstanceOutcome> outcomes;
+  static constexpr const char* what = "an answer to an order";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(refusal, usual), IOTCLOUD_FIELD(leader, rare), IOTCLOUD_FIELD(outcomes, usual)};
 
   /// Not refused, and every outcome is `done`.
   bool all_done() const;
@@ -54,60 +68,89 @@ struct OrderResult {
   std::string summary() const;
 };
 
-/// Time to wait for outcomes when the caller names none: MasterOptions::outcome_timeout.
+/// How long to wait for outcomes; nullopt: for MasterOptions::outcome_timeout.
 using WaitLimit = std::optional<std::chrono::milliseconds>;
 
-struct DeployRequest {
-  std::vector<std::string> gateways;  ///< empty: all that are registered
-  std::string plugin;    ///< file name ("turtle.so"), in the gateway's plugin folder unless `sha256` is given
-  std::string sha256{};  ///< of a plugin that was sent to the gateways before
-  std::string driver;    ///< name of the driver; empty: the plugin's own
-  std::map<std::string, std::string> properties;
-  std::map<std::string, std::string> metadata;
-  int count = 1;  ///< instances on each gateway, 1 to max_count
+/// Instances to deploy. If the deployment has a name, the name, a gateway and a number from 1 to `count` identify each
+/// instance: one that exists already is not deployed again, and its outcome is `failed`.
+struct DeployRequest : discovery::Deployment {
+  std::vector<discovery::GatewayId> gateways;  ///< empty: all that are registered
+  int count = 1;                               ///< instances on each gateway, 1 to max_count
+  std::vector<int> indexes;  ///< for deployments with a name: use these numbers instead of 1 to `count`
   WaitLimit wait;
-  /// Of the deployment. With the gateway and a number from 1 to `count` it names an instance: what is deployed already
-  /// is not deployed again, its outcome is `failed`. Empty: the instances have no names.
-  std::string name;
-  std::vector<int> indexes;  ///< with a name: these numbers, not 1 to `count`
-  std::string manager;       ///< the manifest that the instances belong to; empty: a person deploys
-  bool active = true;        ///< false: they are deployed, and wait to be started
   static constexpr int max_count = 10'000;
+  static constexpr const char* what = "a deployment";
+  static constexpr auto fields =
+      std::tuple_cat(discovery::Deployment::fields,
+                     std::tuple{IOTCLOUD_FIELD(gateways, usual), IOTCLOUD_FIELD(count, usual),
+                                IOTCLOUD_FIELD(indexes, rare), IOTCLOUD_FIELD_AS(wait, rare, "wait_ms", waitMs)});
 };
 
-/// Changes what instances were deployed with. They keep their ids; those whose properties change are made anew.
+/// Changes what instances were deployed with. The instances keep their ids; those whose properties change are created
+/// anew.
 struct DeploymentChange {
-  std::vector<std::string> instances;                            ///< ids in full
-  std::optional<std::map<std::string, std::string>> properties;  ///< all of them; nullopt: as they are
-  std::optional<std::string> manager;  ///< the manifest that they belong to from now on; nullopt: as it is
+  std::vector<discovery::InstanceId> instances;                  ///< ids in full
+  std::optional<std::map<std::string, std::string>> properties;  ///< replace all properties; nullopt: they stay
+  std::optional<std::string> manager;  ///< the manifest that owns them from now on; nullopt: it stays
   WaitLimit wait;
+  static constexpr const char* what = "a change of deployments";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(instances, required), IOTCLOUD_FIELD(properties, rare), IOTCLOUD_FIELD(manager, rare),
+                 IOTCLOUD_FIELD_AS(wait, rare, "wait_ms", waitMs)};
 };
 
-/// Gateways that are to drain, or no longer.
+/// The gateways of an order to drain or undrain.
 struct GatewaySelection {
-  std::vector<std::string> gateways;  ///< at least one
+  std::vector<discovery::GatewayId> gateways;  ///< at least one
   WaitLimit wait;
+  static constexpr const char* what = "a choice of gateways";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(gateways, required), IOTCLOUD_FIELD_AS(wait, rare, "wait_ms", waitMs)};
 };
 
-/// What others are to see of instances from now on: values by key; an empty value takes the key away.
+/// Changes of instances' metadata: values by key; an empty value removes the key.
 using MetadataChanges = std::map<std::string, std::string>;
 
-/// Instances that an order to undeploy, start, stop or describe them is for.
+/// The instances that an order is for.
 struct InstanceSelection {
-  std::vector<std::string> instances;  ///< ids in full
-  std::vector<std::string> gateways;   ///< when not empty, the instances must be on one of these
+  std::vector<discovery::InstanceId> instances;  ///< ids in full
+  std::vector<discovery::GatewayId> gateways;    ///< when not empty, the instances must be on one of these
   WaitLimit wait;
+  static constexpr const char* what = "a choice of instances";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(instances, required), IOTCLOUD_FIELD(gateways, usual),
+                                            IOTCLOUD_FIELD_AS(wait, rare, "wait_ms", waitMs)};
 };
 
-/// Another version of their plugin for instances that are deployed; they keep id, properties and metadata.
+/// An order to change the metadata of some instances.
+struct MetadataOrder : InstanceSelection {
+  MetadataChanges changes;
+  static constexpr const char* what = "a change of metadata";
+  static constexpr auto fields =
+      std::tuple_cat(InstanceSelection::fields, std::tuple{IOTCLOUD_FIELD(changes, required)});
+};
+
+/// An order to give deployed instances another version of their plugin; they keep id, properties and metadata.
 struct UpdateRequest {
   InstanceSelection selection;  ///< `wait`: how long each step may take, and as long again to go back
-  std::string plugin;           ///< as in DeployRequest
-  std::string sha256{};         ///< as in DeployRequest
+  std::string plugin;           ///< as in discovery::Deployment
+  std::string sha256{};         ///< as in discovery::Deployment
   int at_once = 0;              ///< instances in one step, up to max_at_once; 0: all of one gateway
-  /// How long those of a step must stay up before the next one; at most ten minutes. 0: a moment is enough.
+  /// How long the instances of a step must stay up before the next step begins; at most ten minutes. 0: not at all.
   std::chrono::milliseconds settle{0};
   static constexpr int max_at_once = 10'000;
+  static constexpr const char* what = "an update";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(selection, required), IOTCLOUD_FIELD(plugin, required), IOTCLOUD_FIELD(sha256, rare),
+      IOTCLOUD_FIELD_AS(at_once, rare, "at_once", atOnce), IOTCLOUD_FIELD_AS(settle, rare, "settle_ms", settleMs)};
 };
+
+/// An order in words, for the audit log, without secrets.
+std::string words(const std::vector<discovery::GatewayId>& gateways, const char* when_empty);
+std::string words(const std::vector<discovery::InstanceId>& instances, const char* when_empty);
+std::string words(const DeployRequest& request);
+std::string words(const DeploymentChange& change);
+std::string words(const GatewaySelection& selection);
+std::string words(const InstanceSelection& selection);
+std::string words(const UpdateRequest& update);
 
 }  // namespace iotcloud::master

@@ -4,7 +4,9 @@
 
 namespace iotcloud::master {
 
+using discovery::DriverName;
 using discovery::DriverState;
+using discovery::InstanceId;
 using discovery::Node;
 
 OutcomeWatch::OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, Wanted wanted)
@@ -14,8 +16,8 @@ OutcomeWatch::OutcomeWatch(discovery::Registry& registry, const discovery::Paths
     : registry_(registry), paths_(paths), wanted_(Wanted::described), changes_(std::move(changes)) {}
 
 OutcomeWatch::~OutcomeWatch() {
-  // Without the lock: a guard's destructor waits for its callback, which may want the lock. The names go first, as
-  // their callback makes the others.
+  // Runs without the lock, because a guard's destructor waits for its callback, which may take the lock. The guard of
+  // the names goes first, because its callback adds record guards.
   names_guard_.reset();
   record_guards_.clear();
 }
@@ -30,11 +32,11 @@ bool runs(const discovery::DriverRecord& record, const AwaitedVersion& version) 
 
 }  // namespace
 
-void OutcomeWatch::expect(const std::string& instance, const std::string& driver, const std::optional<Node>& before,
+void OutcomeWatch::expect(const InstanceId& instance, const DriverName& driver, const std::optional<Node>& before,
                           AwaitedVersion version) {
-  std::vector<std::string> names;
+  std::vector<DriverName> names;
   {
-    std::lock_guard lock(mutex_);
+    config::MutexLock lock(mutex_);
     auto& expected = expected_[instance];
     if (before) expected.before = {before->created, before->version};
     if (before && wanted_ == Wanted::anew) {
@@ -58,19 +60,20 @@ void OutcomeWatch::expect(const std::string& instance, const std::string& driver
   }
 }
 
-void OutcomeWatch::watch_record(const std::string& driver, const std::string& instance) {
+void OutcomeWatch::watch_record(const DriverName& driver, const InstanceId& instance) {
   const auto path = paths_.instance(driver, instance);
   auto guard = registry_.watch_node(
       path, [this, path, instance](const std::optional<Node>& node) { on_record(path, instance, node); });
-  std::lock_guard lock(mutex_);
+  config::MutexLock lock(mutex_);
   record_guards_.push_back(std::move(guard));
 }
 
 void OutcomeWatch::on_driver_names(const std::vector<std::string>& names) {
-  std::vector<std::pair<std::string, std::string>> wanted;
+  std::vector<std::pair<DriverName, InstanceId>> wanted;
   {
-    std::lock_guard lock(mutex_);
-    for (const auto& name : names) {
+    config::MutexLock lock(mutex_);
+    for (const auto& child : names) {
+      const DriverName name(child);
       if (!driver_names_.insert(name).second) continue;
       for (const auto& instance : anywhere_) wanted.emplace_back(name, instance);
     }
@@ -78,8 +81,8 @@ void OutcomeWatch::on_driver_names(const std::vector<std::string>& names) {
   for (const auto& [name, instance] : wanted) watch_record(name, instance);
 }
 
-void OutcomeWatch::on_record(const std::string& path, const std::string& instance, const std::optional<Node>& node) {
-  std::lock_guard lock(mutex_);
+void OutcomeWatch::on_record(const std::string& path, const InstanceId& instance, const std::optional<Node>& node) {
+  config::MutexLock lock(mutex_);
   auto& expected = expected_[instance];
   if (expected.verdict) return;
   expected.verdict = judge(expected, path, node);
@@ -92,7 +95,7 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, con
                                                          const std::optional<Node>& node) const {
   const Verdict done{Outcome::done, ""};
   if (!node || node->data.empty()) {
-    // For an instance that is being deployed this only means: not under this driver's name, or not yet.
+    // An instance being deployed has no record under this driver's name, or has none yet.
     return wanted_ == Wanted::gone ? std::optional(done) : std::nullopt;
   }
   discovery::DriverRecord record;
@@ -145,7 +148,7 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge_metadata(Expected& expe
     expected.last_state =
         found == record.metadata.end()
             ? fmt::format("its record has no {} yet", key)
-            : fmt::format("its record says {}={}; what the driver itself says goes before orders", key, found->second);
+            : fmt::format("its record says {}={}; what the driver itself reports takes precedence", key, found->second);
     return std::nullopt;
   }
   return Verdict{Outcome::done, ""};
@@ -161,11 +164,11 @@ std::string OutcomeWatch::silence(const Expected& expected, std::chrono::millise
   return text;
 }
 
-std::map<std::string, OutcomeWatch::Verdict> OutcomeWatch::wait(std::chrono::milliseconds limit,
-                                                                const std::stop_token& stop) {
-  std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, stop, limit, [this] { return open_ == 0; });
-  std::map<std::string, Verdict> verdicts;
+std::map<InstanceId, OutcomeWatch::Verdict> OutcomeWatch::wait(std::chrono::milliseconds limit,
+                                                               const std::stop_token& stop) {
+  const config::MutexLock lock(mutex_);
+  changed_.wait_for(mutex_, stop, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return open_ == 0; });
+  std::map<InstanceId, Verdict> verdicts;
   for (const auto& [instance, expected] : expected_) {
     verdicts[instance] = expected.verdict ? *expected.verdict
                                           : Verdict{Outcome::unknown, silence(expected, limit, stop.stop_requested())};

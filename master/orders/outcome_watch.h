@@ -1,9 +1,7 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <set>
 #include <stop_token>
@@ -11,61 +9,64 @@
 #include <utility>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/master/orders/orders.h>
 
 namespace iotcloud::master {
 
-/// What an instance runs when an update has come to it.
+/// The version and state that an update brings an instance to.
 struct AwaitedVersion {
   std::string plugin;
-  std::string sha256;      ///< empty: any other than `not_sha256`
-  std::string not_sha256;  ///< of the version before; may be empty
-  bool active = true;      ///< or inactive, as ordered
+  std::string sha256;      ///< empty: any hash but `not_sha256`
+  std::string not_sha256;  ///< hash of the previous version; may be empty
+  bool active = true;      ///< the ordered state
 };
 
-/// Reads from the registry what becomes of one order for some instances, all at the same time.
-/// Use: write an instance's order, expect() it, and at last wait() for all. Used by one thread.
+/// Watches the records of some instances in the registry for the outcomes of one order, all at the same time. Use:
+/// write an instance's order and expect() it, for each instance; then wait() for all. Used by one thread.
 class OutcomeWatch {
  public:
-  /// anew: active or inactive, reached after the order was written. updated: see AwaitedVersion.
+  /// The state that shows that the order is done. gone: no record, or undeployed. described: the metadata changes are
+  /// in the record. anew: active or inactive, reached after the order was written. updated: see AwaitedVersion.
   enum class Wanted { active, inactive, gone, described, anew, updated };
 
   /// The references outlive the watch.
   OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, Wanted wanted);
-  /// Wants records that show these changes, whatever the instances' state.
+  /// Waits for records that show these metadata changes, whatever the instances' state.
   OutcomeWatch(discovery::Registry& registry, const discovery::Paths& paths, MetadataChanges changes);
   ~OutcomeWatch();
   OutcomeWatch(const OutcomeWatch&) = delete;
   OutcomeWatch& operator=(const OutcomeWatch&) = delete;
 
-  /// \param driver the name that its record stands under; empty: not known yet, so all drivers are watched.
-  /// \param before the record's node before the order: a failure that stands there already is not the order's.
+  /// \param driver the name of the driver in the record's path; empty: not known yet, so all drivers are watched.
+  /// \param before the record's node as it was before the order: a failure in it is not the order's outcome.
   /// \param version for `updated`.
   /// \throws discovery::RegistryError
-  void expect(const std::string& instance, const std::string& driver, const std::optional<discovery::Node>& before,
-              AwaitedVersion version = {});
+  void expect(const discovery::InstanceId& instance, const discovery::DriverName& driver,
+              const std::optional<discovery::Node>& before, AwaitedVersion version = {});
 
   struct Verdict {
     Outcome outcome = Outcome::unknown;
     std::string reason;
   };
   /// Returns when all outcomes are known, after `limit`, or when `stop` is requested; by instance id.
-  std::map<std::string, Verdict> wait(std::chrono::milliseconds limit, const std::stop_token& stop);
+  std::map<discovery::InstanceId, Verdict> wait(std::chrono::milliseconds limit, const std::stop_token& stop);
 
  private:
   struct Expected {
     std::optional<std::pair<std::int64_t, std::int64_t>> before;  ///< created, version
-    /// What the record said before, and since when; with `anew` only.
+    /// The record's state before the order, and since when; only for `anew`.
     std::optional<std::pair<discovery::DriverState, std::int64_t>> state_before;
     AwaitedVersion version;
     std::optional<Verdict> verdict;
-    std::string last_state;  ///< what was seen last, for the text of `unknown`
+    std::string last_state;  ///< the state seen last, for the text of `unknown`
   };
-  void watch_record(const std::string& driver, const std::string& instance);
+  void watch_record(const discovery::DriverName& driver, const discovery::InstanceId& instance);
   void on_driver_names(const std::vector<std::string>& names);
-  void on_record(const std::string& path, const std::string& instance, const std::optional<discovery::Node>& node);
+  void on_record(const std::string& path, const discovery::InstanceId& instance,
+                 const std::optional<discovery::Node>& node);
   std::optional<Verdict> judge_metadata(Expected& expected, const discovery::DriverRecord& record) const;
   std::optional<Verdict> judge(Expected& expected, const std::string& path,
                                const std::optional<discovery::Node>& node) const;
@@ -76,14 +77,14 @@ class OutcomeWatch {
   const Wanted wanted_;
   const MetadataChanges changes_;
 
-  std::mutex mutex_;
-  std::condition_variable_any changed_;
-  std::map<std::string, Expected> expected_;        ///< guarded by mutex_
-  std::size_t open_ = 0;                            ///< guarded by mutex_: expectations without a verdict
-  std::set<std::string> driver_names_;              ///< guarded by mutex_: all there are
-  std::set<std::string> anywhere_;                  ///< guarded by mutex_: instances whose driver is not known
-  std::vector<discovery::GuardPtr> record_guards_;  ///< guarded by mutex_
-  discovery::GuardPtr names_guard_;                 ///< of the one thread that uses the watch
+  config::Mutex mutex_;
+  config::StoppableConditionVariable changed_;
+  std::map<discovery::InstanceId, Expected> expected_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::size_t open_ IOTCLOUD_GUARDED_BY(mutex_) = 0;  ///< number of expectations without a verdict
+  std::set<discovery::DriverName> driver_names_ IOTCLOUD_GUARDED_BY(mutex_);  ///< the names of all drivers
+  std::set<discovery::InstanceId> anywhere_ IOTCLOUD_GUARDED_BY(mutex_);      ///< instances whose driver is not known
+  std::vector<discovery::GuardPtr> record_guards_ IOTCLOUD_GUARDED_BY(mutex_);
+  discovery::GuardPtr names_guard_;  ///< only used by the thread that uses the watch
 };
 
 }  // namespace iotcloud::master

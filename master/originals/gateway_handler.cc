@@ -17,23 +17,25 @@ using discovery::wire::TSite;
 
 namespace {
 
-/// Keeps nothing of a connection, so one serves all.
+/// Has no state of a connection, so one handler serves all connections.
 class GatewayHandler final : public wire::TMasterServiceIf {
  public:
   GatewayHandler(OriginalGateways& gateways, std::function<MasterStatus()> status)
       : gateways_(gateways), status_(std::move(status)) {}
 
   void registerSite(TResponse& response, const TSite& site) override {
-    respond(response, [&] { return gateways_.register_gateway(from_wire(site)); });
+    respond(response, [&] { return gateways_.register_gateway(discovery::from_wire(site)); });
   }
   void unRegisterSite(TResponse& response, const TSite& site) override {
-    respond(response, [&] { return gateways_.unregister_gateway(site.siteId); });
+    respond(response, [&] { return gateways_.unregister_gateway(discovery::GatewayId(site.siteId)); });
   }
   void registerSensor(TResponse& response, const std::string& site, const TSensor& sensor) override {
-    respond(response, [&] { return gateways_.put_driver(site, from_wire(sensor)); });
+    respond(response, [&] {
+      return gateways_.put_driver(discovery::GatewayId(site), discovery::from_wire(sensor, "registerSensor"));
+    });
   }
   void unRegisterSensor(TResponse& response, const std::string& site, const std::string& id) override {
-    respond(response, [&] { return gateways_.remove_driver(site, id); });
+    respond(response, [&] { return gateways_.remove_driver(discovery::GatewayId(site), discovery::InstanceId(id)); });
   }
   void updateSensor(TResponse& response, const std::string& site, const TSensor& sensor) override {
     registerSensor(response, site, sensor);
@@ -51,7 +53,7 @@ class GatewayHandler final : public wire::TMasterServiceIf {
     try {
       const std::string problem = body();
       response = problem.empty() ? success() : failure(problem);
-    } catch (const config::Error& e) {  // what cannot be read
+    } catch (const config::Error& e) {  // the arguments are no valid record
       response = failure(e.what());
     }
   }
@@ -62,7 +64,7 @@ class GatewayHandler final : public wire::TMasterServiceIf {
 
 }  // namespace
 
-config::ThriftService serve_original_gateways(OriginalGateways& gateways, std::function<MasterStatus()> status) {
+rpc::ThriftService serve_original_gateways(OriginalGateways& gateways, std::function<MasterStatus()> status) {
   const auto processor =
       std::make_shared<wire::TMasterServiceProcessor>(std::make_shared<GatewayHandler>(gateways, std::move(status)));
   return [processor](const auto&) { return processor; };

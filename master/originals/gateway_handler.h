@@ -2,15 +2,15 @@
 
 #include <functional>
 
-#include <iotcloud/config/thrift/thrift_server.h>
+#include <iotcloud/rpc/thrift_server.h>
 
 namespace iotcloud::master {
 
 class OriginalGateways;
 struct MasterStatus;
 
-/// Serves TMasterService, to which gateways of the original system register. A standby master refuses and names the
-/// leader. The arguments outlive all connections. \param status of the master that serves.
-config::ThriftService serve_original_gateways(OriginalGateways& gateways, std::function<MasterStatus()> status);
+/// Serves TMasterService, which gateways of the original system call to register. A standby master refuses them and
+/// names the leader. The arguments outlive all connections. \param status returns the status of the serving master.
+rpc::ThriftService serve_original_gateways(OriginalGateways& gateways, std::function<MasterStatus()> status);
 
 }  // namespace iotcloud::master

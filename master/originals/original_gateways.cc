@@ -1,6 +1,4 @@
-#include <condition_variable>
 #include <map>
-#include <mutex>
 #include <set>
 #include <stop_token>
 #include <thread>
@@ -10,6 +8,7 @@
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/master/orders/node_name.h>
 #include <iotcloud/master/originals/original_gateways.h>
@@ -19,53 +18,59 @@ namespace iotcloud::master {
 
 using discovery::DriverRecord;
 using discovery::DriverState;
+using discovery::GatewayId;
 using discovery::GatewayRecord;
-using discovery::RegistryError;
+using discovery::InstanceId;
 using std::chrono::milliseconds;
 
 namespace {
 
-constexpr config::Logger logger{"master.original"};
+constexpr config::Logger originals_logger{"master.original"};
 
 }  // namespace
 
 struct OriginalGateways::Impl {
-  /// One gateway that this master tends.
+  /// A gateway that this master looks after.
   struct Tended {
     explicit Tended(GatewayRecord r) : record(std::move(r)), site{record.host, record.port, {}, ""} {}
     const GatewayRecord record;
     const SiteAddress site;
-    std::mutex deploying;             ///< one at a time, so that a new instance is known to be that order's
-    std::set<std::string> instances;  ///< registered while it is tended; guarded by Impl::mutex
-    discovery::GuardPtr alive;        ///< guarded by Impl::mutex; null: lost
-    std::jthread heart;               ///< last: it uses the others
+    config::Mutex deploying;  ///< one deployment at a time, so that a new instance must be the result of it
+    config::Mutex mutex;
+    config::ConditionVariable registered;
+    std::set<InstanceId> instances
+        IOTCLOUD_GUARDED_BY(mutex);  ///< the gateway's registrations since this master looks after it
+    discovery::GuardPtr alive IOTCLOUD_GUARDED_BY(mutex);  ///< null: lost
+    std::jthread heart;                                    ///< last, because its thread uses the other members
   };
   using TendedPtr = std::shared_ptr<Tended>;
 
   Impl(discovery::Registry& r, OriginalGatewaysOptions o) : registry(r), options(std::move(o)) {}
 
-  std::string marker(const std::string& gateway) const { return options.paths.gateway(gateway) + "/original"; }
-  TendedPtr find(const std::string& gateway) const;
+  std::string marker(const GatewayId& gateway) const { return options.paths.gateway(gateway) + "/original"; }
+  TendedPtr find(const GatewayId& gateway) const;
   void tend(const GatewayRecord& record, bool alive_now);
-  void drop(const std::string& gateway);
+  void drop(const GatewayId& gateway);
   void drop_all();
   void follow_leadership(const std::stop_token& stop);
   void pick_up();
   void beat(const std::stop_token& stop, Tended& tended);
   void come_alive(Tended& tended);
+  static void end_life(Tended& tended);
   bool pause(const std::stop_token& stop) const;
   void write_driver(const DriverRecord& record);
-  bool remove_record(const std::string& gateway, const std::string& instance);
+  bool remove_record(const GatewayId& gateway, const InstanceId& instance);
   std::string registry_problem(const std::exception& e) const { return fmt::format("the registry: {}", e.what()); }
 
   discovery::Registry& registry;
   const OriginalGatewaysOptions options;
   std::function<bool()> leading;
-  std::mutex registering;  ///< one change of who is tended at a time; taken before mutex
-  mutable std::mutex mutex;
-  mutable std::condition_variable_any changed;
-  std::map<std::string, TendedPtr> tended;  ///< guarded by mutex
-  bool leads = false;                       ///< guarded by mutex
+  /// Held during a whole change of `tended`, also while the registry is called, so that one is made at a time.
+  config::Mutex registering IOTCLOUD_ACQUIRED_BEFORE(mutex);
+  mutable config::Mutex mutex;
+  mutable config::StoppableConditionVariable pausing;  ///< only the end wakes it
+  std::map<GatewayId, TendedPtr> tended IOTCLOUD_GUARDED_BY(mutex);
+  bool leads IOTCLOUD_GUARDED_BY(mutex) = false;
   std::jthread leadership;
 };
 
@@ -87,12 +92,12 @@ void OriginalGateways::stop() {
   impl_->drop_all();
 }
 
-// ---------------------------------------------------------------- who is tended
+// ---------------------------------------------------------------- which gateways this master looks after
 
-/// \return false when the thread is to end.
+/// Waits for the heartbeat interval. \return false when the thread is to end.
 bool OriginalGateways::Impl::pause(const std::stop_token& stop) const {
-  std::unique_lock lock(mutex);
-  changed.wait_for(lock, stop, options.heartbeat_interval, [] { return false; });
+  const config::MutexLock lock(mutex);
+  pausing.wait_for(mutex, stop, options.heartbeat_interval, [] { return false; });
   return !stop.stop_requested();
 }
 
@@ -100,7 +105,7 @@ void OriginalGateways::Impl::follow_leadership(const std::stop_token& stop) {
   do {
     const bool now = leading();
     const bool before = [&] {
-      std::lock_guard lock(mutex);
+      const config::MutexLock lock(mutex);
       return leads;
     }();
     if (now && before) continue;
@@ -110,24 +115,24 @@ void OriginalGateways::Impl::follow_leadership(const std::stop_token& stop) {
       } else {
         drop_all();
       }
-      std::lock_guard lock(mutex);
+      const config::MutexLock lock(mutex);
       leads = now;
     } catch (const config::Error& e) {
-      logger.warn("gateways of the original system are not tended yet: {}", e.what());
+      originals_logger.warn("gateways of the original system cannot be looked after yet: {}", e.what());
     }
   } while (pause(stop));
 }
 
-/// Those that registered with an earlier master.
+/// Takes over the gateways that registered with an earlier master.
 void OriginalGateways::Impl::pick_up() {
-  std::lock_guard one_at_a_time(registering);
+  const config::MutexLock one_at_a_time(registering);
   for (const auto& gateway : discovery::list_gateways(registry, options.paths)) {
     if (registry.get(marker(gateway.record.id)) && !find(gateway.record.id)) tend(gateway.record, false);
   }
 }
 
-OriginalGateways::Impl::TendedPtr OriginalGateways::Impl::find(const std::string& gateway) const {
-  std::lock_guard lock(mutex);
+OriginalGateways::Impl::TendedPtr OriginalGateways::Impl::find(const GatewayId& gateway) const {
+  const config::MutexLock lock(mutex);
   const auto at = tended.find(gateway);
   return at == tended.end() ? nullptr : at->second;
 }
@@ -136,39 +141,45 @@ void OriginalGateways::Impl::tend(const GatewayRecord& record, bool alive_now) {
   auto one = std::make_shared<Tended>(record);
   if (alive_now) come_alive(*one);
   one->heart = std::jthread([this, &one = *one](const std::stop_token& stop) { beat(stop, one); });
-  std::lock_guard lock(mutex);
+  const config::MutexLock lock(mutex);
   tended[record.id] = std::move(one);
 }
 
-void OriginalGateways::Impl::drop(const std::string& gateway) {
+void OriginalGateways::Impl::drop(const GatewayId& gateway) {
   TendedPtr going;
   {
-    std::lock_guard lock(mutex);
+    const config::MutexLock lock(mutex);
     const auto at = tended.find(gateway);
     if (at == tended.end()) return;
     going = std::move(at->second);
     tended.erase(at);
   }
-  going->heart = {};  // without the lock: it may want it
-  going->alive.reset();
+  going->heart = {};  // joins the thread without the lock, which the thread may take
+  end_life(*going);
+}
+
+void OriginalGateways::Impl::end_life(Tended& one) {
+  discovery::GuardPtr going;  // destroyed without the lock, because its destructor calls the registry
+  const config::MutexLock lock(one.mutex);
+  going.swap(one.alive);
 }
 
 void OriginalGateways::Impl::drop_all() {
-  std::map<std::string, TendedPtr> going;
+  std::map<GatewayId, TendedPtr> going;
   {
-    std::lock_guard lock(mutex);
+    const config::MutexLock lock(mutex);
     going.swap(tended);
   }
   for (auto& [id, one] : going) one->heart.request_stop();
   for (auto& [id, one] : going) {
     one->heart = {};
-    one->alive.reset();
+    end_life(*one);
   }
 }
 
 void OriginalGateways::Impl::come_alive(Tended& one) {
   auto alive = registry.hold(options.paths.gateway_alive(one.record.id), "");
-  std::lock_guard lock(mutex);
+  const config::MutexLock lock(one.mutex);
   one.alive = std::move(alive);
 }
 
@@ -178,34 +189,32 @@ void OriginalGateways::Impl::beat(const std::stop_token& stop, Tended& one) {
     const auto answer = site_heartbeat(one.site, options.heartbeat_limit);
     try {
       const bool alive = [&] {
-        std::lock_guard lock(mutex);
+        const config::MutexLock lock(one.mutex);
         return one.alive != nullptr;
       }();
       if (answer.outcome == Outcome::done) {
         misses = 0;
         if (alive) continue;
         come_alive(one);
-        logger.info("gateway {} answers", one.record.id);
+        originals_logger.info("gateway {} answers", one.record.id);
       } else if (++misses >= options.misses_until_lost && alive) {
-        logger.warn("gateway {} is lost: {}", one.record.id, answer.text);
-        discovery::GuardPtr going;
-        std::lock_guard lock(mutex);
-        going.swap(one.alive);
+        originals_logger.warn("gateway {} is lost: {}", one.record.id, answer.text);
+        end_life(one);
       }
     } catch (const config::Error& e) {
-      logger.warn("gateway {}: its life cannot be told: {}", one.record.id, e.what());
+      originals_logger.warn("gateway {}: its life cannot be told: {}", one.record.id, e.what());
     }
   }
 }
 
-// ---------------------------------------------------------------- what they say
+// ---------------------------------------------------------------- calls from gateways
 
 std::string OriginalGateways::register_gateway(GatewayRecord record) {
   if (!is_node_name(record.id))
     return fmt::format("\"{}\" cannot be a gateway's id: not empty, no '/', no control characters", record.id);
   if (record.host.empty() || record.port < 1 || record.port > 65535)
     return fmt::format("{}:{} is no address: heartbeats and orders go there", record.host, record.port);
-  std::lock_guard one_at_a_time(impl_->registering);
+  const config::MutexLock one_at_a_time(impl_->registering);
   try {
     const auto node = impl_->registry.get(impl_->options.paths.gateway(record.id));
     if (node && impl_->registry.get(impl_->options.paths.gateway_alive(record.id))) {
@@ -219,15 +228,15 @@ std::string OriginalGateways::register_gateway(GatewayRecord record) {
     discovery::put(impl_->registry, impl_->options.paths.gateway(record.id), encode(record));
     discovery::put(impl_->registry, impl_->marker(record.id), "");
     impl_->tend(record, true);
-    logger.info("gateway {} registered from {}:{}", record.id, record.host, record.port);
+    originals_logger.info("gateway {} registered from {}:{}", record.id, record.host, record.port);
     return "";
   } catch (const config::Error& e) {
     return impl_->registry_problem(e);
   }
 }
 
-std::string OriginalGateways::unregister_gateway(const std::string& gateway) {
-  std::lock_guard one_at_a_time(impl_->registering);
+std::string OriginalGateways::unregister_gateway(const GatewayId& gateway) {
+  const config::MutexLock one_at_a_time(impl_->registering);
   if (!has(gateway)) return fmt::format("no gateway \"{}\" is registered here", gateway);
   try {
     for (const auto& driver : discovery::list_drivers(impl_->registry, impl_->options.paths))
@@ -241,7 +250,7 @@ std::string OriginalGateways::unregister_gateway(const std::string& gateway) {
   }
 }
 
-std::string OriginalGateways::put_driver(const std::string& gateway, DriverRecord record) {
+std::string OriginalGateways::put_driver(const GatewayId& gateway, DriverRecord record) {
   const auto tended = impl_->find(gateway);
   if (!tended) return fmt::format("no gateway \"{}\" is registered here; registerSite comes first", gateway);
   if (!is_node_name(record.name) || !is_node_name(record.instance))
@@ -257,15 +266,15 @@ std::string OriginalGateways::put_driver(const std::string& gateway, DriverRecor
     return impl_->registry_problem(e);
   }
   {
-    std::lock_guard lock(impl_->mutex);
+    const config::MutexLock lock(tended->mutex);
     tended->instances.insert(record.instance);
   }
-  impl_->changed.notify_all();
+  tended->registered.notify_all();
   return "";
 }
 
 void OriginalGateways::Impl::write_driver(const DriverRecord& record) {
-  // Channels first: who sees an active driver finds them.
+  // Channels first, so that a reader that sees an active driver finds its channels.
   for (auto channel : record.channels) {
     channel.gateway = record.gateway;
     channel.driver = record.name;
@@ -275,7 +284,7 @@ void OriginalGateways::Impl::write_driver(const DriverRecord& record) {
   discovery::put(registry, options.paths.instance(record.name, record.instance), encode(record));
 }
 
-std::string OriginalGateways::remove_driver(const std::string& gateway, const std::string& instance) {
+std::string OriginalGateways::remove_driver(const GatewayId& gateway, const InstanceId& instance) {
   if (!has(gateway)) return fmt::format("no gateway \"{}\" is registered here", gateway);
   try {
     if (!impl_->remove_record(gateway, instance))
@@ -286,8 +295,8 @@ std::string OriginalGateways::remove_driver(const std::string& gateway, const st
   }
 }
 
-/// \return whether there was one.
-bool OriginalGateways::Impl::remove_record(const std::string& gateway, const std::string& instance) {
+/// \return whether there was a record.
+bool OriginalGateways::Impl::remove_record(const GatewayId& gateway, const InstanceId& instance) {
   for (const auto& driver : discovery::list_drivers(registry, options.paths)) {
     if (driver.gateway != gateway || driver.instance != instance) continue;
     discovery::remove_tree(registry, options.paths.instance(driver.name, instance));
@@ -298,32 +307,33 @@ bool OriginalGateways::Impl::remove_record(const std::string& gateway, const std
 
 // ---------------------------------------------------------------- orders
 
-bool OriginalGateways::has(const std::string& gateway) const {
+bool OriginalGateways::has(const GatewayId& gateway) const {
   return impl_->find(gateway) != nullptr;
 }
 
-InstanceOutcome OriginalGateways::deploy(const std::string& gateway, const DeployRequest& request, milliseconds limit) {
-  InstanceOutcome outcome{gateway, "", Outcome::failed, "the gateway is not registered any more"};
+InstanceOutcome OriginalGateways::deploy(const GatewayId& gateway, const DeployRequest& request, milliseconds limit) {
+  InstanceOutcome outcome{gateway, {}, Outcome::failed, "the gateway is not registered any more"};
   const auto tended = impl_->find(gateway);
   if (!tended) return outcome;
   const auto deadline = std::chrono::steady_clock::now() + limit;
-  std::lock_guard one_at_a_time(tended->deploying);
+  const config::MutexLock one_at_a_time(tended->deploying);
   const auto before = [&] {
-    std::lock_guard lock(impl_->mutex);
+    const config::MutexLock lock(tended->mutex);
     return tended->instances;
   }();
   const auto answer = site_deploy(tended->site, request, limit);
   outcome.outcome = answer.outcome;
   outcome.reason = answer.text;
   if (answer.outcome != Outcome::done) return outcome;
-  // The original's gateway answers before it has done it: its registration of the instance is what counts.
-  std::unique_lock lock(impl_->mutex);
+  // The original's gateway answers before it deploys, so the instance's registration decides the outcome.
+  const config::MutexLock lock(tended->mutex);
   const auto is_new = [&] {
+    tended->mutex.assert_held();
     for (const auto& instance : tended->instances)
       if (!before.contains(instance)) outcome.instance = instance;
     return !outcome.instance.empty();
   };
-  if (impl_->changed.wait_until(lock, deadline, is_new)) {
+  if (tended->registered.wait_until(tended->mutex, deadline, is_new)) {
     outcome.reason.clear();
   } else {
     outcome.outcome = Outcome::unknown;
@@ -332,7 +342,7 @@ InstanceOutcome OriginalGateways::deploy(const std::string& gateway, const Deplo
   return outcome;
 }
 
-InstanceOutcome OriginalGateways::change(const std::string& gateway, const std::string& instance, Change change,
+InstanceOutcome OriginalGateways::change(const GatewayId& gateway, const InstanceId& instance, Change change,
                                          milliseconds limit) {
   InstanceOutcome outcome{gateway, instance, Outcome::failed, "the gateway is not registered any more"};
   const auto tended = impl_->find(gateway);
@@ -343,7 +353,7 @@ InstanceOutcome OriginalGateways::change(const std::string& gateway, const std::
   if (answer.outcome != Outcome::done) return outcome;
   try {
     if (change == Change::undeploy) {
-      impl_->remove_record(gateway, instance);  // it may have said so itself meanwhile
+      impl_->remove_record(gateway, instance);  // the gateway may have removed it already
       return outcome;
     }
     for (auto driver : discovery::list_drivers(impl_->registry, impl_->options.paths)) {

@@ -11,40 +11,41 @@
 
 namespace iotcloud::master {
 
+/// How the master sends heartbeats to gateways of the original system.
 struct OriginalGatewaysOptions {
   discovery::Paths paths;
-  std::chrono::milliseconds heartbeat_interval{500};  ///< as the original's master
-  std::chrono::milliseconds heartbeat_limit{2'000};   ///< for one answer
-  int misses_until_lost = 4;                          ///< in a row; one answer brings the gateway back
+  std::chrono::milliseconds heartbeat_interval{500};  ///< the interval of the original's master
+  std::chrono::milliseconds heartbeat_limit{2'000};   ///< time limit of one answer
+  int misses_until_lost = 4;  ///< missed answers in a row after which the gateway is lost; one answer brings it back
 };
 
 /// Gateways of the original system. They register by Thrift and know no registry, so the leading master writes their
-/// records, keeps them alive in the registry while they answer heartbeats, and calls them with orders. What is known of
-/// them stands in the registry: a master that comes to lead tends those that registered with an earlier one.
-/// Each has a thread of its own, so that one that hangs delays no other. Thread safe.
+/// records, keeps them alive in the registry while they answer heartbeats, and calls them with orders. All that is
+/// known of them is in the registry, so a new leader takes over the gateways that registered with an earlier one. Each
+/// gateway has a thread of its own, so that one that hangs delays no other. Thread safe.
 class OriginalGateways final : public DirectGateways {
  public:
   /// \param registry outlives this.
   OriginalGateways(discovery::Registry& registry, OriginalGatewaysOptions options);
-  /// Their nodes below .../alive go with it.
+  /// Removes the gateways' ephemeral .../alive nodes.
   ~OriginalGateways() override;
 
-  /// Begins to tend gateways while `leading` says so; it is asked at every heartbeat.
+  /// Starts to look after gateways as long as `leading` returns true; it is called at every heartbeat.
   void start(std::function<bool()> leading);
-  /// Ends tending; called before what `leading` uses goes.
+  /// Stops looking after gateways. Call it before what `leading` uses is destroyed.
   void stop();
 
-  /// What TMasterService brings. \return what was wrong, and how to mend it; empty: done. Nothing throws.
+  /// The calls of TMasterService. \return what was wrong, and how to mend it; empty: done. They do not throw.
   std::string register_gateway(discovery::GatewayRecord record);
-  std::string unregister_gateway(const std::string& gateway);
-  std::string put_driver(const std::string& gateway, discovery::DriverRecord record);
-  std::string remove_driver(const std::string& gateway, const std::string& instance);
+  std::string unregister_gateway(const discovery::GatewayId& gateway);
+  std::string put_driver(const discovery::GatewayId& gateway, discovery::DriverRecord record);
+  std::string remove_driver(const discovery::GatewayId& gateway, const discovery::InstanceId& instance);
 
-  bool has(const std::string& gateway) const override;
+  bool has(const discovery::GatewayId& gateway) const override;
   /// `done` only when the gateway has registered the new instance; the outcome has its id.
-  InstanceOutcome deploy(const std::string& gateway, const DeployRequest& request,
+  InstanceOutcome deploy(const discovery::GatewayId& gateway, const DeployRequest& request,
                          std::chrono::milliseconds limit) override;
-  InstanceOutcome change(const std::string& gateway, const std::string& instance, Change change,
+  InstanceOutcome change(const discovery::GatewayId& gateway, const discovery::InstanceId& instance, Change change,
                          std::chrono::milliseconds limit) override;
 
  private:

@@ -6,8 +6,9 @@
 
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/thrift/thrift_client.h>
+#include <iotcloud/discovery/description/wire.h>
 #include <iotcloud/master/originals/site_client.h>
+#include <iotcloud/rpc/thrift_client.h>
 
 namespace iotcloud::master {
 
@@ -28,15 +29,15 @@ std::string first_line(const std::string& file) {
   return line;
 }
 
-/// A client on a connection of its own. \throws TException, config::Error
+/// Makes a client on a new connection. \throws TException, config::Error
 TSensorSiteServiceClient connect(const SiteAddress& site, std::chrono::milliseconds limit) {
-  config::ThriftClientOptions options;
+  rpc::ThriftClientOptions options;
   options.host = site.host;
   options.port = site.port;
   options.tls = site.tls;
   options.answer_limit = std::max(limit, std::chrono::milliseconds{1});
   options.connect_limit = std::min(options.answer_limit, connect_limit);
-  TSensorSiteServiceClient client(config::ThriftClient(options).protocol());
+  TSensorSiteServiceClient client(rpc::ThriftClient(options).protocol());
   if (site.token_file.empty()) return client;
   TResponse answer;
   client.authenticate(answer, first_line(site.token_file));
@@ -44,9 +45,10 @@ TSensorSiteServiceClient connect(const SiteAddress& site, std::chrono::milliseco
   return client;
 }
 
-/// A question to this gateway and no other; errors become one kind.
+/// Asks the gateway with this id and no other. All errors become config::Error.
 template <typename Question>
-void put(const SiteAddress& site, const std::string& gateway, std::chrono::milliseconds limit, Question&& question) {
+void put(const SiteAddress& site, const discovery::GatewayId& gateway, std::chrono::milliseconds limit,
+         Question&& question) {
   try {
     auto client = connect(site, limit);
     gateway::wire::TPing answer;
@@ -82,7 +84,7 @@ SiteAnswer ask(const SiteAddress& site, std::chrono::milliseconds limit, Call&& 
     call(client, response);
     return {response.state == TResponseState::SUCCESS ? Outcome::done : Outcome::failed, response.statusMessage};
   } catch (const std::exception& e) {
-    // What was sent may have been heard, whatever became of the answer.
+    // Once connected, the gateway may have received the call although no answer came.
     return {connected ? Outcome::unknown : Outcome::failed,
             fmt::format("{}:{} does not answer: {}", site.host, site.port, e.what())};
   }
@@ -110,7 +112,7 @@ SiteAnswer site_deploy(const SiteAddress& site, const DeployRequest& request, st
   });
 }
 
-SiteAnswer site_change(const SiteAddress& site, const std::string& instance, Change change,
+SiteAnswer site_change(const SiteAddress& site, const discovery::InstanceId& instance, Change change,
                        std::chrono::milliseconds limit) {
   return ask(site, limit, [&](auto& client, auto& response) {
     switch (change) {
@@ -124,43 +126,41 @@ SiteAnswer site_change(const SiteAddress& site, const std::string& instance, Cha
   });
 }
 
-std::vector<DriverChange> site_changes(const SiteAddress& site, const std::string& gateway, const std::string& instance,
-                                       std::chrono::milliseconds limit) {
+std::vector<DriverChange> site_changes(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                       const discovery::InstanceId& instance, std::chrono::milliseconds limit) {
   std::vector<gateway::wire::TStateChange> told;
   put(site, gateway, limit, [&](auto& client) { client.getChanges(told, instance); });
   std::vector<DriverChange> changes;
   for (auto& change : told) {
-    changes.push_back({gateway, std::move(change.instance), std::move(change.driver), std::move(change.state),
+    changes.push_back({gateway, discovery::InstanceId(std::move(change.instance)),
+                       discovery::DriverName(std::move(change.driver)), std::move(change.state),
                        std::move(change.reason), change.timeMs});
   }
   return changes;
 }
 
-LogPart site_read_log(const SiteAddress& site, const std::string& gateway, const std::string& instance,
-                      const std::string& position, std::int32_t most_bytes, std::chrono::milliseconds limit) {
+LogPart site_read_log(const SiteAddress& site, const discovery::GatewayId& gateway,
+                      const discovery::InstanceId& instance, const std::string& position, std::int32_t most_bytes,
+                      std::chrono::milliseconds limit) {
   gateway::wire::TLogPart part;
   put(site, gateway, limit, [&](auto& client) { client.readLog(part, instance, position, most_bytes); });
-  return {std::move(part.text), std::move(part.position)};
+  return discovery::as_own<LogPart>(part);
 }
 
-std::string site_offer_plugin(const SiteAddress& site, const std::string& gateway, const PluginOffer& offer,
+std::string site_offer_plugin(const SiteAddress& site, const discovery::GatewayId& gateway, const PluginOffer& offer,
                               std::chrono::milliseconds limit) {
-  gateway::wire::TPluginOffer wire_offer;
-  wire_offer.__set_plugin(offer.plugin);
-  wire_offer.__set_sha256(offer.sha256);
-  wire_offer.__set_size(offer.size);
-  wire_offer.__set_signature(offer.signature);
+  const auto wire_offer = discovery::as_wire<gateway::wire::TPluginOffer>(offer);
   std::string upload;
   put(site, gateway, limit, [&](auto& client) { client.offerPlugin(upload, wire_offer); });
   return upload;
 }
 
-void site_send_plugin(const SiteAddress& site, const std::string& gateway, const std::string& upload,
+void site_send_plugin(const SiteAddress& site, const discovery::GatewayId& gateway, const std::string& upload,
                       std::int64_t offset, const std::string& bytes, std::chrono::milliseconds limit) {
   put(site, gateway, limit, [&](auto& client) { client.sendPlugin(upload, offset, bytes); });
 }
 
-void site_finish_plugin(const SiteAddress& site, const std::string& gateway, const std::string& upload,
+void site_finish_plugin(const SiteAddress& site, const discovery::GatewayId& gateway, const std::string& upload,
                         std::chrono::milliseconds limit) {
   put(site, gateway, limit, [&](auto& client) { client.finishPlugin(upload); });
 }

@@ -2,7 +2,6 @@
 #include <functional>
 #include <future>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <utility>
 
@@ -10,6 +9,7 @@
 #include <fmt/ranges.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/master/api/gateway_pages.h>
 #include <iotcloud/master/master.h>
@@ -21,21 +21,26 @@ using config::Clock;
 
 namespace {
 
-/// One gateway to which a plugin goes.
+/// One gateway that receives a plugin.
 struct Receiver {
   UploadTarget target;
   SiteAddress site;
-  std::string upload;  ///< the gateway's own id of it; empty: it gets nothing (more)
+  std::string upload;  ///< the upload's id at the gateway; empty: the gateway gets no (more) pieces
 };
 
 struct Upload {
-  Clock::Instant last;  ///< guarded by the owner's mutex
-  std::mutex mutex;
-  std::vector<Receiver> receivers;  ///< guarded by mutex
+  /// Held while the gateways are called, so that a client that sends another piece of this plugin waits.
+  config::Mutex mutex;
+  std::vector<Receiver> receivers IOTCLOUD_GUARDED_BY(mutex);
 };
 
-/// Does something with every receiver that still gets the plugin, with all at the same time. One with which that fails
-/// gets no more.
+struct KnownUpload {
+  std::shared_ptr<Upload> upload;
+  Clock::Instant last;  ///< when the last call for this upload came
+};
+
+/// Calls the action for all receivers that still get the plugin, at the same time. A receiver whose action fails gets
+/// no more pieces.
 void with_each(std::vector<Receiver>& receivers, const std::function<void(Receiver&)>& action) {
   std::vector<std::pair<Receiver*, std::future<void>>> calls;
   for (auto& receiver : receivers) {
@@ -90,14 +95,15 @@ struct PluginUploads::Impl {
 
   std::shared_ptr<Upload> find(const std::string& id);
   UploadResult pass_on(const std::string& id, const std::function<void(Receiver&)>& action);
-  std::optional<UploadResult> receivers_of(const std::vector<std::string>& gateways, std::vector<Receiver>& receivers);
+  std::optional<UploadResult> receivers_of(const std::vector<discovery::GatewayId>& gateways,
+                                           std::vector<Receiver>& receivers);
 
   const Master& master;
   const GatewayAccess access;
   const Options options;
   const Clock& clock;
-  std::mutex mutex;
-  std::map<std::string, std::shared_ptr<Upload>> uploads;  ///< guarded by mutex
+  config::Mutex mutex;
+  std::map<std::string, KnownUpload> uploads IOTCLOUD_GUARDED_BY(mutex);
 };
 
 PluginUploads::PluginUploads(const Master& master, GatewayAccess access, const Options& options)
@@ -105,11 +111,11 @@ PluginUploads::PluginUploads(const Master& master, GatewayAccess access, const O
 
 PluginUploads::~PluginUploads() = default;
 
-/// \return why that cannot be; nullopt: they are in `receivers`, those that cannot be reached with their problem.
-std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<std::string>& gateways,
+/// Fills `receivers`, with a problem for each gateway that cannot be reached. \return a refusal; nullopt: none.
+std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<discovery::GatewayId>& gateways,
                                                               std::vector<Receiver>& receivers) {
   const auto known = master.gateways();
-  std::vector<std::string> names;
+  std::vector<discovery::GatewayId> names;
   names.reserve(known.size());
   for (const auto& gateway : known) names.push_back(gateway.record.id);
   for (const auto& id : gateways.empty() ? names : gateways) {
@@ -131,13 +137,13 @@ std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<
   return std::nullopt;
 }
 
-UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<std::string>& gateways) try {
+UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<discovery::GatewayId>& gateways) try {
   auto& self = *impl_;
   if (auto refusal = self.master.refusal()) return {*refusal, "", {}};
   {
-    const std::lock_guard lock(self.mutex);
+    const config::MutexLock lock(self.mutex);
     std::erase_if(self.uploads,
-                  [&](const auto& one) { return self.clock.now() - one.second->last >= self.options.idle_limit; });
+                  [&](const auto& one) { return self.clock.now() - one.second.last >= self.options.idle_limit; });
     if (static_cast<int>(self.uploads.size()) >= self.options.most)
       return refused(
           Refusal::bad_request,
@@ -149,25 +155,27 @@ UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<st
     receiver.upload = site_offer_plugin(receiver.site, receiver.target.gateway, offer, self.options.answer_limit);
     receiver.target.has = receiver.upload.empty();
   });
-  const std::string id = self.options.new_upload_id ? self.options.new_upload_id() : discovery::new_instance_id();
+  const std::string id = self.options.new_upload_id ? self.options.new_upload_id() : discovery::new_instance_id().str();
   auto result = answer(id, receivers);
   if (result.upload.empty()) return result;
   auto upload = std::make_shared<Upload>();
-  upload->last = self.clock.now();
-  upload->receivers = std::move(receivers);
-  const std::lock_guard lock(self.mutex);
-  self.uploads[id] = std::move(upload);
+  {
+    const config::MutexLock lock(upload->mutex);
+    upload->receivers = std::move(receivers);
+  }
+  const config::MutexLock lock(self.mutex);
+  self.uploads[id] = {std::move(upload), self.clock.now()};
   return result;
 } catch (const config::Error& e) {
   return refused(Refusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
 }
 
 std::shared_ptr<Upload> PluginUploads::Impl::find(const std::string& id) {
-  const std::lock_guard lock(mutex);
+  const config::MutexLock lock(mutex);
   const auto found = uploads.find(id);
   if (found == uploads.end()) return nullptr;
-  found->second->last = clock.now();
-  return found->second;
+  found->second.last = clock.now();
+  return found->second.upload;
 }
 
 UploadResult PluginUploads::Impl::pass_on(const std::string& id, const std::function<void(Receiver&)>& action) {
@@ -178,12 +186,12 @@ UploadResult PluginUploads::Impl::pass_on(const std::string& id, const std::func
                    "with its master: send the plugin again");
   UploadResult result;
   {
-    const std::lock_guard lock(upload->mutex);
+    const config::MutexLock lock(upload->mutex);
     with_each(upload->receivers, action);
     result = answer(id, upload->receivers);
   }
   if (!result.upload.empty()) return result;
-  const std::lock_guard lock(mutex);
+  const config::MutexLock lock(mutex);
   uploads.erase(id);
   return result;
 }

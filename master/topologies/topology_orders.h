@@ -9,16 +9,21 @@
 
 namespace iotcloud::master {
 
-/// What an order asks of a running topology.
+/// What an order asks of a running topology. Numbers are those of TTopologyChange.
 enum class TopologyChange { activate, deactivate, rebalance, kill };
 std::string to_string(TopologyChange change);
 
+/// An order to one running topology.
 struct TopologyRequest {
-  std::string topology;
+  discovery::TopologyName topology;
   TopologyChange change = TopologyChange::activate;
-  std::map<std::string, int> parallelism;   ///< rebalance: in each worker, by component
-  std::chrono::milliseconds drain{10'000};  ///< kill: what is under way is waited for so long at most
-  WaitLimit wait;                           ///< kill: nothing said = `drain` and ten seconds more at least
+  std::map<std::string, int> parallelism;   ///< rebalance: for `rebalance`: parallelism in each worker, by component
+  std::chrono::milliseconds drain{10'000};  ///< for `kill`: how long workers wait at most for tuples under way
+  WaitLimit wait;                           ///< nullopt with `kill`: at least `drain` plus ten seconds
+  static constexpr const char* what = "an order to a topology";
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(topology, required), IOTCLOUD_FIELD(change, required), IOTCLOUD_FIELD(parallelism, usual),
+      IOTCLOUD_FIELD_AS(drain, usual, "drain_ms", drainMs), IOTCLOUD_FIELD_AS(wait, rare, "wait_ms", waitMs)};
 };
 
 /// What became of an order in one worker.
@@ -26,16 +31,22 @@ struct WorkerOutcome {
   std::string worker;
   std::string host;
   Outcome outcome = Outcome::unknown;
-  std::string reason;  ///< for people; empty when done and nothing is to be said
+  std::string reason;  ///< why, for people; may be empty for `done`
+  static constexpr const char* what = "an outcome";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(worker, usual), IOTCLOUD_FIELD(host, usual),
+                                            IOTCLOUD_FIELD(outcome, usual), IOTCLOUD_FIELD(reason, usual)};
   friend bool operator==(const WorkerOutcome&, const WorkerOutcome&) = default;
 };
 
 /// The answer: refused as a whole (nothing was written), or an outcome for each worker that ran.
 struct TopologyResult {
   Refusal refusal = Refusal::none;
-  std::string text;    ///< why it was refused; or what is to be said besides the outcomes
+  std::string text;    ///< why the order was refused, or a remark besides the outcomes
   std::string leader;  ///< host:port of the master that leads, when `not_leading` and known
   std::vector<WorkerOutcome> outcomes;
+  static constexpr const char* what = "an answer to an order to a topology";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(refusal, usual), IOTCLOUD_FIELD(text, usual),
+                                            IOTCLOUD_FIELD(leader, rare), IOTCLOUD_FIELD(outcomes, usual)};
 
   /// Not refused, and every outcome is `done`.
   bool all_done() const;

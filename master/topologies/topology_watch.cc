@@ -8,17 +8,17 @@ namespace iotcloud::master {
 
 using discovery::Node;
 
-TopologyWatch::TopologyWatch(discovery::Registry& registry, const discovery::Paths& paths, std::string topology,
-                             std::int64_t revision, bool kill)
+TopologyWatch::TopologyWatch(discovery::Registry& registry, const discovery::Paths& paths,
+                             discovery::TopologyName topology, std::int64_t revision, bool kill)
     : registry_(registry), paths_(paths), topology_(std::move(topology)), revision_(revision), kill_(kill) {}
 
 TopologyWatch::~TopologyWatch() {
-  guards_.clear();  // without the lock: a guard waits for its callback, which may want it
+  guards_.clear();  // without the lock, because a guard waits for its callback, which may take the lock
 }
 
 void TopologyWatch::expect(const std::string& worker) {
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     expected_[worker];
   }
   guards_.push_back(registry_.watch_node(paths_.workers(topology_) + "/" + worker,
@@ -26,7 +26,7 @@ void TopologyWatch::expect(const std::string& worker) {
 }
 
 void TopologyWatch::on_worker(const std::string& worker, const std::optional<Node>& node) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   Expected& expected = expected_[worker];
   expected.gone = !node;
   if (node) {
@@ -57,8 +57,8 @@ std::map<std::string, TopologyWatch::Verdict> TopologyWatch::wait(std::chrono::m
                                                                   const std::stop_token& stop) {
   std::map<std::string, Expected> seen;
   {
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, stop, limit, [this] {
+    const config::MutexLock lock(mutex_);
+    changed_.wait_for(mutex_, stop, limit, [this]() IOTCLOUD_REQUIRES(mutex_) {
       return std::all_of(expected_.begin(), expected_.end(),
                          [](const auto& entry) { return entry.second.verdict || entry.second.gone; });
     });

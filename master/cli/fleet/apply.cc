@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <atomic>
 #include <map>
-#include <mutex>
 #include <set>
 #include <span>
 #include <thread>
@@ -9,21 +8,21 @@
 
 #include <fmt/format.h>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/master/cli/fleet/apply.h>
 #include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/master/cli/plugins/plugin_sending.h>
-#include <iotcloud/master/cli/topology/topology_command.h>
 
 namespace iotcloud::master::cli {
 
 namespace {
 
-/// Instances in one order: few enough that an order is short and its progress is seen.
-constexpr std::size_t most_at_once = 200;
-/// Gateways that are spoken with at the same time.
+/// The most instances in one order: few enough that an order is short and that a person sees progress.
+constexpr std::size_t most_orders_at_once = 200;
+/// The most gateways whose steps are done at the same time, each with a connection to the master.
 constexpr std::size_t most_connections = 8;
-/// For a gateway that is known not to answer.
-constexpr std::int64_t no_wait_ms = 1;
+/// The wait limit of orders for a gateway that has not answered before.
+constexpr std::chrono::milliseconds no_wait{1};
 
 using Steps = std::span<const Step>;
 using Outcomes = std::span<StepOutcome>;
@@ -32,10 +31,12 @@ bool needs_plugin(const Step& step) {
   return step.kind == StepKind::deploy || step.kind == StepKind::replace || step.kind == StepKind::update;
 }
 
-/// Sends a deployment's plugin to gateways, before anything is ordered there. \return why gateways did not take it.
-std::map<std::string, std::string> send(const Deployment& deployment, const std::set<std::string>& gateways,
-                                        MasterClient& master, std::ostream* terminal) {
-  std::map<std::string, std::string> not_sent;
+/// Sends a deployment's plugin to gateways, before anything is ordered there. \return the gateways that did not take
+/// it, with the reasons.
+std::map<discovery::GatewayId, std::string> send(const Deployment& deployment,
+                                                 const std::set<discovery::GatewayId>& gateways, MasterClient& master,
+                                                 std::ostream* terminal) {
+  std::map<discovery::GatewayId, std::string> not_sent;
   try {
     const auto sent = send_plugin(deployment.file, {gateways.begin(), gateways.end()}, master, terminal);
     if (sent.sha256 != deployment.sha256)
@@ -47,8 +48,9 @@ std::map<std::string, std::string> send(const Deployment& deployment, const std:
   return not_sent;
 }
 
-/// What becomes of a deployment's later steps when it does not come to its plugin. \param gateway empty: on all.
-void leave_out(const Plan& plan, std::size_t number, const std::string& gateway, const std::string& why,
+/// Marks the steps of a deployment that come after its update as failed, because the update did not succeed.
+/// \param gateway whose steps; empty: those of all gateways.
+void leave_out(const Plan& plan, std::size_t number, const discovery::GatewayId& gateway, const std::string& why,
                Outcomes outcomes) {
   for (std::size_t i = 0; i < plan.steps.size(); ++i) {
     const auto& step = plan.steps[i];
@@ -57,9 +59,10 @@ void leave_out(const Plan& plan, std::size_t number, const std::string& gateway,
   }
 }
 
-/// Sends what is to be sent. Steps that cannot be done for want of a plugin have their outcomes then.
+/// Sends the plugins that are files. Afterwards the steps whose gateways did not take the plugin have the outcome
+/// `failed`.
 void send_plugins(const Manifest& manifest, const Plan& plan, const ApplyOptions& options, Outcomes outcomes) {
-  std::map<std::size_t, std::set<std::string>> wanted;
+  std::map<std::size_t, std::set<discovery::GatewayId>> wanted;
   for (const auto& step : plan.steps) {
     if (needs_plugin(step) && !manifest.deployments.at(step.deployment).file.empty())
       wanted[step.deployment].insert(step.gateway);
@@ -81,13 +84,13 @@ void send_plugins(const Manifest& manifest, const Plan& plan, const ApplyOptions
   }
 }
 
-/// A rolling update of one deployment: of those of its instances whose gateways have the plugin.
+/// Runs the rolling update of one deployment, for those of its instances whose gateways have the plugin.
 void roll(const Manifest& manifest, const Plan& plan, std::size_t number, const ApplyOptions& options,
           Outcomes outcomes) {
   const auto& deployment = manifest.deployments.at(number);
-  std::map<std::string, std::size_t> instances;  // their steps
-  std::set<std::string> gateways;
-  wire::TUpdateRequest request;
+  std::map<discovery::InstanceId, std::size_t> instances;  // their steps
+  std::set<discovery::GatewayId> gateways;
+  UpdateRequest request;
   for (std::size_t i = 0; i < plan.steps.size(); ++i) {
     const auto& step = plan.steps[i];
     if (step.kind != StepKind::update || step.deployment != number || !outcomes[i].outcome.empty()) continue;
@@ -96,17 +99,17 @@ void roll(const Manifest& manifest, const Plan& plan, std::size_t number, const 
     request.selection.instances.push_back(step.instance);
   }
   if (instances.empty()) return;
-  request.selection.__set_waitMs(options.wait_ms);
-  request.__set_plugin(deployment.plugin);
-  request.__set_sha256(deployment.sha256);
-  request.__set_settleMs(options.settle_ms);
+  request.selection.wait = options.wait;
+  request.plugin = deployment.plugin;
+  request.sha256 = deployment.sha256;
+  request.settle = options.settle;
   StepOutcome untold{"unknown", "the master did not say what became of it"};
   try {
     const auto answer = options.connect()->update(request, gateways.size());
-    if (answer.refusal != wire::TRefusal::NONE) untold = {"failed", answer.response.statusMessage};
+    if (answer.refusal != Refusal::none) untold = {"failed", answer.text};
     for (const auto& outcome : answer.outcomes) {
       const auto at = instances.find(outcome.instance);
-      if (at != instances.end()) outcomes[at->second] = {word(outcome.outcome), outcome.reason};
+      if (at != instances.end()) outcomes[at->second] = {to_string(outcome.outcome), outcome.reason};
     }
   } catch (const std::exception& e) {  // Unreachable, Failed
     untold.reason = e.what();
@@ -116,7 +119,7 @@ void roll(const Manifest& manifest, const Plan& plan, std::size_t number, const 
     if (outcomes[i].outcome.empty()) outcomes[i] = untold;
     if (failure.empty() && outcomes[i].outcome != "done") failure = outcomes[i].reason;
   }
-  if (!failure.empty()) leave_out(plan, number, "", failure, outcomes);
+  if (!failure.empty()) leave_out(plan, number, {}, failure, outcomes);
 }
 
 /// The steps of one gateway.
@@ -125,8 +128,8 @@ class GatewaySteps {
   GatewaySteps(const Manifest& manifest, Steps steps, Outcomes outcomes, const ApplyOptions& options)
       : manifest_(manifest), steps_(steps), outcomes_(outcomes), options_(options) {}
 
-  /// Those that go before updates, or those that come after them. One whose outcome is known is passed by.
-  /// \param did tells how many steps were done.
+  /// Does the steps that come before updates, or those that come after them. Skips steps that have an outcome already.
+  /// \param did is called with the number of steps that were done.
   void run(MasterClient& master, bool after_updates, const std::function<void(std::size_t)>& did) {
     const auto bound = [&](auto reached) {
       return static_cast<std::size_t>(std::find_if(steps_.begin(), steps_.end(), reached) - steps_.begin());
@@ -137,7 +140,7 @@ class GatewaySteps {
     for (std::size_t begin = after_updates ? behind : 0; begin < stop;) {
       const bool open = outcomes_[begin].outcome.empty();
       std::size_t end = begin + 1;
-      while (end < stop && end - begin < most_at_once && alike(steps_[begin], steps_[end]) &&
+      while (end < stop && end - begin < most_orders_at_once && alike(steps_[begin], steps_[end]) &&
              outcomes_[end].outcome.empty() == open)
         ++end;
       if (open) give(master, begin, end - begin);
@@ -147,7 +150,7 @@ class GatewaySteps {
   }
 
  private:
-  /// Whether both can be said with one order.
+  /// Whether one order can do both steps.
   static bool alike(const Step& a, const Step& b) {
     return a.kind == b.kind && a.deployment == b.deployment && a.name == b.name && a.metadata == b.metadata;
   }
@@ -170,7 +173,7 @@ class GatewaySteps {
     for (const auto& outcome : outcomes) silent_ = silent_ || outcome.outcome == "unknown";
   }
 
-  /// Only what is gone is deployed again.
+  /// Undeploys instances, and deploys those again whose removal succeeded.
   void replace(MasterClient& master, Steps steps, Outcomes outcomes) {
     note(master.undeploy(selection(steps)), steps, outcomes);
     std::vector<Step> gone;
@@ -182,12 +185,12 @@ class GatewaySteps {
     }
     if (gone.empty()) return;
     std::vector<StepOutcome> deployed(gone.size());
-    for (const auto place : places) outcomes[place] = {};  // should no master answer
+    for (const auto place : places) outcomes[place] = {};  // empty outcomes, in case no master answers
     note(deploy(master, gone), gone, deployed);
     for (std::size_t i = 0; i < places.size(); ++i) outcomes[places[i]] = std::move(deployed[i]);
   }
 
-  wire::TOrderResponse order(MasterClient& master, Steps steps) const {
+  OrderResult order(MasterClient& master, Steps steps) const {
     const auto& deployment = manifest_.deployments;
     switch (steps.front().kind) {
       case StepKind::undeploy:
@@ -201,60 +204,49 @@ class GatewaySteps {
         return master.update_metadata(selection(steps), steps.front().metadata);
       case StepKind::adopt:
       case StepKind::change: {
-        wire::TDeploymentChange change;
-        change.__set_instances(ids(steps));
-        change.__set_waitMs(wait());
+        DeploymentChange change;
+        change.instances = ids(steps);
+        change.wait = wait();
         if (steps.front().kind == StepKind::adopt) {
-          change.__set_manager(manifest_.fleet);
+          change.manager = manifest_.fleet;
         } else {
-          change.__set_properties(deployment.at(steps.front().deployment).properties);
+          change.properties = deployment.at(steps.front().deployment).properties;
         }
         return master.change_deployment(change);
       }
-      case StepKind::update:  // roll() gives those of all gateways
+      case StepKind::update:  // roll() gives the updates of all gateways
       case StepKind::deploy:
         break;
     }
     return deploy(master, steps);
   }
 
-  wire::TOrderResponse deploy(MasterClient& master, Steps steps) const {
+  OrderResult deploy(MasterClient& master, Steps steps) const {
     const auto& deployment = manifest_.deployments.at(steps.front().deployment);
-    wire::TDeployRequest request;
-    request.__set_gateways({steps.front().gateway});
-    request.__set_plugin(deployment.plugin);
-    request.__set_sha256(deployment.sha256);
-    request.__set_driver(deployment.driver);
-    request.__set_properties(deployment.properties);
-    request.__set_metadata(deployment.metadata);
-    request.__set_waitMs(wait());
-    request.__set_name(deployment.name);
-    request.__set_manager(manifest_.fleet);
-    request.__set_active(deployment.active);
+    DeployRequest request;
+    static_cast<discovery::Deployment&>(request) = static_cast<const discovery::Deployment&>(deployment);
+    request.manager = manifest_.fleet;
+    request.gateways = {steps.front().gateway};
+    request.wait = wait();
     for (const auto& step : steps) request.indexes.push_back(step.index);
     return master.deploy(request);
   }
 
-  static std::vector<std::string> ids(Steps steps) {
-    std::vector<std::string> out;
+  static std::vector<discovery::InstanceId> ids(Steps steps) {
+    std::vector<discovery::InstanceId> out;
     for (const auto& step : steps) out.push_back(step.instance);
     return out;
   }
-  wire::TInstanceSelection selection(Steps steps) const {
-    wire::TInstanceSelection selection;
-    selection.__set_instances(ids(steps));
-    selection.__set_waitMs(wait());
-    return selection;
-  }
-  std::int64_t wait() const { return silent_ ? no_wait_ms : options_.wait_ms; }
+  InstanceSelection selection(Steps steps) const { return {ids(steps), {}, wait()}; }
+  WaitLimit wait() const { return silent_ ? no_wait : options_.wait; }
 
-  /// A master answers in the order in which it was asked; deployments in the order of their numbers, which the steps
-  /// have.
-  static void note(const wire::TOrderResponse& answer, Steps steps, Outcomes outcomes) {
-    const bool refused = answer.refusal != wire::TRefusal::NONE || answer.outcomes.size() != steps.size();
+  /// Copies the outcomes of an order to its steps. A master's outcomes are in the order of the request's instances;
+  /// those of a deployment are in the order of their numbers, which is that of the steps.
+  static void note(const OrderResult& answer, Steps steps, Outcomes outcomes) {
+    const bool refused = answer.refusal != Refusal::none || answer.outcomes.size() != steps.size();
     for (std::size_t i = 0; i < steps.size(); ++i) {
-      outcomes[i] = refused ? StepOutcome{"failed", answer.response.statusMessage}
-                            : StepOutcome{word(answer.outcomes[i].outcome), answer.outcomes[i].reason};
+      outcomes[i] = refused ? StepOutcome{"failed", answer.summary()}
+                            : StepOutcome{to_string(answer.outcomes[i].outcome), answer.outcomes[i].reason};
     }
   }
 
@@ -262,10 +254,10 @@ class GatewaySteps {
   const Steps steps_;
   const Outcomes outcomes_;
   const ApplyOptions& options_;
-  bool silent_ = false;  ///< it did not answer in time
+  bool silent_ = false;  ///< the gateway did not answer an earlier order in time
 };
 
-/// Does the steps before the updates, or those after them, of all gateways beside each other.
+/// Does the steps before the updates, or those after them, of all gateways in parallel.
 void run_beside(std::vector<GatewaySteps>& gateways, bool after_updates, const ApplyOptions& options,
                 const std::function<void(std::size_t)>& did) {
   std::atomic<std::size_t> next{0};
@@ -286,7 +278,7 @@ std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const
   std::vector<StepOutcome> outcomes(plan.steps.size());
   send_plugins(manifest, plan, options, outcomes);
   std::vector<GatewaySteps> gateways;
-  std::map<std::size_t, std::size_t> updates;  // how many steps, by deployment
+  std::map<std::size_t, std::size_t> updates;  // by deployment: the number of its update steps
   for (std::size_t begin = 0; begin < plan.steps.size();) {
     std::size_t end = begin;
     for (; end < plan.steps.size() && plan.steps[end].gateway == plan.steps[begin].gateway; ++end) {
@@ -296,10 +288,10 @@ std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const
                           Outcomes(outcomes).subspan(begin, end - begin), options);
     begin = end;
   }
-  std::mutex mutex;
-  std::size_t done = 0;  // guarded by mutex
+  config::Mutex mutex;
+  std::size_t done = 0;  // changed with the mutex held, which the analysis does not see of a local variable
   const auto did = [&](std::size_t count) {
-    const std::lock_guard lock(mutex);
+    const config::MutexLock lock(mutex);
     done += count;
     if (options.progress) options.progress(done, plan.steps.size());
   };

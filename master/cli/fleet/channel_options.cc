@@ -13,11 +13,12 @@ namespace iotcloud::master::cli {
 
 namespace {
 
-/// Words that a value is one of, or the range of a whole number, or neither: any text that is not empty.
+/// The values that an option allows: one of these words, or a number in this range; with neither, any text that is not
+/// empty.
 struct Rule {
   std::vector<std::string> words;
   std::int64_t min = 0;
-  std::int64_t max = 0;  ///< 0: no number
+  std::int64_t max = 0;  ///< 0: not a number
 };
 
 constexpr std::int64_t large = 1'000'000'000;
@@ -76,7 +77,7 @@ std::string channel_option_problem(const std::string& option, const std::string&
 }
 
 std::string spool_option_problem(const std::string& option, const std::string& when_full) {
-  // A driver may ask for a spool by itself, so nothing is wrong while the deployment does not say otherwise.
+  // A driver may ask for a spool by itself, so the option is fine unless the deployment sets another when_full.
   if (!option.starts_with("spool_") || when_full.empty() || when_full == "spool") return "";
   return fmt::format("{} says how the channel is spooled, but when_full is {}: set when_full to spool", option,
                      when_full);

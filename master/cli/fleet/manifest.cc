@@ -4,10 +4,10 @@
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/master/cli/fleet/channel_options.h>
 #include <iotcloud/master/cli/fleet/manifest.h>
 #include <iotcloud/master/cli/plugins/plugin_file.h>
+#include <iotcloud/security/sha256.h>
 
 namespace iotcloud::master::cli {
 
@@ -15,7 +15,7 @@ namespace {
 
 using config::Section;
 
-/// Names become parts of paths in the registry, and of topics.
+/// Names become parts of paths in the registry and of topics.
 bool is_name(const std::string& text) {
   constexpr std::size_t longest = 200;
   return !text.empty() && text.size() <= longest && text != "." && text != ".." &&
@@ -28,7 +28,7 @@ std::string checked_name(Section& section, const std::string& key, const std::st
                       "1 to 200 characters, no slash and no control character");
 }
 
-/// The one place that says what a plugin may be.
+/// Reads and checks the plugin of a deployment; nothing else decides which plugins a manifest may name.
 void read_plugin(Section& section, const FindPlugin& find_plugin, Deployment& deployment) {
   const auto plugin = section.require_string("plugin");
   deployment.plugin = plugin;
@@ -62,10 +62,10 @@ void read_gateways(Section& section, Deployment& deployment) {
     checked_name(section, "gateways", id);
     if (!seen.insert(id).second) throw section.error("gateways", fmt::format("{} stands here twice", id), "");
   }
-  deployment.gateways = std::move(gateways);
+  deployment.gateways = {gateways.begin(), gateways.end()};
 }
 
-/// A mapping of any keys to texts. \param may_be_empty the texts.
+/// Reads a YAML mapping of any keys to texts. \param may_be_empty whether the texts may be empty.
 std::map<std::string, std::string> read_texts(Section& section, const std::string& key, bool may_be_empty) {
   std::map<std::string, std::string> texts;
   auto mapping = section.optional_section(key);
@@ -108,7 +108,7 @@ Deployment read_deployment(const std::string& name, Section& section, const Find
   deployment.name = checked_name(section, "", name);
   read_plugin(section, find_plugin, deployment);
   if (const auto driver = section.optional_string("driver"))
-    deployment.driver = checked_name(section, "driver", *driver);
+    deployment.driver = discovery::DriverName(checked_name(section, "driver", *driver));
   read_gateways(section, deployment);
   deployment.count = static_cast<int>(section.int_or("count", 1, 0, most_instances));
   deployment.active = section.choice_or("state", "active", {"active", "inactive"}) == "active";
@@ -137,7 +137,7 @@ Manifest load_manifest(const std::string& file) {
   const auto folder = std::filesystem::path(file).parent_path();
   return read_manifest(config::Section::load_file(file), [&](const std::string& named) {
     const std::string path = folder / named;
-    return PluginFile{path, config::sha256_hex(plugin_bytes(path))};
+    return PluginFile{path, security::sha256_hex(plugin_bytes(path))};
   });
 }
 

@@ -1,32 +1,25 @@
 #pragma once
 
 #include <functional>
-#include <map>
 #include <string>
 #include <vector>
 
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/discovery/records.h>
 
 namespace iotcloud::master::cli {
 
-/// One deployment of a manifest: a number of like instances on each of some gateways.
-struct Deployment {
-  std::string name;    ///< with a gateway and a number from 1 to `count` it names an instance
-  std::string plugin;  ///< file name, in the gateways' plugin folder unless it is a file of this machine
-  std::string file;    ///< its path on this machine, with a slash, when it is to be sent; empty: it is on the gateways
-  std::string sha256;  ///< of that file
-  std::string driver;  ///< empty: the plugin's own
+/// One deployment of a manifest: `count` identical instances on each of its gateways.
+struct Deployment : discovery::Deployment {
+  std::string file;  ///< the plugin's path on this machine, which contains a slash; empty: the plugin is not sent
   bool all_gateways = false;
-  std::vector<std::string> gateways;  ///< unless all
-  int count = 1;                      ///< on each gateway
-  bool active = true;
-  std::map<std::string, std::string> properties;  ///< with those of channels
-  std::map<std::string, std::string> metadata;
+  std::vector<discovery::GatewayId> gateways;  ///< used unless all_gateways
+  int count = 1;                               ///< on each gateway
 };
 
 /// A whole fleet as it is wanted (config/fleet.yaml is a commented one).
 struct Manifest {
-  std::string fleet;  ///< its name: what it deploys is marked with it, and only that is ever taken away
+  std::string fleet;  ///< its name, with which its instances are marked; only marked instances are ever removed
   std::vector<Deployment> deployments;
 };
 
@@ -38,13 +31,13 @@ struct PluginFile {
   std::string path;  ///< with a slash
   std::string sha256;
 };
-/// Finds the file that a manifest names with a slash. \throws std::exception when it cannot be sent.
+/// Finds the file of a plugin that a manifest names with a slash. \throws std::exception when it cannot be sent.
 using FindPlugin = std::function<PluginFile(const std::string& named)>;
 
-/// \param find_plugin empty: plugins are on the gateways only.
-/// \throws config::ConfigError with file, line, key and what would be right; also for keys that are not known.
+/// \param find_plugin empty: a manifest may only name plugins that are on the gateways.
+/// \throws config::ConfigError with file, line, key and what would be right; also for unknown keys.
 Manifest read_manifest(config::Section top, const FindPlugin& find_plugin = {});
-/// Plugins that it names with a slash are looked for from its own folder on.
+/// Reads a manifest's file. Relative paths of plugins in it start at its own folder.
 Manifest load_manifest(const std::string& file);
 
 }  // namespace iotcloud::master::cli

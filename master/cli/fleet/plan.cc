@@ -6,20 +6,23 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/master/cli/fleet/plan.h>
 #include <iotcloud/master/listing/secret_properties.h>
+#include <iotcloud/security/sha256.h>
 
 namespace iotcloud::master::cli {
 
 namespace {
 
+using discovery::DriverName;
+using discovery::GatewayId;
+using discovery::InstanceId;
 using Texts = std::map<std::string, std::string>;
-using Key = std::tuple<std::string, std::string, int>;  ///< gateway, name, index
+using Key = std::tuple<GatewayId, std::string, int>;  ///< gateway, name, index
 
 constexpr const char* hidden = "***";
 
-/// What differs, each key once: "rate: 5 -> 10", "site: - -> lab".
+/// Lists the differences, each key once: "rate: 5 -> 10", "site: - -> lab".
 std::vector<std::string> differences(const Texts& from, const Texts& to) {
   const auto shown = [](const Texts& texts, const std::string& key) -> std::string {
     const auto found = texts.find(key);
@@ -53,13 +56,13 @@ Texts changes(const Texts& from, const Texts& to) {
   return out;
 }
 
-/// A plugin as people see it: two files of one name differ in their bytes.
+/// The plugin's name for people, with a short hash, because files of equal name may differ.
 std::string version(const std::string& plugin, const std::string& sha256) {
-  return sha256.empty() ? plugin : fmt::format("{} ({})", plugin, config::short_sha256(sha256));
+  return sha256.empty() ? plugin : fmt::format("{} ({})", plugin, security::short_sha256(sha256));
 }
 
-std::string or_own(const std::string& driver) {
-  return driver.empty() ? "the plugin's own" : driver;
+std::string or_own(const DriverName& driver) {
+  return driver.empty() ? "the plugin's own" : driver.str();
 }
 
 class Planner {
@@ -105,7 +108,7 @@ class Planner {
   }
 
   std::string unknown_gateway_text() const {
-    std::vector<std::string> ids;
+    std::vector<GatewayId> ids;
     for (const auto& gateway : fleet_.gateways) ids.push_back(gateway.id);
     return ids.empty() ? "no gateway is registered: start iotcloud-gateway"
                        : fmt::format("there is no such gateway; there are {}", fmt::join(ids, ", "));
@@ -121,7 +124,7 @@ class Planner {
       if (found != there_.end()) {
         compare(number, *found->second, gateway);
       } else if (!gateway.draining) {
-        add(StepKind::deploy, number, gateway.id, index, "");
+        add(StepKind::deploy, number, gateway.id, index, {});
       } else if (deployment.all_gateways) {
         passed_by_.insert(gateway.id);
       } else if (!std::exchange(complained, true)) {
@@ -130,7 +133,7 @@ class Planner {
     }
   }
 
-  static std::string drains_text(const std::string& gateway) {
+  static std::string drains_text(const GatewayId& gateway) {
     return fmt::format("the gateway is draining, so nothing is deployed on it; `iotcloud undrain {}` ends that",
                        gateway);
   }
@@ -155,7 +158,8 @@ class Planner {
       to_do(StepKind::adopt).what = {whose};
     }
     const bool other_plugin = there.plugin != wanted.plugin || there.sha256 != wanted.sha256;
-    // A manifest that names no driver leaves the name that the first plugin gave it: it is part of topics.
+    // Without a driver in the manifest the instance keeps the name that the first plugin gave it, because topics
+    // contain it.
     const bool other_driver = !wanted.driver.empty() && there.driver != wanted.driver;
     if ((other_plugin || other_driver) && gateway.draining) {
       complain(gateway.id, wanted, drains_text(gateway.id));
@@ -191,7 +195,7 @@ class Planner {
     if (plan_.steps.size() == before) ++plan_.same;
   }
 
-  /// One whose value is hidden is taken for what is wanted.
+  /// The instance's properties. A hidden value is assumed to be the wanted one.
   Texts known_properties(const Fleet::Instance& there, const Deployment& wanted) {
     Texts known = there.properties;
     for (const auto& key : there.hidden) {
@@ -215,7 +219,7 @@ class Planner {
     }
   }
 
-  Step& add(StepKind kind, std::size_t number, const std::string& gateway, int index, const std::string& instance) {
+  Step& add(StepKind kind, std::size_t number, const GatewayId& gateway, int index, const InstanceId& instance) {
     auto& step = plan_.steps.emplace_back();
     step.kind = kind;
     step.gateway = gateway;
@@ -226,7 +230,7 @@ class Planner {
     return step;
   }
 
-  void complain(const std::string& gateway, const Deployment& deployment, std::string text) {
+  void complain(const GatewayId& gateway, const Deployment& deployment, std::string text) {
     plan_.problems.push_back({gateway, deployment.name, std::move(text)});
   }
 
@@ -235,7 +239,7 @@ class Planner {
   const PlanOptions& options_;
   std::map<Key, const Fleet::Instance*> there_;
   std::set<Key> wanted_;
-  std::set<std::string> passed_by_;
+  std::set<GatewayId> passed_by_;
   Plan plan_;
 };
 

@@ -10,82 +10,81 @@
 
 namespace iotcloud::master::cli {
 
-/// A fleet as it is ordered now.
+/// The registered gateways and the present orders: what a manifest is compared with.
 struct Fleet {
+  /// A registered gateway.
   struct Gateway {
-    std::string id;
+    discovery::GatewayId id;
     bool draining = false;
-    bool original = false;  ///< of the original system, which knows no names: a manifest is not for it
-    bool lost = false;      ///< it does not answer now
+    bool original = false;  ///< a gateway of the original system: it knows no deployment names, so a manifest skips it
+    bool lost = false;      ///< its process is not alive now
   };
-  struct Instance {
-    std::string gateway;
-    std::string instance;  ///< id
-    std::string name;      ///< empty: deployed without one
-    int index = 0;
-    std::string manager;  ///< the manifest that it belongs to; empty: a person deployed it
-    std::string driver;
-    std::string plugin;
-    bool active = true;
-    std::map<std::string, std::string> properties;
-    std::map<std::string, std::string> metadata;
-    std::string failure;                ///< why it has failed; empty: it has not
-    std::string sha256{};               ///< of a plugin that was sent; empty: of the gateway's folder
-    std::vector<std::string> hidden{};  ///< keys of properties whose values only an admin is told
+  /// An instance that has an order.
+  struct Instance : discovery::Deployment {
+    discovery::GatewayId gateway;
+    discovery::InstanceId instance;
+    int index = 0;                    ///< 0: deployed without a name
+    std::string failure;              ///< why it has failed; empty: it has not
+    std::vector<std::string> hidden;  ///< keys of properties whose values only an admin may see
   };
   std::vector<Gateway> gateways;
   std::vector<Instance> instances;
 };
 
-/// What is to be done to one instance, in the order in which it is done on a gateway. Updates are of all gateways, one
-/// after the other.
+/// What is to be done to one instance, in the order in which a gateway's steps are done. An update is one order for all
+/// gateways, one after the other.
 enum class StepKind {
   undeploy,
   stop,
-  adopt,     ///< it belongs to the manifest from now on
-  replace,   ///< another driver: undeployed, then deployed
-  update,    ///< another plugin, or other bytes of it, under its id; back again when it does not come up with it
-  change,    ///< other properties: made anew under its id
-  describe,  ///< other metadata: it notices nothing
-  start,     ///< it is stopped, or has failed
+  adopt,     ///< it is marked as the manifest's from now on
+  replace,   ///< another driver: it is undeployed, then deployed
+  update,    ///< another plugin or changed bytes, under the same id; rolled back if it does not come up
+  change,    ///< other properties: it is created anew under the same id
+  describe,  ///< other metadata: it goes on running
+  start,     ///< it was stopped, or has failed
   deploy,
 };
 std::string to_string(StepKind kind);
 
+/// One thing to do on one gateway.
 struct Step {
   StepKind kind = StepKind::deploy;
-  std::string gateway;
+  discovery::GatewayId gateway;
   std::string name;
   int index = 0;
-  std::string instance;                         ///< id; empty with deploy
-  std::size_t deployment = 0;                   ///< of the manifest; nothing with undeploy
-  std::vector<std::string> what;                ///< what differs, for people: "rate: 5 -> 10". Secrets are not shown
-  std::map<std::string, std::string> metadata;  ///< describe: what to change; an empty text takes the key away
+  discovery::InstanceId instance;               ///< empty for `deploy`
+  std::size_t deployment = 0;                   ///< index in Manifest::deployments; unused for `undeploy`
+  std::vector<std::string> what;                ///< the differences, for people: "rate: 5 -> 10"; secrets are not shown
+  std::map<std::string, std::string> metadata;  ///< for `describe`: the changes; an empty text removes the key
 };
 
-/// What the manifest wants and cannot be done.
+/// Something that the manifest wants and that cannot be done.
 struct Problem {
-  std::string gateway;
+  discovery::GatewayId gateway;
   std::string name;  ///< of a deployment
-  std::string text;  ///< with how to mend it
+  std::string text;  ///< the problem, and how to mend it
 };
 
+/// What differs between a manifest and a fleet.
 struct Plan {
-  std::vector<Step> steps;  ///< by gateway, on each in the order of StepKind
+  std::vector<Step> steps;  ///< sorted by gateway, then in the order of StepKind
   std::vector<Problem> problems;
-  std::vector<Step> kept;              ///< would be undeployed, if that were wanted
-  std::vector<std::string> passed_by;  ///< gateways that drain, and therefore get nothing of what is for all
-  std::size_t same = 0;                ///< instances that are as they are to be
-  std::set<std::string> not_compared;  ///< keys of hidden properties, which are taken for what is wanted
+  std::vector<Step> kept;  ///< what pruning would undeploy, when PlanOptions::prune is false
+  /// Draining gateways, which get no instances of deployments to all gateways.
+  std::vector<discovery::GatewayId> passed_by;
+  std::size_t same = 0;  ///< number of instances that are as the manifest wants them
+  /// Keys of hidden properties, which are assumed to be as the manifest wants them.
+  std::set<std::string> not_compared;
 };
 
+/// What a plan may do beyond what the manifest names.
 struct PlanOptions {
-  bool prune = true;   ///< what the manifest deployed and does not name any more goes
-  bool adopt = false;  ///< instances of the manifest's names that others deployed belong to it from now on
+  bool prune = true;   ///< undeploy instances that the manifest deployed and names no more
+  bool adopt = false;  ///< take over instances that others deployed under names of the manifest
 };
 
-/// What makes the fleet as the manifest says, and nothing else. An instance that the manifest did not deploy is never
-/// touched, unless it has a name of the manifest's and may be adopted.
+/// Plans the steps that make the fleet as the manifest says, and no others. An instance that the manifest did not
+/// deploy is never touched, unless it has a name of the manifest's and may be adopted.
 Plan make_plan(const Manifest& manifest, const Fleet& fleet, const PlanOptions& options);
 
 }  // namespace iotcloud::master::cli

@@ -7,8 +7,8 @@
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/signing/ed25519.h>
 #include <iotcloud/master/cli/plugins/plugin_file.h>
+#include <iotcloud/security/ed25519.h>
 
 namespace iotcloud::master::cli {
 
@@ -32,11 +32,11 @@ std::string plugin_signature(const std::string& path) {
   if (!fs::exists(file)) return "";
   std::ifstream in(file, std::ios::binary);
   std::string signature(std::istreambuf_iterator<char>(in), {});
-  if (signature.size() == config::signature_bytes) return signature;
+  if (signature.size() == security::signature_bytes) return signature;
   throw std::invalid_argument(
       fmt::format("{} has {} bytes, an Ed25519 signature has {}; make it again with `iotcloud sign "
                   "{} --key KEY`, or remove it",
-                  file, signature.size(), config::signature_bytes, path));
+                  file, signature.size(), security::signature_bytes, path));
 }
 
 }  // namespace iotcloud::master::cli

@@ -4,14 +4,14 @@
 
 namespace iotcloud::master::cli {
 
-/// Whether a plugin is named as a file of this machine, which is to be sent: it has a slash ("./turtle.so"). Without
-/// one it is the name of a file in the gateways' plugin folders, whatever files there are here.
+/// Whether the plugin is a file of this machine, which must be sent: its name contains a slash ("./turtle.so"). A name
+/// without a slash is a file in the gateways' plugin folders, even if this folder has a file of that name.
 bool is_local_plugin(const std::string& plugin);
 
-/// All of a plugin. \throws std::invalid_argument for one that cannot be sent: a folder, nothing, unreadable.
+/// Reads the plugin file. \throws std::invalid_argument when it cannot be sent: it is a folder, empty or unreadable.
 std::string plugin_bytes(const std::string& path);
 
-/// The signature in PATH.sig beside it; empty: there is none. \throws std::invalid_argument for one of another size.
+/// Reads the signature in PATH.sig; empty: there is none. \throws std::invalid_argument when its size is wrong.
 std::string plugin_signature(const std::string& path);
 
 }  // namespace iotcloud::master::cli

@@ -3,10 +3,10 @@
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/signing/sha256.h>
 #include <iotcloud/master/cli/output.h>
 #include <iotcloud/master/cli/plugins/plugin_file.h>
 #include <iotcloud/master/cli/plugins/plugin_sending.h>
+#include <iotcloud/security/sha256.h>
 
 namespace iotcloud::master::cli {
 
@@ -14,11 +14,11 @@ namespace fs = std::filesystem;
 
 namespace {
 
-constexpr std::size_t piece = std::size_t{512} * 1024;  // what master.thrift asks for
+constexpr std::size_t piece = std::size_t{512} * 1024;  // bytes; the size that master.thrift asks for
 constexpr std::size_t worth_a_bar = std::size_t{2} << 20;
 constexpr double megabyte = 1 << 20;
 
-/// How far it is, on a terminal.
+/// Shows on a terminal how much of a large file is sent.
 class Progress {
  public:
   Progress(const std::string& file, std::size_t size, std::ostream* terminal)
@@ -41,34 +41,29 @@ class Progress {
   std::ostream* const terminal_;
 };
 
-wire::TUploadResponse accepted(wire::TUploadResponse answer) {
-  if (answer.refusal != wire::TRefusal::NONE) throw Failed(answer.response.statusMessage);
+UploadResult accepted(UploadResult answer) {
+  if (answer.refusal.refusal != Refusal::none) throw Failed(answer.refusal.text);
   return answer;
 }
 
-wire::TInstanceOutcome failure_of(const wire::TPluginTarget& target) {
-  wire::TInstanceOutcome outcome;
-  outcome.__set_gateway(target.gateway);
-  outcome.__set_outcome(wire::TOutcome::FAILED);
-  outcome.__set_reason(target.problem.empty() ? "it did not say that it has the plugin" : target.problem);
-  return outcome;
+InstanceOutcome failure_of(const UploadTarget& target) {
+  return {target.gateway,
+          {},
+          Outcome::failed,
+          target.problem.empty() ? "it did not say that it has the plugin" : target.problem};
 }
 
 }  // namespace
 
-SentPlugin send_plugin(const std::string& plugin, const std::vector<std::string>& gateways, MasterClient& master,
-                       std::ostream* terminal) {
+SentPlugin send_plugin(const std::string& plugin, const std::vector<discovery::GatewayId>& gateways,
+                       MasterClient& master, std::ostream* terminal) {
   SentPlugin sent;
   sent.plugin = plugin;
   if (!is_local_plugin(plugin)) return sent;
   const std::string bytes = plugin_bytes(plugin);
   sent.plugin = fs::path(plugin).filename();
-  sent.sha256 = config::sha256_hex(bytes);
-  wire::TPluginOffer offer;
-  offer.__set_plugin(sent.plugin);
-  offer.__set_sha256(sent.sha256);
-  offer.__set_size(static_cast<std::int64_t>(bytes.size()));
-  offer.__set_signature(plugin_signature(plugin));
+  sent.sha256 = security::sha256_hex(bytes);
+  const PluginOffer offer{sent.plugin, sent.sha256, static_cast<std::int64_t>(bytes.size()), plugin_signature(plugin)};
   auto answer = accepted(master.offer_plugin(offer, gateways));
   const std::string upload = answer.upload;
   {

@@ -4,9 +4,9 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/master/cli/output.h>
 #include <iotcloud/master/cli/topology/topology_pages.h>
+#include <iotcloud/rpc/http/http_client.h>
 
 namespace iotcloud::master::cli {
 
@@ -42,7 +42,7 @@ std::string latency(const Json& of, const char* name) {
 
 }  // namespace
 
-std::string unreachable(const wire::TWorker& worker) {
+std::string unreachable(const discovery::WorkerRecord& worker) {
   if (worker.http.empty())
     return fmt::format("worker {} serves no pages (it runs inside another program)", worker.name);
   if (worker.host == host_name()) return "";
@@ -50,18 +50,18 @@ std::string unreachable(const wire::TWorker& worker) {
                      worker.host);
 }
 
-TopologyPages::TopologyPages(const wire::TTopology& topology) : topology_(topology.name) {
-  if (topology.workerRecords.empty()) problems_.push_back("no worker of topology " + topology.name + " runs");
-  for (const auto& worker : topology.workerRecords) {
+TopologyPages::TopologyPages(const discovery::TopologyStatus& topology) : topology_(topology.record.name) {
+  if (topology.workers.empty()) problems_.push_back("no worker of topology " + topology_ + " runs");
+  for (const auto& worker : topology.workers) {
     if (const auto reason = unreachable(worker); !reason.empty()) {
       problems_.push_back(reason);
       continue;
     }
     try {
-      Json page = Json::parse(get_page(worker.http, "/topology"));
+      Json page = Json::parse(rpc::http_get(worker.http, "/topology"));
       if (components_.empty()) components_ = page.at("components");
       pages_.push_back(std::move(page));
-    } catch (const Failed& e) {
+    } catch (const rpc::HttpError& e) {
       problems_.push_back(fmt::format("worker {}: {}", worker.name, e.what()));
     } catch (const Json::exception& e) {
       problems_.push_back(fmt::format("worker {}: its page cannot be read: {}", worker.name, e.what()));

@@ -1,32 +1,23 @@
 #pragma once
 
-#include <chrono>
 #include <iosfwd>
 #include <string>
 #include <vector>
 
 #include <nlohmann/json.hpp>
 
-#include "iotcloud/master/master_types.h"
+#include <iotcloud/discovery/directory.h>
 
 namespace iotcloud::master::cli {
 
-/// GETs a page of a worker. \param address "127.0.0.1:port". \return the body. \throws Failed.
-std::string get_page(const std::string& address, const std::string& target);
-/// For a query of a page.
-std::string encode_query(const std::string& text);
+/// Why this machine cannot reach a worker's pages; empty: it can.
+std::string unreachable(const discovery::WorkerRecord& worker);
 
-/// Waits. \return false when interrupted.
-bool pause(std::chrono::duration<double> time);
-
-/// Whether this machine can reach a worker's pages; why not. Empty: it can.
-std::string unreachable(const wire::TWorker& worker);
-
-/// What the workers of one topology say of their tasks, read once.
+/// What the workers of one topology report about their tasks, read once.
 class TopologyPages {
  public:
   using Json = nlohmann::ordered_json;
-  explicit TopologyPages(const wire::TTopology& topology);
+  explicit TopologyPages(const discovery::TopologyStatus& topology);
 
   /// Why a worker's page could not be read, one text for each.
   const std::vector<std::string>& problems() const { return problems_; }
@@ -35,7 +26,7 @@ class TopologyPages {
   /// The tasks of one component on all workers: counts added up, latency p50 of the task with the most samples, p99 and
   /// max of the worst task, capacity of the busiest.
   Json sum(const std::string& component) const;
-  /// Each component with its sum and its tasks.
+  /// All components, each with its sum and its tasks.
   Json metrics() const;
   std::size_t workers() const { return pages_.size(); }
 
@@ -48,7 +39,7 @@ class TopologyPages {
   Json components_ = Json::array();
 };
 
-/// A row for each component, and one for each of its tasks.
+/// Prints a row for each component, and one for each of its tasks.
 void print_metrics(std::ostream& out, const TopologyPages& pages);
 
 }  // namespace iotcloud::master::cli

@@ -1,18 +1,15 @@
 #include <algorithm>
-#include <csignal>
 #include <ctime>
 #include <ostream>
 #include <random>
-#include <thread>
 
 #include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <iotcloud/master/cli/master_client.h>
-#include <iotcloud/master/cli/output.h>
 #include <iotcloud/master/cli/topology/topology_pages.h>
 #include <iotcloud/master/cli/topology/topology_tap.h>
+#include <iotcloud/rpc/http/http_client.h>
 
 namespace iotcloud::master::cli {
 
@@ -20,8 +17,6 @@ using Json = nlohmann::ordered_json;
 using std::chrono::milliseconds;
 
 namespace {
-
-volatile std::sig_atomic_t interrupted = 0;
 
 constexpr milliseconds poll_pause{200};
 
@@ -57,41 +52,41 @@ void print_sample(std::ostream& out, Format format, const Json& sample) {
 /// The taps that one call of the CLI opened: one in each worker that it can reach.
 class Taps {
  public:
-  Taps(const Command& command, const wire::TTopology& topology, std::ostream& err)
-      : query_("/tap?id=" + new_tap_id() + "&component=" + encode_query(command.component) +
-               "&stream=" + encode_query(command.stream) + "&rate=" + fmt::format("{}", command.rate)) {
-    for (const auto& worker : topology.workerRecords) {
+  Taps(const TapRequest& request, const discovery::TopologyStatus& topology, std::ostream& err)
+      : query_("/tap?id=" + new_tap_id() + "&component=" + rpc::encode_query(request.component) +
+               "&stream=" + rpc::encode_query(request.stream) + "&rate=" + fmt::format("{}", request.rate)) {
+    for (const auto& worker : topology.workers) {
       if (const auto reason = unreachable(worker); reason.empty()) {
         workers_.push_back(worker.http);
       } else {
         err << "iotcloud: " << printable(reason) << '\n';
       }
     }
-    if (workers_.empty()) throw Failed("no worker of topology " + topology.name + " can be asked from here");
+    if (workers_.empty()) throw Failed("no worker of topology " + topology.record.name + " can be asked from here");
   }
   ~Taps() {
     for (const auto& worker : workers_) {
       try {
-        get_page(worker, query_ + "&end=1");
-      } catch (const Failed&) {
-        continue;  // it ends by itself when nobody asks any more
+        rpc::http_get(worker, query_ + "&end=1");
+      } catch (const rpc::HttpError&) {
+        continue;  // a tap that nobody reads ends by itself
       }
     }
   }
   Taps(const Taps&) = delete;
   Taps& operator=(const Taps&) = delete;
 
-  /// What came since the last time, in order of time. A worker that ended is left out. \throws Failed when none is
+  /// The samples since the last call, in order of time. Skips workers that have ended. \throws Failed when none is
   /// left.
   std::vector<Json> poll() {
     std::vector<Json> samples;
     for (auto worker = workers_.begin(); worker != workers_.end();) {
       try {
-        const Json page = Json::parse(get_page(*worker, query_));
+        const Json page = Json::parse(rpc::http_get(*worker, query_));
         for (const Json& sample : page.at("samples")) samples.push_back(sample);
         ++worker;
-      } catch (const Failed&) {
-        if (workers_.size() == 1) throw;
+      } catch (const rpc::HttpError& e) {
+        if (workers_.size() == 1) throw Failed(e.what());
         worker = workers_.erase(worker);
       } catch (const Json::exception& e) {
         throw Failed(fmt::format("{}: its answer cannot be read: {}", *worker, e.what()));
@@ -110,29 +105,16 @@ class Taps {
 
 }  // namespace
 
-void interrupt() {
-  interrupted = 1;
-}
-
-bool pause(std::chrono::duration<double> time) {
-  const auto until = std::chrono::steady_clock::now() + time;
-  while (interrupted == 0 && std::chrono::steady_clock::now() < until) {
-    std::this_thread::sleep_for(std::min<std::chrono::duration<double>>(
-        until - std::chrono::steady_clock::now(), std::chrono::duration<double>(milliseconds(50))));
-  }
-  return interrupted == 0;
-}
-
-int tap(const Command& command, const wire::TTopology& topology, std::ostream& out, std::ostream& err) {
-  Taps taps(command, topology, err);
+int tap(Call& call, const TapRequest& request, const discovery::TopologyStatus& topology) {
+  Taps taps(request, topology, call.err);
   std::int64_t shown = 0;
   do {
     for (const Json& sample : taps.poll()) {
-      print_sample(out, command.format, sample);
-      if (++shown == command.samples) return exit_ok;
+      print_sample(call.out, call.format, sample);
+      if (++shown == request.samples) return exit_ok;
     }
-    out.flush();
-  } while (out && pause(poll_pause));
+    call.out.flush();
+  } while (call.out && pause(poll_pause));
   return exit_ok;
 }
 

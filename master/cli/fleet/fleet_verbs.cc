@@ -1,0 +1,249 @@
+// diff, apply
+#include <chrono>
+#include <map>
+#include <ostream>
+#include <utility>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/master/cli/fleet/apply.h>
+#include <iotcloud/master/cli/fleet/manifest.h>
+#include <iotcloud/master/cli/fleet/plan.h>
+#include <iotcloud/master/cli/options.h>
+#include <iotcloud/master/cli/verb.h>
+
+namespace iotcloud::master::cli {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+using Rows = std::vector<std::vector<std::string>>;
+
+Fleet read_fleet(MasterClient& master) {
+  Fleet fleet;
+  for (const auto& gateway : master.gateways())
+    fleet.gateways.push_back({gateway.record.id, gateway.draining, gateway.original, !gateway.alive});
+  std::map<discovery::InstanceId, std::string> failures;
+  for (const auto& driver : master.drivers()) {
+    if (driver.state == discovery::DriverState::failed)
+      failures[driver.instance] = driver.reason.empty() ? "the gateway gave no reason" : driver.reason;
+  }
+  for (auto& listed : master.orders()) {
+    Fleet::Instance instance;
+    static_cast<discovery::Deployment&>(instance) = static_cast<discovery::Deployment&>(listed.order);
+    instance.gateway = listed.gateway;
+    instance.instance = listed.order.instance;
+    instance.index = listed.order.index;
+    instance.failure = failures[listed.order.instance];
+    instance.hidden = std::move(listed.hidden);
+    fleet.instances.push_back(std::move(instance));
+  }
+  return fleet;
+}
+
+std::string full_name(const Step& step) {
+  return fmt::format("{}/{}", step.name, step.index);
+}
+
+std::string instances(std::size_t count) {
+  return fmt::format("{} instance{}", count, count == 1 ? "" : "s");
+}
+
+Json to_json(const Step& step) {
+  return {{"change", to_string(step.kind)}, {"gateway", step.gateway}, {"name", step.name}, {"index", step.index},
+          {"instance", step.instance},      {"what", step.what}};
+}
+
+Json rest_of(const Plan& plan) {
+  Json problems = Json::array();
+  for (const auto& problem : plan.problems)
+    problems.push_back({{"gateway", problem.gateway}, {"name", problem.name}, {"text", problem.text}});
+  Json kept = Json::array();
+  for (const auto& step : plan.kept)
+    kept.push_back(
+        {{"gateway", step.gateway}, {"name", step.name}, {"index", step.index}, {"instance", step.instance}});
+  return {{"problems", problems},
+          {"kept", kept},
+          {"passed_by", plan.passed_by},
+          {"same", plan.same},
+          {"not_compared", plan.not_compared}};
+}
+
+/// Prints what else a plan says besides its steps: what is kept, skipped, not compared or impossible.
+void tell_rest(const Plan& plan, std::ostream& out, std::ostream& err) {
+  if (!plan.kept.empty())
+    out << fmt::format("kept, though the manifest does not name them any more: {}\n", instances(plan.kept.size()));
+  for (const auto& gateway : plan.passed_by) out << fmt::format("passed by: {} is draining\n", printable(gateway));
+  if (!plan.not_compared.empty())
+    out << fmt::format("not compared, for only an admin may see them: {}\n",
+                       printable(fmt::format("{}", fmt::join(plan.not_compared, ", "))));
+  for (const auto& problem : plan.problems)
+    err << fmt::format("iotcloud: {} on {}: {}\n", printable(problem.name), printable(problem.gateway),
+                       printable(problem.text));
+}
+
+int show_plan(Call& call, const Manifest& manifest, const Plan& plan) {
+  const int status = !plan.problems.empty() ? exit_failed : plan.steps.empty() ? exit_ok : exit_differs;
+  if (call.format != Format::table) {
+    Json changes = Json::array();
+    for (const auto& step : plan.steps) changes.push_back(to_json(step));
+    Json answer{{"fleet", manifest.fleet}, {"changes", changes}};
+    answer.update(rest_of(plan));
+    print_data(call.out, call.format, answer);
+    return status;
+  }
+  if (plan.steps.empty()) {
+    call.out << fmt::format("nothing to do: {} as the manifest says\n", instances(plan.same));
+  } else {
+    Rows rows;
+    for (const auto& step : plan.steps)
+      rows.push_back({printable(step.gateway), printable(full_name(step)), to_string(step.kind),
+                      printable(fmt::format("{}", fmt::join(step.what, "; ")))});
+    print_table(call.out, {"GATEWAY", "NAME", "CHANGE", "WHAT"}, rows);
+  }
+  tell_rest(plan, call.out, call.err);
+  return status;
+}
+
+/// Prints a line for each gateway whose changes were not all done.
+void name_failures(const Plan& plan, const std::vector<StepOutcome>& outcomes, std::ostream& err) {
+  struct Tally {
+    std::size_t all = 0, open = 0;
+    std::string first;
+  };
+  std::map<discovery::GatewayId, Tally> gateways;
+  for (std::size_t i = 0; i < outcomes.size(); ++i) {
+    auto& tally = gateways[plan.steps[i].gateway];
+    ++tally.all;
+    if (outcomes[i].outcome == "done") continue;
+    if (tally.open++ == 0) tally.first = fmt::format("{}: {}", outcomes[i].outcome, outcomes[i].reason);
+  }
+  for (const auto& [gateway, tally] : gateways) {
+    if (tally.open == 0) continue;
+    err << fmt::format("iotcloud: {}: {} of {} changes not done; the first: {}\n", printable(gateway), tally.open,
+                       tally.all, printable(tally.first));
+  }
+}
+
+int show_outcomes(Call& call, const Manifest& manifest, const Plan& plan, const std::vector<StepOutcome>& outcomes) {
+  bool ok = plan.problems.empty();
+  for (const auto& outcome : outcomes) ok = ok && outcome.outcome == "done";
+  if (call.format != Format::table) {
+    Json changes = Json::array();
+    for (std::size_t i = 0; i < outcomes.size(); ++i) {
+      Json change = to_json(plan.steps[i]);
+      change["outcome"] = outcomes[i].outcome;
+      change["reason"] = outcomes[i].reason;
+      changes.push_back(std::move(change));
+    }
+    Json answer{{"fleet", manifest.fleet}, {"ok", ok}, {"changes", changes}};
+    answer.update(rest_of(plan));
+    print_data(call.out, call.format, answer);
+    return ok ? exit_ok : exit_failed;
+  }
+  if (plan.steps.empty()) {
+    call.out << fmt::format("nothing to do: {} as the manifest says\n", instances(plan.same));
+  } else {
+    Rows rows;
+    for (std::size_t i = 0; i < outcomes.size(); ++i) {
+      const auto& step = plan.steps[i];
+      rows.push_back({printable(step.gateway), printable(full_name(step)), to_string(step.kind), outcomes[i].outcome,
+                      printable(outcomes[i].reason)});
+    }
+    print_table(call.out, {"GATEWAY", "NAME", "CHANGE", "OUTCOME", "REASON"}, rows);
+    name_failures(plan, outcomes, call.err);
+  }
+  tell_rest(plan, call.out, call.err);
+  return ok ? exit_ok : exit_failed;
+}
+
+/// Reports progress, at most once a second.
+std::function<void(std::size_t, std::size_t)> progress_to(std::ostream& err) {
+  using Clock = std::chrono::steady_clock;
+  return [&err, last = Clock::now()](std::size_t done, std::size_t all) mutable {
+    if (done == all || Clock::now() - last < std::chrono::seconds(1)) return;
+    last = Clock::now();
+    err << fmt::format("iotcloud: {} of {} changes\n", done, all) << std::flush;
+  };
+}
+
+class OfManifest : public Verb {
+ public:
+  using Verb::Verb;
+  void declare(CLI::App& options) override {
+    options.add_option("-f,--file", file_, "the manifest; config/fleet.yaml is a commented one")
+        ->required()
+        ->type_name("FILE");
+    options.add_flag_callback(
+        "--no-prune", [this] { plan_options_.prune = false; },
+        "leave what an earlier apply of this manifest deployed and it does not name any more");
+    options.add_flag("--adopt", plan_options_.adopt,
+                     "take instances over that others deployed under names of the manifest; without it they are left "
+                     "alone");
+  }
+  int run(Call& call) override {
+    const auto manifest = load_manifest(file_);
+    const auto plan = make_plan(manifest, read_fleet(*call.connect()), plan_options_);
+    return follow(call, manifest, plan);
+  }
+
+ protected:
+  virtual int follow(Call& call, const Manifest& manifest, const Plan& plan) = 0;
+
+ private:
+  std::string file_;
+  PlanOptions plan_options_;
+};
+
+class Diff final : public OfManifest {
+ public:
+  Diff()
+      : OfManifest({"diff", "Show what apply would change; exit status 4 when there is something",
+                    "iotcloud diff -f fleet.yaml", security::Role::operating}) {}
+
+ private:
+  int follow(Call& call, const Manifest& manifest, const Plan& plan) override {
+    return show_plan(call, manifest, plan);
+  }
+};
+
+class Apply final : public OfManifest {
+ public:
+  Apply()
+      : OfManifest({"apply",
+                    "Make the fleet as a manifest says: deploy what is missing, change what differs, undeploy what an "
+                    "earlier apply of it deployed and it does not name any more. Nothing else is touched. Another "
+                    "plugin comes to one gateway after the other, and when one does not come up with it, all go back",
+                    "iotcloud apply -f fleet.yaml", security::Role::admin}) {}
+
+  void declare(CLI::App& options) override {
+    OfManifest::declare(options);
+    options.add_flag("--dry-run", dry_run_, "only show what would change, as diff");
+    add_wait(options, apply_options_.wait);
+    add_settle(options, apply_options_.settle);
+  }
+
+ private:
+  int follow(Call& call, const Manifest& manifest, const Plan& plan) override {
+    if (dry_run_) return show_plan(call, manifest, plan);
+    apply_options_.connect = [&call] { return call.connect(); };
+    apply_options_.progress = progress_to(call.err);
+    if (call.progress) apply_options_.terminal = &call.err;
+    return show_outcomes(call, manifest, plan, apply(manifest, plan, apply_options_));
+  }
+
+  bool dry_run_ = false;
+  ApplyOptions apply_options_;
+};
+
+}  // namespace
+
+void add_fleet_verbs(Verbs& verbs) {
+  verbs.add<Diff>();
+  verbs.add<Apply>();
+}
+
+}  // namespace iotcloud::master::cli

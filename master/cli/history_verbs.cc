@@ -1,0 +1,239 @@
+// describe, history, logs
+#include <chrono>
+#include <ctime>
+#include <deque>
+#include <ostream>
+#include <sstream>
+
+#include <CLI/CLI.hpp>
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <iotcloud/discovery/description/json.h>
+#include <iotcloud/master/cli/driver_verbs.h>
+#include <iotcloud/master/cli/options.h>
+#include <iotcloud/master/cli/verb.h>
+#include <iotcloud/security/sha256.h>
+
+namespace iotcloud::master::cli {
+
+using discovery::DriverRecord;
+using security::Role;
+using Json = nlohmann::ordered_json;
+using Rows = std::vector<std::vector<std::string>>;
+
+namespace {
+
+constexpr std::int32_t most_log_bytes = 128 * 1024;
+constexpr std::chrono::milliseconds follow_pause{500};
+
+/// Formats wall time for people, in UTC.
+std::string moment(std::int64_t time_ms) {
+  if (time_ms <= 0) return "-";
+  constexpr std::int64_t ms = 1000;
+  return fmt::format("{:%Y-%m-%dT%H:%M:%S}.{:03}Z", fmt::gmtime(static_cast<std::time_t>(time_ms / ms)), time_ms % ms);
+}
+
+/// Prints the gateways that did not answer. \return the exit status: exit_failed if there are any.
+int name_silent(const DriverHistory& history, std::ostream& err) {
+  for (const auto& [gateway, why] : history.silent)
+    err << fmt::format("iotcloud: the history of {} is missing: {}\n", printable(gateway), printable(why));
+  return history.silent.empty() ? exit_ok : exit_failed;
+}
+
+/// The plugin that the instance runs, and which trusted key signed it, if any.
+std::string plugin_words(const DriverRecord& driver) {
+  if (driver.plugin.empty()) return "-";
+  if (driver.sha256.empty()) return driver.plugin;
+  return fmt::format("{} (SHA-256 {}..., {})", driver.plugin, security::short_sha256(driver.sha256),
+                     driver.signed_by.empty() ? "not signed by a trusted key" : "signed by " + driver.signed_by);
+}
+
+void print_record(const DriverRecord& driver, std::ostream& out) {
+  print_table(out, {"instance", driver.instance},
+              {{"name", printable(full_name(driver))},
+               {"driver", printable(driver.name)},
+               {"gateway", printable(driver.gateway)},
+               {"state", to_string(driver.state)},
+               {"since", moment(driver.since_ms)},
+               {"reason", driver.reason.empty() ? "-" : printable(driver.reason)},
+               {"plugin", printable(plugin_words(driver))},
+               {"metadata", printable(metadata_words(driver))}});
+  if (driver.channels.empty()) return;
+  out << '\n';
+  Rows rows;
+  for (const auto& channel : driver.channels) {
+    rows.push_back({printable(channel.name), channel.direction == discovery::Direction::out ? "out" : "in",
+                    channel.shared ? "shared" : "exclusive", printable(channel.transport),
+                    printable(without_password(channel.broker_url))});
+  }
+  print_table(out, {"CHANNEL", "DIRECTION", "KIND", "BROKER", "URL"}, rows);
+}
+
+/// A verb about one instance.
+class OfOne : public Verb {
+ public:
+  using Verb::Verb;
+  void declare(CLI::App& options) override {
+    options.add_option("ID", ids_, "the id of an instance, or its beginning")->required()->expected(1);
+  }
+
+ protected:
+  /// \throws Failed when there is none.
+  DriverRecord find(MasterClient& master) const {
+    const discovery::InstanceId id = full_id(ids_.front(), master);
+    for (auto& driver : master.drivers()) {
+      if (driver.instance == id) return std::move(driver);
+    }
+    throw Failed(
+        fmt::format("no driver instance \"{}\"; `iotcloud drivers` lists them, `iotcloud history` those that "
+                    "are gone too",
+                    ids_.front()));
+  }
+
+ private:
+  std::vector<std::string> ids_;  ///< one id
+};
+
+class Describe final : public OfOne {
+ public:
+  Describe()
+      : OfOne({"describe", "Show all that is known of a driver instance: its record, channels and history",
+               "iotcloud describe 3f2a9c", Role::viewer}) {}
+
+  int run(Call& call) override {
+    constexpr std::int32_t changes = 100;
+    const auto master = call.connect();
+    const auto driver = find(*master);
+    const auto history = master->history({driver.instance.str()}, {driver.gateway}, changes);
+    if (call.format != Format::table) {
+      Json json = driver_json(driver);
+      json["history"] = discovery::json_of<Json>(history.changes);
+      print_data(call.out, call.format, json);
+      return name_silent(history, call.err);
+    }
+    print_record(driver, call.out);
+    if (!history.changes.empty()) {
+      call.out << '\n';
+      Rows rows;
+      for (const auto& change : history.changes)
+        rows.push_back({moment(change.time_ms), change.state, printable(change.reason)});
+      print_table(call.out, {"TIME", "STATE", "REASON"}, rows);
+    }
+    return name_silent(history, call.err);
+  }
+};
+
+void add_lines(CLI::App& options, std::int32_t& lines, int least, const char* what) {
+  options.add_option("-n,--lines", lines, what)->check(CLI::Range(least, 10'000))->default_str("100")->type_name("N");
+}
+
+class History final : public Verb {
+ public:
+  History()
+      : Verb({"history", "List the latest changes of state, of instances that are gone too, with time and reason",
+              "iotcloud history --gateway lab1", Role::viewer}) {}
+
+  void declare(CLI::App& options) override {
+    options.add_option("ID", instances_, "only of these instances: ids, or beginnings of ids");
+    add_gateways(options, gateways_, "only on these gateways");
+    add_lines(options, lines_, 1, "at most this many of the latest");
+  }
+
+  int run(Call& call) override {
+    const auto history = call.connect()->history(instances_, gateways_, lines_);
+    if (history.changes.empty() && history.silent.empty() && !instances_.empty()) {
+      throw Failed(
+          fmt::format("no gateway remembers a change of state of \"{}\"; they remember the latest since they "
+                      "started, `iotcloud history` lists them",
+                      fmt::join(instances_, "\", \"")));
+    }
+    Rows rows;
+    for (const auto& change : history.changes) {
+      rows.push_back({moment(change.time_ms), change.instance, printable(change.driver), printable(change.gateway),
+                      change.state, printable(change.reason)});
+    }
+    print(call.out, call.format, {"TIME", "INSTANCE", "DRIVER", "GATEWAY", "STATE", "REASON"}, rows,
+          discovery::json_of<Json>(history.changes));
+    return name_silent(history, call.err);
+  }
+
+ private:
+  std::vector<std::string> instances_;  ///< ids, or how they begin
+  std::vector<discovery::GatewayId> gateways_;
+  std::int32_t lines_ = 100;
+};
+
+/// The last `most` lines of the text that contain `word`.
+std::deque<std::string> last_lines(const std::string& text, const std::string& word, std::size_t most) {
+  std::deque<std::string> lines;
+  std::istringstream in(text);
+  for (std::string line; std::getline(in, line);) {
+    if (!word.empty() && line.find(word) == std::string::npos) continue;
+    lines.push_back(std::move(line));
+    if (lines.size() > most) lines.pop_front();
+  }
+  return lines;
+}
+
+/// Prints log lines so that more can follow: in JSON each line is a string, in YAML an item of a list.
+void print_lines(const std::deque<std::string>& lines, Format format, std::ostream& out) {
+  for (const auto& line : lines) {
+    if (format == Format::table) {
+      out << printable(line) << '\n';
+    } else {
+      out << (format == Format::yaml ? "- " : "") << discovery::to_text(Json(line)) << '\n';
+    }
+  }
+  out << std::flush;
+}
+
+class Logs final : public OfOne {
+ public:
+  Logs() : OfOne({"logs", "Show what a driver instance logs", "iotcloud logs 3f2a9c --follow", Role::viewer}) {}
+
+  void declare(CLI::App& options) override {
+    OfOne::declare(options);
+    options.add_flag("-f,--follow", follow_, "go on until interrupted");
+    options.add_flag("--whole-host", whole_host_, "every line of its driver host, not only those that name it");
+    add_lines(options, lines_, 0,
+              "of what there is already, at most, looked for in the last 128 KiB of its host's log");
+  }
+  bool goes_on() const override { return follow_; }
+
+  int run(Call& call) override {
+    const auto master = call.connect();
+    const auto driver = find(*master);
+    const std::string word = whole_host_ ? "" : driver.instance.str();
+    auto part = master->read_log(driver.gateway, driver.instance, "", most_log_bytes);
+    const auto lines = last_lines(part.text, word, static_cast<std::size_t>(lines_));
+    if (!follow_ && call.format == Format::json) {
+      print_data(call.out, call.format, lines);
+      return exit_ok;
+    }
+    print_lines(lines, call.format, call.out);
+    // After a large part there is probably more to read, so it is read at once.
+    const auto rest = [&] { return part.text.size() < most_log_bytes / 2 ? follow_pause : follow_pause.zero(); };
+    while (follow_ && pause(rest())) {
+      part = master->read_log(driver.gateway, driver.instance, part.position, most_log_bytes);
+      print_lines(last_lines(part.text, word, most_log_bytes), call.format, call.out);
+    }
+    return exit_ok;
+  }
+
+ private:
+  bool follow_ = false;
+  bool whole_host_ = false;
+  std::int32_t lines_ = 100;
+};
+
+}  // namespace
+
+void add_history_verbs(Verbs& verbs) {
+  verbs.add<Describe>();
+  verbs.add<History>();
+  verbs.add<Logs>();
+}
+
+}  // namespace iotcloud::master::cli

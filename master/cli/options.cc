@@ -1,0 +1,165 @@
+#include <algorithm>
+#include <tuple>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <iotcloud/master/cli/options.h>
+#include <iotcloud/master/cli/output.h>
+
+namespace iotcloud::master::cli {
+
+using discovery::DriverRecord;
+using std::chrono::milliseconds;
+
+namespace {
+
+template <typename T>
+bool among(const std::vector<T>& all, const T& one) {
+  return std::find(all.begin(), all.end(), one) != all.end();
+}
+
+discovery::Selection selection_of(const std::string& where) {
+  if (where.empty()) return {};
+  try {
+    return discovery::Selection::parse(where);
+  } catch (const discovery::SelectionError& error) {
+    throw std::invalid_argument(
+        fmt::format("--where, {}\nQuote the whole expression for the shell: --where 'site == \"lab\" and battery > 20'",
+                    error.what()));
+  }
+}
+
+/// The drivers' records, sorted by driver, gateway and id.
+std::vector<DriverRecord> sorted_drivers(MasterClient& master) {
+  auto drivers = master.drivers();
+  std::sort(drivers.begin(), drivers.end(), [](const auto& a, const auto& b) {
+    return std::tie(a.name, a.gateway, a.instance) < std::tie(b.name, b.gateway, b.instance);
+  });
+  return drivers;
+}
+
+discovery::InstanceId completed(const std::string& beginning, const std::vector<DriverRecord>& drivers) {
+  std::vector<discovery::InstanceId> ids;
+  std::vector<std::string> lines;
+  for (const auto& driver : drivers) {
+    if (driver.instance == beginning) return driver.instance;
+    if (!driver.instance.str().starts_with(beginning)) continue;
+    ids.push_back(driver.instance);
+    lines.push_back(fmt::format("{} ({} on {})", driver.instance, printable(driver.name), printable(driver.gateway)));
+  }
+  if (ids.size() > 1)
+    throw Ambiguous(
+        fmt::format("\"{}\" begins {} ids; give more of it:\n  {}", beginning, ids.size(), fmt::join(lines, "\n  ")));
+  return ids.empty() ? discovery::InstanceId(beginning) : ids.front();
+}
+
+}  // namespace
+
+std::map<std::string, std::string> pairs(const std::vector<std::string>& words, const char* option) {
+  std::map<std::string, std::string> out;
+  for (const auto& word : words) {
+    const auto equals = word.find('=');
+    if (equals == 0 || equals == std::string::npos)
+      throw CLI::ValidationError(option, "\"" + word + "\" is not of the form NAME=VALUE");
+    if (!out.emplace(word.substr(0, equals), word.substr(equals + 1)).second)
+      throw CLI::ValidationError(option, word.substr(0, equals) + " is given twice");
+  }
+  return out;
+}
+
+CLI::Option& add_seconds(CLI::App& options, const char* name, milliseconds& into, double least, double longest,
+                         const char* what) {
+  return *options
+              .add_option_function<double>(
+                  name, [&into](double seconds) { into = milliseconds(static_cast<std::int64_t>(seconds * 1000)); },
+                  what)
+              ->check(CLI::Range(least, longest))
+              ->type_name("SECONDS");
+}
+
+void add_gateways(CLI::App& options, std::vector<discovery::GatewayId>& gateways, const char* what) {
+  options.add_option("-g,--gateway", gateways, what)->delimiter(',')->allow_extra_args(false)->type_name("GATEWAY");
+}
+
+void add_wait(CLI::App& options, WaitLimit& wait, const char* name, const char* what) {
+  options
+      .add_option_function<double>(
+          name, [&wait](double seconds) { wait = milliseconds(static_cast<std::int64_t>(seconds * 1000)); }, what)
+      ->check(CLI::Range(0.001, 600.0))
+      ->type_name("SECONDS");
+}
+
+void add_settle(CLI::App& options, milliseconds& settle) {
+  settle = milliseconds{1'000};
+  add_seconds(options, "--settle", settle, 0.0, 600.0,
+              "seconds that the instances of a step must stay up before the next step")
+      .default_str("1");
+}
+
+CLI::Option& add_plugin(CLI::App& options, std::string& plugin) {
+  return *options
+              .add_option("--plugin", plugin,
+                          "a name (turtle.so): a file in the gateways' plugin folder; a path, with a slash "
+                          "(./turtle.so): a file of "
+                          "this machine, which is sent with its signature (./turtle.so.sig)")
+              ->type_name("FILE");
+}
+
+void Choice::add_ids(CLI::App& options, const char* what) {
+  options.add_option("ID", instances, what);
+}
+
+void Choice::add_what_they_are(CLI::App& options, const char* gateways_what) {
+  add_gateways(options, gateways, gateways_what);
+  options.add_option("--driver", driver, "only of this driver")->type_name("DRIVER");
+  options.add_option("--name", name, "only of the deployment of this name")->type_name("NAME");
+  options.add_option("--state", state, "only in this state")
+      ->check(CLI::IsMember({"deployed", "starting", "active", "stopping", "inactive", "failed", "undeployed"}))
+      ->type_name("STATE");
+  options
+      .add_option(
+          "--where", where,
+          "only those for which it holds: site == \"lab\" and battery > 20 and within(location, 39.17, -86.52, 500 m)")
+      ->type_name("EXPRESSION")
+      ->check(CLI::Validator([](std::string& text) { return text.empty() ? "it is empty" : ""; }, ""));
+}
+
+void Choice::check_order() const {
+  const bool chosen = all || !name.empty() || !driver.empty() || !state.empty() || !where.empty();
+  if (instances.empty() && !chosen) throw CLI::RequiredError("ID, or --where, --name, --driver, --state or --all,");
+  if (!instances.empty() && chosen)
+    throw CLI::ValidationError("ID", "give ids, or --where, --name, --driver, --state or --all, not both");
+}
+
+std::vector<DriverRecord> Choice::drivers(MasterClient& master) const {
+  const auto selection = selection_of(where);
+  auto drivers = sorted_drivers(master);
+  std::erase_if(drivers, [&](const DriverRecord& one) {
+    const auto begins = [&](const std::string& id) { return one.instance.str().starts_with(id); };
+    return (!instances.empty() && std::none_of(instances.begin(), instances.end(), begins)) ||
+           (!gateways.empty() && !among(gateways, one.gateway)) || (!driver.empty() && driver != one.name) ||
+           (!name.empty() && name != one.deployment) || (!state.empty() && state != to_string(one.state)) ||
+           !selection.matches(one);
+  });
+  return drivers;
+}
+
+std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
+  std::vector<discovery::InstanceId> ids;
+  if (!instances.empty()) {
+    const auto all_drivers = sorted_drivers(master);
+    for (const auto& beginning : instances) ids.push_back(completed(beginning, all_drivers));
+    return ids;
+  }
+  for (const auto& one : drivers(master)) ids.push_back(one.instance);
+  if (ids.empty()) throw Failed("no driver instance is chosen by these options; `iotcloud drivers` takes them too");
+  return ids;
+}
+
+discovery::InstanceId full_id(const std::string& beginning, MasterClient& master) {
+  return completed(beginning, sorted_drivers(master));
+}
+
+}  // namespace iotcloud::master::cli

@@ -1,0 +1,352 @@
+// // deploy, undeploy, start, stop, restart, metadata, update; drain, undrain
+#include <algorithm>
+#include <ostream>
+#include <set>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <iotcloud/discovery/description/json.h>
+#include <iotcloud/master/cli/fleet/channel_options.h>
+#include <iotcloud/master/cli/options.h>
+#include <iotcloud/master/cli/order_verbs.h>
+#include <iotcloud/master/cli/plugins/plugin_file.h>
+#include <iotcloud/master/cli/plugins/plugin_sending.h>
+
+namespace iotcloud::master::cli {
+
+using security::Role;
+using Json = nlohmann::ordered_json;
+using Rows = std::vector<std::vector<std::string>>;
+
+namespace {
+
+/// Shows an answer. Each gateway that did not take the plugin is shown as a failed outcome.
+int show_order_and_failures(Call& call, OrderResult result, const SentPlugin& sent, bool given = true) {
+  if (sent.failures.empty()) return show_order(call, result);
+  std::string text = given ? result.summary() : "";
+  text += fmt::format("{}{} gateway{} did not take the plugin", text.empty() ? "" : "; ", sent.failures.size(),
+                      sent.failures.size() == 1 ? "" : "s");
+  result.outcomes.insert(result.outcomes.end(), sent.failures.begin(), sent.failures.end());
+  return show_order(call, result, text, false);
+}
+
+std::string joined(const std::vector<std::string>& words) {
+  return fmt::format("{}", fmt::join(words, ", "));
+}
+
+class Deploy final : public Verb {
+ public:
+  Deploy()
+      : Verb({"deploy", "Deploy a driver; answers when the outcome is known",
+              "iotcloud deploy turtle.so --gateway lab1 --name robot --property source=simulation\n"
+              "  iotcloud deploy --plugin ./turtle.so --all",
+              Role::admin}) {}
+
+  void declare(CLI::App& options) override {
+    add_plugin(options, request_.plugin);
+    options.add_option("PLUGIN", request_.plugin, "as --plugin")->excludes("--plugin");
+    add_gateways(options, request_.gateways, "on these gateways");
+    options.add_flag("--all", all_, "on all gateways")->excludes("--gateway");
+    options
+        .add_option("--name", request_.name,
+                    "what these instances are called: NAME/1, NAME/2, ... on each gateway; one that is there already "
+                    "is not deployed again")
+        ->type_name("NAME");
+    options.add_option("--driver", request_.driver, "the driver's name; the plugin's own when it is not given")
+        ->type_name("DRIVER");
+    add_words(options, "-p,--property", properties_, "a property of the driver; may be repeated", "NAME=VALUE");
+    add_words(options, "-c,--channel", channels_,
+              "what a channel's messages are worth, such as data.deadline_ms=100; may be repeated. Options: " +
+                  joined(channel_options()),
+              "CHANNEL.OPTION=VALUE");
+    add_words(options, "-m,--metadata", metadata_, "what others see in the driver's record; may be repeated",
+              "NAME=VALUE");
+    options.add_option("-n,--count", request_.count, "instances on each gateway")
+        ->check(CLI::Range(1, DeployRequest::max_count))
+        ->type_name("N");
+    add_wait(options, request_.wait);
+  }
+
+  void check() override {
+    if (request_.gateways.empty() && !all_) throw CLI::RequiredError("--gateway GATEWAY or --all");
+    request_.properties = pairs(properties_, "--property");
+    add_channels(pairs(channels_, "--channel"));
+    request_.metadata = pairs(metadata_, "--metadata");
+    if (request_.plugin.empty()) throw CLI::RequiredError("--plugin");
+  }
+
+  int run(Call& call) override {
+    const auto master = call.connect();
+    SentPlugin sent;
+    if (is_local_plugin(request_.plugin)) {
+      sent = send_plugin(request_.plugin, gateways_to_send_to(*master), *master, call.progress ? &call.err : nullptr);
+      if (sent.gateways.empty()) return show_order_and_failures(call, {}, sent, false);
+      request_.gateways = sent.gateways;
+      request_.plugin = sent.plugin;
+      request_.sha256 = sent.sha256;
+    }
+    return show_order_and_failures(call, master->deploy(request_), sent);
+  }
+
+ private:
+  static void add_words(CLI::App& options, const char* name, std::vector<std::string>& words, const std::string& what,
+                        const char* type) {
+    options.add_option(name, words, what)->allow_extra_args(false)->type_name(type);
+  }
+
+  /// Turns the options of channels into properties. \throws CLI::ValidationError
+  void add_channels(const std::map<std::string, std::string>& settings) {
+    for (const auto& [setting, value] : settings) {
+      auto problem = channel_setting_problem(setting, value);
+      const auto dot = setting.rfind('.');
+      const auto property =
+          dot == std::string::npos ? setting : channel_property(setting.substr(0, dot), setting.substr(dot + 1));
+      if (problem.empty() && !request_.properties.emplace(property, value).second)
+        problem = property + " is given as a --property too";
+      if (!problem.empty()) throw CLI::ValidationError("--channel", problem);
+    }
+    for (const auto& [setting, value] : settings) {
+      const auto dot = setting.rfind('.');
+      const auto when_full = request_.properties.find(channel_property(setting.substr(0, dot), "when_full"));
+      const auto problem = spool_option_problem(setting.substr(dot + 1),
+                                                when_full == request_.properties.end() ? "" : when_full->second);
+      if (!problem.empty()) throw CLI::ValidationError("--channel", problem);
+    }
+  }
+
+  /// The gateways that get the plugin. A plugin for all gateways skips those that drain, as the order does.
+  std::vector<discovery::GatewayId> gateways_to_send_to(MasterClient& master) const {
+    if (!request_.gateways.empty()) return request_.gateways;
+    std::vector<discovery::GatewayId> ids;
+    bool draining = false;
+    for (const auto& gateway : master.gateways()) {
+      draining = draining || gateway.draining;
+      if (!gateway.draining) ids.push_back(gateway.record.id);
+    }
+    if (ids.empty() && draining) throw Failed("all gateways are draining; `iotcloud undrain GATEWAY` ends that");
+    return ids;
+  }
+
+  DeployRequest request_;
+  bool all_ = false;
+  std::vector<std::string> properties_, channels_, metadata_;
+};
+
+/// A verb that orders something of deployed instances.
+class ForInstances : public Verb {
+ public:
+  using Verb::Verb;
+  void declare(CLI::App& options) override {
+    choice_.add_ids(options, "ids of instances, or how they begin");
+    add_choice(options);
+  }
+  void check() override { choice_.check_order(); }
+  int run(Call& call) override {
+    const auto master = call.connect();
+    return give(call, *master, {choice_.ids(*master), choice_.gateways, wait_});
+  }
+
+ protected:
+  virtual int give(Call& call, MasterClient& master, const InstanceSelection& selection) = 0;
+  void add_choice(CLI::App& options) {
+    choice_.add_what_they_are(options, "the instances must be on one of these gateways");
+    options.add_flag("--all", choice_.all, "all instances, or all on the gateways that are named");
+    add_wait(options, wait_);
+  }
+
+  Choice choice_;
+  WaitLimit wait_;
+};
+
+/// undeploy, start, stop
+class ChangeInstances final : public ForInstances {
+ public:
+  using Order = OrderResult (MasterClient::*)(const InstanceSelection&);
+  ChangeInstances(const Card& of, Order order) : ForInstances(of), order_(order) {}
+
+ private:
+  int give(Call& call, MasterClient& master, const InstanceSelection& selection) override {
+    return show_order(call, (master.*order_)(selection));
+  }
+  const Order order_;
+};
+
+class Restart final : public ForInstances {
+ public:
+  Restart()
+      : ForInstances({"restart", "Stop driver instances, and start those that have stopped",
+                      "iotcloud restart 3f2a9c\n  iotcloud restart --name meter", Role::operating}) {}
+
+ private:
+  int give(Call& call, MasterClient& master, const InstanceSelection& selection) override {
+    constexpr std::size_t steps = 2;
+    const std::string order = discovery::to_json<Json>(selection).dump();
+    return show_order(call, master.give("restart", order, selection.wait, steps));
+  }
+};
+
+class Metadata final : public ForInstances {
+ public:
+  Metadata()
+      : ForInstances({"metadata",
+                      "Change the metadata in the records of driver instances. A value that the driver itself reports "
+                      "takes precedence",
+                      "iotcloud metadata 3f2a9c site=lab 'location=39.17,-86.52' note=", Role::operating}) {}
+
+  void declare(CLI::App& options) override {
+    options
+        .add_option("ID KEY=VALUE", words_,
+                    "ids of instances, or their beginnings, and what to change; \"KEY=\" removes the key")
+        ->required();
+    add_choice(options);
+  }
+
+  void check() override {
+    std::vector<std::string> changes;
+    for (const auto& word : words_) (word.find('=') == std::string::npos ? choice_.instances : changes).push_back(word);
+    if (changes.empty()) throw CLI::RequiredError("KEY=VALUE");
+    changes_ = pairs(changes, "KEY=VALUE");
+    ForInstances::check();
+  }
+
+ private:
+  int give(Call& call, MasterClient& master, const InstanceSelection& selection) override {
+    return show_order(call, master.update_metadata(selection, changes_));
+  }
+
+  std::vector<std::string> words_;
+  MetadataChanges changes_;
+};
+
+class Update final : public ForInstances {
+ public:
+  Update()
+      : ForInstances({"update",
+                      "Give driver instances another version of their plugin, one gateway after the other. When one "
+                      "does not come up with it, all go back to the version before",
+                      "iotcloud update --plugin ./turtle-2.so --driver turtle", Role::admin}) {}
+
+  void declare(CLI::App& options) override {
+    ForInstances::declare(options);
+    add_plugin(options, request_.plugin);
+    options.add_option("--at-once", request_.at_once, "so many instances in one step, not all of one gateway")
+        ->check(CLI::Range(1, UpdateRequest::max_at_once))
+        ->type_name("N");
+    add_settle(options, request_.settle);
+  }
+
+  void check() override {
+    if (request_.plugin.empty()) throw CLI::RequiredError("--plugin");
+    ForInstances::check();
+  }
+
+ private:
+  /// Gives no order unless all gateways of the instances have the plugin.
+  int give(Call& call, MasterClient& master, const InstanceSelection& selection) override {
+    const std::set<discovery::InstanceId> chosen(selection.instances.begin(), selection.instances.end());
+    std::set<discovery::GatewayId> gateways;
+    for (const auto& driver : master.drivers()) {
+      if (chosen.contains(driver.instance)) gateways.insert(driver.gateway);
+    }
+    if (!gateways.empty()) {
+      const auto sent =
+          send_plugin(request_.plugin, {gateways.begin(), gateways.end()}, master, call.progress ? &call.err : nullptr);
+      if (!sent.failures.empty()) {
+        call.err << "iotcloud: not all gateways took the plugin, so no instance was updated\n";
+        return show_order_and_failures(call, {}, sent, false);
+      }
+      request_.plugin = sent.plugin;
+      request_.sha256 = sent.sha256;
+    }
+    request_.selection = selection;
+    const auto per_step = static_cast<std::size_t>(request_.at_once);
+    const std::size_t steps = per_step == 0 ? gateways.size() : (chosen.size() + per_step - 1) / per_step;
+    return show_order(call, master.update(request_, steps));
+  }
+
+  UpdateRequest request_;
+};
+
+class Drain final : public Verb {
+ public:
+  explicit Drain(bool undo)
+      : Verb(undo ? Card{"undrain",
+                         "Let gateways work again: what drain stopped starts, what had been stopped before "
+                         "stays so",
+                         "iotcloud undrain lab1", Role::operating}
+                  : Card{"drain",
+                         "Stop all instances of gateways, and deploy nothing on them any more, until: "
+                         "iotcloud undrain",
+                         "iotcloud drain lab1", Role::operating}),
+        can_undo_(!undo),
+        undo_(undo) {}
+
+  void declare(CLI::App& options) override {
+    options.add_option("GATEWAY", selection_.gateways, "ids of gateways")->required();
+    add_wait(options, selection_.wait);
+    if (can_undo_) options.add_flag("--undo", undo_, "the same as undrain");
+  }
+  int run(Call& call) override {
+    const auto master = call.connect();
+    return show_order(call, undo_ ? master->undrain(selection_) : master->drain(selection_));
+  }
+
+ private:
+  const bool can_undo_;
+  bool undo_;
+  GatewaySelection selection_;
+};
+
+}  // namespace
+
+int show_order(Call& call, const OrderResult& result) {
+  return show_order(call, result, result.summary(), result.all_done());
+}
+
+int show_order(Call& call, const OrderResult& result, const std::string& text, bool ok) {
+  if (call.format != Format::table) {
+    print_data(call.out, call.format,
+               {{"ok", ok}, {"text", text}, {"outcomes", discovery::json_of<Json>(result.outcomes)}});
+    return ok ? exit_ok : exit_failed;
+  }
+  if (result.refusal != Refusal::none) {
+    call.err << "iotcloud: " << printable(text) << '\n';
+    return exit_failed;
+  }
+  Rows rows;
+  for (const auto& outcome : result.outcomes)
+    rows.push_back(
+        {outcome.instance, printable(outcome.gateway), to_string(outcome.outcome), printable(outcome.reason)});
+  if (rows.empty()) {
+    call.out << "done; no instance had to change\n";
+  } else {
+    print_table(call.out, {"INSTANCE", "GATEWAY", "OUTCOME", "REASON"}, rows);
+  }
+  return ok ? exit_ok : exit_failed;
+}
+
+void add_order_verbs(Verbs& verbs) {
+  verbs.add<Deploy>();
+  verbs.add<ChangeInstances>(Verb::Card{"undeploy", "Take driver instances away",
+                                        "iotcloud undeploy --state failed --gateway lab1", Role::admin},
+                             &MasterClient::undeploy);
+  verbs.add<ChangeInstances>(
+      Verb::Card{"start", "Let driver instances produce again", "iotcloud start 3f2a9c", Role::operating},
+      &MasterClient::start);
+  verbs.add<Restart>();
+  verbs.add<Metadata>();
+  verbs.add<Update>();
+  verbs.add<ChangeInstances>(
+      Verb::Card{"stop", "Let driver instances pause; they stay deployed",
+                 "iotcloud stop 3f2a9c 77b1\n  iotcloud stop --where 'site == \"lab\"'", Role::operating},
+      &MasterClient::stop);
+}
+
+void add_drain_verbs(Verbs& verbs) {
+  verbs.add<Drain>(false);
+  verbs.add<Drain>(true);
+}
+
+}  // namespace iotcloud::master::cli

@@ -1,0 +1,193 @@
+// certs ..., token ...: files of this machine, for which no master is asked
+#include <algorithm>
+#include <filesystem>
+#include <ostream>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/master/cli/verb.h>
+#include <iotcloud/security/certificates.h>
+#include <iotcloud/security/tokens.h>
+
+namespace iotcloud::master::cli {
+
+using Json = nlohmann::ordered_json;
+
+namespace {
+
+constexpr const char* usual_caller = "operator";
+
+/// Checks that none of the files exists yet, before the first one is made. \throws config::Error
+void check_free(const security::Authority& authority, const std::vector<std::string>& names) {
+  for (const auto& name : names) {
+    for (const auto& file : {authority.certificate(name), authority.key(name)}) {
+      if (std::filesystem::exists(file))
+        throw config::Error(
+            fmt::format("{} is there already, and is not overwritten; take another folder, or another "
+                        "name with `iotcloud certs add`",
+                        file));
+    }
+  }
+}
+
+/// `certs init` makes an authority and its first certificates, `certs add` makes more.
+class Certs final : public Verb {
+ public:
+  explicit Certs(bool is_new)
+      : Verb(is_new ? Card{"init",
+                           "Make an authority, a certificate for each machine with a master or gateways, and one for "
+                           "an operator. Overwrites nothing, and says what to do next",
+                           "iotcloud certs init certs --host lab1 lab2", std::nullopt, false}
+                    : Card{"add", "Make more certificates of an authority",
+                           "iotcloud certs add certs --host lab3\n  iotcloud certs add certs --caller anna",
+                           std::nullopt, false}),
+        is_new_(is_new) {}
+
+  void declare(CLI::App& options) override {
+    options.add_option("DIR", folder_, "the folder of the authority and its certificates")->required();
+    auto& hosts = *options.add_option("--host", hosts_, "machines with daemons, by the names that clients use")
+                       ->delimiter(',')
+                       ->type_name("HOST");
+    if (is_new_) {
+      hosts.required();
+      return;
+    }
+    options.add_option("--caller", callers_, "people and programs that call daemons")
+        ->delimiter(',')
+        ->type_name("CALLER");
+    options.require_option(2, 0);  // DIR, and at least one host or user
+  }
+
+  int run(Call& call) override {
+    const security::Authority authority{std::filesystem::absolute(folder_).lexically_normal().string()};
+    auto callers = callers_;
+    if (is_new_) callers.emplace_back(usual_caller);
+    auto names = hosts_;
+    names.insert(names.end(), callers.begin(), callers.end());
+    if (is_new_) names.emplace_back("ca");
+    check_free(authority, names);
+    if (is_new_) authority.make();
+    for (const auto& host : hosts_) authority.certify_host(host);
+    for (const auto& caller : callers) authority.certify_caller(caller);
+
+    const auto& folder = authority.folder;
+    if (is_new_) {
+      call.out << fmt::format(
+          "{}/ca.pem       whom all trust: everybody gets a copy\n"
+          "{}/ca.key       makes more certificates: keep it here, or better offline\n",
+          folder, folder);
+    }
+    for (const auto& host : hosts_)
+      call.out << fmt::format("{0}/{1}.pem, {1}.key  for the daemons on {1}\n", folder, host);
+    for (const auto& caller : callers)
+      call.out << fmt::format("{0}/{1}.pem, {1}.key  for {1}, who calls them\n", folder, caller);
+    call.out
+        << "\nNext, on each machine: copy ca.pem and its own two files there, readable by its daemon only, and say in\n"
+           "master.yaml below `api:`, in gateway.yaml below `thrift:`\n";
+    const std::string host = hosts_.empty() ? "HOST" : hosts_.front();
+    call.out << fmt::format(
+        "  host: 0.0.0.0\n  advertise: \"{0}:PORT\"\n"
+        "  tls: {{ca: {1}/ca.pem, certificate: {1}/{0}.pem, key: {1}/{0}.key}}\n"
+        "  tokens: {1}/tokens\n",
+        host, folder);
+    call.out << fmt::format("Then:\n  iotcloud token add NAME --role admin --file {}/tokens\n", folder);
+    call.out << fmt::format(
+        "  iotcloud --master {0}:12904 --ca {1}/ca.pem --certificate {1}/{2}.pem --key {1}/{2}.key "
+        "--token-file FILE status\n",
+        host, folder, callers.empty() ? usual_caller : callers.front());
+    return exit_ok;
+  }
+
+ private:
+  const bool is_new_;
+  std::string folder_;
+  std::vector<std::string> hosts_;
+  std::vector<std::string> callers_;  ///< users, whose certificates are for clients only
+};
+
+/// A verb about a file of tokens.
+class OfTokens : public Verb {
+ public:
+  using Verb::Verb;
+
+ protected:
+  void declare_holder(CLI::App& options, const char* what) { options.add_option("HOLDER", holder_, what)->required(); }
+  void declare_file(CLI::App& options) {
+    options.add_option("--file", file_, "the token file")->required()->type_name("FILE");
+  }
+  std::string file_, holder_;
+};
+
+class AddToken final : public OfTokens {
+ public:
+  AddToken()
+      : OfTokens({"add", "Make a token and print it: it is shown this once, and only its hash is kept",
+                  "iotcloud token add anna --role operator --file tokens > anna.token", std::nullopt, false}) {}
+  void declare(CLI::App& options) override {
+    declare_holder(options, "whose: what the audit log calls them");
+    options.add_option("--role", role_, "viewer: reads; operator: also starts, stops and describes; admin: everything")
+        ->required()
+        ->check(CLI::IsMember({"viewer", "operator", "admin"}))
+        ->type_name("ROLE");
+    declare_file(options);
+  }
+  int run(Call& call) override {
+    // The token is alone on its line, so that a script can read it.
+    call.out << security::add_token(file_, holder_, security::parse_role(role_)) << '\n';
+    return exit_ok;
+  }
+
+ private:
+  std::string role_;
+};
+
+class RemoveToken final : public OfTokens {
+ public:
+  RemoveToken()
+      : OfTokens({"remove", "Take a token away; daemons notice at SIGHUP (systemctl reload)",
+                  "iotcloud token remove anna --file tokens", std::nullopt, false}) {}
+  void declare(CLI::App& options) override {
+    declare_holder(options, "whose");
+    declare_file(options);
+  }
+  int run(Call&) override {
+    if (!security::remove_token(file_, holder_))
+      throw config::Error(fmt::format("{} has no token of {}", file_, holder_));
+    return exit_ok;
+  }
+};
+
+class ListTokens final : public OfTokens {
+ public:
+  ListTokens()
+      : OfTokens({"list", "List whose tokens there are, with their roles", "iotcloud token list --file tokens",
+                  std::nullopt}) {}
+  void declare(CLI::App& options) override { declare_file(options); }
+  int run(Call& call) override {
+    std::vector<std::vector<std::string>> rows;
+    Json json = Json::array();
+    for (const auto& entry : security::read_tokens(file_)) {
+      rows.push_back({entry.name, to_string(entry.role)});
+      json.push_back({{"name", entry.name}, {"role", to_string(entry.role)}});
+    }
+    print(call.out, call.format, {"NAME", "ROLE"}, rows, json);
+    return exit_ok;
+  }
+};
+
+}  // namespace
+
+void add_security_verbs(Verbs& verbs) {
+  auto& certs = verbs.group("certs", "Make certificates for a small installation; asks no master");
+  certs.add<Certs>(true);
+  certs.add<Certs>(false);
+  auto& tokens = verbs.group("token", "Keep a file of tokens, which a daemon reads; asks no master");
+  tokens.add<AddToken>();
+  tokens.add<RemoveToken>();
+  tokens.add<ListTokens>();
+}
+
+}  // namespace iotcloud::master::cli

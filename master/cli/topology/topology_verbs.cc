@@ -1,0 +1,333 @@
+// topology ...: orders by way of the master, numbers and samples from the workers' own pages
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <ostream>
+#include <set>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <unistd.h>
+
+#include <iotcloud/discovery/description/json.h>
+#include <iotcloud/master/cli/options.h>
+#include <iotcloud/master/cli/topology/topology_pages.h>
+#include <iotcloud/master/cli/topology/topology_tap.h>
+#include <iotcloud/master/cli/topology/topology_verbs.h>
+
+namespace iotcloud::master::cli {
+
+using discovery::TopologyStatus;
+using security::Role;
+using Json = nlohmann::ordered_json;
+using Rows = std::vector<std::vector<std::string>>;
+
+namespace {
+
+/// \throws Failed when there is no such topology, naming those that there are.
+TopologyStatus find_topology(const discovery::TopologyName& name, MasterClient& master) {
+  std::vector<discovery::TopologyName> names;
+  for (auto& topology : master.topologies()) {
+    if (topology.record.name == name) return std::move(topology);
+    names.push_back(topology.record.name);
+  }
+  throw Failed(names.empty() ? fmt::format("no topology \"{}\"; none runs", name)
+                             : fmt::format("no topology \"{}\"; there are {}", name, fmt::join(names, ", ")));
+}
+
+/// A verb about one topology.
+class OfTopology : public Verb {
+ public:
+  using Verb::Verb;
+  void declare(CLI::App& options) override { options.add_option("TOPOLOGY", name_, "the topology")->required(); }
+
+ protected:
+  discovery::TopologyName name_;
+};
+
+std::string inputs_of(const Json& component) {
+  std::vector<std::string> inputs;
+  for (const auto& input : component.at("inputs")) {
+    const auto stream = input.at("stream").get<std::string>();
+    std::string text = input.at("from").get<std::string>() + (stream == "default" ? "" : "/" + stream) + " " +
+                       input.at("grouping").get<std::string>();
+    if (!input.at("fields").empty())
+      text += fmt::format("({})", fmt::join(input.at("fields").get<std::vector<std::string>>(), ","));
+    inputs.push_back(std::move(text));
+  }
+  return fmt::format("{}", fmt::join(inputs, ", "));
+}
+
+std::string outputs_of(const Json& component) {
+  std::vector<std::string> outputs;
+  for (const auto& [stream, fields] : component.at("streams").items()) {
+    outputs.push_back((stream == "default" ? "" : stream + ": ") +
+                      fmt::format("{}", fmt::join(fields.get<std::vector<std::string>>(), ",")));
+  }
+  return fmt::format("{}", fmt::join(outputs, "; "));
+}
+
+void show_workers(const TopologyStatus& topology, std::ostream& out) {
+  Rows rows;
+  for (const auto& worker : topology.workers)
+    rows.push_back({printable(worker.name), printable(worker.host), std::to_string(worker.pid), printable(worker.http),
+                    printable(worker.state), std::to_string(worker.revision), age(worker.since_ms, now_ms()),
+                    printable(worker.error)});
+  print_table(out, {"WORKER", "HOST", "PID", "PAGES", "STATE", "ORDER", "SINCE", "ERROR"}, rows);
+}
+
+void show_graph(const TopologyPages& pages, std::ostream& out) {
+  Rows rows;
+  for (const auto& component : pages.components()) {
+    const auto id = component.at("id").get<std::string>();
+    const Json sum = pages.sum(id);
+    rows.push_back({printable(id), component.at("kind").get<std::string>(),
+                    fmt::format("{}/{}", sum.at("parallelism").dump(), sum.at("tasks").dump()),
+                    printable(inputs_of(component)), printable(outputs_of(component)), sum.at("emitted").dump(),
+                    sum.at("executed").dump(), sum.at("failed").dump(), sum.at("errors").dump(),
+                    printable(sum.at("last_error").get<std::string>())});
+  }
+  print_table(out,
+              {"COMPONENT", "KIND", "PARALLEL/TASKS", "INPUTS", "FIELDS", "EMITTED", "EXECUTED", "FAILED", "ERRORS",
+               "LAST ERROR"},
+              rows);
+}
+
+Json worker_json(const discovery::WorkerRecord& worker) {
+  return {{"worker", worker.name}, {"host", worker.host},        {"pid", worker.pid},
+          {"http", worker.http},   {"state", worker.state},      {"revision", worker.revision},
+          {"error", worker.error}, {"since_ms", worker.since_ms}};
+}
+
+/// Prints to `err` why pages could not be read; the others are shown.
+int complain(const TopologyPages& pages, std::ostream& err) {
+  for (const auto& problem : pages.problems()) err << "iotcloud: " << printable(problem) << '\n';
+  return pages.problems().empty() ? exit_ok : exit_failed;
+}
+
+class Show final : public OfTopology {
+ public:
+  Show()
+      : OfTopology({"show", "Show one topology: its graph, workers, totals and errors", "iotcloud topology show echo",
+                    Role::viewer}) {}
+
+  int run(Call& call) override {
+    const auto topology = find_topology(name_, *call.connect());
+    const TopologyPages pages(topology);
+    if (call.format == Format::table) {
+      print_all(topology, pages, call.out);
+    } else {
+      Json workers = Json::array();
+      for (const auto& worker : topology.workers) workers.push_back(worker_json(worker));
+      Json components = Json::array();
+      for (Json component : pages.components()) {
+        component.update(pages.sum(component.at("id").get<std::string>()));
+        components.push_back(std::move(component));
+      }
+      print_data(call.out, call.format,
+                 {{"topology", topology.record.name},
+                  {"state", topology_state(topology)},
+                  {"revision", revision_of(topology)},
+                  {"since_ms", topology.record.since_ms},
+                  {"workers", workers},
+                  {"components", components}});
+    }
+    return complain(pages, call.err);
+  }
+
+ private:
+  static void print_all(const TopologyStatus& topology, const TopologyPages& pages, std::ostream& out) {
+    const auto workers = topology.workers.size();
+    const auto revision = revision_of(topology);
+    out << fmt::format("{}: {}, {} worker{}, {}\n\n", printable(topology.record.name), topology_state(topology),
+                       workers, workers == 1 ? "" : "s",
+                       revision == 0 ? std::string("no orders") : fmt::format("order {}", revision));
+    show_workers(topology, out);
+    if (pages.components().empty()) return;
+    out << '\n';
+    show_graph(pages, out);
+  }
+};
+
+class Metrics final : public OfTopology {
+ public:
+  Metrics()
+      : OfTopology({"metrics",
+                    "Show what every component and task did. Of several tasks: sums; p50 of the one with the most "
+                    "samples, p99 and max of the worst",
+                    "iotcloud topology metrics echo --watch", Role::viewer}) {}
+
+  void declare(CLI::App& options) override {
+    OfTopology::declare(options);
+    options.add_option("--watch", watch_s_, "again every so many seconds until interrupted; 1 when none are given")
+        ->expected(0, 1)
+        ->default_str("1")
+        ->check(CLI::Range(0.1, 3600.0))
+        ->type_name("SECONDS");
+  }
+  bool goes_on() const override { return watch_s_ > 0; }
+
+  int run(Call& call) override {
+    const auto master = call.connect();
+    auto& out = call.out;
+    int status = exit_ok;
+    do {
+      const TopologyPages pages(find_topology(name_, *master));
+      if (call.format == Format::table) {
+        if (goes_on() && isatty(STDOUT_FILENO) == 1) out << "\033[H\033[2J";
+        print_metrics(out, pages);
+        if (goes_on()) out << '\n';
+      } else if (goes_on() && call.format == Format::json) {
+        out << discovery::to_text(pages.metrics()) << '\n';
+      } else {
+        if (goes_on()) out << "---\n";
+        print_data(out, call.format, pages.metrics());
+      }
+      out.flush();
+      status = complain(pages, call.err);
+    } while (goes_on() && out && pause(std::chrono::duration<double>(watch_s_)));
+    return status;
+  }
+
+ private:
+  double watch_s_ = 0;  ///< 0: once
+};
+
+class Tap final : public OfTopology {
+ public:
+  Tap()
+      : OfTopology({"tap", "Show a sample of the tuples that a component emits, or, when it emits none, takes in",
+                    "iotcloud topology tap echo data_receive --count 5", Role::viewer}) {}
+
+  void declare(CLI::App& options) override {
+    OfTopology::declare(options);
+    options.add_option("COMPONENT", request_.component, "the component")->required();
+    options.add_option("-n,--count", request_.samples, "end after so many; without it: when interrupted")
+        ->check(CLI::Range(std::int64_t{1}, std::int64_t{1'000'000'000}))
+        ->type_name("N");
+    options.add_option("--rate", request_.rate, "samples a second at most, of each task")
+        ->check(CLI::Range(0.01, 1000.0))
+        ->type_name("R");
+    options.add_option("--stream", request_.stream, "only of this stream")->type_name("STREAM");
+  }
+  bool goes_on() const override { return true; }
+  int run(Call& call) override { return tap(call, request_, find_topology(name_, *call.connect())); }
+
+ private:
+  TapRequest request_;
+};
+
+/// activate, deactivate, rebalance, kill
+class ChangeTopology final : public Verb {
+ public:
+  ChangeTopology(const Card& of, TopologyChange change) : Verb(of) { request_.change = change; }
+
+  void declare(CLI::App& options) override {
+    options.add_option("TOPOLOGY", request_.topology, "the topology")->required();
+    add_wait(options, request_.wait, "--timeout", "seconds to wait until all workers have followed");
+    if (request_.change == TopologyChange::rebalance)
+      options.add_option("COMPONENT=N", parallelism_, "from 1 to the component's number of tasks")->required();
+    if (request_.change == TopologyChange::kill)
+      add_seconds(options, "--drain", request_.drain, 0.0, 600.0, "seconds that what is under way may take")
+          .default_str("10");
+  }
+
+  void check() override {
+    for (const auto& [component, count] : pairs(parallelism_, "COMPONENT=N")) {
+      auto& number = request_.parallelism[component];
+      if (!CLI::detail::lexical_cast(count, number) || number < 1)
+        throw CLI::ValidationError("COMPONENT=N", component + "=" + count + ": N is a whole number from 1 on");
+    }
+  }
+
+  int run(Call& call) override {
+    const auto result = call.connect()->order(request_);
+    const int status = result.all_done() ? exit_ok : exit_failed;
+    if (call.format != Format::table) {
+      print_data(call.out, call.format,
+                 {{"ok", result.all_done()},
+                  {"text", result.summary()},
+                  {"outcomes", discovery::json_of<Json>(result.outcomes)}});
+      return status;
+    }
+    if (result.refusal != Refusal::none) {
+      call.err << "iotcloud: " << printable(result.text) << '\n';
+      return exit_failed;
+    }
+    Rows rows;
+    for (const auto& outcome : result.outcomes)
+      rows.push_back(
+          {printable(outcome.worker), printable(outcome.host), to_string(outcome.outcome), printable(outcome.reason)});
+    if (!rows.empty()) print_table(call.out, {"WORKER", "HOST", "OUTCOME", "REASON"}, rows);
+    if (!result.text.empty()) call.out << printable(result.text) << '\n';
+    return status;
+  }
+
+ private:
+  TopologyRequest request_;
+  std::vector<std::string> parallelism_;
+};
+
+/// Replaces this process by the program `iotcloud-topology`, which knows topologies.
+class Check final : public Verb {
+ public:
+  Check()
+      : Verb({"check", "Check a topology's YAML file, and show its graph; asks no master",
+              "iotcloud topology check follower.yaml", std::nullopt, false}) {}
+  void declare(CLI::App& options) override { options.add_option("FILE", file_, "the file")->required(); }
+  int run(Call& call) override {
+    std::error_code unknown;
+    const auto program = std::filesystem::read_symlink("/proc/self/exe", unknown).parent_path() / "iotcloud-topology";
+    const char* words[] = {program.c_str(), "--check", file_.c_str(), nullptr};
+    execv(program.c_str(), const_cast<char* const*>(words));
+    call.err << fmt::format(
+        "iotcloud: {} cannot be run ({}); it checks topologies, and is installed beside this "
+        "program\n",
+        program.string(), std::strerror(errno));
+    return exit_failed;
+  }
+
+ private:
+  std::string file_;
+};
+
+}  // namespace
+
+std::string topology_state(const TopologyStatus& topology) {
+  std::set<std::string> states;
+  for (const auto& worker : topology.workers) states.insert(worker.state);
+  if (states.size() > 1) return "mixed";
+  if (!states.empty()) return printable(*states.begin());
+  if (!topology.order) return "active";
+  return topology.order->kill ? "killed" : topology.order->active ? "active" : "inactive";
+}
+
+std::int64_t revision_of(const TopologyStatus& topology) {
+  return topology.order ? topology.order->revision : 0;
+}
+
+void add_topology_verbs(Verbs& verbs) {
+  auto& group = verbs.group("topology", "See topologies that run, and change them");
+  group.add(list_topologies_verb("list", "List the topologies, and whether they are active",
+                                 "iotcloud topology list -o json"));
+  group.add<Show>();
+  const auto change = [&](TopologyChange kind, const char* name, const char* what, const char* example) {
+    group.add<ChangeTopology>(Verb::Card{name, what, example, Role::operating}, kind);
+  };
+  change(TopologyChange::activate, "activate", "Let the spouts of a topology go on", "iotcloud topology activate echo");
+  change(TopologyChange::deactivate, "deactivate",
+         "Let the spouts of a topology pause; what is under way goes on. It stays so, for workers that start later too",
+         "iotcloud topology deactivate echo");
+  change(TopologyChange::rebalance, "rebalance",
+         "Change how many tasks of a component may run at the same time, in each worker; for later workers too",
+         "iotcloud topology rebalance echo echo_send=2");
+  change(TopologyChange::kill, "kill",
+         "End a topology: its workers take nothing in, finish what is under way, and their processes end",
+         "iotcloud topology kill echo --drain 30");
+  group.add<Metrics>();
+  group.add<Tap>();
+  group.add<Check>();
+}
+
+}  // namespace iotcloud::master::cli

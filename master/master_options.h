@@ -1,0 +1,27 @@
+#pragma once
+
+#include <chrono>
+#include <string>
+
+#include <iotcloud/discovery/records.h>
+
+namespace iotcloud::master {
+
+class DirectGateways;
+
+/// The options of a master.
+struct MasterOptions {
+  std::string id = "master";  ///< its name in logs and in `iotcloud status`
+  /// host:port of this master's Thrift API as other machines reach it. While this master leads, standby masters name
+  /// this address as the leader's.
+  std::string address;
+  discovery::Paths paths;
+  /// How long an order waits for its outcomes when the request does not say.
+  std::chrono::milliseconds outcome_timeout{30'000};
+  /// True: an order for a lost gateway is recorded, and its outcome is `pending`. False: it is not recorded, and
+  /// `failed`.
+  bool record_for_lost_gateways = true;
+  DirectGateways* direct = nullptr;  ///< gateways that are called, not ordered; outlives the master; null: none
+};
+
+}  // namespace iotcloud::master

@@ -1,0 +1,202 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <iotcloud/master/orders/changes.h>
+#include <iotcloud/master/orders/direct_gateways.h>
+#include <iotcloud/master/orders/node_name.h>
+#include <iotcloud/master/orders/order_kind.h>
+
+namespace iotcloud::master {
+
+using discovery::GatewayStatus;
+using discovery::Lead;
+using discovery::OrderRecord;
+using security::Role;
+using Verdict = OutcomeWatch::Verdict;
+
+namespace {
+
+OutcomeWatch::Wanted wanted_by(Change change) {
+  switch (change) {
+    case Change::undeploy:
+      return OutcomeWatch::Wanted::gone;
+    case Change::start:
+      return OutcomeWatch::Wanted::active;
+    case Change::stop:
+      return OutcomeWatch::Wanted::inactive;
+  }
+  return OutcomeWatch::Wanted::gone;
+}
+
+}  // namespace
+
+OrderResult Changes::change(const InstanceSelection& selection, Change change) {
+  return desk_.leadership.guarded([&] { return change_selected(selection, change); });
+}
+
+OrderResult Changes::change_selected(const InstanceSelection& selection, Change change) {
+  OrderResult result;
+  OutcomeWatch watch(desk_.registry, desk_.options.paths, wanted_by(change));
+  std::vector<Located> instances;
+  OrderDesk::DirectCalls calls;
+  {
+    const config::ReadLock lock(desk_.placing);  // a drain sees the orders that are written here, or they see its mark
+    const auto known = desk_.gateways();
+    if (auto refusal = desk_.book.find_selected(selection, known, instances)) return *refusal;
+    for (const auto& where : instances) {
+      const auto* gateway = find(known, where.gateway);
+      if (gateway && gateway->alive && desk_.is_direct(where.gateway)) {
+        calls.push_back(std::async(std::launch::async, [this, &where, change, &selection] {
+          return desk_.options.direct->change(where.gateway, where.instance, change, desk_.limit(selection.wait));
+        }));
+        continue;
+      }
+      InstanceOutcome outcome{where.gateway, where.instance, Outcome::unknown, ""};
+      OrderDesk::set_verdict(outcome, gateway ? order(where, *gateway, change, watch) : clear_away(where, change));
+      result.outcomes.push_back(std::move(outcome));
+    }
+  }
+  desk_.settle(result, watch, selection.wait, to_string(change), std::move(calls));
+  return result;
+}
+
+MaybeVerdict Changes::order(const Located& where, const GatewayStatus& gateway, Change change, OutcomeWatch& watch) {
+  if (!gateway.alive && (!desk_.options.record_for_lost_gateways || desk_.is_direct(where.gateway)))
+    return Verdict{Outcome::failed, lost_and_not_recorded_text};
+  return desk_.leadership.written([&](const Lead& lead) -> MaybeVerdict {
+    const bool later = gateway.draining && change == Change::start;
+    auto verdict = change == Change::undeploy ? desk_.book.remove(where, lead)
+                                              : desk_.book.rewrite(where, lead, [&](OrderRecord& order) {
+                                                  order.drained = later && !order.active;
+                                                  order.active = change == Change::start && !order.drained;
+                                                });
+    if (verdict) return verdict;
+    if (later)
+      return Verdict{Outcome::pending,
+                     fmt::format("gateway is draining; it starts after that (iotcloud undrain {})", where.gateway)};
+    if (auto postponed = waiting(gateway)) return postponed;
+    watch.expect(where.instance, where.driver, where.record);
+    return std::nullopt;
+  });
+}
+
+/// Handles an instance whose gateway is not registered any more and cannot follow an order: the master itself removes
+/// the record that the gateway left.
+MaybeVerdict Changes::clear_away(const Located& where, Change change) {
+  if (change != Change::undeploy) return Verdict{Outcome::failed, "its gateway is not registered any more"};
+  return desk_.leadership.written([&](const Lead& lead) -> MaybeVerdict {
+    discovery::remove_tree(desk_.registry, desk_.options.paths.instance(where.driver, where.instance), lead.fence);
+    return Verdict{Outcome::done, "its gateway is not registered any more; its record is removed"};
+  });
+}
+
+OrderResult Changes::rewrite(const InstanceSelection& selection, OutcomeWatch& watch, const char* direct_text,
+                             const std::function<MaybeVerdict(OrderRecord&)>& alter, const std::string& name) {
+  const auto known = desk_.gateways();
+  std::vector<Located> instances;
+  if (auto refusal = desk_.book.find_selected(selection, known, instances)) return *refusal;
+  OrderResult result;
+  desk_.order_each(instances, result, [&](const Located& where) -> MaybeVerdict {
+    const auto* gateway = find(known, where.gateway);
+    if (auto obstacle = desk_.obstacle(where, gateway, direct_text)) return obstacle;
+    return desk_.leadership.written([&](const Lead& lead) -> MaybeVerdict {
+      MaybeVerdict altered;
+      if (auto verdict = desk_.book.rewrite(where, lead, [&](OrderRecord& order) { altered = alter(order); }))
+        return verdict;
+      if (altered) return altered;
+      if (auto postponed = waiting(*gateway)) return postponed;
+      watch.expect(where.instance, where.driver, where.record);
+      return std::nullopt;
+    });
+  });
+  desk_.settle(result, watch, selection.wait, name);
+  return result;
+}
+
+OrderResult Changes::update_metadata(const InstanceSelection& selection, const MetadataChanges& changes) {
+  return desk_.leadership.guarded([&] {
+    if (changes.empty()) return refuse(Refusal::bad_request, "nothing is to change: give at least one KEY=VALUE");
+    if (changes.contains("")) return refuse(Refusal::bad_request, "a key of metadata has at least one character");
+    OutcomeWatch watch(desk_.registry, desk_.options.paths, changes);
+    const auto alter = [&](OrderRecord& order) -> MaybeVerdict {
+      for (const auto& [key, value] : changes) {
+        if (value.empty()) {
+          order.metadata.erase(key);
+        } else {
+          order.metadata[key] = value;
+        }
+      }
+      return std::nullopt;
+    };
+    return rewrite(selection, watch, "its gateway is of the original system, which takes no metadata", alter,
+                   "metadata");
+  });
+}
+
+OrderResult Changes::change_deployment(const DeploymentChange& change) {
+  return desk_.leadership.guarded([&] {
+    if (!change.properties && !change.manager) return refuse(Refusal::bad_request, "nothing is to change");
+    if (change.manager && !change.manager->empty() && !is_node_name(*change.manager))
+      return refuse(
+          Refusal::bad_request,
+          fmt::format("\"{}\" cannot be the name of a manifest: no '/' and no control characters", *change.manager));
+    OutcomeWatch watch(desk_.registry, desk_.options.paths, OutcomeWatch::Wanted::anew);
+    const auto alter = [&](OrderRecord& order) -> MaybeVerdict {
+      const bool made_anew = change.properties && *change.properties != order.properties;
+      if (change.properties) order.properties = *change.properties;
+      if (change.manager) order.manager = *change.manager;
+      if (made_anew) return std::nullopt;
+      return Verdict{Outcome::done, ""};
+    };
+    return rewrite({change.instances, {}, change.wait}, watch, "its gateway is of the original system: deploy it again",
+                   alter, "change");
+  });
+}
+
+namespace {
+
+/// Stops instances, then starts those that have stopped. An instance whose stop failed is left as it is.
+OrderResult restart(Changes& changes, const InstanceSelection& selection) {
+  OrderResult result = changes.change(selection, Change::stop);
+  InstanceSelection stopped{{}, {}, selection.wait};
+  for (const auto& outcome : result.outcomes) {
+    if (outcome.outcome == Outcome::done) stopped.instances.push_back(outcome.instance);
+  }
+  if (stopped.instances.empty()) return result;
+  const OrderResult started = changes.change(stopped, Change::start);
+  for (auto& outcome : result.outcomes) {
+    if (outcome.outcome != Outcome::done) continue;
+    const auto found = std::find_if(started.outcomes.begin(), started.outcomes.end(),
+                                    [&](const auto& other) { return other.instance == outcome.instance; });
+    if (found != started.outcomes.end()) {
+      outcome = *found;
+    } else {
+      outcome.outcome = Outcome::failed;
+      outcome.reason = "it is stopped, and the order to start it was refused: " + started.text;
+    }
+  }
+  return result;
+}
+
+}  // namespace
+
+std::vector<OrderKind> change_orders() {
+  const auto change = [](Change what) {
+    return [what](auto& services, const auto& order) { return services.changes.change(order, what); };
+  };
+  return {
+      order_kind<InstanceSelection>("undeploy", Role::admin, change(Change::undeploy)),
+      order_kind<InstanceSelection>("start", Role::operating, change(Change::start)),
+      order_kind<InstanceSelection>("stop", Role::operating, change(Change::stop)),
+      order_kind<InstanceSelection>("restart", Role::operating,
+                                    [](auto& services, const auto& order) { return restart(services.changes, order); }),
+      order_kind<MetadataOrder>(
+          "updateMetadata", Role::operating,
+          [](auto& services, const auto& order) { return services.changes.update_metadata(order, order.changes); }),
+      order_kind<DeploymentChange>("changeDeployment", Role::admin, [](auto& services, const auto& order) {
+        return services.changes.change_deployment(order);
+      })};
+}
+
+}  // namespace iotcloud::master

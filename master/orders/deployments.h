@@ -1,0 +1,27 @@
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include <iotcloud/master/orders/order_desk.h>
+
+namespace iotcloud::master {
+
+/// Orders new instances. Thread safe.
+class Deployments {
+ public:
+  explicit Deployments(OrderDesk& desk) : desk_(desk) {}
+  /// Does not throw.
+  OrderResult deploy(const DeployRequest& request);
+
+ private:
+  OrderResult place(const DeployRequest& request);
+  /// Orders all instances of a request on one gateway.
+  void order_on(const discovery::GatewayStatus& gateway, const DeployRequest& request, OrderResult& result,
+                OutcomeWatch& watch);
+  MaybeVerdict order(const discovery::GatewayStatus& gateway, discovery::OrderRecord order, OutcomeWatch& watch);
+
+  OrderDesk& desk_;
+};
+
+}  // namespace iotcloud::master

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <string>
+
+#include <iotcloud/master/orders/order_desk.h>
+
+namespace iotcloud::master {
+
+/// Drains gateways, and ends that again. Thread safe.
+class Draining {
+ public:
+  explicit Draining(OrderDesk& desk) : desk_(desk) {}
+  /// \param undo ends the draining. Does not throw.
+  OrderResult drain(const GatewaySelection& selection, bool undo);
+
+ private:
+  OrderResult drain_all(const GatewaySelection& selection, bool undo);
+  void mark(const discovery::GatewayId& gateway, bool undo, const discovery::Lead& lead);
+  MaybeVerdict order(const Located& where, const discovery::GatewayStatus& gateway, bool undo, OutcomeWatch& watch);
+
+  OrderDesk& desk_;
+};
+
+}  // namespace iotcloud::master

@@ -1,0 +1,156 @@
+#include <algorithm>
+
+#include <fmt/ranges.h>
+
+#include <iotcloud/master/orders/order_book.h>
+
+namespace iotcloud::master {
+
+using discovery::DriverName;
+using discovery::GatewayId;
+using discovery::GatewayStatus;
+using discovery::InstanceId;
+using discovery::Lead;
+using discovery::OrderRecord;
+using discovery::RegistryError;
+using discovery::RegistryErrorCode;
+
+namespace {
+
+OutcomeWatch::Verdict of_later_master() {
+  return {Outcome::failed, "a later master has given orders for it; this one's lead is over"};
+}
+
+}  // namespace
+
+const GatewayStatus* find(const std::vector<GatewayStatus>& gateways, const GatewayId& id) {
+  const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
+  return at == gateways.end() ? nullptr : &*at;
+}
+
+OrderResult refuse_gateway(const GatewayId& id, const std::vector<GatewayStatus>& known) {
+  if (known.empty())
+    return refuse(Refusal::unknown_gateway,
+                  "no gateway is registered: start iotcloud-gateway with the same registry and zk.root");
+  std::vector<GatewayId> ids;
+  for (const auto& gateway : known) ids.push_back(gateway.record.id);
+  return refuse(Refusal::unknown_gateway,
+                fmt::format("no gateway \"{}\"; known gateways: {}", id, fmt::join(ids, ", ")));
+}
+
+std::map<InstanceId, Located> OrderBook::locate(const std::set<InstanceId>& instances,
+                                                const std::vector<GatewayStatus>& known) {
+  using Names = std::vector<std::string>;
+  const auto names = registry_.children(paths_.sensors).value_or(Names{});
+  const std::vector<DriverName> drivers(names.begin(), names.end());
+  Names parents;
+  for (const auto& driver : drivers) parents.push_back(paths_.driver(driver));
+  const auto records = registry_.children_of_all(parents);
+  std::vector<Located> found;
+  Names paths;
+  for (std::size_t i = 0; i < drivers.size(); ++i) {
+    for (const auto& name : records[i].value_or(Names{})) {
+      const InstanceId instance(name);
+      if (!instances.contains(instance)) continue;
+      found.push_back({instance, {}, drivers[i], std::nullopt});
+      paths.push_back(paths_.instance(drivers[i], instance));
+    }
+  }
+  auto nodes = registry_.get_all(paths);
+  std::map<InstanceId, Located> located;
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    if (!nodes[i] || nodes[i]->data.empty()) continue;
+    found[i].gateway = discovery::decode_driver(nodes[i]->data, paths[i]).gateway;
+    found[i].record = std::move(nodes[i]);
+    located.emplace(found[i].instance, std::move(found[i]));
+  }
+  if (located.size() == instances.size()) return located;
+  Names orders;
+  for (const auto& gateway : known) orders.push_back(paths_.orders(gateway.record.id));
+  const auto ordered = registry_.children_of_all(orders);
+  for (std::size_t i = 0; i < known.size(); ++i) {
+    for (const auto& name : ordered[i].value_or(Names{})) {
+      const InstanceId instance(name);
+      if (instances.contains(instance)) located.emplace(instance, Located{instance, known[i].record.id, {}, {}});
+    }
+  }
+  return located;
+}
+
+std::optional<OrderResult> OrderBook::find_selected(const InstanceSelection& selection,
+                                                    const std::vector<GatewayStatus>& known,
+                                                    std::vector<Located>& instances) {
+  if (selection.instances.empty()) return refuse(Refusal::bad_request, "no instance is named: give at least one id");
+  for (const auto& id : selection.gateways) {
+    if (!find(known, id)) return refuse_gateway(id, known);
+  }
+  auto located = locate({selection.instances.begin(), selection.instances.end()}, known);
+  std::set<InstanceId> seen;
+  for (const auto& id : selection.instances) {
+    if (!seen.insert(id).second) continue;
+    const auto where = located.find(id);
+    if (where == located.end())
+      return refuse(Refusal::unknown_instance,
+                    fmt::format("no driver instance \"{}\"; `iotcloud drivers` lists them", id));
+    if (!selection.gateways.empty() && std::find(selection.gateways.begin(), selection.gateways.end(),
+                                                 where->second.gateway) == selection.gateways.end())
+      return refuse(Refusal::unknown_instance, fmt::format("instance {} is on gateway {}, not on {}", id,
+                                                           where->second.gateway, fmt::join(selection.gateways, ", ")));
+    instances.push_back(std::move(where->second));
+  }
+  return std::nullopt;
+}
+
+std::optional<OrderRecord> OrderBook::get(const GatewayId& gateway, const InstanceId& instance) {
+  const auto path = paths_.order(gateway, instance);
+  const auto node = registry_.get(path);
+  if (!node) return std::nullopt;
+  return discovery::decode_order(node->data, path);
+}
+
+void OrderBook::create(const GatewayId& gateway, const OrderRecord& order, const Lead& lead) {
+  registry_.create(paths_.order(gateway, order.instance), encode(order), true, lead.fence);
+}
+
+MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
+  const auto path = paths_.order(where.gateway, where.instance);
+  while (!leadership_.closing().stop_requested()) {
+    const auto node = registry_.get(path);
+    if (!node) break;
+    if (discovery::decode_order(node->data, path).epoch > lead.epoch) return of_later_master();
+    try {
+      registry_.remove(path, node->version, lead.fence);
+      break;
+    } catch (const RegistryError& e) {
+      if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again
+    }
+  }
+  if (where.record) return std::nullopt;
+  return OutcomeWatch::Verdict{Outcome::done, "its gateway had not taken it up yet"};
+}
+
+MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead,
+                                const std::function<void(OrderRecord&)>& alter) {
+  const auto path = paths_.order(where.gateway, where.instance);
+  while (!leadership_.closing().stop_requested()) {
+    const auto node = registry_.get(path);
+    if (!node) return OutcomeWatch::Verdict{Outcome::failed, "it is being undeployed"};
+    auto order = discovery::decode_order(node->data, path);
+    if (order.epoch > lead.epoch) return of_later_master();
+    alter(order);
+    order.epoch = lead.epoch;
+    const std::string bytes = encode(order);
+    if (bytes.size() > largest_order)
+      return OutcomeWatch::Verdict{
+          Outcome::failed, fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
+    try {
+      registry_.set(path, bytes, node->version, lead.fence);
+      return std::nullopt;
+    } catch (const RegistryError& e) {
+      if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again
+    }
+  }
+  return OutcomeWatch::Verdict{Outcome::failed, "this master is stopping"};
+}
+
+}  // namespace iotcloud::master

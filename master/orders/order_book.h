@@ -1,0 +1,64 @@
+#pragma once
+
+#include <functional>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/master/orders/leadership.h>
+
+namespace iotcloud::master {
+
+/// An instance's gateway, driver and record, as the registry has them.
+struct Located {
+  discovery::InstanceId instance;
+  discovery::GatewayId gateway;
+  discovery::DriverName driver;           ///< empty: no record yet
+  std::optional<discovery::Node> record;  ///< nullopt: no record yet
+};
+
+/// Finds the gateway with that id; nullptr: there is none.
+const discovery::GatewayStatus* find(const std::vector<discovery::GatewayStatus>& gateways,
+                                     const discovery::GatewayId& id);
+/// The refusal of a gateway that is not registered, naming those that are.
+OrderResult refuse_gateway(const discovery::GatewayId& id, const std::vector<discovery::GatewayStatus>& known);
+
+/// The orders of instances as they stand in the registry. Thread safe; \throws discovery::RegistryError.
+class OrderBook {
+ public:
+  /// The references outlive this.
+  OrderBook(discovery::Registry& registry, const discovery::Paths& paths, const Leadership& leadership)
+      : registry_(registry), paths_(paths), leadership_(leadership) {}
+
+  /// Finds the instances that have a record, or an order on a gateway in `known`. Takes the same few rounds of reads
+  /// however many instances there are.
+  std::map<discovery::InstanceId, Located> locate(const std::set<discovery::InstanceId>& instances,
+                                                  const std::vector<discovery::GatewayStatus>& known);
+
+  /// Finds all selected instances. Called before the first order is written, so that a mistyped id changes nothing.
+  /// \return a refusal; nullopt: all were found and are in `instances`.
+  std::optional<OrderResult> find_selected(const InstanceSelection& selection,
+                                           const std::vector<discovery::GatewayStatus>& known,
+                                           std::vector<Located>& instances);
+
+  /// The instance's present order; nullopt: there is none.
+  std::optional<discovery::OrderRecord> get(const discovery::GatewayId& gateway, const discovery::InstanceId& instance);
+  void create(const discovery::GatewayId& gateway, const discovery::OrderRecord& order, const discovery::Lead& lead);
+  MaybeVerdict remove(const Located& where, const discovery::Lead& lead);
+  /// Changes an existing order. Reads it and changes it again when another write came in between.
+  MaybeVerdict rewrite(const Located& where, const discovery::Lead& lead,
+                       const std::function<void(discovery::OrderRecord&)>& alter);
+
+ private:
+  discovery::Registry& registry_;
+  const discovery::Paths& paths_;
+  const Leadership& leadership_;
+};
+
+/// ZooKeeper refuses nodes above 1 MiB; an order near that is a mistake.
+inline constexpr std::size_t largest_order = std::size_t{512} * 1024;
+
+}  // namespace iotcloud::master

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <utility>
+
+#include <iotcloud/master/orders/adoption.h>
+#include <iotcloud/master/orders/changes.h>
+#include <iotcloud/master/orders/deployments.h>
+#include <iotcloud/master/orders/draining.h>
+#include <iotcloud/master/orders/updates.h>
+
+namespace iotcloud::master {
+
+/// The services that take orders to driver instances.
+struct OrderServices {
+  OrderServices(discovery::Registry& registry, MasterOptions options) : desk(registry, std::move(options)) {}
+
+  OrderDesk desk;
+  Deployments deployments{desk};
+  Changes changes{desk};
+  Draining draining{desk};
+  Adoptions adoptions{desk};
+  Updates updates{desk};
+};
+
+}  // namespace iotcloud::master

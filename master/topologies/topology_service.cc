@@ -1,0 +1,221 @@
+#include <algorithm>
+#include <set>
+
+#include <fmt/ranges.h>
+
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/metrics.h>
+#include <iotcloud/master/logger.h>
+#include <iotcloud/master/orders/node_name.h>
+#include <iotcloud/master/topologies/topology_service.h>
+#include <iotcloud/master/topologies/topology_watch.h>
+
+namespace iotcloud::master {
+
+using discovery::Node;
+using discovery::RegistryError;
+using discovery::RegistryErrorCode;
+using discovery::TopologyKill;
+using discovery::TopologyOrder;
+using discovery::WorkerRecord;
+using std::chrono::milliseconds;
+
+namespace {
+
+/// As long as a client waits for an answer at most.
+constexpr milliseconds longest_drain{600'000};
+/// How long, after their drain, the workers of a killed topology have to close and to end.
+constexpr milliseconds end_margin{10'000};
+
+TopologyResult refuse_topology(Refusal refusal, std::string text) {
+  return {refusal, std::move(text), "", {}};
+}
+
+bool any_lives(const std::vector<std::string>& names, const std::vector<WorkerRecord>& workers) {
+  return std::any_of(workers.begin(), workers.end(), [&](const WorkerRecord& worker) {
+    return std::find(names.begin(), names.end(), worker.name) != names.end();
+  });
+}
+
+/// Checks a requested parallelism against the components in the workers' records. \return what is wrong; empty:
+/// nothing.
+std::string check_parallelism(const TopologyRequest& request, const std::vector<WorkerRecord>& workers) {
+  if (request.parallelism.empty()) return "no component is named: give at least one as COMPONENT=N";
+  for (const auto& [component, parallelism] : request.parallelism) {
+    for (const WorkerRecord& worker : workers) {
+      if (worker.components.empty())
+        continue;  // an older program, whose record has no components: it reports itself what it cannot do
+      const auto found = worker.components.find(component);
+      if (found == worker.components.end()) {
+        std::vector<std::string> known;
+        for (const auto& [name, shape] : worker.components)
+          known.push_back(fmt::format("{} (1 to {})", name, shape.tasks));
+        return fmt::format("topology {} has no component \"{}\"; there are {}", request.topology, component,
+                           fmt::join(known, ", "));
+      }
+      if (parallelism < 1 || parallelism > found->second.tasks) {
+        return fmt::format(
+            "component {} can have a parallelism of 1 to {} (its tasks in each worker), not {}; more tasks are given "
+            "by the key `tasks` in its YAML, or by further workers",
+            component, found->second.tasks, parallelism);
+      }
+    }
+  }
+  return "";
+}
+
+}  // namespace
+
+TopologyResult TopologyService::order(const TopologyRequest& request) {
+  if (to_string(request.change).empty())
+    return refuse_topology(Refusal::bad_request,
+                           "this master does not know that change of a topology; it is older than the client");
+  auto bounded = request;
+  bounded.drain = std::clamp(request.drain, milliseconds{0}, longest_drain);
+  TopologyResult result;
+  const auto refusal = desk_.leadership.guarded([&]() -> OrderResult {
+    try {
+      result = follow(bounded);
+    } catch (const RegistryError& e) {
+      if (e.code() == RegistryErrorCode::away || e.code() == RegistryErrorCode::fenced) throw;
+      result = refuse_topology(Refusal::bad_request, e.what());
+    }
+    return {};
+  });
+  if (refusal.refusal == Refusal::none) return result;
+  return {refusal.refusal, refusal.text, refusal.leader, {}};
+}
+
+std::optional<TopologyResult> TopologyService::refuse_unknown_topology(const discovery::TopologyName& name) {
+  if (is_node_name(name)) {
+    const auto record = desk_.registry.get(desk_.options.paths.topology(name));
+    if (record && (!record->data.empty() || desk_.registry.get(desk_.options.paths.topology_order(name))))
+      return std::nullopt;
+  }
+  std::vector<discovery::TopologyName> known;
+  for (const auto& topology : discovery::list_topologies(desk_.registry, desk_.options.paths))
+    known.push_back(topology.record.name);
+  return refuse_topology(Refusal::unknown_topology,
+                         known.empty() ? fmt::format("no topology \"{}\"; none runs", name)
+                                       : fmt::format("no topology \"{}\"; there are {}", name, fmt::join(known, ", ")));
+}
+
+/// \return the order as it is to be from now on. \throws config::Error when it cannot be given.
+TopologyOrder TopologyService::changed_order(const std::optional<Node>& node, const TopologyRequest& request,
+                                             const std::vector<WorkerRecord>& workers, const discovery::Lead& lead,
+                                             milliseconds wait) const {
+  TopologyOrder order;
+  if (node) order = discovery::decode_topology_order(node->data, desk_.options.paths.topology_order(request.topology));
+  if (order.epoch > lead.epoch) throw config::Error("a later master has given orders for it; this one's lead is over");
+  std::int64_t last = order.revision;
+  for (const WorkerRecord& worker : workers) last = std::max(last, worker.revision);
+  if (order.kill && !any_lives(order.kill->workers, workers)) order = TopologyOrder{};  // that run is over
+  if (order.kill && request.change != TopologyChange::kill)
+    throw config::Error("topology " + request.topology + " is being killed");
+  order.revision = last + 1;
+  order.epoch = lead.epoch;
+  switch (request.change) {
+    case TopologyChange::activate:
+      order.active = true;
+      break;
+    case TopologyChange::deactivate:
+      order.active = false;
+      break;
+    case TopologyChange::rebalance:
+      for (const auto& [component, parallelism] : request.parallelism) order.parallelism[component] = parallelism;
+      break;
+    case TopologyChange::kill:
+      order.kill = TopologyKill{};
+      for (const WorkerRecord& worker : workers) order.kill->workers.push_back(worker.name);
+      order.kill->drain_ms = request.drain.count();
+      order.kill->awaited_until_ms = config::system_clock().wall_ms() + wait.count() + 1000;
+      break;
+  }
+  return order;
+}
+
+TopologyOrder TopologyService::write_order(const TopologyRequest& request, const std::vector<WorkerRecord>& workers,
+                                           const discovery::Lead& lead, milliseconds wait) {
+  const std::string path = desk_.options.paths.topology_order(request.topology);
+  while (!desk_.leadership.closing().stop_requested()) {
+    const auto node = desk_.registry.get(path);
+    const TopologyOrder order = changed_order(node, request, workers, lead, wait);
+    try {
+      if (node) {
+        desk_.registry.set(path, discovery::encode(order), node->version, lead.fence);
+      } else {
+        desk_.registry.create(path, discovery::encode(order), true, lead.fence);
+      }
+      return order;
+    } catch (const RegistryError& e) {
+      // The order changed meanwhile: read it again.
+      if (e.code() != RegistryErrorCode::bad_version && e.code() != RegistryErrorCode::exists &&
+          e.code() != RegistryErrorCode::no_node)
+        throw;
+    }
+  }
+  throw config::Error("this master is stopping");
+}
+
+TopologyResult TopologyService::follow(const TopologyRequest& request) {
+  const auto lead = desk_.leadership.lead();
+  if (!lead) return refuse_topology(Refusal::not_leading, lost_lead_text);
+  if (auto refusal = refuse_unknown_topology(request.topology)) return *refusal;
+  const auto workers = discovery::list_workers(desk_.registry, desk_.options.paths, request.topology);
+  const bool kill = request.change == TopologyChange::kill;
+  if (request.change == TopologyChange::rebalance) {
+    if (workers.empty())
+      return refuse_topology(Refusal::bad_request, fmt::format("no worker of topology {} runs, so what its components "
+                                                               "can have is not known; start one first",
+                                                               request.topology));
+    if (const auto problem = check_parallelism(request, workers); !problem.empty())
+      return refuse_topology(Refusal::bad_request, problem);
+  }
+  TopologyResult result;
+  if (kill && workers.empty()) {
+    discovery::remove_topology(desk_.registry, desk_.options.paths, request.topology, lead->fence);
+    result.text = "no worker ran; what was ordered for it is forgotten";
+    return result;
+  }
+  const milliseconds wait = desk_.limit(
+      kill && !request.wait ? std::max(desk_.options.outcome_timeout, request.drain + end_margin) : request.wait);
+  const TopologyOrder order = write_order(request, workers, *lead, wait);
+  if (workers.empty()) result.text = "no worker runs; those that start will follow";
+
+  TopologyWatch watch(desk_.registry, desk_.options.paths, request.topology, order.revision, kill);
+  for (const WorkerRecord& worker : workers) watch.expect(worker.name);
+  const auto verdicts = watch.wait(wait, desk_.leadership.closing());
+  for (const WorkerRecord& worker : workers) {
+    const auto& verdict = verdicts.at(worker.name);
+    result.outcomes.push_back({worker.name, worker.host, verdict.outcome, verdict.reason});
+  }
+  if (kill) clear_killed(request.topology, *lead, result);
+  for (const auto& outcome : result.outcomes)
+    config::process_metrics()
+        .counter("iotcloud_master_topology_orders_total", "Orders to topologies by what became of them in each worker",
+                 {{"order", to_string(request.change)}, {"outcome", to_string(outcome.outcome)}})
+        .add();
+  logger.info("topology {}: {}: {}", request.topology, to_string(request.change), result.summary());
+  return result;
+}
+
+/// Removes the order of a killed topology when all workers that were to end are gone; otherwise the last of them
+/// removes it.
+void TopologyService::clear_killed(const discovery::TopologyName& topology, const discovery::Lead& lead,
+                                   TopologyResult& result) {
+  if (std::any_of(result.outcomes.begin(), result.outcomes.end(),
+                  [](const auto& o) { return o.outcome == Outcome::unknown; }))
+    return;
+  try {
+    if (discovery::remove_topology(desk_.registry, desk_.options.paths, topology, lead.fence)) return;
+    desk_.registry.remove(desk_.options.paths.topology_order(topology), -1, lead.fence);
+    std::vector<std::string> names;
+    for (const auto& worker : discovery::list_workers(desk_.registry, desk_.options.paths, topology))
+      names.push_back(worker.name);
+    result.text = fmt::format("started after the order, and running: {}", fmt::join(names, ", "));
+  } catch (const RegistryError& e) {
+    result.text = fmt::format("the workers ended, but the order stands: {}", e.what());
+  }
+}
+
+}  // namespace iotcloud::master

@@ -1,0 +1,34 @@
+#pragma once
+
+#include <chrono>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <iotcloud/master/orders/order_desk.h>
+#include <iotcloud/master/topologies/topology_orders.h>
+
+namespace iotcloud::master {
+
+/// Orders to topologies. Thread safe.
+class TopologyService {
+ public:
+  explicit TopologyService(OrderDesk& desk) : desk_(desk) {}
+  /// Does not throw.
+  TopologyResult order(const TopologyRequest& request);
+
+ private:
+  using Workers = std::vector<discovery::WorkerRecord>;
+  TopologyResult follow(const TopologyRequest& request);
+  std::optional<TopologyResult> refuse_unknown_topology(const discovery::TopologyName& name);
+  discovery::TopologyOrder changed_order(const std::optional<discovery::Node>& node, const TopologyRequest& request,
+                                         const Workers& workers, const discovery::Lead& lead,
+                                         std::chrono::milliseconds wait) const;
+  discovery::TopologyOrder write_order(const TopologyRequest& request, const Workers& workers,
+                                       const discovery::Lead& lead, std::chrono::milliseconds wait);
+  void clear_killed(const discovery::TopologyName& topology, const discovery::Lead& lead, TopologyResult& result);
+
+  OrderDesk& desk_;
+};
+
+}  // namespace iotcloud::master
