@@ -10,32 +10,35 @@
 
 namespace iotcloud::topology {
 
-/// Processes tuples. All calls of one task are serial, though not always on the same thread. An exception from execute
-/// fails the tuple and is counted and reported with component and task; the process lives.
+/// Processes tuples. The runtime never makes two calls to one task at the same time, but successive calls may come on
+/// different threads. If execute() throws, the runtime fails the tuple, and counts and logs the error with component
+/// and task; the process goes on.
 class Bolt {
  public:
   virtual ~Bolt() = default;
-  /// What it emits; nothing by default (a sink).
+  /// Declares the streams that the bolt emits; none by default (a sink).
   virtual void declare_output_fields(OutputFieldsDeclarer& declarer) const { (void)declarer; }
   /// `context` and `collector` live until after cleanup().
   virtual void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) = 0;
-  /// Acks or fails the tuple, now or later. Ticks (Tuple::is_tick) come here too.
+  /// Acks or fails the tuple, now or later. Ticks (Tuple::is_tick) arrive here too.
   virtual void execute(const Tuple& tuple) = 0;
-  virtual void cleanup() {}
-  /// How often it wants a tick when the topology names no period (BoltDeclarer::tick); 0: never. Asked once, by
-  /// TopologyBuilder::build(). \param config as in prepare().
+  virtual void cleanup() {}  ///< the last call, when the topology ends; not made after a crash of the process
+  /// How often the bolt wants a tick if the topology sets no period (BoltDeclarer::tick); 0: never.
+  /// TopologyBuilder::build() calls it once for each component. \param config as in prepare().
   virtual std::chrono::microseconds tick_period(const Config& config) const {
     (void)config;
     return std::chrono::microseconds{0};
   }
 };
 
-/// Emits on behalf of a BasicBolt: anchored by the tuple in hand.
+/// Emits for a BasicBolt, anchored to the tuple that it executes.
 class BasicOutputCollector {
  public:
   BasicOutputCollector(OutputCollector& collector, const Tuple& input) : collector_(collector), input_(input) {}
+  /// \throws std::invalid_argument for values that do not fit the stream's fields.
   void emit(Values values) { collector_.emit(input_, std::move(values)); }
   void emit_to(std::string_view stream, Values values) { collector_.emit_to(stream, {&input_, 1}, std::move(values)); }
+  /// Counts and logs an error of this task, and keeps its text for the snapshot; the tuple does not fail.
   void report_error(const std::string& text) { collector_.report_error(text); }
 
  private:
@@ -43,20 +46,23 @@ class BasicOutputCollector {
   const Tuple& input_;
 };
 
-/// A bolt that is done with a tuple when execute returns: what it emits is anchored, the tuple is acked by itself, and
-/// failed when execute throws. Used wherever a Bolt is.
+/// A bolt that is done with a tuple when execute() returns: what it emits is anchored to that tuple, and the runtime
+/// acks the tuple after execute() returned, or fails it if execute() threw. make_bolt() makes a Bolt of it.
 class BasicBolt {
  public:
   virtual ~BasicBolt() = default;
   virtual void declare_output_fields(OutputFieldsDeclarer& declarer) const { (void)declarer; }
+  /// Called once, before the first tuple. If it throws, the topology does not start. `context` lives until after
+  /// cleanup().
   virtual void prepare(const Config& config, const TopologyContext& context) { (void)config, (void)context; }
+  /// `collector` lives during the call only. Ticks (Tuple::is_tick) arrive here too.
   virtual void execute(const Tuple& tuple, BasicOutputCollector& collector) = 0;
   virtual void cleanup() {}
 };
 
 namespace detail {
 
-/// Runs a BasicBolt as a Bolt.
+/// Wraps a BasicBolt as a Bolt.
 class BasicBoltExecutor final : public Bolt {
  public:
   explicit BasicBoltExecutor(std::unique_ptr<BasicBolt> basic) : basic_(std::move(basic)) {}
@@ -79,7 +85,7 @@ class BasicBoltExecutor final : public Bolt {
 
 }  // namespace detail
 
-/// Makes a T, which is a Bolt or a BasicBolt, as a Bolt.
+/// Makes a Bolt of class T; a T that is a BasicBolt is wrapped.
 template <typename T, typename... Args>
 std::unique_ptr<Bolt> make_bolt(Args&&... args) {
   if constexpr (std::is_base_of_v<BasicBolt, T>) {

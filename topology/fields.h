@@ -8,7 +8,7 @@
 
 namespace iotcloud::topology {
 
-/// The stream that a component emits to when it names none.
+/// The stream to which emit() emits; emit_to() names another one.
 inline constexpr const char* default_stream = "default";
 
 /// The names of a stream's fields, in order.
@@ -29,7 +29,7 @@ class Fields {
     }
     return std::nullopt;
   }
-  /// "a, b, c", for messages.
+  /// "a, b, c", for error messages.
   std::string list() const {
     std::string text;
     for (const auto& name : names_) text += (text.empty() ? "" : ", ") + name;

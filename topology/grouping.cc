@@ -6,7 +6,7 @@ namespace iotcloud::topology {
 
 namespace {
 
-/// What all groupings here keep: the targets.
+/// Base class: keeps the targets.
 class TargetedGrouping : public Grouping {
  public:
   void prepare(const TopologyContext&, const Fields&, std::span<const int> targets) override { targets_ = targets; }
@@ -19,7 +19,8 @@ class ShuffleGrouping final : public TargetedGrouping {
  public:
   void prepare(const TopologyContext& emitter, const Fields& fields, std::span<const int> targets) override {
     TargetedGrouping::prepare(emitter, fields, targets);
-    next_ = static_cast<std::size_t>(emitter.task_index) % targets_.size();  // emitters do not start at the same one
+    // so that emitters start at different tasks
+    next_ = static_cast<std::size_t>(emitter.task_index) % targets_.size();
   }
   void choose(const Values&, std::vector<int>& chosen) override {
     chosen.push_back(targets_[next_]);
@@ -35,7 +36,8 @@ class KeyGrouping : public TargetedGrouping {
   explicit KeyGrouping(Fields key) : key_(std::move(key)) {}
   void prepare(const TopologyContext& emitter, const Fields& fields, std::span<const int> targets) override {
     TargetedGrouping::prepare(emitter, fields, targets);
-    for (const auto& name : key_) positions_.push_back(fields.find(name).value());  // build() checked that it is there
+    // build() has checked that the field exists
+    for (const auto& name : key_) positions_.push_back(fields.find(name).value());
   }
 
  protected:
@@ -55,17 +57,17 @@ class FieldsGrouping final : public KeyGrouping {
   using KeyGrouping::KeyGrouping;
   void choose(const Values& values, std::vector<int>& chosen) override {
     const std::uint64_t hash = key_hash(values), count = targets_.size();
-    // A division costs as much as the hash of a word.
+    // Avoids a division, which costs as much as the hash of a word.
     chosen.push_back(targets_[(count & (count - 1)) == 0 ? hash & (count - 1) : hash % count]);
   }
 };
 
-/// Two choices for a key, the one that this emitter used less: a hot key is shared by two tasks.
+/// A key has two candidate tasks; the emitter takes the one to which it has sent less. So two tasks share a hot key.
 class PartialKeyGrouping final : public KeyGrouping {
  public:
   using KeyGrouping::KeyGrouping;
   void choose(const Values& values, std::vector<int>& chosen) override {
-    used_.resize(targets_.size());  // at the first tuple: many tasks never emit
+    used_.resize(targets_.size());  // at the first tuple, because many tasks never emit
     const std::uint64_t hash = key_hash(values);
     const std::size_t first = hash % targets_.size();
     std::size_t second = (hash >> 32) % targets_.size();

@@ -12,24 +12,26 @@
 
 namespace iotcloud::topology {
 
-/// Chooses the tasks that get a tuple. One object for each emitting task and subscription; calls are serial.
+/// Chooses the tasks that get a tuple. Each emitting task has its own object for each input that reads it, so no two
+/// calls of one object overlap.
 class Grouping {
  public:
   virtual ~Grouping() = default;
-  /// \param targets the tasks of the receiving component, ascending, at least one; constant, and there,
-  /// for the object's life.
+  /// \param targets ids of the receiving component's tasks, ascending, at least one; constant, and outlives this
+  /// object.
   virtual void prepare(const TopologyContext& emitter, const Fields& fields, std::span<const int> targets) = 0;
-  /// Appends the chosen tasks to `chosen`.
+  /// Appends the ids of the chosen tasks to `chosen`.
   virtual void choose(const Values& values, std::vector<int>& chosen) = 0;
 };
 
 using GroupingFactory = std::function<std::unique_ptr<Grouping>()>;
 
-/// The groupings by name, as YAML knows them: shuffle (even, in turn), fields (same key, same task, by stable_hash),
-/// partial_key (the less used by this emitter of two candidates for a key), all, global (lowest task), none (as
-/// shuffle), local_or_shuffle (as shuffle within one worker). `direct` is no function: emit_direct chooses.
+/// The names of the groupings in YAML: shuffle (the tasks in turn), fields (tuples with the same key go to the same
+/// task, by stable_hash), partial_key (a key has two candidate tasks, and the emitter takes the one to which it has
+/// sent less), all (every task), global (the task with the lowest id), none (same as shuffle), local_or_shuffle (same
+/// as shuffle, because a tuple does not leave its worker). `direct` is not listed: emit_direct() names the task itself.
 const std::vector<std::string>& grouping_names();
-/// \param fields for `fields` and `partial_key`: the key. \throws std::invalid_argument for a name that is none.
+/// \param fields the key of `fields` and `partial_key`. \throws std::invalid_argument for an unknown name.
 GroupingFactory make_grouping(const std::string& name, const Fields& fields = {});
 
 }  // namespace iotcloud::topology

@@ -12,25 +12,26 @@
 
 namespace iotcloud::topology {
 
-/// Where a component says which streams it emits, before the topology runs.
+/// A component declares to it the streams that it emits, before the topology runs.
 class OutputFieldsDeclarer {
  public:
   virtual ~OutputFieldsDeclarer() = default;
   void declare(Fields fields) { declare_stream(default_stream, std::move(fields), false); }
-  /// \param direct tuples of this stream go where emit_direct says.
+  /// \param direct true: tuples of this stream are emitted with emit_direct(), which names the task that gets them.
   virtual void declare_stream(const std::string& stream, Fields fields, bool direct = false) = 0;
 };
 
-/// The id by which a spout knows a tuple that it wants to hear of again (ack or fail).
+/// The id that a spout gives a tracked tuple; ack() and fail() get it back.
 using MessageId = std::uint64_t;
 
-/// How a spout emits. Use it from the spout's own calls only. emit never blocks and never drops.
-/// Values that do not fit the stream's fields throw std::invalid_argument.
+/// How a spout emits. Only the spout's own calls may use it. emit never blocks and never drops a tuple; it throws
+/// std::invalid_argument for values that do not fit the stream's fields.
 class SpoutOutputCollector {
  public:
   virtual ~SpoutOutputCollector() = default;
   void emit(Values values) { do_emit(default_stream, std::move(values), no_task, nullptr); }
-  /// Tracked: ack(id) when the whole tree of tuples was acked, fail(id) when one failed or the time-out passed.
+  /// Emits a tracked tuple: the runtime calls the spout's ack(id) when the whole tree of tuples was acked, or fail(id)
+  /// when one of them failed or the message time-out passed.
   void emit(Values values, MessageId id) { do_emit(default_stream, std::move(values), no_task, &id); }
   void emit_to(std::string_view stream, Values values) { do_emit(stream, std::move(values), no_task, nullptr); }
   void emit_to(std::string_view stream, Values values, MessageId id) {
@@ -45,21 +46,21 @@ class SpoutOutputCollector {
   virtual void report_error(const std::string& text) = 0;
 
  protected:
-  static constexpr int no_task = -1;  ///< the groupings choose
+  static constexpr int no_task = -1;  ///< for `task`: the groupings choose the receivers
   /// \param id nullptr: not tracked.
   virtual void do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) = 0;
 };
 
-/// How a bolt emits. emit: from the bolt's own calls only. ack, fail and reset_timeout: from any thread.
+/// How a bolt emits. Only the bolt's own calls may emit; any thread may call ack, fail and reset_timeout.
 class OutputCollector {
  public:
   virtual ~OutputCollector() = default;
-  /// Anchored by one tuple: if the new one fails, so does the anchor's tree.
+  /// Emits a tuple that is anchored to another one: if the new tuple fails, the anchor's tree fails.
   void emit(const Tuple& anchor, Values values) { do_emit(default_stream, {&anchor, 1}, std::move(values), no_task); }
   void emit(std::span<const Tuple> anchors, Values values) {
     do_emit(default_stream, anchors, std::move(values), no_task);
   }
-  /// Not anchored: nobody hears of it again.
+  /// Emits a tuple without an anchor: no spout learns whether it was processed.
   void emit(Values values) { do_emit(default_stream, {}, std::move(values), no_task); }
   void emit_to(std::string_view stream, std::span<const Tuple> anchors, Values values) {
     do_emit(stream, anchors, std::move(values), no_task);
@@ -68,14 +69,16 @@ class OutputCollector {
     do_emit(stream, anchors, std::move(values), task);
   }
 
+  /// Says that this bolt is done with the tuple. A bolt acks or fails each tuple that it received once.
   virtual void ack(const Tuple& tuple) = 0;
+  /// Fails the tuple's tree: the runtime calls the spout's fail() soon, without waiting for the rest of the tree.
   virtual void fail(const Tuple& tuple) = 0;
-  /// The time-out of the tuple's tree starts anew.
+  /// Restarts the time-out of the tuple's tree.
   virtual void reset_timeout(const Tuple& tuple) = 0;
   virtual void report_error(const std::string& text) = 0;
 
  protected:
-  static constexpr int no_task = -1;  ///< the groupings choose
+  static constexpr int no_task = -1;  ///< for `task`: the groupings choose the receivers
   virtual void do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) = 0;
 };
 

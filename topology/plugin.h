@@ -11,8 +11,9 @@
 
 namespace iotcloud::topology {
 
-/// Classes of components and groupings by name, and optionally the application that puts the inner graph together (the
-/// paper's way: the outer layer in YAML, the algorithm in C++). Filled by a component library.
+/// Classes of components and groupings by name, as YAML names them. A component library fills it. It may also hold an
+/// application: a function that adds components to the graph that YAML began (the paper's way: YAML declares what faces
+/// the brokers, C++ puts the algorithm's graph together).
 class ComponentRegistry {
  public:
   using Application = std::function<void(TopologyBuilder&, const Config&)>;
@@ -25,16 +26,16 @@ class ComponentRegistry {
   void add_bolt(const std::string& name) {
     bolts_[name] = [] { return make_bolt<T>(); };
   }
-  /// A bolt that needs more than its class, such as make_windowed_bolt<T>(options).
+  /// Adds a bolt that needs more than its class, such as make_windowed_bolt<T>(options).
   void add_bolt(const std::string& name, BoltFactory factory) { bolts_[name] = std::move(factory); }
-  /// A Grouping, which YAML names as `grouping: custom, class: NAME`.
+  /// Adds a Grouping, which YAML names as `grouping: custom, class: NAME`.
   template <typename T>
   void add_grouping(const std::string& name) {
     groupings_[name] = [] { return std::make_unique<T>(); };
   }
   void set_application(Application application) { application_ = std::move(application); }
 
-  /// nullptr when there is none.
+  /// \return nullptr if nothing of this kind is registered under the name.
   const SpoutFactory* spout(const std::string& name) const { return find(spouts_, name); }
   const BoltFactory* bolt(const std::string& name) const { return find(bolts_, name); }
   const GroupingFactory* grouping(const std::string& name) const { return find(groupings_, name); }
@@ -52,6 +53,7 @@ class ComponentRegistry {
   template <typename Factory>
   static std::vector<std::string> names(const std::map<std::string, Factory>& factories) {
     std::vector<std::string> list;
+    list.reserve(factories.size());
     for (const auto& [name, factory] : factories) list.push_back(name);
     return list;
   }
@@ -61,7 +63,7 @@ class ComponentRegistry {
   Application application_;
 };
 
-/// Grows with every change that a library built before it cannot follow.
+/// Raised with every change of the SDK after which component libraries must be compiled again.
 inline constexpr std::uint32_t sdk_version = 3;
 
 #if defined(__GLIBCXX__) && _GLIBCXX_USE_CXX11_ABI
@@ -70,7 +72,8 @@ inline constexpr const char* cxx_abi = "itanium;libstdc++;cxx11=1";
 inline constexpr const char* cxx_abi = "another C++ library";
 #endif
 
-/// The one C symbol of a component library returns this; version and ABI are checked before any C++ call.
+/// What a component library's one C function returns. The worker checks version, size and ABI before it makes its first
+/// C++ call into the library.
 struct LibraryDescriptor {
   std::uint32_t sdk_version;
   std::uint32_t size;
@@ -82,7 +85,8 @@ inline constexpr const char* library_symbol = "iotcloud_topology_library";
 
 }  // namespace iotcloud::topology
 
-/// Once in a component library, at file scope:
+// A parameter's name cannot stand in parentheses: NOLINTBEGIN(bugprone-macro-parentheses)
+/// Write it once in a component library, at file scope:
 ///   IOTCLOUD_TOPOLOGY_LIBRARY(registry) { registry.add_bolt<MyBolt>("my.Bolt"); }
 #define IOTCLOUD_TOPOLOGY_LIBRARY(registry)                                                                          \
   static void iotcloud_fill_registry(iotcloud::topology::ComponentRegistry& registry);                               \
@@ -94,3 +98,4 @@ inline constexpr const char* library_symbol = "iotcloud_topology_library";
     return &descriptor;                                                                                              \
   }                                                                                                                  \
   static void iotcloud_fill_registry(iotcloud::topology::ComponentRegistry& registry)
+// NOLINTEND(bugprone-macro-parentheses)

@@ -26,7 +26,7 @@ class Declarations final : public OutputFieldsDeclarer {
   std::string component_;
 };
 
-/// Its streams; and the ticks it wishes, unless the topology says.
+/// Asks a component for its streams, and for its tick period if the topology sets none.
 std::map<std::string, StreamSpec> ask(ComponentSpec& spec, const Config& topology_config) {
   Declarations declarations(spec.id);
   try {
@@ -48,7 +48,7 @@ std::map<std::string, StreamSpec> ask(ComponentSpec& spec, const Config& topolog
   return declarations.streams;
 }
 
-void check_source(const ComponentSpec& bolt, const Subscription& input, const Topology& topology) {
+void check_source(const ComponentSpec& bolt, const InputSpec& input, const Topology& topology) {
   if (topology.streams.contains(input.from)) return;
   std::string known;
   for (const auto& [id, streams] : topology.streams) known += (known.empty() ? "" : ", ") + id;
@@ -56,8 +56,8 @@ void check_source(const ComponentSpec& bolt, const Subscription& input, const To
                                    "\", which is no component of this topology; there are: " + known);
 }
 
-/// The input's source is there and has all its streams.
-void check_input(const ComponentSpec& bolt, const Subscription& input, const Topology& topology) {
+/// Checks that the input's source exists and has the stream and fields.
+void check_input(const ComponentSpec& bolt, const InputSpec& input, const Topology& topology) {
   const auto& streams = topology.streams.at(input.from);
   const auto stream = streams.find(input.stream);
   if (stream == streams.end()) {
@@ -75,7 +75,7 @@ void check_input(const ComponentSpec& bolt, const Subscription& input, const Top
   }
   if ((input.grouping == "fields" || input.grouping == "partial_key") && input.fields.empty()) {
     throw TopologyError(bolt.id, bolt.id + ": the " + input.grouping + " grouping on " + input.from +
-                                     " needs the fields that make the key");
+                                     " needs the fields that are its key");
   }
   for (const auto& field : input.fields) {
     if (!stream->second.fields.find(field)) {
@@ -91,7 +91,7 @@ void check_input(const ComponentSpec& bolt, const Subscription& input, const Top
   }
 }
 
-/// Sources before those they feed. \throws TopologyError naming a cycle.
+/// Sorts components so that sources come before the bolts that they feed. \throws TopologyError naming a cycle.
 std::vector<ComponentSpec> sorted_by_flow(std::vector<ComponentSpec> components) {
   std::vector<ComponentSpec> sorted;
   std::set<std::string> done;
@@ -101,7 +101,8 @@ std::vector<ComponentSpec> sorted_by_flow(std::vector<ComponentSpec> components)
                          [&](const auto& input) { return done.contains(input.from); });
     });
     if (ready == components.end()) {
-      // Walk back along inputs that are not done: within as many steps as there are components a name comes again.
+      // Every component that is left waits for an input that is left: walking back along such inputs for as many steps
+      // as there are components meets one of them twice.
       std::vector<std::string> walk{components.front().id};
       while (true) {
         const auto at = std::find_if(components.begin(), components.end(),
@@ -128,17 +129,18 @@ std::vector<ComponentSpec> sorted_by_flow(std::vector<ComponentSpec> components)
 void set_tasks(ComponentSpec& spec, int count) {
   if (count < spec.parallelism) {
     throw TopologyError(spec.id, spec.id + ": " + std::to_string(count) + " tasks cannot keep " +
-                                     std::to_string(spec.parallelism) + " executors busy; name at least as many");
+                                     std::to_string(spec.parallelism) +
+                                     " executors busy; set at least as many tasks as executors");
   }
   spec.tasks = count;
 }
 
-Subscription& last_input(ComponentSpec& spec) {
-  if (spec.inputs.empty()) throw TopologyError(spec.id, spec.id + " has no input yet; name its grouping first");
+InputSpec& last_input(ComponentSpec& spec) {
+  if (spec.inputs.empty()) throw TopologyError(spec.id, spec.id + " has no input yet; add one first");
   return spec.inputs.back();
 }
 
-/// A late tuple is emitted as it is, so its stream has the fields of the inputs.
+/// Declares the late stream with the fields of the inputs, because late tuples are emitted to it unchanged.
 void declare_late_stream(const ComponentSpec& bolt, Topology& topology) {
   if (bolt.late_stream.empty()) return;
   const Fields& fields = topology.streams.at(bolt.inputs.front().from).at(bolt.inputs.front().stream).fields;
@@ -164,7 +166,7 @@ BoltDeclarer& BoltDeclarer::grouping(const std::string& name, const std::string&
   } catch (const std::invalid_argument& e) {
     throw TopologyError(spec_.id, spec_.id + ": " + e.what());
   }
-  Subscription input;
+  InputSpec input;
   input.from = from;
   input.stream = stream;
   input.grouping = name;
@@ -199,7 +201,7 @@ BoltDeclarer& BoltDeclarer::direct_grouping(const std::string& from, const std::
 }
 BoltDeclarer& BoltDeclarer::custom_grouping(const std::string& from, GroupingFactory factory,
                                             const std::string& stream) {
-  Subscription input;
+  InputSpec input;
   input.from = from;
   input.stream = stream;
   input.grouping = "custom";
@@ -225,7 +227,7 @@ BoltDeclarer& BoltDeclarer::input_deadline(std::chrono::microseconds age) {
   return *this;
 }
 BoltDeclarer& BoltDeclarer::keep_last(std::size_t count, Fields key) {
-  Subscription& input = last_input(spec_);
+  InputSpec& input = last_input(spec_);
   input.keep_last = count;
   input.keep_key = std::move(key);
   return *this;
@@ -289,7 +291,8 @@ Topology TopologyBuilder::build(const std::string& name, const Config& config) c
     topology.streams[component->id] = ask(components.back(), config);
   }
   if (std::none_of(components.begin(), components.end(), [](const auto& c) { return bool(c.spout); })) {
-    throw TopologyError("", "the topology \"" + name + "\" has no spout, so nothing would ever happen");
+    throw TopologyError("",
+                        "the topology \"" + name + "\" has no spout, so no tuple would ever be emitted; add a spout");
   }
   for (const auto& component : components) {
     if (!component.bolt) continue;

@@ -12,12 +12,13 @@
 
 namespace iotcloud::topology {
 
-/// The configuration of a component: `conf` of the topology overlaid with `conf` of the component.
+/// A component's configuration: the topology's `conf`, overridden by the component's.
 using Config = std::map<std::string, std::string>;
 
-/// Wakes one spout task. Copy it freely; thread safe; harmless after the runtime is gone.
+/// Wakes one spout task from any thread. A copy wakes the same task. It may outlive the runtime, and then does nothing.
 class SpoutWaker {
  public:
+  /// What a waker wakes; implemented by the runtime that runs the task.
   class Target {
    public:
     virtual ~Target() = default;
@@ -25,9 +26,9 @@ class SpoutWaker {
   };
   SpoutWaker() = default;
   explicit SpoutWaker(std::weak_ptr<Target> target) : target_(std::move(target)) {}
-  /// next_tuple will be called: on this very thread when the task is idle, together with all the bolts that its tuples
-  /// reach, for about a millisecond of work; what is left then goes on in the runtime's own threads. Call it without
-  /// holding a lock that the spout's methods take.
+  /// Makes the runtime call next_tuple(). If the task is idle, the calling thread runs it, and the bolts that its
+  /// tuples reach, for about a millisecond (RuntimeOptions::caller_slice); threads of the pool run what is left. The
+  /// caller must not hold a lock that the spout's methods take.
   void wake() const noexcept {
     if (const auto target = target_.lock()) target->wake();
   }
@@ -36,20 +37,20 @@ class SpoutWaker {
   std::weak_ptr<Target> target_;
 };
 
-/// What a task is told about its place. Lives as long as the task; everything is constant.
+/// A task's place in the topology. Constant; lives as long as the task.
 struct TopologyContext {
-  std::string topology;   ///< name
-  std::string component;  ///< id of the component that this is a task of
+  std::string topology;   ///< the topology's name
+  std::string component;  ///< id of the task's component
   int task = 0;           ///< unique in the topology, from 1
   int task_index = 0;     ///< 0 .. task_count - 1, within the component
-  int task_count = 1;
-  /// The tasks of every component, ascending; shared by all contexts.
+  int task_count = 1;     ///< number of the component's tasks in this worker
+  /// The ids of the tasks of every component, ascending; all contexts share this map.
   std::shared_ptr<const std::map<std::string, std::vector<int>>> tasks_of;
   std::vector<std::pair<std::string, std::string>>
-      inputs;  ///< bolts: the components and streams that feed it, each once
-  const config::Clock* clock = nullptr;
-  config::Metrics* metrics = nullptr;
-  SpoutWaker waker;  ///< spouts only
+      inputs;                            ///< for bolts: each pair of component and stream that feeds the task
+  const config::Clock* clock = nullptr;  ///< the topology's clock, simulated in tests; never null in a running task
+  config::Metrics* metrics = nullptr;    ///< where a component adds its own metrics; never null in a running task
+  SpoutWaker waker;                      ///< for spouts; a bolt's does nothing
 };
 
 }  // namespace iotcloud::topology

@@ -39,7 +39,7 @@ std::size_t value_size(const Value& value) {
   return 1;
 }
 
-/// Writes to memory that has room.
+/// Writes a tuple's parts. The caller has reserved enough memory.
 class Writer {
  public:
   explicit Writer(std::byte* at) : at_(at) {}
@@ -102,7 +102,7 @@ void encode(std::string_view component, std::string_view stream, int source_task
   for (const Value& value : values) writer.value(value);
 }
 
-/// Reads within its bytes, or throws.
+/// Reads a tuple's parts; throws instead of reading beyond its bytes.
 class Reader {
  public:
   explicit Reader(std::span<const std::byte> bytes) : bytes_(bytes) {}
@@ -125,7 +125,8 @@ class Reader {
       return value;
     }
   }
-  /// A count of things of `size` bytes each at least, which are there: so it may be allocated for.
+  /// Reads a count of items of at least `size` bytes each, and checks that so many bytes are left, so that the caller
+  /// may allocate memory for the items.
   std::size_t count_within(const char* what, std::size_t limit, std::size_t size) {
     const std::size_t begin = at_;
     const std::uint64_t value = count(what);
@@ -133,7 +134,8 @@ class Reader {
       throw TupleFormatError(
           begin, std::string(what) + " is " + std::to_string(value) + ", the limit " + std::to_string(limit));
     }
-    if (value > left()) need(static_cast<std::size_t>(value), what);  // or the product could overflow
+    // checked first, because the product could overflow
+    if (value > left()) need(static_cast<std::size_t>(value), what);
     need(static_cast<std::size_t>(value) * size, what);
     return static_cast<std::size_t>(value);
   }

@@ -12,9 +12,9 @@
 
 namespace iotcloud::topology {
 
-// A tuple as bytes, so that an engine can hand it to another process: who emitted it, to which stream, its values, and
-// ids that mean something to the engine only. The names of the fields are not sent: both sides know the streams of the
-// topology. Equal tuples have equal bytes, and bytes that are not what encode_tuple() writes are refused.
+// A tuple as bytes, so that an engine can hand it to another process: its component, stream and values, and ids that
+// only the engine understands. Field names are not sent: both sides know the topology's streams. Equal tuples have
+// equal bytes, and decode_tuple() refuses bytes that encode_tuple() does not write.
 //
 //   tuple  = magic version name(component) name(stream) number(source task) count ids* count value*
 //   magic  = 0xC7                    one byte
@@ -30,16 +30,16 @@ namespace iotcloud::topology {
 //            follows (LEB128); no more bytes than needed
 //   number = count of the zigzag code: 0, -1, 1, -2, 2 ... become 0, 1, 2, 3, 4 ...
 
-/// What is sent of a tuple.
+/// The encoded parts of a tuple.
 struct TupleRecord {
-  std::string component;  ///< that emitted it
+  std::string component;  ///< the component that emitted it
   std::string stream = default_stream;
   int source_task = -1;
-  std::vector<std::uint64_t> ids;  ///< the engine's, to track it: the message and the anchors, say
+  std::vector<std::uint64_t> ids;  ///< by which the engine tracks the tuple, for example of its message and its anchors
   Values values;
 };
 
-/// What a decoder takes at most. Whatever the bytes claim, it allocates no more than they hold.
+/// A decoder's limits. It checks every length in the bytes against what is left of them before it allocates.
 struct TupleLimits {
   std::size_t bytes = 64U << 20;
   std::size_t name = 1024;  ///< bytes of a component's id, and of a stream's
@@ -47,7 +47,7 @@ struct TupleLimits {
   std::size_t ids = 4096;
 };
 
-/// Bytes that are no tuple. `offset`: of the first byte that is wrong or missing.
+/// Says why bytes are not a tuple. offset() is the position of the first byte that is wrong or missing.
 class TupleFormatError : public std::runtime_error {
  public:
   TupleFormatError(std::size_t offset, const std::string& problem)
@@ -58,12 +58,12 @@ class TupleFormatError : public std::runtime_error {
   std::size_t offset_;
 };
 
-/// Appends the tuple to `out` in one growth; each payload's bytes are copied once.
+/// Appends the tuple to `out`, which grows once; each payload's bytes are copied once.
 void encode_tuple(const TupleRecord& record, std::vector<std::byte>& out);
 void encode_tuple(const Tuple& tuple, std::span<const std::uint64_t> ids, std::vector<std::byte>& out);
 
-/// Reads exactly one tuple. Payloads of the record share `bytes` (no copy), and so keep all of them in memory.
-/// \throws TupleFormatError for anything that is not one tuple within the limits.
+/// Reads exactly one tuple. The record's payloads share `bytes` without a copy, and keep all of it in memory.
+/// \throws TupleFormatError for anything but one tuple within the limits.
 TupleRecord decode_tuple(const Payload& bytes, const TupleLimits& limits = {});
 
 }  // namespace iotcloud::topology

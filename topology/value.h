@@ -16,18 +16,19 @@ namespace iotcloud::topology {
 
 using brokers::Payload;
 
-/// One field of a tuple. Payloads are shared, never copied.
+/// One field of a tuple. Copies of a value share a payload's bytes.
 using Value = std::variant<std::monostate, bool, std::int64_t, double, std::string, Payload>;
 
-/// "null", "bool", "int", "double", "string" or "payload", for messages.
+/// "null", "bool", "int", "double", "string" or "payload", for error messages.
 const char* kind_of(const Value& value);
 
 /// A hash of a value that is the same in every process, build and version: 64-bit FNV-1a over a byte for the kind and
-/// the value's canonical bytes (integers and doubles as 8 bytes little endian, -0.0 as 0.0; strings and payloads as
-/// they are).
+/// the value's canonical bytes (integers and doubles as 8 bytes little endian, -0.0 as 0.0; strings and payloads
+/// unchanged).
 std::uint64_t stable_hash(const Value& value, std::uint64_t seed = 14695981039346656037ULL);
 
-/// The values of a tuple, in the order of its fields. Up to four are held without an allocation.
+/// The values of a tuple, in the order of its fields. Up to four are stored in the object itself, without an
+/// allocation.
 class Values {
  public:
   Values() noexcept = default;
@@ -74,7 +75,7 @@ class Values {
  private:
   static constexpr std::uint32_t inline_capacity = 4;
 
-  /// \pre there is room.
+  /// \pre size_ < capacity_.
   template <typename T>
   void append(T&& value) {
     using Plain = std::decay_t<T>;
@@ -93,12 +94,12 @@ class Values {
     }
     ++size_;
   }
-  /// Needs no destructor, and moves by a copy of its bytes.
+  /// True if a value needs no destructor and can be moved by copying its bytes.
   static bool is_plain(const Value& value) { return value.index() <= 3; }
   static_assert(std::is_same_v<std::variant_alternative_t<3, Value>, double>);
 
-  /// Most values are plain, and a variant's own copy and move go through a table of functions.
-  /// \return false: it is not plain, nothing was done. \param to memory that holds no value.
+  /// Copies a plain value with a switch, which is faster than the table of functions that std::variant's own copy uses;
+  /// most values are plain. \return false, and does nothing, if the value is not plain. \param to raw memory.
   static bool copy_plain(const Value& from, Value* to) noexcept {
     switch (from.index()) {
       case 0:
@@ -117,7 +118,7 @@ class Values {
         return false;
     }
   }
-  /// Moves a value to memory that holds none and leaves none behind.
+  /// Moves a value to raw memory, and destroys the old one.
   static void relocate(Value* from, Value* to) noexcept {
     if (copy_plain(*from, to)) return;
     if (auto* text = std::get_if<std::string>(from)) {
@@ -141,7 +142,7 @@ class Values {
     data_ = grown;
     capacity_ = static_cast<std::uint32_t>(capacity);
   }
-  /// \pre this one is empty.
+  /// \pre this object is empty.
   void take(Values& other) noexcept {
     size_ = std::exchange(other.size_, 0);
     if (other.capacity_ > inline_capacity) {

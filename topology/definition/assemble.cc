@@ -7,7 +7,7 @@ namespace iotcloud::topology {
 
 namespace {
 
-/// The factory of a class, or an error that names the classes there are.
+/// Returns the factory of a class, or throws an error that lists the known classes.
 template <typename Factory>
 const Factory& find_class(const config::Section& section, const std::string& name, const Factory* found,
                           const std::vector<std::string>& known) {
@@ -21,7 +21,7 @@ const Factory& find_class(const config::Section& section, const std::string& nam
                                       : "the component libraries register " + list);
 }
 
-/// The graph's complaint at the place where the file can mend it.
+/// Turns an error of the graph into one that names the place of the file where it can be mended.
 config::ConfigError at_its_place(const TopologyDefinition& definition, const TopologyError& error) {
   config::Section root = definition.root;
   for (const char* group : {"spouts", "bolts"}) {
@@ -70,7 +70,7 @@ void add_bolt(TopologyBuilder& builder, const ComponentDefinition& bolt, const C
   if (bolt.deadline.count() > 0 || !bolt.late_stream.empty()) declarer.deadline(bolt.deadline, bolt.late_stream);
 }
 
-/// The application's part of the graph. What it throws is as wrong as a wrong file.
+/// Runs the application's part of the graph. Its exceptions count as errors of the file.
 void apply(const ComponentRegistry::Application& application, TopologyBuilder& builder,
            const TopologyDefinition& definition) {
   try {
@@ -83,7 +83,7 @@ void apply(const ComponentRegistry::Application& application, TopologyBuilder& b
   }
 }
 
-/// The first input whose source is not there; nullptr: there is none.
+/// The first input whose source is missing, or nullptr.
 const InputDefinition* unknown_input(const TopologyDefinition& definition, const TopologyBuilder& builder) {
   for (const auto& bolt : definition.bolts) {
     for (const auto& input : bolt.inputs) {
@@ -105,7 +105,7 @@ const InputDefinition* unknown_input(const TopologyDefinition& definition, const
                             guess.empty() ? "the file has " + list : "did you mean \"" + guess + "\"?");
 }
 
-/// A bolt that sends takes its fields by name from the tuples that it gets.
+/// Checks that a sending bolt's inputs have the fields that it sends.
 void check_sent_fields(const TopologyDefinition& definition, const Topology& topology) {
   for (const auto& bolt : definition.bolts) {
     if (!bolt.endpoint) continue;
@@ -122,7 +122,8 @@ void check_sent_fields(const TopologyDefinition& definition, const Topology& top
   }
 }
 
-/// Whoever shares its drivers with other topologies has the tuples of some of them only.
+/// Refuses inputs that group tuples of several drivers if a spout names a group: this topology has the tuples of some
+/// drivers only, as other topologies of the group read the other drivers.
 void check_shared_spouts(const TopologyDefinition& definition, const Topology& topology) {
   const auto shared =
       std::find_if(definition.spouts.begin(), definition.spouts.end(),
@@ -134,7 +135,7 @@ void check_shared_spouts(const TopologyDefinition& definition, const Topology& t
                               "other topologies of the group read some of the drivers, and these inputs reach across "
                               "drivers, of which there would be only a share here:\n" +
                                   crossed,
-                              "where the share alone is meant, say \"scope: worker\" of these bolts (or "
+                              "if these bolts should process that share only, give them \"scope: worker\" (or write "
                               "\"topology.scope: worker\"); otherwise use a key with driverID, or no group");
 }
 

@@ -8,16 +8,16 @@
 
 namespace iotcloud::topology {
 
-/// Makes the spouts and bolts that face brokers. The factories make one object for each task and one more for the check
-/// of the graph, so that making one must cost nothing and connect nowhere.
+/// Makes the factories of spouts and bolts that use brokers. Such a factory makes one object for each task and one more
+/// for the check of the graph, so making an object must be cheap and must not connect to anything.
 struct EndpointFactories {
   std::function<SpoutFactory(const ComponentDefinition&)> spout;
   std::function<BoltFactory(const ComponentDefinition&)> bolt;
 };
 
-/// Puts the merged graph together, the YAML's layer and what the application of the component libraries adds, and
-/// checks it. \throws config::ConfigError for an unknown class or whatever TopologyBuilder::build refuses, at the
-/// component's place in the file (for a component that is not in the file: at `topology.library`).
+/// Puts the graph together, from the YAML file and the application of the component libraries, and checks it. \throws
+/// config::ConfigError for an unknown class and for every error of TopologyBuilder::build, at the component's place in
+/// the file (at `topology.library` for a component that is not in the file).
 Topology assemble(const TopologyDefinition& definition, const ComponentRegistry& components,
                   const EndpointFactories& endpoints);
 

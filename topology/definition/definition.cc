@@ -21,7 +21,7 @@ using internal::require_name;
 
 constexpr int most_tasks = 10'000;
 
-/// What spouts and bolts have in common.
+/// Reads the keys that spouts and bolts share.
 ComponentDefinition read_component(const std::string& id, Section section, const std::vector<std::string>& brokers) {
   ComponentDefinition component{.id = id,
                                 .endpoint = {},
@@ -89,7 +89,7 @@ void read_grouping(Section& section, InputDefinition& input) {
   const bool keyed = input.grouping == "fields" || input.grouping == "partial_key";
   if (keyed && input.fields.empty()) {
     throw section.error("grouping", "the grouping \"" + input.grouping + "\" needs a key",
-                        "add \"fields: [driverID]\", say");
+                        "add \"fields: [driverID]\", for example");
   }
   if (!keyed && !input.fields.empty()) {
     throw section.error("fields", "the grouping \"" + input.grouping + "\" has no key",
@@ -111,25 +111,25 @@ InputDefinition read_input(Section section) {
   input.keep_key = Fields(section.strings_or("keep_key", {}));
   if (!input.keep_key.empty() && input.keep_last == 0) {
     throw section.error("keep_key", "this is the key of \"keep_last\", which is not given",
-                        "add \"keep_last: 1\", say, or remove \"keep_key\"");
+                        "add \"keep_last: 1\", for example, or remove \"keep_key\"");
   }
   section.finish();
   return input;
 }
 
-/// \pre its inputs are read.
+/// \pre the bolt's inputs are read.
 void read_deadline(Section& section, ComponentDefinition& bolt) {
   bolt.deadline = section.duration_or("deadline", bolt.deadline);
   bolt.late_stream = section.string_or("late_stream", "");
   if (bolt.late_stream.empty()) return;
   if (bolt.late_stream == default_stream) {
-    throw section.error("late_stream", "late tuples need a stream of their own", "\"late_stream: late\", say");
+    throw section.error("late_stream", "late tuples need a stream of their own", "\"late_stream: late\", for example");
   }
   const bool input_deadline = std::any_of(bolt.inputs.begin(), bolt.inputs.end(),
                                           [](const InputDefinition& input) { return input.deadline.count() > 0; });
   if (bolt.deadline.count() == 0 && !input_deadline) {
     throw section.error("late_stream", "no tuple is late without a deadline",
-                        "add \"deadline: 50ms\", say, to the bolt or one of its inputs");
+                        "add \"deadline: 50ms\", for example, to the bolt or one of its inputs");
   }
 }
 
@@ -137,7 +137,7 @@ ComponentDefinition read_bolt(const std::string& id, Section section, const std:
   auto bolt = read_component(id, section, brokers);
   if (bolt.endpoint) {
     read_sending_options(section, bolt.endpoint->sending);
-    bolt.tick = std::chrono::seconds(1);  // its own, see BrokerBolt
+    bolt.tick = std::chrono::seconds(1);  // BrokerBolt needs this tick
     if (!std::count(bolt.endpoint->roles.begin(), bolt.endpoint->roles.end(), FieldRole::driver_id)) {
       throw section.error("fields", "no field says which driver a tuple is for", "add \"driverID\"");
     }
@@ -154,7 +154,7 @@ ComponentDefinition read_bolt(const std::string& id, Section section, const std:
   return bolt;
 }
 
-/// zk.servers as a registry's URL; `registry` goes before it.
+/// Makes a registry URL from zk.servers; the key `registry` overrides it.
 std::string read_registry_url(Section& root) {
   const auto servers = root.strings_or("zk.servers", {});
   const auto registry = root.string_or("registry", "");
@@ -186,7 +186,7 @@ RunSettings read_runtime(Section& root) {
   return settings;
 }
 
-/// By logical name: a URL, or a mapping of what connecting takes. Both may leave the URL to the channels' records.
+/// Brokers by logical name: a URL, or a mapping of connection options. Both may leave the URL to the channels' records.
 std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root, std::chrono::milliseconds session_timeout) {
   std::map<std::string, brokers::BrokerOptions> brokers;
   auto section = root.optional_section("brokers");
@@ -206,8 +206,8 @@ std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root, std::c
   return brokers;
 }
 
-/// The logical broker names that a topology may use: the kinds there are, the paper's own name (whatever serves it),
-/// and those that `brokers` names.
+/// The logical broker names that a topology may use: all kinds of brokers, the paper's own name (whatever serves it),
+/// and the names in `brokers`.
 std::vector<std::string> broker_names(const std::map<std::string, brokers::BrokerOptions>& brokers) {
   std::set<std::string> names(brokers::broker_kinds().begin(), brokers::broker_kinds().end());
   names.insert("rabbitmq");
@@ -215,10 +215,10 @@ std::vector<std::string> broker_names(const std::map<std::string, brokers::Broke
   return {names.begin(), names.end()};
 }
 
-/// Two spouts of a topology on one channel would take each other's messages: they read the same queue, unless they read
-/// it in different groups.
+/// Refuses two spouts of a topology on one channel: they would read the same queue and take each other's messages,
+/// unless they are in different groups.
 void refuse_double_readers(const std::vector<ComponentDefinition>& spouts) {
-  std::map<std::tuple<std::string, std::string, std::string>, std::string> readers;
+  std::map<std::tuple<discovery::DriverName, std::string, std::string>, std::string> readers;
   for (const auto& spout : spouts) {
     if (!spout.endpoint) continue;
     const EndpointDefinition& endpoint = *spout.endpoint;
@@ -245,7 +245,7 @@ TopologyDefinition read(Section root, const std::string& file) {
                                 .spouts = {},
                                 .bolts = {},
                                 .root = root};
-  definition.name = require_name(root, "topology.name");
+  definition.name = discovery::TopologyName(require_name(root, "topology.name"));
   definition.registry = discovery::read_registry_options(root);
   definition.registry.url = read_registry_url(root);
   definition.zk_root = root.string_or("zk.root", "/iot/sensors");
@@ -261,7 +261,7 @@ TopologyDefinition read(Section root, const std::string& file) {
     definition.metrics_address = metrics->require_string("address");
     metrics->finish();
   }
-  config::read_log_settings(root);  // the frame of the daemons applies them
+  config::read_log_settings(root);  // the daemons' frame applies them
   const auto names = broker_names(definition.brokers);
   for (auto& [id, section] : root.sections("spouts")) definition.spouts.push_back(read_spout(id, section, names));
   for (auto& [id, section] : root.sections("bolts")) definition.bolts.push_back(read_bolt(id, section, names));

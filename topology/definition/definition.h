@@ -8,6 +8,7 @@
 
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/discovery/ids.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/selection/selection.h>
 #include <iotcloud/topology/fields.h>
@@ -15,102 +16,103 @@
 
 namespace iotcloud::topology {
 
-/// What a field of a spout or bolt that faces a broker stands for (REFERENCE.md 5).
+/// What a field of a spout or bolt that faces a broker stands for (docs/wire.md#topology-files).
 enum class FieldRole {
   payload,    ///< the message's bytes
-  driver_id,  ///< "driverID", or the older "sensorID": the driver instance that sent it or is to get it
-  time,       ///< "time": milliseconds since 1970 UTC, carried from the message in to the message out
+  driver_id,  ///< "driverID", or the older "sensorID": the driver instance that sent the message or shall get it
+  time,       ///< "time": milliseconds since 1970 UTC, copied from the incoming to the outgoing message
 };
 
-/// How the payload stands in the tuple (`builder`).
+/// The payload's type in the tuple (`builder`).
 enum class PayloadForm {
   bytes,  ///< a spout emits a Payload; a bolt takes a Payload or a string
-  text,   ///< a spout emits a string; a bolt writes whatever value it gets as text
+  text,   ///< a spout emits a string; a bolt writes any value as text
 };
 
-/// Properties of a spout that reads a broker.
+/// Properties of a spout that reads from a broker.
 struct ReadingOptions {
-  bool automatic_ack = false;  ///< ackMode: auto = done when taken, manual = done when the tuple tree completed
-  int prefetch = 100;          ///< prefetchCount: unsettled messages under way for each channel
-  bool requeue = true;         ///< a failed tuple is tried again, maxTries times in all, then given up
+  bool automatic_ack = false;  ///< ackMode: auto acks a message when it is taken, manual when its tuple tree is done
+  int prefetch = 100;          ///< prefetchCount: the most unsettled messages of each channel
+  bool requeue = true;         ///< a failed message is tried again, up to maxTries times in all, then given up
   int max_tries = 3;           ///< maxTries
-  std::string dead_letter;     ///< deadLetter: the topic that takes what is given up; empty: it is rejected
-  int keep_last = 0;           ///< keepLast: of what waits only the newest N are handed on; 0 = all
+  std::string dead_letter;     ///< deadLetter: the topic for messages that were given up; empty: they are rejected
+  int keep_last = 0;           ///< keepLast: only the newest N waiting messages are emitted; 0: all
 };
 
-/// What a bolt does with a tuple for a driver that is not there.
+/// What a bolt does with a tuple for a driver that does not exist.
 enum class UnknownDriver { ack, fail };
 
-/// When a bolt that sends acks a tuple.
+/// When a sending bolt acks a tuple.
 enum class AckWhen {
-  confirmed,  ///< the broker has the message
-  accepted,   ///< the publisher has it
+  confirmed,  ///< when the broker has confirmed the message
+  accepted,   ///< when the publisher has accepted the message
 };
 
 /// Properties of a bolt that sends to a broker.
 struct SendingOptions {
-  bool keep_newest = false;  ///< whenFull: keep_newest drops the oldest that waits; block holds tuples back
-  int capacity = 1024;       ///< messages that may wait for the broker, for each channel
-  std::chrono::milliseconds deadline{0};              ///< older messages are worthless; 0 = none
-  UnknownDriver unknown_driver = UnknownDriver::ack;  ///< unknownDriver; counted either way
-  AckWhen ack_when = AckWhen::confirmed;              ///< ackWhen; accepted with keep_newest, unless it says otherwise
+  bool keep_newest = false;  ///< whenFull: keep_newest drops the oldest waiting message; block holds tuples back
+  int capacity = 1024;       ///< the most messages of each channel that wait for the broker
+  std::chrono::milliseconds deadline{0};              ///< messages older than this are dropped; 0: none
+  UnknownDriver unknown_driver = UnknownDriver::ack;  ///< unknownDriver; both are counted
+  AckWhen ack_when = AckWhen::confirmed;              ///< ackWhen; the default is `accepted` with keep_newest
 };
 
-/// A spout or bolt that faces brokers: the paper's keys.
+/// A spout or bolt that uses a broker, with the keys of the paper.
 struct EndpointDefinition {
-  std::string broker;  ///< the logical name that gateways know it by ("rabbitmq")
-  std::string driver;
+  std::string broker;  ///< the logical broker, by the gateways' name ("rabbitmq")
+  discovery::DriverName driver;
   std::string channel;
-  discovery::Selection where;  ///< of the driver's instances these, at any time
+  discovery::Selection where;  ///< selects driver instances, also those that come later
   Fields fields;
   std::vector<FieldRole> roles;  ///< one for each field; exactly one payload
   PayloadForm form = PayloadForm::bytes;
-  std::string stream = default_stream;  ///< spouts: what they emit to
-  std::string group;                    ///< spouts: shares its messages with others of this group; empty: with nobody
+  std::string stream = default_stream;  ///< spouts: the stream to which the spout emits
+  std::string group;                    ///< spouts: all spouts of this group share the messages; empty: no sharing
   ReadingOptions reading;               ///< spouts
   SendingOptions sending;               ///< bolts
 };
 
+/// One of a bolt's `inputs`.
 struct InputDefinition {
   std::string from;
   std::string stream = default_stream;
   std::string grouping;                   ///< one of grouping_names(), or "custom"
-  std::string grouping_class;             ///< custom: a Grouping of a component library
-  Fields fields;                          ///< key, of fields and partial_key
-  std::chrono::microseconds deadline{0};  ///< Subscription::deadline
-  std::size_t keep_last = 0;              ///< Subscription::keep_last
-  Fields keep_key;                        ///< Subscription::keep_key
-  config::Section section;                ///< where it stands
+  std::string grouping_class;             ///< for "custom": the name of a Grouping in a component library
+  Fields fields;                          ///< the key of the groupings `fields` and `partial_key`
+  std::chrono::microseconds deadline{0};  ///< InputSpec::deadline
+  std::size_t keep_last = 0;              ///< InputSpec::keep_last
+  Fields keep_key;                        ///< InputSpec::keep_key
+  config::Section section;                ///< the input's place in the file
 };
 
 /// One entry of `spouts` or `bolts`: either an endpoint or a class of a component library.
 struct ComponentDefinition {
   std::string id;
   std::optional<EndpointDefinition> endpoint;
-  std::string class_name;  ///< empty: an endpoint
+  std::string class_name;  ///< empty for an endpoint
   int parallelism = 1;
   int tasks = 1;  ///< at least `parallelism`
   Config conf;
-  std::optional<std::size_t> max_spout_pending;  ///< spouts; 0 = no limit, none = RunSettings'
+  std::optional<std::size_t> max_spout_pending;  ///< spouts; 0 = no limit, empty = that of RunSettings
   std::chrono::microseconds tick{0};             ///< bolts
   std::chrono::microseconds deadline{0};         ///< bolts: ComponentSpec::deadline
-  std::string late_stream;                       ///< bolts, with a deadline
-  bool worker_scope = false;                     ///< bolts: `scope: worker`, each worker for itself is meant
+  std::string late_stream;                       ///< bolts: ComponentSpec::late_stream
+  bool worker_scope = false;                     ///< bolts: `scope: worker`, each worker processes its own tuples only
   std::vector<InputDefinition> inputs;           ///< bolts
-  config::Section section;                       ///< where it stands
+  config::Section section;                       ///< the component's place in the file
 };
 
 /// Settings of the run (`runtime`).
 struct RunSettings {
-  int threads = 0;  ///< 0: as many as the machine has
+  int threads = 0;  ///< 0: one for each core
   std::chrono::milliseconds message_timeout{30000};
-  bool acking = true;         ///< false: Storm's "0 ackers", a tuple counts as done when it is emitted
-  int max_spout_pending = 0;  ///< tuples under way for each task of a spout; 0: the runtime's default
-  int mailbox_capacity = 0;   ///< tuples that wait for a task; 0: the runtime's default
+  bool acking = true;         ///< false: a spout's tuple counts as acked when it is emitted (Storm: "0 ackers")
+  int max_spout_pending = 0;  ///< how many tuples each task of a spout may have under way; 0: the runtime's default
+  int mailbox_capacity = 0;   ///< how many tuples a task's mailbox holds; 0: the runtime's default
 };
 
-/// A topology's YAML file, read strictly (REFERENCE.md 5; keys in README.md). Only the file itself is checked here;
-/// assemble() checks the graph.
+/// A topology's YAML file, read strictly (docs/wire.md#topology-files; keys in README.md). Only the file itself is
+/// checked here; assemble() checks the graph.
 struct TopologyDefinition {
   /// \throws config::ConfigError with file, line, column, key and what would be right.
   static TopologyDefinition load(const std::string& file);
@@ -118,15 +120,15 @@ struct TopologyDefinition {
   static TopologyDefinition parse(std::string_view text, const std::string& name);
 
   std::string file;
-  std::string name;
-  discovery::RegistryOptions registry;  ///< URL of `registry`, or made of zk.servers; empty: none given
+  discovery::TopologyName name;
+  discovery::RegistryOptions registry;  ///< URL from `registry` or zk.servers; empty: the file names none
   std::string zk_root;                  ///< zk.root
-  bool worker_scope = false;            ///< `topology.scope: worker`: the bolts' worker_scope, for all
+  bool worker_scope = false;            ///< `topology.scope: worker` sets worker_scope of all bolts
   std::vector<std::string> libraries;
-  std::map<std::string, brokers::BrokerOptions> brokers;  ///< by logical name; URLs: instead of the gateways'
+  std::map<std::string, brokers::BrokerOptions> brokers;  ///< by logical name; URLs here override those of the gateways
   Config conf;
   RunSettings runtime;
-  std::string metrics_address;  ///< host:port of the metrics page; empty: none
+  std::string metrics_address;  ///< host:port of the metrics page; empty: a free port
   std::vector<ComponentDefinition> spouts;
   std::vector<ComponentDefinition> bolts;
   config::Section root;

@@ -19,7 +19,7 @@ std::string count_of(std::size_t count, const std::string& thing) {
   return std::to_string(count) + " " + thing + (count == 1 ? "" : "s");
 }
 
-/// nullptr: the application of a component library made it.
+/// The component's definition; nullptr if the application of a component library made it.
 const ComponentDefinition* find_definition(const TopologyDefinition& definition, const std::string& id) {
   for (const auto* group : {&definition.spouts, &definition.bolts}) {
     for (const auto& component : *group) {
@@ -29,7 +29,7 @@ const ComponentDefinition* find_definition(const TopologyDefinition& definition,
   return nullptr;
 }
 
-/// An expression that stands on several lines of the file.
+/// Joins the lines of an expression.
 std::string on_one_line(const std::string& text) {
   std::string line;
   std::istringstream words(text);
@@ -47,7 +47,7 @@ std::string origin_of(const ComponentDefinition* definition, bool spout) {
          (endpoint.group.empty() ? "" : ", shared with all of group \"" + endpoint.group + "\"");
 }
 
-std::string describe_input(const Subscription& input, const InputDefinition* definition) {
+std::string describe_input(const InputSpec& input, const InputDefinition* definition) {
   std::string text = "  <- " + input.from;
   if (input.stream != default_stream) text += " stream \"" + input.stream + "\"";
   text += ", " + input.grouping;
@@ -62,7 +62,8 @@ std::string describe_input(const Subscription& input, const InputDefinition* def
   return text + "\n";
 }
 
-/// The definition of one of a bolt's inputs; the application's come first, those of the file after them, in order.
+/// Finds the definition of one of a bolt's inputs: the application's inputs come first, then those of the file, in
+/// order.
 const InputDefinition* find_input(const ComponentDefinition* definition, const ComponentSpec& spec, std::size_t i) {
   if (definition == nullptr) return nullptr;
   const std::size_t first = spec.inputs.size() - definition->inputs.size();
@@ -87,7 +88,7 @@ std::string describe_component(const ComponentSpec& spec, const ComponentDefinit
             " under way for each task\n";
   }
   if (definition != nullptr && definition->endpoint && !definition->endpoint->reading.dead_letter.empty()) {
-    text += "  what fails for good goes to topic \"" + definition->endpoint->reading.dead_letter + "\"\n";
+    text += "  messages that are given up go to topic \"" + definition->endpoint->reading.dead_letter + "\"\n";
   }
   if (definition != nullptr && definition->worker_scope) text += "  scope worker: each worker has its own\n";
   for (const auto& [name, stream] : streams) {
@@ -97,8 +98,8 @@ std::string describe_component(const ComponentSpec& spec, const ComponentDefinit
   return text;
 }
 
-/// Tuples of one driver meet in one worker, others do not.
-bool crosses_workers(const Subscription& input) {
+/// True if an input mixes tuples of several drivers: only tuples of one driver always reach the same worker.
+bool crosses_workers(const InputSpec& input) {
   if (input.grouping == "global" || input.grouping == "all") return true;
   const bool keyed = input.grouping == "fields" || input.grouping == "partial_key";
   return keyed && !input.fields.find("driverID") && !input.fields.find("sensorID");
@@ -112,7 +113,7 @@ std::string describe(const TopologyDefinition& definition, const Topology& topol
               ? "no registry is named: it runs in local mode only; \"zk.servers\" is for workers\n"
               : "registry " + brokers::printable_url(definition.registry.url) + ", drivers below " +
                     definition.zk_root + "\n";
-  if (!definition.runtime.acking) text += "acking is off: what fails is lost\n";
+  if (!definition.runtime.acking) text += "acking is off: messages whose tuples fail are lost\n";
   for (const auto& component : topology.components) {
     text += "\n" +
             describe_component(component, find_definition(definition, component.id), topology.streams.at(component.id));
@@ -121,7 +122,7 @@ std::string describe(const TopologyDefinition& definition, const Topology& topol
   if (crossed.empty()) return text;
   return text +
          "\nThese inputs reach across drivers, and each worker has only its own drivers' tuples: one worker alone may "
-         "run this; where each for itself is meant, say \"scope: worker\":\n" +
+         "run this, unless \"scope: worker\" says that each worker processes its own tuples only:\n" +
          crossed;
 }
 

@@ -9,7 +9,7 @@ using config::Section;
 
 namespace {
 
-/// `driver`, or `sensor` as the original system says.
+/// Reads `driver`, or the original system's `sensor`.
 std::string require_driver(Section& section) {
   if (!section.has("driver") && section.has("sensor")) {
     static_cast<void>(section.optional_string("driver"));
@@ -30,7 +30,7 @@ void read_fields(Section& section, EndpointDefinition& endpoint) {
     const FieldRole role = name == "driverID" || name == "sensorID" ? FieldRole::driver_id
                            : name == "time"                         ? FieldRole::time
                                                                     : FieldRole::payload;
-    if (!seen.insert(name).second) throw section.error("fields", "the field \"" + name + "\" stands here twice");
+    if (!seen.insert(name).second) throw section.error("fields", "the field \"" + name + "\" is named twice");
     if (!roles.insert(role).second) {
       throw section.error("fields", "\"" + name + "\" is a second field of the same meaning",
                           "one field takes the message's payload, driverID and time its metadata: "
@@ -45,7 +45,7 @@ void read_fields(Section& section, EndpointDefinition& endpoint) {
   endpoint.fields = Fields(names);
 }
 
-/// Which of the driver's instances: those for which the expression holds.
+/// Reads the expression that selects driver instances.
 discovery::Selection read_where(Section& section) {
   const auto text = section.optional_string("where");
   if (!text) return {};
@@ -77,7 +77,7 @@ void read_reading_options(Section& section, ReadingOptions& options) {
   options.max_tries = static_cast<int>(properties->int_or("maxTries", options.max_tries, 1, 1000));
   if (properties->optional_string("deadLetter")) options.dead_letter = require_name(*properties, "deadLetter");
   if (!options.dead_letter.empty() && options.automatic_ack) {
-    throw properties->error("deadLetter", "with \"ackMode: auto\" nobody hears of a tuple that failed",
+    throw properties->error("deadLetter", "with \"ackMode: auto\" the spout does not learn that a tuple failed",
                             "remove \"deadLetter\", or write \"ackMode: manual\"");
   }
   options.keep_last = static_cast<int>(properties->int_or("keepLast", options.keep_last, 0, 1'000'000));
@@ -102,7 +102,7 @@ void read_sending_options(Section& section, SendingOptions& options) {
 EndpointDefinition read_endpoint(Section& section, const std::vector<std::string>& brokers) {
   EndpointDefinition endpoint;
   endpoint.broker = section.require_choice("broker", brokers);
-  endpoint.driver = require_driver(section);
+  endpoint.driver = discovery::DriverName(require_driver(section));
   endpoint.channel = require_name(section, "channel");
   endpoint.where = read_where(section);
   endpoint.form =

@@ -11,9 +11,9 @@ EndpointFactories endpoint_factories(EndpointServicesPtr services) {
     services->after_stop.emplace_back([services = services.get(), endpoint = *spout.endpoint] {
       ReadingGroup::clear_up(*services->registry, readers_path(endpoint, *services));
     });
-    std::shared_ptr<DeadLetters> dead_letters;
+    std::shared_ptr<DeadLetterSender> dead_letters;
     const std::string& topic = spout.endpoint->reading.dead_letter;
-    if (!topic.empty()) dead_letters = std::make_shared<DeadLetters>(services, spout.id, topic);
+    if (!topic.empty()) dead_letters = std::make_shared<DeadLetterSender>(services, spout.id, topic);
     return [services, placement, dead_letters, endpoint = *spout.endpoint] {
       return std::make_unique<BrokerSpout>(services, placement, dead_letters, endpoint);
     };

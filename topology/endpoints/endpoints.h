@@ -5,8 +5,8 @@
 
 namespace iotcloud::topology {
 
-/// The factories of the spouts and bolts that face brokers. They connect when the topology starts: `services` may be
-/// filled until then.
+/// The factories of the spouts and bolts that face brokers. The components connect when the topology starts, so the
+/// caller may fill `services` until then.
 EndpointFactories endpoint_factories(EndpointServicesPtr services);
 
 }  // namespace iotcloud::topology

@@ -19,6 +19,17 @@ brokers::Topic topic_of(const discovery::ChannelRecord& channel) {
   return {property(channel, "exchange"), std::move(name), property(channel, "durable") == "true"};
 }
 
+std::string misfit(const discovery::ChannelRecord& channel, discovery::Direction wanted, const std::string& broker) {
+  if (channel.direction != wanted) {
+    return wanted == discovery::Direction::out ? "it brings messages to the driver, so there is nothing to read"
+                                               : "it brings messages from the driver";
+  }
+  if (channel.transport != broker) {
+    return "it uses the broker \"" + channel.transport + "\", and the topology names \"" + broker + "\"";
+  }
+  return topic_of(channel).name.empty() ? "its record names no topic" : "";
+}
+
 brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const EndpointServices& services) {
   brokers::BrokerAddress address{channel.transport, {}};
   const auto options = services.broker_options.find(channel.transport);
@@ -31,7 +42,7 @@ brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const
 }
 
 const std::string& group_of(const EndpointDefinition& endpoint, const EndpointServices& services) {
-  return endpoint.group.empty() ? services.topology : endpoint.group;
+  return endpoint.group.empty() ? services.topology.str() : endpoint.group;
 }
 
 std::string readers_path(const EndpointDefinition& endpoint, const EndpointServices& services) {

@@ -12,38 +12,42 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
-#include <iotcloud/topology/endpoints/fence.h>
+#include <iotcloud/topology/endpoints/standstill_fence.h>
 
 namespace iotcloud::topology {
 
-/// What the endpoints of a worker share. Filled by the worker before the topology starts, constant from then on.
+/// What the endpoints of a worker share. The worker fills it before the topology starts; it is constant from then on.
 struct EndpointServices {
-  std::string topology;                     ///< name: the group that reads, where the spout names no other
+  discovery::TopologyName topology;         ///< also the name of a spout's group if YAML sets none
   std::string worker;                       ///< this worker's name below Paths::workers(topology)
-  discovery::Registry* registry = nullptr;  ///< outlives the topology's run
+  discovery::Registry* registry = nullptr;  ///< must outlive the topology
   discovery::Paths paths;
-  /// By logical name: how to connect. URLs, when there are some, go before those of the channels.
+  /// By logical broker name: how to connect. URLs that are set here replace those in the channels' records.
   std::map<std::string, brokers::BrokerOptions> broker_options;
-  brokers::BrokerOptions other_brokers;  ///< how to connect to those that broker_options does not name
+  brokers::BrokerOptions other_brokers;  ///< for brokers that broker_options does not name
   std::shared_ptr<brokers::BrokerPool> brokers;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
-  std::shared_ptr<Fence> fence = std::make_shared<Fence>();  ///< never null
-  std::vector<std::function<void()>> before_stop;            ///< the worker calls them before it stops the topology
-  std::vector<std::function<void()>> after_stop;             ///< and when it has left the registry
+  std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();  ///< never null
+  std::vector<std::function<void()>> before_stop;  ///< the worker calls these before it stops the topology
+  std::vector<std::function<void()>> after_stop;   ///< the worker calls these when it has left the registry
 };
 using EndpointServicesPtr = std::shared_ptr<EndpointServices>;
 
-/// Where a channel's messages are.
+/// The topic of a channel, as its record says.
 brokers::Topic topic_of(const discovery::ChannelRecord& channel);
+/// Why an endpoint that uses the logical broker `broker` cannot use this channel, as a text for the log; empty: it can.
+/// \param wanted out: the endpoint reads the channel; in: it sends to it.
+std::string misfit(const discovery::ChannelRecord& channel, discovery::Direction wanted, const std::string& broker);
+/// The servers of a channel's broker: those that the topology's file names, or else those of the channel's record.
 brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const EndpointServices& services);
-/// Who reads together: what the broker knows the readers by.
+/// The name of the group whose workers share the channel's messages; the broker gets it as the consumers' group.
 const std::string& group_of(const EndpointDefinition& endpoint, const EndpointServices& services);
-/// Where the records of those readers are.
+/// The registry's node of that group's readers for the endpoint's channel.
 std::string readers_path(const EndpointDefinition& endpoint, const EndpointServices& services);
-/// The channel's priority, as its driver says.
+/// The channel's priority, 0 to 9, from its record; normal_priority if there is none.
 std::uint8_t priority_of(const discovery::ChannelRecord& channel);
-/// The broker of an address. \throws config::Error when it cannot be used.
+/// The client of the broker at an address. \throws config::Error when it cannot be used.
 std::shared_ptr<brokers::Broker> broker_at(const brokers::BrokerAddress& address, const EndpointServices& services);
 
 }  // namespace iotcloud::topology

@@ -1,8 +1,8 @@
 #include <atomic>
-#include <mutex>
 #include <thread>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/fleet/in_process_launcher.h>
 #include <iotcloud/gateway/gateway.h>
 #include <iotcloud/topology/local/local_cluster.h>
@@ -69,7 +69,7 @@ struct LocalCluster::Impl {
     while (!master->status().leading) {
       if (Clock::now() > deadline) {
         throw config::Error("the master of the local cluster \"" + options.name +
-                            "\" was not elected within 10 s; is the registry there?");
+                            "\" was not elected within 10 s; check that its registry can be reached");
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
@@ -86,13 +86,13 @@ struct LocalCluster::Impl {
     if (!options.plugin_dir.empty()) worker.library_folders.push_back(options.plugin_dir);
     auto started = std::make_unique<topology::Worker>(std::move(worker));
     started->start();
-    const std::lock_guard lock(mutex);
+    const config::MutexLock lock(mutex);
     workers.push_back(std::move(started));
     return *workers.back();
   }
 
-  std::string deploy(const std::string& plugin, const std::map<std::string, std::string>& properties,
-                     const std::string& gateway) {
+  discovery::InstanceId deploy(const std::string& plugin, const std::map<std::string, std::string>& properties,
+                               const discovery::GatewayId& gateway) {
     master::DeployRequest request;
     request.plugin = plugin;
     request.properties = properties;
@@ -100,8 +100,8 @@ struct LocalCluster::Impl {
     return done("deploy " + plugin, master->deploy(request));
   }
 
-  /// The instance of an order that must have been done.
-  static std::string done(const std::string& order, const master::OrderResult& result) {
+  /// The instance that an order with one outcome is about. \throws config::Error unless the order was done.
+  static discovery::InstanceId done(const std::string& order, const master::OrderResult& result) {
     if (!result.all_done() || result.outcomes.size() != 1) {
       throw config::Error(order + ": " + (result.text.empty() ? result.summary() : result.text));
     }
@@ -109,7 +109,7 @@ struct LocalCluster::Impl {
   }
 
   bool stop(std::chrono::milliseconds limit) {
-    const std::lock_guard lock(mutex);
+    const config::MutexLock lock(mutex);
     if (stopped) return in_time;
     stopped = true;
     const auto deadline = Clock::now() + limit;
@@ -137,10 +137,10 @@ struct LocalCluster::Impl {
   std::unique_ptr<discovery::Registry> registry;
   std::unique_ptr<master::Master> master;
   std::vector<std::unique_ptr<gateway::Gateway>> gateways;
-  std::mutex mutex;
-  std::vector<std::unique_ptr<topology::Worker>> workers;  ///< guarded by mutex
-  bool stopped = false;                                    ///< guarded by mutex
-  bool in_time = true;                                     ///< guarded by mutex
+  config::Mutex mutex;
+  std::vector<std::unique_ptr<topology::Worker>> workers IOTCLOUD_GUARDED_BY(mutex);
+  bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
+  bool in_time IOTCLOUD_GUARDED_BY(mutex) = true;
 };
 
 LocalCluster::LocalCluster(LocalOptions options) : impl_(std::make_unique<Impl>(std::move(options))) {}
@@ -158,12 +158,13 @@ topology::Worker& LocalCluster::run_topology(topology::TopologyDefinition defini
   return impl_->run(std::move(definition), std::move(components));
 }
 
-std::string LocalCluster::deploy(const std::string& plugin, const std::map<std::string, std::string>& properties,
-                                 const std::string& gateway) {
+discovery::InstanceId LocalCluster::deploy(const std::string& plugin,
+                                           const std::map<std::string, std::string>& properties,
+                                           const discovery::GatewayId& gateway) {
   return impl_->deploy(plugin, properties, gateway);
 }
 
-void LocalCluster::undeploy(const std::string& instance) {
+void LocalCluster::undeploy(const discovery::InstanceId& instance) {
   master::InstanceSelection selection;
   selection.instances = {instance};
   Impl::done("undeploy " + instance, impl_->master->undeploy(selection));

@@ -9,7 +9,7 @@ namespace iotcloud::topology {
 
 namespace {
 
-/// What goes into one spout from outside: a queue for each of its tasks.
+/// The tuples that put() gave a spout and that it has not emitted yet: a queue for each of its tasks.
 struct Feed {
   explicit Feed(int tasks) : waiting(static_cast<std::size_t>(tasks)), wakers(waiting.size()) {}
   void add(Values values) { waiting[next++ % waiting.size()].push_back(std::move(values)); }
@@ -22,11 +22,11 @@ struct Feed {
   std::size_t next = 0;
 };
 
-/// Stands in for a spout.
+/// Replaces a spout: emits what its Feed holds.
 class FedSpout final : public Spout {
  public:
   explicit FedSpout(std::shared_ptr<Feed> feed) : feed_(std::move(feed)) {}
-  void declare_output_fields(OutputFieldsDeclarer&) const override {}  // the topology knows them already
+  void declare_output_fields(OutputFieldsDeclarer&) const override {}  // build() asked the spout that this one replaces
   void open(const Config&, const TopologyContext& context, SpoutOutputCollector& collector) override {
     collector_ = &collector;
     const auto index = static_cast<std::size_t>(context.task_index);
@@ -71,7 +71,7 @@ struct SimulatedTopology::Impl {
     runtime_options.message_timeout = options.message_timeout;
     runtime = std::make_unique<Runtime>(std::move(fed), runtime_options);
     for (const auto& [component, streams] : topology.streams) {
-      if (!streams.empty()) watch(component);  // of one that emits nothing a tap would show what it executes
+      if (!streams.empty()) watch(component);  // a tap on a component that emits nothing shows what it executes
     }
   }
 

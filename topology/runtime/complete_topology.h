@@ -13,10 +13,10 @@
 
 namespace iotcloud::topology {
 
-/// Time that passes only when told to. Thread safe.
+/// A clock whose time passes only in advance(). Thread safe.
 class SimulatedClock final : public config::Clock {
  public:
-  /// Begins at 2020-01-01 00:00:00 UTC.
+  /// The first answer is 2020-01-01 00:00:00 UTC.
   Instant now() const override { return Instant(std::chrono::nanoseconds(ns_.load())); }
   std::int64_t wall_ms() const override { return ns_.load() / 1'000'000; }
   void advance(std::chrono::nanoseconds by) { ns_.fetch_add(by.count()); }
@@ -25,7 +25,7 @@ class SimulatedClock final : public config::Clock {
   std::atomic<std::int64_t> ns_{1'577'836'800'000'000'000};
 };
 
-/// What a component emitted while the topology ran.
+/// A tuple that a component emitted while the topology ran.
 struct EmittedTuple {
   std::string component;
   std::string stream;
@@ -34,29 +34,29 @@ struct EmittedTuple {
   std::vector<Value> values;
 };
 
-/// A topology that runs on the caller's thread in simulated time, for tests of users' topologies: put tuples in, let
-/// time pass, look at all that was emitted. Nothing sleeps. Not thread safe.
+/// Runs a topology on the caller's thread in simulated time, for tests of users' topologies: a test puts tuples in,
+/// lets time pass, and looks at all that was emitted. Nothing sleeps. Not thread safe.
 class SimulatedTopology {
  public:
   struct Options {
-    /// Spouts (by id) that emit what put() gives them, tracked, instead of running at all. Others run as they are.
+    /// Ids of spouts that are replaced: they emit, tracked, what put() gives them. All other spouts run unchanged.
     std::set<std::string> inputs;
     std::chrono::milliseconds message_timeout{30000};
-    /// Ticks, time-outs and the like happen at multiples of this.
+    /// Simulated time stops at multiples of this, where ticks, time-outs and polls that are due happen.
     std::chrono::milliseconds step{1};
   };
-  /// Starts it and runs what there is to do at time 0.
+  /// Starts the topology and runs its tasks at time 0 until none has work.
   /// \throws TopologyError for an input that names no spout, and what Runtime::start() throws.
   SimulatedTopology(const Topology& topology, Options options);
   ~SimulatedTopology();
   SimulatedTopology(const SimulatedTopology&) = delete;
   SimulatedTopology& operator=(const SimulatedTopology&) = delete;
 
-  /// The spout emits these now, on its default stream; its tasks take turns. Returns when nothing is left to do.
+  /// Makes the spout emit these tuples now, on its default stream; its tasks take turns. Returns when no task has work.
   /// \throws std::invalid_argument when the spout is not among the inputs.
   void put(const std::string& spout, std::vector<Values> tuples);
   void put(const std::string& spout, Values values);
-  /// Lets time pass, and what it brings happen.
+  /// Lets `time` pass in steps, and after each runs what became due.
   void advance(std::chrono::nanoseconds time);
 
   std::chrono::nanoseconds time() const;             ///< since the start
@@ -71,35 +71,38 @@ class SimulatedTopology {
   std::unique_ptr<Impl> impl_;
 };
 
-/// A tuple that a spout emits at a time of its own.
+/// A tuple, and when a spout emits it.
 struct TimedInput {
   std::chrono::nanoseconds at{0};  ///< simulated time since the start
   Values values;
 };
 
+/// What complete_topology() puts in, and how long it runs.
 struct CompleteOptions {
-  /// Spouts (by id) that emit these tuples on their default stream, tracked, instead of running at all. With several
-  /// tasks they take turns.
+  /// By id of a spout, which is replaced: the tuples that it emits at the start, tracked, on its default stream. Its
+  /// tasks take turns.
   std::map<std::string, std::vector<Values>> inputs;
-  /// As `inputs`, at the given times; a spout may have both. In any order; those of the same time in the given one.
+  /// As `inputs`, but each tuple at its time; a spout may have both. The tuples may stand in any order; those of the
+  /// same time are emitted in the order in which they stand.
   std::map<std::string, std::vector<TimedInput>> timed_inputs;
-  /// Simulated time to pass after the input is used up, in steps of `step`: ticks and time-outs happen.
+  /// How much simulated time passes after the last input, in steps of `step`, so that ticks and time-outs happen.
   std::chrono::milliseconds run_for{0};
   std::chrono::milliseconds step{1};
   std::chrono::milliseconds message_timeout{30000};
 };
 
+/// The result of complete_topology().
 struct CompletedTopology {
   std::vector<EmittedTuple> emitted;  ///< by all components to all streams, in order
-  Snapshot snapshot;                  ///< counts of the end, before it was stopped
+  Snapshot snapshot;                  ///< taken at the end, before the topology was stopped
 
   /// The values that a component emitted to a stream, in order.
   std::vector<std::vector<Value>> tuples(const std::string& component,
                                          const std::string& stream = default_stream) const;
 };
 
-/// Runs a topology on fixed input until nothing is left to do, as a SimulatedTopology, and collects all that was
-/// emitted. \throws as SimulatedTopology does.
+/// Runs a topology as a SimulatedTopology on fixed input until no task has work, and collects all that was emitted.
+/// \throws what SimulatedTopology throws.
 CompletedTopology complete_topology(const Topology& topology, const CompleteOptions& options);
 
 }  // namespace iotcloud::topology

@@ -6,13 +6,13 @@
 
 namespace iotcloud::topology {
 
-/// A loaded component library. Its code stays in the process to its end (code with threads, thread_local destructors or
-/// unique symbols cannot be unloaded safely), so factories and objects that come from it never dangle.
+/// A loaded component library. Its code stays loaded until the process ends, because code with threads, thread_local
+/// destructors or unique symbols cannot be unloaded safely. So factories and objects that come from it never dangle.
 class ComponentLibrary {
  public:
-  /// Loads the shared library and checks its descriptor before any C++ call into it.
+  /// Loads the shared library, and checks its descriptor before it makes any C++ call into it.
   /// \throws config::Error when the file cannot be loaded, is no component library, or was built with another SDK or
-  /// compiler; the message says which, and what would be right.
+  /// compiler; the message says which of these, and what would be right.
   explicit ComponentLibrary(std::string path);
 
   /// Lets the library register its components and application.
@@ -26,7 +26,7 @@ class ComponentLibrary {
   const LibraryDescriptor* descriptor_;
 };
 
-/// Loads and registers in one step. \throws config::Error as the members do.
+/// Loads a component library and lets it register its components. \throws config::Error as the members do.
 ComponentLibrary load_components(const std::string& path, ComponentRegistry& registry);
 
 }  // namespace iotcloud::topology

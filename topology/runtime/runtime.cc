@@ -3,11 +3,13 @@
 #include <set>
 #include <thread>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/topology/runtime/logger.h>
 #include <iotcloud/topology/runtime/runtime.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/timers.h>
 #include <iotcloud/topology/runtime/task_graph.h>
+#include <iotcloud/topology/runtime/tasks/emitting_lane.h>
 
 namespace iotcloud::topology {
 
@@ -15,8 +17,8 @@ using internal::Task;
 
 namespace {
 
-constexpr config::Logger logger{"topology"};
-// Between two looks at hanging tasks and at how busy all are.
+// Limits of the time between two rounds, in which go_round() looks for hanging tasks and measures how busy each task
+// is.
 constexpr std::chrono::milliseconds shortest_round{10};
 constexpr std::chrono::milliseconds longest_round{5000};
 
@@ -62,7 +64,7 @@ class Runtime::Impl {
         metrics_(options_.metrics != nullptr ? *options_.metrics : config::process_metrics()),
         clock_is_real_(&clock_ == &config::system_clock()),
         timers_(clock_, clock_is_real_),
-        scheduler_(options_.threads, options_.caller_slice, options_.long_slice, count_tasks(), timers_),
+        scheduler_(options_.threads, options_.caller_slice, options_.long_slice, emitting_lanes(), timers_),
         graph_(topology_, {&scheduler_, &timers_, &clock_, &options_, clock_is_real_, false}, metrics_) {
     metrics_source_ = metrics_.add_source([this](std::vector<config::Sample>& samples) {
       for (const auto& task : graph_.tasks()) task->collect(samples);
@@ -73,12 +75,13 @@ class Runtime::Impl {
     stop(std::chrono::milliseconds(0));
     timers_.stop();
     scheduler_.join();
-    for (internal::SpoutTask* spout : graph_.spouts()) spout->gate().shut();  // nobody runs any task any more
-    for (const auto& task : graph_.tasks()) task->close();  // those that were in user code when it stopped
+    for (internal::SpoutTask* spout : graph_.spouts()) spout->gate().shut();  // no thread runs a task any more
+    // does something only for tasks that were in user code in stop()
+    for (const auto& task : graph_.tasks()) task->close();
   }
 
   void start() {
-    graph_.prepare(scheduler_.spare_lane());
+    graph_.prepare(internal::EmittingLane::of(scheduler_.spare_lane()));
     scheduler_.start();
     if (clock_is_real_ || options_.threads > 0) {
       const auto often_enough = options_.hang_after.count() > 0 ? options_.hang_after / 2 : longest_round;
@@ -96,24 +99,24 @@ class Runtime::Impl {
   }
 
   bool stop(std::chrono::milliseconds limit) {
-    const std::lock_guard lock(stop_mutex_);
+    const config::MutexLock lock(stop_mutex_);
     if (stopped_) return stopped_in_time_;
     stopped_ = true;
     stopped_in_time_ = true;
     if (!started_) return true;
     const auto deadline = std::chrono::steady_clock::now() + limit;
     set_active(false);
-    const bool drained = drain(deadline);  // ticks go on: bolts that ack at a tick have to
+    const bool drained = drain(deadline);  // ticks go on, because some bolts ack their tuples at a tick
     timers_.end_periodic();
     scheduler_.halt();
     const bool quiet = scheduler_.wait_halted(deadline);
-    // Sources before those they feed, as they were made.
+    // A source is closed before the bolts that it feeds: tasks() has this order.
     for (const auto& task : graph_.tasks()) {
       if (!scheduler_.runs(*task)) {
         task->close();
       } else if (limit.count() > 0) {
-        logger.error("{}: component {}, task {} does not return from user code", topology_.name,
-                     task->context().component, task->id());
+        logger.error("{}: component {}, task {} has not returned from user code; it is cleaned up when it does",
+                     topology_.name, task->context().component, task->id());
       }
     }
     stopped_in_time_ = drained && quiet;
@@ -158,9 +161,9 @@ class Runtime::Impl {
       std::vector<std::shared_ptr<internal::TapPoint>> points_;
     };
     if (!graph_.tasks_of().contains(component)) throw std::invalid_argument(no_component(component));
-    const auto one_at_a_time = [mutex = std::make_shared<std::mutex>(), call = std::move(call)](const Tuple& tuple,
-                                                                                                int task) {
-      const std::lock_guard lock(*mutex);
+    const auto one_at_a_time = [mutex = std::make_shared<config::Mutex>(), call = std::move(call)](const Tuple& tuple,
+                                                                                                   int task) {
+      const config::MutexLock lock(*mutex);
       call(tuple, task);
     };
     std::vector<std::shared_ptr<internal::TapPoint>> points;
@@ -183,13 +186,19 @@ class Runtime::Impl {
     return count;
   }
 
+  internal::Scheduler::MakeLane emitting_lanes() const {
+    return [tasks = count_tasks()](internal::Scheduler& scheduler) {
+      return std::make_unique<internal::EmittingLane>(scheduler, tasks);
+    };
+  }
+
   std::string no_component(const std::string& id) const {
     std::string known;
     for (const ComponentSpec& spec : topology_.components) known += (known.empty() ? "" : ", ") + spec.id;
     return "topology \"" + topology_.name + "\" has no component \"" + id + "\"; it has: " + known;
   }
 
-  /// Once in a while, on the timers' thread.
+  /// The timers' thread calls it once in a round.
   void go_round() {
     if (options_.hang_after.count() > 0) scheduler_.report_hanging(options_.hang_after);
     const std::int64_t now =
@@ -220,10 +229,10 @@ class Runtime::Impl {
   internal::TaskGraph graph_;
   std::atomic<bool> active_{true};
   std::atomic<bool> started_{false};
-  std::mutex stop_mutex_;
-  bool stopped_ = false;                                ///< guarded by stop_mutex_
-  bool stopped_in_time_ = false;                        ///< guarded by stop_mutex_
-  config::Metrics::SourceRegistration metrics_source_;  ///< dies first: it reads the tasks
+  config::Mutex stop_mutex_;
+  bool stopped_ IOTCLOUD_GUARDED_BY(stop_mutex_) = false;
+  bool stopped_in_time_ IOTCLOUD_GUARDED_BY(stop_mutex_) = false;
+  config::Metrics::SourceRegistration metrics_source_;  ///< destroyed first, because it reads the tasks
 };
 
 Runtime::Runtime(Topology topology, RuntimeOptions options)

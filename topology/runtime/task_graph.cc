@@ -6,7 +6,7 @@ namespace iotcloud::topology::internal {
 
 namespace {
 
-/// Runs user code of set-up; what it throws becomes a TopologyError that names the component.
+/// Runs user code during set-up, and turns what it throws into a TopologyError that names the component.
 template <typename Call>
 auto set_up(const std::string& component, const std::string& what, Call&& call) {
   try {
@@ -22,24 +22,23 @@ auto set_up(const std::string& component, const std::string& what, Call&& call) 
 
 bool has_deadlines(const Topology& topology) {
   return std::any_of(topology.components.begin(), topology.components.end(), [](const ComponentSpec& spec) {
-    return spec.deadline.count() > 0 ||
-           std::any_of(spec.inputs.begin(), spec.inputs.end(),
-                       [](const Subscription& input) { return input.deadline.count() > 0; });
+    return spec.deadline.count() > 0 || std::any_of(spec.inputs.begin(), spec.inputs.end(),
+                                                    [](const InputSpec& input) { return input.deadline.count() > 0; });
   });
 }
 
 }  // namespace
 
-TaskGraph::TaskGraph(const Topology& topology, Surroundings around, config::Metrics& metrics)
-    : topology_(topology), around_(around), metrics_(metrics) {
-  around_.has_deadlines = has_deadlines(topology) || around_.options->births;
+TaskGraph::TaskGraph(const Topology& topology, TaskEnvironment environment, config::Metrics& metrics)
+    : topology_(topology), environment_(environment), metrics_(metrics) {
+  environment_.has_deadlines = has_deadlines(topology) || environment_.options->births;
   name_tasks();
   for (const ComponentSpec& spec : topology_.components) make_tasks(spec);
   for (const auto& task : tasks_) task->emitter().set_up(streams_of(*task), &bolts_, task.get());
 }
 
 TaskGraph::~TaskGraph() {
-  // Tuples that bolts keep may still tell the spouts' tasks of their end.
+  // Destroying a tuple that a bolt kept tells the spout's task that the tree was given up: do it while that task lives.
   for (BoltTask* bolt : bolts_) {
     if (bolt != nullptr) bolt->discard();
   }
@@ -74,13 +73,13 @@ TopologyContext TaskGraph::context_of(const ComponentSpec& spec, std::size_t ind
   context.task_index = static_cast<int>(index);
   context.task_count = spec.tasks;
   context.tasks_of = tasks_of_;
-  for (const Subscription& input : spec.inputs) {
+  for (const InputSpec& input : spec.inputs) {
     std::pair source(input.from, input.stream);
     if (std::find(context.inputs.begin(), context.inputs.end(), source) == context.inputs.end()) {
       context.inputs.push_back(std::move(source));
     }
   }
-  context.clock = around_.clock;
+  context.clock = environment_.clock;
   context.metrics = &metrics_;
   return context;
 }
@@ -92,39 +91,39 @@ void TaskGraph::make_tasks(const ComponentSpec& spec) {
       auto spout = set_up(spec.id, "its factory", [&] { return spec.spout(); });
       auto gate = std::make_shared<WakeGate>();
       context.waker = SpoutWaker(gate);
-      auto task = std::make_unique<SpoutTask>(around_, std::move(context), std::move(spout), std::move(gate),
-                                              spec.max_spout_pending.value_or(around_.options->max_spout_pending));
+      auto task = std::make_unique<SpoutTask>(environment_, executors_.at(spec.id), std::move(context),
+                                              std::move(spout), std::move(gate),
+                                              spec.max_spout_pending.value_or(environment_.options->max_spout_pending));
       spouts_.push_back(task.get());
       tasks_.push_back(std::move(task));
     } else {
       auto bolt = set_up(spec.id, "its factory", [&] { return spec.bolt(); });
-      auto task =
-          std::make_unique<BoltTask>(around_, std::move(context), std::move(bolt), intake_of(spec), &tick_stream_);
+      auto task = std::make_unique<BoltTask>(environment_, executors_.at(spec.id), std::move(context), std::move(bolt),
+                                             input_policies_of(spec), &tick_stream_);
       bolts_[static_cast<std::size_t>(task->id())] = task.get();
       tasks_.push_back(std::move(task));
     }
-    tasks_.back()->executors = &executors_.at(spec.id);
   }
 }
 
-Intake TaskGraph::intake_of(const ComponentSpec& bolt) const {
-  Intake intake;
-  intake.late_stream = bolt.late_stream;
-  for (const Subscription& input : bolt.inputs) {
+InputPolicies TaskGraph::input_policies_of(const ComponentSpec& bolt) const {
+  InputPolicies policies;
+  policies.late_stream = bolt.late_stream;
+  for (const InputSpec& input : bolt.inputs) {
     const auto* stream = &stream_infos_.at({input.from, input.stream});
     const auto shorter = bolt.deadline.count() == 0    ? input.deadline
                          : input.deadline.count() == 0 ? bolt.deadline
                                                        : std::min(bolt.deadline, input.deadline);
-    if (shorter.count() > 0) intake.deadlines.push_back({stream, std::chrono::nanoseconds(shorter).count()});
+    if (shorter.count() > 0) policies.deadlines.push_back({stream, std::chrono::nanoseconds(shorter).count()});
     if (input.keep_last == 0) continue;
-    KeepLast& keep = intake.keep_last.emplace_back();
+    KeepLast& keep = policies.keep_last.emplace_back();
     keep.stream = stream;
     keep.keep = input.keep_last;
     for (const std::string& name : input.keep_key.empty() ? input.fields : input.keep_key) {
       keep.key.push_back(stream->fields.find(name).value());  // build() checked that it is there
     }
   }
-  return intake;
+  return policies;
 }
 
 std::vector<OutStream> TaskGraph::streams_of(const Task& emitter) const {
@@ -137,7 +136,7 @@ std::vector<OutStream> TaskGraph::streams_of(const Task& emitter) const {
     const StreamSpec& spec = declaration;
     OutStream out{&stream_infos_.at({component, name}), spec.direct, {}};
     for (const ComponentSpec& reader : topology_.components) {
-      for (const Subscription& input : reader.inputs) {
+      for (const InputSpec& input : reader.inputs) {
         if (input.from != component || input.stream != name) continue;
         Edge edge{nullptr, &tasks_of_->at(reader.id), input.grouping == "custom"};
         const bool one_for_all = edge.targets->size() == 1 && !edge.custom;
@@ -155,7 +154,7 @@ std::vector<OutStream> TaskGraph::streams_of(const Task& emitter) const {
   return streams;
 }
 
-void TaskGraph::prepare(Lane& lane) {
+void TaskGraph::prepare(EmittingLane& lane) {
   try {
     for (auto task = tasks_.rbegin(); task != tasks_.rend(); ++task) {
       const std::string& id = (*task)->context().component;

@@ -12,22 +12,23 @@
 
 namespace iotcloud::topology::internal {
 
-/// All tasks of a topology, connected. Constant once it is made, the tasks' own state apart.
+/// All tasks of a topology, connected. Only the tasks' own state changes after the constructor.
 class TaskGraph {
  public:
-  /// Makes the tasks; starts nothing. `topology` outlives it. \throws TopologyError when a factory or a grouping
-  /// throws.
-  TaskGraph(const Topology& topology, Surroundings around, config::Metrics& metrics);
-  /// When nothing runs any task any more.
+  /// Makes the tasks; starts nothing. `topology` must outlive the graph. \throws TopologyError when a factory or a
+  /// grouping throws.
+  TaskGraph(const Topology& topology, TaskEnvironment environment, config::Metrics& metrics);
+  /// \pre no thread runs a task any more.
   ~TaskGraph();
   TaskGraph(const TaskGraph&) = delete;
   TaskGraph& operator=(const TaskGraph&) = delete;
 
-  /// Prepares bolts before what feeds them, and opens spouts. \throws TopologyError when one throws: those that were
-  /// opened are closed again.
-  void prepare(Lane& lane);
+  /// Prepares bolts and opens spouts, each component before those that feed it. \throws TopologyError when one of them
+  /// throws, after closing those that were opened before.
+  void prepare(EmittingLane& lane);
 
-  const std::vector<std::unique_ptr<Task>>& tasks() const { return tasks_; }  ///< sources before those they feed
+  /// Sources stand before the bolts that they feed.
+  const std::vector<std::unique_ptr<Task>>& tasks() const { return tasks_; }
   const std::vector<SpoutTask*>& spouts() const { return spouts_; }
   const ComponentSpec& spec_of(const Task& task) const;
   const std::map<std::string, std::vector<int>>& tasks_of() const { return *tasks_of_; }
@@ -38,18 +39,19 @@ class TaskGraph {
   void name_tasks();
   TopologyContext context_of(const ComponentSpec& spec, std::size_t index) const;
   void make_tasks(const ComponentSpec& spec);
-  Intake intake_of(const ComponentSpec& bolt) const;
+  InputPolicies input_policies_of(const ComponentSpec& bolt) const;
   std::vector<OutStream> streams_of(const Task& emitter) const;
 
   const Topology& topology_;
-  Surroundings around_;
+  TaskEnvironment environment_;
   config::Metrics& metrics_;
   std::shared_ptr<const std::map<std::string, std::vector<int>>> tasks_of_;
   std::map<std::string, Executors> executors_;
-  std::map<std::pair<std::string, std::string>, detail::StreamInfo> stream_infos_;  ///< nodes stay where they are
+  /// Tuples point to the values, which a map never moves.
+  std::map<std::pair<std::string, std::string>, detail::StreamInfo> stream_infos_;
   const detail::StreamInfo tick_stream_{system_component, tick_stream, {}};
   std::vector<std::unique_ptr<Task>> tasks_;
-  std::vector<BoltTask*> bolts_;  ///< by task id; null where that is no bolt
+  std::vector<BoltTask*> bolts_;  ///< index: task id; null for a spout's task
   std::vector<SpoutTask*> spouts_;
 };
 

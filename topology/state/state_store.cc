@@ -1,9 +1,9 @@
-#include <mutex>
 #include <string_view>
 #include <tuple>
 #include <utility>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/state/rocksdb/rocksdb_store.h>
 #include <iotcloud/topology/state/state_store.h>
 
@@ -14,13 +14,13 @@ namespace {
 class MemoryStore final : public StateStore {
  public:
   StoredState load(const StateOwner& owner) override {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     check(owner);
     const auto found = states_.find({owner.topology, owner.component, owner.task_index});
     return found == states_.end() ? StoredState{} : found->second;
   }
   void commit(const StateOwner& owner, const Checkpoint& checkpoint) override {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     check(owner);
     task_counts_[{owner.topology, owner.component}] = owner.task_count;
     StoredState& state = states_[{owner.topology, owner.component, owner.task_index}];
@@ -35,22 +35,22 @@ class MemoryStore final : public StateStore {
   }
 
  private:
-  void check(const StateOwner& owner) const {
+  void check(const StateOwner& owner) const IOTCLOUD_REQUIRES(mutex_) {
     const auto known = task_counts_.find({owner.topology, owner.component});
     if (known != task_counts_.end()) internal::check_task_count(owner, known->second);
   }
-  std::mutex mutex_;
-  std::map<std::pair<std::string, std::string>, int> task_counts_;           ///< guarded by mutex_
-  std::map<std::tuple<std::string, std::string, int>, StoredState> states_;  ///< guarded by mutex_
+  config::Mutex mutex_;
+  std::map<std::pair<std::string, std::string>, int> task_counts_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::map<std::tuple<std::string, std::string, int>, StoredState> states_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
-/// The stores of this process. A store in memory lives in no other place, so it is kept; others as long as they are
-/// used.
+/// The open stores of this process. It keeps stores in memory for ever, because nothing else has their data, and other
+/// stores as long as they are used.
 class OpenStores {
  public:
   std::shared_ptr<StateStore> open(const std::string& url) {
     static constexpr std::string_view memory = "memory://", rocksdb = "rocksdb://";
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (auto store = used_[url].lock()) return store;
     std::shared_ptr<StateStore> store;
     if (url.starts_with(memory) && url.size() > memory.size()) {
@@ -66,9 +66,9 @@ class OpenStores {
   }
 
  private:
-  std::mutex mutex_;
-  std::map<std::string, std::weak_ptr<StateStore>> used_;  ///< guarded by mutex_
-  std::vector<std::shared_ptr<StateStore>> kept_;          ///< guarded by mutex_
+  config::Mutex mutex_;
+  std::map<std::string, std::weak_ptr<StateStore>> used_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::vector<std::shared_ptr<StateStore>> kept_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace
@@ -80,7 +80,8 @@ void check_task_count(const StateOwner& owner, int stored) {
   throw StateError("the state of component \"" + owner.component + "\" of topology \"" + owner.topology +
                    "\" was written by " + std::to_string(stored) + " tasks, and now there are " +
                    std::to_string(owner.task_count) +
-                   ": its keys would be at other tasks. Set tasks back (the parallelism may change), or name another "
+                   ", so keys would go to other tasks. Set the old number of tasks again (the parallelism may change), "
+                   "or name another "
                    "store (state.store) to begin anew");
 }
 

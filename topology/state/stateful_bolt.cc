@@ -1,8 +1,8 @@
-#include <mutex>
 #include <optional>
 #include <stdexcept>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/state/stateful_bolt.h>
 
@@ -29,20 +29,20 @@ StateOptions configured(StateOptions options, const Config& config) {
   return options;
 }
 
-/// Passes on all but acks.
+/// Holds acks back and passes on everything else.
 class HoldingCollector final : public OutputCollector {
  public:
   explicit HoldingCollector(OutputCollector& collector) : collector_(collector) {}
   void ack(const Tuple& tuple) override {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     held_.push_back(tuple);
   }
   void fail(const Tuple& tuple) override { collector_.fail(tuple); }
   void reset_timeout(const Tuple& tuple) override { collector_.reset_timeout(tuple); }
   void report_error(const std::string& text) override { collector_.report_error(text); }
-  /// What was acked so far.
+  /// Takes the tuples acked so far.
   std::vector<Tuple> take() {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     return std::exchange(held_, {});
   }
 
@@ -57,11 +57,11 @@ class HoldingCollector final : public OutputCollector {
 
  private:
   OutputCollector& collector_;
-  std::mutex mutex_;
-  std::vector<Tuple> held_;  ///< guarded by mutex_
+  config::Mutex mutex_;
+  std::vector<Tuple> held_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
-/// Storm's StatefulBoltExecutor.
+/// Runs a StatefulBolt as a Bolt: holds its acks and makes the checkpoints, like Storm's StatefulBoltExecutor.
 class StatefulBoltExecutor final : public Bolt {
  public:
   StatefulBoltExecutor(std::unique_ptr<StatefulBolt> bolt, StateOptions options)
@@ -98,7 +98,8 @@ class StatefulBoltExecutor final : public Bolt {
 
  private:
   void checkpoint() {
-    // Of these the execute() is over; one that another thread acks from here on waits for the next checkpoint.
+    // Takes the acks before pre_checkpoint(): a tuple that another thread acks from here on waits for the next
+    // checkpoint, because its change may not be in this one.
     const std::vector<Tuple> held = holding_->take();
     try {
       bolt_->pre_checkpoint();

@@ -11,36 +11,38 @@
 
 namespace iotcloud::topology {
 
-/// A bolt that remembers (Storm's IStatefulBolt). It acks and fails by its collector as any bolt; its acks are held
-/// back until a checkpoint has made durable what the tuples changed, and become fails when the checkpoint fails. Ticks
-/// make the checkpoints and are not seen by execute.
+/// A bolt whose state survives a restart (Storm's IStatefulBolt). It acks and fails through its collector as any bolt.
+/// The runtime gets its acks only when a checkpoint has made the tuples' changes durable; if the checkpoint fails, the
+/// tuples fail. Ticks trigger the checkpoints, and do not reach execute().
 class StatefulBolt {
  public:
   virtual ~StatefulBolt() = default;
   virtual void declare_output_fields(OutputFieldsDeclarer& declarer) const { (void)declarer; }
   /// `context` and `collector` live until after cleanup().
   virtual void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) = 0;
-  /// After prepare(): what the last checkpoint left, of an earlier process too. `state` lives until after cleanup().
+  /// Called after prepare() with the state of the last checkpoint, perhaps of an earlier process. `state` lives until
+  /// after cleanup().
   virtual void init_state(KeyValueState& state) = 0;
   virtual void execute(const Tuple& tuple) = 0;
-  /// Before a checkpoint: the last moment to put what was collected outside of the state.
+  /// Called before a checkpoint: the last moment to put data into the state that the bolt keeps outside of it.
   virtual void pre_checkpoint() {}
-  /// A checkpoint failed: the state is that of the checkpoint before, and what was kept beside it must be too.
+  /// Called after a failed checkpoint. The state is that of the checkpoint before it; data that the bolt keeps outside
+  /// of the state must be set back too.
   virtual void rolled_back() {}
   virtual void cleanup() {}
 };
 
+/// Where a stateful bolt keeps its state, and how often it writes it. Keys of the configuration override these.
 struct StateOptions {
-  std::string store{};                         ///< as for make_state_store(); conf `state.store`
-  std::chrono::milliseconds checkpoint{1000};  ///< period; conf `state.checkpoint`
+  std::string store{};                         ///< URL for make_state_store(); key `state.store`
+  std::chrono::milliseconds checkpoint{1000};  ///< period of checkpoints; key `state.checkpoint`
 };
 
-/// Runs a stateful bolt as a Bolt.
+/// Wraps a stateful bolt as a Bolt.
 std::unique_ptr<Bolt> run_stateful(std::unique_ptr<StatefulBolt> bolt, StateOptions options);
 
 /// For TopologyBuilder::set_bolt. The configuration's `state.store` ("rocksdb:///var/lib/counts") and
-/// `state.checkpoint`
-/// ("500ms") take the place of the options. Options that cannot be used are refused by TopologyBuilder::build().
+/// `state.checkpoint` ("500ms") override the options. TopologyBuilder::build() refuses unusable options.
 template <typename T, typename... Args>
 BoltFactory make_stateful_bolt(StateOptions options = {}, Args... args) {
   return [options = std::move(options), args...] { return run_stateful(std::make_unique<T>(args...), options); };

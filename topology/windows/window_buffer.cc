@@ -28,7 +28,7 @@ void WindowBuffer::advance(std::int64_t time_ms, Listener& listener) {
 void WindowBuffer::advance_by_count(std::int64_t time_ms, Listener& listener) {
   while (next_count_ <= dropped_ + static_cast<std::int64_t>(entries_.size())) {
     const auto to = static_cast<std::size_t>(next_count_ - dropped_);
-    // Entries at this very time are complete in their order: a later one of the same time comes after them.
+    // Entries with this time stamp are complete: a later one with the same stamp comes after them.
     const std::int64_t end_ms = entries_[to - 1].time_ms;
     if (end_ms > time_ms) return;
     const auto from = length_.counts()
@@ -37,7 +37,7 @@ void WindowBuffer::advance_by_count(std::int64_t time_ms, Listener& listener) {
     next_count_ += slide_.count;
     const std::int64_t before = dropped_;
     if (!evaluate(from, to, end_ms + 1, listener) || !length_.counts()) continue;
-    // What even the next window begins after is done, as far as this one reaches.
+    // Releases the entries before the next window's begin, as far as this window reaches.
     const std::int64_t end_of_this = before + static_cast<std::int64_t>(to);
     drop_first(static_cast<std::size_t>(
                    std::max<std::int64_t>(0, std::min(next_count_ - length_.count, end_of_this) - dropped_)),
@@ -67,7 +67,7 @@ std::optional<std::int64_t> WindowBuffer::next_end(std::int64_t end, std::int64_
   if (entries_.empty()) return std::nullopt;
   const std::int64_t following = end + slide_.duration.count();
   if (!length_.counts()) return std::max(following, end_after(entries_.front().time_ms));
-  // The same tuples again at every end: when time jumps, only the last time before there are new ones.
+  // Windows that end before the first new tuples hold the same tuples: when time jumps, only the last of them matters.
   const std::size_t fresh = first_not_before(end);
   const std::int64_t last = end_after(time_ms) - slide_.duration.count();
   return std::max(following, fresh == entries_.size() ? last : std::min(last, end_after(entries_[fresh].time_ms)));

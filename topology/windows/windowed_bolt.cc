@@ -16,7 +16,8 @@ std::int64_t as_ms(config::Clock::Instant instant) {
   return std::chrono::floor<std::chrono::milliseconds>(instant.time_since_epoch()).count();
 }
 
-/// Storm's WindowedBoltExecutor: collects tuples, tells time, and settles what the windows are done with.
+/// Runs a WindowedBolt as a Bolt: collects tuples, keeps time, and settles released tuples, like Storm's
+/// WindowedBoltExecutor.
 class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, private WindowOutputCollector {
  public:
   WindowedBoltExecutor(std::unique_ptr<WindowedBolt> bolt, WindowOptions options)
@@ -76,7 +77,7 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
   void cleanup() override { bolt_->cleanup(); }
 
  private:
-  /// Monotonic, and near the wall's time.
+  /// Milliseconds since 1970 by the monotonic clock, so that steps of the wall clock do not move windows.
   std::int64_t now_ms() const { return as_ms(clock_->now()) + wall_offset_ms_; }
 
   void move_on(std::int64_t now) {
@@ -95,7 +96,8 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
     collector_->ack(tuple);
   }
 
-  // The windows. Failures stay here: the tuple in hand may be in another window.
+  // The window buffer calls it. What the user's bolt throws is caught here, because the tuple that execute() handles
+  // may be in another window, and must not fail.
   bool evaluate(const TupleWindow& window) override {
     windows_->add();
     anchors_ = window.tuples();
@@ -114,7 +116,7 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
   void done(const Tuple& tuple) override { collector_->ack(tuple); }
   void failed(const Tuple& tuple) override { collector_->fail(tuple); }
 
-  // What the user's bolt emits.
+  // The user's bolt calls it to emit.
   void emit_to(std::string_view stream, Values values) override {
     if (anchors_.empty()) {
       throw std::logic_error("a windowed bolt emits in execute() only: there is no window to anchor to elsewhere");
@@ -130,7 +132,7 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
   std::int64_t wall_offset_ms_ = 0;
   std::optional<WindowBuffer> buffer_;
   std::optional<Watermarks> watermarks_;
-  std::span<const Tuple> anchors_;  ///< of the window in hand
+  std::span<const Tuple> anchors_;  ///< tuples of the current window
   config::Counter* windows_ = nullptr;
   config::Counter* late_ = nullptr;
 };

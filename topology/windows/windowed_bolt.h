@@ -14,18 +14,18 @@
 
 namespace iotcloud::topology {
 
-/// The tuples of one evaluation, valid during it. Tuples are in order of their time stamps (event time) or of arrival.
+/// The tuples of one evaluation, valid during it, in order of their time stamps (event time) or of arrival.
 class TupleWindow {
  public:
   TupleWindow(std::span<const Tuple> tuples, std::span<const Tuple> added, std::span<const Tuple> expired,
               std::int64_t begin_ms, std::int64_t end_ms)
       : tuples_(tuples), added_(added), expired_(expired), begin_ms_(begin_ms), end_ms_(end_ms) {}
   std::span<const Tuple> tuples() const { return tuples_; }  ///< never empty
-  std::span<const Tuple> added() const { return added_; }    ///< of them, those that were in no window before
-  /// Those that were in a window evaluated before, and are in no later one.
+  std::span<const Tuple> added() const { return added_; }    ///< the tuples that were in no earlier window
+  /// Tuples of earlier windows that are in no later one.
   std::span<const Tuple> expired() const { return expired_; }
-  /// Milliseconds since 1970. The window's borders when its length is a duration (the end is outside); else the times
-  /// of its first and last tuple.
+  /// In milliseconds since 1970. For a length in time the window's borders (the end is outside), otherwise the times of
+  /// its first and last tuple.
   std::int64_t begin_ms() const { return begin_ms_; }
   std::int64_t end_ms() const { return end_ms_; }
 
@@ -34,7 +34,7 @@ class TupleWindow {
   std::int64_t begin_ms_, end_ms_;
 };
 
-/// How a windowed bolt emits: anchored by all tuples of the window in hand. In execute() only.
+/// How a windowed bolt emits, anchored to all tuples of the current window. Use it in execute() only.
 class WindowOutputCollector {
  public:
   virtual ~WindowOutputCollector() = default;
@@ -43,10 +43,10 @@ class WindowOutputCollector {
   virtual void report_error(const std::string& text) = 0;
 };
 
-/// A bolt that works on windows of tuples instead of single ones (Storm's BaseWindowedBolt). It acks nothing: a tuple
-/// is acked when it can be in no later window, and failed, with all others of the window, when execute throws; a failed
-/// window's tuples are in no later one. So tuples stay unacked as long as length and slide together last: keep the
-/// message time-out well above it. What a window held when the process ends is emitted again by its spout.
+/// A bolt that works on windows of tuples instead of single ones (Storm's BaseWindowedBolt). It does not ack: a tuple
+/// is acked when no later window can contain it. If execute() throws, all tuples of the window fail, and no later
+/// window contains them. So tuples stay unacked for as long as length and slide together: keep the message time-out
+/// well above that. If the process ends, spouts emit the tuples of its windows again.
 class WindowedBolt {
  public:
   virtual ~WindowedBolt() = default;
@@ -57,11 +57,11 @@ class WindowedBolt {
   virtual void cleanup() {}
 };
 
-/// Runs a windowed bolt as a Bolt. Asks for the ticks that it needs by itself.
+/// Wraps a windowed bolt as a Bolt, which asks for the ticks that it needs.
 std::unique_ptr<Bolt> run_windowed(std::unique_ptr<WindowedBolt> bolt, WindowOptions options);
 
 /// For TopologyBuilder::set_bolt: `set_bolt("mean", make_windowed_bolt<Mean>({.length = 10s, .slide = 1s}), 4)`.
-/// Options that make no windows are refused by TopologyBuilder::build().
+/// TopologyBuilder::build() refuses options that make no windows.
 template <typename T, typename... Args>
 BoltFactory make_windowed_bolt(WindowOptions options, Args... args) {
   return [options = std::move(options), args...] { return run_windowed(std::make_unique<T>(args...), options); };

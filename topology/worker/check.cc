@@ -9,8 +9,8 @@ namespace iotcloud::topology {
 
 namespace {
 
-/// The library as given, beside the YAML file, or in one of the folders; as given when it is nowhere, so that the
-/// loader's message names it.
+/// Looks for the library as given, beside the YAML file, and in the folders. If it finds none it returns the name as
+/// given, so that the loader's message has it.
 std::string find_library(const std::string& name, const std::string& yaml_file,
                          const std::vector<std::string>& folders) {
   namespace fs = std::filesystem;

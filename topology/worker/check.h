@@ -9,15 +9,15 @@
 namespace iotcloud::topology {
 
 /// Loads the libraries of `topology.library` and lets them register their components.
-/// \param folders where they are looked for when they are not beside the YAML file, in this order.
+/// \param folders where to look for libraries that are not beside the YAML file, in this order.
 /// \throws config::ConfigError at `topology.library`.
 void load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
                     ComponentRegistry& components);
 
 /// Reads a topology's YAML, loads its component libraries and puts the graph together, as a worker does; contacts no
-/// registry and no broker. A file without a registry is good: local mode needs none.
-/// \param components those that are linked in, in addition to those of `topology.library`.
-/// \return the graph for a reader, see describe(). \throws config::ConfigError.
+/// registry and no broker. Accepts a file without a registry, because local mode needs none.
+/// \param components linked-in components, in addition to those of `topology.library`.
+/// \return the text of describe(). \throws config::ConfigError.
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
                            ComponentRegistry components = {});
 

@@ -13,13 +13,14 @@ using discovery::Node;
 using discovery::RegistryError;
 using discovery::RegistryErrorCode;
 using discovery::SessionState;
+using discovery::TopologyKill;
 using discovery::TopologyOrder;
 using std::chrono::milliseconds;
 
 namespace {
 
-const config::Logger logger{"topology.control"};
-/// How often a drain looks whether it is done.
+const config::Logger control_logger{"topology.control"};
+/// How often a drain checks whether it is done.
 constexpr milliseconds drain_pause{5};
 
 std::map<std::string, int> parallelism_of(const Topology& topology) {
@@ -28,7 +29,7 @@ std::map<std::string, int> parallelism_of(const Topology& topology) {
   return parallelism;
 }
 
-bool names(const TopologyOrder::Kill& kill, const std::string& worker) {
+bool names(const TopologyKill& kill, const std::string& worker) {
   return std::find(kill.workers.begin(), kill.workers.end(), worker) != kill.workers.end();
 }
 
@@ -47,17 +48,21 @@ WorkerControl::WorkerControl(Options options)
 }
 
 void WorkerControl::start() {
-  const std::string path = options_.services->paths.workers(options_.topology.name) + "/" + record_.name;
-  membership_ = registry_.hold_eventually(path, discovery::encode(record_), false, [this](const std::string&) {
-    const std::lock_guard lock(mutex_);
+  const discovery::WorkerRecord record = [this] {
+    const config::MutexLock lock(mutex_);
+    return record_;
+  }();
+  const std::string path = options_.services->paths.workers(options_.topology.name) + "/" + record.name;
+  membership_ = registry_.hold_eventually(path, discovery::encode(record), false, [this](const std::string&) {
+    const config::MutexLock lock(mutex_);
     show_due_ = report_due_ = true;
     changed_.notify_all();
   });
   orders_ = registry_.watch_node(order_path_, [this](const std::optional<Node>& node) { on_order(node); });
   sessions_ = registry_.on_session([this](SessionState state) {
     if (state != SessionState::connected) return;
-    const std::lock_guard lock(mutex_);
-    report_due_ = true;  // whether the last report arrived may be unknown
+    const config::MutexLock lock(mutex_);
+    report_due_ = true;  // the last one may not have arrived
     changed_.notify_all();
   });
   thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
@@ -74,13 +79,13 @@ void WorkerControl::end() {
 }
 
 void WorkerControl::on_order(const std::optional<Node>& node) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   news_ = node;
   changed_.notify_all();
 }
 
 discovery::WorkerRecord WorkerControl::record() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   return record_;
 }
 
@@ -91,12 +96,12 @@ void WorkerControl::run(const std::stop_token& stop) {
     bool show = false;
     bool tell = false;
     {
-      std::unique_lock lock(mutex_);
-      const auto due = [this] { return news_ || show_due_ || report_due_; };
-      if (heard_) {
-        changed_.wait(lock, stop, due);
+      const config::MutexLock lock(mutex_);
+      const auto due = [this]() IOTCLOUD_REQUIRES(mutex_) { return news_ || show_due_ || report_due_; };
+      if (spouts_activated_) {
+        changed_.wait(mutex_, stop, due);
       } else {
-        changed_.wait_until(lock, stop, patience, due);
+        changed_.wait_until(mutex_, stop, patience, due);
       }
       news = std::exchange(news_, std::nullopt);
       show = std::exchange(show_due_, false);
@@ -106,15 +111,16 @@ void WorkerControl::run(const std::stop_token& stop) {
     try {
       if (news) {
         follow(*news, stop);
-      } else if (!heard_ && std::chrono::steady_clock::now() >= patience) {
-        logger.warn("the registry is silent; topology {} runs as its YAML says", options_.topology.name);
+      } else if (!spouts_activated_ && std::chrono::steady_clock::now() >= patience) {
+        control_logger.warn("the registry does not answer; topology {} runs as its YAML says until it does",
+                            options_.topology.name);
         follow(TopologyOrder{});
         tell = true;
       }
       if (show) show_topology();
       if (news || show || tell) report();
     } catch (const std::exception& error) {
-      logger.error("topology {}: {}", options_.topology.name, error.what());
+      control_logger.error("topology {}: {}", options_.topology.name, error.what());
     }
   }
 }
@@ -125,22 +131,22 @@ void WorkerControl::follow(const std::optional<Node>& node, const std::stop_toke
     try {
       order = discovery::decode_topology_order(node->data, order_path_);
     } catch (const config::Error& error) {
-      logger.error("an order is not followed: {}", error.what());
-      if (!heard_) follow(TopologyOrder{});
-      const std::lock_guard lock(mutex_);
+      control_logger.error("an order is not followed: {}", error.what());
+      if (!spouts_activated_) follow(TopologyOrder{});
+      const config::MutexLock lock(mutex_);
       record_.error = error.what();
       return;
     }
   }
   if (!order.kill) return follow(order);
   if (names(*order.kill, record().name)) return be_killed(order, stop);
-  // The end of those that were there before this worker: for it nothing is ordered.
+  // The kill order is for workers that ran before this one, so this worker has no order.
   forget_old_kill(order, node->version);
   follow(TopologyOrder{});
 }
 
 void WorkerControl::follow(const TopologyOrder& order) {
-  heard_ = true;
+  spouts_activated_ = true;
   if (record().state == "draining") return;
   Runtime& runtime = *options_.runtime;
   std::vector<std::string> errors;
@@ -152,7 +158,8 @@ void WorkerControl::follow(const TopologyOrder& order) {
     if (now != before.parallelism.end() && now->second == parallelism) continue;
     try {
       runtime.rebalance(component, parallelism);
-      logger.info("topology {}: component {} has parallelism {}", options_.topology.name, component, parallelism);
+      control_logger.info("topology {}: component {} has parallelism {}", options_.topology.name, component,
+                          parallelism);
     } catch (const std::invalid_argument& error) {
       errors.emplace_back(error.what());
     }
@@ -166,10 +173,10 @@ void WorkerControl::follow(const TopologyOrder& order) {
     runtime.deactivate();
   }
   const Snapshot after = runtime.snapshot();
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (order.revision != record_.revision) {
-    logger.info("topology {} follows order {}: {}", options_.topology.name, order.revision,
-                order.active ? "active" : "inactive");
+    control_logger.info("topology {} follows order {}: {}", options_.topology.name, order.revision,
+                        order.active ? "active" : "inactive");
   }
   record_.state = order.active ? "active" : "inactive";
   record_.revision = order.revision;
@@ -181,30 +188,30 @@ void WorkerControl::follow(const TopologyOrder& order) {
 }
 
 void WorkerControl::be_killed(const TopologyOrder& order, const std::stop_token& stop) {
-  heard_ = true;
+  spouts_activated_ = true;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (killed_by_) return;
     killed_by_ = order.kill;
     record_.state = "draining";
     record_.revision = order.revision;
     record_.error.clear();
   }
-  logger.info("topology {} is killed; what is under way has {} ms to finish", options_.topology.name,
-              order.kill->drain_ms);
+  control_logger.info("topology {} is killed; what is under way has {} ms to finish", options_.topology.name,
+                      order.kill->drain_ms);
   report();
   const std::string left = drain(milliseconds(order.kill->drain_ms), stop);
-  if (!left.empty()) logger.warn("topology {}: {}", options_.topology.name, left);
+  if (!left.empty()) control_logger.warn("topology {}: {}", options_.topology.name, left);
   try {
     discovery::put(registry_, options_.services->paths.ended_workers(options_.topology.name) + "/" + record().name,
                    left);
   } catch (const RegistryError& error) {
-    logger.warn("topology {}: its end could not be reported: {}", options_.topology.name, error.what());
+    control_logger.warn("topology {}: its end could not be reported: {}", options_.topology.name, error.what());
   }
   if (options_.on_killed) options_.on_killed();
 }
 
-/// \return why not all was done; empty: it was.
+/// \return why tuples were left; empty if all were processed.
 std::string WorkerControl::drain(milliseconds limit, const std::stop_token& stop) {
   Runtime& runtime = *options_.runtime;
   for (const auto& prepare : options_.services->before_stop) prepare();
@@ -221,12 +228,12 @@ std::string WorkerControl::drain(milliseconds limit, const std::stop_token& stop
     if (std::chrono::steady_clock::now() >= deadline) {
       return fmt::format("after {} ms {} tuples were still under way", limit.count(), left);
     }
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, stop, drain_pause, [] { return false; });
+    const config::MutexLock lock(mutex_);
+    changed_.wait_for(mutex_, stop, drain_pause, [] { return false; });
   }
 }
 
-/// A kill whose workers are all gone, and whose master did not live to clear it away.
+/// Removes a kill order whose workers are all gone, if its master died before removing it.
 void WorkerControl::forget_old_kill(const TopologyOrder& order, std::int64_t version) {
   const auto& paths = options_.services->paths;
   if (options_.services->clock->wall_ms() < order.kill->awaited_until_ms) return;
@@ -238,7 +245,7 @@ void WorkerControl::forget_old_kill(const TopologyOrder& order, std::int64_t ver
     registry_.remove(order_path_, version);
     discovery::remove_tree(registry_, paths.ended_workers(options_.topology.name));
   } catch (const RegistryError& error) {
-    logger.warn("the order to kill an earlier run of {} stays: {}", options_.topology.name, error.what());
+    control_logger.warn("the order to kill an earlier run of {} stays: {}", options_.topology.name, error.what());
   }
 }
 
@@ -250,11 +257,12 @@ void WorkerControl::show_topology() {
     const auto others = registry_.children(paths.workers(record.name));
     const auto before = registry_.get(path);
     if (others && others->size() > 1 && before && !before->data.empty()) {
-      record.since_ms = discovery::decode_topology(before->data, path).since_ms;  // it runs since the first worker
+      // other workers run already: the topology's start is that of the first of them
+      record.since_ms = discovery::decode_topology(before->data, path).since_ms;
     }
     discovery::put(registry_, path, discovery::encode(record));
   } catch (const config::Error& error) {
-    logger.warn("the record of topology {} could not be written: {}", record.name, error.what());
+    control_logger.warn("the record of topology {} could not be written: {}", record.name, error.what());
   }
 }
 
@@ -264,9 +272,9 @@ void WorkerControl::report() {
     registry_.set(options_.services->paths.workers(options_.topology.name) + "/" + record.name,
                   discovery::encode(record));
   } catch (const RegistryError& error) {
-    // Without a node there is nobody to tell: when it is made, or the registry is back, it is told then.
+    // A missing node or registry is no fault: the report is repeated when the node is made or the registry is back.
     if (error.code() != RegistryErrorCode::no_node && error.code() != RegistryErrorCode::away) {
-      logger.warn("what worker {} does could not be reported: {}", record.name, error.what());
+      control_logger.warn("the record of worker {} could not be written: {}", record.name, error.what());
     }
   }
 }
@@ -278,14 +286,14 @@ void WorkerControl::leave() {
   membership_.reset();
   if (registry_.session() != SessionState::connected) return;
   const auto& paths = options_.services->paths;
-  const std::string& name = options_.topology.name;
-  std::optional<TopologyOrder::Kill> kill;
+  const discovery::TopologyName& name = options_.topology.name;
+  std::optional<TopologyKill> kill;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     kill = killed_by_;
   }
   try {
-    if (kill) {  // its master clears up, unless it waits no longer
+    if (kill) {  // the master removes the records, unless its wait is over
       if (options_.services->clock->wall_ms() > kill->awaited_until_ms) {
         discovery::remove_topology(registry_, paths, name);
       }
@@ -295,7 +303,7 @@ void WorkerControl::leave() {
     registry_.remove(paths.topology(name));
   } catch (const RegistryError& error) {
     if (error.code() != RegistryErrorCode::not_empty) {
-      logger.warn("the record of topology {} could not be removed: {}", name, error.what());
+      control_logger.warn("the record of topology {} could not be removed: {}", name, error.what());
     }
   }
 }

@@ -1,14 +1,13 @@
 #pragma once
 
-#include <condition_variable>
 #include <functional>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <stop_token>
 #include <string>
 #include <thread>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/endpoints/services.h>
@@ -16,29 +15,31 @@
 
 namespace iotcloud::topology {
 
-/// One worker's place in the registry: shows that it lives and what it does, and makes what is ordered there
-/// (discovery::TopologyOrder) so. Thread safe.
+/// A worker's part in the registry: keeps the record that shows that the worker lives and what it does, and carries out
+/// the topology's orders (discovery::TopologyOrder). Thread safe.
 class WorkerControl {
  public:
   struct Options {
-    EndpointServicesPtr services;        ///< its `before_stop` is called before a drain
-    Runtime* runtime = nullptr;          ///< started, and deactivated until the first order, or none, is seen
-    discovery::TopologyRecord topology;  ///< what the first worker writes
-    discovery::WorkerRecord worker;      ///< name, host, pid, http and since_ms; the rest is filled in here
-    /// On a thread of its own, once, after a kill's drain: the worker is to end, and to call leave().
+    EndpointServicesPtr services;  ///< its `before_stop` is called before a drain
+    /// Started and deactivated; this class activates it when it knows the first order, or that there is none.
+    Runtime* runtime = nullptr;
+    discovery::TopologyRecord topology;  ///< the topology's first worker writes it
+    discovery::WorkerRecord worker;      ///< name, host, pid, http and since_ms; this class fills in the rest
+    /// Called once, on a thread of its own, after a kill order's drain: the owner must stop the worker and call
+    /// leave().
     std::function<void()> on_killed;
     /// How long spouts wait at the start for a registry that does not answer.
     std::chrono::milliseconds patience{2000};
   };
   explicit WorkerControl(Options options);
-  /// Shows the worker and begins to follow; once.
+  /// Writes the worker's record and begins to follow orders. Call it once.
   void start();
-  /// Waits for a drain no longer; leaves the registry.
+  /// Cuts a drain short and leaves the registry.
   ~WorkerControl();
 
-  /// Follows orders no longer, cuts a drain short. Not from on_killed.
+  /// Stops following orders and cuts a drain short. Do not call it from on_killed.
   void end();
-  /// Takes the worker out of the registry; the last one takes the topology's records away, but for what is ordered.
+  /// Removes the worker's record. The last worker also removes the topology's records, except orders.
   void leave();
   discovery::WorkerRecord record() const;
 
@@ -56,20 +57,21 @@ class WorkerControl {
   const Options options_;
   discovery::Registry& registry_;
   const std::string order_path_;
-  const std::map<std::string, int> declared_;  ///< parallelism by component, before any order
+  const std::map<std::string, int> declared_;  ///< parallelism by component, without orders
 
-  mutable std::mutex mutex_;
-  std::condition_variable_any changed_;
-  std::optional<std::optional<discovery::Node>> news_;       ///< guarded by mutex_: the order's node, not yet followed
-  bool show_due_ = false;                                    ///< guarded by mutex_: the worker's node was made anew
-  bool report_due_ = false;                                  ///< guarded by mutex_
-  discovery::WorkerRecord record_;                           ///< guarded by mutex_
-  std::optional<discovery::TopologyOrder::Kill> killed_by_;  ///< guarded by mutex_
+  mutable config::Mutex mutex_;
+  config::StoppableConditionVariable changed_;
+  /// The order's node as it changed last, until it is followed; an empty node: there is no order.
+  std::optional<std::optional<discovery::Node>> news_ IOTCLOUD_GUARDED_BY(mutex_);
+  bool show_due_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< the worker's node must be written again
+  bool report_due_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  discovery::WorkerRecord record_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::optional<discovery::TopologyKill> killed_by_ IOTCLOUD_GUARDED_BY(mutex_);
 
-  bool heard_ = false;  ///< of the thread: whether the spouts were let go
+  bool spouts_activated_ = false;  ///< the spouts were activated; only thread_ uses it
 
   discovery::GuardPtr membership_, orders_, sessions_;
-  std::jthread thread_;  ///< last: it uses the others
+  std::jthread thread_;  ///< last, because it uses the other members
 };
 
 }  // namespace iotcloud::topology

@@ -10,37 +10,38 @@
 #include <unistd.h>
 
 #include <iotcloud/config/daemon/daemon.h>
-#include <iotcloud/config/exposition/health_page.h>
-#include <iotcloud/config/exposition/http_server.h>
-#include <iotcloud/config/exposition/metrics_endpoint.h>
+#include <iotcloud/rpc/http/health_page.h>
+#include <iotcloud/rpc/http/http_server.h>
+#include <iotcloud/rpc/http/metrics_endpoint.h>
 #include <iotcloud/topology/worker/check.h>
 #include <iotcloud/topology/worker/worker.h>
 
 namespace {
 
 namespace config = iotcloud::config;
+namespace rpc = iotcloud::rpc;
 namespace topology = iotcloud::topology;
 
-/// Where the pages are: on this machine only, as they show what flows through the topology, and ask for no token.
+/// The address of the pages: on loopback only, because they show the topology's data to everybody who can reach them.
 std::string pages_address(const topology::TopologyDefinition& definition) {
   const std::string& address = definition.metrics_address;
   if (address.empty()) return "127.0.0.1:0";
-  if (config::is_loopback_address(address)) return address;
+  if (rpc::is_loopback_address(address)) return address;
   throw definition.root.error(
       "metrics",
       "the address " + address + " can be reached from other machines, where the pages would show the data to anybody",
       "127.0.0.1:9406; from elsewhere use a tunnel, for example ssh -L 9406:127.0.0.1:9406 HOST");
 }
 
-/// The worker and its pages: /metrics for Prometheus, /healthz, /topology and /tap for `iotcloud topology`.
+/// The worker and its pages: /metrics for Prometheus, /healthz, and /topology and /tap for `iotcloud topology`.
 class WorkerService final : public config::Service {
  public:
   explicit WorkerService(topology::WorkerOptions options)
       : address_(pages_address(options.definition)), worker_(std::move(options)) {}
   void start() override {
-    pages_.emplace(address_, std::map<std::string, config::HttpHandler>{
-                                 {"/metrics", config::metrics_page(config::process_metrics())},
-                                 {"/healthz", config::health_page([this] { return trouble(); })},
+    pages_.emplace(address_, std::map<std::string, rpc::HttpHandler>{
+                                 {"/metrics", rpc::metrics_page(config::process_metrics())},
+                                 {"/healthz", rpc::health_page([this] { return trouble(); })},
                                  {"/topology", [this](const auto&) { return describe(); }},
                                  {"/tap", [this](const auto& request) { return tap(request); }}});
     worker_.show_http_address(pages_->address());
@@ -51,10 +52,10 @@ class WorkerService final : public config::Service {
   std::string trouble() const override { return started_ ? worker_.trouble() : "starting"; }
 
  private:
-  config::HttpAnswer describe() const { return {200, "application/json", worker_.describe()}; }
+  rpc::HttpAnswer describe() const { return {200, "application/json", worker_.describe()}; }
 
-  /// One poll of a tap: its id, and component, stream and rate for the first one; `end` for the last one.
-  config::HttpAnswer tap(const config::HttpRequest& request) {
+  /// Answers one poll of a tap: its id; component, stream and rate in the first poll; `end` in the last one.
+  rpc::HttpAnswer tap(const rpc::HttpRequest& request) {
     const auto word = [&](const char* key) {
       const auto found = request.query.find(key);
       return found == request.query.end() ? std::string() : found->second;
@@ -75,10 +76,10 @@ class WorkerService final : public config::Service {
   const std::string address_;
   topology::Worker worker_;
   std::atomic<bool> started_{false};
-  std::optional<config::HttpServer> pages_;  ///< goes first: it asks the worker
+  std::optional<rpc::HttpServer> pages_;  ///< last, because its pages use the worker
 };
 
-/// Where the build and the installation put component libraries.
+/// The plugin folders of the build and of the installation.
 std::vector<std::string> library_folders() {
   const auto program = std::filesystem::read_symlink("/proc/self/exe").parent_path();
   return {program.parent_path() / "plugins", program.parent_path() / "lib/iotcloud/plugins"};
@@ -91,12 +92,12 @@ std::unique_ptr<config::Service> build(const std::string& file) {
                                   .registry = nullptr,
                                   .clock = nullptr,
                                   .metrics = nullptr,
-                                  // run_daemon() waits for it: the process ends in order, with status 0.
+                                  // run_daemon() waits for this signal: the process ends in order, with status 0.
                                   .on_killed = [] { ::kill(getpid(), SIGTERM); }};
   return std::make_unique<WorkerService>(std::move(options));
 }
 
-/// `--check FILE`. \return the exit status.
+/// Runs `--check FILE`. \return the exit status.
 int check(const char* file) {
   try {
     const std::string description = topology::check_topology(file, library_folders());
@@ -111,10 +112,11 @@ int check(const char* file) {
 
 int main(int argc, char** argv) {
   if (argc == 3 && std::string_view(argv[1]) == "--check") return check(argv[2]);
-  return config::run_daemon(argc, argv,
-                            {.name = "iotcloud-topology",
-                             .description = "Runs one worker of a topology; run it again, anywhere, to scale out. "
-                                            "`iotcloud-topology --check FILE` only checks a topology and prints its "
-                                            "graph, and contacts nobody.",
-                             .build = build});
+  return config::run_daemon(
+      argc, argv,
+      {.name = "iotcloud-topology",
+       .description = "Runs one worker of a topology; start it again, on any machine, to scale out. "
+                      "`iotcloud-topology --check FILE` only checks a topology and prints its "
+                      "graph, without contacting registry or broker.",
+       .build = build});
 }

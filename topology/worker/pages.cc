@@ -6,6 +6,7 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/worker/pages.h>
 
 namespace iotcloud::topology {
@@ -58,7 +59,7 @@ Json to_json(const TaskSnapshot& task) {
 
 Json to_json(const ComponentSpec& component, const Topology& topology, const Snapshot& now) {
   Json inputs = Json::array();
-  for (const Subscription& input : component.inputs) {
+  for (const InputSpec& input : component.inputs) {
     inputs.push_back({{"from", input.from},
                       {"stream", input.stream},
                       {"grouping", input.grouping},
@@ -128,13 +129,14 @@ std::string describe(const Tuple& tuple, int task, std::int64_t wall_ms) {
                   {"fields", fields}});
 }
 
-/// One person's tap. The call and the polls share it; the tap goes first.
+/// One tap. The runtime's call and the polls share it; `tap` is destroyed first, so that no call comes any more.
 struct TapDesk::Entry {
-  std::mutex mutex;
-  std::deque<std::string> samples;             ///< guarded by mutex
-  std::uint64_t missed = 0;                    ///< guarded by mutex
-  config::Clock::Instant last_poll{};          ///< guarded by the desk's mutex
-  std::map<int, config::Clock::Instant> next;  ///< guarded by mutex: when a task's next sample is due, with a stream
+  config::Mutex mutex;
+  std::deque<std::string> samples IOTCLOUD_GUARDED_BY(mutex);
+  std::uint64_t missed IOTCLOUD_GUARDED_BY(mutex) = 0;
+  config::Clock::Instant last_poll{};  ///< guarded by the desk's mutex
+  /// For a tap of one stream: when each task's next sample is due.
+  std::map<int, config::Clock::Instant> next IOTCLOUD_GUARDED_BY(mutex);
   std::unique_ptr<Tap> tap;
 };
 
@@ -145,9 +147,9 @@ TapDesk::TapDesk(Runtime& runtime, Options options)
       sweeper_([this](const std::stop_token& stop) {
         while (!stop.stop_requested()) {
           {
-            std::unique_lock lock(mutex_);
-            changed_.wait(lock, stop, [this] { return !taps_.empty(); });
-            changed_.wait_for(lock, stop, sweep_period, [] { return false; });
+            const config::MutexLock lock(mutex_);
+            changed_.wait(mutex_, stop, [this]() IOTCLOUD_REQUIRES(mutex_) { return !taps_.empty(); });
+            changed_.wait_for(mutex_, stop, sweep_period, [] { return false; });
           }
           expire();
         }
@@ -164,7 +166,7 @@ std::string TapDesk::poll(const std::string& id, const std::string& component, c
   std::deque<std::string> samples;
   std::uint64_t missed = 0;
   {
-    const std::lock_guard lock(entry->mutex);
+    const config::MutexLock lock(entry->mutex);
     samples.swap(entry->samples);
     missed = std::exchange(entry->missed, 0);
   }
@@ -173,7 +175,7 @@ std::string TapDesk::poll(const std::string& id, const std::string& component, c
 
 TapDesk::EntryPtr TapDesk::find(const std::string& id, const std::string& component, const std::string& stream,
                                 double per_second) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   EntryPtr& entry = taps_[id];
   if (entry) {
     entry->last_poll = clock_.now();
@@ -190,19 +192,20 @@ TapDesk::EntryPtr TapDesk::find(const std::string& id, const std::string& compon
       if (!stream.empty()) {
         if (tuple.source_stream() != stream) return;
         const auto now = clock_.now();
-        const std::lock_guard next_lock(to->mutex);
+        const config::MutexLock next_lock(to->mutex);
         if (now < to->next[task]) return;
         to->next[task] =
             now + std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double>(1 / per_second));
       }
       std::string sample = describe(tuple, task, clock_.wall_ms());
-      const std::lock_guard sample_lock(to->mutex);
+      const config::MutexLock sample_lock(to->mutex);
       to->samples.push_back(std::move(sample));
       if (to->samples.size() <= options_.most_samples) return;
       to->samples.pop_front();
       ++to->missed;
     };
-    // Of one stream the rate is kept here: the other streams' tuples must not use it up.
+    // The runtime limits the rate of all streams together. For a tap of one stream this class does it, so that other
+    // streams' tuples do not use the rate up.
     const double rate = stream.empty() ? per_second : std::numeric_limits<double>::infinity();
     made->tap = runtime_.tap(component, rate, call);
     entry = std::move(made);
@@ -216,7 +219,7 @@ TapDesk::EntryPtr TapDesk::find(const std::string& id, const std::string& compon
 
 void TapDesk::end(const std::string& id) {
   EntryPtr ended;
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   const auto found = taps_.find(id);
   if (found == taps_.end()) return;
   ended = std::move(found->second);
@@ -224,8 +227,8 @@ void TapDesk::end(const std::string& id) {
 }
 
 void TapDesk::expire() {
-  std::vector<EntryPtr> ended;  // they go without the lock
-  const std::lock_guard lock(mutex_);
+  std::vector<EntryPtr> ended;  // destroyed after the lock is released
+  const config::MutexLock lock(mutex_);
   const auto oldest = clock_.now() - options_.patience;
   for (auto tap = taps_.begin(); tap != taps_.end();) {
     if (tap->second->last_poll >= oldest) {
@@ -238,7 +241,7 @@ void TapDesk::expire() {
 }
 
 std::size_t TapDesk::open() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   return taps_.size();
 }
 

@@ -1,7 +1,5 @@
 #include <algorithm>
 #include <atomic>
-#include <condition_variable>
-#include <mutex>
 #include <thread>
 
 #include <fmt/format.h>
@@ -9,6 +7,7 @@
 
 #include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/topology/definition/describe.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
@@ -20,12 +19,12 @@ namespace iotcloud::topology {
 
 namespace {
 
-const config::Logger logger{"topology.worker"};
+const config::Logger worker_logger{"topology.worker"};
 
-/// Left for leaving the registry and closing brokers when a stop has a limit.
+/// The part of stop()'s limit that is kept for leaving the registry and closing brokers.
 constexpr std::chrono::milliseconds reserve{700};
 
-/// For closing the topology after a kill's drain; what hangs in user code is left.
+/// Limit for closing the topology after a kill order's drain; user code that hangs longer is left running.
 constexpr std::chrono::milliseconds after_drain{3000};
 
 std::string host_name() {
@@ -34,7 +33,8 @@ std::string host_name() {
   return host;
 }
 
-/// A broker cuts a silent client off after two heartbeats at least, and has heard of it one heartbeat ago at most.
+/// How long the process may stand still without losing a connection: one heartbeat. A broker closes a connection after
+/// two heartbeats of silence at the earliest, and the process may have been silent for one when it stops.
 std::chrono::milliseconds longest_standstill(const EndpointServices& services) {
   auto shortest = services.other_brokers.heartbeat;
   for (const auto& [name, options] : services.broker_options) shortest = std::min(shortest, options.heartbeat);
@@ -42,7 +42,7 @@ std::chrono::milliseconds longest_standstill(const EndpointServices& services) {
 }
 
 std::string unique_name() {
-  return fmt::format("{}-{}-{}", host_name(), getpid(), discovery::new_instance_id().substr(0, 8));
+  return fmt::format("{}-{}-{}", host_name(), getpid(), discovery::new_instance_id().str().substr(0, 8));
 }
 
 RuntimeOptions runtime_options(const WorkerOptions& options) {
@@ -55,7 +55,7 @@ RuntimeOptions runtime_options(const WorkerOptions& options) {
   if (settings.mailbox_capacity > 0) runtime.mailbox_capacity = static_cast<std::size_t>(settings.mailbox_capacity);
   runtime.clock = options.clock;
   runtime.metrics = options.metrics;
-  runtime.births = true;  // for the fence
+  runtime.births = true;  // the fence compares them with the time at which it was raised
   return runtime;
 }
 
@@ -76,7 +76,7 @@ struct Worker::Impl {
       services->fence = options.fence;
     } else if (services->clock == &config::system_clock()) {
       standstill = longest_standstill(*services);
-      services->fence = std::make_shared<Fence>(*services->clock, standstill);
+      services->fence = std::make_shared<StandstillFence>(*services->clock, standstill);
     }
     services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
     topology = assemble(definition, options.components, endpoint_factories(services));
@@ -96,26 +96,27 @@ struct Worker::Impl {
     if (const std::string crossed = crossings(options.definition, topology); !crossed.empty()) stay_alone(crossed);
     runtime = std::make_unique<Runtime>(topology, runtime_options(options));
     taps = std::make_unique<TapDesk>(*runtime, TapDesk::Options{.clock = options.clock});
-    runtime->deactivate();  // until the control knows that no order says so
+    runtime->deactivate();  // WorkerControl activates it when it knows the orders
     runtime->start();
     running = true;
     control = std::make_unique<WorkerControl>(control_options());
     control->start();
-    logger.info("topology {} runs as worker {}", topology.name, services->worker);
+    worker_logger.info("topology {} runs as worker {}", topology.name, services->worker);
   }
 
   void beat(const std::stop_token& stop) {
-    std::mutex mutex;
-    std::condition_variable_any end;
-    std::unique_lock lock(mutex);
+    config::Mutex mutex;
+    config::StoppableConditionVariable end;
+    const config::MutexLock lock(mutex);
     do {
       services->fence->beat();
-    } while (!end.wait_for(lock, stop, standstill / 4, [&] { return stop.stop_requested(); }));
+    } while (!end.wait_for(mutex, stop, standstill / 4, [&] { return stop.stop_requested(); }));
   }
 
-  /// Holds the place of the topology's only worker. One that was killed keeps it until its session is over.
+  /// Makes sure that this is the topology's only worker, by an ephemeral node that only one worker can hold. The node
+  /// of a worker that was killed stays until its session expires, so this waits that long for it.
   void stay_alone(const std::string& crossed) {
-    const std::string path = services->paths.topology(topology.name) + "/alone";
+    const std::string path = services->paths.topology(services->topology) + "/alone";
     const auto patience = options.definition.registry.session_timeout + std::chrono::seconds(2);
     const auto deadline = std::chrono::steady_clock::now() + patience;
     for (;;) {
@@ -124,8 +125,8 @@ struct Worker::Impl {
         return;
       } catch (const discovery::RegistryError& error) {
         if (error.code() == discovery::RegistryErrorCode::away) {
-          logger.warn("topology {}: the registry is away, so that nobody knows whether another worker runs",
-                      topology.name);
+          worker_logger.warn("topology {}: the registry is away, so this worker cannot tell whether another one runs",
+                             topology.name);
           alone = options.registry->hold_eventually(path, services->worker);
           return;
         }
@@ -137,8 +138,8 @@ struct Worker::Impl {
             "another worker runs topology \"" + topology.name +
                 "\", and these inputs reach across drivers, of which each worker would have only its share:\n" +
                 crossed,
-            "where each worker for itself is meant, say \"scope: worker\" of these bolts (or \"topology.scope: "
-            "worker\"); otherwise run one worker, or use a key with driverID");
+            "if each worker should process its share only, give these bolts \"scope: worker\" (or write "
+            "\"topology.scope: worker\"); otherwise run one worker, or use a key with driverID");
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(100));
     }
@@ -148,7 +149,7 @@ struct Worker::Impl {
     WorkerControl::Options control_options;
     control_options.services = services;
     control_options.runtime = runtime.get();
-    control_options.topology.name = topology.name;
+    control_options.topology.name = services->topology;
     control_options.topology.since_ms = services->clock->wall_ms();
     for (const auto& component : topology.components) {
       auto& kind = component.spout ? control_options.topology.spouts : control_options.topology.bolts;
@@ -172,14 +173,15 @@ struct Worker::Impl {
     finish(limit);
   }
 
-  /// The end of the topology and of its place in the registry; once.
+  /// Ends the topology and leaves the registry; once.
   void finish(std::chrono::milliseconds limit) {
-    const std::lock_guard lock(finish_mutex);
+    const config::MutexLock lock(finish_mutex);
     if (std::exchange(finished, true)) return;
     for (const auto& prepare : services->before_stop) prepare();
     const auto drain = std::max(limit - reserve, limit / 2);
     if (!runtime->stop(drain))
-      logger.warn("topology {}: not everything was done within {} ms", topology.name, drain.count());
+      worker_logger.warn("topology {}: tuples were left when the {} ms to finish them were over", topology.name,
+                         drain.count());
     alone.reset();
     if (control) control->leave();
     for (const auto& clear_up : services->after_stop) clear_up();
@@ -189,16 +191,16 @@ struct Worker::Impl {
   WorkerOptions options;
   const EndpointServicesPtr services;
   Topology topology;
-  std::chrono::milliseconds standstill{0};  ///< of the fence; 0: none
+  std::chrono::milliseconds standstill{0};  ///< the fence's limit; 0: no fence
   std::unique_ptr<discovery::Registry> own_registry;
-  discovery::GuardPtr alone;  ///< the place of the only worker, where one alone may run
+  discovery::GuardPtr alone;  ///< the place of the only worker, for a topology that allows only one
   std::string http_address;   ///< constant after start()
   std::unique_ptr<Runtime> runtime;
   std::unique_ptr<TapDesk> taps;
-  std::atomic<bool> running{false};  ///< runtime and taps are there
-  std::mutex finish_mutex;
-  bool finished = false;                   ///< guarded by finish_mutex
-  std::unique_ptr<WorkerControl> control;  ///< goes before the runtime, which it uses
+  std::atomic<bool> running{false};  ///< runtime and taps exist
+  config::Mutex finish_mutex;
+  bool finished IOTCLOUD_GUARDED_BY(finish_mutex) = false;
+  std::unique_ptr<WorkerControl> control;  ///< destroyed before the runtime, which it uses
   std::jthread heart;                      ///< tells the fence that this process runs
 };
 
@@ -208,7 +210,7 @@ Worker::~Worker() {
   try {
     stop(std::chrono::seconds(5));
   } catch (const std::exception& error) {
-    logger.error("the worker did not stop in order: {}", error.what());
+    worker_logger.error("the worker failed while it stopped: {}", error.what());
   }
 }
 

@@ -10,28 +10,29 @@ namespace iotcloud::topology {
 
 namespace {
 
-/// MurmurHash3's last step.
+/// The finalizer of MurmurHash3.
 std::uint64_t mix(std::uint64_t h) {
   h = (h ^ (h >> 33)) * 0xff51afd7ed558ccdULL;
   h = (h ^ (h >> 33)) * 0xc4ceb9fe1a85ec53ULL;
   return h ^ (h >> 33);
 }
 
-/// FNV-1a, mixed: the same in every process and version.
+/// FNV-1a and mix(): every process and version must compute the same value.
 std::uint64_t hash(std::string_view text) {
   std::uint64_t h = 0xcbf29ce484222325ULL;
   for (const char c : text) h = (h ^ static_cast<unsigned char>(c)) * 0x100000001b3ULL;
   return mix(h);
 }
 
-/// A worker's slots: as many as its tasks, divided by what all workers' numbers of tasks have in common. Each slot
-/// takes the same number of units of a kind, or one more; so do the tasks that share one.
+/// A worker's slots. Their number is that of its tasks, divided by the greatest common divisor of all workers' numbers
+/// of tasks, so a slot stands for several tasks. Of each kind every slot takes either the least number of units or one
+/// more; a slot with one more is raised.
 struct Bidder {
-  std::vector<std::uint64_t> seeds;  ///< of its slots
-  std::size_t raised = 0;            ///< slots that have one unit more than others, over the kinds so far
-  std::size_t load = 0;              ///< units of this kind
-  std::size_t first = 0;             ///< slots raised by this kind that were not before
-  std::size_t second = 0;            ///< slots raised by it that were raised already, when all others are too
+  std::vector<std::uint64_t> seeds;  ///< for the hash, one for each slot
+  std::size_t raised = 0;            ///< number of slots that have one unit more than others, over the kinds so far
+  std::size_t load = 0;              ///< units of the present kind
+  std::size_t first = 0;             ///< slots that the present kind raised and that were not raised before
+  std::size_t second = 0;            ///< slots that the present kind raised again; only when all slots are raised once
 
   std::uint64_t score(std::uint64_t unit) const {
     std::uint64_t best = 0;
@@ -53,7 +54,7 @@ std::vector<Bidder> bidders_of(const std::vector<Sharer>& sharers) {
   return bidders;
 }
 
-/// Shares out one kind. Slots with one unit more than others get no further one before all have it.
+/// Shares out the units of one kind. A raised slot is raised again only when all slots are raised.
 std::vector<std::size_t> share(const std::vector<std::string>& units, std::vector<Bidder>& bidders) {
   std::size_t slots = 0, raised = 0;
   for (auto& bidder : bidders) {
@@ -64,7 +65,8 @@ std::vector<std::size_t> share(const std::vector<std::string>& units, std::vecto
   const std::size_t least = units.size() / slots;
   std::size_t first = std::min(units.size() % slots, slots - raised);
   std::size_t second = units.size() % slots - first;
-  const bool level = raised + first == slots;  // afterwards all slots stand where the raised ones stood
+  // all slots are raised once after this kind, which is where counting begins again
+  const bool level = raised + first == slots;
 
   std::vector<std::pair<std::uint64_t, std::size_t>> order;
   for (std::size_t i = 0; i < units.size(); ++i) order.emplace_back(hash(units[i]), i);

@@ -6,19 +6,20 @@
 
 namespace iotcloud::topology {
 
-/// One worker among those that share units.
+/// A worker that gets a share of the units.
 struct Sharer {
   std::string worker;
-  int tasks = 1;  ///< at least 1: how many are to have equal shares there
+  int tasks = 1;  ///< number of its spout tasks, at least 1; all tasks of all workers get equal shares
   friend bool operator==(const Sharer&, const Sharer&) = default;
 };
 
-/// Spreads units of several kinds over workers: each worker can give each of its tasks as many as any other task
-/// anywhere has, or one less, of every kind and in all. Every process that sees the same names comes to the same
-/// answer. Workers with equal numbers of tasks get the same units whatever that number is. When a unit or a worker
-/// comes or goes, few units move (rendezvous hashing with bounded loads). \param kinds names of units, all different.
-/// \param sharers at least one, all with different names. \return for each unit, as it stands in `kinds`, the place of
-/// its worker in `sharers`.
+/// Spreads units of several kinds over workers. A worker can spread its units over its tasks so that the numbers of
+/// units of any two tasks, in all workers, differ by one at most, for every kind and in all. The answer depends on the
+/// arguments only, so every process that sees the same names comes to the same answer. If all workers have the same
+/// number of tasks, that number does not change the answer. When a unit or a worker comes or goes, few units move
+/// (rendezvous hashing with bounded loads). \param kinds for each kind the names of its units, all different. \param
+/// sharers at least one, all with different names. \return in the order of `kinds`, for each unit the index of its
+/// worker in `sharers`.
 std::vector<std::vector<std::size_t>> fair_shares(const std::vector<std::vector<std::string>>& kinds,
                                                   const std::vector<Sharer>& sharers);
 

@@ -1,9 +1,8 @@
 #include <algorithm>
-#include <optional>
+#include <utility>
 
-#include <nlohmann/json.hpp>
-
-#include <iotcloud/config/log.h>
+#include <iotcloud/discovery/presence.h>
+#include <iotcloud/topology/endpoints/logger.h>
 #include <iotcloud/topology/endpoints/placement/reading_group.h>
 
 namespace iotcloud::topology {
@@ -12,39 +11,26 @@ using discovery::RegistryError;
 
 namespace {
 
-const config::Logger logger{"topology.endpoints"};
-/// Between two attempts to read the members.
+/// Time between two attempts to read the members.
 constexpr std::chrono::milliseconds retry_pause{500};
 
 std::string encode(const ReadingGroup::Member& member) {
-  return nlohmann::json{{"topology", member.topology}, {"tasks", member.sharer.tasks}, {"shares", member.shares},
-                        {"broker", member.broker},     {"where", member.where},        {"since", member.since_ms}}
-      .dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+  return discovery::encode(discovery::ReaderRecord{member.topology, member.sharer.tasks, member.shares, member.broker,
+                                                   member.where, member.since_ms});
 }
 
-/// nullopt: it cannot be read.
-std::optional<ReadingGroup::Member> decode(const std::string& worker, const std::string& bytes) {
-  try {
-    const auto json = nlohmann::json::parse(bytes);
-    ReadingGroup::Member member;
-    member.sharer = {worker, json.at("tasks").get<int>()};
-    member.topology = json.at("topology").get<std::string>();
-    member.shares = json.at("shares").get<bool>();
-    member.broker = json.at("broker").get<std::string>();
-    member.where = json.at("where").get<std::string>();
-    member.since_ms = json.at("since").get<std::int64_t>();
-    if (member.sharer.tasks >= 1 && member.sharer.tasks <= 1'000'000) return member;
-  } catch (const nlohmann::json::exception&) {
-    return std::nullopt;
-  }
-  return std::nullopt;
+/// \throws config::Error when the bytes are no valid record.
+ReadingGroup::Member decode(const std::string& worker, const std::string& bytes, const std::string& path) {
+  auto reader = discovery::decode_reader(bytes, path);
+  return {{worker, reader.tasks},   std::move(reader.topology), reader.shares,
+          std::move(reader.broker), std::move(reader.where),    reader.since_ms};
 }
 
-/// Why two cannot share; empty: they can.
+/// Why two members cannot share; empty: they can.
 std::string difference(const ReadingGroup::Member& first, const ReadingGroup::Member& own) {
   const std::string who = "worker " + first.sharer.worker + " of topology \"" + first.topology + "\"";
   if (first.topology != own.topology && !(first.shares && own.shares)) {
-    const std::string& silent = first.shares ? own.topology : first.topology;
+    const discovery::TopologyName& silent = first.shares ? own.topology : first.topology;
     return who + " reads in the same group, and topology \"" + silent +
            "\" does not say that it shares: name the \"group\" in both YAML files, or another one here";
   }
@@ -71,11 +57,11 @@ ReadingGroup::ReadingGroup(discovery::Registry& registry, std::string path, Memb
 ReadingGroup::~ReadingGroup() {
   discovery::GuardPtr again;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     over_ = true;
     again.swap(again_);
   }
-  again.reset();  // without the lock: it waits for its callback
+  again.reset();  // without the lock, because it waits for its callback, which takes the lock
   watch_.reset();
   member_.reset();
 }
@@ -86,12 +72,12 @@ void ReadingGroup::on_names(const std::vector<std::string>& names) {
 }
 
 void ReadingGroup::read_again_soon() {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (!over_) again_ = registry_.after(retry_pause, [this] { read(); });
 }
 
 void ReadingGroup::read() {
-  if (registry_.session() != discovery::SessionState::connected) {  // or the dispatcher would wait for it
+  if (registry_.session() != discovery::SessionState::connected) {  // get_all() would block the dispatcher until then
     read_again_soon();
     return;
   }
@@ -99,21 +85,21 @@ void ReadingGroup::read() {
   for (const auto& name : names_) {
     if (name != self_.sharer.worker) paths.push_back(path_ + "/members/" + name);
   }
-  // Not listed yet, or not any more while the session is renewed: this worker counts all the same.
+  // This worker counts even if its node is not listed: yet, or while the session is renewed.
   std::vector<Member> members{self_};
   try {
     const auto nodes = registry_.get_all(paths);
     for (std::size_t i = 0; i < nodes.size(); ++i) {
-      if (!nodes[i]) continue;  // its watch follows
+      if (!nodes[i]) continue;  // it has just gone: the watch calls on_names() soon
       const std::string worker = paths[i].substr(paths[i].rfind('/') + 1);
-      if (auto member = decode(worker, nodes[i]->data)) {
-        members.push_back(*std::move(member));
-      } else {
-        logger.warn("{} is not understood: it has no share", paths[i]);
+      try {
+        members.push_back(decode(worker, nodes[i]->data, paths[i]));
+      } catch (const config::Error& error) {
+        endpoints_logger.warn("{}; that worker gets no share; does it run another version?", error.what());
       }
     }
   } catch (const RegistryError& error) {
-    logger.debug("{}: {}", path_, error.what());
+    endpoints_logger.debug("{}: {}", path_, error.what());
     read_again_soon();
     return;
   }
@@ -138,12 +124,12 @@ void ReadingGroup::clear_up(discovery::Registry& registry, const std::string& pa
     registry.remove(path + "/members");
     discovery::remove_tree(registry, path);
     std::string parent = path;
-    for (int level = 0; level < 2; ++level) {  // the driver's node, the group's
+    for (int level = 0; level < 2; ++level) {  // the driver's node, then the group's
       parent.resize(parent.rfind('/'));
       registry.remove(parent);
     }
   } catch (const std::exception& error) {
-    logger.debug("{} stays: {}", path, error.what());  // somebody is there, or the registry is not
+    endpoints_logger.debug("{} stays: {}", path, error.what());  // the group has a member, or the registry is away
   }
 }
 

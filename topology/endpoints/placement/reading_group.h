@@ -2,41 +2,44 @@
 
 #include <cstdint>
 #include <functional>
-#include <mutex>
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/discovery/ids.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/endpoints/placement/fair_shares.h>
 
 namespace iotcloud::topology {
 
-/// The workers that read one channel of a driver as one group, so that each message goes to one of them: those of one
-/// topology, and those of others whose YAML names the same `group`. Each shows itself as an ephemeral node.
+/// The workers that read one channel of a driver as one group, so that each message goes to one of them: the workers of
+/// one topology, and those of other topologies whose YAML names the same `group`. Each worker has an ephemeral node in
+/// the registry.
 ///
-/// All must choose the same drivers, or nobody would read what one leaves to another: a member that says otherwise than
-/// the longest standing one has no share.
+/// All members must read from the same broker and choose the same drivers; otherwise each could leave a driver to
+/// another one that does not read it. So a member whose settings differ from those of the oldest member gets no share.
 class ReadingGroup {
  public:
   struct Member {
     Sharer sharer;
-    std::string topology;
-    bool shares = false;  ///< its YAML names the group; otherwise it is for the workers of that topology alone
-    std::string broker;   ///< the logical name
-    std::string where;    ///< as it stands in the YAML
-    std::int64_t since_ms = 0;
+    discovery::TopologyName topology;
+    bool shares = false;        ///< its YAML names the group; false: only workers of its topology may be in the group
+    std::string broker;         ///< the logical broker
+    std::string where;          ///< as the YAML says it
+    std::int64_t since_ms = 0;  ///< when it joined, Unix time
   };
-  /// \param problem why this worker has no share, for people; empty: it has one.
+  /// \param sharers the members that get a share. \param problem why this worker gets none, as a text for the log;
+  /// empty: it gets one.
   using OnChange = std::function<void(const std::vector<Sharer>& sharers, const std::string& problem)>;
 
-  /// Shows this worker. \param path discovery::Paths::readers(). \param on_change is called on the registry's
-  /// dispatcher with those who share, soon and after each change.
+  /// Adds this worker to the group; the destructor removes it. \param path discovery::Paths::readers(). \param
+  /// on_change is called on the registry's dispatcher, once soon and then after each change.
   ReadingGroup(discovery::Registry& registry, std::string path, Member self, OnChange on_change);
   ~ReadingGroup();
 
-  /// Where the election for a unit is held.
+  /// The registry's node of the election for a unit.
   static std::string election(const std::string& path, const std::string& unit) { return path + "/units/" + unit; }
-  /// Takes the group's records away when nobody is in it. \throws nothing: what cannot be removed stays.
+  /// Removes the group's records if the group has no members. Leaves in place what it cannot remove.
   static void clear_up(discovery::Registry& registry, const std::string& path) noexcept;
 
  private:
@@ -49,12 +52,12 @@ class ReadingGroup {
   const std::string path_;
   const Member self_;
   const OnChange on_change_;
-  std::vector<std::string> names_;  ///< of the dispatcher
+  std::vector<std::string> names_;  ///< the members' names; only the dispatcher uses it
 
-  std::mutex mutex_;
-  bool over_ = false;           ///< guarded by mutex_
-  discovery::GuardPtr again_;   ///< guarded by mutex_: the members are read once more, the registry was away
-  discovery::GuardPtr member_;  ///< this one's node
+  config::Mutex mutex_;
+  bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  discovery::GuardPtr again_ IOTCLOUD_GUARDED_BY(mutex_);  ///< timer that calls read() after the registry was away
+  discovery::GuardPtr member_;                             ///< this worker's node
   discovery::GuardPtr watch_;
 };
 

@@ -28,7 +28,7 @@ std::optional<TaskLoads::Move> TaskLoads::next_move() const {
     if (total(task) < total(idle)) idle = task;
   }
   if (total(busiest) <= total(idle) + 1) return std::nullopt;
-  // Both kinds are even within one, so the busiest has one more of each.
+  // Tasks differ by one at most in each kind, so the busiest has one more of both kinds than the idlest.
   return Move{UnitKind::instance, busiest, idle};
 }
 

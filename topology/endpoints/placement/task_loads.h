@@ -7,19 +7,19 @@
 
 namespace iotcloud::topology {
 
-/// What is placed on a spout task as one.
+/// The kinds of units of placement.
 enum class UnitKind : std::size_t {
   gateway,   ///< a driver on a gateway, with a shared channel
   instance,  ///< a driver instance, with a channel of its own
 };
 inline constexpr std::size_t unit_kinds = 2;
 
-/// How many units each task of a spout reads in one worker, and how to even them out. Not thread safe.
+/// Counts the units that each task of a spout reads in one worker, and says how to even them out. Not thread safe.
 class TaskLoads {
  public:
   explicit TaskLoads(std::size_t tasks = 0) : loads_(tasks) {}
 
-  /// The task that is to get one more.
+  /// The task that should get the next unit of this kind.
   std::size_t idlest(UnitKind kind) const;
   void add(std::size_t task, UnitKind kind) { ++at(task, kind); }
   void remove(std::size_t task, UnitKind kind) { --at(task, kind); }
@@ -28,8 +28,8 @@ class TaskLoads {
     UnitKind kind;
     std::size_t from, to;
   };
-  /// A unit that should move; none when no task has more than one more than another, of each kind and in all. Moving as
-  /// it says comes to an end.
+  /// The next move that evens the loads out; nullopt when the numbers of units of any two tasks differ by one at most,
+  /// for each kind and in all. A caller that makes each move reaches that state.
   std::optional<Move> next_move() const;
 
  private:

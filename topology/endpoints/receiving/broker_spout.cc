@@ -2,18 +2,17 @@
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/topology/endpoints/logger.h>
 #include <iotcloud/topology/endpoints/receiving/broker_spout.h>
 
 namespace iotcloud::topology {
 
 namespace {
 
-const config::Logger logger{"topology.endpoints"};
-
-/// How long a task that closes waits for the broker's answers to dead letters; what has none then is in both queues.
+/// How long a task that closes waits for the broker's confirmations of dead letters. A message whose letter is not
+/// confirmed by then is delivered again, and the letter may exist as well.
 constexpr std::chrono::milliseconds letters_limit{300};
-/// Between two lines in the log about messages that are given up.
+/// Time between two lines in the log about messages that are given up.
 constexpr std::chrono::seconds quiet_time{10};
 
 }  // namespace
@@ -33,15 +32,15 @@ void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutpu
   }
   waker_ = context.waker;
   fence_count_ = services_->fence->count();
-  inbox_ = std::make_shared<Inbox>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker);
-  placement_->join(context.task_index, context.task_count, inbox_);
+  queue_ = std::make_shared<SpoutQueue>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker);
+  placement_->join(context.task_index, context.task_count, queue_);
 }
 
 void BrokerSpout::close() {
   if (dead_letters_) dead_letters_->drain(letters_limit);
-  placement_->leave();  // first, or the broker would deliver again what the closed inbox gives back
-  inbox_->close();
-  slots_.clear();  // what is under way goes back to the broker
+  placement_->leave();  // first: an open reader would get again at once what the closed queue gives back to the broker
+  queue_->close();
+  slots_.clear();  // messages under way go back to the broker
   next_.reset();
   free_.clear();
   retries_.clear();
@@ -50,7 +49,7 @@ void BrokerSpout::close() {
 
 bool BrokerSpout::next_tuple() {
   if (next_) {
-    Arrival arrival = std::move(*next_);
+    ChannelMessage arrival = std::move(*next_);
     next_.reset();
     if (!comes_again(arrival) && bring(std::move(arrival))) return true;
   }
@@ -71,7 +70,7 @@ bool BrokerSpout::next_tuple() {
     if (filter_->full()) return false;
   }
   for (;;) {
-    auto [arrival, more] = inbox_->pop();
+    auto [arrival, more] = queue_->pop();
     if (!arrival) return false;
     received_->add();
     if (filter_) {
@@ -85,17 +84,19 @@ bool BrokerSpout::next_tuple() {
   }
 }
 
-/// A tuple is born when next_tuple() is called, and what was born before the fence was put up is void. So what came
-/// after that from the broker, into a call that began before, is left to the next one.
-bool BrokerSpout::is_too_new(const Arrival& arrival) {
+/// Whether the message is the first that this spout sees after the fence was raised; true once for each time. Such a
+/// message must wait for the next call of next_tuple(): a tuple's birth is when next_tuple() was called, and tuples
+/// that were born before the fence was raised are void.
+bool BrokerSpout::is_first_after_fence(const ChannelMessage& arrival) {
   return std::exchange(fence_count_, arrival.reader->fence_count()) != arrival.reader->fence_count();
 }
 
-/// \return whether this call is over: it was emitted, or is left to the next one. Otherwise it is void, or what its
-/// driver sent before has to be tried again first.
-bool BrokerSpout::bring(Arrival arrival) {
+/// Emits the message, or keeps it for later. \return true when next_tuple() must return: the message was emitted, or
+/// waits for the next call. False: the message is void and dropped, or it waits in retries_ behind an earlier message
+/// of its driver.
+bool BrokerSpout::bring(ChannelMessage arrival) {
   if (arrival.reader->is_void()) return false;
-  if (is_too_new(arrival)) {
+  if (is_first_after_fence(arrival)) {
     next_ = std::move(arrival);
     return true;
   }
@@ -105,7 +106,7 @@ bool BrokerSpout::bring(Arrival arrival) {
   return true;
 }
 
-void BrokerSpout::emit(Arrival arrival) {
+void BrokerSpout::emit(ChannelMessage arrival) {
   Values values = values_of(arrival);
   if (endpoint_.reading.automatic_ack) {
     collector_->emit_to(endpoint_.stream, std::move(values));
@@ -122,7 +123,8 @@ std::chrono::microseconds BrokerSpout::poll_period() const {
   constexpr std::chrono::microseconds least = std::chrono::milliseconds(1);
   const auto now = services_->clock->now();
   if (*due <= now) return least;
-  // A poll that was asked for cannot be moved forward, so a retry that comes to wait later must not wait for it long.
+  // The runtime cannot move a poll forward once it is planned. A message that fails meanwhile may be due before it, so
+  // no poll is further away than the shortest pause of a retry.
   const std::chrono::microseconds most = filtering ? SharedFilter::look_again : Retries::pause_after(1);
   return std::clamp<std::chrono::microseconds>(std::chrono::ceil<std::chrono::microseconds>(*due - now), least,
                                                std::max(most, least));
@@ -137,8 +139,8 @@ void BrokerSpout::ack(MessageId id) {
   waker_.wake();
 }
 
-/// Its broker delivers it again by itself.
-bool BrokerSpout::comes_again(const Arrival& arrival) {
+/// Whether the broker delivers the message again by itself, so that this spout must drop it.
+bool BrokerSpout::comes_again(const ChannelMessage& arrival) {
   return arrival.reader->closed() || arrival.reader->is_void();
 }
 
@@ -157,15 +159,16 @@ void BrokerSpout::fail(MessageId id) {
   waker_.wake();
 }
 
-void BrokerSpout::give_up(Arrival arrival) {
+void BrokerSpout::give_up(ChannelMessage arrival) {
   const auto now = services_->clock->now();
   if (last_complaint_ && now - *last_complaint_ < quiet_time) {
     ++given_up_silently_;
   } else {
-    logger.warn("a message of driver {} is given up after {} {} and {}: its tuple failed or timed out{}",
-                arrival.delivery.message.driver_id, arrival.tries, arrival.tries == 1 ? "try" : "tries",
-                dead_letters_ ? "goes to " + endpoint_.reading.dead_letter : "is rejected",
-                given_up_silently_ == 0 ? "" : fmt::format("; {} more since the last such line", given_up_silently_));
+    endpoints_logger.warn(
+        "a message of driver {} is given up after {} {} and {}: its tuple failed or timed out{}",
+        arrival.delivery.message.driver_id, arrival.tries, arrival.tries == 1 ? "try" : "tries",
+        dead_letters_ ? "goes to " + endpoint_.reading.dead_letter : "is rejected",
+        given_up_silently_ == 0 ? "" : fmt::format("; {} more since the last such line", given_up_silently_));
     given_up_silently_ = 0;
     last_complaint_ = now;
   }
@@ -177,7 +180,7 @@ void BrokerSpout::give_up(Arrival arrival) {
   arrival.delivery.settle(brokers::Settlement::reject);
 }
 
-Values BrokerSpout::values_of(const Arrival& arrival) const {
+Values BrokerSpout::values_of(const ChannelMessage& arrival) const {
   const brokers::Message& message = arrival.delivery.message;
   Values values;
   for (const FieldRole role : endpoint_.roles) {
@@ -190,7 +193,7 @@ Values BrokerSpout::values_of(const Arrival& arrival) const {
         }
         break;
       case FieldRole::driver_id:
-        values.add(message.driver_id.empty() ? arrival.reader->driver_id() : message.driver_id);
+        values.add(message.driver_id.empty() ? arrival.reader->driver_id().str() : message.driver_id);
         break;
       case FieldRole::time:
         values.add(message.time_ms);
@@ -200,7 +203,7 @@ Values BrokerSpout::values_of(const Arrival& arrival) const {
   return values;
 }
 
-MessageId BrokerSpout::keep(Arrival arrival) {
+MessageId BrokerSpout::keep(ChannelMessage arrival) {
   if (free_.empty()) {
     free_.push_back(static_cast<std::uint32_t>(slots_.size()));
     slots_.emplace_back();
@@ -211,7 +214,7 @@ MessageId BrokerSpout::keep(Arrival arrival) {
   return (MessageId{++slots_[place].uses} << 32) | place;
 }
 
-std::optional<Arrival> BrokerSpout::take(MessageId id) {
+std::optional<ChannelMessage> BrokerSpout::take(MessageId id) {
   const auto place = static_cast<std::uint32_t>(id);
   if (place >= slots_.size() || slots_[place].uses != id >> 32) return std::nullopt;
   auto arrival = std::exchange(slots_[place].arrival, std::nullopt);

@@ -5,23 +5,23 @@
 #include <optional>
 #include <vector>
 
-#include <iotcloud/topology/endpoints/placement/spout_placement.h>
-#include <iotcloud/topology/endpoints/receiving/dead_letters.h>
-#include <iotcloud/topology/endpoints/receiving/inbox.h>
+#include <iotcloud/topology/endpoints/receiving/dead_letter_sender.h>
 #include <iotcloud/topology/endpoints/receiving/retries.h>
 #include <iotcloud/topology/endpoints/receiving/shared_filter.h>
+#include <iotcloud/topology/endpoints/receiving/spout_placement.h>
+#include <iotcloud/topology/endpoints/receiving/spout_queue.h>
 #include <iotcloud/topology/spout.h>
 
 namespace iotcloud::topology {
 
-/// Brings a driver's channel into the topology. With manual acknowledgement (the default) the broker's message is
-/// settled when its tuple tree completed; a failed one is tried again from here after a while, and given up after
-/// `maxTries`: moved to the dead-letter topic, or rejected without one.
+/// A spout that emits the messages of a driver's channel. With manual acknowledgement (the default) it settles a
+/// message when its tuple tree is done. A message whose tuple failed is emitted again after a pause, and given up after
+/// `maxTries` tries: it is moved to the dead-letter topic, or rejected if there is none.
 class BrokerSpout final : public Spout {
  public:
-  /// \param dead_letters null: what is given up is rejected.
+  /// \param dead_letters null: messages that are given up are rejected.
   BrokerSpout(EndpointServicesPtr services, std::shared_ptr<SpoutPlacement> placement,
-              std::shared_ptr<DeadLetters> dead_letters, EndpointDefinition endpoint)
+              std::shared_ptr<DeadLetterSender> dead_letters, EndpointDefinition endpoint)
       : services_(std::move(services)),
         placement_(std::move(placement)),
         dead_letters_(std::move(dead_letters)),
@@ -38,37 +38,37 @@ class BrokerSpout final : public Spout {
   std::chrono::microseconds poll_period() const override;
 
  private:
-  bool bring(Arrival arrival);
-  bool is_too_new(const Arrival& arrival);
-  void emit(Arrival arrival);
-  static bool comes_again(const Arrival& arrival);
-  void give_up(Arrival arrival);
-  Values values_of(const Arrival& arrival) const;
-  MessageId keep(Arrival arrival);
-  std::optional<Arrival> take(MessageId id);
+  bool bring(ChannelMessage arrival);
+  bool is_first_after_fence(const ChannelMessage& arrival);
+  void emit(ChannelMessage arrival);
+  static bool comes_again(const ChannelMessage& arrival);
+  void give_up(ChannelMessage arrival);
+  Values values_of(const ChannelMessage& arrival) const;
+  MessageId keep(ChannelMessage arrival);
+  std::optional<ChannelMessage> take(MessageId id);
 
   const EndpointServicesPtr services_;
   const std::shared_ptr<SpoutPlacement> placement_;
-  const std::shared_ptr<DeadLetters> dead_letters_;
+  const std::shared_ptr<DeadLetterSender> dead_letters_;
   const EndpointDefinition endpoint_;
   SpoutOutputCollector* collector_ = nullptr;
-  std::shared_ptr<Inbox> inbox_;
+  std::shared_ptr<SpoutQueue> queue_;
   SpoutWaker waker_;
   Retries retries_;
-  std::optional<SharedFilter> filter_;  ///< with `where`
+  std::optional<SharedFilter> filter_;  ///< only with `where`
   std::uint64_t last_sequence_ = 0;
-  std::uint64_t fence_count_ = 0;  ///< as an earlier call of next_tuple() saw it
-  std::optional<Arrival> next_;    ///< for the next call: it is too new for the one that took it
+  std::uint64_t fence_count_ = 0;  ///< ChannelReader::fence_count() of the message before; see is_first_after_fence()
+  std::optional<ChannelMessage> next_;  ///< left to the next call of next_tuple(), see is_first_after_fence()
   config::Counter* received_ = nullptr;
   config::Counter* retried_ = nullptr;
   config::Counter* rejected_ = nullptr;
-  std::size_t given_up_silently_ = 0;  ///< since the last line in the log
-  std::optional<config::Clock::Instant> last_complaint_;
+  std::size_t given_up_silently_ = 0;                     ///< messages given up since last_complaint_
+  std::optional<config::Clock::Instant> last_complaint_;  ///< when the log got a line about messages given up
 
-  /// What is under way, by slot. A message id is the slot and how often the slot was used, so that a late answer finds
-  /// nothing.
+  /// Holds a message that is under way. A message id is the slot's index and how often the slot was used, so that a
+  /// late ack or fail does not hit the slot's next message.
   struct Slot {
-    std::optional<Arrival> arrival;
+    std::optional<ChannelMessage> arrival;
     std::uint32_t uses = 0;
   };
   std::vector<Slot> slots_;

@@ -2,52 +2,57 @@
 
 #include <atomic>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <vector>
 
 #include <iotcloud/brokers/broker_pool.h>
-#include <iotcloud/topology/endpoints/fence.h>
-#include <iotcloud/topology/endpoints/receiving/inbox.h>
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/discovery/ids.h>
+#include <iotcloud/topology/endpoints/receiving/spout_queue.h>
+#include <iotcloud/topology/endpoints/standstill_fence.h>
 
 namespace iotcloud::topology {
 
-/// One topic being read into an inbox. Thread safe. Its owner closes it.
+/// Reads one topic into a SpoutQueue. Its owner must call close(). Thread safe.
 class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
  public:
-  /// \param driver_id whose messages these are when they do not say so themselves; empty for a shared channel.
+  /// Subscribes to the topic. \param driver_id the sender of messages that do not name one; empty for a shared channel.
   static std::shared_ptr<ChannelReader> open(std::shared_ptr<brokers::Broker> broker,
                                              const brokers::BrokerAddress& address, const brokers::Topic& topic,
-                                             const brokers::SubscriptionOptions& options, std::string driver_id,
-                                             std::shared_ptr<Inbox> inbox, std::shared_ptr<const Fence> fence);
+                                             const brokers::SubscriptionOptions& options,
+                                             discovery::InstanceId driver_id, std::shared_ptr<SpoutQueue> queue,
+                                             std::shared_ptr<const StandstillFence> fence);
 
   void pause();
   void resume();
-  /// Takes nothing more from the broker, and keeps the topic; until it is closed.
+  /// Takes no more messages, but stays subscribed, so that no other reader gets the topic. Only close() ends this.
   void drain();
-  /// Whether a message from here is on its way in the topology: not settled, nor given back.
+  /// Whether a message from this reader is neither settled nor given back to the broker.
   bool has_in_hand() const { return in_hand_ > 0; }
-  /// Returns when nothing comes any more (unless called from within a handler); what waits goes back to the broker.
+  /// How many messages it has brought.
+  std::size_t taken() const { return taken_; }
+  /// Ends the subscription, and waits until no handler runs any more (unless a handler calls it). Messages that wait in
+  /// the queue go back to the broker.
   void close();
   bool closed() const;
-  /// True when the fence was put up since open(): what came from here is void, and what comes stays with the reader
-  /// until it is closed.
+  /// Whether the fence was raised since open(). Messages that came before are void then, and the reader holds those
+  /// that come after until it is closed.
   bool is_void() const { return fence_->count() != opened_at_; }
-  /// How often the fence had been put up at open().
+  /// StandstillFence::count() at open().
   std::uint64_t fence_count() const { return opened_at_; }
-  /// True while it reads; false while disconnected, or while another reader has the topic.
+  /// Whether the broker delivers to this reader; false while disconnected, or while another reader has the topic.
   bool active() const;
-  const std::string& driver_id() const { return driver_id_; }
+  const discovery::InstanceId& driver_id() const { return driver_id_; }
   const brokers::Topic& topic() const { return topic_; }
   const brokers::BrokerAddress& address() const { return address_; }
 
  private:
-  ChannelReader(brokers::Topic topic, brokers::BrokerAddress address, std::string driver_id,
-                std::shared_ptr<Inbox> inbox, std::shared_ptr<const Fence> fence)
+  ChannelReader(brokers::Topic topic, brokers::BrokerAddress address, discovery::InstanceId driver_id,
+                std::shared_ptr<SpoutQueue> queue, std::shared_ptr<const StandstillFence> fence)
       : topic_(std::move(topic)),
         address_(std::move(address)),
         driver_id_(std::move(driver_id)),
-        inbox_(std::move(inbox)),
+        queue_(std::move(queue)),
         fence_(std::move(fence)),
         opened_at_(fence_->count()) {}
   friend class HeldReader;
@@ -57,19 +62,21 @@ class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
 
   const brokers::Topic topic_;
   const brokers::BrokerAddress address_;
-  const std::string driver_id_;
-  const std::shared_ptr<Inbox> inbox_;
-  const std::shared_ptr<const Fence> fence_;
-  const std::uint64_t opened_at_;  ///< the fence's count
-  std::atomic<bool> said_first_{false};
-  std::atomic<std::size_t> in_hand_{0};
-  mutable std::mutex mutex_;
-  bool closed_ = false;                                  ///< guarded by mutex_
-  bool paused_ = false;                                  ///< guarded by mutex_
-  bool draining_ = false;                                ///< guarded by mutex_
-  std::vector<brokers::Delivery> withheld_;              ///< came when all was void already; guarded by mutex_
-  std::shared_ptr<brokers::Broker> broker_;              ///< guarded by mutex_; outlives the subscription
-  std::unique_ptr<brokers::Subscription> subscription_;  ///< guarded by mutex_; null until open() and after close()
+  const discovery::InstanceId driver_id_;
+  const std::shared_ptr<SpoutQueue> queue_;
+  const std::shared_ptr<const StandstillFence> fence_;
+  const std::uint64_t opened_at_;        ///< StandstillFence::count() at open()
+  std::atomic<bool> said_first_{false};  ///< the log has a line about the first message
+  std::atomic<std::size_t> taken_{0};
+  std::atomic<std::size_t> in_hand_{0};  ///< number of HeldReader objects of this reader
+  mutable config::Mutex mutex_;
+  bool closed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  bool paused_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  bool draining_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  std::vector<brokers::Delivery> withheld_ IOTCLOUD_GUARDED_BY(mutex_);  ///< arrived after the fence was raised
+  std::shared_ptr<brokers::Broker> broker_ IOTCLOUD_GUARDED_BY(mutex_);  ///< must outlive the subscription
+  /// Null until open() and after close().
+  std::unique_ptr<brokers::Subscription> subscription_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace iotcloud::topology

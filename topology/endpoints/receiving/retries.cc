@@ -10,12 +10,12 @@ std::chrono::milliseconds Retries::pause_after(int tries) {
   return tries > 8 ? longest : std::min(longest, first * (1 << std::max(tries - 1, 0)));
 }
 
-const std::string& Retries::driver_of(const Arrival& arrival) {
+const std::string& Retries::driver_of(const ChannelMessage& arrival) {
   const std::string& named = arrival.delivery.message.driver_id;
-  return named.empty() ? arrival.reader->driver_id() : named;
+  return named.empty() ? arrival.reader->driver_id().str() : named;
 }
 
-void Retries::add(Arrival arrival, Instant now) {
+void Retries::add(ChannelMessage arrival, Instant now) {
   arrival.not_before = now + pause_after(arrival.tries);
   const auto entry = groups_.try_emplace(driver_of(arrival)).first;
   Group& group = entry->second;
@@ -26,16 +26,16 @@ void Retries::add(Arrival arrival, Instant now) {
   if (!group.under_way) plan(*entry);
 }
 
-bool Retries::hold(Arrival& arrival) {
+bool Retries::hold(ChannelMessage& arrival) {
   const auto entry = groups_.find(driver_of(arrival));
   if (entry == groups_.end()) return false;
   insert(entry->second, std::move(arrival));
   return true;
 }
 
-std::optional<Arrival> Retries::next(Instant now) {
+std::optional<ChannelMessage> Retries::next(Instant now) {
   while (!released_.empty()) {
-    Arrival arrival = std::move(released_.front());
+    ChannelMessage arrival = std::move(released_.front());
     released_.pop_front();
     if (!hold(arrival)) return arrival;
   }
@@ -43,7 +43,7 @@ std::optional<Arrival> Retries::next(Instant now) {
   const auto entry = groups_.find(agenda_.begin()->second);
   unplan(*entry);
   Group& group = entry->second;
-  Arrival arrival = std::move(group.waiting.front());
+  ChannelMessage arrival = std::move(group.waiting.front());
   group.waiting.pop_front();
   if (arrival.tries > 0) --group.failed;
   group.under_way = true;
@@ -51,7 +51,7 @@ std::optional<Arrival> Retries::next(Instant now) {
   return arrival;
 }
 
-void Retries::done(const Arrival& arrival) {
+void Retries::done(const ChannelMessage& arrival) {
   if (!arrival.blocks) return;
   const auto entry = groups_.find(driver_of(arrival));
   if (entry == groups_.end()) return;
@@ -77,10 +77,10 @@ void Retries::clear() {
   released_.clear();
 }
 
-void Retries::insert(Group& group, Arrival arrival) {
+void Retries::insert(Group& group, ChannelMessage arrival) {
   const auto place =
       std::upper_bound(group.waiting.begin(), group.waiting.end(), arrival.sequence,
-                       [](std::uint64_t sequence, const Arrival& other) { return sequence < other.sequence; });
+                       [](std::uint64_t sequence, const ChannelMessage& other) { return sequence < other.sequence; });
   group.waiting.insert(place, std::move(arrival));
 }
 

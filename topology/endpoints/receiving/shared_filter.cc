@@ -5,8 +5,9 @@
 
 namespace iotcloud::topology {
 
-std::optional<Arrival> SharedFilter::pass(Arrival arrival, config::Clock::Instant now) {
-  if (!arrival.reader->driver_id().empty()) return arrival;  // an exclusive channel: read because it is chosen
+std::optional<ChannelMessage> SharedFilter::pass(ChannelMessage arrival, config::Clock::Instant now) {
+  // an exclusive channel: it is read only if its instance is chosen
+  if (!arrival.reader->driver_id().empty()) return arrival;
   const std::string& instance = arrival.delivery.message.driver_id;
   const auto line = waiting_.find(instance);
   if (line == waiting_.end()) {
@@ -17,21 +18,21 @@ std::optional<Arrival> SharedFilter::pass(Arrival arrival, config::Clock::Instan
       return std::nullopt;
     }
   }
-  const std::string key = instance;
-  waiting_[key].push_back({std::move(arrival), now});
+  auto& queue = waiting_[discovery::InstanceId(instance)];
+  queue.push_back({std::move(arrival), now});
   ++waiting_count_;
   return std::nullopt;
 }
 
-std::optional<Arrival> SharedFilter::next(config::Clock::Instant now) {
+std::optional<ChannelMessage> SharedFilter::next(config::Clock::Instant now) {
   for (auto line = waiting_.begin(); line != waiting_.end();) {
-    const auto chosen = verdicts_->of(line->first);
+    const auto chosen = verdicts_->of(line->first.str());
     auto& messages = line->second;
     while (!messages.empty()) {
       Waiting& first = messages.front();
       const bool gone = first.arrival.reader->closed();  // the broker delivers it again by itself
       if (!gone && !chosen && now - first.since < grace) break;
-      Arrival arrival = std::move(first.arrival);
+      ChannelMessage arrival = std::move(first.arrival);
       messages.pop_front();
       --waiting_count_;
       if (gone) continue;
@@ -47,7 +48,7 @@ std::optional<Arrival> SharedFilter::next(config::Clock::Instant now) {
   return std::nullopt;
 }
 
-void SharedFilter::drop(Arrival& arrival) {
+void SharedFilter::drop(ChannelMessage& arrival) {
   dropped_.add();
   arrival.delivery.settle(brokers::Settlement::accept);
 }

@@ -10,44 +10,47 @@
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
-#include <iotcloud/topology/endpoints/receiving/inbox.h>
+#include <iotcloud/discovery/ids.h>
+#include <iotcloud/topology/endpoints/receiving/spout_queue.h>
 #include <iotcloud/topology/endpoints/receiving/verdicts.h>
 
 namespace iotcloud::topology {
 
-/// On a shared channel, lets pass what comes from instances that `where` chooses. What others send is accepted and
-/// dropped, and counted. A driver's first message may be here before the registry has told of it: it waits `grace`, and
-/// what the driver sends behind it with it. Belongs to one spout task; not thread safe.
+/// Passes on the messages of a shared channel whose sender `where` chooses. It accepts, counts and drops the messages
+/// of other instances. A driver's first message may arrive before the registry has told of the driver: that message and
+/// those behind it wait for `grace`. Belongs to one spout task; not thread safe.
 class SharedFilter {
  public:
   SharedFilter(std::shared_ptr<const Verdicts> verdicts, config::Counter& dropped)
       : verdicts_(std::move(verdicts)), dropped_(dropped) {}
 
-  /// \return the message when it is to go on; otherwise it was dropped, or waits.
-  std::optional<Arrival> pass(Arrival arrival, config::Clock::Instant now);
-  /// What has waited and may go on now; what waited too long is dropped. Empty: there is none.
-  std::optional<Arrival> next(config::Clock::Instant now);
-  /// Nothing more should be brought: too many messages of drivers that are not known wait.
+  /// \return the message if it may be emitted; nullopt: it was dropped, or waits.
+  std::optional<ChannelMessage> pass(ChannelMessage arrival, config::Clock::Instant now);
+  /// \return a message that waited and may be emitted now, or nullopt. Drops messages that waited for longer than
+  /// `grace`.
+  std::optional<ChannelMessage> next(config::Clock::Instant now);
+  /// Whether so many messages of unknown drivers wait that the spout should take no more.
   bool full() const { return waiting_count_ >= most_waiting; }
   bool empty() const { return waiting_count_ == 0; }
-  /// What waits goes back to the broker.
+  /// Gives the messages that wait back to the broker.
   void clear();
 
+  /// How long a message waits for the registry to tell of its driver.
   static constexpr std::chrono::seconds grace{2};
-  static constexpr std::size_t most_waiting = 1024;
-  /// How often to look for new verdicts while something waits.
+  static constexpr std::size_t most_waiting = 1024;  ///< messages, of all drivers
+  /// How often the spout should call next() while messages wait.
   static constexpr std::chrono::milliseconds look_again{10};
 
  private:
   struct Waiting {
-    Arrival arrival;
+    ChannelMessage arrival;
     config::Clock::Instant since;
   };
-  void drop(Arrival& arrival);
+  void drop(ChannelMessage& arrival);
 
   const std::shared_ptr<const Verdicts> verdicts_;
   config::Counter& dropped_;
-  std::map<std::string, std::deque<Waiting>> waiting_;  ///< by driver instance, never empty ones
+  std::map<discovery::InstanceId, std::deque<Waiting>, std::less<>> waiting_;  ///< no queue is empty
   std::size_t waiting_count_ = 0;
 };
 

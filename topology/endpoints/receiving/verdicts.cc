@@ -4,8 +4,8 @@
 
 namespace iotcloud::topology {
 
-void Verdicts::told(const std::string& instance, std::optional<bool> chosen) {
-  const std::lock_guard lock(mutex_);
+void Verdicts::told(const discovery::InstanceId& instance, std::optional<bool> chosen) {
+  const config::WriteLock lock(mutex_);
   if (chosen) {
     verdicts_[instance] = {*chosen, false};
     return;
@@ -19,8 +19,8 @@ void Verdicts::told(const std::string& instance, std::optional<bool> chosen) {
   departed_.pop_front();
 }
 
-std::optional<bool> Verdicts::of(const std::string& instance) const {
-  const std::shared_lock lock(mutex_);
+std::optional<bool> Verdicts::of(std::string_view instance) const {
+  const config::ReadLock lock(mutex_);
   const auto found = verdicts_.find(instance);
   if (found == verdicts_.end()) return std::nullopt;
   return found->second.chosen;

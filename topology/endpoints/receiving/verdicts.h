@@ -2,24 +2,28 @@
 
 #include <cstddef>
 #include <deque>
-#include <mutex>
+#include <functional>
 #include <optional>
-#include <shared_mutex>
-#include <string>
+#include <string_view>
 #include <unordered_map>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/discovery/ids.h>
 
 namespace iotcloud::topology {
 
-/// Which of a driver's instances `where` chooses, as the registry told last; shared by the tasks of one spout component
-/// and its placement. Thread safe.
+/// Which of a driver's instances `where` chooses, by the last news from the registry. The tasks of one spout component
+/// and their SpoutPlacement share it. Thread safe.
 class Verdicts {
  public:
-  /// \param chosen nullopt: the instance is gone. What it sent before is still judged as it was last.
-  void told(const std::string& instance, std::optional<bool> chosen);
-  /// nullopt: the registry has not told of it.
-  std::optional<bool> of(const std::string& instance) const;
+  /// Takes news from the registry. \param chosen nullopt: the instance is gone; its last verdict is kept for messages
+  /// that it sent before.
+  void told(const discovery::InstanceId& instance, std::optional<bool> chosen);
+  /// Whether the instance is chosen; nullopt: the registry has not told of it. \param instance its id, as messages say
+  /// it
+  std::optional<bool> of(std::string_view instance) const;
 
-  /// So many instances that went are remembered.
+  /// How many verdicts on instances that are gone are kept.
   static constexpr std::size_t most_departed = 10'000;
 
  private:
@@ -27,9 +31,10 @@ class Verdicts {
     bool chosen = false;
     bool departed = false;
   };
-  mutable std::shared_mutex mutex_;
-  std::unordered_map<std::string, Verdict> verdicts_;  ///< by instance; guarded by mutex_
-  std::deque<std::string> departed_;                   ///< oldest first, some back again; guarded by mutex_
+  mutable config::SharedMutex mutex_;
+  std::unordered_map<discovery::InstanceId, Verdict, std::hash<discovery::InstanceId>, std::equal_to<>> verdicts_
+      IOTCLOUD_GUARDED_BY(mutex_);
+  std::deque<discovery::InstanceId> departed_ IOTCLOUD_GUARDED_BY(mutex_);  ///< oldest first; some may be back again
 };
 
 }  // namespace iotcloud::topology

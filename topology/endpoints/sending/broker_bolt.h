@@ -7,8 +7,8 @@
 
 namespace iotcloud::topology {
 
-/// Sends tuples to a driver's channel: each to the driver instance that its field driverID names, its field `time`
-/// carried on. A tuple is acked when its message is safe (ChannelSender).
+/// A bolt that sends tuples to a driver's channel: each to the driver instance that its field driverID names, with the
+/// time of its field `time`. ChannelSender says when a tuple is acked.
 class BrokerBolt final : public Bolt {
  public:
   BrokerBolt(EndpointServicesPtr services, std::shared_ptr<RouteTable> routes, EndpointDefinition endpoint)

@@ -6,8 +6,8 @@ namespace iotcloud::topology {
 
 namespace {
 
-/// Whether the message is where it should be, or nobody wants it there any more. One that was fenced may be another
-/// worker's by now.
+/// Whether the tuple is acked: the broker confirmed the message, or the channel's policy dropped it. A fenced message
+/// must fail, because another worker may have it by now.
 bool succeeded(brokers::Outcome outcome, const std::string& reason) {
   return outcome == brokers::Outcome::confirmed || (outcome == brokers::Outcome::dropped && reason != "fenced");
 }
@@ -23,7 +23,7 @@ void SenderMeters::lost(const std::string& reason) {
 std::shared_ptr<ChannelSender> ChannelSender::open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
                                                    brokers::PublisherOptions options, AckWhen ack_when,
                                                    const std::shared_ptr<SenderMeters>& meters,
-                                                   const std::shared_ptr<const Fence>& fence) {
+                                                   const std::shared_ptr<const StandstillFence>& fence) {
   std::shared_ptr<ChannelSender> sender(new ChannelSender(ack_when, meters, fence));
   options.void_before = [fence] { return fence->since(); };
   options.on_outcome = [meters, weak = std::weak_ptr(sender)](std::uint64_t number, brokers::Outcome outcome,
@@ -39,14 +39,15 @@ std::shared_ptr<ChannelSender> ChannelSender::open(std::shared_ptr<brokers::Brok
     if (const auto self = weak.lock()) self->on_writable();
   };
   std::shared_ptr<brokers::Publisher> publisher = broker->publisher(topic, options);
-  const std::lock_guard lock(sender->mutex_);
+  const config::MutexLock lock(sender->mutex_);
   sender->broker_ = std::move(broker);
   sender->publisher_ = std::move(publisher);
   return sender;
 }
 
-void ChannelSender::send(brokers::Message message, const Tuple& tuple, OutputCollector& collector) {
-  std::unique_lock lock(mutex_);
+void ChannelSender::send(brokers::Message message, const Tuple& tuple, OutputCollector& collector,
+                         std::chrono::milliseconds age) {
+  config::UniqueLock lock(mutex_);
   if (!publisher_ || held_.size() >= most_held) {
     const bool closed = !publisher_;
     lock.unlock();
@@ -54,46 +55,50 @@ void ChannelSender::send(brokers::Message message, const Tuple& tuple, OutputCol
     collector.fail(tuple);
     return;
   }
-  held_.push_back({std::move(message), tuple, &collector});
-  if (!full_ && sending_ == nullptr) pump(lock);
+  held_.push_back({std::move(message), tuple, &collector, age});
+  if (!full_ && sending_ == nullptr) pump();
 }
 
-/// Sends what is held until nothing is left or the publisher is full. One thread at a time; the lock is not held while
-/// the publisher and the collector are called.
-void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
+/// Sends the held-back tuples until none is left or the publisher is full. Only one thread at a time runs it. It
+/// releases the lock while it calls the publisher and the collector.
+void ChannelSender::pump() {
   while (!held_.empty() && publisher_) {
     Held held = std::move(held_.front());
     held_.pop_front();
     auto publisher = publisher_;
     sending_ = held.collector;
     writable_again_ = false;
-    // Kept before it is published: the outcome may come before publish() returns. Nobody hears of an untracked tuple.
+    // The tuple is kept before its message is published, because the outcome may come before publish() returns. An
+    // untracked tuple is not kept: no spout waits for its ack.
     const bool awaited = ack_when_ == AckWhen::confirmed && held.tuple.data()->tree != nullptr;
-    if (awaited) under_way_.push_back({accepted_ + 1, held.tuple, held.collector});
-    lock.unlock();
-    const bool is_void = this->is_void(held.tuple);
-    const auto status = is_void ? brokers::PublishStatus::closed : publisher->publish(held.message);
-    if (status == brokers::PublishStatus::accepted) {
-      meters_->accepted();
-      if (!awaited) held.collector->ack(held.tuple);
-    } else if (status == brokers::PublishStatus::closed) {
-      meters_->lost(is_void ? "fenced" : "closed");
-      held.collector->fail(held.tuple);
+    if (awaited) under_way_.push_back({last_number_ + 1, held.tuple, held.collector});
+    brokers::Published published;
+    {
+      const config::Unlocked unlocked(mutex_);
+      const bool is_void = this->is_void(held.tuple);
+      if (!is_void) published = publisher->publish_again(held.message, {false, held.age});
+      if (published == brokers::PublishStatus::accepted) {
+        meters_->accepted();
+        if (!awaited) held.collector->ack(held.tuple);
+      } else if (published == brokers::PublishStatus::closed) {
+        meters_->lost(is_void ? "fenced" : "closed");
+        held.collector->fail(held.tuple);
+      }
+      // If close() ran meanwhile, this is the last reference, whose destructor reports outcomes: on_outcome() takes the
+      // lock.
+      publisher.reset();
     }
-    publisher.reset();  // closed meanwhile it is the last one, and its end tells outcomes, which take the lock
-    lock.lock();
-    if (status == brokers::PublishStatus::accepted) {
-      ++accepted_;
+    if (published == brokers::PublishStatus::accepted) {
+      last_number_ = published.number;
     } else if (awaited) {
       under_way_.pop_back();
     }
-    const bool waits = status == brokers::PublishStatus::would_block;
+    const bool waits = published == brokers::PublishStatus::would_block;
     const bool too_late = waits && !publisher_;  // close() has failed what was held back, and did not see this one
     if (too_late) {
-      lock.unlock();
+      const config::Unlocked unlocked(mutex_);
       meters_->lost("closed");
       held.collector->fail(held.tuple);
-      lock.lock();
     }
     sending_ = nullptr;
     sent_.notify_all();
@@ -106,17 +111,18 @@ void ChannelSender::pump(std::unique_lock<std::mutex>& lock) {
   }
 }
 
-/// Whether the tuple comes from a message that its broker has given to another reader. One of unknown age is not.
+/// Whether the tuple comes from a message that the broker has delivered to another reader since. A tuple without a
+/// recorded birth is never void.
 bool ChannelSender::is_void(const Tuple& tuple) const {
   const std::int64_t born = tuple.data()->born_ns;
-  return born != 0 && fence_->voids(Fence::Instant(std::chrono::nanoseconds(born)));
+  return born != 0 && fence_->voids(StandstillFence::Instant(std::chrono::nanoseconds(born)));
 }
 
 void ChannelSender::on_outcome(std::uint64_t number, bool succeeded) {
   Tuple tuple;
   OutputCollector* collector = nullptr;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     const auto found = std::lower_bound(under_way_.begin(), under_way_.end(), number,
                                         [](const UnderWay& one, std::uint64_t sought) { return one.number < sought; });
     if (found == under_way_.end() || found->number != number) return;
@@ -131,23 +137,23 @@ void ChannelSender::on_outcome(std::uint64_t number, bool succeeded) {
   } else {
     collector->fail(tuple);
   }
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   answering_.erase(std::find(answering_.begin(), answering_.end(), collector));
   sent_.notify_all();
 }
 
 void ChannelSender::on_writable() {
-  std::unique_lock lock(mutex_);
+  const config::MutexLock lock(mutex_);
   full_ = false;
   if (sending_ != nullptr) {
     writable_again_ = true;
     return;
   }
-  pump(lock);
+  pump();
 }
 
 void ChannelSender::reset_timeouts() {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   for (const auto& held : held_) held.collector->reset_timeout(held.tuple);
   for (const auto& one : under_way_) {
     if (one.collector != nullptr) one.collector->reset_timeout(one.tuple);
@@ -157,8 +163,8 @@ void ChannelSender::reset_timeouts() {
 void ChannelSender::forget(const OutputCollector& collector) {
   std::deque<Held> gone;
   std::deque<Tuple> forgotten;
-  std::unique_lock lock(mutex_);
-  sent_.wait(lock, [&] {
+  const config::MutexLock lock(mutex_);
+  sent_.wait(mutex_, [&]() IOTCLOUD_REQUIRES(mutex_) {
     return sending_ != &collector && std::count(answering_.begin(), answering_.end(), &collector) == 0;
   });
   for (auto& one : under_way_) {
@@ -176,15 +182,15 @@ void ChannelSender::close() {
   std::shared_ptr<brokers::Publisher> publisher;
   std::deque<Held> held;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     broker = std::move(broker_);
     publisher = std::move(publisher_);
     held.swap(held_);
   }
   publisher.reset();
-  for (const auto& [message, tuple, collector] : held) {
+  for (const auto& one : held) {
     meters_->lost("closed");
-    collector->fail(tuple);
+    one.collector->fail(one.tuple);
   }
 }
 

@@ -1,6 +1,6 @@
 #pragma once
 
-#include <condition_variable>
+#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <memory>
@@ -8,6 +8,7 @@
 #include <vector>
 
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/services.h>
 #include <iotcloud/topology/output_collector.h>
@@ -15,7 +16,7 @@
 
 namespace iotcloud::topology {
 
-/// What senders of one component count, by what became of their messages.
+/// Counters of the senders of one component, by outcome of their messages.
 class SenderMeters {
  public:
   SenderMeters(config::Metrics& metrics, config::Labels labels) : metrics_(metrics), labels_(std::move(labels)) {}
@@ -29,26 +30,29 @@ class SenderMeters {
   config::Counter& accepted_ = metrics_.counter("iotcloud_bolt_sent_total", "Messages that a publisher took", labels_);
 };
 
-/// Sends to one topic, in order, for all tasks of a bolt. A tracked tuple is acked when the broker has confirmed its
-/// message, or when the channel's own policy dropped it (superseded, too old); it fails when the broker refused it, or
-/// when nobody knows what became of it. While the publisher is full tuples are held back unacked, which stops the
-/// spout. So what waits is limited by the publisher's capacity. What comes from before the
-/// fence was put up is not sent: its tuple fails. Thread safe.
+/// Sends to one topic, in order, for all tasks of a bolt. It acks a tracked tuple when the broker has confirmed its
+/// message, or when the channel's own policy dropped the message (superseded, too old); it fails the tuple when the
+/// broker refused the message, or when the outcome is unknown. While the publisher is full it holds tuples back
+/// unacked, so that the spout stops at its limit of unsettled messages or of tuples under way. A tuple that was born
+/// before the fence was raised is not sent, and fails. Thread safe.
 class ChannelSender : public std::enable_shared_from_this<ChannelSender> {
  public:
-  /// \param ack_when accepted: a tuple is acked when the publisher has its message, which may still be lost.
+  /// \param ack_when accepted: a tuple is acked when the publisher has taken its message, which may still be lost.
   static std::shared_ptr<ChannelSender> open(std::shared_ptr<brokers::Broker> broker, const brokers::Topic& topic,
                                              brokers::PublisherOptions options, AckWhen ack_when,
                                              const std::shared_ptr<SenderMeters>& meters,
-                                             const std::shared_ptr<const Fence>& fence);
+                                             const std::shared_ptr<const StandstillFence>& fence);
 
-  /// Acks or fails the tuple, now or later.
-  void send(brokers::Message message, const Tuple& tuple, OutputCollector& collector);
-  /// What is held back, and what the broker has not confirmed, does not time out meanwhile.
+  /// Sends the message, and acks or fails the tuple, before it returns or later. \param age how long the message has
+  /// waited; its deadline counts from so long ago.
+  void send(brokers::Message message, const Tuple& tuple, OutputCollector& collector,
+            std::chrono::milliseconds age = {});
+  /// Restarts the message time-out of all tuples that are held back or not confirmed, so that they do not time out
+  /// while the broker is away.
   void reset_timeouts();
-  /// The collector goes: its tuples are forgotten. Returns when none of them is being sent or answered.
+  /// Forgets all tuples of a collector that is about to go. Returns when none of them is being sent, acked or failed.
   void forget(const OutputCollector& collector);
-  /// Fails what is held back, closes the publisher; what it has not confirmed fails.
+  /// Closes the publisher, and fails the tuples that are held back or not confirmed.
   void close();
 
  private:
@@ -56,37 +60,40 @@ class ChannelSender : public std::enable_shared_from_this<ChannelSender> {
     brokers::Message message;
     Tuple tuple;
     OutputCollector* collector;
+    std::chrono::milliseconds age;
   };
-  /// A tracked tuple whose message the publisher has, or is being given.
+  /// A tracked tuple whose message the publisher has taken, or is about to take.
   struct UnderWay {
-    std::uint64_t number;  ///< of the publication
+    std::uint64_t number;  ///< the publisher's number of the message
     Tuple tuple;
-    OutputCollector* collector;  ///< null: answered, or forgotten
+    OutputCollector* collector;  ///< null: the tuple was acked, failed or forgotten
   };
-  ChannelSender(AckWhen ack_when, std::shared_ptr<SenderMeters> meters, std::shared_ptr<const Fence> fence)
+  ChannelSender(AckWhen ack_when, std::shared_ptr<SenderMeters> meters, std::shared_ptr<const StandstillFence> fence)
       : ack_when_(ack_when), meters_(std::move(meters)), fence_(std::move(fence)) {}
   bool is_void(const Tuple& tuple) const;
-  void pump(std::unique_lock<std::mutex>& lock);
+  void pump() IOTCLOUD_REQUIRES(mutex_);
   void on_outcome(std::uint64_t number, bool succeeded);
   void on_writable();
 
-  /// Held back at most; more means that nobody limits the tuples under way, and fails.
+  /// How many tuples are held back at most; further ones fail. A topology that reaches this has spouts without a limit
+  /// of tuples under way.
   static constexpr std::size_t most_held = 100'000;
 
   const AckWhen ack_when_;
   const std::shared_ptr<SenderMeters> meters_;
-  const std::shared_ptr<const Fence> fence_;
-  std::mutex mutex_;
-  std::condition_variable sent_;                   ///< sending_ or answering_ changed
-  std::shared_ptr<brokers::Broker> broker_;        ///< guarded by mutex_; outlives the publisher
-  std::shared_ptr<brokers::Publisher> publisher_;  ///< guarded by mutex_; null when closed
-  std::deque<Held> held_;                          ///< guarded by mutex_
-  std::deque<UnderWay> under_way_;                 ///< guarded by mutex_; by number
-  std::uint64_t accepted_ = 0;                     ///< guarded by mutex_; number of the last publication
-  std::vector<OutputCollector*> answering_;        ///< guarded by mutex_; whose tuples are being acked or failed
-  bool full_ = false;                              ///< guarded by mutex_; until on_writable
-  OutputCollector* sending_ = nullptr;             ///< guarded by mutex_; whose tuple a thread is sending
-  bool writable_again_ = false;                    ///< guarded by mutex_; on_writable came while sending
+  const std::shared_ptr<const StandstillFence> fence_;
+  config::Mutex mutex_;
+  config::ConditionVariable sent_;                                       ///< signals changes of sending_ and answering_
+  std::shared_ptr<brokers::Broker> broker_ IOTCLOUD_GUARDED_BY(mutex_);  ///< must outlive the publisher
+  std::shared_ptr<brokers::Publisher> publisher_ IOTCLOUD_GUARDED_BY(mutex_);  ///< null when closed
+  std::deque<Held> held_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::deque<UnderWay> under_way_ IOTCLOUD_GUARDED_BY(mutex_);  ///< ordered by number
+  std::uint64_t last_number_ IOTCLOUD_GUARDED_BY(mutex_) = 0;   ///< the number that publish() returned last; 0: none
+  std::vector<OutputCollector*> answering_
+      IOTCLOUD_GUARDED_BY(mutex_);                 ///< collectors whose tuples are being acked or failed
+  bool full_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< true until on_writable()
+  OutputCollector* sending_ IOTCLOUD_GUARDED_BY(mutex_) = nullptr;  ///< the collector whose tuple a thread is sending
+  bool writable_again_ IOTCLOUD_GUARDED_BY(mutex_) = false;         ///< on_writable() was called while sending
 };
 
 }  // namespace iotcloud::topology

@@ -2,17 +2,16 @@
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/topology/endpoints/logger.h>
 #include <iotcloud/topology/endpoints/sending/route_table.h>
 
 namespace iotcloud::topology {
 
 namespace {
 
-const config::Logger logger{"topology.endpoints"};
-/// Between two lines in the log about drivers that are not there.
+/// Time between two lines in the log about drivers that are not there.
 constexpr std::chrono::seconds quiet_time{10};
-/// So many ids of instances that went are remembered.
+/// How many ids of instances that are gone are kept.
 constexpr std::size_t most_departed = 10'000;
 
 }  // namespace
@@ -23,10 +22,10 @@ RouteTable::RouteTable(EndpointServicesPtr services, std::string component, Endp
 RouteTable::~RouteTable() = default;
 
 void RouteTable::join() {
-  const std::lock_guard joining(joining_);
+  const config::MutexLock joining(joining_);
   if (tasks_++ > 0) return;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     const config::Labels labels{{"topology", services_->topology}, {"component", component_}};
     meters_ = std::make_shared<SenderMeters>(*services_->metrics, labels);
     unknown_ = &services_->metrics->counter("iotcloud_bolt_unknown_driver_total",
@@ -35,8 +34,11 @@ void RouteTable::join() {
   discovery::DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const discovery::ChannelRecord& channel) { on_channel(channel); };
   callbacks.on_channel_gone = [this](const discovery::ChannelRecord& channel) { on_channel_gone(channel); };
+  callbacks.on_state = [this](const discovery::InstanceId& instance, std::optional<discovery::DriverState> state) {
+    on_state(instance, state);
+  };
   if (!endpoint_.where.everything()) {
-    callbacks.on_verdict = [this](const std::string& instance, std::optional<bool> chosen) {
+    callbacks.on_verdict = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
       on_verdict(instance, chosen);
     };
   }
@@ -46,10 +48,10 @@ void RouteTable::join() {
 
 void RouteTable::leave(const OutputCollector& collector) {
   std::deque<Waiting> forgotten;
-  const std::lock_guard joining(joining_);
+  const config::MutexLock joining(joining_);
   {
-    std::unique_lock lock(mutex_);
-    sent_.wait(lock, [&] { return sending_ != &collector; });
+    const config::MutexLock lock(mutex_);
+    sent_.wait(mutex_, [&]() IOTCLOUD_REQUIRES(mutex_) { return sending_ != &collector; });
     for (auto& [id, line] : waiting_) {
       for (auto& waiting : line) {
         if (waiting.collector == &collector) forgotten.push_back(std::move(waiting));
@@ -62,8 +64,9 @@ void RouteTable::leave(const OutputCollector& collector) {
   directory_.reset();  // no callback runs any more
   const auto last = senders();
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     routes_.clear();
+    known_.clear();
     senders_.clear();
     uses_.clear();
   }
@@ -72,12 +75,12 @@ void RouteTable::leave(const OutputCollector& collector) {
 
 std::vector<std::shared_ptr<ChannelSender>> RouteTable::senders() const {
   std::vector<std::shared_ptr<ChannelSender>> all;
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   for (const auto& [sender, count] : uses_) all.push_back(sender);
   return all;
 }
 
-/// A route uses it no longer. \return it, when no other route does. With mutex_ held.
+/// Ends one route's use of the sender. \return the sender when no other route uses it.
 std::shared_ptr<ChannelSender> RouteTable::drop(std::shared_ptr<ChannelSender> sender) {
   const auto use = uses_.find(sender);
   if (use == uses_.end() || --use->second > 0) return nullptr;
@@ -86,7 +89,7 @@ std::shared_ptr<ChannelSender> RouteTable::drop(std::shared_ptr<ChannelSender> s
 }
 
 void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollector& collector) {
-  std::unique_lock lock(mutex_);
+  config::UniqueLock lock(mutex_);
   const auto line = waiting_.find(message.driver_id);
   const auto route = routes_.find(message.driver_id);
   if (route != routes_.end() && line == waiting_.end()) {
@@ -96,25 +99,49 @@ void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollec
     sender->send(std::move(message), tuple, collector);
     return;
   }
-  const bool away = departed_.contains(message.driver_id) || unchosen_.contains(message.driver_id);
-  const bool waits = line != waiting_.end() || (!no_grace_ && !away);
+  const auto now = services_->clock->now();
+  const bool waits = line != waiting_.end() || (!no_grace_ && end_of_wait(message.driver_id, now) > now);
   if (waits && waiting_count_ < most_waiting) {
     ++waiting_count_;
-    std::string id = message.driver_id;
-    waiting_[id].push_back({std::move(message), tuple, &collector, services_->clock->now()});
+    auto& queue = waiting_[discovery::InstanceId(message.driver_id)];
+    queue.push_back({std::move(message), tuple, &collector, now});
     return;
   }
   lock.unlock();
   unknown(message.driver_id, tuple, collector);
 }
 
-/// The driver's channel is there: what waited for it goes first, in order. On the dispatcher.
-void RouteTable::send_waiting(const std::string& driver_id) {
-  std::unique_lock lock(mutex_);
+/// Whether the instance has a record that says that it is about to be active. A restart goes through `stopping` too.
+bool RouteTable::comes(std::string_view instance) const {
+  using discovery::DriverState;
+  const auto known = known_.find(instance);
+  if (known == known_.end() || unchosen_.contains(instance)) return false;
+  const DriverState state = known->second.state;
+  return state == DriverState::deployed || state == DriverState::starting || state == DriverState::stopping;
+}
+
+/// Until when a tuple that came at `since` waits for an instance that has no route.
+RouteTable::Instant RouteTable::end_of_wait(std::string_view instance, Instant since) const {
+  using discovery::DriverState;
+  if (unchosen_.contains(instance)) return Instant::min();
+  if (const auto departed = departed_.find(instance); departed != departed_.end()) return departed->second + grace;
+  const auto deadline = endpoint_.sending.deadline;
+  if (comes(instance)) return since + (deadline.count() > 0 ? deadline : std::chrono::milliseconds(return_limit));
+  const auto known = known_.find(instance);
+  if (known == known_.end()) return since + grace;
+  // Active, and its channel is not told yet: the tuples that waited for this state have waited long enough already.
+  if (known->second.state == DriverState::active) return std::max(since, known->second.since) + grace;
+  return known->second.since + grace;
+}
+
+/// Sends the tuples that waited for a driver whose channel is there now, in order and before new ones. Runs on the
+/// registry's dispatcher.
+void RouteTable::send_waiting(const discovery::InstanceId& instance) {
+  config::UniqueLock lock(mutex_);
   while (true) {
-    const auto line = waiting_.find(driver_id);
+    const auto line = waiting_.find(instance);
     if (line == waiting_.end()) return;
-    const auto route = routes_.find(driver_id);
+    const auto route = routes_.find(instance);
     if (line->second.empty() || route == routes_.end()) {
       if (line->second.empty()) waiting_.erase(line);
       return;
@@ -126,7 +153,8 @@ void RouteTable::send_waiting(const std::string& driver_id) {
     next.message.gateway_id = route->second.gateway;
     sending_ = next.collector;
     lock.unlock();
-    sender->send(std::move(next.message), next.tuple, *next.collector);
+    const auto waited = std::chrono::duration_cast<std::chrono::milliseconds>(services_->clock->now() - next.since);
+    sender->send(std::move(next.message), next.tuple, *next.collector, waited);
     next.tuple = {};
     lock.lock();
     sending_ = nullptr;
@@ -136,50 +164,72 @@ void RouteTable::send_waiting(const std::string& driver_id) {
 
 void RouteTable::on_tick() {
   std::deque<Waiting> late;
+  const auto now = services_->clock->now();
   {
-    const std::lock_guard lock(mutex_);
-    const auto now = services_->clock->now();
+    const config::MutexLock lock(mutex_);
     for (auto line = waiting_.begin(); line != waiting_.end();) {
       auto& tuples = line->second;
-      while (!tuples.empty() && now - tuples.front().since >= grace) {
+      const bool being_sent = routes_.contains(line->first);  // by send_waiting(), which also erases the line
+      while (!being_sent && !tuples.empty() && end_of_wait(line->first.str(), tuples.front().since) <= now) {
         late.push_back(std::move(tuples.front()));
         tuples.pop_front();
         --waiting_count_;
       }
-      line = tuples.empty() && !routes_.contains(line->first) ? waiting_.erase(line) : std::next(line);
+      for (const auto& waiting : tuples) waiting.collector->reset_timeout(waiting.tuple);
+      line = tuples.empty() && !being_sent ? waiting_.erase(line) : std::next(line);
     }
   }
-  give_up(late);
+  give_up(late, now);
   for (const auto& sender : senders()) sender->reset_timeouts();
 }
 
 void RouteTable::end_grace() {
   std::deque<Waiting> late;
+  std::deque<Waiting> for_the_next;
+  std::shared_ptr<SenderMeters> meters;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     no_grace_ = true;
+    meters = meters_;
     for (auto line = waiting_.begin(); line != waiting_.end();) {
-      if (routes_.contains(line->first)) {  // they are being sent
+      if (routes_.contains(line->first)) {  // send_waiting() is sending them
         ++line;
         continue;
       }
-      std::move(line->second.begin(), line->second.end(), std::back_inserter(late));
+      std::move(line->second.begin(), line->second.end(),
+                std::back_inserter(comes(line->first.str()) ? for_the_next : late));
       waiting_count_ -= line->second.size();
       line = waiting_.erase(line);
     }
   }
-  give_up(late);
+  give_up(late, services_->clock->now());
+  for (const auto& waiting : for_the_next) {
+    meters->lost("closed");
+    waiting.collector->fail(waiting.tuple);
+  }
 }
 
-void RouteTable::give_up(const std::deque<Waiting>& late) {
-  for (const auto& [message, tuple, collector, since] : late) unknown(message.driver_id, tuple, *collector);
+void RouteTable::give_up(const std::deque<Waiting>& late, Instant now) {
+  const auto deadline = endpoint_.sending.deadline;
+  for (const auto& [message, tuple, collector, since] : late) {
+    if (deadline.count() == 0 || now - since < deadline) {
+      unknown(message.driver_id, tuple, *collector);
+      continue;
+    }
+    const auto meters = [&] {
+      const config::MutexLock lock(mutex_);
+      return meters_;
+    }();
+    meters->lost("deadline");
+    collector->ack(tuple);
+  }
 }
 
-void RouteTable::unknown(const std::string& driver_id, const Tuple& tuple, OutputCollector& collector) {
+void RouteTable::unknown(const std::string& instance, const Tuple& tuple, OutputCollector& collector) {
   bool say_it = false;
   std::size_t untold = 0;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     unknown_->add();
     const auto now = services_->clock->now();
     say_it = !last_unknown_ || now - *last_unknown_ >= quiet_time;
@@ -191,9 +241,10 @@ void RouteTable::unknown(const std::string& driver_id, const Tuple& tuple, Outpu
     }
   }
   if (say_it) {
-    logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"{}{}", component_, endpoint_.driver,
-                driver_id, endpoint_.channel, endpoint_.where.everything() ? "" : " that \"where\" chooses",
-                untold == 0 ? "" : fmt::format("; {} more such tuples since the last such line", untold));
+    endpoints_logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"{}{}", component_,
+                          endpoint_.driver, instance, endpoint_.channel,
+                          endpoint_.where.everything() ? "" : " that \"where\" chooses",
+                          untold == 0 ? "" : fmt::format("; {} more such tuples since the last such line", untold));
   }
   if (endpoint_.sending.unknown_driver == UnknownDriver::fail) {
     collector.fail(tuple);
@@ -203,20 +254,12 @@ void RouteTable::unknown(const std::string& driver_id, const Tuple& tuple, Outpu
 }
 
 bool RouteTable::fits(const discovery::ChannelRecord& channel) {
-  std::string problem;
-  if (channel.direction != discovery::Direction::in) {
-    problem = "it brings messages from the driver";
-  } else if (channel.transport != endpoint_.broker) {
-    problem =
-        "it goes over the broker \"" + channel.transport + "\", and the topology says \"" + endpoint_.broker + "\"";
-  } else if (topic_of(channel).name.empty()) {
-    problem = "its record names no topic";
-  }
+  const std::string problem = misfit(channel, discovery::Direction::in, endpoint_.broker);
   if (problem.empty()) return true;
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (complained_.insert(channel.gateway + problem).second) {
-    logger.warn("{}: nothing is sent to channel {} of driver {} on gateway {}: {}", component_, channel.name,
-                channel.driver, channel.gateway, problem);
+    endpoints_logger.warn("{}: nothing is sent to channel {} of driver {} on gateway {}: {}", component_, channel.name,
+                          channel.driver, channel.gateway, problem);
   }
   return false;
 }
@@ -229,14 +272,13 @@ void RouteTable::on_channel(const discovery::ChannelRecord& channel) {
   }
   std::shared_ptr<ChannelSender> replaced;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     Route& route = routes_[channel.instance];
     if (route.sender != sender) {
       ++uses_[sender];
       replaced = drop(std::exchange(route.sender, sender));
     }
     route.gateway = channel.gateway;
-    departed_.erase(channel.instance);
   }
   if (replaced) replaced->close();
   send_waiting(channel.instance);
@@ -245,20 +287,33 @@ void RouteTable::on_channel(const discovery::ChannelRecord& channel) {
 void RouteTable::on_channel_gone(const discovery::ChannelRecord& channel) {
   std::shared_ptr<ChannelSender> unused;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     const auto found = routes_.find(channel.instance);
     if (found == routes_.end()) return;
     unused = drop(std::move(found->second.sender));
     routes_.erase(found);
-    if (departed_.size() >= most_departed) departed_.erase(departed_.begin());
-    departed_.insert(channel.instance);
   }
   if (unused) unused->close();
 }
 
-/// What is for an instance that is there and not chosen does not wait for it.
-void RouteTable::on_verdict(const std::string& instance, std::optional<bool> chosen) {
-  const std::lock_guard lock(mutex_);
+/// Notes what the instance's record says, which decides how long tuples wait for it.
+void RouteTable::on_state(const discovery::InstanceId& instance, std::optional<discovery::DriverState> state) {
+  const config::MutexLock lock(mutex_);
+  if (!state) {
+    known_.erase(instance);
+    if (departed_.size() >= most_departed) departed_.erase(departed_.begin());
+    departed_.insert_or_assign(instance, services_->clock->now());
+    return;
+  }
+  departed_.erase(instance);
+  const auto now = services_->clock->now();
+  const auto [known, fresh] = known_.try_emplace(instance, Known{*state, now});
+  if (!fresh && known->second.state != *state) known->second = {*state, now};
+}
+
+/// Notes whether `where` chooses the instance: tuples for an instance that is there but not chosen do not wait for it.
+void RouteTable::on_verdict(const discovery::InstanceId& instance, std::optional<bool> chosen) {
+  const config::MutexLock lock(mutex_);
   if (chosen.value_or(true)) {
     unchosen_.erase(instance);
   } else {
@@ -266,12 +321,13 @@ void RouteTable::on_verdict(const std::string& instance, std::optional<bool> cho
   }
 }
 
-/// The topic's sender; a new one when there is none yet. Null, which is said once, when its broker cannot be used.
+/// The sender of the channel's topic, made if there is none yet. \return null when its broker cannot be used, which is
+/// logged once.
 std::shared_ptr<ChannelSender> RouteTable::sender_for(const discovery::ChannelRecord& channel) {
   const SenderKey key(address_of(channel, *services_), topic_of(channel));
   std::shared_ptr<SenderMeters> meters;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (senders_.size() > most_senders_) {
       std::erase_if(senders_, [](const auto& entry) { return entry.second.expired(); });
       most_senders_ = std::max<std::size_t>(64, 2 * senders_.size());
@@ -289,14 +345,14 @@ std::shared_ptr<ChannelSender> RouteTable::sender_for(const discovery::ChannelRe
   options.priority = priority_of(channel);
   try {
     auto sender = ChannelSender::open(broker_at(key.first, *services_), key.second, options, endpoint_.sending.ack_when,
-                                      std::move(meters), services_->fence);
-    const std::lock_guard lock(mutex_);
+                                      meters, services_->fence);
+    const config::MutexLock lock(mutex_);
     senders_[key] = sender;
     return sender;
   } catch (const config::Error& error) {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (complained_.insert(key.first.urls.front()).second) {
-      logger.error("{}: nothing can be sent to {}: {}", component_, key.second.name, error.what());
+      endpoints_logger.error("{}: nothing can be sent to {}: {}", component_, key.second.name, error.what());
     }
     return nullptr;
   }

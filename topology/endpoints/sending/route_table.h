@@ -1,17 +1,17 @@
 #pragma once
 
 #include <chrono>
-#include <condition_variable>
 #include <deque>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <set>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/sending/channel_sender.h>
@@ -19,83 +19,102 @@
 
 namespace iotcloud::topology {
 
-/// Knows the way to every instance of a driver that has the channel and is chosen, as they come and go; shared by all
-/// tasks of one bolt in a worker. Thread safe.
+/// Knows the sender of every driver instance that has the endpoint's channel and that `where` chooses, as instances
+/// come and go. All tasks of one bolt in a worker share it. Thread safe.
 ///
-/// A driver's first message may be here before the registry has told of its channels: what is for an id that was never
-/// seen waits `grace` for it. What is for one that is not there is counted, said in the log (a line every ten seconds
-/// at most, with how many there were), and acked or failed as the endpoint's `unknownDriver` says.
+/// A tuple for a driver may be here before the registry has told of the driver's channels: tuples for an id that was
+/// never seen wait for `grace`, and so do those for an instance that has just become inactive or failed, or whose
+/// record has just gone (a registry that was emptied gets the records of running instances again). Tuples for an
+/// instance that is about to be active (deployed, starting, or stopping for a restart) wait for it up to their
+/// deadline, or for `return_limit` if they have none. A tuple for an instance that is not there is counted, logged (one
+/// line every ten seconds at most, with the number of such tuples), and acked or failed as the endpoint's
+/// `unknownDriver` says. A tuple whose deadline passes is acked, and counted as lost for that reason.
 class RouteTable {
  public:
   RouteTable(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
   ~RouteTable();
 
-  /// The first task begins the search for drivers.
+  /// A task calls it when it is prepared. The first call begins the search for drivers.
   void join();
-  /// A task's collector goes; with the last one the search ends.
+  /// A task calls it before its collector goes. The last call ends the search.
   void leave(const OutputCollector& collector);
 
-  /// Sends to the instance that message.driver_id names; acks or fails the tuple, now or later.
+  /// Sends to the instance that message.driver_id names; acks or fails the tuple, before it returns or later.
   void send(brokers::Message message, const Tuple& tuple, OutputCollector& collector);
-  /// Call it about once a second: gives up what waited too long for its driver, and keeps from timing out what waits
-  /// for a broker.
+  /// Must be called about once a second: gives up tuples that waited too long for their driver, and restarts the
+  /// message time-out of tuples that wait for a broker.
   void on_tick();
-  /// The topology stops: nothing waits for a driver any more.
+  /// The topology stops: gives up all tuples that wait for a driver, and lets none wait any more. Those for an instance
+  /// that is about to be active fail, so that the next worker sends them.
   void end_grace();
 
-  static constexpr std::chrono::seconds grace{2};
-  /// More than so many tuples do not wait for drivers.
-  static constexpr std::size_t most_waiting = 1024;
+  static constexpr std::chrono::seconds grace{2};          ///< how long a tuple waits for a driver that was never seen
+  static constexpr std::chrono::seconds return_limit{60};  ///< how long one without a deadline waits for a restart
+  /// How many tuples wait for drivers at most; further ones are treated as those for an unknown driver.
+  static constexpr std::size_t most_waiting = 10'000;
 
  private:
   using SenderKey = std::pair<brokers::BrokerAddress, brokers::Topic>;
   struct Route {
     std::shared_ptr<ChannelSender> sender;
-    std::string gateway;
+    discovery::GatewayId gateway;
   };
+  using Instant = config::Clock::Instant;
   struct Waiting {
     brokers::Message message;
     Tuple tuple;
     OutputCollector* collector;
-    config::Clock::Instant since;
+    Instant since;
+  };
+  /// What an instance's record says, and since when.
+  struct Known {
+    discovery::DriverState state;
+    Instant since;
   };
 
   void on_channel(const discovery::ChannelRecord& channel);
   void on_channel_gone(const discovery::ChannelRecord& channel);
-  void on_verdict(const std::string& instance, std::optional<bool> chosen);
+  void on_verdict(const discovery::InstanceId& instance, std::optional<bool> chosen);
+  void on_state(const discovery::InstanceId& instance, std::optional<discovery::DriverState> state);
+  bool comes(std::string_view instance) const IOTCLOUD_REQUIRES(mutex_);
+  Instant end_of_wait(std::string_view instance, Instant since) const IOTCLOUD_REQUIRES(mutex_);
   bool fits(const discovery::ChannelRecord& channel);
   std::shared_ptr<ChannelSender> sender_for(const discovery::ChannelRecord& channel);
-  void send_waiting(const std::string& driver_id);
-  void give_up(const std::deque<Waiting>& late);
-  void unknown(const std::string& driver_id, const Tuple& tuple, OutputCollector& collector);
+  void send_waiting(const discovery::InstanceId& instance);
+  void give_up(const std::deque<Waiting>& late, Instant now);
+  void unknown(const std::string& instance, const Tuple& tuple, OutputCollector& collector);
   std::vector<std::shared_ptr<ChannelSender>> senders() const;
-  std::shared_ptr<ChannelSender> drop(std::shared_ptr<ChannelSender> sender);
+  std::shared_ptr<ChannelSender> drop(std::shared_ptr<ChannelSender> sender) IOTCLOUD_REQUIRES(mutex_);
 
   const EndpointServicesPtr services_;
   const std::string component_;
   const EndpointDefinition endpoint_;
 
-  std::mutex joining_;                                     ///< taken before mutex_, never by callbacks
-  int tasks_ = 0;                                          ///< guarded by joining_
-  std::unique_ptr<discovery::DriverDirectory> directory_;  ///< guarded by joining_
+  config::Mutex joining_ IOTCLOUD_ACQUIRED_BEFORE(mutex_);  ///< callbacks never take it
+  int tasks_ IOTCLOUD_GUARDED_BY(joining_) = 0;
+  std::unique_ptr<discovery::DriverDirectory> directory_ IOTCLOUD_GUARDED_BY(joining_);
 
-  mutable std::mutex mutex_;
-  std::condition_variable sent_;
-  std::shared_ptr<SenderMeters> meters_;                        ///< guarded by mutex_
-  config::Counter* unknown_ = nullptr;                          ///< guarded by mutex_
-  std::map<std::string, Route> routes_;                         ///< by driver instance; guarded by mutex_
-  std::set<std::string> departed_;                              ///< instances seen and gone; guarded by mutex_
-  std::set<std::string> unchosen_;                              ///< instances that are there; guarded by mutex_
-  std::map<SenderKey, std::weak_ptr<ChannelSender>> senders_;   ///< guarded by mutex_
-  std::size_t most_senders_ = 64;                               ///< before dead ones are swept out; guarded by mutex_
-  std::map<std::shared_ptr<ChannelSender>, std::size_t> uses_;  ///< by how many routes; guarded by mutex_
-  std::set<std::string> complained_;                            ///< guarded by mutex_
-  std::map<std::string, std::deque<Waiting>> waiting_;          ///< by driver instance, in order; guarded by mutex_
-  std::size_t waiting_count_ = 0;                               ///< guarded by mutex_
-  OutputCollector* sending_ = nullptr;                  ///< guarded by mutex_; whose waiting tuple is being sent
-  bool no_grace_ = false;                               ///< guarded by mutex_
-  std::optional<config::Clock::Instant> last_unknown_;  ///< when the log was told; guarded by mutex_
-  std::size_t untold_unknown_ = 0;                      ///< since then; guarded by mutex_
+  mutable config::Mutex mutex_;
+  config::ConditionVariable sent_;
+  std::shared_ptr<SenderMeters> meters_ IOTCLOUD_GUARDED_BY(mutex_);
+  config::Counter* unknown_ IOTCLOUD_GUARDED_BY(mutex_) = nullptr;
+  std::map<discovery::InstanceId, Route, std::less<>> routes_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::map<discovery::InstanceId, Known, std::less<>> known_ IOTCLOUD_GUARDED_BY(mutex_);       ///< those with a record
+  std::map<discovery::InstanceId, Instant, std::less<>> departed_ IOTCLOUD_GUARDED_BY(mutex_);  ///< when records went
+  std::set<discovery::InstanceId, std::less<>> unchosen_ IOTCLOUD_GUARDED_BY(mutex_);  ///< exist but are not chosen
+  std::map<SenderKey, std::weak_ptr<ChannelSender>> senders_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::size_t most_senders_ IOTCLOUD_GUARDED_BY(mutex_) = 64;  ///< the size at which expired entries are removed
+  /// The number of routes of each sender; guarded by mutex_.
+  std::map<std::shared_ptr<ChannelSender>, std::size_t> uses_;
+  std::set<std::string> complained_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::map<discovery::InstanceId, std::deque<Waiting>, std::less<>> waiting_ IOTCLOUD_GUARDED_BY(mutex_);  ///< in order
+  std::size_t waiting_count_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  OutputCollector* sending_ IOTCLOUD_GUARDED_BY(mutex_) = nullptr;  ///< the collector whose waiting tuple is being sent
+  bool no_grace_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  /// When unknown() wrote a line in the log.
+  std::optional<config::Clock::Instant> last_unknown_ IOTCLOUD_GUARDED_BY(mutex_);
+  /// Number of such tuples since then.
+  std::size_t untold_unknown_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
 };
 
 }  // namespace iotcloud::topology

@@ -3,7 +3,7 @@
 namespace iotcloud::topology::internal {
 
 ReadyList Executors::set_limit(int limit) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   limit_.store(limit, std::memory_order_relaxed);
   unlimited_.store(limit >= tasks_, std::memory_order_relaxed);
   ReadyList freed;
@@ -13,10 +13,10 @@ ReadyList Executors::set_limit(int limit) {
   return freed;
 }
 
-bool Executors::enter(Task& task, bool& counted) {
+bool Executors::enter(Runnable& task, bool& counted) {
   counted = false;
   if (unlimited_.load(std::memory_order_relaxed)) return true;
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (unlimited_.load(std::memory_order_relaxed)) return true;
   if (busy_ >= limit()) {
     aside_.push(task);
@@ -27,8 +27,8 @@ bool Executors::enter(Task& task, bool& counted) {
   return true;
 }
 
-Task* Executors::leave() {
-  const std::lock_guard lock(mutex_);
+Runnable* Executors::leave() {
+  const config::MutexLock lock(mutex_);
   --busy_;
   return busy_ < limit() ? aside_.pop() : nullptr;
 }

@@ -2,97 +2,103 @@
 
 #include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <thread>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/runtime/scheduling/executors.h>
 #include <iotcloud/topology/runtime/scheduling/lane.h>
-#include <iotcloud/topology/runtime/tasks/task.h>
+#include <iotcloud/topology/runtime/scheduling/runnable.h>
 
 namespace iotcloud::topology::internal {
 
 class Timers;
 
 /// Decides which thread runs which task. A task that becomes ready on a thread that runs tasks goes to the end of that
-/// thread's own run list: no other thread is woken. Work moves to the pool when a thread that is not the pool's has
-/// done its slice, when a pool thread is behind while another one sleeps, or when a thread stays long in one task
-/// (look()).
+/// thread's own run list, and no other thread is woken. Tasks move from a run list to the pool in three cases: a thread
+/// that called run_now() has worked for `caller_slice`; a pool thread has much work while another one sleeps; or a
+/// thread stays in one task for `long_slice` (offload_stuck_threads()).
 class Scheduler {
  public:
-  /// \param tasks highest task id.
+  /// Makes a Lane, or an object of a derived class that the tasks know. Called on any thread.
+  using MakeLane = std::function<std::unique_ptr<Lane>(Scheduler&)>;
+  /// \param threads of the pool; 0: none. \param timers must outlive the scheduler.
   Scheduler(unsigned threads, std::chrono::microseconds caller_slice, std::chrono::microseconds long_slice,
-            std::size_t tasks, Timers& timers);
+            MakeLane make_lane, Timers& timers);
   ~Scheduler();
 
   void start();
-  /// No task starts a slice any more, anywhere. Does not wait.
+  /// Makes sure that no thread starts a slice any more. Does not wait for the running ones.
   void halt();
-  /// Waits for the slices that run. \return false when `deadline` passed first. After halt().
+  /// Waits until the running slices have ended. \return false when `deadline` passed first. \pre halt() was called.
   bool wait_halted(std::chrono::steady_clock::time_point deadline);
-  /// Joins the pool; waits as long as user code runs. After halt().
+  /// Joins the pool; waits as long as user code runs. \pre halt() was called.
   void join();
-  /// Whether some thread runs the task's slice. After halt() this only turns from true to false.
-  bool runs(const Task& task) const;
+  /// Whether some thread runs a slice of the task. After halt() the answer only changes from true to false.
+  bool runs(const Runnable& task) const;
 
-  /// There is news for the task: it gets a slice. Any thread.
-  void schedule(Task& task) noexcept;
-  /// As schedule(), but an idle task, and what it makes ready, runs on this thread.
-  void run_now(Task& task) noexcept;
-  /// A task that was held since it was made may run; with news (or `ready`) it does.
-  void release(Task& task, bool ready);
+  /// Makes sure that the task runs a slice that begins after this call. Any thread.
+  void schedule(Runnable& task) noexcept;
+  /// As schedule(), but if the task is idle, the calling thread runs it and the tasks that it makes ready.
+  void run_now(Runnable& task) noexcept;
+  /// Allows the task to run. A new task does not run before this call; it runs now if schedule() was called for it
+  /// already, or if `ready`.
+  void release(Runnable& task, bool ready);
+  /// Runs the tasks that wait for the pool on the calling thread, and all that become ready, until none is left.
   void run_until_idle();
 
   bool idle() const { return busy_.load() == 0; }
   /// Waits until no task has work and `condition` holds. \return false when `deadline` passed first.
   bool wait_idle(std::chrono::steady_clock::time_point deadline, const std::function<bool()>& condition);
 
-  /// Frees run lists of threads that have been in one task for about a millisecond.
-  /// \return true when there is something to look at again soon.
-  bool look();
+  /// Moves the run lists of threads that have been in one task for `long_slice` to the pool.
+  /// \return true when other run lists have tasks, so that it should be called again in a millisecond.
+  bool offload_stuck_threads();
 
-  /// Reports user code that has not returned for `limit` as an error of its task, once for each such time.
+  /// Calls Runnable::hangs() for each task whose slice has been running for `limit`, once for each slice.
   void report_hanging(std::chrono::milliseconds limit);
+  /// Changes the limit of `executors`, and hands the tasks that may run now to the pool.
   void set_limit(Executors& executors, int limit);
 
-  /// For user code that is called outside of slices (open, prepare).
+  /// The lane for user code that is called outside of slices (open, prepare).
   Lane& spare_lane() { return *spare_lane_; }
 
  private:
+  using State = Runnable::State;
+  /// Which thread runs a lane: one of the pool, one that called run_now(), or the only one, because there is no pool.
   enum class Kind { pool, caller, only };
   void run(Lane& lane, Kind kind) noexcept;
-  void run_slice(Lane& lane, Task& task) noexcept;
-  /// \return true when the task was idle: it is to be put on a run list by the caller.
-  bool make_ready(Task& task) noexcept;
+  void run_slice(Lane& lane, Runnable& task) noexcept;
+  /// \return true when the task was idle: the caller must put it on a run list.
+  bool make_ready(Runnable& task) noexcept;
   void now_idle() noexcept;
   void hand_over(ReadyList& tasks) noexcept;
-  void hand_over(Task& task) noexcept;
+  void hand_over(Runnable& task) noexcept;
   bool share(Lane& lane, Kind kind, std::int64_t busy_ns) noexcept;
   void pool_thread(Lane& lane);
-  std::unique_ptr<Lane> new_lane();
   Lane* borrow_lane();
   void return_lane(Lane* lane);
 
   const unsigned threads_;
   const std::int64_t caller_slice_ns_, long_slice_ns_;
-  const std::size_t tasks_;
+  const MakeLane make_lane_;
   Timers& timers_;
   std::atomic<bool> halted_{false};
-  std::atomic<std::int64_t> busy_{0};  ///< tasks that are not idle
-  std::atomic<bool> waited_for_{false};
-  std::atomic<std::size_t> shared_count_{0};
-  std::atomic<unsigned> sleeping_{0};
+  std::atomic<std::int64_t> busy_{0};         ///< number of tasks that are not idle
+  std::atomic<bool> waited_for_{false};       ///< wait_idle() or wait_halted() was called: notify changed_
+  std::atomic<std::size_t> shared_count_{0};  ///< size of shared_, to be read without the lock
+  std::atomic<unsigned> sleeping_{0};         ///< number of pool threads that wait for work
 
-  mutable std::mutex mutex_;
-  std::condition_variable work_;              ///< the pool waits here
-  std::condition_variable changed_;           ///< wait_idle and wait_halted wait here
-  ReadyList shared_;                          ///< guarded by mutex_
-  std::vector<std::unique_ptr<Lane>> lanes_;  ///< guarded by mutex_: all lanes; grows only
-  std::vector<Lane*> unused_;                 ///< guarded by mutex_: for callers
+  mutable config::Mutex mutex_;
+  config::ConditionVariable work_;                                        ///< the pool waits here
+  config::ConditionVariable changed_;                                     ///< wait_idle and wait_halted wait here
+  ReadyList shared_ IOTCLOUD_GUARDED_BY(mutex_);                          ///< tasks that wait for a thread of the pool
+  std::vector<std::unique_ptr<Lane>> lanes_ IOTCLOUD_GUARDED_BY(mutex_);  ///< never removed from
+  /// Lanes for threads that call run_now() or run_until_idle().
+  std::vector<Lane*> unused_ IOTCLOUD_GUARDED_BY(mutex_);
   std::unique_ptr<Lane> spare_lane_;
   std::vector<std::jthread> pool_;
 };

@@ -9,9 +9,9 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/topology/runtime/scheduling/runnable.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/timers.h>
-#include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
 
@@ -20,8 +20,10 @@ namespace {
 constexpr std::chrono::milliseconds watch_period{1};
 
 int checked(int fd, const char* what) {
-  if (fd < 0)
-    throw config::Error(std::string(what) + " failed: " + std::strerror(errno) + "; are there descriptors left?");
+  if (fd < 0) {
+    throw config::Error(std::string(what) + " failed: " + std::strerror(errno) +
+                        "; raise the process's limit of open files (ulimit -n)");
+  }
   return fd;
 }
 
@@ -75,15 +77,15 @@ void Timers::stop() {
   thread_.join();
 }
 
-void Timers::add(config::Clock::Instant due, Task& task, std::uint32_t bits, std::chrono::nanoseconds period) {
-  const std::lock_guard lock(mutex_);
+void Timers::add(config::Clock::Instant due, Runnable& task, std::uint32_t bits, std::chrono::nanoseconds period) {
+  const config::MutexLock lock(mutex_);
   heap_.push_back({due, &task, bits, period});
   std::push_heap(heap_.begin(), heap_.end());
   if (heap_.front().due == due) set_alarm(due);
 }
 
 void Timers::end_periodic() {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   std::erase_if(heap_, [](const Timer& timer) { return timer.period.count() > 0; });
   std::make_heap(heap_.begin(), heap_.end());
 }
@@ -93,14 +95,15 @@ void Timers::set_alarm(config::Clock::Instant due) {
 }
 
 void Timers::run_due() {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   const auto now = clock_.now();
   while (!heap_.empty() && heap_.front().due <= now) {
     std::pop_heap(heap_.begin(), heap_.end());
     const Timer timer = heap_.back();
     heap_.pop_back();
     if (timer.period.count() > 0) {
-      const auto missed = (now - timer.due) / timer.period;  // a late tick comes once, not as often as it was missed
+      // a periodic timer that missed several periods is signalled once
+      const auto missed = (now - timer.due) / timer.period;
       heap_.push_back({timer.due + (missed + 1) * timer.period, timer.task, timer.bits, timer.period});
       std::push_heap(heap_.begin(), heap_.end());
     }
@@ -127,7 +130,7 @@ void Timers::run() {
     if (fds[2].revents != 0) {
       empty(watch_fd_);
       watching_.store(false);
-      if (watched_->look()) watch();
+      if (watched_->offload_stuck_threads()) watch();
     }
     if (fds[3].revents != 0) {
       empty(round_fd_);

@@ -2,26 +2,26 @@
 #include <functional>
 #include <stdexcept>
 
-#include <iotcloud/topology/runtime/scheduling/lane.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
 #include <iotcloud/topology/runtime/tasks/bolt_task.h>
+#include <iotcloud/topology/runtime/tasks/emitting_lane.h>
 
 namespace iotcloud::topology::internal {
 
-BoltTask::BoltTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Bolt> bolt, Intake intake,
-                   const detail::StreamInfo* tick_stream)
-    : Task(surroundings, std::move(context)),
+BoltTask::BoltTask(const TaskEnvironment& environment, Executors& executors, TopologyContext context,
+                   std::unique_ptr<Bolt> bolt, InputPolicies policies, const detail::StreamInfo* tick_stream)
+    : Task(environment, executors, std::move(context)),
       bolt_(std::move(bolt)),
       tick_stream_(tick_stream),
-      intake_(std::move(intake)),
-      mailbox_(*this, around_.options->mailbox_capacity, intake_.keep_last) {}
+      policies_(std::move(policies)),
+      mailbox_(*this, environment_.options->mailbox_capacity, policies_.keep_last) {}
 
 BoltTask::~BoltTask() {
   discard();
 }
 
-void BoltTask::prepare(const Config& config, Lane& lane) {
+void BoltTask::prepare(const Config& config, EmittingLane& lane) {
   lane_ = &lane;
   const OwnCall own(lane, *this);
   bolt_->prepare(config, context_, *this);
@@ -49,12 +49,15 @@ void BoltTask::collect(std::vector<config::Sample>& samples) const {
 void BoltTask::discard() {
   bolt_.reset();
   mailbox_.discard();
-  answers_.clear();
+  std::vector<std::pair<Answer, Tuple>> answers;  // declared before the lock: tuples are recycled without it
+  const config::MutexLock lock(answers_mutex_);
+  answers.swap(answers_);
 }
 
 // Running.
 
-bool BoltTask::slice(Lane& lane) {
+bool BoltTask::slice(Lane& given) {
+  EmittingLane& lane = EmittingLane::of(given);
   lane_ = &lane;
   const OwnCall own(lane, *this);
   const std::uint32_t signals = take_signals();
@@ -102,14 +105,14 @@ void BoltTask::execute(Tuple tuple) {
   TupleCell* const cell = cell_of(tuple);
   current_ = cell;
   current_settled_ = false;
-  if (!intake_.deadlines.empty() && late(*cell)) {
+  if (!policies_.deadlines.empty() && late(*cell)) {
     give_up_late(tuple);
   } else {
     if (taps_.any() && emitter_.is_sink()) taps_.offer(real_ns(), id(), [&] { return tuple; });
     if (!guarded("execute()", [&] { bolt_->execute(tuple); }) && !current_settled_) settle(Answer::fail, tuple);
     if (current_settled_) {
       ++settled_in_chunk_;
-    } else if (Delivery* delivery = cell->tracked() ? cell->open_delivery(this) : nullptr) {
+    } else if (TrackedDelivery* delivery = cell->tracked() ? cell->open_delivery(this) : nullptr) {
       delivery->executed_ns = lane_->now_ns;
       answers_later_.store(true, std::memory_order_relaxed);
     }
@@ -119,7 +122,7 @@ void BoltTask::execute(Tuple tuple) {
 
 bool BoltTask::late(const TupleCell& cell) const {
   if (cell.born_ns == 0) return false;
-  for (const Intake::Deadline& deadline : intake_.deadlines) {
+  for (const InputPolicies::Deadline& deadline : policies_.deadlines) {
     if (deadline.stream == cell.stream) return topology_ns() - cell.born_ns > deadline.age_ns;
   }
   return false;
@@ -128,9 +131,9 @@ bool BoltTask::late(const TupleCell& cell) const {
 void BoltTask::give_up_late(const Tuple& tuple) {
   bump(counts_.late);
   ++late_in_chunk_;
-  if (!intake_.late_stream.empty()) {
+  if (!policies_.late_stream.empty()) {
     guarded("emit to the late stream", [&] {
-      do_emit(intake_.late_stream, {&tuple, 1}, Values(tuple.data()->values), no_task);
+      do_emit(policies_.late_stream, {&tuple, 1}, Values(tuple.data()->values), no_task);
     });
   }
   settle(Answer::ack, tuple);
@@ -164,7 +167,7 @@ void BoltTask::do_emit(std::string_view stream, std::span<const Tuple> anchors, 
 }
 
 std::int64_t BoltTask::birth_of_child(std::span<const Tuple> anchors) const {
-  if (!around_.has_deadlines) return 0;
+  if (!environment_.has_deadlines) return 0;
   std::int64_t oldest = 0;
   for (const Tuple& anchor : anchors) {
     const std::int64_t born = anchor.data()->born_ns;
@@ -182,8 +185,8 @@ void BoltTask::send(std::span<const Tuple> anchors, Values&& values) {
       emitter_.send(*lane_, std::move(values), {}, born);
       return;
     }
-    // The children's ids wait in the anchor's delivery, so that its ack changes the tree once for all of them.
-    Delivery* delivery = anchor.open_delivery(this);
+    // The children's ids are kept in the anchor's delivery, so that its ack changes the tree once for all of them.
+    TrackedDelivery* delivery = anchor.open_delivery(this);
     if (delivery != nullptr && (!anchor.more || anchor.more->trees.empty())) {
       delivery->change ^= emitter_.send(*lane_, std::move(values), {&anchor.tree, 1}, born);
       return;
@@ -195,15 +198,17 @@ void BoltTask::send(std::span<const Tuple> anchors, Values&& values) {
     if (!anchor.tracked() || anchor.open_delivery(this) == nullptr) continue;
     anchor.for_each_tree([&](Tree* tree) { roots_.push_back(tree); });
   }
-  std::sort(roots_.begin(), roots_.end(), std::less<>());  // many in a window, and several of one tree
+  // A window's tuples are many, and several may belong to one tree: the ids must change each tree once.
+  std::sort(roots_.begin(), roots_.end(), std::less<>());
   roots_.erase(std::unique(roots_.begin(), roots_.end()), roots_.end());
   const std::uint64_t ids = emitter_.send(*lane_, std::move(values), roots_, born);
-  // The anchors are open, so these trees are; nobody has seen the new tuple before the lane is flushed.
+  // The anchors are not settled, so these trees are still open. Their ids are entered here in time, because no other
+  // task gets the new tuple before the lane is flushed.
   for (Tree* tree : roots_) tree->open.fetch_xor(ids, std::memory_order_acq_rel);
 }
 
 void BoltTask::ack(const Tuple& tuple) {
-  // The usual case: untracked, from within its own execute().
+  // The usual case: an untracked tuple, acked in its own execute().
   if (OwnCall::is_of(*this) && tuple.data() == current_ && current_ != nullptr && !current_->tracked()) {
     if (std::exchange(current_settled_, true)) return;
     bump(counts_.acked);
@@ -218,17 +223,17 @@ void BoltTask::answer(Answer answer, const Tuple& tuple) {
     return;
   }
   {
-    const std::lock_guard lock(answers_mutex_);
+    const config::MutexLock lock(answers_mutex_);
     answers_.emplace_back(answer, tuple);
     has_answers_.store(true, std::memory_order_release);
   }
-  around_.scheduler->schedule(*this);
+  environment_.scheduler->schedule(*this);
 }
 
 void BoltTask::take_answers() {
   std::vector<std::pair<Answer, Tuple>> answers;
   {
-    const std::lock_guard lock(answers_mutex_);
+    const config::MutexLock lock(answers_mutex_);
     answers.swap(answers_);
     has_answers_.store(false, std::memory_order_relaxed);
   }
@@ -238,14 +243,14 @@ void BoltTask::take_answers() {
 void BoltTask::settle(Answer answer, const Tuple& tuple) {
   if (!tuple || tuple.data()->stream == tick_stream_) return;
   TupleCell& cell = *cell_of(tuple);
-  Delivery* delivery = cell.tracked() ? cell.open_delivery(this) : nullptr;
+  TrackedDelivery* delivery = cell.tracked() ? cell.open_delivery(this) : nullptr;
   if (answer == Answer::reset) {
     if (delivery == nullptr) return;
     const std::int64_t now = topology_ns();
     cell.for_each_tree([&](Tree* tree) { tree->touched_ns.store(now, std::memory_order_relaxed); });
     return;
   }
-  if (cell.tracked() ? delivery == nullptr : (&cell == current_ && current_settled_)) return;  // a second time
+  if (cell.tracked() ? delivery == nullptr : (&cell == current_ && current_settled_)) return;  // it was answered before
   if (&cell == current_) current_settled_ = true;
   bump(answer == Answer::ack ? counts_.acked : counts_.failed);
   if (delivery == nullptr) return;

@@ -1,40 +1,41 @@
 #pragma once
 
 #include <memory>
-#include <mutex>
 #include <span>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/bolt.h>
 #include <iotcloud/topology/runtime/tasks/mailbox.h>
 #include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
 
-/// What a bolt asks of the tuples that it gets.
-struct Intake {
+/// A bolt's deadlines and keep_last, which decide which of its tuples are executed.
+struct InputPolicies {
   struct Deadline {
     const detail::StreamInfo* stream = nullptr;
     std::int64_t age_ns = 0;
   };
-  std::vector<Deadline> deadlines;  ///< of the streams that have one
+  std::vector<Deadline> deadlines;  ///< one for each input stream that has a deadline
   std::string late_stream;          ///< empty: late tuples are dropped
   std::vector<KeepLast> keep_last;
 };
 
-/// A bolt's task and its mailbox. Acks that come from other threads, and ticks, do not wait in line.
+/// A bolt's task and its mailbox. Answers (acks and fails) that come from other threads, and ticks, do not wait behind
+/// the tuples in the mailbox: the next slice takes them first.
 class BoltTask final : public Task, private OutputCollector {
  public:
-  BoltTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Bolt> bolt, Intake intake,
-           const detail::StreamInfo* tick_stream);
+  BoltTask(const TaskEnvironment& environment, Executors& executors, TopologyContext context,
+           std::unique_ptr<Bolt> bolt, InputPolicies policies, const detail::StreamInfo* tick_stream);
   ~BoltTask() override;
 
   /// \throws what the bolt's prepare() throws.
-  void prepare(const Config& config, Lane& lane);
+  void prepare(const Config& config, EmittingLane& lane);
 
-  // The mailbox. Any thread.
+  // Access to the mailbox, on any thread; see Mailbox.
   void deliver(std::span<TupleCell* const> cells) { mailbox_.put(cells); }
   bool block_until_room(Task& emitter) { return mailbox_.block_until_room(emitter); }
   std::size_t room() const { return mailbox_.room(); }
@@ -48,7 +49,7 @@ class BoltTask final : public Task, private OutputCollector {
   void close() override;
   void fill(TaskSnapshot& snapshot) const override;
   void collect(std::vector<config::Sample>& samples) const override;
-  /// Gives back what still waits. When nothing runs.
+  /// Destroys the bolt, and releases the tuples that still wait. \pre no thread runs a task any more.
   void discard();
 
  private:
@@ -76,24 +77,25 @@ class BoltTask final : public Task, private OutputCollector {
 
   std::unique_ptr<Bolt> bolt_;
   const detail::StreamInfo* tick_stream_;
-  const Intake intake_;
+  const InputPolicies policies_;
   bool prepared_ = false;
   config::Histogram execute_latency_;
-  config::Histogram process_latency_;  ///< only used once a tuple was answered later; until then it is the other one
+  /// Used from the first answer after execute() returned; before, the two latencies are equal.
+  config::Histogram process_latency_;
   std::atomic<bool> answers_later_{false};
 
-  // While in a slice.
-  Lane* lane_ = nullptr;
-  const TupleCell* current_ = nullptr;
-  bool current_settled_ = false;
-  std::size_t late_in_chunk_ = 0;     ///< taken and not executed
-  std::size_t settled_in_chunk_ = 0;  ///< executed and answered before execute() returned
-  std::vector<Tree*> roots_;          ///< scratch
+  // Used only in a slice.
+  EmittingLane* lane_ = nullptr;
+  const TupleCell* current_ = nullptr;  ///< the tuple in execute()
+  bool current_settled_ = false;        ///< the bolt has acked or failed it
+  std::size_t late_in_chunk_ = 0;       ///< tuples of this chunk that were late, so not executed
+  std::size_t settled_in_chunk_ = 0;    ///< tuples of this chunk that were answered before execute() returned
+  std::vector<Tree*> roots_;            ///< only used in send(); a member, to keep its memory
 
   Mailbox mailbox_;
   std::atomic<bool> has_answers_{false};
-  std::mutex answers_mutex_;
-  std::vector<std::pair<Answer, Tuple>> answers_;  ///< guarded by answers_mutex_: from other threads
+  config::Mutex answers_mutex_;
+  std::vector<std::pair<Answer, Tuple>> answers_ IOTCLOUD_GUARDED_BY(answers_mutex_);  ///< answers from other threads
 };
 
 }  // namespace iotcloud::topology::internal

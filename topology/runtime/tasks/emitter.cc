@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include <iotcloud/topology/runtime/scheduling/lane.h>
 #include <iotcloud/topology/runtime/tasks/bolt_task.h>
 #include <iotcloud/topology/runtime/tasks/emitter.h>
+#include <iotcloud/topology/runtime/tasks/emitting_lane.h>
 
 namespace iotcloud::topology::internal {
 
@@ -96,7 +96,7 @@ TupleCell* Emitter::make_cell(Values&& values, std::int64_t born_ns) const {
   return cell;
 }
 
-std::uint64_t Emitter::send(Lane& lane, Values&& values, std::span<Tree* const> trees, std::int64_t born_ns) {
+std::uint64_t Emitter::send(EmittingLane& lane, Values&& values, std::span<Tree* const> trees, std::int64_t born_ns) {
   TupleCell* cell = make_cell(std::move(values), born_ns);
   if (!trees.empty()) cell->track(trees);
   const auto delivery_to = [&](BoltTask* task) -> std::uint64_t {

@@ -12,32 +12,35 @@
 namespace iotcloud::topology::internal {
 
 class BoltTask;
-class Lane;
+class EmittingLane;
+class Task;
 
-/// One reader of a stream: a component and the grouping that chooses among its tasks.
+/// An input of a bolt that reads a stream: the bolt's tasks, and the grouping that chooses among them.
 struct Edge {
-  std::unique_ptr<Grouping> grouping;         ///< null: direct, or a single task that gets all
+  std::unique_ptr<Grouping> grouping;         ///< null: a direct stream, or a single task that gets every tuple
   const std::vector<int>* targets = nullptr;  ///< ascending task ids; outlives the edge
-  bool custom = false;                        ///< a user's grouping: what it chooses is checked
+  bool custom = false;                        ///< a user's grouping, whose choices are checked
 };
 
+/// A stream that a component emits, with all that read it.
 struct OutStream {
   const detail::StreamInfo* info = nullptr;
   bool direct = false;
   std::vector<Edge> edges;
 };
 
-/// The way out of one task: finds the receivers of what it emits and puts it on the lane. Only used in the task's
-/// calls.
+/// Finds the receivers of the tuples that one task emits, and puts the tuples on the task's lane. Used only in the
+/// task's own calls: first choose(), then send().
 class Emitter {
  public:
-  /// \param tasks by id; outlives the emitter. \param self the emitting task.
+  /// \param tasks index: task id; must outlive the emitter. \param self the emitting task.
   void set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self);
 
-  /// Checks, and chooses the receivers. \throws std::invalid_argument when stream, task or values do not fit.
-  /// \param direct_task -1: by the groupings.
+  /// Checks the arguments and chooses the receivers. \throws std::invalid_argument when stream, task or values do not
+  /// fit. \param direct_task the receiving task, for emit_direct; -1: the groupings choose.
   void choose(std::string_view stream, const Values& values, int direct_task) {
-    // The usual case without looking at the letters: this very constant, and one task that gets it all.
+    // The usual case: the stream's name is the very constant (no characters are compared), and one task gets all
+    // tuples.
     if (stream.data() == default_stream && to_one_ != nullptr && direct_task < 0 && values.size() == to_one_->arity) {
       stream_ = to_one_;
       chosen_count_ = 1;
@@ -45,19 +48,20 @@ class Emitter {
       choose_among(stream, values, direct_task);
     }
   }
-  std::size_t chosen() const { return chosen_count_; }
+  std::size_t chosen() const { return chosen_count_; }  ///< number of receivers that choose() found
   bool is_sink() const { return streams_.empty(); }
-  /// Makes the tuple for the receivers that choose() found; at least one. It is tracked when `trees` is not empty.
+  /// Makes the tuple and puts it on the lane for the receivers that choose() found. \pre there is at least one.
+  /// \param trees to which the tuple belongs; empty: it is not tracked.
   /// \return XOR of the ids of its deliveries (0 when not tracked).
-  std::uint64_t send(Lane& lane, Values&& values, std::span<Tree* const> trees, std::int64_t born_ns);
-  /// The tuple that send() would make, for a single handle; untracked.
+  std::uint64_t send(EmittingLane& lane, Values&& values, std::span<Tree* const> trees, std::int64_t born_ns);
+  /// Makes the tuple of the last choose(), untracked, with one handle.
   TupleCell* make_cell(Values&& values, std::int64_t born_ns) const;
 
  private:
   struct Stream {
     OutStream out;
     std::size_t arity = 0;     ///< number of fields
-    BoltTask* only = nullptr;  ///< whatever is emitted, this one task gets it
+    BoltTask* only = nullptr;  ///< the one task that gets every tuple of the stream; null: the receivers must be chosen
   };
   void choose_among(std::string_view stream, const Values& values, int direct_task);
   Stream& find(std::string_view name);
@@ -69,10 +73,10 @@ class Emitter {
   const Stream* to_one_ = nullptr;  ///< the default stream, if it has an `only`
   const std::vector<BoltTask*>* tasks_ = nullptr;
   const Task* self_ = nullptr;
-  // Of the last choose():
+  // Results of the last choose():
   const Stream* stream_ = nullptr;
   std::size_t chosen_count_ = 0;
-  std::vector<int> chosen_;  ///< unless the stream has an `only`
+  std::vector<int> chosen_;  ///< not set when the stream has an `only`
 };
 
 }  // namespace iotcloud::topology::internal

@@ -13,7 +13,8 @@ void append_bytes(std::string& key, const void* data, std::size_t size) {
   key.append(static_cast<const char*>(data), size);
 }
 
-/// Unambiguous: kind, and what may differ in length with its length.
+/// Appends the kind, and before a string's or payload's bytes their number, so that different values never give equal
+/// keys.
 void append_value(std::string& key, const Value& value) {
   key.push_back(static_cast<char>(value.index()));
   const auto append_sized = [&key](const void* data, std::size_t size) {
@@ -47,7 +48,8 @@ TupleCell* Conflater::put(TupleCell* cell) {
     line_.push_back({cell, nullptr});
     return nullptr;
   }
-  const auto at = by_key_.try_emplace(key_of(*input, *cell)).first;  // nodes stay where they are
+  // the map never moves its keys, so line_ may point to them
+  const auto at = by_key_.try_emplace(key_of(*input, *cell)).first;
   Kept& kept = at->second;
   kept.push_back(cell);
   if (kept.size() <= input->keep) {
@@ -83,7 +85,7 @@ void Mailbox::put(std::span<TupleCell* const> cells) {
     put_conflated(cells);
     return;
   }
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   waiting_.insert(waiting_.end(), cells.begin(), cells.end());
   depth_.fetch_add(cells.size());
 }
@@ -91,7 +93,7 @@ void Mailbox::put(std::span<TupleCell* const> cells) {
 void Mailbox::put_conflated(std::span<TupleCell* const> cells) {
   std::vector<TupleCell*> replaced;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     for (TupleCell* cell : cells) {
       if (TupleCell* oldest = conflater_->put(cell)) replaced.push_back(oldest);
     }
@@ -99,7 +101,7 @@ void Mailbox::put_conflated(std::span<TupleCell* const> cells) {
   }
   superseded_.fetch_add(replaced.size(), std::memory_order_relaxed);
   for (TupleCell* cell : replaced) {
-    if (Delivery* delivery = cell->tracked() ? cell->open_delivery(&owner_) : nullptr) {
+    if (TrackedDelivery* delivery = cell->tracked() ? cell->open_delivery(&owner_) : nullptr) {
       cell->settle(*delivery, std::uint8_t{0});
     }
     static_cast<void>(Tuple::adopt(cell));
@@ -107,9 +109,10 @@ void Mailbox::put_conflated(std::span<TupleCell* const> cells) {
 }
 
 bool Mailbox::block_until_room(Task& emitter) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (std::find(blocked_.begin(), blocked_.end(), &emitter) != blocked_.end()) return true;
-  // Announced first, looked at the depth second; done() does it the other way round, so one of the two sees the other.
+  // This sets has_blocked_ and then reads depth_; done() lowers depth_ and then reads has_blocked_. So at least one of
+  // the two sees what the other one wrote, and no emitter stays blocked.
   has_blocked_.store(true);
   if (depth_.load() <= capacity_ / 2) {
     has_blocked_.store(!blocked_.empty());
@@ -130,13 +133,13 @@ TupleCell* Mailbox::next() {
     return batch_[next_++];
   }
   if (conflater_) {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     return conflater_->take();
   }
   batch_.clear();
   next_ = 0;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     batch_.swap(waiting_);
   }
   return batch_.empty() ? nullptr : batch_[next_++];
@@ -147,7 +150,7 @@ void Mailbox::done(std::size_t executed) {
   if (left > capacity_ / 2 || !has_blocked_.load()) return;
   freed_.clear();
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     freed_.swap(blocked_);
     has_blocked_.store(false);
   }

@@ -4,6 +4,7 @@
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
 #include <iotcloud/topology/runtime/scheduling/timers.h>
+#include <iotcloud/topology/runtime/tasks/emitting_lane.h>
 #include <iotcloud/topology/runtime/tasks/spout_task.h>
 
 namespace iotcloud::topology::internal {
@@ -23,9 +24,9 @@ void WakeGate::shut() noexcept {
   for (std::uint32_t users = users_.load(); users != shut_bit; users = users_.load()) users_.wait(users);
 }
 
-SpoutTask::SpoutTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Spout> spout,
-                     std::shared_ptr<WakeGate> gate, std::size_t max_pending)
-    : Task(surroundings, std::move(context)),
+SpoutTask::SpoutTask(const TaskEnvironment& environment, Executors& executors, TopologyContext context,
+                     std::unique_ptr<Spout> spout, std::shared_ptr<WakeGate> gate, std::size_t max_pending)
+    : Task(environment, executors, std::move(context)),
       spout_(std::move(spout)),
       gate_(std::move(gate)),
       max_pending_(max_pending) {}
@@ -40,7 +41,7 @@ SpoutTask::~SpoutTask() {
   }
 }
 
-void SpoutTask::open(const Config& config, Lane& lane) {
+void SpoutTask::open(const Config& config, EmittingLane& lane) {
   lane_ = &lane;
   gate_->open(*this);
   now_ns_ = topology_ns();
@@ -68,7 +69,7 @@ void SpoutTask::collect(std::vector<config::Sample>& samples) const {
 
 void SpoutTask::wake() noexcept {
   woken_.store(true, std::memory_order_release);
-  around_.scheduler->run_now(*this);
+  environment_.scheduler->run_now(*this);
 }
 
 void SpoutTask::set_active(bool active) {
@@ -78,10 +79,11 @@ void SpoutTask::set_active(bool active) {
 
 // Running.
 
-bool SpoutTask::slice(Lane& lane) {
+bool SpoutTask::slice(Lane& given) {
+  EmittingLane& lane = EmittingLane::of(given);
   lane_ = &lane;
   const OwnCall own(lane, *this);
-  now_ns_ = around_.clock_is_real ? lane.now_ns : topology_ns();
+  now_ns_ = environment_.clock_is_real ? lane.now_ns : topology_ns();
   const std::uint32_t signals = take_signals();
   if ((signals & activity_due) != 0) switch_activity();
   if ((signals & poll_due) != 0) poll_armed_ = false;
@@ -114,7 +116,7 @@ bool SpoutTask::may_ask() {
 }
 
 /// \return true when the spout is to be asked again soon.
-bool SpoutTask::ask(Lane& lane) {
+bool SpoutTask::ask(EmittingLane& lane) {
   const std::int64_t slice_began = lane.now_ns;
   while (may_ask()) {
     woken_.store(false, std::memory_order_relaxed);
@@ -122,7 +124,7 @@ bool SpoutTask::ask(Lane& lane) {
     std::chrono::microseconds pause{0};
     std::size_t calls = 0;
     for (; more && calls < chunk_ && !lane.wants_flush() && (calls == 0 || may_ask()); ++calls) {
-      if (around_.has_deadlines) asked_ns_ = topology_ns();
+      if (environment_.has_deadlines) asked_ns_ = topology_ns();
       if (!guarded("next_tuple()", [&] { more = spout_->next_tuple(); })) {
         more = false;
         pause = pause_after_throw;
@@ -133,15 +135,15 @@ bool SpoutTask::ask(Lane& lane) {
     }
     lane.flush(*this);
     const std::uint64_t took_ns = lane.time_since_last_look();
-    now_ns_ = around_.clock_is_real ? lane.now_ns : topology_ns();
+    now_ns_ = environment_.clock_is_real ? lane.now_ns : topology_ns();
     bump(counts_.busy_ns, took_ns);
     note_each(static_cast<std::int64_t>(took_ns / std::max<std::size_t>(calls, 1)));
     chunk_ = next_chunk(chunk_, calls, took_ns);
     if (!more && !woken_.load(std::memory_order_acquire)) {
-      if (pause.count() == 0) pause = spout_->poll_period();  // now, not before: next_tuple() may have changed it
+      if (pause.count() == 0) pause = spout_->poll_period();  // asked after next_tuple(), which may change it
       if (pause.count() > 0 && !poll_armed_) {
         poll_armed_ = true;
-        around_.timers->add(around_.clock->now() + pause, *this, poll_due);
+        environment_.timers->add(environment_.clock->now() + pause, *this, poll_due);
       }
       return false;
     }
@@ -161,10 +163,10 @@ void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, cons
   emitter_.choose(stream, values, task);
   bump(counts_.emitted);
   bump(counts_.transferred, emitter_.chosen());
-  const std::int64_t born = asked_ns_ == 0 && around_.has_deadlines ? topology_ns() : asked_ns_;
+  const std::int64_t born = asked_ns_ == 0 && environment_.has_deadlines ? topology_ns() : asked_ns_;
   if (taps_.any()) offer_emitted(values, born);
   if (emitter_.chosen() > 0) {
-    if (id != nullptr && around_.options->acking) {
+    if (id != nullptr && environment_.options->acking) {
       Tree* tree = Tree::make(*this, *id, now_ns_);
       tree->open.store(emitter_.send(*lane_, std::move(values), {&tree, 1}, born), std::memory_order_relaxed);
       track(*tree);
@@ -176,7 +178,7 @@ void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, cons
 }
 
 void SpoutTask::take_acked_at_once() {
-  // By index: ack() may emit again.
+  // By index, because ack() may emit, which may add to the vector.
   for (std::size_t i = 0; i < acked_at_once_.size(); ++i) {
     const MessageId id = acked_at_once_[i];
     bump(counts_.acked);
@@ -192,7 +194,7 @@ void SpoutTask::post(Tree& tree) noexcept {
   do {
     tree.next_posted = first;
   } while (!posted_.compare_exchange_weak(first, &tree, std::memory_order_acq_rel, std::memory_order_relaxed));
-  around_.scheduler->schedule(*this);
+  environment_.scheduler->schedule(*this);
 }
 
 void SpoutTask::take_posted() {
@@ -263,13 +265,13 @@ void SpoutTask::unlink(Tree& tree) {
 }
 
 std::int64_t SpoutTask::slot_width_ns() const {
-  const std::chrono::nanoseconds timeout = around_.options->message_timeout;
+  const std::chrono::nanoseconds timeout = environment_.options->message_timeout;
   return std::max<std::int64_t>(timeout.count() / static_cast<std::int64_t>(slots - 1), 1);
 }
 
 void SpoutTask::arm_wheel() {
   wheel_armed_ = true;
-  around_.timers->add(config::Clock::Instant(std::chrono::nanoseconds(slot_ends_ns_)), *this, wheel_due);
+  environment_.timers->add(config::Clock::Instant(std::chrono::nanoseconds(slot_ends_ns_)), *this, wheel_due);
 }
 
 void SpoutTask::turn_wheel() {
@@ -287,10 +289,10 @@ void SpoutTask::turn_wheel() {
   arm_wheel();
 }
 
-/// What is in this slot was put there nine slots ago.
+/// Fails the trees of the slot to which the wheel has just turned: they were put there nine turns ago.
 void SpoutTask::expire(std::size_t slot, std::int64_t now) {
   const std::int64_t width = slot_width_ns();
-  // Oldest first, up to what is the newest now: fail() may emit again, into this very slot.
+  // From the oldest to the tree that is the newest now: fail() may emit, which puts new trees into this very slot.
   Tree* const newest = wheel_[slot];
   Tree* next = newest;
   while (next != nullptr && next->older != nullptr) next = next->older;
@@ -300,7 +302,7 @@ void SpoutTask::expire(std::size_t slot, std::int64_t now) {
     const std::int64_t touched = due.touched_ns.load(std::memory_order_relaxed);
     const std::int64_t left = touched == 0 ? 0 : touched + width * static_cast<std::int64_t>(slots - 1) - now;
     if (left > 0) {
-      // The slot k turns ahead is looked at after k widths at the earliest.
+      // reset_timeout() was called: the tree moves to the slot that expires when its new time-out has passed.
       unlink(due);
       link(due, (slot + static_cast<std::size_t>((left + width - 1) / width)) % slots);
     } else if (due.abandoned) {
@@ -308,7 +310,7 @@ void SpoutTask::expire(std::size_t slot, std::int64_t now) {
       finish(due, false, true);
     } else if (!due.posted.exchange(true, std::memory_order_acq_rel)) {
       finish(due, false, true);
-    }  // otherwise its end was posted just now
+    }  // otherwise another thread posted its end just now, and take_posted() will finish it
   }
 }
 

@@ -12,12 +12,12 @@
 
 namespace iotcloud::topology::internal {
 
-/// Lets SpoutWakers outlive the task.
+/// What a SpoutWaker wakes. It passes wake() on to its task until shut(), so that wakers may outlive the task.
 class WakeGate final : public SpoutWaker::Target {
  public:
   void wake() noexcept override;
   void open(class SpoutTask& task) { task_ = &task; }
-  /// Returns when no wake() is under way; those that follow do nothing.
+  /// Waits until no wake() is under way; later calls of wake() do nothing.
   void shut() noexcept;
 
  private:
@@ -26,23 +26,23 @@ class WakeGate final : public SpoutWaker::Target {
   SpoutTask* task_ = nullptr;  ///< set before the first waker is given out
 };
 
-/// A spout's task, and the trees of its tracked tuples: a timing wheel of nine slots, each an eighth of the time-out
-/// wide, so that a tree fails between T and T + T/8 after it was emitted.
+/// A spout's task, and the trees of its tracked tuples. The trees are in a timing wheel of nine slots, each an eighth
+/// of the message time-out T wide, so that a tree that is not done fails between T and 9/8 T after it was emitted.
 class SpoutTask final : public Task, private SpoutOutputCollector {
  public:
-  /// \param max_pending tracked tuples under way; 0: no limit.
-  SpoutTask(const Surroundings& surroundings, TopologyContext context, std::unique_ptr<Spout> spout,
-            std::shared_ptr<WakeGate> gate, std::size_t max_pending);
+  /// \param max_pending how many tracked tuples may be under way; 0: no limit.
+  SpoutTask(const TaskEnvironment& environment, Executors& executors, TopologyContext context,
+            std::unique_ptr<Spout> spout, std::shared_ptr<WakeGate> gate, std::size_t max_pending);
   ~SpoutTask() override;
 
   /// \throws what the spout's open() and activate() throw.
-  void open(const Config& config, Lane& lane);
-  /// Runs on this thread when idle. Any thread.
+  void open(const Config& config, EmittingLane& lane);
+  /// Has next_tuple() called; an idle task runs on the calling thread. Any thread.
   void wake() noexcept;
   void set_active(bool active);
-  /// A tree is done, failed or lost. Any thread.
+  /// Tells the task that one of its trees is done, failed or lost; the next slice looks at it. Any thread.
   void post(Tree& tree) noexcept;
-  /// Trees that still may end by an ack or a fail.
+  /// Number of trees that an ack or a fail may still end. Abandoned trees do not count: only the time-out ends them.
   std::size_t under_way() const {
     const std::size_t abandoned = abandoned_.load(std::memory_order_relaxed);
     return std::max(pending_.load(std::memory_order_relaxed), abandoned) - abandoned;
@@ -65,7 +65,7 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
 
   void switch_activity();
   bool may_ask();
-  bool ask(Lane& lane);
+  bool ask(EmittingLane& lane);
   void take_posted();
   void take_acked_at_once();
   void finish(Tree& tree, bool acked, bool timed_out);
@@ -83,25 +83,27 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   config::Histogram complete_latency_;
   bool opened_ = false;
 
-  std::atomic<bool> woken_{false};
+  std::atomic<bool> woken_{false};  ///< wake() was called since next_tuple() was called last
   std::atomic<bool> wanted_active_{true};
-  std::atomic<Tree*> posted_{nullptr};  ///< a stack
-  std::atomic<std::size_t> pending_{0};
-  std::atomic<std::size_t> abandoned_{0};
+  std::atomic<Tree*> posted_{nullptr};     ///< a stack of trees that post() was called for
+  std::atomic<std::size_t> pending_{0};    ///< number of trees in the wheel
+  std::atomic<std::size_t> abandoned_{0};  ///< number of trees whose Tree::abandoned is set
 
-  // While in a slice.
-  Lane* lane_ = nullptr;
-  /// The topology's clock at the last look: tuples are stamped with it. Calls between two looks are some microseconds.
+  // Used only in a slice.
+  EmittingLane* lane_ = nullptr;
+  /// The topology's clock when it was last read; a tree's emitted_ns. It is read once for a chunk of calls, which takes
+  /// some microseconds.
   std::int64_t now_ns_ = 0;
-  /// The same when next_tuple() was called, which is when its tuples are born: what a spout looks at then (is this
-  /// message still mine?) it looks at after their birth. 0: in no such call, or nobody asks for births.
+  /// The topology's clock when next_tuple() was called; the birth of the tuples that the call emits. It is read before
+  /// the call, so that what the spout checks in the call (is this message still mine?) it checks after that time. 0: no
+  /// call runs, or tuples do not record their birth.
   std::int64_t asked_ns_ = 0;
   bool active_ = false;
   bool throttled_ = false;
-  std::vector<MessageId> acked_at_once_;
-  std::array<Tree*, slots> wheel_{};  ///< newest of each slot
-  std::size_t slot_ = 0;              ///< that new trees go to
-  std::int64_t slot_ends_ns_ = 0;
+  std::vector<MessageId> acked_at_once_;  ///< messages whose tuple has no receiver, or is not tracked (`acking` is off)
+  std::array<Tree*, slots> wheel_{};      ///< the newest tree of each slot
+  std::size_t slot_ = 0;                  ///< the slot that new trees go to
+  std::int64_t slot_ends_ns_ = 0;         ///< when the wheel turns to the next slot, by the topology's clock
   bool wheel_armed_ = false;
   bool poll_armed_ = false;
 };

@@ -2,21 +2,22 @@
 
 #include <atomic>
 #include <memory>
-#include <mutex>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/runtime/runtime.h>
 
 namespace iotcloud::topology::internal {
 
-/// Someone who watches tuples: the call, and how often it wants one.
+/// A tap on one task: the call that gets the tuples, and how often it wants one.
 class TapPoint {
  public:
   TapPoint(double per_second, TapCall call);
-  /// Whether it is time for another sample.
-  bool due(std::int64_t now_ns);
+  /// Whether it is time for another sample. Of several threads one gets `true`, and the next sample is due a pause
+  /// later.
+  bool claim_sample(std::int64_t now_ns);
   void sample(const Tuple& tuple, int task);
-  /// Returns when the call does not run any more; it never will again.
+  /// Waits until the call does not run any more; it is not made again.
   void end();
   bool ended() const { return ended_.load(); }
 
@@ -24,16 +25,16 @@ class TapPoint {
   const std::int64_t pause_ns_;
   std::atomic<std::int64_t> next_ns_{0};
   std::atomic<bool> ended_{false};
-  std::mutex mutex_;
-  const TapCall call_;  ///< runs with mutex_ held
+  config::Mutex mutex_;
+  const TapCall call_;  ///< called with mutex_ held
 };
 
-/// Those who watch one task. Costs one look at an atomic while there is nobody.
+/// The taps on one task. Without taps a tuple costs one read of an atomic.
 class Taps {
  public:
   bool any() const { return any_.load(std::memory_order_relaxed); }
   void add(std::shared_ptr<TapPoint> point);
-  /// \param make makes the tuple; called when somebody wants one.
+  /// Shows a tuple to the taps that are due. \param make makes the tuple; it is called only when a tap is due.
   template <typename Make>
   void offer(std::int64_t now_ns, int task, Make&& make) {
     const std::vector<std::shared_ptr<TapPoint>> wanting = due(now_ns);
@@ -46,8 +47,8 @@ class Taps {
   std::vector<std::shared_ptr<TapPoint>> due(std::int64_t now_ns);
 
   std::atomic<bool> any_{false};
-  std::mutex mutex_;
-  std::vector<std::shared_ptr<TapPoint>> points_;  ///< guarded by mutex_
+  config::Mutex mutex_;
+  std::vector<std::shared_ptr<TapPoint>> points_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace iotcloud::topology::internal

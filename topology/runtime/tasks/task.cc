@@ -1,6 +1,6 @@
 #include <algorithm>
 
-#include <iotcloud/config/log.h>
+#include <iotcloud/topology/runtime/logger.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
 #include <iotcloud/topology/runtime/tasks/task.h>
@@ -8,20 +8,23 @@
 namespace iotcloud::topology::internal {
 
 namespace {
-constexpr config::Logger logger{"topology"};
 constexpr std::int64_t log_pause_ns = 1'000'000'000;
 }  // namespace
 
-Task::Task(const Surroundings& surroundings, TopologyContext context)
-    : around_(surroundings), context_(std::move(context)) {}
+Task::Task(const TaskEnvironment& environment, Executors& executors, TopologyContext context)
+    : Runnable(executors), environment_(environment), context_(std::move(context)) {}
 
 void Task::signal(std::uint32_t bits) {
   signals_.fetch_or(bits, std::memory_order_acq_rel);
-  around_.scheduler->schedule(*this);
+  environment_.scheduler->schedule(*this);
+}
+
+void Task::hangs(std::int64_t for_ns) {
+  report_error("does not return from user code for " + std::to_string(for_ns / 1'000'000) + " ms");
 }
 
 void Task::unblock() {
-  if (blocked_on_.fetch_sub(1, std::memory_order_acq_rel) == 1) around_.scheduler->schedule(*this);
+  if (blocked_on_.fetch_sub(1, std::memory_order_acq_rel) == 1) environment_.scheduler->schedule(*this);
 }
 
 TaskSnapshot Task::snapshot() const {
@@ -41,7 +44,7 @@ TaskSnapshot Task::snapshot() const {
   snapshot.capacity = capacity_.load(std::memory_order_relaxed);
   snapshot.queue_depth = depth();
   {
-    const std::lock_guard lock(error_mutex_);
+    const config::MutexLock lock(error_mutex_);
     snapshot.last_error = last_error_;
   }
   fill(snapshot);
@@ -51,11 +54,11 @@ TaskSnapshot Task::snapshot() const {
 void Task::report_error(const std::string& text) noexcept {
   try {
     counts_.errors.fetch_add(1, std::memory_order_relaxed);
-    const std::int64_t now = around_.clock->now().time_since_epoch().count();
+    const std::int64_t now = environment_.clock->now().time_since_epoch().count();
     bool log = false;
     std::uint64_t unlogged = 0;
     {
-      const std::lock_guard lock(error_mutex_);
+      const config::MutexLock lock(error_mutex_);
       last_error_ = text;
       log = last_log_ns_ == 0 || now - last_log_ns_ >= log_pause_ns;
       if (log) {
@@ -69,7 +72,7 @@ void Task::report_error(const std::string& text) noexcept {
       logger.error("{}: component {}, task {}: {}{}", context_.topology, context_.component, context_.task, text,
                    unlogged > 0 ? " (and " + std::to_string(unlogged) + " errors before it)" : "");
     }
-    if (around_.options->on_error) around_.options->on_error(context_.component, context_.task, text);
+    if (environment_.options->on_error) environment_.options->on_error(context_.component, context_.task, text);
   } catch (...) {
     logger.error("{}: component {}: an error could not be reported", context_.topology, context_.component);
   }
@@ -111,19 +114,21 @@ void Task::collect(std::vector<config::Sample>& samples) const {
   const auto count = [&](const char* name, const char* help, std::uint64_t value) {
     add(name, help, config::Sample::Kind::counter, static_cast<double>(value));
   };
-  count("iotcloud_task_emitted_total", "Tuples handed to emit", now.emitted);
-  count("iotcloud_task_transferred_total", "Tuples sent to tasks", now.transferred);
-  count("iotcloud_task_executed_total", "Tuples worked on", now.executed);
+  count("iotcloud_task_emitted_total", "Tuples that the component emitted", now.emitted);
+  count("iotcloud_task_transferred_total", "Deliveries of emitted tuples to tasks", now.transferred);
+  count("iotcloud_task_executed_total", "Tuples executed (spouts: calls of next_tuple that returned true)",
+        now.executed);
   count("iotcloud_task_acked_total", "Tuples acked (spouts: whole trees)", now.acked);
   count("iotcloud_task_failed_total", "Tuples failed (spouts: whole trees, time-outs included)", now.failed);
-  count("iotcloud_task_timed_out_total", "Trees that were not done in time", now.timed_out);
+  count("iotcloud_task_timed_out_total", "Trees that failed by the message time-out", now.timed_out);
   count("iotcloud_task_errors_total", "Exceptions and reported errors of user code", now.errors);
   count("iotcloud_task_late_total", "Tuples older than their deadline, not executed", now.late);
   count("iotcloud_task_superseded_total", "Tuples that a newer one of their key replaced (keep_last)", now.superseded);
   add("iotcloud_task_busy_seconds_total", "Time in user code", config::Sample::Kind::counter, now.busy_seconds);
-  add("iotcloud_task_queue_depth", "Tuples that wait", config::Sample::Kind::gauge,
+  add("iotcloud_task_queue_depth", "Tuples in the task's mailbox", config::Sample::Kind::gauge,
       static_cast<double>(now.queue_depth));
-  add("iotcloud_task_capacity", "Part of the time that it was busy", config::Sample::Kind::gauge, now.capacity);
+  add("iotcloud_task_capacity", "Part of the last seconds in which the task was busy, 0 to 1",
+      config::Sample::Kind::gauge, now.capacity);
 }
 
 }  // namespace iotcloud::topology::internal

@@ -20,7 +20,7 @@ Tree* Tree::make(SpoutTask& owner, MessageId id, std::int64_t now_ns) {
 
 void Tree::close(std::uint64_t change, std::uint8_t flag) noexcept {
   if (flag != 0) flags.fetch_or(flag, std::memory_order_acq_rel);
-  // The spout hears of a failure at once, not when the rest of the tree is done.
+  // Tells the spout of a failure at once, without waiting for the rest of the tree.
   if ((flag & failed) != 0 && !posted.exchange(true, std::memory_order_acq_rel)) owner->post(*this);
   if ((open.fetch_xor(change, std::memory_order_acq_rel) ^ change) != 0) return;
   if (!posted.exchange(true, std::memory_order_acq_rel)) owner->post(*this);
@@ -33,12 +33,12 @@ void Tree::let_go() noexcept {
 
 void TupleCell::recycle() noexcept {
   if (tracked()) {
-    const auto give_up = [this](Delivery& delivery) {
+    const auto give_up = [this](TrackedDelivery& delivery) {
       if (delivery.receiver != nullptr && !delivery.settled) settle(delivery, Tree::lost);
     };
     give_up(first);
     if (more) {
-      for (Delivery& delivery : more->deliveries) give_up(delivery);
+      for (TrackedDelivery& delivery : more->deliveries) give_up(delivery);
       more->trees.clear();
       more->deliveries.clear();
     }
@@ -49,10 +49,10 @@ void TupleCell::recycle() noexcept {
   Pool<TupleCell>::give(this);
 }
 
-Delivery* TupleCell::open_delivery(const Task* receiver) {
+TrackedDelivery* TupleCell::open_delivery(const Task* receiver) {
   if (first.receiver == receiver && !first.settled) return &first;
   if (!more) return nullptr;
-  for (Delivery& delivery : more->deliveries) {
+  for (TrackedDelivery& delivery : more->deliveries) {
     if (delivery.receiver == receiver && !delivery.settled) return &delivery;
   }
   return nullptr;

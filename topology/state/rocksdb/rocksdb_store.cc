@@ -11,7 +11,7 @@ namespace iotcloud::topology::internal {
 
 namespace {
 
-// What is in the database; numbers are 8 bytes, big endian, so that keys are in order:
+// Contents of the database. Numbers are 8 bytes, big endian, so that keys are in order:
 //   "format"                                      -> format_name
 //   "t" topology 0 component                      -> number of tasks
 //   "v" topology 0 component 0 task               -> version, number of entries
@@ -42,7 +42,7 @@ class RocksdbStore final : public StateStore {
  public:
   RocksdbStore(std::string path, std::unique_ptr<rocksdb::DB> db) : path_(std::move(path)), db_(std::move(db)) {}
 
-  /// It is ours; or new, and is made ours.
+  /// Checks that the database has our format; gives a new one our format.
   void check_format() {
     const auto format = get(format_key);
     if (!format) {
@@ -149,11 +149,11 @@ std::shared_ptr<StateStore> open_rocksdb(const std::string& path) {
   if (failed) throw StateError("the state store " + path + " cannot be made: " + failed.message());
   rocksdb::Options options;
   options.create_if_missing = true;
-  // A record that was torn off by a crash was never acknowledged; anything else that is damaged is an error.
+  // A crash may tear the last record, which was never acknowledged; any other damage is an error.
   options.wal_recovery_mode = rocksdb::WALRecoveryMode::kTolerateCorruptedTailRecords;
   options.max_background_jobs = 1;
   options.keep_log_file_num = 2;
-  options.stats_dump_period_sec = 0;  // no thread of its own that wakes up for statistics
+  options.stats_dump_period_sec = 0;  // no thread that wakes up for statistics
   options.stats_persist_period_sec = 0;
   rocksdb::DB* db = nullptr;
   const rocksdb::Status status = rocksdb::DB::Open(options, path, &db);

@@ -2,32 +2,35 @@
 
 #include <array>
 #include <cstddef>
-#include <mutex>
 #include <vector>
+
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::topology::internal {
 
-/// Recycles objects of one type without the heap: each thread keeps a few, and whole handfuls move through a shared
-/// store, because what one thread makes another one gives back. Objects stay constructed while they wait.
-/// Under the address sanitizer it is the heap itself, so that a use after recycling is seen.
+/// Recycles objects of one type without the heap. Each thread keeps a cache; handfuls of objects move between the
+/// caches through a shared store, because often one thread takes the objects and another one gives them back. Objects
+/// stay constructed while they are in the pool. Under the address sanitizer every object is allocated and deleted, so
+/// that the sanitizer sees a use after recycling. Thread safe.
 template <typename T>
 class Pool {
  public:
+  /// \return an object as it was given back, or a new one. The caller owns it until give().
   static T* take() {
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(IOTCLOUD_SANITIZED_ADDRESS)
     return new T;
 #else
     Cache& cache = local();
     if (cache.count == 0) store().refill(cache);
     if (cache.count == 0) return new T;
-    // What was given back on another thread is still in that one's cache.
+    // An object that another thread gave back is still in that core's cache.
     if (cache.count > ahead) __builtin_prefetch(cache.items[cache.count - 1 - ahead], 1);
     return cache.items[--cache.count];
 #endif
   }
 
   static void give(T* object) noexcept {
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(IOTCLOUD_SANITIZED_ADDRESS)
     delete object;
 #else
     Cache& cache = local();
@@ -47,24 +50,24 @@ class Pool {
   class Store {
    public:
     void refill(Cache& cache) {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       while (!items_.empty() && cache.count < handful) {
         cache.items[cache.count++] = items_.back();
         items_.pop_back();
       }
     }
     void take_half(Cache& cache) {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       for (std::size_t i = 0; i < handful; ++i) items_.push_back(cache.items[--cache.count]);
     }
     void take_all(Cache& cache) {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       while (cache.count > 0) items_.push_back(cache.items[--cache.count]);
     }
 
    private:
-    std::mutex mutex_;
-    std::vector<T*> items_;  ///< guarded by mutex_
+    config::Mutex mutex_;
+    std::vector<T*> items_ IOTCLOUD_GUARDED_BY(mutex_);
   };
 
   static Cache& local() {
@@ -73,7 +76,8 @@ class Pool {
     thread_local Cache cache;
     return *(cache_of_this_thread = &cache);
   }
-  /// A direct access, where one to an object with a destructor is a call.
+  /// Points to local()'s object. Reading this pointer needs no function call; reading a thread_local object with a
+  /// destructor does.
   static inline thread_local constinit Cache* cache_of_this_thread __attribute__((tls_model("initial-exec"))) = nullptr;
 
   /// Never destroyed: threads may end after main() has returned.

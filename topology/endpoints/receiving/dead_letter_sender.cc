@@ -1,33 +1,33 @@
 #include <iotcloud/brokers/letter_box.h>
 #include <iotcloud/topology/endpoints/receiving/channel_reader.h>
-#include <iotcloud/topology/endpoints/receiving/dead_letters.h>
+#include <iotcloud/topology/endpoints/receiving/dead_letter_sender.h>
 
 namespace iotcloud::topology {
 
-/// The letters of one broker.
-struct DeadLetters::Sender {
+/// Sends the dead letters of one broker.
+struct DeadLetterSender::Sender {
   Sender(std::shared_ptr<brokers::Broker> of, const std::string& topic, std::function<void(bool)> moved)
       : broker(std::move(of)), box(*broker, topic, std::move(moved)) {}
   const std::shared_ptr<brokers::Broker> broker;
-  brokers::LetterBox box;  ///< dies first
+  brokers::LetterBox box;  ///< destroyed before the broker, which it uses
 };
 
-DeadLetters::DeadLetters(EndpointServicesPtr services, std::string component, std::string topic)
+DeadLetterSender::DeadLetterSender(EndpointServicesPtr services, std::string component, std::string topic)
     : services_(std::move(services)), component_(std::move(component)), topic_(std::move(topic)) {}
 
-DeadLetters::~DeadLetters() = default;
+DeadLetterSender::~DeadLetterSender() = default;
 
-void DeadLetters::send(Arrival arrival) {
+void DeadLetterSender::send(ChannelMessage arrival) {
   brokers::Message letter = arrival.delivery.message;
   letter.properties.set("dead-letter-reason", "the tuple failed or timed out");
   letter.properties.set("dead-letter-tries", std::to_string(arrival.tries));
   letter.properties.set("dead-letter-topic", arrival.reader->topic().name);
-  letter.properties.set("dead-letter-topology", services_->topology);
+  letter.properties.set("dead-letter-topology", services_->topology.str());
   letter.properties.set("dead-letter-component", component_);
   if (letter.driver_id.empty()) letter.driver_id = arrival.reader->driver_id();
   std::shared_ptr<Sender> sender;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     auto& known = senders_[arrival.reader->address()];
     if (!known) {
       const config::Labels labels{{"topology", services_->topology}, {"component", component_}};
@@ -43,10 +43,10 @@ void DeadLetters::send(Arrival arrival) {
                    std::make_shared<HeldReader>(std::move(arrival.reader)));
 }
 
-void DeadLetters::drain(std::chrono::milliseconds limit) {
+void DeadLetterSender::drain(std::chrono::milliseconds limit) {
   std::map<brokers::BrokerAddress, std::shared_ptr<Sender>> senders;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     senders = senders_;
   }
   for (const auto& [address, sender] : senders) sender->box.drain(limit);

@@ -1,7 +1,7 @@
 #include <algorithm>
 
 #include <iotcloud/topology/endpoints/receiving/channel_reader.h>
-#include <iotcloud/topology/endpoints/receiving/inbox.h>
+#include <iotcloud/topology/endpoints/receiving/spout_queue.h>
 
 namespace iotcloud::topology {
 
@@ -18,23 +18,23 @@ HeldReader& HeldReader::operator=(HeldReader&& other) noexcept {
   return *this;
 }
 
-void Inbox::push(Arrival arrival) {
+void SpoutQueue::push(ChannelMessage arrival) {
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (closed_) return;
     if (waiting_.size() + 1 >= limit_ &&
         std::find(paused_.begin(), paused_.end(), arrival.reader.shared()) == paused_.end()) {
       paused_.push_back(arrival.reader.shared());
-      arrival.reader->pause();  // under the lock, as is resume(), so that neither overtakes the other
+      arrival.reader->pause();  // under the lock, as resume() is, so that the two reach the reader in the right order
     }
     waiting_.push_back(std::move(arrival));
   }
   waker_.wake();
 }
 
-Inbox::Taken Inbox::pop() {
+SpoutQueue::Taken SpoutQueue::pop() {
   Taken taken;
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (waiting_.empty()) return taken;
   taken.arrival = std::move(waiting_.front());
   waiting_.pop_front();
@@ -43,10 +43,10 @@ Inbox::Taken Inbox::pop() {
   return taken;
 }
 
-void Inbox::forget(const ChannelReader& reader) {
-  std::deque<Arrival> dropped;  // given back outside the lock
-  const std::lock_guard lock(mutex_);
-  std::deque<Arrival> kept;
+void SpoutQueue::forget(const ChannelReader& reader) {
+  std::deque<ChannelMessage> dropped;  // its destructor gives the messages back, after the lock is released
+  const config::MutexLock lock(mutex_);
+  std::deque<ChannelMessage> kept;
   for (auto& arrival : waiting_)
     (arrival.reader.shared().get() == &reader ? dropped : kept).push_back(std::move(arrival));
   waiting_ = std::move(kept);
@@ -54,21 +54,21 @@ void Inbox::forget(const ChannelReader& reader) {
   resume_when_half_empty();
 }
 
-void Inbox::close() {
-  std::deque<Arrival> dropped;
+void SpoutQueue::close() {
+  std::deque<ChannelMessage> dropped;
   std::vector<std::shared_ptr<ChannelReader>> paused;
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   closed_ = true;
   dropped.swap(waiting_);
   paused.swap(paused_);
 }
 
-std::size_t Inbox::size() const {
-  const std::lock_guard lock(mutex_);
+std::size_t SpoutQueue::size() const {
+  const config::MutexLock lock(mutex_);
   return waiting_.size();
 }
 
-void Inbox::resume_when_half_empty() {
+void SpoutQueue::resume_when_half_empty() {
   if (waiting_.size() > limit_ / 2) return;
   for (const auto& reader : paused_) reader->resume();
   paused_.clear();

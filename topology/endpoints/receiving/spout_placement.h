@@ -1,0 +1,165 @@
+#pragma once
+
+#include <chrono>
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/topology/definition/definition.h>
+#include <iotcloud/topology/endpoints/placement/reading_group.h>
+#include <iotcloud/topology/endpoints/placement/task_loads.h>
+#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
+#include <iotcloud/topology/endpoints/receiving/unit_readers.h>
+#include <iotcloud/topology/endpoints/receiving/verdicts.h>
+#include <iotcloud/topology/endpoints/services.h>
+
+namespace iotcloud::topology {
+
+/// Finds the channels that one spout component reads, and places them on its tasks. A worker has one object for each
+/// such component. The unit of placement is a driver instance (exclusive channels) or a driver on a gateway (shared
+/// channels).
+///
+/// The workers of a group (YAML's `group`, or the workers of the topology) share the units: each runs for leader of
+/// those of its fair share, so that the numbers of units of any two tasks differ by one at most, of each kind and in
+/// all. Only a unit's leader reads it; the broker's exclusive consumer makes sure of that even if two workers believe
+/// that they lead. A unit is drained before it moves. A unit whose last channel is gone (its drivers have stopped) is
+/// read until nothing more comes, because what they sent before may still be at the broker. While the registry is away
+/// no unit moves and reading goes on.
+/// Thread safe.
+class SpoutPlacement {
+ public:
+  SpoutPlacement(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
+  ~SpoutPlacement();
+
+  /// A task calls it when it opens. The call of the last of `task_count` tasks begins the search for channels.
+  void join(int task_index, int task_count, std::shared_ptr<SpoutQueue> queue);
+  /// A task calls it when it closes. The first call ends all reading, and returns when no message comes any more.
+  void leave();
+  /// Which driver instances `where` chooses, also of those that share a channel.
+  std::shared_ptr<const Verdicts> verdicts() const { return verdicts_; }
+
+ private:
+  /// Where a unit moves. Its readers are drained: they stay subscribed and take no message until those that they
+  /// brought are settled or drain_limit has passed. Then the unit's next task or worker reads it.
+  enum class Move { none, to_task, to_worker };
+  static constexpr std::chrono::milliseconds look_period{10}, drain_limit{2000};
+  /// A unit whose last channel is gone has been read to its end when it has brought nothing for `end_silence`, and no
+  /// message is in hand. It is given up after `end_limit` in any case.
+  static constexpr std::chrono::milliseconds end_silence{1000}, end_limit{30'000};
+  struct Unit {
+    explicit Unit(std::size_t& reader_count) : readers(reader_count) {}
+
+    UnitKind kind = UnitKind::instance;
+    std::map<discovery::InstanceId, discovery::ChannelRecord> channels;
+    std::unique_ptr<discovery::Election> election;  ///< null: the unit is another worker's share
+    bool leads = false;
+    bool frozen = false;  ///< leadership was lost because the registry is away: reading goes on until it is back
+    int task = -1;        ///< index of the task that reads it; -1: it is not read here
+    Move move = Move::none;
+    int looks_left = 0;  ///< while it moves or ends: how often look_at_moves() or look_at_ends() still waits for it
+    // While it ends:
+    int last_task = -1;     ///< the task that reads it
+    int silent_looks = 0;   ///< how often in a row look_at_ends() has seen nothing new
+    std::size_t taken = 0;  ///< UnitReaders::taken() at the last look
+    UnitReaders readers;
+  };
+  struct Search;  ///< the watches of registry and fence
+
+  /// Runs a callback of the registry, unless leave() was called. No lock is held meanwhile: the callback opens and
+  /// closes readers, which may take long, and nobody but leave() waits for it.
+  template <typename Function>
+  void in_turn(Function function) {
+    if (!begin_turn()) return;
+    const TurnEnd end(*this);
+    dispatcher_.assert_held();
+    // destroyed at the end, because they wait for their callbacks
+    std::vector<std::unique_ptr<discovery::Election>> dying;
+    function();
+    dying.swap(resigned_);
+  }
+  /// \return false: everything is over
+  bool begin_turn() IOTCLOUD_EXCLUDES(mutex_);
+  void end_turn() IOTCLOUD_EXCLUDES(mutex_);
+  struct TurnEnd {
+    explicit TurnEnd(SpoutPlacement& of) : placement(of) {}
+    ~TurnEnd() { placement.end_turn(); }
+    TurnEnd(const TurnEnd&) = delete;
+    TurnEnd& operator=(const TurnEnd&) = delete;
+    SpoutPlacement& placement;
+  };
+  std::shared_ptr<SpoutQueue> queue_of(int task) IOTCLOUD_EXCLUDES(mutex_);
+  discovery::GuardPtr take_anew() IOTCLOUD_EXCLUDES(mutex_);
+
+  // These functions run on the registry's dispatcher.
+  void on_channel(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void on_channel_gone(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) IOTCLOUD_REQUIRES(dispatcher_);
+  void on_elected(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
+  void on_lost(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
+  void on_session(discovery::SessionState state) IOTCLOUD_REQUIRES(dispatcher_);
+  void subscribe_anew() IOTCLOUD_REQUIRES(dispatcher_);
+  bool fits(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void share_out_soon() IOTCLOUD_REQUIRES(dispatcher_);
+  void share_out() IOTCLOUD_REQUIRES(dispatcher_);
+  void stand(const std::string& name, Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
+  void move(const std::string& name, Unit& unit, Move where) IOTCLOUD_REQUIRES(dispatcher_);
+  void look_soon() IOTCLOUD_REQUIRES(dispatcher_);
+  void look_at_moves() IOTCLOUD_REQUIRES(dispatcher_);
+  void read_to_the_end(const std::string& name) IOTCLOUD_REQUIRES(dispatcher_);
+  void look_at_ends() IOTCLOUD_REQUIRES(dispatcher_);
+  void begin_again(const std::string& name) IOTCLOUD_REQUIRES(dispatcher_);
+  void release(const std::string& name, Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
+  void stop_reading(const std::string& name, Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
+  void read(Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
+  void balance() IOTCLOUD_REQUIRES(dispatcher_);
+  std::shared_ptr<ChannelReader> open_reader(const discovery::ChannelRecord& channel, const UnitReaders::Key& key,
+                                             int task) IOTCLOUD_REQUIRES(dispatcher_);
+  void report() IOTCLOUD_REQUIRES(dispatcher_);
+  void tell_soon() IOTCLOUD_REQUIRES(dispatcher_);
+  bool alone() const IOTCLOUD_REQUIRES(dispatcher_) {
+    return sharers_.size() == 1 && sharers_.front().worker == services_->worker;
+  }
+
+  const EndpointServicesPtr services_;
+  const std::string component_;
+  const EndpointDefinition endpoint_;
+  const std::shared_ptr<Verdicts> verdicts_ = std::make_shared<Verdicts>();
+
+  std::string path_;  ///< readers_path(); set by the last join()
+
+  config::Mutex mutex_;
+  config::ConditionVariable turn_over_;
+  bool in_turn_ IOTCLOUD_GUARDED_BY(mutex_) = false;                               ///< a callback runs
+  std::map<int, std::shared_ptr<SpoutQueue>> queues_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by task index
+  bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  /// Timer that calls subscribe_anew(); null: no such call is planned.
+  discovery::GuardPtr anew_ IOTCLOUD_GUARDED_BY(mutex_);
+
+  /// The registry's dispatcher, in in_turn(); before it the last join(), after it the first leave().
+  config::ThreadRole dispatcher_;
+  std::vector<Sharer> sharers_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< empty: not known yet
+  std::map<std::string, Unit> units_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  std::map<std::string, Unit> ending_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< without channels, read to their end
+  std::set<std::string> complained_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  TaskLoads loads_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  std::size_t reader_count_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;
+  std::vector<std::unique_ptr<discovery::Election>> resigned_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< of released units
+  bool sharing_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;     ///< a call of share_out() is planned
+  discovery::GuardPtr sharing_ IOTCLOUD_GUARDED_BY(dispatcher_);   ///< timer that calls share_out()
+  std::set<std::string> moving_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< names of units that move
+  bool looking_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;     ///< a call of the next function is planned
+  discovery::GuardPtr looking_ IOTCLOUD_GUARDED_BY(dispatcher_);   ///< timer: look_at_moves(), look_at_ends()
+  std::size_t taken_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;     ///< number of units taken since the last line in the log
+  std::size_t given_up_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;  ///< number of units given up since then
+  bool telling_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;    ///< a line in the log is planned
+  discovery::GuardPtr telling_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< timer that writes that line
+  std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);          ///< why this worker has no share
+  std::unique_ptr<Search> search_;  ///< set by the last join(), taken by the first leave()
+};
+
+}  // namespace iotcloud::topology

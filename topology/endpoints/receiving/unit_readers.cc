@@ -1,0 +1,53 @@
+#include <algorithm>
+
+#include <iotcloud/topology/endpoints/receiving/unit_readers.h>
+
+namespace iotcloud::topology {
+
+void UnitReaders::keep_only(const Wanted& wanted) {
+  for (auto place = readers_.begin(); place != readers_.end();) {
+    if (wanted.contains(place->first)) {
+      ++place;
+      continue;
+    }
+    place->second->close();
+    place = readers_.erase(place);
+    --total_;
+  }
+}
+
+void UnitReaders::open_missing(const Wanted& wanted, const Open& open) {
+  for (const auto& [key, channel] : wanted) {
+    if (readers_.contains(key)) continue;
+    if (auto reader = open(*channel, key)) {
+      readers_[key] = std::move(reader);
+      ++total_;
+    }
+  }
+}
+
+void UnitReaders::drain() {
+  for (const auto& [key, reader] : readers_) reader->drain();
+}
+
+bool UnitReaders::have_in_hand() const {
+  return std::any_of(readers_.begin(), readers_.end(), [](const auto& entry) { return entry.second->has_in_hand(); });
+}
+
+std::size_t UnitReaders::taken() const {
+  std::size_t sum = 0;
+  for (const auto& [key, reader] : readers_) sum += reader->taken();
+  return sum;
+}
+
+bool UnitReaders::cut_off() const {
+  return std::any_of(readers_.begin(), readers_.end(), [](const auto& entry) { return !entry.second->active(); });
+}
+
+void UnitReaders::close() {
+  for (const auto& [key, reader] : readers_) reader->close();
+  total_ -= readers_.size();
+  readers_.clear();
+}
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <map>
+#include <memory>
+#include <utility>
+
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
+
+namespace iotcloud::topology {
+
+/// The readers of one unit of placement: one for each topic of its channels. Not thread safe.
+class UnitReaders {
+ public:
+  using Key = std::pair<brokers::BrokerAddress, brokers::Topic>;
+  /// The topics that are to be read, each with one of the channels that use it.
+  using Wanted = std::map<Key, const discovery::ChannelRecord*>;
+  /// Opens a reader; returns null if it cannot be opened now.
+  using Open = std::function<std::shared_ptr<ChannelReader>(const discovery::ChannelRecord&, const Key&)>;
+
+  /// \param total number of readers of all units, which this object keeps up to date; must outlive this object.
+  explicit UnitReaders(std::size_t& total) : total_(total) {}
+
+  /// Closes the readers that are not in `wanted`.
+  void keep_only(const Wanted& wanted);
+  /// Opens the readers that are in `wanted` and missing.
+  void open_missing(const Wanted& wanted, const Open& open);
+  /// Drains all readers (ChannelReader::drain()).
+  void drain();
+  /// Whether a message of one of the readers is not settled.
+  bool have_in_hand() const;
+  /// How many messages the readers have brought.
+  std::size_t taken() const;
+  /// Whether the broker does not deliver to one of the readers (ChannelReader::active()).
+  bool cut_off() const;
+  void close();
+
+ private:
+  std::size_t& total_;
+  std::map<Key, std::shared_ptr<ChannelReader>> readers_;
+};
+
+}  // namespace iotcloud::topology
