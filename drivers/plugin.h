@@ -11,10 +11,10 @@
 
 namespace iotcloud::drivers {
 
-/// Grows with every change that a plugin built before it cannot follow.
-inline constexpr std::uint32_t sdk_version = 4;
+/// Raised with every change of the SDK after which plugins must be compiled again.
+inline constexpr std::uint32_t sdk_version = 5;
 
-/// Compiler, C++ library and its ABI: what C++ types at the border depend on.
+/// Compiler, C++ library and ABI: a host loads a plugin only if both agree on the layout of C++ types.
 #define IOTCLOUD_STRINGIFY_(x) #x
 #define IOTCLOUD_STRINGIFY(x) IOTCLOUD_STRINGIFY_(x)
 #if defined(__GLIBCXX__)
@@ -23,11 +23,12 @@ inline constexpr std::uint32_t sdk_version = 4;
 #define IOTCLOUD_CXX_ABI "itanium;libc++"
 #endif
 
-/// A driver behind the plugin's border, as the host sees it: nothing throws. A non-empty `error` means that the call
-/// failed and the instance with it.
+/// A driver as the host calls it, across the plugin's border. No call throws; a non-empty `error` means that the call
+/// failed, and the instance with it.
 class DriverShell {
  public:
   virtual ~DriverShell() = default;
+  // Each calls the method of Driver that has its name.
   virtual std::vector<ChannelSpec> channels(const PropertyMap& properties, std::string& error) noexcept = 0;
   virtual void open(HostInterface& host, std::string& error) noexcept = 0;
   virtual void activate(std::string& error) noexcept = 0;
@@ -35,17 +36,18 @@ class DriverShell {
   virtual void close(std::string& error) noexcept = 0;
   virtual void on_message(std::string_view channel, Message message, std::string& error) noexcept = 0;
   virtual void on_writable(std::string_view channel, std::string& error) noexcept = 0;
+  virtual void on_stored(std::string_view channel, std::uint64_t count, std::string& error) noexcept = 0;
 };
 
-/// The one C symbol of a driver plugin returns this. The first three members never move, so that a host can refuse any
-/// plugin with a message that names both sides before it makes a C++ call.
+/// What the plugin's one C symbol returns. The first three members never move: a host checks them before its first C++
+/// call, and refuses a plugin that does not fit with a message that names both sides.
 struct Descriptor {
   std::uint32_t sdk_version;
-  std::uint32_t size;  ///< sizeof(Descriptor) where the plugin was built
+  std::uint32_t size;  ///< the plugin's sizeof(Descriptor)
   const char* cxx_abi;
   const char* name;  ///< the driver's name ("turtle")
   const char* version;
-  bool own_thread;           ///< each instance needs an event thread of its own (it blocks or computes long)
+  bool own_thread;           ///< each instance needs an event thread of its own because it blocks or computes for long
   DriverShell* (*create)();  ///< nullptr on failure
   void (*destroy)(DriverShell*);
 };
@@ -54,7 +56,7 @@ inline constexpr const char* descriptor_symbol = "iotcloud_driver_descriptor";
 
 namespace detail {
 
-/// Puts a user's driver behind the border.
+/// Catches what a user's driver throws, so that no exception crosses the plugin's border.
 template <typename UserDriver>
 class Shell final : public DriverShell {
  public:
@@ -84,6 +86,9 @@ class Shell final : public DriverShell {
   void on_writable(std::string_view channel, std::string& error) noexcept override {
     run(error, [&] { driver_.on_writable(channel); });
   }
+  void on_stored(std::string_view channel, std::uint64_t count, std::string& error) noexcept override {
+    run(error, [&] { driver_.on_stored(channel, count); });
+  }
 
  private:
   template <typename Call>
@@ -96,7 +101,7 @@ class Shell final : public DriverShell {
       error = "an exception that is not a std::exception";
     }
   }
-  std::unique_ptr<DriverContext> context_;  ///< outlives driver_: declared first
+  std::unique_ptr<DriverContext> context_;  ///< declared before driver_, so that it outlives it
   UserDriver driver_;
 };
 
@@ -111,7 +116,7 @@ DriverShell* create() {
 
 }  // namespace detail
 
-/// A descriptor for a driver class, also without a shared library (in-process use, tests).
+/// The descriptor of a driver class. Needs no shared library, so in-process use and tests call it too.
 template <typename UserDriver>
 Descriptor describe(const char* name, const char* version, bool own_thread = false) {
   return Descriptor{sdk_version,
@@ -126,8 +131,8 @@ Descriptor describe(const char* name, const char* version, bool own_thread = fal
 
 }  // namespace iotcloud::drivers
 
-/// Once in a plugin, at file scope: IOTCLOUD_DRIVER(TurtleDriver, "turtle", "1.0", true)
-/// Arguments as for iotcloud::drivers::describe.
+/// Exports the driver's descriptor. Write it once in a plugin, at file scope: IOTCLOUD_DRIVER(TurtleDriver, "turtle",
+/// "1.0", true). The arguments are those of iotcloud::drivers::describe.
 #define IOTCLOUD_DRIVER(UserDriver, ...)                                                 \
   extern "C" __attribute__((visibility("default"))) const iotcloud::drivers::Descriptor* \
   iotcloud_driver_descriptor() {                                                         \
@@ -135,11 +140,11 @@ Descriptor describe(const char* name, const char* version, bool own_thread = fal
     return &descriptor;                                                                  \
   }
 
-/// Stands in a plugin's bytes, where a gateway finds it without loading the plugin.
+/// This text stands in a plugin's bytes, so that a gateway finds it without loading the plugin.
 #define IOTCLOUD_DRIVER_ISOLATION_MARK "iotcloud-plugin: isolation=instance"
 
-/// Once beside IOTCLOUD_DRIVER, in a plugin of which a process can hold one instance only (roscpp knows one node): each
-/// instance gets a host of its own, unless its property `isolation` says something else.
+/// Write it once beside IOTCLOUD_DRIVER, in a plugin of which a process can hold one instance only (roscpp knows one
+/// node): each instance then gets a host of its own, unless its property `isolation` says something else.
 #define IOTCLOUD_DRIVER_ISOLATED                                                                        \
   extern "C" __attribute__((visibility("default"), used)) const char iotcloud_driver_isolation_mark[] = \
       IOTCLOUD_DRIVER_ISOLATION_MARK;

@@ -9,24 +9,25 @@
 
 namespace iotcloud::drivers {
 
-/// Reads a deployment's properties strictly: ask for each by name, then finish(), so that a misspelt property is an
-/// error and not a default. Messages name the property, its value and what would be right. Not thread safe; refers to
-/// the map, which outlives it.
+/// Reads a deployment's properties strictly: ask for each by name, then call finish(), so that a misspelt property is
+/// an error and not a default. Messages name the property, its value and what would be right. Not thread safe; the map
+/// must outlive the reader.
 class PropertyReader {
  public:
   explicit PropertyReader(const PropertyMap& properties) : properties_(properties) {}
 
   std::string text(const std::string& name, const std::string& fallback);
-  /// \throws std::invalid_argument when it is not a finite number, or not within [min, max].
+  /// \throws std::invalid_argument unless the value is a finite number within [min, max].
   double number(const std::string& name, double fallback, double min, double max);
   std::int64_t integer(const std::string& name, std::int64_t fallback, std::int64_t min, std::int64_t max);
   /// "true" or "false".
   bool flag(const std::string& name, bool fallback);
-  /// \throws std::invalid_argument that lists the choices when it is none of them.
+  /// \throws std::invalid_argument that lists the choices unless the value is one of them.
   std::string choice(const std::string& name, const std::string& fallback, const std::vector<std::string>& choices);
 
-  /// \throws std::invalid_argument for a property that was not asked for; the message lists those that were. Properties
-  /// that begin with "channel." are the driver host's and pass; so are `thread`, `hang_limit` and `isolation`.
+  /// \throws std::invalid_argument for a property that the driver did not ask for; the message lists the known ones.
+  /// Properties that begin with "channel." belong to the driver host and pass, as do `thread`, `hang_limit` and
+  /// `isolation`.
   void finish() const;
 
  private:

@@ -13,7 +13,7 @@ namespace iotcloud::drivers::depth {
 
 namespace {
 
-// REFERENCE.md 6. The scale is 10 bits' worth of inverse millimetres; the offset moves 4 m to code 1.
+// docs/wire.md#depth-frames. The scale is 10 bits' worth of inverse millimetres; the offset moves 4 m to code 1.
 constexpr int code_scale = 90300;
 constexpr double code_offset = 21.575;
 
@@ -38,8 +38,8 @@ std::array<std::uint16_t, 2048> make_disparity_mm_table() {
   return table;
 }
 
-/// What a tagged payload begins with. A payload of the reference begins with the length of a frame as Snappy writes it,
-/// whose first byte is 0x80 in every way to write it: the two cannot be taken for each other.
+/// Begins a tagged payload. A payload of the reference codec begins with a frame's length as Snappy writes it; its
+/// first byte is always 0x80, so it never looks like a tag.
 struct Tag {
   static constexpr std::array<char, 3> mark = {'I', 'D', 'C'};
   static constexpr std::size_t codec_at = 3, checksum_at = 4, size = 8;
@@ -57,7 +57,7 @@ void write_tag(std::vector<std::byte>& payload, Codec codec) {
   payload[Tag::codec_at] = static_cast<std::byte>(codec);
 }
 
-/// Once everything else is there.
+/// Call it last: the sum covers the rest of the payload.
 void write_checksum(std::vector<std::byte>& payload) {
   const std::uint32_t sum = checksum(payload);
   for (int i = 0; i < 4; ++i) payload[Tag::checksum_at + i] = static_cast<std::byte>(sum >> (8 * i) & 0xff);

@@ -9,21 +9,21 @@
 #include <string_view>
 #include <vector>
 
-/// Codecs for depth frames: 11-bit Kinect disparities in, a compressed payload, millimetres out. README.md has what
-/// each reaches. Every payload stands for itself, so a frame that is dropped, late or damaged costs that frame only.
+/// Codecs for depth frames: 11-bit Kinect disparities in, a compressed payload, millimetres out. README.md compares
+/// them. Every payload stands for itself, so a frame that is dropped, late or damaged costs that frame only.
 namespace iotcloud::drivers::depth {
 
 inline constexpr std::size_t frame_width = 640;
 inline constexpr std::size_t frame_height = 480;
 inline constexpr std::size_t frame_pixels = frame_width * frame_height;
 
-/// The sensor's value for "no reading" in its 11-bit format; everything from 1023 up is none either.
+/// The sensor's 11-bit value for "no reading". Values from 1023 on mean no reading too.
 inline constexpr std::uint16_t no_reading = 2047;
-/// Disparities below and above are coded as 0 = no reading.
+/// Disparities outside this range are coded as 0 = no reading.
 inline constexpr std::uint16_t first_coded_disparity = 61;
 inline constexpr std::uint16_t last_coded_disparity = 1011;
 
-/// Pinhole intrinsics of the sensor in pixels (REFERENCE.md 6: cx, cy, f).
+/// Pinhole intrinsics of the sensor in pixels (docs/wire.md#follower).
 inline constexpr double principal_x = 320;
 inline constexpr double principal_y = 240;
 inline constexpr double focal_length = 600;
@@ -45,15 +45,18 @@ const std::array<std::uint16_t, 2048>& disparity_mm_table();
 /// Millimetres for a code, trunc(90300 / (code + 21.575)); 0 stays 0 = no reading. Thread safe.
 const std::array<std::uint16_t, 256>& mm_table();
 
+/// How a frame is compressed. A payload says which it is, so decoders need not be told.
 enum class Codec {
-  /// The original's (REFERENCE.md 6): disparities become one byte a pixel (the inversion step: a code that is linear in
-  /// disparity and coarse in depth), then raw-block Snappy. Lossy by design: the far end of the range has few codes.
+  /// The original's (docs/wire.md#depth-frames): disparities become one byte a pixel (the inversion step: a code that
+  /// is linear in disparity and coarse in depth), then raw-block Snappy. Lossy by design: the far end of the range has
+  /// few codes.
   reference,
-  compact,   ///< the same codes, in a third of the bytes and less
-  lossless,  ///< every disparity from 0 to 2047 comes back
+  compact,   ///< the same codes in at most a third of the bytes
+  lossless,  ///< keeps every disparity from 0 to 2047
 };
 /// "reference", "compact", "lossless", in the order of the enumeration.
 inline constexpr std::array<std::string_view, 3> codec_names = {"reference", "compact", "lossless"};
+/// The codec of a name in codec_names; nullopt: there is none.
 std::optional<Codec> codec_named(std::string_view name);
 
 namespace groups {
@@ -65,7 +68,7 @@ template <typename Plane>
 class PlaneDecoder;
 }  // namespace groups
 
-/// Compresses frames. Keeps its buffers: one object for each stream of frames. Not thread safe.
+/// Compresses frames. Reuses its buffers: make one object for each stream of frames. Not thread safe.
 class DepthEncoder {
  public:
   explicit DepthEncoder(Codec codec = Codec::reference);
@@ -73,10 +76,10 @@ class DepthEncoder {
   DepthEncoder(DepthEncoder&&) noexcept;
   DepthEncoder& operator=(DepthEncoder&&) noexcept;
 
-  /// \param disparities any 16-bit values: what is no disparity of the sensor counts as no reading (2047 in a lossless
-  /// frame, which keeps 1023 to 2046 apart).
-  /// \return the compressed frame, valid until the next call or the destructor. Never fails. Nothing is allocated here
-  /// once a few frames were encoded (but by Snappy, which takes a hash table of some 200 KB for the call itself).
+  /// \param disparities any 16-bit values: values that are no disparity of the sensor count as no reading (2047 in a
+  /// lossless frame, which keeps 1023 to 2046 apart).
+  /// \return the compressed frame, valid until the next call or the destructor. Never fails. After a few frames it
+  /// allocates no memory, except that Snappy takes a hash table of some 200 KB during the call.
   std::span<const std::byte> encode(FrameView disparities);
 
  private:
@@ -88,23 +91,24 @@ class DepthEncoder {
   std::unique_ptr<groups::PlaneEncoder<groups::DisparityPlane>> lossless_;
 };
 
+/// What is wrong with a payload.
 enum class DecodeError {
   none,
   not_snappy,     ///< neither tagged nor a raw Snappy block, or a block that is cut off or damaged
   too_short,      ///< a Snappy block of fewer bytes than a frame has pixels
-  too_long,       ///< a Snappy block that says it holds more
+  too_long,       ///< a Snappy block that claims more bytes
   unknown_codec,  ///< tagged as a frame of a codec that this program does not know
-  damaged,        ///< a tagged frame that is cut off, or whose checksum is wrong
-  malformed,      ///< a tagged frame with the right checksum that no encoder wrote
-  not_lossless,   ///< disparities were asked of a frame that has none
+  damaged,        ///< a tagged frame that is cut off or has a wrong checksum
+  malformed,      ///< a tagged frame with a right checksum that no encoder writes
+  not_lossless,   ///< the caller asked for disparities, which only lossless frames have
 };
 
 /// For logs: "not a raw Snappy block".
 std::string_view describe(DecodeError error);
 
-/// Decompresses frames from anywhere and of any codec, which the payload itself tells: nothing in it is trusted, no
-/// byte outside it is read, and no memory is taken on its word. Keeps nothing of a frame for the next, but its buffers:
-/// one object for each task. Not thread safe.
+/// Decompresses frames from anywhere; the payload itself names its codec. The decoder trusts nothing in it: it reads no
+/// byte outside it, and no length in it makes the decoder allocate memory. It keeps nothing of a frame for the next
+/// one, only its buffers: make one object for each task. Not thread safe.
 class DepthDecoder {
  public:
   DepthDecoder();
@@ -112,9 +116,10 @@ class DepthDecoder {
   DepthDecoder(DepthDecoder&&) noexcept;
   DepthDecoder& operator=(DepthDecoder&&) noexcept;
 
-  /// Fills `mm` (millimetres, 0 = no reading). With an error `mm` is left as it was. Never throws.
+  /// Fills `mm` (millimetres, 0 = no reading). On an error `mm` keeps its values. Never throws.
   [[nodiscard]] DecodeError decode(std::span<const std::byte> payload, FrameSpan mm) noexcept;
-  /// The disparities of a lossless frame, as they were encoded. With an error they are left as they were. Never throws.
+  /// Fills in the disparities of a lossless frame, exactly as encoded. On an error they keep their values. Never
+  /// throws.
   [[nodiscard]] DecodeError decode_disparities(std::span<const std::byte> payload, FrameSpan disparities) noexcept;
 
  private:

@@ -16,7 +16,7 @@ Frequencies normalise(std::span<const std::uint32_t> counts) {
     frequencies[i] = static_cast<std::uint16_t>(std::max<std::uint64_t>(share, 1));
     sum += frequencies[i];
   }
-  // What rounding took or gave, the symbols that occur most often give or take: there it costs least.
+  // The most frequent symbols absorb the rounding error: there it costs least.
   while (sum != scale) {
     auto& most = *std::max_element(frequencies.begin(), frequencies.end());
     if (sum < scale) {

@@ -8,22 +8,22 @@
 #include <span>
 #include <vector>
 
-/// A range variant of asymmetric numeral systems (Duda 2013): a symbol of frequency f out of `scale` costs
-/// log2(scale / f) bits, and what is written last is read first. Tables are sent with each frame.
+/// A range variant of asymmetric numeral systems (Duda 2013): a symbol of frequency f out of `scale` costs log2(scale /
+/// f) bits, and the decoder reads first what the encoder wrote last. Each frame carries its tables.
 namespace iotcloud::drivers::depth::entropy {
 
 static_assert(std::endian::native == std::endian::little, "a stream's numbers have their lowest byte first");
 
 inline constexpr int scale_bits = 10;
 inline constexpr std::uint32_t scale = 1U << scale_bits;
-inline constexpr int most_symbols = 84;  ///< of a table
-/// A state is never below, except within a step. A coder begins with it, so a decoder must end with it.
+inline constexpr int most_symbols = 84;  ///< most symbols of a table
+/// A state is below this only within a step. An encoder begins with it, so a decoder must end with it.
 inline constexpr std::uint32_t lowest_state = 1U << 16;
 
-/// How often each symbol comes, in parts of `scale`: their sum. All zero: the table is not used.
+/// How often each symbol comes, in parts of `scale`; the parts add up to `scale`. All zero: the table is unused.
 using Frequencies = std::array<std::uint16_t, most_symbols>;
 
-/// Scales counts (not all zero) so that their sum is `scale`, and no symbol that occurs becomes none.
+/// Scales counts (not all zero) so that they add up to `scale` and each symbol that occurs keeps at least 1.
 Frequencies normalise(std::span<const std::uint32_t> counts);
 
 /// Appends bits to bytes, the lowest first.
@@ -31,7 +31,7 @@ class BitWriter {
  public:
   explicit BitWriter(std::vector<std::byte>& bytes) : bytes_(bytes) {}
   void put(std::uint32_t value, int bits);
-  /// A number from 1 on, in twice as many bits as it has, less one.
+  /// Writes a number from 1 on in Elias gamma code: 2n - 1 bits for a number of n bits.
   void put_gamma(std::uint32_t value);
   void finish();  ///< fills the last byte up
 
@@ -41,12 +41,12 @@ class BitWriter {
   int pending_bits_ = 0;
 };
 
-/// Reads what a BitWriter wrote. Behind the end there are zeros, and `overrun` says so.
+/// Reads what a BitWriter wrote. Past the end it reads zeros, and overrun() is true.
 class BitReader {
  public:
   explicit BitReader(std::span<const std::byte> bytes) : bytes_(bytes) {}
   std::uint32_t get(int bits);
-  std::uint32_t get_gamma();  ///< 0: not a number that a BitWriter writes
+  std::uint32_t get_gamma();  ///< 0 if no BitWriter writes these bits
   std::size_t bytes_read() const { return (position_ + 7) / 8; }
   bool overrun() const { return position_ > bytes_.size() * 8; }
 
@@ -56,27 +56,27 @@ class BitReader {
 };
 
 void write_table(BitWriter& writer, const Frequencies& frequencies, int symbols);
-/// \return false for what is no table: its sum is not `scale`, or it has other symbols.
+/// \return false if the frequencies do not add up to `scale`, or if a symbol beyond `symbols` has one.
 bool read_table(BitReader& reader, Frequencies& frequencies, int symbols);
 
-/// For each of the `scale` remainders of a state the symbol and the step back: frequency (11 bits from bit 0), distance
-/// from the symbol's first remainder (10 bits), symbol (7 bits), the symbol's mark (the rest).
+/// For each of the `scale` remainders of a state, packed: the symbol's frequency (11 bits from bit 0), the distance
+/// from the symbol's first remainder (10 bits), the symbol (7 bits) and its mark (the rest).
 using DecodingTable = std::array<std::uint32_t, scale>;
-/// \param marks four bits that the user wants with each symbol.
+/// \param marks four bits that get_symbol() returns with each symbol.
 void fill(DecodingTable& table, const Frequencies& frequencies, std::span<const std::uint8_t, most_symbols> marks);
 
 struct Symbol {
   std::uint32_t value, mark;
 };
-/// One step of decoding. `from` moves on by 16 bits when the state takes them; they are read in any case, and the
-/// caller sees to the end.
+/// Decodes one symbol. It always reads 16 bits at `from`, but moves `from` past them only if the state needs them; the
+/// caller must keep `from` within its buffer.
 inline Symbol get_symbol(std::uint32_t& state, const DecodingTable& table, const std::byte*& from);
-/// Bits that nothing is known of, up to 16.
+/// Decodes up to 16 bits that were written without a model.
 inline std::uint32_t get_bits(std::uint32_t& state, int bits, const std::byte*& from);
 
 namespace detail {
 
-/// Without a branch: whether a state is low is as hard to foretell as what is coded.
+/// Has no branch: whether a state is low is as unpredictable as the coded data.
 inline void refill(std::uint32_t& state, const std::byte*& from) {
   std::uint16_t next;
   std::memcpy(&next, from, sizeof next);
@@ -101,12 +101,12 @@ inline std::uint32_t get_bits(std::uint32_t& state, int bits, const std::byte*& 
   return value;
 }
 
-/// Where a symbol lies within `scale`.
+/// A symbol's part of `scale`.
 struct Share {
   std::uint16_t first = 0, frequency = 0;
 };
 
-/// Writes backwards, from `end` down: the decoder reads what was written last first.
+/// Writes backwards, from `end` down, because the decoder reads first what was written last.
 class BackwardWriter {
  public:
   explicit BackwardWriter(std::byte* end) : position_(end) {}

@@ -4,7 +4,7 @@ namespace iotcloud::drivers::depth::groups {
 
 namespace {
 
-/// Each step as a digit: 0 level, 1 up, 2 down.
+/// Each step as a base-3 digit: 0 level, 1 up, 2 down.
 inline std::uint32_t digits_of(std::uint32_t steps) {
   const std::uint32_t moves = (steps | ((steps & 0x7f7f7f7f) + 0x7f7f7f7f)) >> 7;
   return (moves & CodePlane::low_bits) + (steps >> 7 & CodePlane::low_bits);
@@ -19,7 +19,7 @@ IOTCLOUD_PIXEL_LOOP void classify_read(const std::uint8_t* above, std::size_t gr
 }
 
 IOTCLOUD_PIXEL_LOOP void classify_read(const std::uint16_t* above, std::size_t groups, std::uint8_t* classes) {
-  constexpr int farthest = 1;  // of a step, either way
+  constexpr int farthest = 1;  // the largest step that a class tells apart, up or down
   std::array<std::uint16_t, frame_width> digits;
   for (int i = 0; i < static_cast<int>(frame_width); ++i) {
     const auto step = static_cast<std::int16_t>(above[i] - above[i - 1]);
@@ -42,7 +42,7 @@ IOTCLOUD_PIXEL_LOOP void Rows<Plane>::classify() {
   row[-1] = row[0];
   kinds_[row_groups] = none;
   classify_read(row, row_groups, classes_.data());
-  // Without branches: what a group lacks is hard to foretell.
+  // Has no branches: whether a group has readings is hard to predict.
   for (int g = 0; g < row_groups; ++g) {
     const int edge = kinds_[g + 1] == none ? above_none : above_none_to_the_right;
     const int lacking = kinds_[g] == other ? above_other : edge;

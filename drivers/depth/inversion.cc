@@ -16,7 +16,7 @@ namespace {
 
 IOTCLOUD_PIXEL_LOOP void to_codes_portable(const std::uint16_t* disparities, const std::uint8_t* table,
                                            std::uint8_t* codes) {
-  // The table's last entry is 0, so whatever is larger lands on "no reading".
+  // The table's last entry is 0, so larger values become "no reading".
   for (std::size_t i = 0; i < frame_pixels; ++i) codes[i] = table[disparities[i] < 1023 ? disparities[i] : 1023];
 }
 
@@ -26,7 +26,7 @@ IOTCLOUD_PIXEL_LOOP void to_mm_portable(const std::uint8_t* codes, const std::ui
 
 #ifdef IOTCLOUD_HAS_AVX2
 
-/// code_table() with room behind it: a look-up of one byte reads four.
+/// code_table() with three bytes more: the gather instruction reads four bytes for each entry.
 struct PaddedTable {
   alignas(64) std::array<std::uint8_t, 1024 + 3> codes{};
   PaddedTable() { std::copy(code_table().begin(), code_table().end(), codes.begin()); }
@@ -35,14 +35,14 @@ struct PaddedTable {
 __attribute__((target("avx2"), always_inline)) inline __m256i eight_codes(const std::uint16_t* disparities,
                                                                           const std::uint8_t* table) {
   const __m128i values = _mm_min_epu16(_mm_loadu_si128(reinterpret_cast<const __m128i*>(disparities)),
-                                       _mm_set1_epi16(1023));  // whose code is 0
+                                       _mm_set1_epi16(1023));  // its code is 0
   const __m256i found = _mm256_i32gather_epi32(reinterpret_cast<const int*>(table), _mm256_cvtepu16_epi32(values), 1);
   return _mm256_and_si256(found, _mm256_set1_epi32(0xff));
 }
 
 __attribute__((target("avx2"))) IOTCLOUD_PIXEL_LOOP void to_codes_avx2(const std::uint16_t* disparities,
                                                                        const std::uint8_t* table, std::uint8_t* codes) {
-  // Packing works within halves of a register: this puts their quarters back in order.
+  // Packing works within halves of a register: this restores the order of their quarters.
   const __m256i order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
   for (std::size_t i = 0; i < frame_pixels; i += 32) {
     const std::uint16_t* from = disparities + i;
@@ -53,8 +53,8 @@ __attribute__((target("avx2"))) IOTCLOUD_PIXEL_LOOP void to_codes_avx2(const std
   }
 }
 
-/// trunc(90300 / (code + 21.575)) in single precision. Code 1 stands for 4000 mm without a rest, and would come out
-/// just below: a thirty-second more on top of the fraction changes no other code.
+/// trunc(90300 / (code + 21.575)) in single precision. The result for code 1 is exactly 4000 mm, which rounding would
+/// lower to 3999; a dividend larger by 1/32 prevents that and changes no other code.
 __attribute__((target("avx2"), always_inline)) inline __m256i eight_mm(__m256i codes) {
   const __m256 inverse = _mm256_add_ps(_mm256_cvtepi32_ps(codes), _mm256_set1_ps(21.575F));
   return _mm256_cvttps_epi32(_mm256_div_ps(_mm256_set1_ps(90300.03125F), inverse));

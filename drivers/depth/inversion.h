@@ -4,15 +4,16 @@
 
 #include <iotcloud/drivers/depth/depth_codec.h>
 
-/// The inversion step and its reverse over a whole frame, in two ways that give the same bytes: `portable` looks every
-/// pixel up, `avx2` takes 32 and 16 at a time.
+/// The inversion step and its reverse over a whole frame, in two ways that give the same bytes: `portable` looks up one
+/// pixel at a time, `avx2` handles 32 (disparities) or 16 (codes) at a time.
 namespace iotcloud::drivers::depth {
 
 enum class Path { portable, avx2 };
 
-/// True when this machine can run `path`.
+/// True if this machine can run `path`.
 bool runs_here(Path path);
-/// The fastest that runs here, found out once; `portable` when the environment has IOTCLOUD_PORTABLE=1. Thread safe.
+/// The fastest path of this machine, determined once; `portable` if the environment has IOTCLOUD_PORTABLE=1. Thread
+/// safe.
 Path best_path();
 
 /// \param codes frame_pixels bytes. Thread safe.

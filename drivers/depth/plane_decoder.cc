@@ -9,7 +9,7 @@ namespace {
 
 constexpr int nothing_table = tables;
 
-/// A row reads no more than this behind the end; decode() looks after each row whether it did.
+/// Most bytes that decoding a row reads past the end; decode() checks the place after each row.
 template <typename Plane>
 constexpr std::size_t margin = most_row_steps<Plane> * 2;
 
@@ -55,7 +55,7 @@ bool PlaneDecoder<Plane>::read_tables(entropy::BitReader& reader) {
     const int others = table < contexts && own[shared_table] ? shared_table : nothing_table;
     table_of_[table] = &tables_[own[table] ? table : others];
   }
-  return true;
+  return !reader.overrun();
 }
 
 template <typename Plane>
@@ -122,11 +122,9 @@ typename PlaneDecoder<Plane>::Place PlaneDecoder<Plane>::decode_other(Place plac
   Value* filled = rows_.current();
   for (std::size_t i = at; i < at + Plane::pixels; ++i) {
     const bool first = lane_begins && i == at;
-    const bool above_read = row_above[i] != Plane::none;
-    const bool left_read = first ? above_read : row[i - 1] != Plane::none;
+    const bool left_read = (first ? row_above[i] : row[i - 1]) != Plane::none;
     const int beside = first ? above[i] : filled[i - 1];
-    const bool right_read = i + 1 < frame_width && row_above[i + 1] != Plane::none;
-    const int table = first_pixel_table + 4 * right_read + 2 * above_read + left_read;
+    const std::uint32_t table = pixel_table<Plane>(row_above, i, left_read);
     const std::uint32_t symbol = entropy::get_symbol(place.state, *table_of_[table], place.next).value;
     if (symbol == pixel_none) {
       row[i] = Plane::none;

@@ -8,11 +8,11 @@ namespace iotcloud::drivers::depth::groups {
 
 namespace {
 
-// A step: what follows in bits 0 to 15 is a symbol of a table (bits 16 to 24), or a literal.
+// A step packs a symbol or a literal (bits 0 to 15), its table (bits 16 to 24) and its lane.
 constexpr int table_shift = 16, lane_shift = 28;
 constexpr std::uint32_t literal_flag = 1U << 31;
 
-/// A context that comes as often as this gets a table of its own, which takes some 15 bytes.
+/// A context that occurs this often gets a table of its own, which takes some 15 bytes.
 constexpr std::uint32_t worth_a_table = 100;
 
 template <typename Plane>
@@ -99,11 +99,9 @@ void PlaneEncoder<Plane>::model_other(const Value* row, const Value* row_above, 
   Value* filled = rows_.current();
   for (std::size_t i = at; i < at + Plane::pixels; ++i) {
     const bool first = lane_begins && i == at;
-    const bool above_read = row_above[i] != Plane::none;
-    const bool left_read = first ? above_read : row[i - 1] != Plane::none;
+    const bool left_read = (first ? row_above[i] : row[i - 1]) != Plane::none;
     const int beside = first ? above[i] : filled[i - 1];
-    const bool right_read = i + 1 < frame_width && row_above[i + 1] != Plane::none;
-    const std::uint32_t table = first_pixel_table + 4 * right_read + 2 * above_read + left_read;
+    const std::uint32_t table = pixel_table<Plane>(row_above, i, left_read);
     if (row[i] == Plane::none) {
       note(lane, table, pixel_none);
       filled[i] = above[i];

@@ -15,7 +15,7 @@ namespace iotcloud::drivers::loadgen {
 namespace {
 
 constexpr std::uint32_t magic = 0x4c47494f;  // "OIGL"
-constexpr double most_ticks = 1000;          // a second; faster rates go in bursts
+constexpr double most_ticks = 1000;          // ticks a second; faster rates send bursts
 
 }  // namespace
 
@@ -66,7 +66,7 @@ void LoadGenerator::open(DriverContext& context) {
 void LoadGenerator::activate() {
   first_of_run_ = trips_.sent_count();
   blocked_ = false;
-  // Before the timer starts: a tick is never earlier than the messages that it is to send.
+  // Set before the timer starts: the first tick is never earlier than the messages that it sends.
   activated_ = running();
   timer_ = context_->every(tick_, [this] { send_due(); });
 }

@@ -14,8 +14,8 @@
 
 namespace iotcloud::drivers::loadgen {
 
-/// Sends messages of a given size at a given rate on `data`, and measures when they come back on `echo`, from the time
-/// they were to be sent (so that a sender that is held up does not hide it). README.md has the properties, the payload
+/// Sends messages of a given size at a given rate on `data`, and measures when they come back on `echo`. Latency counts
+/// from the time when a message was due, so that delays of the sender show. README.md has the properties, the payload
 /// and the report.
 class LoadGenerator : public Driver {
  public:
@@ -41,11 +41,11 @@ class LoadGenerator : public Driver {
     bool shared = false;
     std::string broker, report;
   };
-  /// What a payload begins with, in the machine's own byte order: only the sender reads it.
+  /// The beginning of a payload, in the machine's own byte order: only its sender reads it.
   struct Head {
     std::uint32_t magic = 0, size = 0;
     std::uint64_t run = 0, sequence = 0;
-    std::int64_t intended_ns = 0;  ///< since open()
+    std::int64_t intended_ns = 0;  ///< when the message was due, since open()
   };
 
   static Options read_options(const PropertyMap& properties);
@@ -60,11 +60,11 @@ class LoadGenerator : public Driver {
   DriverContext* context_ = nullptr;
   Options options_;
   std::chrono::microseconds tick_{0};
-  double per_tick_ = 1;            ///< messages that fall due with each tick
+  double per_tick_ = 1;            ///< messages that become due with each tick
   std::vector<std::byte> filler_;  ///< bytes that do not compress, a message's worth
   std::uint64_t run_ = 0;          ///< tells this instance's messages from others' on a shared channel
   std::chrono::steady_clock::time_point opened_{};
-  std::chrono::nanoseconds activated_{0};  ///< when the last activation was, since open()
+  std::chrono::nanoseconds activated_{0};  ///< the last activation, since open()
   std::optional<HandlerId> timer_;
   std::uint64_t first_of_run_ = 0;  ///< number of the first message since that activation
   bool blocked_ = false;

@@ -60,7 +60,7 @@ void MockHost::advance(std::chrono::microseconds duration) {
   for (;;) {
     run_posted();
     const auto next = std::min_element(timers_.begin(), timers_.end(), [](const auto& a, const auto& b) {
-      return a.second.due < b.second.due;  // among equals the first started
+      return a.second.due < b.second.due;  // among equals the one that was started first
     });
     if (next == timers_.end() || next->second.due > end) break;
     now_ = std::max(now_, next->second.due);
@@ -225,6 +225,13 @@ bool MockInstance::deliver(std::string_view channel, Message message) {
 bool MockInstance::writable(std::string_view channel) {
   std::string error;
   shell_->on_writable(channel, error);
+  host_.run_posted();
+  return note(error);
+}
+
+bool MockInstance::stored(std::string_view channel, std::uint64_t count) {
+  std::string error;
+  shell_->on_stored(channel, count, error);
   host_.run_posted();
   return note(error);
 }

@@ -12,17 +12,19 @@
 
 #include <iotcloud/drivers/plugin.h>
 
-/// Lets authors test a driver without a gateway: link iotcloud::drivers_testing.
+/// Tests a driver without a gateway: link iotcloud::drivers_testing.
 namespace iotcloud::drivers::testing {
 
-/// A driver host whose time is simulated: nothing happens until the test advances it. Everything that the driver does
-/// is recorded. publish, post, log, fail and update_metadata may be called from any thread, all else from the test's.
+/// A driver host with simulated time: nothing happens until the test advances it. It records everything that the driver
+/// does. Any thread may call publish, post, log, fail and update_metadata; only the test's thread calls the rest.
 class MockHost final : public HostInterface {
  public:
+  /// A message that publish() accepted.
   struct Published {
     std::string channel;
     Message message;  ///< with driver_id, gateway_id and time_ms filled in, as a real host does
   };
+  /// A line that the driver logged.
   struct Logged {
     LogLevel level;
     std::string text;
@@ -30,7 +32,7 @@ class MockHost final : public HostInterface {
 
   explicit MockHost(PropertyMap properties = {}) : properties_(std::move(properties)) {}
 
-  // What the driver sees.
+  // Called by the driver.
   const std::string& instance_id() const noexcept override { return instance_id_; }
   const std::string& gateway_id() const noexcept override { return gateway_id_; }
   const PropertyMap& properties() const noexcept override { return properties_; }
@@ -44,31 +46,31 @@ class MockHost final : public HostInterface {
   void fail(std::string_view reason) noexcept override;
   void update_metadata(const PropertyMap& changes) noexcept override;
 
-  // What the test does.
-  /// Moves time: runs what is posted, and every timer that falls due, in order of its time.
+  // Called by the test.
+  /// Advances time: runs posted callbacks and every timer that falls due, in order of time.
   void advance(std::chrono::microseconds duration);
-  /// Runs the callbacks that were posted, and those that they post, about `limit` of them at most (a driver that posts
-  /// for ever does not hang the test). \return how many ran.
+  /// Runs posted callbacks, and those that they post, about `limit` of them at most (so that a driver that posts for
+  /// ever does not hang the test). \return how many ran.
   std::size_t run_posted(std::size_t limit = 1'000'000);
   /// Waits up to `limit` of real time for a watched descriptor and runs the callbacks of those that are ready.
   /// \return how many ran.
   std::size_t poll_descriptors(std::chrono::milliseconds limit);
-  /// What publish() answers on a channel from now on; a message is recorded only when it is accepted.
+  /// Sets what publish() answers on a channel from now on. Only accepted messages are recorded.
   void answer_publish(const std::string& channel, PublishStatus status);
-  /// Called for each accepted message from inside publish(): a loop can be closed with post().
+  /// Called for each accepted message from inside publish(); to close a loop, post() from it.
   void on_publish(std::function<void(const Published&)> callback) { on_publish_ = std::move(callback); }
-  /// Forgets what waits: as when the instance is closed, no callback runs any more.
+  /// Forgets all timers, watches and posted callbacks, as a host does when the instance is closed.
   void drop_handlers();
 
-  // What came of it.
+  // What the test checks.
   std::chrono::microseconds now() const { return now_; }  ///< simulated, from 0
   std::vector<Published> published() const;
   std::vector<Published> published(std::string_view channel) const;
   void forget_published();
   std::vector<Logged> logged() const;
-  /// How many lines hold this text.
+  /// How many log lines contain this text.
   std::size_t logged_count(std::string_view text) const;
-  PropertyMap metadata() const;  ///< as the driver has said it so far
+  PropertyMap metadata() const;  ///< all that the driver has set so far
   bool failed() const;
   std::string failure() const;  ///< the first reason given to fail(); empty when there was none
 
@@ -102,8 +104,8 @@ class MockHost final : public HostInterface {
   bool failed_ = false;
 };
 
-/// One instance of a driver in a MockHost, driven through its plugin's descriptor as a real host does: nothing throws,
-/// and what the driver throws is in error().
+/// One instance of a driver in a MockHost, called through its plugin's descriptor as a real host does: no call throws,
+/// and error() has what the driver threw.
 ///
 ///     MockInstance robot(describe<TurtleDriver>("turtle", "1", true), {{"seed", "7"}});
 ///     robot.start();
@@ -112,19 +114,20 @@ class MockHost final : public HostInterface {
 class MockInstance {
  public:
   explicit MockInstance(const Descriptor& descriptor, PropertyMap properties = {});
-  /// Closes the instance when that has not happened.
+  /// Closes the instance if it is open.
   ~MockInstance();
   MockInstance(const MockInstance&) = delete;
   MockInstance& operator=(const MockInstance&) = delete;
 
-  /// channels, open, activate. \return whether all went well.
+  /// Calls channels, open and activate. \return whether all succeeded.
   bool start();
   bool open();  ///< channels and open only
   bool activate();
   bool deactivate();
-  /// As if a message had come on an incoming channel; then runs what the driver posted.
+  /// Gives the driver a message from an incoming channel, then runs what the driver posted.
   bool deliver(std::string_view channel, Message message);
   bool writable(std::string_view channel);
+  bool stored(std::string_view channel, std::uint64_t count);
   void close();
 
   MockHost& host() { return host_; }

@@ -30,7 +30,7 @@ std::optional<Velocity> parse_command(std::string_view text) noexcept {
     const auto angular = member(command, "angular", "z");
     if (!linear || !angular) return std::nullopt;
     return Velocity{*linear, *angular};
-  } catch (...) {  // out of memory, say
+  } catch (...) {  // such as out of memory
     return std::nullopt;
   }
 }

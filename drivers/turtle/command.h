@@ -7,8 +7,9 @@
 
 namespace iotcloud::drivers::turtle {
 
-/// Reads a command (REFERENCE.md 6): {"linear":{"x":..,"y":..,"z":..},"angular":{"x":..,"y":..,"z":..}}, of which
-/// linear.x and angular.z must be there and be finite numbers. Trusts nothing. \return nothing for what is no command.
+/// Reads a command (docs/wire.md#follower): {"linear":{"x":..,"y":..,"z":..},"angular":{"x":..,"y":..,"z":..}}, of
+/// which linear.x and angular.z must be there and be finite numbers. Trusts nothing. \return nothing for what is no
+/// command.
 std::optional<Velocity> parse_command(std::string_view text) noexcept;
 
 }  // namespace iotcloud::drivers::turtle

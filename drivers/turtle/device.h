@@ -12,41 +12,41 @@
 /// What a TurtleBot consists of, as its driver sees it: a source of depth frames and an actuator, each interchangeable.
 namespace iotcloud::drivers::turtle {
 
-/// What only a simulated world knows: where things really are. Metres and radians; heading counter-clockwise from x.
+/// Where things really are, which only a simulated world knows. Metres and radians; heading counter-clockwise from x.
 struct GroundTruth {
   double robot_x = 0, robot_y = 0, robot_heading = 0;
   double person_x = 0, person_y = 0;  ///< the person's vertical axis
   /// Horizontal distance from the camera to the person's surface: to its axis, less the mean depth of the visible half
-  /// of a leg before the leg's axis. This is the follower's zc (REFERENCE.md 6) without noise and code.
+  /// of a leg before the leg's axis. This is the follower's zc (docs/wire.md#follower) without noise and code.
   double distance = 0;
-  bool visible = false;  ///< the axis is in the field of view, and the distance in the sensor's range
-  bool in_box = false;   ///< a leg is where the follower looks, and within the sensor's range
-  double render_us = 0;  ///< time it took to simulate and render this frame
+  bool visible = false;  ///< the person's axis is in the field of view, and the distance is in the sensor's range
+  bool in_box = false;   ///< a leg is where the follower looks, within the sensor's range
+  double render_us = 0;  ///< time spent to simulate and render this frame
 };
 
-/// One frame, valid during the call that hands it over.
+/// One frame, valid during the call that passes it.
 struct DepthFrame {
-  /// Nothing when the frame comes encoded.
+  /// Empty if the frame comes encoded.
   std::optional<depth::FrameView> disparities;
-  std::chrono::steady_clock::time_point captured;  ///< when the sensor had it ready
+  std::chrono::steady_clock::time_point captured;  ///< when the sensor finished the frame
   double device_time_s = 0;                        ///< on the device's own clock
-  bool repeated = false;                           ///< the last frame once more, because no command came (lock step)
+  bool repeated = false;                           ///< the last frame again, because no command answered it (lock step)
   const GroundTruth* truth = nullptr;              ///< nullptr for a real device
-  Payload encoded = {};                            ///< what is sent as it is when there are no disparities
+  Payload encoded = {};                            ///< sent unchanged if there are no disparities
 };
 
 /// A source of depth frames that runs at its own pace. All calls come from the instance's event thread.
 class DepthSource {
  public:
   virtual ~DepthSource() = default;
-  /// Calls `on_frame` on the event thread for each frame from now on, never from inside start().
+  /// From now on calls `on_frame` on the event thread for each frame, never from inside start().
   /// \throws std::runtime_error when the device cannot be started.
   virtual void start(std::function<void(const DepthFrame&)> on_frame) = 0;
   /// No frame comes after this; start() may follow. May be called from inside `on_frame`.
   virtual void stop() = 0;
-  /// A command that answers the newest frame was given to the actuator. A source in lock step goes on now.
+  /// The actuator got the command that answers the newest frame. A source in lock step then goes on.
   virtual void answered() {}
-  /// True when the device's time stands still until a frame is answered: real time-outs say nothing about it then.
+  /// True if the device's time stands still until a frame is answered; real time-outs mean nothing then.
   virtual bool lock_step() const { return false; }
 };
 
@@ -60,13 +60,13 @@ struct Velocity {
 class Actuator {
  public:
   virtual ~Actuator() = default;
-  /// Moves so until the next call, within the base's own limits.
+  /// Moves at this velocity until the next call, within the base's own limits.
   virtual void drive(const Velocity& velocity) = 0;
-  /// Stops as fast as the base can. Not a command: it says that none came.
+  /// Stops as fast as the base can. The driver calls it when no command has come in time.
   virtual void halt() = 0;
 };
 
-/// One device may be both (the simulator is): then both point to it.
+/// One device may be both source and actuator (the simulator is): then both point to it.
 struct Device {
   std::shared_ptr<DepthSource> source;
   std::shared_ptr<Actuator> actuator;

@@ -13,7 +13,7 @@ namespace iotcloud::drivers::turtle {
 
 namespace {
 
-/// For those who want frames only.
+/// An actuator that does nothing, for users who want frames only.
 class NoActuator final : public Actuator {
  public:
   void drive(const Velocity&) override {}

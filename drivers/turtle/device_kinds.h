@@ -7,8 +7,8 @@
 #include <iotcloud/drivers/property_reader.h>
 #include <iotcloud/drivers/turtle/device.h>
 
-/// The kinds of sources and actuators that the properties `source` and `actuator` may name. A plugin that has more than
-/// the shipped ones (another library's, say) adds them and gives the table to its driver:
+/// The kinds of sources and actuators that the properties `source` and `actuator` may name. A plugin with more kinds
+/// than the shipped ones (for another library, say) adds them and gives the table to its driver:
 ///
 ///     struct RosTurtle : TurtleDriver {
 ///       RosTurtle() : TurtleDriver(shipped_kinds().with(ros_kind())) {}
@@ -17,11 +17,11 @@ namespace iotcloud::drivers::turtle {
 
 struct TurtleOptions;
 
-/// Makes a device when the instance opens, on its event thread; `context` outlives the device.
-/// \throws std::runtime_error when that cannot be.
+/// Makes a device when the instance opens, on its event thread. `context` must outlive the device.
+/// \throws std::runtime_error when it cannot make the device.
 using DeviceMaker = std::function<Device(DriverContext& context)>;
 
-/// What of a device is wanted: the other part of what a maker returns is not used, and may be nullptr.
+/// Which parts of a device the instance uses; a maker may return nullptr for the other part.
 struct DeviceParts {
   bool source = false;
   bool actuator = false;
@@ -31,23 +31,23 @@ struct DeviceKind {
   std::string name;
   bool source = false;    ///< `source` may name it
   bool actuator = false;  ///< `actuator` may name it
-  /// As an actuator it goes with its own source only: a simulated base is seen by no real camera.
+  /// As an actuator it needs its own source: a real camera does not see the simulated base.
   bool pair_only = false;
-  /// Asks the reader for each property that this kind has (also for those that the parts wanted do not use), and keeps
-  /// what it needs in the maker. What is common to all kinds is in the options. One call, and one device, when the kind
-  /// is both source and actuator of an instance. \throws std::invalid_argument for a wrong value.
+  /// Asks the reader for each property of this kind (also for properties of parts that are not wanted), and keeps what
+  /// it needs in the maker. `options` has what all kinds share. If an instance uses the kind as source and as actuator,
+  /// there is one call and one device. \throws std::invalid_argument for a wrong value.
   std::function<DeviceMaker(PropertyReader& reader, const TurtleOptions& options, DeviceParts parts)> read;
 };
 
-/// A table of kinds. Not thread safe while it is changed.
+/// A table of kinds. Not thread safe while it changes.
 class DeviceKinds {
  public:
-  /// This table and one more kind, or another in place of the one with this name.
+  /// Adds a kind, or replaces the kind of the same name. \return the table.
   DeviceKinds with(DeviceKind kind) &&;
 
-  /// Reads `source`, `actuator` (default: the source's own, `none` where it has none) and the properties of the kinds
-  /// that they name. \throws std::invalid_argument for a kind that is not there (the message lists those that are), for
-  /// a pair that makes no sense, and for a wrong value.
+  /// Reads `source`, `actuator` (default: the source's own, `none` if it has none) and the properties of the kinds that
+  /// they name. \throws std::invalid_argument for an unknown kind (the message lists the known ones), for a pair that
+  /// makes no sense, and for a wrong value.
   DeviceMaker read(PropertyReader& reader, const TurtleOptions& options) const;
 
  private:
@@ -57,7 +57,7 @@ class DeviceKinds {
   std::vector<DeviceKind> kinds_;
 };
 
-/// What turtle.so has: README.md lists them.
+/// The kinds in turtle.so; README.md lists them.
 DeviceKinds shipped_kinds();
 
 }  // namespace iotcloud::drivers::turtle

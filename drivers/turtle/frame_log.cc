@@ -9,7 +9,7 @@ namespace iotcloud::drivers::turtle {
 
 namespace {
 
-constexpr double set_point = 0.7;  // m, REFERENCE.md 6
+constexpr double set_point = 0.7;  // m, docs/wire.md#follower
 constexpr std::size_t most_latencies = 1'000'000;
 constexpr std::size_t raw_bytes = depth::frame_pixels * sizeof(std::uint16_t);
 
@@ -66,7 +66,7 @@ const FrameRecord* FrameLog::answer(std::int64_t time_ms, const Velocity& comman
 }
 
 void FrameLog::tidy(Instant now) {
-  // The newest stays: lock step may send it again.
+  // Keeps the newest frame: lock step may send it again.
   while (waiting_.size() > 1 && (waiting_.front().answer || now - waiting_.front().captured > patience)) {
     write(waiting_.front());
     waiting_.pop_front();

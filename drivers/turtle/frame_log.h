@@ -26,34 +26,34 @@ struct FrameRecord {
   std::chrono::microseconds latency{0};  ///< of the answer
 };
 
-/// Remembers the frames that wait for their commands, matches commands to them, and writes the trace when there is one.
+/// Remembers the frames that wait for their commands, matches commands to them, and writes the trace if there is one.
 /// Not thread safe.
 class FrameLog {
  public:
   using Instant = std::chrono::steady_clock::time_point;
-  static constexpr std::chrono::seconds patience{5};  ///< a command that comes later answers nothing
+  static constexpr std::chrono::seconds patience{5};  ///< a command later than this answers no frame
 
   struct Totals {
     std::uint64_t frames = 0, answered = 0, refused = 0, raw_bytes = 0, payload_bytes = 0;
     std::vector<std::uint32_t> latencies_us;  ///< the newest million
   };
 
-  /// Opens the trace and writes its head. \throws std::runtime_error that names the file.
+  /// Opens the trace and writes its column names. \throws std::runtime_error that names the file.
   void open_trace(const std::string& path);
-  /// Capture times in the trace count from here.
+  /// Sets the time from which the trace counts capture times.
   void set_origin(Instant origin) { origin_ = origin; }
 
   void add(const FrameRecord& record);
-  /// The newest frame was sent again: nothing of it changes but when, and what became of it.
+  /// The newest frame was sent again: only its capture time and its publish status change.
   void repeat_newest(Instant captured, PublishStatus published);
-  /// Notes that a command for the frame of this time came. \return the frame's record when it is the first, otherwise
-  /// nullptr (a second command, an unknown or long gone frame); valid until the next call.
+  /// Notes that a command for the frame of this time came. \return the frame's record if this command is the first for
+  /// it, otherwise nullptr (a second command, or an unknown or forgotten frame); valid until the next call.
   const FrameRecord* answer(std::int64_t time_ms, const Velocity& command, Instant arrived);
   bool newest_is(std::int64_t time_ms) const { return !waiting_.empty() && waiting_.back().time_ms == time_ms; }
 
-  /// Writes what is complete or too old, and at most once a second to the disk.
+  /// Writes the rows that are complete or too old, and flushes the file at most once a second.
   void tidy(Instant now);
-  /// Writes all there is and closes the trace.
+  /// Writes all rows and closes the trace.
   void close();
 
   const Totals& totals() const { return totals_; }
@@ -64,7 +64,7 @@ class FrameLog {
 
   Instant origin_{};
   Instant flushed_{};
-  std::deque<FrameRecord> waiting_;  ///< by time_ms; the front one is not answered
+  std::deque<FrameRecord> waiting_;  ///< by time_ms; the front frame is not answered
   std::ofstream trace_;
   Totals totals_;
 };

@@ -10,20 +10,20 @@
 
 namespace iotcloud::drivers::turtle {
 
-/// A turtle instance's properties, whatever its source and actuator are; README.md describes each.
+/// A turtle instance's properties that do not depend on source and actuator; README.md describes each.
 struct TurtleOptions {
   std::string broker;  ///< empty: the gateway's first
   double rate = 30;    ///< frames a second
   std::uint64_t frames = 0;
   depth::Codec codec = depth::Codec::reference;
   std::chrono::milliseconds watchdog{250};
-  std::string trace;        ///< path; empty: none
-  DeviceMaker make_device;  ///< what `source` and `actuator` name
+  std::string trace;        ///< path; empty: no trace
+  DeviceMaker make_device;  ///< makes the device that `source` and `actuator` name
 
   std::chrono::microseconds period() const;
 };
 
-/// \throws std::invalid_argument for a property that is unknown or has a wrong value, saying what would be right.
+/// \throws std::invalid_argument for an unknown property or a wrong value; the message says what would be right.
 TurtleOptions read_options(const PropertyMap& properties, const DeviceKinds& kinds);
 
 }  // namespace iotcloud::drivers::turtle

@@ -14,8 +14,8 @@ using std::chrono::steady_clock;
 
 namespace {
 
-constexpr double position_step = 0.25;        // metres; what is nearer is not worth a change of the record
-constexpr std::chrono::seconds burst_gap{5};  // malformed commands further apart are logged each
+constexpr double position_step = 0.25;        // metres; smaller moves do not change the record
+constexpr std::chrono::seconds burst_gap{5};  // a malformed command is logged if the one before was longer ago
 
 std::int64_t wall_ms() {
   return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
@@ -34,7 +34,7 @@ std::vector<ChannelSpec> TurtleDriver::channels(const PropertyMap& properties) {
   frames.name = frames_channel;
   frames.direction = Direction::out;
   frames.broker = options.broker;
-  // A robot steers by what is, not by what was.
+  // A robot steers by the present, so the newest frame replaces older ones.
   frames.when_full = WhenFull::keep_newest;
   frames.capacity = 2;
   frames.deadline = std::chrono::milliseconds(200);
@@ -72,7 +72,7 @@ void TurtleDriver::deactivate() {
 
 void TurtleDriver::close() {
   if (active_) deactivate();
-  device_ = {};  // here, where what it says last is heard
+  device_ = {};  // here, while its last messages can still be logged
   log_.close();
   if (context_) sum_up();
 }
@@ -106,7 +106,7 @@ void TurtleDriver::send(const DepthFrame& frame) {
   log_.tidy(steady_clock::now());
 }
 
-/// So that topologies can choose robots by where they are.
+/// Updates the record, so that topologies can choose robots by their place.
 void TurtleDriver::tell_position(const GroundTruth& truth) {
   if (told_ && std::hypot(truth.robot_x - told_->first, truth.robot_y - told_->second) < position_step) return;
   told_ = {truth.robot_x, truth.robot_y};
@@ -139,7 +139,7 @@ void TurtleDriver::on_message(std::string_view channel, Message message) {
 }
 
 void TurtleDriver::guard_robot() {
-  // In lock step the robot stands as still as its world while no command comes.
+  // In lock step the world, and the robot with it, stands still until a command comes.
   if (device_.source->lock_step()) return;
   if (watchdog_) context_->stop(*watchdog_);
   watchdog_ = context_->after(options_.watchdog, [this] {

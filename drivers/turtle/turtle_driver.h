@@ -16,8 +16,8 @@
 
 namespace iotcloud::drivers::turtle {
 
-/// Depth frames to the cloud, velocities back to the robot. Wants an event thread of its own: encoding a frame takes
-/// half a millisecond, simulating one some more. When no command came for `watchdog_ms` the robot is stopped.
+/// Sends depth frames to the cloud and velocities back to the robot. Needs an event thread of its own: encoding a frame
+/// takes half a millisecond, simulating one takes longer. Stops the robot when no command has come for `watchdog_ms`.
 class TurtleDriver : public Driver {
  public:
   static constexpr std::string_view frames_channel = "kinect";
@@ -48,9 +48,9 @@ class TurtleDriver : public Driver {
   Device device_;
   depth::DepthEncoder encoder_;
   FrameLog log_;
-  std::uint64_t sequence_ = 0;  ///< of the next frame
+  std::uint64_t sequence_ = 0;  ///< number of the next frame
   std::int64_t last_time_ms_ = 0;
-  std::optional<std::pair<double, double>> told_;  ///< where the record says the robot is, metres
+  std::optional<std::pair<double, double>> told_;  ///< the robot's place according to the record, metres
   bool opened_once_ = false, active_ = false;
   std::optional<HandlerId> watchdog_;
   std::uint64_t watchdog_stops_ = 0;

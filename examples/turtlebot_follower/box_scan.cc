@@ -16,7 +16,7 @@ namespace {
 
 constexpr int columns_at_once = 16;
 
-/// The smallest depth in [first, last + 1] from which on `holds`, which does not end once it began.
+/// The smallest depth in [first, last + 1] at which `holds` is true; it must stay true for larger depths.
 template <typename Condition>
 int first_where(int first, int last, Condition holds) {
   int end = last + 1;
@@ -33,11 +33,11 @@ int first_where(int first, int last, Condition holds) {
 
 }  // namespace
 
-/// Both loops over the rows of a frame; what they read is BoxScan's own.
+/// The two loops over the rows of a frame; they read BoxScan's members.
 struct BoxScanLoops {
   static void add_row(const BoxScan& scan, const BoxScan::Row& row, const std::uint16_t* depths, BoxScan::Sums& sums) {
     std::uint32_t points = 0, mm_sum = 0;
-    std::int32_t weighted = 0;  // depths up to 10 000 and columns up to 320 from the centre: half of what fits
+    std::int32_t weighted = 0;  // depths up to 10 000 and columns up to 320 from the centre use half of its range
     for (int u = row.first_column; u < row.end_column; ++u) {
       const std::uint16_t mm = depths[u];
       const std::uint16_t first = std::max(row.range.first, scan.column_first_[u]);
@@ -108,8 +108,8 @@ Path best_path() {
   return path;
 }
 
-/// The depths within `within` at which low < factor * z / f < high. The coordinate grows with depth, or falls when the
-/// factor is negative: either condition holds from some depth on and the other up to some depth.
+/// The depths within `within` at which low < factor * z / f < high. The coordinate grows with depth, or falls if the
+/// factor is negative: one condition holds from some depth on, the other up to some depth.
 BoxScan::Range BoxScan::range_of(double factor, double low, double high, Range within) {
   const auto coordinate = [factor](int mm) { return factor * (mm / 1000.0) / focal_length; };
   const auto above_low = [&](int mm) { return low < coordinate(mm); };

@@ -5,21 +5,22 @@
 
 namespace turtlebot_follower {
 
-/// Where the follower looks, metres from the camera: x to the right, y down, z along the optical axis. The bounds
-/// themselves are outside; what is not in front of the camera (z > 0) is never in a box.
+/// Where the follower looks, in metres from the camera: x to the right, y down, z along the optical axis. The bounds
+/// themselves are outside; points with z <= 0 are never in a box.
 struct Box {
   double x_min = -0.2, x_max = 0.2;
   double y_min = 0.1, y_max = 0.5;
   double z_min = 0, z_max = 1.0;  ///< z_max at most farthest_box
 };
-inline constexpr double farthest_box =
-    10;  ///< m; sums of points that are nearer fit into the integers they are made in
+/// In metres. The depths of nearer points can be added up without an overflow of the integers in BoxScan.
+inline constexpr double farthest_box = 10;
 
-/// Two ways to look at a frame with the same result: `avx2` takes 16 pixels at a time.
+/// Two implementations that give the same result: `portable` and `avx2`, which handles 16 pixels at a time.
 enum class Path { portable, avx2 };
-/// True when this machine can run `path`.
+/// True if this machine can run `path`.
 bool runs_here(Path path);
-/// The fastest that runs here, found out once; `portable` when the environment has IOTCLOUD_PORTABLE=1. Thread safe.
+/// The fastest path of this machine, determined once; `portable` if the environment has IOTCLOUD_PORTABLE=1. Thread
+/// safe.
 Path best_path();
 
 /// Adds up the points of a depth frame that lie in a box, in one pass over the rows and columns that the box can touch.
@@ -35,22 +36,22 @@ class BoxScan {
 
   struct Sums {
     std::uint32_t points = 0;
-    std::int64_t mm = 0;               ///< of their depths
-    std::int64_t mm_times_column = 0;  ///< of depth * (column - centre_u)
+    std::int64_t mm = 0;               ///< sum of their depths
+    std::int64_t mm_times_column = 0;  ///< sum of depth * (column - centre_u)
   };
   /// \param depth_mm width x height millimetres, row by row; 0 = no reading.
   Sums add_up(const std::uint16_t* depth_mm, Path path = best_path()) const;
 
  private:
-  /// A pixel (u, v) is in the box when its depth is in the ranges of its column (x) and of its row (y and z): loops
-  /// over a frame compare 16-bit integers only. Made with the reference's double arithmetic: the same points are kept,
-  /// exactly.
+  /// A pixel (u, v) is in the box if its depth is in the range of its column (x) and in that of its row (y and z), so
+  /// loops over a frame compare 16-bit integers only. The ranges are computed with the reference's double arithmetic,
+  /// so exactly the same points are in the box as there.
   struct Range {
-    std::uint16_t first, last;  ///< millimetres; last < first: none
+    std::uint16_t first, last;  ///< millimetres; last < first: empty
   };
   struct Row {
     Range range;
-    int first_column, end_column;  ///< multiples of 16; no point outside is in the box
+    int first_column, end_column;  ///< multiples of 16; no point outside them is in the box
   };
   static Range range_of(double factor, double low, double high, Range within);
 

@@ -39,7 +39,7 @@ class Decoder : public BasicBolt {
                                             {{"topology", context.topology}});
   }
   void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
-    // Shared with the follower's task, so each frame has its own memory; every pixel is written by the decoder.
+    // The follower's task shares it, so each frame has its own memory; the decoder writes every pixel.
     const auto mm = std::make_shared_for_overwrite<std::uint16_t[]>(depth::frame_pixels);
     const auto error =
         decoder_.decode(tuple.get<Payload>("frame").bytes(), depth::FrameSpan(mm.get(), depth::frame_pixels));
@@ -62,7 +62,7 @@ class Decoder : public BasicBolt {
   }
 
   static constexpr std::size_t most_remembered = 1000;
-  depth::DepthDecoder decoder_;  // one for all drivers: every frame stands for itself
+  depth::DepthDecoder decoder_;  // one for all drivers, because every frame stands for itself
   iotcloud::config::Counter* bad_frames_ = nullptr;
   std::set<std::string> in_bad_burst_;  ///< drivers whose newest frame was bad
 };

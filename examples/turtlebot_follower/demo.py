@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Runs the TurtleBot follower and reports how well it followed: called by `./dev demo`. With `--robots N` each robot has
-a room, a person and a seed of its own, and one topology serves them all.
+a room, a person and a seed of its own, and one topology serves all robots.
 
 Local mode runs everything in one process on the embedded broker and registry. `--cluster` runs RabbitMQ, ZooKeeper, a
 master, two gateways and a topology worker as processes, private to this run, and deploys the driver with the CLI.
@@ -22,7 +22,7 @@ import modes  # noqa: E402
 import report  # noqa: E402
 
 
-SKIPPED = 77  # exit status when a server cannot be had
+SKIPPED = 77  # exit status when a server is unavailable
 MOST_ROBOTS = 32
 MOST_START_S = 60
 
@@ -32,7 +32,7 @@ def fleet(options, out):
     common = {"clock": "lockstep" if options.lockstep else "realtime"}
     if options.robots > 1:
         common["rate"] = 10
-    if options.broker == "kafka":  # it has no exclusive channels
+    if options.broker == "kafka":  # Kafka has no exclusive channels
         common |= {"channel.kinect.shared": "true", "channel.control.shared": "true"}
     robots = []
     for number in range(options.robots):
@@ -70,7 +70,7 @@ def arguments():
 
 
 def await_answers(robots, alive):
-    """Until each robot has had its first command: a server and a topology take a while to start."""
+    """Waits until each robot has had its first command: a server and a topology take a while to start."""
     limit = time.monotonic() + MOST_START_S
     while alive() and time.monotonic() < limit:
         if all(any(row.answered for row in report.read_trace(robot.trace)) for robot in robots):
@@ -79,7 +79,7 @@ def await_answers(robots, alive):
 
 
 def progress(robots):
-    """How the newest frames of all robots went, as text; None before there are any."""
+    """How the newest frames of all robots went, as text; None before the first frame."""
     newest = [rows for rows in (report.read_trace(robot.trace, last=30) for robot in robots) if rows]
     if not newest:
         return None
@@ -94,7 +94,7 @@ def progress(robots):
 
 
 def follow_progress(robots, seconds, alive):
-    """One live line while the robots follow; returns when the time is over or a process died."""
+    """Prints one live line while the robots follow; returns when the time is over or a process died."""
     begin = time.monotonic()
     tty = sys.stdout.isatty()
     next_line = 0.0
@@ -114,8 +114,8 @@ def follow_progress(robots, seconds, alive):
 
 
 def take_folder(out):
-    """Makes the folder of this run. Returns its lock, which lasts as long as the file is open: two runs would write one
-    trace."""
+    """Makes the folder of this run. Returns its lock, which lasts as long as the file is open: two runs would write the
+    same trace."""
     out.mkdir(parents=True, exist_ok=True)
     lock = open(out / "lock", "w")
     try:

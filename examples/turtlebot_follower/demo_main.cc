@@ -10,20 +10,20 @@
 #include <signal.h>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/exposition/metrics_endpoint.h>
+#include <iotcloud/rpc/http/metrics_endpoint.h>
 #include <iotcloud/topology/local/local_cluster.h>
 
 namespace {
 
 struct Robot {
-  std::string gateway;
+  iotcloud::discovery::GatewayId gateway;
   std::map<std::string, std::string> properties;
 };
 
-/// "gateway-1 key=value ...". \throws config::Error.
+/// Parses "gateway-1 key=value ...". \throws config::Error.
 Robot parse_robot(const std::vector<std::string>& words) {
-  Robot robot{words.at(0), {}};
-  if (robot.gateway.find('=') != std::string::npos) {
+  Robot robot{iotcloud::discovery::GatewayId(words.at(0)), {}};
+  if (robot.gateway.str().find('=') != std::string::npos) {
     throw iotcloud::config::Error("--robot " + robot.gateway +
                                   ": name its gateway first, as in --robot gateway-1 seed=1");
   }
@@ -37,9 +37,9 @@ Robot parse_robot(const std::vector<std::string>& words) {
   return robot;
 }
 
-/// Each once, in the order of the robots.
-std::vector<std::string> gateways_of(const std::vector<Robot>& fleet) {
-  std::vector<std::string> gateways;
+/// Each gateway once, in the order of the robots.
+std::vector<iotcloud::discovery::GatewayId> gateways_of(const std::vector<Robot>& fleet) {
+  std::vector<iotcloud::discovery::GatewayId> gateways;
   for (const auto& robot : fleet) {
     if (std::find(gateways.begin(), gateways.end(), robot.gateway) == gateways.end()) {
       gateways.push_back(robot.gateway);
@@ -50,13 +50,13 @@ std::vector<std::string> gateways_of(const std::vector<Robot>& fleet) {
 
 }  // namespace
 
-/// The whole application in one process until SIGTERM or SIGINT: what `./dev demo` runs and measures.
+/// Runs the whole application in one process until SIGTERM or SIGINT; `./dev demo` starts and measures it.
 int main(int argc, char** argv) {
   sigset_t stop_signals;
   sigemptyset(&stop_signals);
   sigaddset(&stop_signals, SIGTERM);
   sigaddset(&stop_signals, SIGINT);
-  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);  // before there is another thread
+  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);  // before any other thread starts
   signal(SIGPIPE, SIG_IGN);
 
   CLI::App app{"The TurtleBot follower with gateway, master and topology in one process.", "turtlebot-demo"};
@@ -75,10 +75,9 @@ int main(int argc, char** argv) {
     if (robots.empty()) robots = {{"gateway-1"}};
     std::vector<Robot> fleet;
     for (const auto& words : robots) fleet.push_back(parse_robot(words));
-    std::unique_ptr<iotcloud::config::MetricsEndpoint> metrics;
+    std::unique_ptr<iotcloud::rpc::MetricsEndpoint> metrics;
     if (!metrics_address.empty()) {
-      metrics =
-          std::make_unique<iotcloud::config::MetricsEndpoint>(metrics_address, iotcloud::config::process_metrics());
+      metrics = std::make_unique<iotcloud::rpc::MetricsEndpoint>(metrics_address, iotcloud::config::process_metrics());
     }
     iotcloud::local::LocalOptions options;
     options.name = "demo";
@@ -87,7 +86,7 @@ int main(int argc, char** argv) {
     options.gateways = gateways_of(fleet);
     iotcloud::local::LocalCluster cluster(options);
     cluster.run_topology(topology);
-    std::vector<std::string> instances;
+    std::vector<iotcloud::discovery::InstanceId> instances;
     for (const auto& [gateway, properties] : fleet) {
       instances.push_back(cluster.deploy("turtle.so", properties, gateway));
     }

@@ -14,7 +14,7 @@ Follower::Result Follower::compute(std::span<const std::uint16_t> depth_mm, Path
   const BoxScan::Sums sums = scan_.add_up(depth_mm.data(), path);
   Result result;
   result.points = sums.points;
-  if (sums.points <= options_.min_points) return result;  // nobody there: stand still
+  if (sums.points <= options_.min_points) return result;  // nobody is in the box: stand still
 
   result.z = static_cast<double>(sums.mm) / 1000.0 / sums.points;
   result.x = static_cast<double>(sums.mm_times_column) / 1000.0 / BoxScan::focal_length / sums.points;

@@ -9,31 +9,31 @@
 
 namespace turtlebot_follower {
 
-/// What the robot is told: metres and radians a second.
+/// A command to the robot, in metres and radians a second.
 struct Velocity {
   double linear = 0;   ///< forward
   double angular = 0;  ///< to the left
 };
 
-/// The reference's constants (REFERENCE.md section 6), and the limits that the original did not have.
+/// The reference's constants (docs/wire.md#follower), and the limits that the original did not have.
 struct FollowerOptions {
-  double goal_distance = 0.7;       ///< m, kept between camera and person
+  double goal_distance = 0.7;       ///< m, the distance to keep between camera and person
   double max_linear = 0.65;         ///< m/s; the base's own limit
   double max_angular = 3.14;        ///< rad/s
   double turn_gain = 5;             ///< rad/s for each metre that the person is beside the optical axis
-  double min_turn = 0.1;            ///< rad/s; slower turns are not made
-  double stop_distance = 1.0;       ///< m: a person as far away as this is leaving the box, the robot stands still;
-  double stop_margin = 0.01;        ///< m: nearer to it than so much
-  std::uint32_t min_points = 4000;  ///< with this many or fewer there is nobody to follow
+  double min_turn = 0.1;            ///< rad/s; the robot makes no slower turns
+  double stop_distance = 1.0;       ///< m: a person this far away is leaving the box, so the robot stands still
+  double stop_margin = 0.01;        ///< m: largest difference from stop_distance at which it does
+  std::uint32_t min_points = 4000;  ///< with this many points or fewer there is nobody to follow
   Box box;
 };
 
-/// The options of a component's `conf`; README.md lists the keys. \throws std::invalid_argument for a key that is
-/// unknown, a value out of range or a box without inside, saying what would be right.
+/// Reads the options of a component's `conf`; README.md lists the keys. \throws std::invalid_argument for an unknown
+/// key, a value out of range or an empty box; the message says what would be right.
 FollowerOptions read_options(const std::map<std::string, std::string>& conf);
 
-/// Finds the person in a depth frame and steers towards a fixed distance: the centroid of the points in a box in front
-/// of the camera, then a proportional controller. Thread safe: computing changes nothing.
+/// Finds the person in a depth frame and steers towards a fixed distance: it computes the centroid of the points in a
+/// box in front of the camera and feeds a proportional controller. Thread safe: computing changes nothing.
 class Follower {
  public:
   static constexpr int width = BoxScan::width;
@@ -44,7 +44,7 @@ class Follower {
   struct Result {
     Velocity velocity;
     std::uint32_t points = 0;  ///< in the box
-    double x = 0, z = 0;       ///< their centroid, m; 0 when there is nobody
+    double x = 0, z = 0;       ///< the points' centroid, m; 0 if nobody is there
   };
   /// \param depth_mm width x height millimetres, row by row; 0 = no reading.
   Result compute(std::span<const std::uint16_t> depth_mm, Path path = best_path()) const;
@@ -54,7 +54,7 @@ class Follower {
   BoxScan scan_;
 };
 
-/// The command on the wire, as in the original: {"linear":{"x":..,"y":..,"z":..},"angular":{..}}.
+/// A command in the original's wire format: {"linear":{"x":..,"y":..,"z":..},"angular":{..}}.
 std::string to_json(const Velocity& velocity);
 
 }  // namespace turtlebot_follower

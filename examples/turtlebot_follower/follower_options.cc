@@ -12,7 +12,7 @@ namespace turtlebot_follower {
 
 namespace {
 
-/// One key of `conf`: where its value goes, and what it may be.
+/// One key of `conf`: its value's destination and range.
 struct Key {
   std::string name;
   double* value;

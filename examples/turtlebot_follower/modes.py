@@ -13,7 +13,8 @@ sys.path.insert(0, str(HERE.parent.parent / "tests/servers"))
 from private_cluster import (Children, PrivateCluster, StartError, Unavailable, cpu_seconds,  # noqa: E402,F401
                              free_port)
 
-# The first that is found in a command line: ours name the servers, too.
+# Roles of processes and the text that their command lines contain. The first match in this order counts, because command
+# lines of our programs also name the servers.
 ROLES = (("all in one process", "turtlebot-demo"), ("driver host", "iotcloud-driver-host"),
          ("gateways", "iotcloud-gateway"), ("topology", "iotcloud-topology"), ("master", "iotcloud-master"),
          ("zookeeper", "zookeeper"), ("rabbitmq", "rabbit"), ("kafka", "kafka"), ("activemq", "activemq"))
@@ -21,7 +22,7 @@ ROLES = (("all in one process", "turtlebot-demo"), ("driver host", "iotcloud-dri
 
 @dataclass
 class Robot:
-    """An instance of the turtle driver that is to be deployed."""
+    """An instance of the turtle driver to deploy."""
     gateway: str
     properties: dict
 
@@ -34,20 +35,20 @@ class Robot:
 
 
 def bolt_times(metrics_address):
-    """p50 and p99 of each bolt's execute in ms, from the worker's metrics; of several tasks the slowest."""
+    """p50 and p99 of each bolt's execute in ms, from the worker's metrics; of several tasks the slowest counts."""
     text = urllib.request.urlopen(f"http://{metrics_address}/metrics", timeout=5).read().decode()
     times = {}
     for labels, value in re.findall(r"^iotcloud_task_execute_seconds\{([^}]*)\} (\S+)$", text, re.M):
         fields = dict(re.findall(r'(\w+)="([^"]*)"', labels))
         key = {"0.5": "p50", "0.99": "p99"}.get(fields.get("quantile"))
-        if key and float(value) == float(value):  # NaN: nothing was measured
+        if key and float(value) == float(value):  # NaN: no measurement
             slowest = times.setdefault(fields["component"], {"p50": 0, "p99": 0})
             slowest[key] = max(slowest[key], round(float(value) * 1000, 4))
     return times
 
 
 class Measurement:
-    """CPU of everything that runs for this demo, and the bolts' times, between begin and end."""
+    """CPU time of all processes of this demo, and the bolts' times, between begin and end."""
 
     def __init__(self, out, metrics_address):
         self.marker, self.metrics_address = str(out), metrics_address

@@ -29,7 +29,7 @@ class Row:
 
 
 def read_trace(path, last=None):
-    """The rows of a trace that may still be growing: a last line without its end is left out."""
+    """The rows of a trace that may still be growing: an incomplete last line is left out."""
     try:
         text = Path(path).read_text()
     except FileNotFoundError:
@@ -52,7 +52,7 @@ def read_trace(path, last=None):
 
 
 def percentile(values, percent):
-    """Nearest rank; NaN of nothing."""
+    """Nearest rank; NaN for an empty list."""
     if not values:
         return math.nan
     ordered = sorted(values)
@@ -60,7 +60,7 @@ def percentile(values, percent):
 
 
 def spread(values):
-    """p50, p99, max, mean and standard deviation; null where nothing was measured."""
+    """p50, p99, max, mean and standard deviation; null if there are no values."""
     if not values:
         return {"n": 0, "p50": None, "p99": None, "max": None, "mean": None, "stdev": None}
     mean = sum(values) / len(values)
@@ -76,7 +76,7 @@ def follow_figures(rows, seconds):
     answered = sum(row.answered for row in rows)
     lost = sum(not row.in_box for row in rows)
     length = rows[-1].seconds - rows[0].seconds if rows else 0
-    # The loop was closed for as long as it was asked to be.
+    # True if the loop was closed for nearly the whole time asked for.
     long_enough = length >= 0.9 * (seconds - 1)
     share = answered / len(rows) if rows else 0
     return {
@@ -92,7 +92,7 @@ def follow_figures(rows, seconds):
 
 
 def without_frame_under_way(rows):
-    """The robot is taken away as soon as its time is over; what its last frame's command would have been is not known."""
+    """Drops a last frame without an answer: the demo removes the robot at its end, perhaps before the command comes."""
     return rows[:-1] if rows and not rows[-1].answered else rows
 
 
@@ -121,7 +121,7 @@ def make_report(robots, traces, options, measured):
 
 
 def draw(traces, out):
-    """paths.png, distance.png and latency.png beside the report; each robot has a world of its own."""
+    """Draws paths.png, distance.png and latency.png beside the report; each robot has a world of its own."""
     if not shutil.which("gnuplot"):
         print("no pictures: gnuplot is not installed (./dev deps installs it)")
         return

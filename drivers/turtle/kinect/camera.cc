@@ -10,7 +10,7 @@
 #include <iotcloud/drivers/depth/depth_codec.h>
 #include <iotcloud/drivers/turtle/kinect/camera.h>
 
-// libfreenect's replay (fakenect 0.5.3) has no such functions: what they would tell is left out then.
+// libfreenect's replay (fakenect 0.5.3) lacks these functions; without them messages name no serial numbers.
 extern "C" {
 #pragma weak freenect_list_device_attributes
 #pragma weak freenect_free_device_attributes
@@ -22,7 +22,7 @@ namespace {
 
 constexpr int most_devices = 100;  // indexes have one or two digits, serial numbers more
 
-/// What libfreenect said last on this thread: its return values say only that something failed.
+/// What libfreenect logged last on this thread: its return values say only that something failed.
 thread_local std::string last_words;
 
 void take_log(freenect_context*, freenect_loglevel, const char* text) {
@@ -42,8 +42,8 @@ std::optional<int> as_index(const std::string& device) {
   return index;
 }
 
-/// Serial numbers can be asked for, and by the library that serves everything else: a replay that is loaded before the
-/// real library has contexts of its own.
+/// True if serial numbers can be listed, by the same library that serves the other calls: a replay that is loaded
+/// before the real library has contexts of its own.
 bool can_list() {
   if (!freenect_list_device_attributes || !freenect_free_device_attributes) return false;
   Dl_info list{}, init{};
@@ -107,7 +107,7 @@ void Camera::open(const CameraSettings& settings) {
   }
   freenect_set_log_level(context_, FREENECT_LOG_ERROR);
   freenect_set_log_callback(context_, take_log);
-  // Without the motor where it is not asked for: some models have none that the library can open.
+  // Opens the motor only on request: libfreenect cannot open that of some models.
   const bool motor = settings.tilt || !settings.led.empty();
   freenect_select_subdevices(
       context_, static_cast<freenect_device_flags>(FREENECT_DEVICE_CAMERA | (motor ? FREENECT_DEVICE_MOTOR : 0)));
@@ -121,7 +121,7 @@ void Camera::open(const CameraSettings& settings) {
   if (status < 0 || !device_) {
     device_ = nullptr;
     throw std::runtime_error("cannot open the Kinect " + wanted + said() + "; " + list_devices(context_) +
-                             "; may this user use it, and does no other program?");
+                             "; check that this user may open it and that no other program uses it");
   }
 }
 

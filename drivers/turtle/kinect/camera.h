@@ -14,30 +14,29 @@ namespace iotcloud::drivers::turtle::kinect {
 struct CameraSettings {
   std::string device = "0";    ///< an index (below 100), or the serial number of the camera
   std::optional<double> tilt;  ///< degrees above the horizon, -30 to 30; nothing: the motor stays where it is
-  std::string led;             ///< one of led_names(); empty: as it is
+  std::string led;             ///< one of led_names(); empty: the light stays as it is
 };
 
 /// "off", "green", ...
 const std::vector<std::string>& led_names();
 
-/// One Kinect, opened through libfreenect and sending 11-bit depth. Owned and called by one thread; on_depth is called
+/// One Kinect, opened through libfreenect and sending 11-bit depth. One thread owns and calls it; on_depth is called
 /// inside poll() and the constructor.
 class Camera {
  public:
-  /// The buffer that was being filled holds a frame, whose stamp counts the device's 60 MHz; \return the buffer of
-  /// depth::frame_pixels values to fill next, which may be the same.
+  /// Called when the buffer holds a frame; the stamp counts the device's 60 MHz. \return the buffer of
+  /// depth::frame_pixels values to fill next, which may be the same one.
   using OnDepth = std::function<std::uint16_t*(std::uint32_t stamp)>;
 
-  /// \param buffer filled first. \param warn takes what is wrong but does no harm (no motor, say).
-  /// \throws std::runtime_error when there is no such device (the message lists those that are there) or it cannot be
-  /// opened.
+  /// \param buffer the first to fill. \param warn receives problems that do no harm (no motor, say).
+  /// \throws std::runtime_error when there is no such device (the message lists the devices) or it cannot be opened.
   Camera(const CameraSettings& settings, std::uint16_t* buffer, OnDepth on_depth,
          const std::function<void(const std::string&)>& warn);
   ~Camera();
   Camera(const Camera&) = delete;
   Camera& operator=(const Camera&) = delete;
 
-  /// Waits for frames, about so long (libfreenect's replay waits for the next frame's time instead).
+  /// Waits about `limit` for frames (libfreenect's replay waits for the time of the next frame instead).
   /// \return false when the device is gone.
   bool poll(std::chrono::milliseconds limit);
 

@@ -11,8 +11,8 @@ using std::chrono::steady_clock;
 namespace {
 
 constexpr double ticks_per_second = 60e6;               // of the device's stamps
-constexpr std::chrono::milliseconds poll_limit{20};     // and so how long stop() may wait
-constexpr std::chrono::milliseconds jitter_allowed{8};  // frames of 30 Hz at a rate of 30 Hz are all taken
+constexpr std::chrono::milliseconds poll_limit{20};     // the longest that stop() waits for the thread
+constexpr std::chrono::milliseconds jitter_allowed{8};  // so that a rate of 30 Hz keeps every frame of a 30 Hz camera
 
 }  // namespace
 
@@ -85,9 +85,9 @@ bool KinectSource::wait(std::chrono::milliseconds time) {
   return !stop_requested_.wait_for(lock, time, [this] { return stop_; });
 }
 
-/// The camera's thread: nothing may leave it as an exception.
+/// Runs on the camera's thread; no exception may leave it.
 void KinectSource::run() {
-  bool announced = false;  // what keeps it from working was logged
+  bool announced = false;  // the current problem was logged
   auto pause = options_.reconnect;
   do {
     if (use_camera(announced)) pause = options_.reconnect;
@@ -96,7 +96,7 @@ void KinectSource::run() {
   } while (wait(std::exchange(pause, std::min(2 * pause, 16 * options_.reconnect))));
 }
 
-/// Until it is gone or stop(). \return whether there was a frame.
+/// Reads frames until the camera is gone or stop() is called. \return whether a frame came.
 bool KinectSource::use_camera(bool& announced) {
   const auto warn = [this](const std::string& text) { context_.log(LogLevel::warn, text); };
   bool worked = false;
@@ -123,7 +123,7 @@ bool KinectSource::use_camera(bool& announced) {
       if (!std::exchange(announced, true)) {
         context_.log(LogLevel::error,
                      std::string(silent ? "no frame came from the Kinect for a while" : "the Kinect is gone") +
-                         ": it is looked for until it is back");
+                         "; the driver looks for it until it is back");
       }
       const std::lock_guard lock(mutex_);
       ++counts_.lost;
@@ -131,7 +131,7 @@ bool KinectSource::use_camera(bool& announced) {
     }
   } catch (const std::exception& e) {
     if (!std::exchange(announced, true)) {
-      context_.log(LogLevel::error, std::string(e.what()) + ". It is looked for until it is there");
+      context_.log(LogLevel::error, std::string(e.what()) + ". The driver looks for it until it is there");
     }
     const std::lock_guard lock(mutex_);
     ++counts_.failed;
@@ -142,7 +142,7 @@ bool KinectSource::use_camera(bool& announced) {
 std::uint16_t* KinectSource::take(std::uint32_t stamp) {
   const auto now = steady_clock::now();
   last_frame_ = now;
-  // The stamp wraps round every 71 s. A device that was opened again goes on where the last one was.
+  // The stamp wraps round every 71 s. A device that is opened again continues the last one's time.
   if (last_stamp_ != 0) device_time_s_ += static_cast<std::uint32_t>(stamp - last_stamp_) / ticks_per_second;
   last_stamp_ = stamp;
   bool post = false;
@@ -155,7 +155,7 @@ std::uint16_t* KinectSource::take(std::uint32_t stamp) {
     newest_.captured = now;
     newest_.device_time_s = device_time_s_;
     if (newest_.full) ++counts_.superseded;
-    post = !std::exchange(newest_.full, true);  // one is on its way otherwise
+    post = !std::exchange(newest_.full, true);  // if the slot was full, a callback is already posted
   }
   if (post) {
     context_.post([this, alive = std::weak_ptr(alive_), run = run_] {
@@ -175,7 +175,7 @@ void KinectSource::hand_over() {
     newest_.full = false;
   }
   frame.disparities = depth::FrameView(reading_);
-  const auto on_frame = on_frame_;  // a copy: the callee may stop the source
+  const auto on_frame = on_frame_;  // a copy: the callback may stop the source
   on_frame(frame);
 }
 

@@ -19,33 +19,33 @@ namespace iotcloud::drivers::turtle::kinect {
 
 struct KinectOptions {
   CameraSettings camera;
-  std::chrono::microseconds period{0};       ///< frames that come sooner after the last one are left out
+  std::chrono::microseconds period{0};       ///< frames that come sooner than this after the last one are left out
   std::chrono::milliseconds reconnect{500};  ///< before the first new attempt; doubles to 16 times that
-  std::chrono::milliseconds silence{5000};   ///< without a frame for so long the device is opened again
+  std::chrono::milliseconds silence{5000};   ///< a device that sends no frame for this long is opened again
 };
 
-/// The kind `kinect`; README.md has its properties.
+/// The kind `kinect`; README.md lists its properties.
 DeviceKind kinect_kind();
 
-/// Depth frames of a Kinect through libfreenect, which has a thread of its own here: its replay sleeps in the call that
-/// polls, and opening a device takes a second. The newest frame waits for the event thread, and older ones are
-/// overwritten. A device that is not there, or goes away, is looked for until stop(); the instance's metadata say
-/// `camera`: `connected` or `absent`.
+/// Depth frames of a Kinect through libfreenect, which runs on a thread of its own here: its replay sleeps in the call
+/// that polls, and opening a device takes a second. The newest frame waits for the event thread and overwrites older
+/// ones. The source looks for a missing device until stop(); the instance's metadata have `camera`: `connected` or
+/// `absent`.
 class KinectSource final : public DepthSource {
  public:
   KinectSource(const KinectOptions& options, DriverContext& context);
   ~KinectSource() override;
 
   void start(std::function<void(const DepthFrame&)> on_frame) override;
-  /// Waits for the thread: for libfreenect's current call.
+  /// Waits until the thread returns from libfreenect's current call.
   void stop() override;
 
   struct Counts {
-    std::uint64_t frames = 0;      ///< that libfreenect had
-    std::uint64_t superseded = 0;  ///< that a newer one overwrote before the event thread took them
+    std::uint64_t frames = 0;      ///< frames from libfreenect
+    std::uint64_t superseded = 0;  ///< frames that a newer one overwrote before the event thread took them
     std::uint64_t connects = 0;
     std::uint64_t lost = 0;    ///< connections that ended by themselves
-    std::uint64_t failed = 0;  ///< attempts to connect
+    std::uint64_t failed = 0;  ///< failed attempts to connect
   };
   Counts counts() const;  ///< thread safe
 
@@ -60,12 +60,13 @@ class KinectSource final : public DepthSource {
 
   const KinectOptions options_;
   DriverContext& context_;
-  // Of the event thread.
+  // Used by the event thread only.
   std::function<void(const DepthFrame&)> on_frame_;  ///< empty while stopped
   std::vector<std::uint16_t> reading_;
-  std::uint64_t run_ = 0;  ///< number of the last start(), so that what an earlier one posted does nothing
-  const std::shared_ptr<const bool> alive_ = std::make_shared<const bool>(true);  ///< what was posted may outlive us
-  // Of the camera's thread.
+  std::uint64_t run_ = 0;  ///< number of the last start(), so that callbacks of an earlier run do nothing
+  /// a posted callback may outlive this object, and then does nothing
+  const std::shared_ptr<const bool> alive_ = std::make_shared<const bool>(true);
+  // Used by the camera's thread only.
   std::vector<std::uint16_t> filling_;
   std::uint32_t last_stamp_ = 0;
   double device_time_s_ = 0;
@@ -81,7 +82,7 @@ class KinectSource final : public DepthSource {
     bool full = false;
   } newest_;
   Counts counts_;
-  std::thread thread_;  ///< last: what it uses is there before it
+  std::thread thread_;  ///< last, so that the members that it uses exist before it starts
 };
 
 }  // namespace iotcloud::drivers::turtle::kinect

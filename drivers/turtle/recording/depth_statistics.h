@@ -7,7 +7,7 @@
 
 namespace iotcloud::drivers::turtle::recording {
 
-/// What can be said of a recording's frames. Not thread safe.
+/// Summarises a recording's frames. Not thread safe.
 class DepthStatistics {
  public:
   void add(depth::FrameView disparities);

@@ -41,7 +41,7 @@ bool is_digit(char c) {
   return c >= '0' && c <= '9';
 }
 
-/// Numbers in names by value.
+/// Compares names; numbers in them count by value.
 bool natural_order(std::string_view a, std::string_view b) {
   const auto skip_zeros = [](std::string_view& text) {
     while (text.size() > 1 && text[0] == '0' && is_digit(text[1])) text.remove_prefix(1);
@@ -63,7 +63,7 @@ bool natural_order(std::string_view a, std::string_view b) {
   return a.size() < b.size();
 }
 
-/// The next number of a PGM's head; comments go from # to the end of the line.
+/// Reads the next number of a PGM's head; comments go from # to the end of the line.
 unsigned long head_number(const std::filesystem::path& path, std::istream& file) {
   for (int c = file.peek(); std::isspace(c) || c == '#'; c = file.peek()) {
     if (file.get() == '#') {
@@ -91,7 +91,7 @@ void read_pgm(const std::filesystem::path& path, std::vector<std::uint16_t>& val
   for (std::uint16_t& value : values) value = static_cast<std::uint16_t>(value >> 8 | value << 8);
 }
 
-/// What libpng needs while it may jump out of its calls: freed after that.
+/// libpng's state. It lives outside the functions that libpng may jump out of, and is freed after them.
 struct PngReader {
   PngReader() : png(png_create_read_struct(PNG_LIBPNG_VER_STRING, this, &PngReader::failed, &PngReader::warned)) {
     if (png) info = png_create_info_struct(png);
@@ -111,7 +111,7 @@ struct PngReader {
   png_infop info = nullptr;
 };
 
-/// \return false when libpng gave up. No object with a destructor lives here: libpng jumps.
+/// \return false when libpng gave up. No object with a destructor may live here: libpng leaves by longjmp.
 bool read_png_head(PngReader& reader, std::FILE* file) {
   if (setjmp(png_jmpbuf(reader.png))) return false;
   png_init_io(reader.png, file);

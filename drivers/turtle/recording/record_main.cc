@@ -14,13 +14,13 @@
 
 namespace recording = iotcloud::drivers::turtle::recording;
 
-/// Records, plays and imports depth. 0: done; 1: it could not be; 2: called wrongly.
+/// Records, plays and imports depth. Exit status 0: done; 1: failed; 2: wrong arguments.
 int main(int argc, char** argv) {
   sigset_t stop_signals;
   sigemptyset(&stop_signals);
   sigaddset(&stop_signals, SIGTERM);
   sigaddset(&stop_signals, SIGINT);
-  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);  // before there is another thread
+  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);  // before any other thread starts
 
   CLI::App app{
       "Records depth frames into the format of libfreenect's replay (fakenect), plays such a recording, or makes\n"
@@ -38,26 +38,27 @@ int main(int argc, char** argv) {
   std::vector<std::string> words;
   std::uint64_t frames = 0;
   double seconds = 0, rate = 30, speed = 0;
-  auto* folder_option = app.add_option("folder", folder, "where the recording goes");
+  auto* folder_option = app.add_option("folder", folder, "the folder of the new recording");
   auto* source_option =
       app.add_option("--source", source, "a kind of the turtle driver's sources")->capture_default_str();
   auto* property =
       app.add_option("--property", words, "key=value of the source, as for the turtle driver; may be repeated")
           ->allow_extra_args(false);
-  app.add_option("--frames", frames, "stop after so many frames")->check(CLI::Range(1, 100'000'000));
-  app.add_option("--seconds", seconds, "stop after so long")->check(CLI::Range(0.001, 1e7));
+  app.add_option("--frames", frames, "stop after this number of frames")->check(CLI::Range(1, 100'000'000));
+  app.add_option("--seconds", seconds, "stop after this time")->check(CLI::Range(0.001, 1e7));
   auto* play_option = app.add_option("--play", play, "a recording to check and play")->excludes(folder_option);
-  app.add_option("--speed", speed, "of --play: 1 is its own pace, 0 (the default) as fast as it can be read")
+  app.add_option("--speed", speed,
+                 "with --play: 1 plays at the recorded pace, 0 (the default) as fast as the files can be read")
       ->check(CLI::Range(0.0, 100.0))
       ->needs(play_option);
   auto* import_option = app.add_option("--import", import_from, "a folder of depth images to make a recording of")
                             ->excludes(play_option)
                             ->excludes(source_option)
                             ->excludes(property);
-  auto* unit_option = app.add_option("--unit", unit, "what the images' pixels count")
+  auto* unit_option = app.add_option("--unit", unit, "unit of the images' pixels")
                           ->check(CLI::IsMember({"mm", "disparity"}))
                           ->needs(import_option);
-  app.add_option("--rate", rate, "of --import: frames a second")
+  app.add_option("--rate", rate, "with --import: frames a second of the recording")
       ->check(CLI::Range(0.01, 1000.0))
       ->needs(import_option)
       ->capture_default_str();
@@ -74,7 +75,7 @@ int main(int argc, char** argv) {
       return 0;
     }
     if (folder.empty()) {
-      std::fprintf(stderr, "iotcloud-record: name the folder that the recording goes to (--help has examples)\n");
+      std::fprintf(stderr, "iotcloud-record: name the folder of the new recording (--help has examples)\n");
       return 2;
     }
     if (!import_from.empty()) {

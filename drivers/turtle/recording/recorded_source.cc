@@ -13,7 +13,7 @@ using std::chrono::steady_clock;
 
 namespace {
 
-constexpr microseconds jitter_allowed{8000};  // frames of 30 Hz at a rate of 30 Hz are all taken
+constexpr microseconds jitter_allowed{8000};  // so that a rate of 30 Hz keeps every frame of a 30 Hz recording
 
 microseconds scaled(microseconds time, double factor) {
   return microseconds(std::llround(static_cast<double>(time.count()) * factor));
@@ -67,7 +67,7 @@ void RecordedSource::play() {
   played_ += interval;
   next_ = (frame + 1) % recording_.frames().size();
   if (next_ != 0 || options_.loop) {
-    timer_ = context_.after(interval, [this] { play(); });  // before the frame is read, which takes time too
+    timer_ = context_.after(interval, [this] { play(); });  // set before the frame is read, which takes time
   }
   if (at - last_sent_ + jitter_allowed < options_.period) return;
   last_sent_ = std::max(last_sent_ + options_.period, at - options_.period);
@@ -76,7 +76,7 @@ void RecordedSource::play() {
   whole.disparities = depth::FrameView(disparities_);
   whole.captured = steady_clock::now();
   whole.device_time_s = static_cast<double>(at.count()) / 1e6 * options_.speed;
-  const auto on_frame = on_frame_;  // a copy: the callee may stop the source
+  const auto on_frame = on_frame_;  // a copy: the callback may stop the source
   on_frame(whole);
 }
 

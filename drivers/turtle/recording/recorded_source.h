@@ -14,18 +14,18 @@ namespace iotcloud::drivers::turtle::recording {
 struct PlaybackOptions {
   std::string path;
   bool loop = true;
-  double speed = 1;                     ///< times as fast as it was recorded
-  std::chrono::microseconds period{0};  ///< frames that come sooner after the last one are left out
+  double speed = 1;                     ///< 2 plays twice as fast as recorded
+  std::chrono::microseconds period{0};  ///< frames that come sooner than this after the last one are left out
 };
 
-/// The kind `recording`; README.md has its properties.
+/// The kind `recording`; README.md lists its properties.
 DeviceKind recording_kind();
 
-/// Plays a recording back at its own pace, from its beginning at each start(). A file that cannot be read fails the
+/// Plays a recording at its own pace, from its beginning at each start(). A file that cannot be read fails the
 /// instance.
 class RecordedSource final : public DepthSource {
  public:
-  /// \throws std::runtime_error when there is no recording.
+  /// \throws std::runtime_error if there is no recording.
   RecordedSource(const PlaybackOptions& options, DriverContext& context);
   ~RecordedSource() override { stop(); }
 

@@ -29,11 +29,11 @@ std::string one_decimal(double value) {
   return text;
 }
 
-/// A line a second: "42 of 300 frames, 8.6 s left".
+/// Prints a line each second: "42 of 300 frames, 8.6 s left".
 class Progress {
  public:
   Progress(std::ostream& out, std::string verb) : out_(out), verb_(std::move(verb)) {}
-  /// \param left seconds, negative: nobody knows.
+  /// \param left seconds; negative: unknown.
   void show(std::uint64_t frames, std::uint64_t of, double left) {
     const auto now = steady_clock::now();
     if (now - shown_ < std::chrono::seconds(1)) return;
@@ -61,7 +61,7 @@ sigset_t stop_signals() {
   return signals;
 }
 
-/// Waits so long for a signal that ends the work. \return whether one came.
+/// Waits up to `seconds` for a signal that ends the work. \return whether one came.
 bool stopped_within(double seconds) {
   const sigset_t signals = stop_signals();
   const auto whole = static_cast<time_t>(seconds);
@@ -69,7 +69,7 @@ bool stopped_within(double seconds) {
   return sigtimedwait(&signals, nullptr, &time) > 0;
 }
 
-/// Takes frames from a source until there are enough.
+/// Takes frames from a source until it has enough.
 class Recorder {
  public:
   Recorder(const RecordOptions& options, std::ostream& out)
@@ -93,7 +93,7 @@ class Recorder {
     }
     device.source->start([&](const DepthFrame& frame) {
       take(frame);
-      device.source->answered();  // a world in lock step goes on
+      device.source->answered();  // so that a world in lock step goes on
     });
     loop_.run();
     device.source->stop();
@@ -103,7 +103,7 @@ class Recorder {
   double seconds() const { return last_seconds_; }
 
  private:
-  /// The signals reach the loop while it runs.
+  /// Unblocks the signals while the loop runs, so that they reach it.
   struct pthread_sigmask_guard {
     pthread_sigmask_guard() {
       const sigset_t signals = stop_signals();
@@ -116,13 +116,14 @@ class Recorder {
   void take(const DepthFrame& frame) {
     if (options_.frames > 0 && writer_.frames() == options_.frames) return;
     if (!frame.disparities) {
-      throw std::runtime_error("this source sends frames that are compressed already: record where they are taken");
+      throw std::runtime_error(
+          "this source sends frames that are compressed already: record on the machine that has the camera");
     }
     if (writer_.frames() == 0) {
       first_ = frame.captured;
       first_device_s_ = frame.device_time_s;
     }
-    // A simulated world keeps its own time, the same in each run.
+    // A simulated world has its own time, the same in each run.
     last_seconds_ = frame.truth ? frame.device_time_s - first_device_s_
                                 : std::chrono::duration<double>(frame.captured - first_).count();
     writer_.add(*frame.disparities, last_seconds_);
@@ -154,7 +155,7 @@ void record(const RecordOptions& options, std::ostream& out) {
   Recorder recorder(options, out);
   recorder.run(turtle, properties);
   if (recorder.frames() == 0) {
-    throw std::runtime_error("no frame came, so there is nothing in " + options.folder.string());
+    throw std::runtime_error("no frame came, so there is no recording in " + options.folder.string());
   }
   out << recorder.frames() << " frames of " << one_decimal(recorder.seconds()) << " s in " << options.folder.string()
       << std::endl;
@@ -184,7 +185,7 @@ void play(const PlayOptions& options, std::ostream& out) {
 void import_images(const ImportOptions& options, std::ostream& out) {
   const auto files = find_images(options.from);
   std::vector<std::uint16_t> disparities(depth::frame_pixels);
-  // The first one is read before anything is written: most mistakes are in all of them.
+  // Reads the first image before writing anything: most mistakes are in all images.
   read_image(files.front(), options.unit, depth::FrameSpan(disparities));
   RecordingWriter writer(options.folder);
   Progress progress(out, "imported");

@@ -8,19 +8,19 @@
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/turtle/recording/images.h>
 
-/// What iotcloud-record does. Each call throws std::exception with a message for its user, ends early, with what there
-/// is so far whole, on SIGINT and SIGTERM (which must be blocked in all threads), and tells `out` how far it is.
+/// What iotcloud-record does. Each call reports its progress to `out`, and ends early, with a complete recording, on
+/// SIGINT and SIGTERM (which must be blocked in all threads). \throws std::exception with a message for the user.
 namespace iotcloud::drivers::turtle::recording {
 
 struct RecordOptions {
   std::filesystem::path folder;
-  PropertyMap properties;    ///< of the source, with `source`; the actuator is `none`
-  std::uint64_t frames = 0;  ///< 0: as many as come
-  double seconds = 0;        ///< 0: for ever
+  PropertyMap properties;    ///< of the driver; `source` names the source, `actuator` is ignored
+  std::uint64_t frames = 0;  ///< 0: no limit
+  double seconds = 0;        ///< 0: no limit
 };
 void record(const RecordOptions& options, std::ostream& out);
 
-/// Checks a recording and plays it at its pace, or without a pause (`speed` 0).
+/// Checks a recording and plays it at its pace times `speed`; 0: without pauses.
 struct PlayOptions {
   std::filesystem::path folder;
   double speed = 0;

@@ -19,8 +19,8 @@ static_assert(std::endian::native == std::endian::little, "frames are read and w
 
 constexpr std::string_view head = "P5 640 480 65535\n";
 constexpr std::size_t frame_bytes = depth::frame_pixels * sizeof(std::uint16_t);
-constexpr double ticks_per_second = 60e6;  // of a Kinect's stamps
-constexpr double first_seconds = 1;        // 0 has a meaning of its own to fakenect
+constexpr double ticks_per_second = 60e6;  // of a Kinect's stamp
+constexpr double first_seconds = 1;        // not 0, which fakenect treats specially
 constexpr std::chrono::microseconds usual_interval{33'333};
 
 template <typename Number>
@@ -37,7 +37,7 @@ bool take(std::string_view& text, std::string_view expected) {
   return true;
 }
 
-/// "d-1290020214.431612-2741512634.pgm".
+/// Parses a frame's file name, such as "d-1290020214.431612-2741512634.pgm".
 std::optional<RecordedFrame> parse_name(std::string_view name) {
   RecordedFrame frame;
   frame.file = name;
@@ -47,7 +47,7 @@ std::optional<RecordedFrame> parse_name(std::string_view name) {
   return frame;
 }
 
-/// Colour and accelerometer of a recording that libfreenect's own tool made.
+/// Colour and accelerometer files, which libfreenect's own recorder makes.
 bool is_of_another_sensor(std::string_view name) {
   return name.starts_with("r-") || name.starts_with("a-") || name.starts_with("i-");
 }

@@ -39,7 +39,7 @@ void Agent::stop() {
   device_.actuator->halt();
   context_.log(LogLevel::info, std::to_string(counts_.frames) + " frames, " + std::to_string(counts_.sent) + " sent, " +
                                    std::to_string(counts_.superseded) + " superseded, " +
-                                   std::to_string(counts_.unwanted) + " while nobody was connected; " +
+                                   std::to_string(counts_.unwanted) + " while no driver was connected; " +
                                    std::to_string(counts_.commands) + " commands; " + std::to_string(counts_.connects) +
                                    " connections, " + std::to_string(counts_.lost) + " of them lost; " +
                                    std::to_string(counts_.watchdog_stops) + " stops by the watchdog, " +
@@ -79,9 +79,9 @@ void Agent::lose(const std::string& reason) {
   waiting_.full = false;
   if (!std::exchange(told_lost_, true)) {
     context_.log(LogLevel::warn, "no connection to the driver at " + options_.driver + ": " + reason +
-                                     ". It is tried again until there is one");
+                                     ". The agent tries again until there is one");
   }
-  // Robots that lost the same gateway do not come back all at once.
+  // Random, so that robots that lost the same gateway do not all come back at once.
   const auto wait =
       milliseconds(std::uniform_int_distribution<milliseconds::rep>(wait_.count() / 2, wait_.count())(random_));
   wait_ = std::min(2 * wait_, options_.longest_wait);
@@ -145,7 +145,7 @@ void Agent::take(const DepthFrame& frame) {
   send_newest();
 }
 
-/// Compressed when it can be sent: what a newer frame supersedes costs nothing.
+/// Encodes a frame only when it can be sent: frames that a newer one supersedes cost nothing.
 void Agent::send_newest() {
   if (!waiting_.full || !wanted_ || under_way_ >= options_.in_flight) return;
   waiting_.full = false;
@@ -162,7 +162,7 @@ void Agent::send_newest() {
 void Agent::drive(const Velocity& velocity) {
   ++counts_.commands;
   device_.actuator->drive(velocity);
-  // In lock step the robot stands as still as its world while no command comes.
+  // In lock step the world, and the robot with it, stands still until a command comes.
   if (!device_.source->lock_step()) arm_watchdog();
 }
 

@@ -18,25 +18,27 @@ namespace iotcloud::drivers::turtle::robot {
 
 struct AgentOptions {
   std::string driver;  ///< "HOST:PORT" of the turtle driver
-  std::string token;   ///< the driver's
-  std::string name;    ///< for the driver's log
+  std::string token;   ///< the driver's token
+  std::string name;    ///< appears in the driver's log
   std::chrono::milliseconds silence{250};
-  std::chrono::milliseconds reconnect{100};  ///< before the first new attempt; doubles, each drawn from its upper half
-  std::chrono::milliseconds longest_wait{5'000};  ///< before a new attempt
-  int in_flight = 2;                              ///< frames under way that the driver has not acknowledged
+  /// Wait before the first new attempt; doubles with each. The agent waits a random time between half of it and all.
+  std::chrono::milliseconds reconnect{100};
+  std::chrono::milliseconds longest_wait{5'000};  ///< the longest wait before a new attempt
+  /// How many frames may be under way without the driver's acknowledgement.
+  int in_flight = 2;
 };
 
-/// The robot's laptop: takes frames from a source, compresses and sends the newest to the turtle driver, and gives what
-/// comes back to the actuator. When no command came for the watchdog's time, or the connection ends, the robot is
-/// stopped. Everything runs on the thread that runs the loop.
+/// The program on the robot's laptop. It takes frames from a source, encodes the newest and sends it to the turtle
+/// driver, and gives the driver's commands to the actuator. It stops the robot when no command has come for the
+/// watchdog's time, and when the connection ends. Everything runs on the thread that runs the loop.
 class Agent {
  public:
   struct Counts {
-    std::uint64_t frames = 0;      ///< that the source had while it was wanted
-    std::uint64_t sent = 0;        ///< among them, and those sent again
-    std::uint64_t superseded = 0;  ///< by a newer one before they could be sent
-    std::uint64_t unwanted = 0;    ///< that came while nobody was connected
-    std::uint64_t attempts = 0;    ///< to connect
+    std::uint64_t frames = 0;      ///< frames from the source while it was wanted
+    std::uint64_t sent = 0;        ///< those that were sent; counts a repeated frame each time
+    std::uint64_t superseded = 0;  ///< frames that a newer one replaced before they could be sent
+    std::uint64_t unwanted = 0;    ///< frames that came while no driver was connected
+    std::uint64_t attempts = 0;    ///< attempts to connect
     std::uint64_t connects = 0;
     std::uint64_t lost = 0;  ///< connections that ended by themselves
     std::uint64_t commands = 0;
@@ -44,15 +46,16 @@ class Agent {
     std::uint64_t link_stops = 0;  ///< stops because a connection ended
   };
 
-  /// `loop`, `context` and what `turtle` refers to outlive this. \throws std::exception as the device's maker does.
+  /// `loop`, `context` and the objects that `turtle` refers to must outlive the agent. \throws std::exception from the
+  /// device's maker.
   Agent(boost::asio::io_context& loop, AgentOptions options, const TurtleOptions& turtle, DriverContext& context);
   ~Agent();
   Agent(const Agent&) = delete;
   Agent& operator=(const Agent&) = delete;
 
-  /// Connects, and again whenever a connection ended.
+  /// Connects, and connects again whenever a connection ends.
   void start();
-  /// Ends the connection, stops robot and source.
+  /// Ends the connection, and stops the robot and the source.
   void stop();
   const Counts& counts() const { return counts_; }
 
@@ -75,7 +78,7 @@ class Agent {
   Counts counts_;
   std::minstd_rand random_{std::random_device{}()};
   bool running_ = false, source_runs_ = false;
-  bool told_lost_ = false;  ///< that there is no connection was logged
+  bool told_lost_ = false;  ///< the lack of a connection was logged
   std::chrono::milliseconds wait_;
   std::optional<HandlerId> retry_, watchdog_;
 
@@ -89,7 +92,7 @@ class Agent {
     std::chrono::steady_clock::time_point captured;
     bool full = false;
   } waiting_;
-  std::uint64_t number_ = 0;  ///< of the newest frame
+  std::uint64_t number_ = 0;  ///< the newest frame's number
 };
 
 }  // namespace iotcloud::drivers::turtle::robot

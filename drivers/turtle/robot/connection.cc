@@ -17,14 +17,14 @@ namespace {
 
 constexpr std::size_t most_unsent = 16'384;
 constexpr int ticks_of_silence = 4;
-constexpr int reads_at_once = 16;  // then others of the event thread have their turn
+constexpr int reads_at_once = 16;  // then other handlers of the event thread have their turn
 
 }  // namespace
 
 Connection::Connection(DriverContext& context, int socket, std::chrono::milliseconds silence, Handlers handlers)
     : context_(context), socket_(socket), handlers_(std::move(handlers)) {
   const int on = 1;
-  setsockopt(socket_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);  // a command does not wait for the next
+  setsockopt(socket_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);  // sends a command at once
   readable_ = context_.on_readable(socket_, [this] { read(); });
   watch_silence(silence);
 }
@@ -62,7 +62,7 @@ void Connection::read() {
     const auto alive = alive_;
     try {
       while (const auto message = reader_.take(bytes)) {
-        const auto on_message = handlers_.on_message;  // a copy: the callee may replace it, or destroy this object
+        const auto on_message = handlers_.on_message;  // a copy: the callback may replace it, or destroy this object
         on_message(*message);
         if (!*alive) return;
       }
@@ -82,7 +82,7 @@ void Connection::send(const std::string& message) {
 void Connection::write() {
   const ssize_t count = ::send(socket_, unsent_.data(), unsent_.size(), MSG_NOSIGNAL);
   if (count > 0) unsent_.erase(0, static_cast<std::size_t>(count));
-  // An error shows when reading too; what is kept without end would not.
+  // reading reports an error too; a peer that never reads is noticed only here
   if (unsent_.empty() || unsent_.size() > most_unsent) {
     if (writable_) context_.stop(*writable_);
     writable_.reset();
@@ -98,7 +98,7 @@ void Connection::tick() {
 
 void Connection::end(const std::string& reason) {
   if (!std::exchange(*alive_, false)) return;
-  const auto on_end = handlers_.on_end;  // a copy: the callee may destroy this object
+  const auto on_end = handlers_.on_end;  // a copy: the callback may destroy this object
   on_end(reason);
 }
 

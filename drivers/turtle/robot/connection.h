@@ -12,25 +12,26 @@
 
 namespace iotcloud::drivers::turtle::robot {
 
-/// The driver's end of a connection: messages in and out over a socket that never blocks, and heartbeats. Of the
-/// instance's event thread.
+/// The driver's end of a connection: sends and receives messages and heartbeats over a socket that never blocks. The
+/// instance's event thread makes all calls.
 class Connection {
  public:
   struct Handlers {
-    std::function<void(const Incoming&)> on_message;  ///< may throw ProtocolError: the connection ends
-    std::function<void(const std::string&)> on_end;   ///< once, with the reason; never from inside send()
+    std::function<void(const Incoming&)> on_message;  ///< may throw ProtocolError, which ends the connection
+    std::function<void(const std::string&)> on_end;   ///< called once, with the reason; never from inside send()
   };
-  /// Takes the socket over. Handlers are not called after the destructor, and may destroy this object.
-  /// \param silence without a word of the other side for so long it ends.
+  /// Owns the socket from now on. Handlers are not called after the destructor, and may destroy this object.
+  /// \param silence the connection ends when the other side sends nothing for this long.
   Connection(DriverContext& context, int socket, std::chrono::milliseconds silence, Handlers handlers);
   ~Connection();
   Connection(const Connection&) = delete;
   Connection& operator=(const Connection&) = delete;
 
-  /// Sends, or keeps what the socket does not take now; with more than 16 KiB kept the connection ends soon.
+  /// Sends the message, or keeps what the socket does not take now. The connection ends soon once it keeps more than 16
+  /// KiB.
   void send(const std::string& message);
-  /// The other side has proved who it is: from now on longer messages come, handled by others, and it hears something
-  /// from here well within `silence_of_peer`.
+  /// Must be called when the other side has proved that it knows the token. From now on messages may have `most_bytes`
+  /// and go to `handlers`, and heartbeats keep the gap between two messages well below `silence_of_peer`.
   void establish(std::size_t most_bytes, std::chrono::milliseconds silence, std::chrono::milliseconds silence_of_peer,
                  Handlers handlers);
 
@@ -44,7 +45,8 @@ class Connection {
   DriverContext& context_;
   const int socket_;
   Handlers handlers_;
-  const std::shared_ptr<bool> alive_ = std::make_shared<bool>(true);  ///< false: the object is gone, or has ended
+  /// false: the connection has ended or the object is destroyed
+  const std::shared_ptr<bool> alive_ = std::make_shared<bool>(true);
   MessageReader reader_{most_before_proof};
   std::string unsent_;
   int silent_ticks_ = 0;

@@ -43,7 +43,7 @@ class Writer {
     bytes_ += text;
     return *this;
   }
-  /// \param more bytes of the message that follow what is written here.
+  /// \param more bytes of the message that the caller sends after the returned ones.
   std::string done(std::size_t more = 0) {
     const auto length = static_cast<std::uint32_t>(bytes_.size() - length_bytes + more);
     for (std::size_t i = 0; i < length_bytes; ++i) bytes_[i] = static_cast<char>(length >> (24 - 8 * i) & 255);
@@ -261,7 +261,7 @@ Proof make_proof(Side side, std::string_view token, const Nonce& of_agent, const
   std::ranges::copy(of_driver, text.begin() + 1 + sizeof(Nonce));
   Proof proof;
   unsigned size = 0;
-  const char* key = token.empty() ? "" : token.data();  // a null pointer means something else
+  const char* key = token.empty() ? "" : token.data();  // a null pointer would mean the last key
   if (!HMAC(EVP_sha256(), key, static_cast<int>(token.size()), reinterpret_cast<const unsigned char*>(text.data()),
             text.size(), reinterpret_cast<unsigned char*>(proof.data()), &size) ||
       size != proof.size()) {

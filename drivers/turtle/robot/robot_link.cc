@@ -63,14 +63,16 @@ RobotLink::~RobotLink() {
 void RobotLink::accept() {
   const int socket = accept4(listener_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
   if (socket < 0) return;
-  if (guests_.size() >= most_guests) dismiss(guests_.begin(), "others came before it had proved who it is");
+  if (guests_.size() >= most_guests) {
+    dismiss(guests_.begin(), "other connections came before it had proved that it knows the token");
+  }
   const auto guest = guests_.emplace(guests_.end());
   guest->connection = std::make_unique<Connection>(
       context_, socket, handshake_limit,
       Connection::Handlers{[this, guest](const Incoming& message) { receive(guest, message); },
                            [this, guest](const std::string& reason) { dismiss(guest, reason); }});
-  guest->deadline =
-      context_.after(handshake_limit, [this, guest] { dismiss(guest, "it took too long to say who it is"); });
+  guest->deadline = context_.after(
+      handshake_limit, [this, guest] { dismiss(guest, "it took too long to prove that it knows the token"); });
 }
 
 void RobotLink::dismiss(Guests::iterator guest, const std::string& reason) {
@@ -111,7 +113,7 @@ void RobotLink::greet(Guest& guest, const Incoming& message) {
 void RobotLink::admit(Guests::iterator guest, const Proof& proof) {
   if (!same_proof(proof, make_proof(Side::agent, options_.token, guest->hello.nonce, guest->nonce))) {
     guest->connection->send(write_refused("the token is not the driver's"));
-    throw ProtocolError("its token is not ours");
+    throw ProtocolError("its token is not the driver's: check the property \"token\" and the agent's --token-file");
   }
   context_.stop(guest->deadline);
   const bool replaced = robot_ != nullptr;
@@ -146,11 +148,12 @@ void RobotLink::hand_over(const Incoming& message) {
   robot_->send(write_number(Kind::got, head.number));
   frame.captured = std::chrono::steady_clock::now() - std::chrono::microseconds(head.age_us);
   frame.device_time_s = head.device_time_s;
-  frame.repeated = head.repeated && head.number == newest_;  // otherwise its first sending was lost with a connection
+  // A repeated frame that an earlier connection lost is new to this driver.
+  frame.repeated = head.repeated && head.number == newest_;
   frame.truth = head.truth ? &*head.truth : nullptr;
   newest_ = head.number;
   lock_step_ = head.lock_step;
-  const auto on_frame = on_frame_;  // a copy: the callee may stop the source
+  const auto on_frame = on_frame_;  // a copy: the callback may stop the source
   if (on_frame) on_frame(frame);
 }
 

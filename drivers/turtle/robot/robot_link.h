@@ -20,17 +20,17 @@ struct LinkOptions {
   std::chrono::milliseconds silence{250};
 };
 
-/// The kind `robot`; README.md has its properties.
+/// The kind `robot`; README.md lists its properties.
 DeviceKind robot_kind();
 
-/// A robot whose laptop reads, compresses and sends the frames (iotcloud-robot): the driver's end, which listens for
-/// it. Frames come encoded and are handed on so; commands go back. The agent that proved last that it knows the token
-/// is the robot's, so that one that comes back need not wait until its old connection is given up. The instance's
-/// metadata say `robot`: `connected` or `away`, and `robot_listen`: the address.
+/// The driver's end of a robot whose laptop reads, encodes and sends the frames (iotcloud-robot). It listens for the
+/// agent, passes frames on without decoding them, and sends commands back. A new agent that proves the token replaces
+/// the one before, so that an agent need not wait for its old connection to end. The instance's metadata have `robot`:
+/// `connected` or `away`, and `robot_listen`: the address.
 class RobotLink final : public DepthSource, public Actuator {
  public:
-  /// Listens at once. \throws std::runtime_error when it cannot, std::invalid_argument for an address that is none or
-  /// that needs a token.
+  /// Listens at once. \throws std::runtime_error if it cannot; std::invalid_argument for a malformed address, and for
+  /// one that needs a token.
   RobotLink(const LinkOptions& options, DriverContext& context);
   ~RobotLink() override;
   RobotLink(const RobotLink&) = delete;
@@ -45,7 +45,7 @@ class RobotLink final : public DepthSource, public Actuator {
   void halt() override;
 
  private:
-  /// A connection whose other end has not proved anything yet.
+  /// A connection whose other end has proved nothing yet.
   struct Guest {
     std::unique_ptr<Connection> connection;
     Hello hello;
@@ -69,7 +69,7 @@ class RobotLink final : public DepthSource, public Actuator {
   int listener_ = -1;
   HandlerId accepting_ = 0;
   Guests guests_;
-  std::unique_ptr<Connection> robot_;  ///< nullptr while it is away
+  std::unique_ptr<Connection> robot_;  ///< nullptr while the robot is away
   std::string name_;
   std::function<void(const DepthFrame&)> on_frame_;  ///< empty while stopped
   std::uint64_t newest_ = 0;                         ///< number of the last frame from this connection

@@ -20,7 +20,7 @@ namespace robot = iotcloud::drivers::turtle::robot;
 
 namespace {
 
-/// The first line of a file. \throws std::runtime_error.
+/// Reads the first line of a file. \throws std::runtime_error.
 std::string read_token(const std::string& path) {
   std::ifstream file(path);
   std::string token;
@@ -33,7 +33,7 @@ std::string host_name() {
   return gethostname(name, sizeof name - 1) == 0 ? name : "robot";
 }
 
-/// What the driver in the gateway does with frames and commands is said there.
+/// Refuses properties that configure the driver in the gateway: they belong in its deployment.
 void refuse_driver_s(const iotcloud::drivers::PropertyMap& properties) {
   for (const char* name : {"broker", "frames", "trace"}) {
     if (properties.contains(name)) {
@@ -45,7 +45,7 @@ void refuse_driver_s(const iotcloud::drivers::PropertyMap& properties) {
 
 }  // namespace
 
-/// The agent on a robot's laptop, until SIGTERM or SIGINT. 0: stopped; 1: it could not go on; 2: called wrongly.
+/// Runs the agent on a robot's laptop until SIGTERM or SIGINT. Exit status 0: stopped; 1: failed; 2: wrong arguments.
 int main(int argc, char** argv) {
   CLI::App app{
       "Reads a robot's depth frames, compresses them and sends the newest to the turtle driver in a gateway; gives "
@@ -65,22 +65,24 @@ int main(int argc, char** argv) {
   int watchdog_ms = 250, silence_ms = 0;
   app.add_option("--driver", options.driver, "host:port of the turtle driver")->required();
   app.add_option("--source", source, "a kind of the turtle driver's sources")->capture_default_str();
-  app.add_option("--actuator", actuator, "a kind of its actuators (default: the source's, none where it has none)");
+  app.add_option("--actuator", actuator,
+                 "a kind of the turtle driver's actuators (default: that of the source, `none` if it has none)");
   app.add_option("--property", words, "key=value of source and actuator, as for the turtle driver; may be repeated")
       ->allow_extra_args(false);
   app.add_option("--token-file", token_file,
-                 "a file with the secret that the driver has too; needed unless it is on this machine")
+                 "a file with the driver's token; needed unless the driver is on this machine")
       ->check(CLI::ExistingFile);
-  app.add_option("--watchdog-ms", watchdog_ms, "stop the robot when no command came for so long")
+  app.add_option("--watchdog-ms", watchdog_ms, "stop the robot when no command came for this long")
       ->check(CLI::Range(20, 10'000))
       ->capture_default_str();
   app.add_option("--silence-ms", silence_ms,
-                 "give a connection up when nothing came for so long (default: the watchdog's)")
+                 "give up a connection on which nothing came for this long (default: that of --watchdog-ms)")
       ->check(CLI::Range(20, 60'000));
-  app.add_option("--in-flight", options.in_flight, "frames on the way that the driver has not acknowledged")
+  app.add_option("--in-flight", options.in_flight,
+                 "how many frames may be under way that the driver has not acknowledged")
       ->check(CLI::Range(1, 16))
       ->capture_default_str();
-  app.add_option("--name", options.name, "in the driver's log")->capture_default_str();
+  app.add_option("--name", options.name, "this robot's name in the driver's log")->capture_default_str();
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {

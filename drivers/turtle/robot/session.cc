@@ -27,7 +27,7 @@ constexpr int ticks_of_silence = 4;
 
 }  // namespace
 
-/// Lives until the last of its operations has come back.
+/// The state of a session. Its asynchronous operations share it, so it lives until the last of them has returned.
 struct Session::State : std::enable_shared_from_this<State> {
   State(asio::io_context& loop, const SessionOptions& session_options, Handlers session_handlers)
       : options(session_options),
@@ -88,7 +88,7 @@ struct Session::State : std::enable_shared_from_this<State> {
   void receive(const Incoming& message) {
     if (message.kind == Kind::refused) return end("it refuses: " + read_refused(message));
     if (open) {
-      const auto on_message = handlers.on_message;  // a copy: the callee may end this
+      const auto on_message = handlers.on_message;  // a copy: the callback may destroy the session
       return on_message(message);
     }
     if (message.kind != Kind::challenge) throw ProtocolError("this is no turtle driver");
@@ -110,7 +110,7 @@ struct Session::State : std::enable_shared_from_this<State> {
     beats.expires_after(period);
     beats.async_wait([self = shared_from_this(), period](const error_code& error) {
       if (error || self->ended) return;
-      // Behind a frame that takes long nothing else is needed: its bytes are a sign of life.
+      // While other messages wait no heartbeat is needed: their bytes are a sign of life.
       if (self->outgoing.empty()) self->send(write_bare(Kind::alive), {});
       self->keep_beating(period);
     });
@@ -135,7 +135,7 @@ struct Session::State : std::enable_shared_from_this<State> {
     const auto& [head, body] = outgoing.front();
     const std::array<asio::const_buffer, 2> buffers{asio::buffer(head), asio::buffer(body.data(), body.size())};
     asio::async_write(socket, buffers, [self = shared_from_this()](const error_code& error, std::size_t) {
-      // Reading tells of the end: what the other side said last is read before.
+      // The reader reports the end of the connection, after the other side's last message.
       if (error || self->ended) return;
       self->outgoing.pop_front();
       if (!self->outgoing.empty()) self->write();

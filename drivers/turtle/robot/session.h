@@ -16,14 +16,14 @@ struct SessionOptions {
   std::chrono::milliseconds silence{250};
 };
 
-/// The agent's end of one connection, from the look-up of the driver's address to its end: hand-shake, heartbeats,
-/// messages. Of the loop's thread.
+/// The agent's end of one connection, from the look-up of the driver's address to the end: hand-shake, heartbeats,
+/// messages. The loop's thread makes all calls.
 class Session {
  public:
   struct Handlers {
     std::function<void()> on_open;                    ///< the driver has proved that it knows the token
-    std::function<void(const Incoming&)> on_message;  ///< after that; may throw ProtocolError
-    std::function<void(const std::string&)> on_end;   ///< once, with the reason; never from inside send()
+    std::function<void(const Incoming&)> on_message;  ///< called after on_open; may throw ProtocolError
+    std::function<void(const std::string&)> on_end;   ///< called once, with the reason; never from inside send()
   };
   /// Connects at once. Handlers are not called after the destructor, and may destroy this object.
   Session(boost::asio::io_context& loop, const SessionOptions& options, Handlers handlers);
@@ -31,7 +31,7 @@ class Session {
   Session(const Session&) = delete;
   Session& operator=(const Session&) = delete;
 
-  /// After on_open. What is sent while earlier messages wait goes after them.
+  /// Call it after on_open. Messages are sent in order.
   void send(std::string head, Payload body = {});
 
  private:

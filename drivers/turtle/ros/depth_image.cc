@@ -11,7 +11,7 @@ namespace iotcloud::drivers::turtle::ros {
 
 namespace {
 
-/// The number that stands there in the image's byte order.
+/// Reads a number in the image's byte order.
 template <typename Word>
 Word load(const std::uint8_t* bytes, bool swap) {
   std::array<std::uint8_t, sizeof(Word)> word;
@@ -22,7 +22,7 @@ Word load(const std::uint8_t* bytes, bool swap) {
 
 std::uint16_t from_metres(float metres, const std::vector<std::uint16_t>& disparities) {
   const float mm = metres * 1000 + 0.5f;
-  // Also false for NaN.
+  // False for NaN too.
   const bool in_range = mm >= 1 && mm < static_cast<float>(disparities.size());
   return in_range ? disparities[static_cast<std::size_t>(mm)] : depth::no_reading;
 }

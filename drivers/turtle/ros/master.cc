@@ -24,7 +24,7 @@ namespace {
 using std::chrono::steady_clock;
 using XmlRpc::XmlRpcValue;
 
-/// What the master answers: a status (1 is success), a text for people and a value.
+/// The master's answer: a status (1 is success), a text for people and a value.
 struct Answer {
   int status = 0;
   XmlRpcValue value;
@@ -51,15 +51,15 @@ std::optional<Answer> call(const MasterAddress& address, std::chrono::millisecon
     if (!client.executeNonBlock(method, arguments)) return std::nullopt;
     const auto deadline = steady_clock::now() + limit;
     const std::chrono::duration<double> all = limit;
-    client._disp.work(all.count());  // comes back sooner when the call is over
+    client._disp.work(all.count());  // returns earlier when the call is done
     if (steady_clock::now() >= deadline || !client.executeCheckDone(result)) return std::nullopt;
     return as_answer(result);
-  } catch (const XmlRpc::XmlRpcException&) {  // an answer of other types than it says
+  } catch (const XmlRpc::XmlRpcException&) {  // the answer's types differ from what it declares
     return std::nullopt;
   }
 }
 
-/// Why no connection comes about within `limit`; empty when one does.
+/// Tries to connect. \return why there was no connection within `limit`; empty if there was one.
 std::string try_connection(const addrinfo& to, std::chrono::milliseconds limit) {
   const int descriptor = socket(to.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
   if (descriptor < 0) return std::strerror(errno);
@@ -107,7 +107,7 @@ std::string Master::unreachable() const {
   if (status != 0) return "its host \"" + address_.host + "\" is not known: " + gai_strerror(status);
   const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> addresses(found, &freeaddrinfo);
   if (std::string reason = try_connection(*addresses, limit_); !reason.empty()) return reason;
-  // A connection says little: the kernel makes one for a master that hangs.
+  // A connection alone proves little: the kernel accepts one for a master that hangs.
   const auto answer = call(address_, limit_, "getPid", list_of({"/iotcloud"}));
   return answer && answer->status == 1 ? "" : "it does not answer";
 }
@@ -126,12 +126,12 @@ bool Master::register_publisher(const std::string& node, const TopicRecord& topi
 bool Master::register_subscriber(const std::string& node, const TopicRecord& topic, const std::string& node_uri) const {
   auto answer = call(address_, limit_, "registerSubscriber", list_of({node, topic.topic, topic.type, node_uri}));
   if (!answer || answer->status != 1 || answer->value.getType() != XmlRpcValue::TypeArray) return false;
-  // A publisher that this master does not know may still be connected: it is let go only when there is another.
+  // A publisher that this master does not know may still be connected: keep it until there is another.
   if (answer->value.size() == 0) return true;
   XmlRpcValue update = list_of({"/master", topic.topic});
   update[2] = answer->value;
   MasterAddress node_address = parse_master_address(node_uri);
-  node_address.host = "127.0.0.1";  // it is this process: its name may be one that only others can look up
+  node_address.host = "127.0.0.1";  // this very process; others may look up its name, this machine perhaps not
   const auto taken = call(node_address, limit_, "publisherUpdate", update);
   return taken && taken->status == 1;
 }

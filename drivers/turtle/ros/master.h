@@ -3,8 +3,8 @@
 #include <chrono>
 #include <string>
 
-/// Calls to the ROS master with a limit in time. roscpp's own wait for ever when the master is frozen or its machine is
-/// gone; these are made first, and roscpp's only when the master has just answered.
+/// Calls to the ROS master with a time limit. roscpp's own calls wait for ever when the master is frozen or its machine
+/// is gone; so make these calls first, and call roscpp only right after the master has answered.
 namespace iotcloud::drivers::turtle::ros {
 
 struct MasterAddress {
@@ -13,11 +13,11 @@ struct MasterAddress {
   int port = 0;
 };
 
-/// \param uri "http://HOST:PORT", with or without a slash at its end. roscpp ends the process for one that it cannot
+/// \param uri "http://HOST:PORT", with or without a slash at its end. roscpp ends the process for a URI that it cannot
 /// read. \throws std::invalid_argument naming the property `ros_master`.
 MasterAddress parse_master_address(const std::string& uri);
 
-/// A topic of this node, by the names that the master knows.
+/// A topic of this node, as the master knows it.
 struct TopicRecord {
   std::string topic;  ///< absolute
   std::string type;   ///< "geometry_msgs/Twist"
@@ -26,21 +26,21 @@ struct TopicRecord {
 /// Not thread safe.
 class Master {
  public:
-  /// \param limit for each call. (To find a host's address by its name takes as long as the system's resolver takes.)
+  /// \param limit for each call, without the time that the system's resolver takes to look up a host's address.
   Master(MasterAddress address, std::chrono::milliseconds limit) : address_(std::move(address)), limit_(limit) {}
 
   const MasterAddress& address() const { return address_; }
-  /// \return empty when it answers; why not, otherwise: "Connection refused".
+  /// \return empty if the master answers, otherwise the reason: "Connection refused".
   std::string unreachable() const;
 
   enum class Known { yes, no, no_answer };
-  /// Whether it knows a node of this name: one that was started again knows nobody.
+  /// Whether the master knows a node of this name: a restarted master knows none.
   Known knows(const std::string& node) const;
 
-  /// Says that this node publishes a topic. Saying it again does no harm. \return false when it did not answer.
+  /// Registers this node as a topic's publisher. Repeating it does no harm. \return false if the master did not answer.
   bool register_publisher(const std::string& node, const TopicRecord& topic, const std::string& node_uri) const;
-  /// The same for a topic that is read. Those who publish it, if there are any, are told to the node, as the master
-  /// does when one comes or goes.
+  /// Registers this node as a topic's subscriber, and tells the node who publishes the topic, if anyone does, as the
+  /// master does when a publisher comes or goes.
   bool register_subscriber(const std::string& node, const TopicRecord& topic, const std::string& node_uri) const;
 
  private:

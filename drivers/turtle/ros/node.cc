@@ -20,7 +20,7 @@
 #include <iotcloud/drivers/turtle/ros/node.h>
 
 namespace ros::master {
-/// What ros::init() itself calls, and only the first time in a process: it says where the master is.
+/// ros::init() calls this, but only the first time in a process: it sets the master's address.
 void init(const M_string& remappings);
 }  // namespace ros::master
 
@@ -32,13 +32,13 @@ namespace {
 
 constexpr std::chrono::milliseconds call_limit{1000};
 constexpr std::chrono::milliseconds tend_period{1000};
-constexpr std::chrono::milliseconds silence{2000};  // of a camera, before it is said
+constexpr std::chrono::milliseconds silence{2000};  // of a camera, until the state says so
 constexpr std::chrono::milliseconds flush_time{50};
-constexpr double wait_s = 0.1;                          // for messages; how soon the end of the node is noticed
-constexpr const char* nowhere = "http://127.0.0.1:1/";  // refuses at once
-std::atomic<bool> taken = false;                        // this process's node
+constexpr double wait_s = 0.1;                          // for messages; the node's end is noticed within this time
+constexpr const char* nowhere = "http://127.0.0.1:1/";  // refuses connections at once
+std::atomic<bool> taken = false;                        // this process has a node
 
-/// Takes this process's node. \throws std::runtime_error.
+/// Reserves this process's only node. \throws std::runtime_error.
 void take_process() {
   if (taken.exchange(true)) {
     throw std::runtime_error(
@@ -77,7 +77,7 @@ std::string problem_of_topic(const std::string& name) {
   return problem;
 }
 
-class Node::Impl {
+class RosNode::Impl {
  public:
   Impl(MasterAddress master, NodeTopics topics, NodeEvents events);
   ~Impl();
@@ -85,7 +85,7 @@ class Node::Impl {
 
  private:
   void run();
-  /// What needs the master, once a second. \return what is to be said.
+  /// Does what needs the master, once a second. \return the state to report.
   std::string tend();
   void join_graph();
   bool announce();
@@ -97,33 +97,32 @@ class Node::Impl {
   const NodeTopics topics_;
   const NodeEvents events_;
   ::ros::CallbackQueue queue_;
-  std::unique_ptr<::ros::NodeHandle> handle_;  ///< there from the first master on
+  std::unique_ptr<::ros::NodeHandle> handle_;  ///< exists once a master has answered
   ::ros::Subscriber images_, odometry_;
   steady_clock::time_point last_image_;
-  bool announced_ = false;  ///< the master knows all our topics
+  bool announced_ = false;  ///< the master knows all topics of this node
   std::mutex mutex_;
   ::ros::Publisher velocity_;                ///< guarded by mutex_; changed by thread_ only
   steady_clock::time_point last_published_;  ///< guarded by mutex_
   std::atomic<bool> ending_ = false;
-  std::thread thread_;  ///< last: it uses the others
+  std::thread thread_;  ///< last, because it uses the other members
 };
 
-Node::Node(MasterAddress master, NodeTopics topics, NodeEvents events)
+RosNode::RosNode(MasterAddress master, NodeTopics topics, NodeEvents events)
     : impl_(std::make_unique<Impl>(std::move(master), std::move(topics), std::move(events))) {}
 
-Node::~Node() = default;
+RosNode::~RosNode() = default;
 
-void Node::publish(double linear, double angular) {
+void RosNode::publish(double linear, double angular) {
   impl_->publish(linear, angular);
 }
 
-Node::Impl::Impl(MasterAddress master, NodeTopics topics, NodeEvents events)
+RosNode::Impl::Impl(MasterAddress master, NodeTopics topics, NodeEvents events)
     : master_(std::move(master), call_limit), topics_(std::move(topics)), events_(std::move(events)) {
   take_process();
   try {
     const ::ros::M_string settings{
-        {"__master", master_.address().uri},
-        {"__log", "/dev/null"},  // or it makes folders in the home of whoever runs this
+        {"__master", master_.address().uri}, {"__log", "/dev/null"},  // otherwise it makes folders in the user's home
     };
     ::ros::init(
         settings, "iotcloud_turtle",
@@ -138,13 +137,13 @@ Node::Impl::Impl(MasterAddress master, NodeTopics topics, NodeEvents events)
   }
 }
 
-Node::Impl::~Impl() {
+RosNode::Impl::~Impl() {
   ending_ = true;
   thread_.join();
   taken = false;
 }
 
-void Node::Impl::publish(double linear, double angular) {
+void RosNode::Impl::publish(double linear, double angular) {
   geometry_msgs::Twist twist;
   twist.linear.x = linear;
   twist.angular.z = angular;
@@ -154,7 +153,7 @@ void Node::Impl::publish(double linear, double angular) {
   last_published_ = steady_clock::now();
 }
 
-void Node::Impl::run() {
+void RosNode::Impl::run() {
   try {
     std::string said;
     auto next_tend = steady_clock::now();
@@ -175,7 +174,7 @@ void Node::Impl::run() {
   leave_graph();
 }
 
-std::string Node::Impl::tend() {
+std::string RosNode::Impl::tend() {
   const std::string at = " the ROS master at " + master_.address().uri;
   const std::string problem = master_.unreachable();
   if (!problem.empty()) {
@@ -191,8 +190,8 @@ std::string Node::Impl::tend() {
   return name + " is registered with" + at + who_is_missing();
 }
 
-/// The first time that the master answers.
-void Node::Impl::join_graph() {
+/// Called when the master answers for the first time.
+void RosNode::Impl::join_graph() {
   ::ros::start();
   handle_ = std::make_unique<::ros::NodeHandle>();
   handle_->setCallbackQueue(&queue_);
@@ -202,9 +201,9 @@ void Node::Impl::join_graph() {
   velocity_ = velocity;
 }
 
-/// Tells the master our topics: at first, again when it was away, and while nobody publishes what we read: that asks
-/// it, too, who does.
-bool Node::Impl::announce() {
+/// Tells the master this node's topics: at first, again after the master was away, and while nobody publishes a topic
+/// that the node reads, because the answer lists the publishers.
+bool RosNode::Impl::announce() {
   const auto hints = ::ros::TransportHints().tcpNoDelay();
   if (!images_ && !topics_.depth.empty()) {
     last_image_ = steady_clock::now();
@@ -235,27 +234,27 @@ bool Node::Impl::announce() {
   return done;
 }
 
-bool Node::Impl::hears_all() const {
+bool RosNode::Impl::hears_all() const {
   const auto hears = [](const ::ros::Subscriber& subscriber) {
     return !subscriber || subscriber.getNumPublishers() > 0;
   };
   return hears(images_) && hears(odometry_);
 }
 
-std::string Node::Impl::who_is_missing() const {
+std::string RosNode::Impl::who_is_missing() const {
   std::string missing;
   const auto nobody = [&](const char* what, const std::string& topic) { missing += "; " + (what + topic); };
   if (images_ && images_.getNumPublishers() == 0) {
     nobody("nobody publishes ", images_.getTopic());
   } else if (images_ && steady_clock::now() - last_image_ > silence) {
-    nobody("no image comes on ", images_.getTopic());  // roscpp goes on looking for a publisher that was killed
+    nobody("no image comes on ", images_.getTopic());  // roscpp keeps looking for a publisher that was killed
   }
   if (odometry_ && odometry_.getNumPublishers() == 0) nobody("nobody publishes ", odometry_.getTopic());
   if (velocity_ && velocity_.getNumSubscribers() == 0) nobody("nobody reads ", velocity_.getTopic());
   return missing;
 }
 
-void Node::Impl::leave_graph() {
+void RosNode::Impl::leave_graph() {
   ::ros::Publisher velocity;
   steady_clock::time_point last;
   {
@@ -264,9 +263,9 @@ void Node::Impl::leave_graph() {
     last = last_published_;
   }
   if (!handle_) return;
-  // The last command stops the robot. roscpp hands it to the kernel soon, but does not say when.
+  // The last command stops the robot. roscpp passes it to the kernel soon, but does not say when.
   std::this_thread::sleep_until(last + flush_time);
-  // Its farewells have no limit in time: to a master that does not answer they go nowhere.
+  // roscpp's farewell calls have no time limit: if the master does not answer, send them to an address that refuses.
   if (!master_.unreachable().empty()) ::ros::master::init({{"__master", nowhere}});
   ::ros::shutdown();
   images_ = {};

@@ -9,20 +9,20 @@
 
 #include <iotcloud/drivers/turtle/ros/master.h>
 
-/// All that includes ROS is behind this header, which is C++17 for that: the messages of ROS 1 do not compile in C++20.
+/// Hides all ROS headers. This header is C++17, because ROS 1's messages do not compile as C++20.
 namespace iotcloud::drivers::turtle::ros {
 
-/// Names as a person writes them; an empty one is not wanted.
+/// Topic names as a person writes them; the node does not use topics whose name is empty.
 struct NodeTopics {
-  std::string depth;     ///< sensor_msgs/Image, read
-  std::string velocity;  ///< geometry_msgs/Twist, published
-  std::string odometry;  ///< nav_msgs/Odometry, read
+  std::string depth;     ///< sensor_msgs/Image, the node reads it
+  std::string velocity;  ///< geometry_msgs/Twist, the node publishes it
+  std::string odometry;  ///< nav_msgs/Odometry, the node reads it
 };
 
-/// Empty for what may be the name of a topic.
+/// \return empty if `name` may be a topic's name, otherwise what is wrong with it.
 std::string problem_of_topic(const std::string& name);
 
-/// A sensor_msgs/Image, valid during the call that hands it over.
+/// A sensor_msgs/Image, valid during the call that passes it.
 struct NodeImage {
   double stamp_s = 0;
   std::uint32_t width = 0, height = 0, step = 0;
@@ -41,29 +41,30 @@ struct NodeOdometry {
   std::array<double, 3> linear{}, angular{};
 };
 
-/// What a node tells, on its own thread.
+/// What a node reports, on its own thread.
 struct NodeEvents {
   std::function<void(const NodeImage&)> on_image;
   std::function<void(const NodeOdometry&)> on_odometry;
-  /// In one line, at each change: registered, or for what it waits.
+  /// One line, at each change: registered, or what the node waits for.
   std::function<void(const std::string&)> on_state;
-  /// It cannot go on. Once, last.
+  /// The node cannot go on. Called once, as the last event.
   std::function<void(const std::string&)> on_failed;
 };
 
-/// This process's ROS node (roscpp allows one), on a thread of its own: it waits for the master, registers, reads, and
-/// registers again with a master that was started anew. While the master is away what is connected goes on.
-class Node {
+/// This process's ROS node (roscpp allows one), on a thread of its own. It waits for the master, registers, reads, and
+/// registers again with a restarted master. While the master is away existing connections go on.
+class RosNode {
  public:
-  /// Returns at once; nothing needs to be there. \throws std::runtime_error when this process has a node already.
-  Node(MasterAddress master, NodeTopics topics, NodeEvents events);
-  /// Leaves the graph, within a few seconds at the most, whatever the master does.
-  ~Node();
-  Node(const Node&) = delete;
-  Node& operator=(const Node&) = delete;
+  /// Returns at once; neither master nor topics need to exist. \throws std::runtime_error if this process has a node
+  /// already.
+  RosNode(MasterAddress master, NodeTopics topics, NodeEvents events);
+  /// Leaves the ROS graph within a few seconds, whatever the master does.
+  ~RosNode();
+  RosNode(const RosNode&) = delete;
+  RosNode& operator=(const RosNode&) = delete;
 
-  /// To all who listen to the velocity topic: forward in m/s, counter-clockwise in rad/s. To nobody while the node
-  /// waits for its first master. Never blocks. Thread safe.
+  /// Publishes a velocity: forward in m/s, counter-clockwise in rad/s. It is lost while the node waits for its
+  /// first master. Never blocks. Thread safe.
   void publish(double linear, double angular);
 
  private:

@@ -13,7 +13,7 @@ using std::chrono::steady_clock;
 
 namespace {
 
-constexpr std::chrono::milliseconds jitter_allowed{8};  // images of 30 Hz at a rate of 30 Hz are all taken
+constexpr std::chrono::milliseconds jitter_allowed{8};  // so that a rate of 30 Hz keeps every image of a 30 Hz camera
 
 ImageView view_of(const NodeImage& image) {
   return {image.width, image.height, image.step, image.encoding, image.big_endian, {image.data, image.size}};
@@ -32,13 +32,13 @@ RosRobot::RosRobot(const RosOptions& options, DriverContext& context)
   events.on_odometry = [this](const NodeOdometry& odometry) { send_odometry(odometry); };
   events.on_state = [this](const std::string& state) { tell(state); };
   events.on_failed = [this](const std::string& reason) { context_.fail(reason); };
-  node_ = std::make_unique<Node>(options.master, options.topics, std::move(events));
+  node_ = std::make_unique<RosNode>(options.master, options.topics, std::move(events));
 }
 
 void RosRobot::start(std::function<void(const DepthFrame&)> on_frame) {
   {
     const std::lock_guard lock(mutex_);
-    waiting_ = false;  // what came before the last stop() is stale
+    waiting_ = false;  // images from before the last stop() are stale
   }
   on_frame_ = std::move(on_frame);
   wants_frames_ = true;
@@ -87,7 +87,7 @@ void RosRobot::take_image(const NodeImage& image) {
   context_.post([this] { hand_over(); });
 }
 
-/// A camera sends the same thirty times a second: saying it once is enough.
+/// Logs each problem once: a camera repeats it thirty times a second.
 void RosRobot::refuse(const std::string& problem) {
   ++refused_;
   if (!std::exchange(refusing_, true)) context_.update_metadata({{"ros_images", "refused: " + problem}});
@@ -106,7 +106,7 @@ void RosRobot::hand_over() {
   frame.disparities = depth::FrameView(shown_.disparities);
   frame.captured = shown_.captured;
   frame.device_time_s = shown_.device_time_s;
-  const auto on_frame = on_frame_;  // a copy: the callee may stop the source
+  const auto on_frame = on_frame_;  // a copy: the callback may stop the source
   on_frame(frame);
 }
 
@@ -132,7 +132,7 @@ std::string odometry_json(const NodeOdometry& odometry) {
       {"linear", as_json(odometry.linear)},
       {"angular", as_json(odometry.angular)},
   };
-  // A frame's name may be any bytes.
+  // A frame's name may have any bytes.
   return json.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 

@@ -19,11 +19,11 @@ namespace iotcloud::drivers::turtle::ros {
 struct RosOptions {
   MasterAddress master;
   NodeTopics topics;
-  std::chrono::microseconds period{0};  ///< images that come sooner after the last one are left out
+  std::chrono::microseconds period{0};  ///< images that come sooner than this after the last one are left out
 };
 
-/// A robot on ROS: depth images in, velocities out, odometry in to a channel of its own. What comes on the node's
-/// thread is converted there, and handed to the event thread newest first.
+/// A robot on ROS: depth images in, velocities out, odometry on a channel of its own. The node's thread converts what
+/// it receives, and hands the newest to the event thread.
 class RosRobot final : public DepthSource, public Actuator {
  public:
   static constexpr std::string_view odometry_channel = "odometry";
@@ -36,9 +36,9 @@ class RosRobot final : public DepthSource, public Actuator {
   void drive(const Velocity& velocity) override;
   void halt() override;
 
-  /// Whether odometry goes out.
+  /// Whether the instance publishes odometry.
   void set_active(bool active) { active_ = active; }
-  /// Leaves the ROS graph; nothing comes from here after this. Before the destructor, on the event thread.
+  /// Leaves the ROS graph; no callback runs after this. Call it before the destructor, on the event thread.
   void close();
 
  private:
@@ -57,21 +57,21 @@ class RosRobot final : public DepthSource, public Actuator {
   DriverContext& context_;
   const std::string depth_topic_;
   const std::chrono::microseconds period_;
-  std::function<void(const DepthFrame&)> on_frame_;  ///< event thread; empty while stopped
-  Frame shown_;                                      ///< event thread
+  std::function<void(const DepthFrame&)> on_frame_;  ///< used by the event thread; empty while stopped
+  Frame shown_;                                      ///< used by the event thread
   std::atomic<bool> wants_frames_ = false, active_ = false;
-  Frame read_;                                               ///< node's thread
-  Instant due_{};                                            ///< node's thread: of the next image at the soonest
-  std::uint64_t images_ = 0, refused_ = 0, superseded_ = 0;  ///< node's thread
-  std::string last_problem_;                                 ///< node's thread
-  bool refusing_ = false;                                    ///< node's thread: the last image was refused
+  Frame read_;     ///< used by the node's thread
+  Instant due_{};  ///< used by the node's thread: the earliest time of the next image
+  std::uint64_t images_ = 0, refused_ = 0, superseded_ = 0;  ///< used by the node's thread
+  std::string last_problem_;                                 ///< used by the node's thread
+  bool refusing_ = false;                                    ///< used by the node's thread: the last image was refused
   std::mutex mutex_;
-  Frame newest_;                ///< guarded by mutex_
-  bool waiting_ = false;        ///< guarded by mutex_: newest_ was not handed over yet
-  std::unique_ptr<Node> node_;  ///< last: its thread uses the others
+  Frame newest_;                   ///< guarded by mutex_
+  bool waiting_ = false;           ///< guarded by mutex_: the event thread has not taken newest_ yet
+  std::unique_ptr<RosNode> node_;  ///< last, because its thread uses the other members
 };
 
-/// The message on the channel `odometry`, and its README: {"stamp_ms":..,"frame":..,"position":{"x","y","z"},
+/// The message on the channel `odometry`: {"stamp_ms":..,"frame":..,"position":{"x","y","z"},
 /// "orientation":{"x","y","z","w"},"heading":..,"linear":{..},"angular":{..}}.
 std::string odometry_json(const NodeOdometry& odometry);
 

@@ -8,8 +8,8 @@
 
 namespace iotcloud::drivers::turtle::ros {
 
-/// The turtle driver with one kind more: `ros`, as source, as actuator or as both. With `odometry_topic` it has the
-/// channel `odometry` too.
+/// The turtle driver with one kind more: `ros`, as source, as actuator or as both. The property `odometry_topic` adds
+/// the channel `odometry`.
 class RosTurtle final : public TurtleDriver {
  public:
   RosTurtle();
@@ -24,8 +24,8 @@ class RosTurtle final : public TurtleDriver {
  private:
   Device make_robot(const RosOptions& options, DriverContext& context);
 
-  std::weak_ptr<RosRobot> robot_;  ///< none when neither source nor actuator is `ros`
-  bool has_odometry_ = false;      ///< as the properties that were read last say
+  std::weak_ptr<RosRobot> robot_;  ///< empty if neither source nor actuator is `ros`
+  bool has_odometry_ = false;      ///< whether the last properties named an odometry topic
 };
 
 }  // namespace iotcloud::drivers::turtle::ros

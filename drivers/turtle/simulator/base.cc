@@ -8,9 +8,9 @@ namespace iotcloud::drivers::turtle::simulator {
 namespace {
 
 constexpr double person_radius = 0.15;
-constexpr double clearance_below = 0.35;  // m: what is higher above the floor does not touch the base
+constexpr double clearance_below = 0.35;  // m; the base passes below anything higher
 
-/// How far the base is from touching something; negative when it is into it.
+/// The distance from the base to the nearest obstacle; negative inside one.
 double clearance(double x, double y, const Room& room, const Pose& person) {
   double nearest = std::min(room.half_length - std::abs(x), room.half_width - std::abs(y));
   nearest = std::min(nearest, std::hypot(x - person.x, y - person.y) - person_radius);
@@ -43,7 +43,7 @@ void Base::advance(double seconds, const Room& room, const Pose& person) {
   pose_.heading = std::remainder(pose_.heading + velocity_.angular * seconds, 2 * std::acos(-1.0));
   if (velocity_.linear != 0) {
     const double there = clearance(x, y, room, person);
-    // Away from what it touches it may always move.
+    // The base may always move away from what it touches.
     if (there < 0 && there < clearance(pose_.x, pose_.y, room, person)) {
       velocity_.linear = 0;
       return;

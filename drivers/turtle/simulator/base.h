@@ -14,13 +14,13 @@ class Base {
   static constexpr double top_angular = 3.0;           ///< rad/s
   static constexpr double linear_acceleration = 0.8;   ///< m/s^2
   static constexpr double angular_acceleration = 6.0;  ///< rad/s^2
-  static constexpr double time_out = 0.6;              ///< s without a command, then it stops by itself (a Kobuki's)
-  static constexpr double radius = 0.18;               ///< m
+  static constexpr double time_out = 0.6;  ///< s; without a command for this long the base stops by itself (a Kobuki's)
+  static constexpr double radius = 0.18;   ///< m
 
   explicit Base(const Pose& start) : pose_(start) {}
-  /// What is beyond the limits is cut to them.
+  /// Clamps the velocity to the limits.
   void command(const Velocity& velocity);
-  /// Moves on. The base does not enter furniture, walls or the person: there it only turns.
+  /// Moves the base. It does not enter furniture, walls or the person: there it only turns.
   void advance(double seconds, const Room& room, const Pose& person);
 
   Pose pose() const { return pose_; }

@@ -7,32 +7,33 @@
 
 namespace iotcloud::drivers::turtle::simulator {
 
-/// On loops over the pixels of a buffer that one object owns: the thread sanitizer has nothing to find in them, and
-/// makes them fifty times slower. They call nothing, since what they call would not be inlined.
+/// For loops over the pixels of a buffer that one object owns: the thread sanitizer finds nothing in them and makes
+/// them fifty times slower. Such loops call no functions, because the compiler would not inline them.
 #define IOTCLOUD_PIXEL_LOOP __attribute__((no_sanitize("thread")))
 
 namespace {
 
 constexpr int columns = depth::frame_width;
-constexpr int tile = 8;  // columns that are written to the frame together
+constexpr int tile = 8;  // columns written to the frame together
 constexpr float focal = static_cast<float>(depth::focal_length);
 constexpr float center_x = static_cast<float>(depth::principal_x);
 constexpr float center_y = static_cast<float>(depth::principal_y);
 constexpr float eye = static_cast<float>(Kinect::height);
 
-// REFERENCE.md 6: z = 0.1236 tan(d / 2842.5 + 1.1863), so d = 2842.5 (atan(z / 0.1236) - 1.1863), and with the inverse
-// depth w and q = 0.1236 w: atan(1 / q) = pi/2 - (q - q^3/3 + q^5/5 - q^7/7), good to 0.001 for all z >= 0.5 m.
+// docs/wire.md#depth-frames: z = 0.1236 tan(d / 2842.5 + 1.1863), so d = 2842.5 (atan(z / 0.1236) - 1.1863), and with
+// the inverse depth w and q = 0.1236 w: atan(1 / q) = pi/2 - (q - q^3/3 + q^5/5 - q^7/7), good to 0.001 for all z >=
+// 0.5 m.
 constexpr float disparity_scale = 2842.5f;
 constexpr float disparity_start = 1.57079633f - 1.1863f;
 constexpr float inverse_scale = 0.1236f;
 
 constexpr float noise_deviation = 0.5f;  // disparities; see Khoshelham and Elberink, Sensors 12 (2012)
 constexpr float edge_step = 0.03f;       // 1/m, some ten disparities between neighbours
-constexpr int edge_chance = 128;         // of 256: an edge pixel without a reading
-constexpr int speck_chance = 1;          // of 256: any pixel without a reading
-constexpr int dark_chance = 48;          // of 256: a dark pixel without a reading
+constexpr int edge_chance = 128;         // of 256 edge pixels have no reading
+constexpr int speck_chance = 1;          // of 256 pixels have no reading
+constexpr int dark_chance = 48;          // of 256 dark pixels have no reading
 
-/// The range of disparities whose table value lies in the sensor's range.
+/// The range of disparities whose depth lies in the sensor's range.
 struct Range {
   int first, last;
 };
@@ -50,12 +51,12 @@ int clamp_row(float row) {
   return static_cast<int>(std::ceil(std::clamp(row, 0.0f, static_cast<float>(depth::frame_height))));
 }
 
-/// A face of constant inverse depth in some rows of a column, where nothing nearer stands before it.
+/// Draws a face of constant inverse depth in some rows of a column, where nothing nearer covers it.
 IOTCLOUD_PIXEL_LOOP void cover(float* column, int first, int last, float inverse_depth) {
   for (int row = first; row < last; ++row) column[row] = column[row] > inverse_depth ? column[row] : inverse_depth;
 }
 
-/// A level face, whose inverse depth grows with the distance from the picture's middle row.
+/// Draws a level face, whose inverse depth grows with the distance from the picture's middle row.
 IOTCLOUD_PIXEL_LOOP void cover_level(float* column, int first, int last, float slope) {
   for (int row = first; row < last; ++row) {
     const float inverse_depth = (static_cast<float>(row) - center_y) * slope;
@@ -63,7 +64,7 @@ IOTCLOUD_PIXEL_LOOP void cover_level(float* column, int first, int last, float s
   }
 }
 
-/// Some columns into the frame, which is stored row by row.
+/// Writes some columns to the frame, which is stored row by row.
 IOTCLOUD_PIXEL_LOOP void store(const std::uint16_t* measured, std::uint16_t* frame) {
   constexpr int rows = depth::frame_height;
   for (int row = 0; row < rows; ++row) {
@@ -71,8 +72,8 @@ IOTCLOUD_PIXEL_LOOP void store(const std::uint16_t* measured, std::uint16_t* fra
   }
 }
 
-/// What the sensor makes of one column of true inverse depths. `projector` holds the least projector column that a
-/// column further right has reached, in each row; what lies behind it is in the shadow.
+/// Turns one column of true inverse depths into the sensor's readings. `projector` holds, for each row, the smallest
+/// projector column that a column further right has reached; pixels behind it are in shadow.
 IOTCLOUD_PIXEL_LOOP void measure(const float* inverse_depth, const float* neighbour, float* projector, float column,
                                  const std::int8_t* noise, const std::uint8_t* chance, Range range,
                                  std::uint16_t* disparities) {
@@ -84,14 +85,14 @@ IOTCLOUD_PIXEL_LOOP void measure(const float* inverse_depth, const float* neighb
     projector[row] = shadow ? projector[row] : at_projector;
     const float change = w - neighbour[row];
     const bool edge = (change > edge_step) | (change < -edge_step);
-    // Nearer than half of the nearest reading the series ends; what is there has no reading anyway.
+    // The series is exact down to 0.25 m, half of the nearest reading; nearer pixels have no reading anyway.
     const float q = inverse_scale * (w < 4 ? w : 4);
     const float q2 = q * q;
     const float angle = disparity_start - q * (1 - q2 * (1.0f / 3 - q2 * (0.2f - q2 * (1.0f / 7))));
     const float exact = disparity_scale * angle;
     const float measured = exact + static_cast<float>(noise[row]) * (noise_deviation * SensorNoise::unit);
     const int disparity =
-        static_cast<int>(measured + 0.5f);  // NOLINT(bugprone-incorrect-roundings): what is negative has no reading
+        static_cast<int>(measured + 0.5f);  // NOLINT(bugprone-incorrect-roundings): a negative value has no reading
     const int unread = edge ? edge_chance : speck_chance;
     const bool reads = !shadow & (chance[row] >= unread) & (disparity >= range.first) & (disparity <= range.last);
     disparities[row] = static_cast<std::uint16_t>(reads ? disparity : depth::no_reading);
@@ -101,7 +102,7 @@ IOTCLOUD_PIXEL_LOOP void measure(const float* inverse_depth, const float* neighb
 }  // namespace
 
 Kinect::Kinect(std::uint64_t seed) : random_(seed) {
-  SensorNoise::shared();  // made now, not in the first frame
+  SensorNoise::shared();  // made here, not in the first frame
   for (int row = 0; row < rows; ++row) {
     floor_[row] = std::max(0.0f, (static_cast<float>(row) - center_y) / (focal * eye));
   }
@@ -118,7 +119,7 @@ void Kinect::look(std::span<const Prism> prisms, const Pose& camera) {
     int first = 0, last = columns;
     const double away = std::hypot(x, z);
     if (away > reach) {
-      constexpr double widest = 1.5;  // radians, short of where the tangent ends
+      constexpr double widest = 1.5;  // radians, below the tangent's pole
       const double bearing = std::atan2(x, z), half = std::asin(reach / away);
       const auto column = [widest](double angle) {
         return static_cast<int>(depth::principal_x +
@@ -159,7 +160,7 @@ void Kinect::draw(const Seen& prism, float near, float far) {
 
 void Kinect::cast(int column, const Room& room, const Pose& camera, const std::uint8_t* reading_chance) {
   const float slope = (static_cast<float>(column) - center_x) / focal;  // x = slope * z along this column's ray
-  // The walls, from inside: where the ray leaves the room.
+  // Walls, seen from inside: the place where the ray leaves the room.
   const double forward_x = std::cos(camera.heading), forward_y = std::sin(camera.heading);
   const double ray_x = forward_x + slope * forward_y, ray_y = forward_y - slope * forward_x;
   const double to_x = (std::copysign(room.half_length, ray_x) - camera.x) / (ray_x == 0 ? 1e-9 : ray_x);
@@ -195,7 +196,7 @@ void Kinect::cast(int column, const Room& room, const Pose& camera, const std::u
     }
     if (near > 0.05f) draw(prism, near, far);
   }
-  // What is hard to read, where nothing stands before it.
+  // Removes readings of surfaces that are hard to read, where nothing covers them.
   for (const Patch& patch : patches_) {
     const int below = patch.surface == Surface::glass ? 256 : dark_chance;
     for (int row = patch.first; row < patch.last; ++row) {
@@ -217,7 +218,7 @@ void Kinect::render(const Room& room, std::span<const Prism> body, const Pose& c
   look(body, camera);
   projector_.fill(1e9f);
   std::array<std::array<std::uint16_t, rows>, tile> measured;
-  // From right to left: the shadows fall that way.
+  // From right to left, as the shadows fall.
   for (int left = columns - tile; left >= 0; left -= tile) {
     for (int i = tile - 1; i >= 0; --i) {
       const int column = left + i;

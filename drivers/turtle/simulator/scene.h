@@ -6,16 +6,16 @@
 /// from x.
 namespace iotcloud::drivers::turtle::simulator {
 
-/// Where something stands, and which way it looks.
+/// A place, and the direction that something at it faces.
 struct Pose {
   double x = 0, y = 0, heading = 0;
 };
 
-/// What of a surface the sensor cannot read.
+/// How the sensor reads a surface.
 enum class Surface {
   plain,
-  dark,   ///< a part of its pixels has no reading
-  glass,  ///< none has
+  dark,   ///< some of its pixels have no reading
+  glass,  ///< no pixel has a reading
 };
 
 /// An upright body: a box (turned by `heading`) or a cylinder, from `bottom` to `top`.
@@ -35,14 +35,14 @@ Prism cylinder(double x, double y, double radius, double bottom, double top, Sur
 /// Horizontal distance from a point to a prism's footprint; 0 inside.
 double distance_to(const Prism& prism, double x, double y);
 
-/// A rectangular room around the origin, and what stands in it.
+/// A rectangular room around the origin, and its furniture.
 struct Room {
   double half_length = 0;  ///< along x
   double half_width = 0;   ///< along y
   std::vector<Prism> furniture;
 };
 
-/// The one room there is: a table in the middle, furniture along the walls, and a way round the table between them.
+/// The only room: a table in the middle, furniture along the walls, and a way round the table between them.
 Room living_room();
 
 }  // namespace iotcloud::drivers::turtle::simulator

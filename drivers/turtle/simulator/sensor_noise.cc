@@ -9,13 +9,13 @@ namespace iotcloud::drivers::turtle::simulator {
 
 namespace {
 
-constexpr std::size_t columns = SensorNoise::columns, rows = SensorNoise::rows;
+constexpr std::size_t noise_columns = SensorNoise::columns, noise_rows = SensorNoise::rows;
 using Field = std::vector<float>;
 
-/// Nearly normal, mean 0, standard deviation 1: the sum of four uniform numbers of 16 bits.
+/// Nearly normal numbers, mean 0, standard deviation 1: each the sum of four uniform numbers of 16 bits.
 Field white(std::uint64_t seed) {
   Random random(seed);
-  Field field(columns * rows);
+  Field field(noise_columns * noise_rows);
   for (float& value : field) {
     const std::uint64_t bits = random.next();
     const auto sum = static_cast<float>((bits & 0xffff) + (bits >> 16 & 0xffff) + (bits >> 32 & 0xffff) + (bits >> 48));
@@ -24,22 +24,22 @@ Field white(std::uint64_t seed) {
   return field;
 }
 
-/// Means over a square of `side` pixels (odd), around the edges too, scaled to standard deviation 1.
+/// Means over a square of `side` pixels (odd), wrapped round the edges, scaled to standard deviation 1.
 Field smooth(const Field& field, std::size_t side) {
   const std::size_t half = side / 2;
   Field once(field.size()), twice(field.size());
-  for (std::size_t c = 0; c < columns; ++c) {
-    for (std::size_t r = 0; r < rows; ++r) {
+  for (std::size_t c = 0; c < noise_columns; ++c) {
+    for (std::size_t r = 0; r < noise_rows; ++r) {
       float sum = 0;
-      for (std::size_t k = 0; k < side; ++k) sum += field[c * rows + (r + rows + k - half) % rows];
-      once[c * rows + r] = sum;
+      for (std::size_t k = 0; k < side; ++k) sum += field[c * noise_rows + (r + noise_rows + k - half) % noise_rows];
+      once[c * noise_rows + r] = sum;
     }
   }
-  for (std::size_t c = 0; c < columns; ++c) {
+  for (std::size_t c = 0; c < noise_columns; ++c) {
     for (std::size_t k = 0; k < side; ++k) {
-      const float* from = once.data() + (c + columns + k - half) % columns * rows;
-      float* to = twice.data() + c * rows;
-      for (std::size_t r = 0; r < rows; ++r) to[r] += from[r];
+      const float* from = once.data() + (c + noise_columns + k - half) % noise_columns * noise_rows;
+      float* to = twice.data() + c * noise_rows;
+      for (std::size_t r = 0; r < noise_rows; ++r) to[r] += from[r];
     }
   }
   for (float& value : twice) value /= static_cast<float>(side);
@@ -48,7 +48,7 @@ Field smooth(const Field& field, std::size_t side) {
 
 }  // namespace
 
-SensorNoise::SensorNoise() : disparity_(columns * rows), chance_(columns * rows) {
+SensorNoise::SensorNoise() : disparity_(noise_columns * noise_rows), chance_(noise_columns * noise_rows) {
   const Field own = white(1), common = smooth(white(2), 7), clumps = smooth(white(3), 3);
   for (std::size_t i = 0; i < disparity_.size(); ++i) {
     const float value = 0.6f * own[i] + 0.8f * common[i];

@@ -6,15 +6,15 @@
 
 namespace iotcloud::drivers::turtle::simulator {
 
-/// Fields of random numbers that a frame's noise is cut from, each time at another place. Column by column, so that a
+/// Fields of random numbers from which each frame cuts its noise, at a new place. Stored column by column, so that a
 /// picture's column is contiguous. Immutable.
 class SensorNoise {
  public:
   static constexpr std::size_t columns = 1024;  ///< wraps around
-  static constexpr std::size_t rows = 1024;     ///< does not: start below rows - 480
-  static constexpr float unit = 1.0f / 32;      ///< of disparity(): one is so many standard deviations
+  static constexpr std::size_t rows = 1024;     ///< does not wrap: start below rows - 480
+  static constexpr float unit = 1.0f / 32;      ///< disparity() counts in this many standard deviations
 
-  /// The same for the whole process, made at the first call (some 30 ms). Thread safe.
+  /// One object for the process, made at the first call (some 30 ms). Thread safe.
   static const SensorNoise& shared();
 
   /// Normal noise, partly common to neighbouring pixels, as the sensor's matching windows overlap.

@@ -35,7 +35,7 @@ SimulatedRobot::SimulatedRobot(const SimulatorOptions& options, DriverContext& c
       lock_step_(options.lock_step),
       world_(options.seed),
       disparities_(depth::frame_pixels) {
-  if (options.person_walks) world_.command({});  // the first one sets the person going
+  if (options.person_walks) world_.command({});  // the first command makes the person walk
 }
 
 void SimulatedRobot::start(std::function<void(const DepthFrame&)> on_frame) {
@@ -69,7 +69,7 @@ void SimulatedRobot::next_frame() {
 
 void SimulatedRobot::hand_over(bool repeated) {
   DepthFrame frame{depth::FrameView(disparities_), steady_clock::now(), world_.time(), repeated, &truth_};
-  const auto on_frame = on_frame_;  // a copy: the callee may stop the source
+  const auto on_frame = on_frame_;  // a copy: the callback may stop the source
   on_frame(frame);
   if (lock_step_ && on_frame_) wait_for_answer();
 }
@@ -81,14 +81,14 @@ void SimulatedRobot::wait_for_answer() {
 
 void SimulatedRobot::answered() {
   if (!lock_step_ || !on_frame_) return;
-  // Not from here: the driver is in the middle of the command that answers.
+  // Posted, because the driver is still handling the command that answers the frame.
   context_.post([this, run = run_, frame = frame_] {
     if (run == run_ && frame == frame_ && on_frame_) next_frame();
   });
 }
 
 void SimulatedRobot::catch_up() {
-  // Between frames the simulated world is as far as the real time since the newest one; never past the next.
+  // Between frames simulated time follows real time since the newest frame, but never past the next frame.
   if (lock_step_ || frame_ == 0 || !on_frame_) return;
   const double since = std::chrono::duration<double>(steady_clock::now() - frame_started_).count();
   world_.advance_to(frame_time(frame_ - 1) + std::min(since, period_s_));

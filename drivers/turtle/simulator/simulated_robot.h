@@ -14,21 +14,21 @@
 namespace iotcloud::drivers::turtle::simulator {
 
 struct SimulatorOptions {
-  std::chrono::microseconds period;  ///< of the frames
+  std::chrono::microseconds period;  ///< between frames
   std::uint64_t seed = 1;
   bool lock_step = false;
   std::chrono::milliseconds retry{500};
-  bool person_walks = false;  ///< at once, instead of with the first command
+  bool person_walks = false;  ///< from the start, instead of from the first command on
 };
 
 /// The kind `simulator`, with the properties `seed`, `clock`, `retry_ms` and `person`.
 DeviceKind simulator_kind();
 
 /// A simulated TurtleBot with a Kinect, paced by the driver's timers.
-/// Real time: a frame every period, the world at the frames' intended times (a host that was held up catches up, and so
-/// does the world); a command acts from when it comes.
-/// Lock step: the world moves one period on when the last frame was answered, however long that takes; when no answer
-/// comes the same frame is sent again.
+/// Real time: it sends a frame every period and moves the world to the frame's intended time (after a delay of the
+/// host, frames and world catch up); a command acts from its arrival on.
+/// Lock step: the world moves on by one period when the last frame is answered, however long that takes; if no answer
+/// comes, the same frame is sent again.
 class SimulatedRobot final : public DepthSource, public Actuator {
  public:
   SimulatedRobot(const SimulatorOptions& options, DriverContext& context);
@@ -54,13 +54,13 @@ class SimulatedRobot final : public DepthSource, public Actuator {
   const double period_s_;
   const bool lock_step_;
   World world_;
-  std::uint64_t frame_ = 0;  ///< number of the next one
+  std::uint64_t frame_ = 0;  ///< number of the next frame
   std::vector<std::uint16_t> disparities_;
   GroundTruth truth_;
   Instant frame_started_{};                          ///< when the newest frame's period began
   std::function<void(const DepthFrame&)> on_frame_;  ///< empty while stopped
   std::optional<HandlerId> timer_;
-  std::uint64_t run_ = 0;  ///< number of the last start(), so that what an earlier one posted does nothing
+  std::uint64_t run_ = 0;  ///< number of the last start(), so that callbacks of an earlier run do nothing
 };
 
 }  // namespace iotcloud::drivers::turtle::simulator

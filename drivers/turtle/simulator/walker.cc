@@ -17,7 +17,7 @@ constexpr double pause_share = 0.15;
 }  // namespace
 
 Walker::Walker(std::uint64_t seed) : random_(seed) {
-  // Together they stay within 0.4 m of the mean radius; the last makes the person turn left and right every metre.
+  // The waves together stay within 0.4 m of the mean radius; the last makes the person turn left and right every metre.
   constexpr Wave largest[] = {{2, 0.15, 0}, {3, 0.10, 0}, {5, 0.07, 0}, {8, 0.06, 0}};
   for (std::size_t i = 0; i < waves_.size(); ++i) {
     waves_[i] = {largest[i].frequency, random_.uniform(0.5, 1.0) * largest[i].amplitude,
@@ -55,7 +55,7 @@ void Walker::advance(double seconds) {
   const double change = acceleration * seconds;
   speed_ += std::clamp(wanted_speed_ - speed_, -change, change);
   const double walked = speed_ * seconds;
-  // A step of the midpoint rule along the path.
+  // One step of the midpoint rule along the path.
   const Point here = path(angle_);
   const double half = direction_ * walked / 2 / std::hypot(here.slope_x, here.slope_y);
   const Point middle = path(angle_ + half);
@@ -67,7 +67,7 @@ void Walker::advance(double seconds) {
 
 std::array<Pose, 2> Walker::legs() const {
   const double c = std::cos(pose_.heading), s = std::sin(pose_.heading);
-  // Who stands has both feet together; who walks swings them in turn.
+  // A standing person has both feet together; a walking one swings them in turn.
   const double swing = 0.13 * std::min(1.0, speed_ / top_speed) * std::sin(stride_);
   const double side = leg_spacing / 2;
   return {Pose{pose_.x + swing * c - side * s, pose_.y + swing * s + side * c, pose_.heading},

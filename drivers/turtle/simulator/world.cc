@@ -40,7 +40,7 @@ void World::render(depth::FrameSpan disparities) {
 }
 
 GroundTruth World::truth() const {
-  // REFERENCE.md 6: the follower looks at -0.2 < x < 0.2 m and z < 1 m.
+  // docs/wire.md#follower: the follower looks at -0.2 < x < 0.2 m and z < 1 m.
   constexpr double box_half_width = 0.2, box_depth = 1.0;
   GroundTruth truth;
   const Pose robot = base_.pose(), person = person_.pose();

@@ -11,20 +11,20 @@
 
 namespace iotcloud::drivers::turtle::simulator {
 
-/// The room, the person and the robot in it, in simulated time. The robot starts 0.75 m behind the person, looking at
-/// it; the person stands still until the first command has come, so that a loop that takes its time to close does not
-/// lose it. The same seed and the same commands at the same times give the same world. Not thread safe.
+/// The room, the person and the robot in simulated time. The robot starts 0.75 m behind the person and looks at it; the
+/// person stands still until the first command, so that a slow start does not lose the person. The same seed and the
+/// same commands at the same times give the same world. Not thread safe.
 class World {
  public:
   explicit World(std::uint64_t seed);
 
   double time() const { return time_; }  ///< s
-  /// Moves time forward to `time`; earlier times do nothing.
+  /// Moves time forward to `time`; ignores earlier times.
   void advance_to(double time);
   void command(const Velocity& velocity);
   void halt() { base_.command({}); }
 
-  /// What the robot's Kinect sees now.
+  /// Renders what the robot's Kinect sees now.
   void render(depth::FrameSpan disparities);
   GroundTruth truth() const;  ///< without render_us
 

@@ -13,13 +13,13 @@
 
 namespace iotcloud::drivers::turtle {
 
-/// What sources and actuators need to run in a program of its own, where there is no driver host: timers, descriptors
-/// and posted calls on the thread that runs `loop`. There are no channels (publish answers closed) and no metadata.
-/// Everything but post, log and fail belongs to that thread.
+/// Hosts sources and actuators in a program of their own, without a driver host: it offers timers, descriptors and
+/// posted calls on the thread that runs `loop`. It has no channels (publish answers closed) and no metadata. Any thread
+/// may call post, log and fail; only the loop's thread calls the rest.
 class DeviceHost final : public HostInterface {
  public:
   using Log = std::function<void(LogLevel, std::string_view)>;
-  /// \param loop outlives this. \param log thread safe. \param on_fail runs on the loop's thread, once.
+  /// \param loop must outlive this. \param log must be thread safe. \param on_fail runs once, on the loop's thread.
   DeviceHost(boost::asio::io_context& loop, PropertyMap properties, Log log,
              std::function<void(const std::string& reason)> on_fail);
   /// No callback runs after this.
@@ -52,13 +52,14 @@ class DeviceHost final : public HostInterface {
   std::map<HandlerId, std::shared_ptr<Handler>> handlers_;
   HandlerId next_ = 1;
   bool failed_ = false;
-  const std::shared_ptr<bool> alive_ = std::make_shared<bool>(true);  ///< for what is posted; of the loop's thread
+  /// false once this is destroyed; read on the loop's thread by posted callbacks
+  const std::shared_ptr<bool> alive_ = std::make_shared<bool>(true);
 };
 
-/// Lines on standard error: "PROGRAM: warning: ...". Thread safe.
+/// Logs lines to standard error: "PROGRAM: warning: ...". Thread safe.
 DeviceHost::Log log_to_stderr(std::string program);
 
-/// "key=value" words as properties. \throws std::invalid_argument for another word, and for a key that comes twice.
+/// Reads "key=value" words as properties. \throws std::invalid_argument for other words and for repeated keys.
 PropertyMap parse_properties(const std::vector<std::string>& words);
 
 }  // namespace iotcloud::drivers::turtle
