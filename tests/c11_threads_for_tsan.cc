@@ -1,6 +1,6 @@
-// The thread sanitizer sees POSIX threads only. Debian's librdkafka uses C11's, which glibc serves behind its back:
-// threads that it has never heard of crash it, and locks that it does not see make races of what is none. Linked into
-// the tests of the tsan preset, these take the place of glibc's, and let the sanitizer see. glibc's own types are the
+// The thread sanitizer sees only POSIX threads. Debian's librdkafka uses C11 threads, which glibc implements without
+// the sanitizer's knowledge: unknown threads crash it, and unseen locks look like races. Linked into the tests of the
+// tsan preset, these functions replace glibc's, so that the sanitizer sees threads and locks. glibc's own types are the
 // same underneath.
 #include <cerrno>
 #include <cstdint>
@@ -47,14 +47,14 @@ void* run(void* given) {
 
 }  // namespace
 
-// Found by the library before glibc's.
+// The library finds these before glibc's.
 #pragma GCC visibility push(default)
 extern "C" {
 
 int thrd_create(thrd_t* thread, thrd_start_t function, void* argument) {
   auto start = std::make_unique<Start>(Start{function, argument});
   const int error = pthread_create(thread, nullptr, run, start.get());
-  if (error == 0) static_cast<void>(start.release());  // the thread's
+  if (error == 0) static_cast<void>(start.release());  // the thread owns it now
   return answer(error);
 }
 int thrd_join(thrd_t thread, int* result) {
@@ -72,7 +72,7 @@ void call_once(once_flag* flag, void (*function)(void)) {
   pthread_once(reinterpret_cast<pthread_once_t*>(flag), function);
 }
 
-int mtx_init(mtx_t* mutex, int type) noexcept {
+int mtx_init(mtx_t* mutex, int type) {
   pthread_mutexattr_t attributes;
   pthread_mutexattr_init(&attributes);
   if ((type & mtx_recursive) != 0) pthread_mutexattr_settype(&attributes, PTHREAD_MUTEX_RECURSIVE);
@@ -83,26 +83,26 @@ int mtx_init(mtx_t* mutex, int type) noexcept {
 int mtx_lock(mtx_t* mutex) {
   return answer(pthread_mutex_lock(posix(mutex)));
 }
-int mtx_trylock(mtx_t* mutex) noexcept {
+int mtx_trylock(mtx_t* mutex) {
   return answer(pthread_mutex_trylock(posix(mutex)));
 }
 int mtx_timedlock(mtx_t* mutex, const timespec* end) {
   return answer(pthread_mutex_timedlock(posix(mutex), end));
 }
-int mtx_unlock(mtx_t* mutex) noexcept {
+int mtx_unlock(mtx_t* mutex) {
   return answer(pthread_mutex_unlock(posix(mutex)));
 }
-void mtx_destroy(mtx_t* mutex) noexcept {
+void mtx_destroy(mtx_t* mutex) {
   pthread_mutex_destroy(posix(mutex));
 }
 
-int cnd_init(cnd_t* condition) noexcept {
+int cnd_init(cnd_t* condition) {
   return answer(pthread_cond_init(posix(condition), nullptr));
 }
-int cnd_signal(cnd_t* condition) noexcept {
+int cnd_signal(cnd_t* condition) {
   return answer(pthread_cond_signal(posix(condition)));
 }
-int cnd_broadcast(cnd_t* condition) noexcept {
+int cnd_broadcast(cnd_t* condition) {
   return answer(pthread_cond_broadcast(posix(condition)));
 }
 int cnd_wait(cnd_t* condition, mtx_t* mutex) {
@@ -111,7 +111,7 @@ int cnd_wait(cnd_t* condition, mtx_t* mutex) {
 int cnd_timedwait(cnd_t* condition, mtx_t* mutex, const timespec* end) {
   return answer(pthread_cond_timedwait(posix(condition), posix(mutex), end));
 }
-void cnd_destroy(cnd_t* condition) noexcept {
+void cnd_destroy(cnd_t* condition) {
   pthread_cond_destroy(posix(condition));
 }
 

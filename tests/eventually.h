@@ -6,10 +6,14 @@
 
 namespace iotcloud::tests {
 
-/// Waits for what only asking tells: asks once a millisecond, so that the locks which the condition takes are free for
-/// others. \return false when `limit` passed first; only a test that fails uses it up.
+/// How long a test waits for something that must happen. Long enough for a very busy machine: only a failing test waits
+/// for all of it.
+inline constexpr std::chrono::seconds patience{120};
+
+/// Waits for a condition by asking once a millisecond, so that the locks which the condition takes are free for others.
+/// \return false if `limit` passed first.
 [[nodiscard]] inline bool eventually(const std::function<bool()>& condition,
-                                     std::chrono::milliseconds limit = std::chrono::seconds(60)) {
+                                     std::chrono::milliseconds limit = patience) {
   const auto end = std::chrono::steady_clock::now() + limit;
   while (!condition()) {
     if (std::chrono::steady_clock::now() > end) return false;

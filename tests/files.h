@@ -13,7 +13,7 @@ inline std::string write_file(const std::filesystem::path& path, const std::stri
   return path;
 }
 
-/// Empty: also when it cannot be read.
+/// \return the contents; empty also if the file cannot be read.
 inline std::string read_file(const std::filesystem::path& path) {
   std::ifstream in(path, std::ios::binary);
   return {std::istreambuf_iterator<char>(in), {}};

@@ -25,14 +25,14 @@ class PaperDriver : public testing::Test {
  protected:
   PaperDriver() { std::filesystem::create_directories(folder); }
   ~PaperDriver() override { std::filesystem::remove_all(folder); }
-  /// Five messages that are due at once. The report comes when all are back.
+  /// Orders five messages that are due at once. The report comes when all are back.
   void order(std::uint64_t id, std::size_t size) {
     const std::int64_t now = now_ns();
     std::ofstream(folder + "/part") << id << ' ' << size << " 1000 2 " << now - 5'000'000 << " 0 " << now << " "
                                     << patience_ns;
     std::filesystem::rename(folder + "/part", folder + "/order");
   }
-  /// Runs what the driver has to do until `done` holds.
+  /// Runs the driver's callbacks until `done` holds.
   template <typename Done>
   bool run_until(Done&& done) {
     return tests::eventually([&] {
@@ -81,7 +81,7 @@ TEST_F(PaperDriver, TellsRepeatedAndChangedMessagesFromGoodOnes) {
   robot.host().forget_published();
   order(2, 200);
   ASSERT_TRUE(run_until([&] { return robot.host().published("data").size() == 5; }));
-  robot.deliver("echo", sent[0].message);  // of the order before: no one's
+  robot.deliver("echo", sent[0].message);  // it belongs to the previous order: not counted
   const auto second = robot.host().published("data");
   drivers::Message cut = second[0].message;
   cut.payload = drivers::Payload::copy(cut.payload.bytes().first(150));

@@ -61,7 +61,7 @@ TEST(Point, LeavesTheWarmUpOutAndCountsALateMessage) {
   point.came_back(500 * ms, 900 * ms);  // warm-up, although it came later
   point.came_back(900 * ms, 903 * ms);
   EXPECT_FALSE(point.complete(1));
-  point.came_back(1400 * ms, 1600 * ms);  // after the end: what was held up counts
+  point.came_back(1400 * ms, 1600 * ms);  // after the end: delayed messages count
   EXPECT_TRUE(point.complete(1));
   EXPECT_FALSE(point.complete(2));
   const auto report = nlohmann::json::parse(point.report());

@@ -20,7 +20,7 @@ Arrived numbered(std::uint64_t tag) {
   return arrived;
 }
 
-/// All of them handed on.
+/// A window whose messages are all handed on.
 AckWindow with_deliveries(std::uint64_t count) {
   AckWindow window;
   for (std::uint64_t tag = 1; tag <= count; ++tag) {

@@ -31,7 +31,7 @@ std::string error_of(const std::string& text) {
   return "";
 }
 
-/// A file with one content, gone at the end.
+/// A file with the given content, removed at the end.
 class File {
  public:
   explicit File(const std::string& content)

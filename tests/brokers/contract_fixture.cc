@@ -68,7 +68,7 @@ Handler Inbox::handler() {
 bool Inbox::wait_until(const std::function<bool(const std::vector<Received>&)>& enough,
                        std::chrono::milliseconds limit) {
   std::unique_lock lock(mutex_);
-  return more_.wait_until(lock, std::chrono::system_clock::now() + limit, [&] { return enough(received_); });
+  return more_.wait_for(lock, limit, [&] { return enough(received_); });
 }
 
 bool Inbox::wait_for(std::size_t count, std::chrono::milliseconds limit) {
@@ -119,7 +119,7 @@ Handler Holder::handler() {
 
 bool Holder::wait_for(std::size_t count, std::chrono::milliseconds limit) {
   std::unique_lock lock(mutex_);
-  return more_.wait_until(lock, std::chrono::system_clock::now() + limit, [&] { return held_.size() >= count; });
+  return more_.wait_for(lock, limit, [&] { return held_.size() >= count; });
 }
 
 std::size_t Holder::size() const {
@@ -155,7 +155,7 @@ std::function<void(std::uint64_t, Outcome, const std::string&)> Outcomes::callba
 
 bool Outcomes::wait_for(std::size_t count, std::chrono::milliseconds limit) {
   std::unique_lock lock(mutex_);
-  return more_.wait_until(lock, std::chrono::system_clock::now() + limit, [&] { return outcomes_.size() >= count; });
+  return more_.wait_for(lock, limit, [&] { return outcomes_.size() >= count; });
 }
 
 Outcome Outcomes::of(std::uint64_t number) const {

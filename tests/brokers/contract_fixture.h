@@ -19,27 +19,27 @@
 
 namespace iotcloud::brokers {
 
-/// How long a test waits for what must come; under sanitizers on a busy machine it may take long.
-inline constexpr std::chrono::seconds patience{60};
-/// How long a test watches that nothing comes which must not come.
+/// How long a test waits for something that must come; under sanitizers on a busy machine it may take long.
+using tests::patience;
+/// How long a test checks that something forbidden does not come.
 inline constexpr std::chrono::milliseconds moment{300};
 
-/// A server of one kind that can be taken away and brought back.
+/// A server of one kind that a test can stop and start again.
 class TestServer {
  public:
   virtual ~TestServer() = default;
   virtual std::string url() const = 0;
   virtual void kill() = 0;
   virtual void start() = 0;
-  /// Whether it confirms and keeps what nobody reads yet; otherwise that waits at the publisher.
+  /// Whether the server confirms and keeps messages that nobody reads; otherwise they wait at the publisher.
   virtual bool keeps_unread() const { return false; }
-  /// What a broker object needs so that several readers can share a topic; they share it by key.
+  /// Options that let several readers share a topic; they share it by key.
   virtual std::map<std::string, std::string> sharing_properties() const { return {}; }
-  /// The private server behind it; null for one in process.
+  /// The server's process; null if the server is in this process.
   virtual tests::PrivateServer* process() { return nullptr; }
 };
 
-/// Takes the server away and brings it back at the end in any case: other tests share it.
+/// Stops the server. The destructor starts it again if the test has not, because other tests share the server.
 class Outage {
  public:
   explicit Outage(TestServer& server) : server_(server) { server_.kill(); }
@@ -55,7 +55,7 @@ class Outage {
   bool ended_ = false;
 };
 
-/// Collects deliveries; the handler accepts each unless told otherwise. Thread safe.
+/// Collects deliveries, and accepts each unless the test's Verdict decides otherwise. Thread safe.
 class Inbox {
  public:
   struct Received {
@@ -63,13 +63,13 @@ class Inbox {
     Message message;
     bool redelivered = false;
   };
-  /// Decides what becomes of a delivery; called before it is stored.
+  /// Decides how a delivery is settled; called before it is stored.
   using Verdict = std::function<Settlement(const Received&)>;
   explicit Inbox(Verdict verdict = {}) : verdict_(std::move(verdict)) {}
 
   Handler handler();
   bool wait_for(std::size_t count, std::chrono::milliseconds limit = patience);
-  /// Waits until this body is the newest that came.
+  /// Waits until the newest delivery has this body.
   bool wait_for_last(const std::string& body, std::chrono::milliseconds limit = patience);
   bool wait_until(const std::function<bool(const std::vector<Received>&)>& enough,
                   std::chrono::milliseconds limit = patience);
@@ -84,8 +84,8 @@ class Inbox {
   Verdict verdict_;
 };
 
-/// Each body once, in the order in which they came first. After a fault a broker may deliver again what it had
-/// delivered, also because the connection is lost once more on its way back: fails the test for a copy without a mark.
+/// Each body once, in the order of first arrival. After a fault a broker may deliver messages again, even several times
+/// if the connection is lost again during recovery. Fails the test if such a copy is not marked as redelivered.
 std::vector<std::string> firsts(const Inbox& inbox);
 
 /// Keeps deliveries unsettled until the test settles them. Thread safe.
@@ -109,7 +109,7 @@ class Outcomes {
  public:
   std::function<void(std::uint64_t, Outcome, const std::string&)> callback();
   bool wait_for(std::size_t count, std::chrono::milliseconds limit = patience);
-  /// The only outcome of one message; fails the test when there is none or more than one.
+  /// The only outcome of a message; fails the test if there is none or more than one.
   Outcome of(std::uint64_t number) const;
   std::string reason(std::uint64_t number) const;
   std::size_t size() const;  ///< messages with an outcome
@@ -122,13 +122,13 @@ class Outcomes {
   std::map<std::uint64_t, std::vector<std::pair<Outcome, std::string>>> outcomes_;
 };
 
-using tests::eventually;
+using tests::eventually;  // for the tests that include this: NOLINT(misc-unused-using-decls)
 
-/// "1", "2", ... for messages' bodies; both ends included.
+/// "1", "2", ... for messages' bodies, from `from` to `to` inclusive.
 std::vector<std::string> numbered(int from, int to);
 Message text_message(const std::string& body);
 
-/// Every test runs on each kind of broker; all tests of a kind share one server, which is up at a test's start.
+/// Every test runs on each kind of broker; all tests of a kind share one server, which runs when a test starts.
 class BrokerContract : public testing::TestWithParam<std::string> {
  protected:
   void SetUp() override;
@@ -136,12 +136,12 @@ class BrokerContract : public testing::TestWithParam<std::string> {
 
   TestServer& server() const;
   std::unique_ptr<Broker> broker(std::map<std::string, std::string> properties = {}) const;
-  /// From here on what is published waits at its publisher, until a reader subscribes and the result ends: a server
-  /// that keeps what nobody reads is away meanwhile.
+  /// Makes published messages wait at their publisher, until a reader subscribes and the returned object is destroyed.
+  /// A server that keeps unread messages is stopped for that time.
   std::unique_ptr<Outage> hold_up(const Broker& broker) const;
   /// A topic that no other test uses.
   Topic topic(bool durable = false) const;
-  /// Waits until a subscription reads.
+  /// Waits until a subscription is active.
   static void await_active(const Subscription& subscription);
 };
 

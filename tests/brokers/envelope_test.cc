@@ -1,4 +1,4 @@
-// The envelope of Kafka's records, against what Thrift's own code writes and reads, and against hostile bytes.
+// The envelope of Kafka's records, compared with Thrift's generated code, and given hostile bytes.
 #include "iotcloud/brokers/envelope.h"
 
 #include <cstring>
@@ -78,7 +78,7 @@ constexpr char list_type = 15;
 const std::string stop(1, '\0');
 
 TEST(Envelope, IsByteForByteWhatThriftWrites) {
-  // Thrift's code sorts the map; ours begins with the time and keeps the sender's order.
+  // Thrift's code sorts the map; this project's begins with the time and keeps the sender's order.
   Message only_time = a_message();
   only_time.properties = {};
   envelope::TSensorMessage same = the_same_for_thrift();

@@ -26,8 +26,8 @@ class OutboxTest : public testing::Test {
     for (int i = 0; i < count; ++i) outbox_->add_waiting(outbox_->accept(Message{}, now_));
   }
   /// Takes all that may be sent now.
-  std::vector<Outgoing> send() {
-    std::vector<Outgoing> sent;
+  std::vector<AcceptedMessage> send() {
+    std::vector<AcceptedMessage> sent;
     while (!outbox_->idle() && outbox_->may_send()) sent.push_back(outbox_->take_next());
     return sent;
   }
@@ -49,7 +49,7 @@ class OutboxTest : public testing::Test {
 TEST_F(OutboxTest, SendsOneMessageAloneUntilTheTopicIsProven) {
   Outbox& outbox = make(WhenFull::block, 10);
   add(5);
-  std::vector<Outgoing> sent = send();
+  std::vector<AcceptedMessage> sent = send();
   ASSERT_EQ(sent.size(), 1U);
   outbox.confirmed(sent[0].number);
   EXPECT_EQ(send().size(), 4U);
@@ -63,7 +63,7 @@ TEST_F(OutboxTest, TriesAReturnedMessageAgainAfterAWhileBeforeTheOthers) {
   ASSERT_TRUE(outbox.next_timer());
   now_ = *outbox.next_timer();
   outbox.fire_timer(now_);
-  std::vector<Outgoing> again = send();
+  std::vector<AcceptedMessage> again = send();
   ASSERT_EQ(again.size(), 1U);
   EXPECT_EQ(again[0].number, 1U);
   EXPECT_FALSE(again[0].resent) << "nobody got it: it is no duplicate";
@@ -74,12 +74,12 @@ TEST_F(OutboxTest, TriesWhatTheServerCouldNotStoreAgainAfterAWhileAndMarksIt) {
   Outbox& outbox = make(WhenFull::block, 10);
   prove();
   add(3);
-  for (Outgoing& outgoing : send()) outbox.put_off(std::move(outgoing), now_);
+  for (AcceptedMessage& accepted : send()) outbox.put_off(std::move(accepted), now_);
   EXPECT_FALSE(outbox.may_send());
   ASSERT_TRUE(outbox.next_timer());
   now_ = *outbox.next_timer();
   outbox.fire_timer(now_);
-  const std::vector<Outgoing> again = send();
+  const std::vector<AcceptedMessage> again = send();
   ASSERT_EQ(again.size(), 1U) << "alone, until it got through";
   EXPECT_TRUE(again[0].resent) << "another queue may have stored it";
   outbox.confirmed(again[0].number);
@@ -95,7 +95,7 @@ TEST_F(OutboxTest, WhatWasLostStaysMarkedWhenItComesBackUnreadLater) {
   outbox.returned(std::move(send().at(0)), now_);
   now_ = outbox.next_timer().value();
   outbox.fire_timer(now_);
-  const std::vector<Outgoing> again = send();
+  const std::vector<AcceptedMessage> again = send();
   ASSERT_EQ(again.size(), 1U);
   EXPECT_TRUE(again[0].resent) << "it may have been read before the connection was lost";
 }
@@ -104,7 +104,7 @@ TEST_F(OutboxTest, PutsWhatWasLostBackInOrderAndMarksIt) {
   Outbox& outbox = make(WhenFull::block, 10);
   prove();
   add(4);
-  std::vector<Outgoing> sent = send();
+  std::vector<AcceptedMessage> sent = send();
   ASSERT_EQ(sent.size(), 4U);
   add(1);
   outbox.confirmed(sent[0].number);
@@ -115,12 +115,12 @@ TEST_F(OutboxTest, PutsWhatWasLostBackInOrderAndMarksIt) {
   std::vector<std::uint64_t> numbers;
   std::vector<bool> marks;
   while (!outbox.idle()) {
-    const Outgoing next = send().at(0);
+    const AcceptedMessage next = send().at(0);
     numbers.push_back(next.number);
     marks.push_back(next.resent);
     outbox.confirmed(next.number);
     if (!outbox.idle()) {
-      for (Outgoing& more : send()) {
+      for (AcceptedMessage& more : send()) {
         numbers.push_back(more.number);
         marks.push_back(more.resent);
       }
@@ -134,7 +134,7 @@ TEST_F(OutboxTest, BlockCountsWhatIsUnderWay) {
   Outbox& outbox = make(WhenFull::block, 3);
   prove();
   add(3);
-  std::vector<Outgoing> sent = send();
+  std::vector<AcceptedMessage> sent = send();
   EXPECT_EQ(sent.size(), 3U);
   EXPECT_FALSE(outbox.has_room());
   outbox.refuse_room();
@@ -211,7 +211,7 @@ TEST_F(OutboxTest, GivesEveryMessageOneOutcomeWhenClosed) {
   Outbox& outbox = make(WhenFull::block, 10);
   prove();
   add(2);
-  std::vector<Outgoing> sent = send();
+  std::vector<AcceptedMessage> sent = send();
   outbox.ready = false;
   add(2);
   outbox.close({sent[0].number, sent[1].number});

@@ -15,7 +15,7 @@ using testing::IsEmpty;
 
 class OutboxTimersTest : public testing::Test {
  protected:
-  /// A publisher whose messages are worthless after `deadline` (0: never).
+  /// Adds a publisher whose messages expire after `deadline` (0: never).
   std::shared_ptr<Outbox> add_publisher(milliseconds deadline) {
     PublisherOptions options;
     options.capacity = 10;

@@ -1,4 +1,4 @@
-// Every broker that has a server, behind TLS with client certificates, users and passwords.
+// Every broker with a server, behind TLS with client certificates, users and passwords.
 #include <cstddef>
 #include <cstdlib>
 #include <filesystem>
@@ -21,14 +21,14 @@ namespace {
 using testing::HasSubstr;
 using testing::Not;
 
-/// A kind of server, and how its client library words what went wrong.
+/// A kind of server, and the words of its client library for failures.
 struct Secured {
   std::string name;
   std::string on_wrong_password;
   std::string on_unknown_authority;
-  /// Says which file of authorities cannot be read.
+  /// The text for an unreadable file of authorities.
   std::string on_missing_authorities;
-  /// Says which certificate or key cannot be used.
+  /// The text for an unusable certificate or key.
   std::string on_unusable_key;
   friend void PrintTo(const Secured& kind, std::ostream* out) { *out << kind.name; }
 };
@@ -61,7 +61,7 @@ class BrokerSecurity : public testing::TestWithParam<Secured> {
   static void write_password(const BrokerOptions& options, const char* password) {
     std::ofstream(options.password_file) << password << "\n";
   }
-  /// Those that the server wants.
+  /// Options that the server accepts.
   static BrokerOptions options() {
     BrokerOptions options;
     options.urls = {server_->url()};
@@ -79,7 +79,7 @@ class BrokerSecurity : public testing::TestWithParam<Secured> {
   static bool gets_in(const Broker& broker, std::chrono::milliseconds limit = patience) {
     return eventually([&] { return broker.state() == ConnectionState::connected; }, limit);
   }
-  /// What is logged while a broker with these options does not get in.
+  /// The log while a broker with these options is refused.
   static std::string complaint(const BrokerOptions& options) {
     testing::internal::CaptureStdout();
     testing::internal::CaptureStderr();

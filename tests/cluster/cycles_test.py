@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
 from master_api import MasterApi, compile_idl  # noqa: E402
 from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
 
-# A connection or a thread that comes and goes may be there when it is counted.
+# A short-lived connection or thread may exist while they are counted.
 MORE = {"descriptors": 2, "threads": 2}
 GROWTH_MB, GROWTH = 1.0, 0.03  # of memory: allocators settle slowly; the larger of both
 
@@ -32,14 +32,18 @@ def measure(process):
 
 
 def host_process(gateway):
-    """The only driver host of that gateway: it is not its group's, but its child."""
-    children = Path(f"/proc/{gateway}/task").glob("*/children")
-    found = [int(word) for file in children for word in file.read_text().split()]
+    """The only driver host of that gateway: the gateway's child, in a process group of its own."""
+    found = []
+    for file in Path(f"/proc/{gateway}/task").glob("*/children"):
+        try:
+            found += [int(word) for word in file.read_text().split()]
+        except OSError:
+            pass  # the thread has ended since the folder was read; another one has its children
     return found[0] if len(found) == 1 else None
 
 
 def judge(name, samples):
-    """Prints and judges what one process took, sampled after each cycle. Returns what is wrong."""
+    """Prints and judges the samples of one process, taken after each cycle. Returns the errors."""
     fifth, wrong = len(samples) // 5, []
     middle, tail = samples[2 * fifth:3 * fifth], samples[-fifth:]
     for figure in samples[0]:
@@ -61,7 +65,7 @@ def main():
     shutil.rmtree(work, ignore_errors=True)
     compile_idl(build)
     with PrivateCluster(work, build / "bin", build / "plugins") as cluster:
-        cluster.start(gateways=1, more="host_debugging: true")  # what a host holds is read in /proc, by its user
+        cluster.start(gateways=1, more="host_debugging: true")  # so that the hosts' user may read /proc
         wait_for("the gateway is ready", lambda: [
             gateway["state"] for gateway in json.loads(cluster.cli("gateways", "-o", "json"))] == ["ready"])
         cluster.deploy("loadgen.so", "gateway-1", {"rate": 1})
@@ -79,7 +83,7 @@ def main():
             for properties in ({"rate": "50"}, {"rate": "50", "isolation": "instance"}):
                 instances = api.deploy("loadgen.so", "gateway-1", properties)
                 api.undeploy(instances)
-            # The host that ended with its instance may still be on its way out, and takes what its end frees.
+            # The host of the removed instance may still be ending, and holds what its end frees.
             wait_for("only the host that stays is left", only_the_host_that_stays)
             for name, process in processes.items():
                 samples[name].append(measure(process))

@@ -21,7 +21,7 @@ from private_cluster import PrivateCluster, StartError, free_port  # noqa: E402,
 
 SESSION_S = 4  # the workers' registry.session_timeout
 HEARTBEAT_S = 1
-GRACE_S = 2  # a rebalance takes the session's time-out and so long at most
+GRACE_S = 2  # a rebalance takes at most the session's time-out and this long
 
 LIMIT_S = SESSION_S + GRACE_S
 
@@ -44,7 +44,7 @@ bolts:{{bolt}}
     inputs: [{{from: {{last}}, grouping: fields, fields: [driverID]}}]
 """
 
-# With a bolt that has something in hand at any moment (holding_bolt.cc).
+# With a bolt that always holds a tuple (holding_bolt.cc).
 HOLD = """
   hold: {class: test.Holding, tick: 500ms, inputs: [{from: receive, grouping: fields, fields: [driverID]}]}"""
 
@@ -93,7 +93,7 @@ class FaultCluster(PrivateCluster):
         return answer
 
     def worker(self, isle=None):
-        """Starts one more, in a network of its own when `isle` is one; returns its name."""
+        """Starts another worker, in the network `isle` if given; returns its name."""
         self.started += 1
         name = f"worker-{self.started}"
         servers, urls = self.zookeeper.removeprefix("zookeeper://"), ""
@@ -124,7 +124,7 @@ class FaultCluster(PrivateCluster):
         return self.metric(worker, "iotcloud_spout_channels")
 
     def said(self, worker, text):
-        """How often the worker's log has it."""
+        """How often the worker's log contains the text."""
         return self.log(worker).read_text(errors="replace").count(text)
 
     def process(self, name):
@@ -137,7 +137,7 @@ class FaultCluster(PrivateCluster):
         self.children = [entry for entry in self.children if entry[1] is not child]
 
     def kill_drivers(self):
-        """SIGKILL to one process that runs drivers for a gateway of this cluster. True when there was one."""
+        """Kills (SIGKILL) one driver host of a gateway of this cluster. Returns whether there was one."""
         for entry in Path("/proc").iterdir():
             if not entry.name.isdigit():
                 continue
@@ -159,11 +159,11 @@ class FaultCluster(PrivateCluster):
             self.deploy("loadgen.so", f"gateway-{gateway}", {"count": count, "rate": rate, "report": report})
 
     def readers(self):
-        """Names of the units by the worker that leads them, as the registry's word in the logs has it."""
+        """Names of the units by the worker that leads them, according to the logs."""
         return {name: sum(event.what == "leads" for event in self.timeline([name])) for name in self.pages}
 
     def timeline(self, workers=None):
-        """What the workers' logs tell of the drivers' units, in the order of time."""
+        """The events of the drivers' units in the workers' logs, in order of time."""
         events = []
         for worker in workers or self.pages:
             for line in self.log(worker).read_text(errors="replace").splitlines():
@@ -180,7 +180,7 @@ class FaultCluster(PrivateCluster):
         wait_for("every worker reads drivers", lambda: all(self.readers().values()), limit)
 
     def totals(self, limit):
-        """Waits until all that was sent is back, or the time is over, and adds up what the drivers saw."""
+        """Waits until every message is back or the time is over, and adds up the drivers' reports."""
         def result(report):
             text = report.read_text() if report.exists() else ""
             return json.loads(text) if text.rstrip().endswith("}") else None
@@ -189,7 +189,7 @@ class FaultCluster(PrivateCluster):
         while time.monotonic() < deadline and not all(map(result, self.reports)):
             time.sleep(0.2)
         if not all(map(result, self.reports)):
-            self.undeploy_all()  # a driver that closes reports what it has
+            self.undeploy_all()  # a closing driver writes its report
             wait_for("every driver reports", lambda: all(map(result, self.reports)), 15)
         keys = ("sent", "received", "lost", "duplicated", "out_of_order", "damaged")
         results = [result(report) for report in self.reports]
@@ -205,7 +205,7 @@ def sentence(name, totals):
 
 
 def finish(name, totals):
-    """Says what was lost; the exit status says whether nothing was."""
+    """Prints the losses; the exit status is 0 if there are none."""
     print(sentence(name, totals), flush=True)
     if totals["lost"] or totals["damaged"] or totals["out_of_order"] or not totals["sent"]:
         sys.exit(f"{name}: messages were lost or damaged, or overtook one another")

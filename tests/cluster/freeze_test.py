@@ -29,7 +29,7 @@ def ports(process):
 
 
 def cuts(cluster, of_ports, since):
-    """When the broker closed those consuming connections for want of heartbeats."""
+    """When the broker closed those consuming connections because heartbeats were missing."""
     times, candidate = [], None
     for line in (cluster.work / "rabbitmq/log/rabbit.log").read_text(errors="replace").splitlines():
         if "iotcloud consuming" in line and (found := CUT.match(line)) and int(found[2]) in of_ports:
@@ -45,7 +45,7 @@ def kept(cluster, worker):
 
 
 def freeze(cluster, victim, other):
-    """One round; returns how many commands the victim kept back."""
+    """Runs one round; returns how many commands the victim held back."""
     process = cluster.process(victim)
     own = {}
     for event in cluster.timeline():
@@ -65,7 +65,7 @@ def freeze(cluster, victim, other):
     cut = cuts(cluster, connections, frozen)
     if not cut or max(cut) > first:
         raise SystemExit(f"{other} read a driver of {victim} before the broker had cut that one off")
-    while time.time() < frozen + SESSION_S + 1:  # the successor is well ahead of what the frozen one has in hand
+    while time.time() < frozen + SESSION_S + 1:  # the successor is far beyond the frozen worker's messages
         time.sleep(0.1)
     process.send_signal(signal.SIGCONT)
     wait_for(f"{victim} keeps back what it has in hand",

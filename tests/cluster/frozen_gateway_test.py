@@ -21,8 +21,8 @@ from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
 from private_server import freeze  # noqa: E402
 
 SESSION_S = 8
-WAIT_S = 3  # that orders wait for the frozen one
-# Who waits for the frozen one takes WAIT_S more, which is many times what it takes without.
+WAIT_S = 3  # how long orders wait for the frozen gateway
+# An order that waits for the frozen gateway takes WAIT_S longer, many times its usual time.
 RATIO = 5
 
 
@@ -46,7 +46,7 @@ class Fleet(PrivateCluster):
         return max(records[gateway]["since_ms"] for gateway in others) / 1000 - began, outcomes.get(but)
 
     def outcomes(self, *words):
-        """What became of an order on each gateway, whatever the CLI's exit status."""
+        """The outcome of an order on each gateway, whatever the CLI's exit status."""
         self.last_answer = self.answer(*words, "--wait", WAIT_S)
         return {outcome["gateway"]: outcome["outcome"] for outcome in self.last_answer["outcomes"]}
 

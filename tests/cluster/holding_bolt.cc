@@ -1,5 +1,5 @@
-// A bolt with something in hand at any moment: each driver's last tuple waits in it until the next one comes, or until
-// two ticks have passed.
+// A bolt that always holds something: each driver's last tuple waits in it until the next one comes, or until two ticks
+// have passed.
 #include <map>
 #include <string>
 

@@ -36,7 +36,7 @@ def take_overs(events, kills, disturbances):
             later = [event for event in events if event.instance == instance and event.time > killed]
             read = next((event.time for event in later if event.what == "reads"), None)
             if read is None:
-                continue  # the driver was done; finish() sees whether all of it came back
+                continue  # the driver was done; finish() checks whether all messages came back
             last = max(moment for moment in disturbances if moment <= read)
             elected = max((event.time for event in later if event.what == "leads" and event.time <= read), default=read)
             found.append((read - max(killed, last), read - elected, last <= killed))
@@ -57,7 +57,7 @@ def report(found):
         raise SystemExit("no worker was killed that read a driver: nothing was shown")
     if statistics.median(alone or meanwhile) > LIMIT_S:
         raise SystemExit(f"that is more than {LIMIT_S} s")
-    # On a machine that others use, a single expiry may come late; what comes after it is this system's own.
+    # On a busy machine a single expiry may come late; the time after it depends on this system only.
     if max(starts) > GRACE_S:
         raise SystemExit(f"a driver was read only {max(starts):.1f} s after its election; {GRACE_S} s are allowed")
 
@@ -75,7 +75,7 @@ def main():
     killed = {"worker": 0, "driver host": 0, "ZooKeeper": 0}
     kills, disturbances = [], []
     with FaultCluster(given.build, "kill-long" if given.long else "kill", registry) as cluster:
-        # Their hosts are killed more often than a gateway starts again what fails by itself, and not at once.
+        # The test kills hosts more often, and faster, than a gateway by default restarts hosts that fail.
         cluster.start(gateways=2, more="host_restart: {longest: 1s, give_up_after: 0}")
         workers = [cluster.worker() for _ in range(WORKERS)]
         cluster.wait_until_ready()
@@ -83,7 +83,7 @@ def main():
         cluster.drivers(DRIVERS, (given.seconds + 2 * LIMIT_S) * RATE, RATE)
         cluster.wait_until_all_read()
         begin = time.monotonic()
-        kinds = ["worker"]  # first, with nothing else
+        kinds = ["worker"]  # first only workers
         while (passed := time.monotonic() - begin) < given.seconds:
             kind = choose.choice(kinds)
             if kind == "worker":

@@ -22,9 +22,9 @@ from master_api import MasterApi, compile_idl
 from private_server import freeze
 
 DRIVERS, RATE = 4, 100
-# The data plane has nothing to wait for. What a machine that others use adds is far less than a session's time-out.
+# The data plane waits for nothing. A busy machine adds far less than a session's time-out.
 LATE_S = SESSION_S / 2
-KILL_S, STOP_S = LIMIT_S + 2, LIMIT_S + 6  # a fault, and what comes after it until the next, at most
+KILL_S, STOP_S = LIMIT_S + 2, LIMIT_S + 6  # the longest time from a fault to the next one
 STALE = 5  # orders to each frozen leader
 
 
@@ -36,8 +36,8 @@ class Orders(threading.Thread):
         super().__init__()
         self.cluster, self.over = cluster, threading.Event()
         self.done = 0
-        self.failed = []  # what the CLI complained about
-        self.looks, self.not_ready = 0, 0  # at the gateways
+        self.failed = []  # the CLI's error texts
+        self.looks, self.not_ready = 0, 0  # checks of the gateways
 
     def __enter__(self):
         self.start()
@@ -48,7 +48,7 @@ class Orders(threading.Thread):
         self.join()
 
     def order(self, *words):
-        """What the CLI answers; None when the order was not done, or nobody knows."""
+        """The CLI's answer; None when the order failed or its outcome is unknown."""
         try:
             answer = self.cluster.cli(*words, "--wait", "10", "-o", "json")
         except StartError as error:
@@ -58,7 +58,7 @@ class Orders(threading.Thread):
         return json.loads(answer)
 
     def deploy(self):
-        """The ids of what was deployed on both gateways; empty when that is not known."""
+        """The ids of the instances deployed on both gateways; empty when unknown."""
         deployed = self.order("deploy", "loadgen.so", "--all", "--property", "rate=1", "--metadata", "purpose=orders")
         return [outcome["instance"] for outcome in deployed["outcomes"]] if deployed else []
 
@@ -84,7 +84,7 @@ class Orders(threading.Thread):
 
 class Masters(FaultCluster):
     def status_of(self, name):
-        """None when it does not answer."""
+        """Returns None when the master does not answer."""
         from thrift.Thrift import TException
 
         try:
@@ -97,7 +97,7 @@ class Masters(FaultCluster):
             return None
 
     def leader(self, among=None, above=0):
-        """(name, epoch) of the one that says it leads; None when none does."""
+        """(name, epoch) of the master that claims to lead; None when none does."""
         for name in among or self.apis:
             status = self.status_of(name)
             if status and status.leading and status.epoch > above:
@@ -105,7 +105,7 @@ class Masters(FaultCluster):
         return None
 
     def next_leader(self, former, epoch, since):
-        """The one that leads after it, and how long that took."""
+        """The next leader, and how long the change took."""
         others, found = [name for name in self.apis if name != former], []
         deadline = since + 3 * LIMIT_S
         while not found and time.monotonic() < deadline:
@@ -119,7 +119,7 @@ class Masters(FaultCluster):
         return [driver["metadata"].get("purpose") for driver in json.loads(self.cli("drivers", "-o", "json"))]
 
     def ordered_purposes(self):
-        """Of all orders that stand in the registry."""
+        """The epochs of all orders in the registry."""
         name, _ = self.leader()
         api = MasterApi(self.apis[name])
         try:
@@ -128,7 +128,7 @@ class Masters(FaultCluster):
             api.close()
 
     def ignored_by_gateways(self):
-        return sum(self.said(f"gateway-{number}", "its master leads no more") for number in range(1, self.gateways + 1))
+        return sum(self.said(f"gateway-{number}", "its master no longer leads") for number in range(1, self.gateways + 1))
 
 
 def kill_leader(cluster, orders, leader):
@@ -143,7 +143,7 @@ def kill_leader(cluster, orders, leader):
 
 
 def stop_leader(cluster, orders, leader):
-    """Returns the next leader, how long that took, and what became of the stale orders."""
+    """Returns the next leader, how long the change took, and the outcomes of the stale orders."""
     name, epoch = leader
     stale = [MasterApi(cluster.apis[name]) for _ in range(STALE)]
     for api in stale:
@@ -152,7 +152,7 @@ def stop_leader(cluster, orders, leader):
     since = time.monotonic()
     freeze(process)
     try:
-        for number, api in enumerate(stale):  # read when it goes on, before it can know that it leads no more
+        for number, api in enumerate(stale):  # it reads them when it resumes, before it knows that it no longer leads
             api.send_deploy("loadgen.so", f"gateway-{number % cluster.gateways + 1}", "stale", 2)
         following, took = cluster.next_leader(name, epoch, since)
         orders.follow()
@@ -218,7 +218,7 @@ def main():
         choose.shuffle(faults)
         with Orders(cluster) as orders:
             for fault in faults:
-                time.sleep(choose.uniform(0, 1))  # in the middle of whichever order
+                time.sleep(choose.uniform(0, 1))  # in the middle of some order
                 if fault == "kill":
                     leader, took = kill_leader(cluster, orders, leader)
                     killed.append(took)

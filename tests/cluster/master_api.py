@@ -41,7 +41,7 @@ class MasterApi:
         return self.client.listOrders()
 
     def deploy(self, plugin, gateway, properties):
-        """The ids of what was deployed. Raises RuntimeError when it was not."""
+        """The ids of the deployed instances. Raises RuntimeError when the order failed."""
         from master.ttypes import TDeployRequest
 
         answer = self.client.deploy(TDeployRequest(gateways=[gateway], plugin=plugin, driver="", properties=properties,
@@ -60,7 +60,7 @@ class MasterApi:
         return [outcome.instance for outcome in answer.outcomes]
 
     def send_deploy(self, plugin, gateway, purpose, wait_s):
-        """Gives the order; answer() has what became of it."""
+        """Gives the order; answer() returns its outcome."""
         from master.ttypes import TDeployRequest
 
         self.client.send_deploy(TDeployRequest(
@@ -68,7 +68,7 @@ class MasterApi:
             waitMs=int(wait_s * 1000)))
 
     def answer(self, limit_s):
-        """(why it was refused as a whole, what became of each instance), in the words of the IDL."""
+        """(why it was refused as a whole, the outcome of each instance), in the words of the IDL."""
         from master.ttypes import TOutcome, TRefusal
 
         self.socket.setTimeout(limit_s * 1000)

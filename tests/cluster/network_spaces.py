@@ -70,7 +70,7 @@ class Isle:
         self.holder.wait()
 
     def cut(self, port):
-        """Packets to and from that port of the test's network vanish: nobody is told."""
+        """Packets to and from that port of the test's network vanish without an error."""
         run(*self.enter, "iptables", "-A", "OUTPUT", "-p", "tcp", "--dport", str(port), "-j", "DROP")
         run(*self.enter, "iptables", "-A", "INPUT", "-p", "tcp", "--sport", str(port), "-j", "DROP")
 
@@ -79,7 +79,7 @@ class Isle:
 
     @contextlib.contextmanager
     def inside(self):
-        """What this thread connects meanwhile is connected in the isle."""
+        """Sockets that this thread opens meanwhile are in the isle."""
         with open("/proc/thread-self/ns/net") as ours, open(self.space) as theirs:
             self.move(theirs)
             try:

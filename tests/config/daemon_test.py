@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""The frame of the daemons, from outside: usage: daemon_test.py TINY_DAEMON"""
+"""Tests the daemons' frame from outside: usage: daemon_test.py TINY_DAEMON"""
 
 import json
 import os

@@ -1,5 +1,7 @@
 #include <algorithm>
+#include <atomic>
 #include <cmath>
+#include <latch>
 #include <thread>
 #include <vector>
 
@@ -12,7 +14,7 @@ namespace {
 
 TEST(Histogram, has_quantiles_within_its_resolution) {
   Histogram histogram;
-  for (int i = 1; i <= 10000; ++i) histogram.record_ns(i * 1000);
+  for (int i = 1; i <= 10000; ++i) histogram.record_ns(std::int64_t{i} * 1000);
   const auto summary = histogram.summary();
   EXPECT_EQ(summary.count, 10000U);
   EXPECT_NEAR(summary.p50_ns, 5e6, 5e6 * 0.045);
@@ -50,6 +52,7 @@ TEST(Metrics, counts_from_several_threads_without_losing_any) {
   Metrics metrics;
   {
     std::vector<std::jthread> threads;
+    threads.reserve(4);
     for (int t = 0; t < 4; ++t) {
       threads.emplace_back([&metrics] {
         for (int i = 0; i < 1000; ++i) {
@@ -72,6 +75,37 @@ TEST(Metrics, collects_what_was_reported) {
   EXPECT_EQ(samples[0].name, "depth");
   EXPECT_EQ(samples[0].labels.at("task"), "1");
   EXPECT_EQ(samples[0].value, -3);
+}
+
+TEST(Metrics, is_not_kept_waiting_by_a_source_that_is_slow) {
+  Metrics metrics;
+  std::latch began(1), may_end(1);
+  const auto slow = metrics.add_source([&](std::vector<Sample>&) {
+    began.count_down();
+    may_end.wait();
+  });
+  auto other = metrics.add_source([](std::vector<Sample>&) {});
+  std::jthread collector([&] { EXPECT_TRUE(metrics.collect().empty()); });
+  began.wait();
+  other = {};
+  const auto fresh = metrics.add_source([](std::vector<Sample>&) {});
+  may_end.count_down();
+}
+
+TEST(Metrics, waits_for_a_source_that_runs_when_it_is_to_end) {
+  Metrics metrics;
+  std::latch began(1);
+  std::atomic<bool> running{false};
+  auto source = metrics.add_source([&](std::vector<Sample>&) {
+    running = true;
+    began.count_down();
+    std::this_thread::yield();
+    running = false;
+  });
+  std::jthread collector([&] { EXPECT_TRUE(metrics.collect().empty()); });
+  began.wait();
+  source = {};
+  EXPECT_FALSE(running);
 }
 
 }  // namespace

@@ -5,15 +5,15 @@
 #include <thread>
 
 #include <iotcloud/config/daemon/daemon.h>
-#include <iotcloud/config/exposition/metrics_endpoint.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/rpc/http/metrics_endpoint.h>
 
 namespace {
 
-using iotcloud::config::MetricsEndpoint;
 using iotcloud::config::Section;
 using iotcloud::config::Service;
+using iotcloud::rpc::MetricsEndpoint;
 
 /// A daemon whose file says how it behaves when it is stopped.
 class TinyService : public Service {
@@ -44,7 +44,7 @@ class TinyService : public Service {
  private:
   std::string stop_;
   std::string trouble_;
-  std::string unreadable_;  ///< what cannot be read again, and why
+  std::string unreadable_;  ///< the error of reload(); empty: none
   std::optional<std::string> metrics_;
   std::optional<MetricsEndpoint> endpoint_;
 };

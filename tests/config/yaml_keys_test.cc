@@ -1,4 +1,4 @@
-// What is recorded of the keys that a reader asks for.
+// The recorded keys that a reader asks for.
 #include <chrono>
 #include <string>
 #include <vector>

@@ -1,5 +1,4 @@
-// Texts that nobody writes by hand, and that must not keep a daemon busy: what the reader refuses before yaml-cpp
-// builds anything of it.
+// Hostile texts that must not keep a daemon busy: the reader refuses them before yaml-cpp builds anything.
 #include <filesystem>
 #include <fstream>
 #include <string>

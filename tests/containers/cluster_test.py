@@ -27,12 +27,12 @@ from private_cluster import require, wait_for  # noqa: E402
 PROJECT = "iotcloud-test"
 GATEWAYS = ["gateway-1", "gateway-2"]
 BOOKS = "/var/lib/iotcloud/books"
-NEWER = 50  # messages that must have come back since something healed
+NEWER = 50  # messages that must have come back since the repair
 HEAL_LIMIT_S = 120
 
 
 class Cluster:
-    """What the test does from outside, as a person would: ./dev cluster, and docker to look."""
+    """The test's actions from outside, as a person does them: ./dev cluster, and docker to check."""
 
     def __init__(self, docker, told, work):
         self.docker, self.work = docker, work
@@ -73,16 +73,16 @@ class Cluster:
         return state["RestartCount"]
 
     def book(self, gateway, name):
-        """The numbers in one of the ledger's books."""
+        """The numbers in one of the ledger's files."""
         text = self.docker.docker("exec", self.container(gateway), "cat", f"{BOOKS}/{name}")
         return [int(line) for line in text.split()]
 
 
 def settled(cluster, gateway, upto):
-    """Whether all that was sent before came back, and something newer too."""
+    """Whether all earlier messages came back, and newer ones, too."""
     try:
         received = set(cluster.book(gateway, "received"))
-    except Failed:  # the container is not there at this moment
+    except Failed:  # the container does not exist at this moment
         return False
     return received.issuperset(range(1, upto + 1)) and max(received) >= upto + NEWER
 
@@ -131,7 +131,7 @@ def deploy_ledgers(cluster, build):
 
 
 def leader(cluster):
-    """The service that leads; nothing while none does."""
+    """The leading service; None while none leads."""
     said = cluster.json("status")["master"]
     return (said["address"] if said["leading"] else said["leader"]).split(":")[0]
 
@@ -160,7 +160,7 @@ def wait_until_settled(cluster, sent, what):
 
 
 def kill_the_broker_that_holds_messages(cluster):
-    """Nobody reads while both workers stand still: what the broker holds then must survive its death."""
+    """Both workers stand still, so no message is read: those in the broker must survive its death."""
     workers = [cluster.container(f"topology-{number}") for number in (1, 2)]
     cluster.docker.docker("pause", *workers)
     for gateway in GATEWAYS:
@@ -187,7 +187,7 @@ def check_faults(cluster):
 
 
 def check_books(cluster):
-    """Nothing was lost in the whole time: what was sent is back."""
+    """No message was lost in the whole test: all came back."""
     cluster.cli("stop", "--name", "ledger")
     for gateway in GATEWAYS:
         sent = cluster.book(gateway, "sent")
@@ -270,7 +270,7 @@ def main():
 
 
 def keep_logs(docker, work):
-    """What the containers of a failed test said."""
+    """The logs of a failed test's containers."""
     logs = work / "logs"
     shutil.rmtree(logs, ignore_errors=True)
     logs.mkdir()

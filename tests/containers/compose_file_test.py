@@ -20,7 +20,7 @@ SECRET_WORD = re.compile(r"(?i)(password|passwd|pass|token|secret|credential)[a-
 
 
 def problems_of(file):
-    """What is wrong with a compose file, as sentences."""
+    """The errors of a compose file, as sentences."""
     found = []
     services = file["services"]
     for name in (SERVICES | RUN_ONCE) ^ set(services):
@@ -68,7 +68,7 @@ def problems_of_service(name, service, services, secrets):
 
 
 def check_that_it_finds(file):
-    """Every promise that is broken is found."""
+    """The checker finds every broken promise."""
     breaks = {
         "zookeeper has no cpus": lambda services: services["zookeeper"].pop("cpus"),
         "rabbitmq has no whole health check": lambda services: services["rabbitmq"].pop("healthcheck"),

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Every configuration of config/cluster passes its daemon's own check, with secrets as `./dev cluster up` makes them.
+"""Every configuration of deploy/cluster passes its daemon's own check, with secrets as `./dev cluster up` makes them.
 
 usage: configuration_test.py BIN_DIR
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-CONFIGURATIONS = ROOT / "config/cluster"
+CONFIGURATIONS = ROOT / "deploy/cluster"
 DAEMONS = {"master": "iotcloud-master", "gateway": "iotcloud-gateway", "topology": "iotcloud-topology"}
 
 
@@ -22,7 +22,7 @@ def run(*command):
 
 
 def make_secrets(iotcloud, folder, services):
-    """What a container finds in /run/secrets. Certificates are named there as the service's own."""
+    """Makes the files of a container's /run/secrets, where certificates have the service's name."""
     hosts = [name for name in services if (CONFIGURATIONS / f"{name}.yaml").exists() and name != "topology"]
     run(iotcloud, "certs", "init", folder, "--host", ",".join(hosts)).check_returncode()
     for end in ("pem", "key"):
@@ -41,7 +41,7 @@ def main():
             if service.get("command", [""])[0] in DAEMONS.values()}
     files = {file.name for file in CONFIGURATIONS.glob("*.yaml")}
     if set(used) != files:
-        sys.exit(f"config/cluster has {sorted(files)}, docker-compose.yml uses {sorted(used)}")
+        sys.exit(f"deploy/cluster has {sorted(files)}, docker-compose.yml uses {sorted(used)}")
     with tempfile.TemporaryDirectory() as work:
         secrets = Path(work) / "secrets"
         secrets.mkdir(mode=0o700)
@@ -56,11 +56,11 @@ def main():
             done = run(programs / daemon, "--config", file, "--check-config")
             if done.returncode:
                 sys.exit(f"{name}: {done.stderr or done.stdout}")
-            # What is not understood would be refused here.
+            # The daemon refuses unknown keys here.
             file.write_text(file.read_text(encoding="utf-8") + "\nnonsense: 1\n", encoding="utf-8")
             if run(programs / daemon, "--config", file, "--check-config").returncode == 0:
                 sys.exit(f"{daemon} --check-config takes nonsense")
-            # Where services and secrets are is what the compose file says.
+            # The compose file defines where services and secrets are.
             for secret in {word.strip(",}\"]") for word in original.split() if word.startswith("/run/secrets/")}:
                 service = next(service for service in services.values()
                                if service.get("command", [""])[-1] == f"/etc/iotcloud/{name}")

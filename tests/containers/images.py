@@ -29,7 +29,7 @@ def words_of(pattern):
 
 
 def installed():
-    """What the stages after the build install: the base has it already, so that a container needs no network."""
+    """The packages that the later stages install: the base has them, so that a container needs no network."""
     stages = words_of(r"(?s)FROM \$\{BINARIES\}.*")
     text = " ".join(stages)
     return sorted({word for found in re.findall(r"--no-install-recommends((?: [a-z0-9.+-]+)+)", text)
@@ -76,7 +76,7 @@ def debian(packages, work):
 
 
 def load(docker, build, work, kafka):
-    """Puts all of them into the daemon. Returns what docker-compose.yml is told."""
+    """Loads all images into the daemon. Returns the variables of docker-compose.yml."""
     base = installed()
     docker.import_image(BASE, debian(base, work))
     docker.import_image(SERVERS, debian(sorted({*base, *OF_SERVERS}), work))
@@ -112,7 +112,7 @@ def binaries(docker, build, work):
 
 
 def sizes(docker):
-    """Of what was built, in MB."""
+    """The size of the build, in MB."""
     wanted = [BASE, "iotcloud:local", "iotcloud-bench:local"]
     return {tag: json.loads(docker.docker("image", "inspect", tag))[0]["Size"] / 1e6 for tag in wanted
             if docker.docker("images", "-q", tag)}

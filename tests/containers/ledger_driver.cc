@@ -1,6 +1,7 @@
-// A driver that keeps books: a number of its own for each message on `data`, written to FOLDER/sent as soon as the
-// channel has accepted it, and to FOLDER/received when it comes back on `echo`. Its next life goes on where the last
-// one was killed, so that the books of all lives together say what was lost. Properties: `folder`, `rate` (a second).
+// A driver that keeps accounts: each message on `data` has its own number, written to FOLDER/sent as soon as the
+// channel has accepted the message, and to FOLDER/received when it comes back on `echo`. Its next run continues where
+// the killed one stopped, so the accounts of all runs together show what was lost. Properties: `folder`, `rate` (per
+// second).
 #include <algorithm>
 #include <charconv>
 #include <chrono>
@@ -51,7 +52,7 @@ class Ledger final : public drivers::Driver {
     for (std::string line; std::getline(in, line);) std::from_chars(line.data(), line.data() + line.size(), number);
     return number;
   }
-  /// A line in one write(2): what is written survives kill -9.
+  /// Writes a line with one write(2), so that it survives kill -9.
   static void write(std::ofstream& book, std::string_view number) { book << number << '\n' << std::flush; }
   void send() {
     const std::string number = std::to_string(next_);
@@ -68,5 +69,5 @@ class Ledger final : public drivers::Driver {
 
 }  // namespace
 
-// The topology of config/cluster reads the channels of drivers of this name.
+// The topology of deploy/cluster reads the channels of drivers of this name.
 IOTCLOUD_DRIVER(Ledger, "loadgen", "1.0")

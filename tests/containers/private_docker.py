@@ -22,7 +22,7 @@ START_LIMIT_S, STOP_LIMIT_S = 60, 60
 
 
 class Failed(Exception):
-    """A command failed; the text has what it said."""
+    """A command failed; the text contains its output."""
 
 
 def run(*command, **options):
@@ -119,7 +119,7 @@ class PrivateDocker:
         shutil.rmtree(self.folder)
 
     def docker(self, *words):
-        """What `docker WORDS` prints. Raises Failed."""
+        """The output of `docker WORDS`. Raises Failed."""
         return run("docker", *words, env=self.environment)
 
     def inside(self, *command, **options):

@@ -1,4 +1,4 @@
-// Who may use what a process has created in a ZooKeeper: digest authentication.
+// Access to the nodes that a process created in ZooKeeper: digest authentication.
 #include <iotcloud/tests/discovery/contract_fixture.h>
 
 namespace iotcloud::discovery::tests {

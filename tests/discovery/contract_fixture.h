@@ -19,9 +19,9 @@
 
 namespace iotcloud::discovery::tests {
 
-constexpr std::chrono::seconds patience{30};  ///< only ever used up by a test that fails
+using iotcloud::tests::patience;
 
-/// What callbacks said, in order; others wait for it. Thread safe.
+/// Collects the values that callbacks report, in order, and lets a test wait for them. Thread safe.
 template <typename Value>
 class Seen {
  public:
@@ -34,7 +34,7 @@ class Seen {
     const std::lock_guard lock(mutex_);
     return values_;
   }
-  /// Waits until `condition` holds of all values so far.
+  /// Waits until `condition` returns true for the values that were collected so far.
   [[nodiscard]] bool wait(const std::function<bool(const std::vector<Value>&)>& condition) const {
     std::unique_lock lock(mutex_);
     return changed_.wait_for(lock, patience, [&] { return condition(values_); });
@@ -52,11 +52,11 @@ class Seen {
   std::vector<Value> values_;
 };
 
-/// What a watch of a node saw: its data, or "(none)".
+/// A watched node's data, or "(none)".
 inline std::string text(const std::optional<Node>& node) {
   return node ? node->data : "(none)";
 }
-/// What a watch of children saw: "a b c", or "(none)".
+/// A watched list of children: "a b c", or "(none)".
 inline std::string text(const std::optional<std::vector<std::string>>& names) {
   if (!names) return "(none)";
   std::string all;
@@ -68,7 +68,7 @@ using iotcloud::tests::eventually;
 
 class RegistryContract : public testing::TestWithParam<std::string> {
  protected:
-  /// One more client of the same tree.
+  /// Makes one more client of the same tree.
   std::unique_ptr<Registry> client(std::chrono::milliseconds session_timeout = std::chrono::seconds(20)) const {
     RegistryOptions options;
     options.url = place_->url();
@@ -82,7 +82,7 @@ class RegistryContract : public testing::TestWithParam<std::string> {
     return registry.get("/who-am-i")->owner_session;
   }
 
-  /// The error's code, or nothing when `action` throws none.
+  /// The code of the error that `action` throws, or nothing.
   static std::optional<RegistryErrorCode> code_of(const std::function<void()>& action) {
     try {
       action();

@@ -3,6 +3,7 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/discovery/contract_fixture.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::discovery::tests {
 namespace {
@@ -13,12 +14,14 @@ using testing::ElementsAre;
 using testing::UnorderedElementsAre;
 
 /// Passes everything on and notes what was asked, "get /path" and the like.
-class CountingConnection : public Connection {
+class CountingConnection : public RegistryConnection {
  public:
-  CountingConnection(std::unique_ptr<Connection> below, Seen<std::string>& asked)
+  CountingConnection(std::unique_ptr<RegistryConnection> below, Seen<std::string>& asked)
       : below_(std::move(below)), asked_(asked) {}
   bool open(Events events) override { return below_->open(std::move(events)); }
   bool renew() override { return below_->renew(); }
+  bool ask_for_new(std::function<void()> serves) override { return below_->ask_for_new(std::move(serves)); }
+  void ask_no_more() override { below_->ask_no_more(); }
   std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const override {
     return below_->certain_after_disconnect(timeout);
   }
@@ -46,7 +49,7 @@ class CountingConnection : public Connection {
   }
 
  private:
-  const std::unique_ptr<Connection> below_;
+  const std::unique_ptr<RegistryConnection> below_;
   Seen<std::string>& asked_;
 };
 
@@ -54,23 +57,23 @@ class Cost : public testing::Test {
  protected:
   void put_driver(int instance, const std::string& battery) {
     DriverRecord record;
-    record.name = "turtle";
-    record.instance = std::to_string(instance);
+    record.name = "turtle"_driver;
+    record.instance = InstanceId(std::to_string(instance));
     record.state = DriverState::active;
     record.metadata["battery"] = battery;
     ChannelRecord channel;
     channel.driver = record.name;
     channel.instance = record.instance;
     channel.name = "kinect";
-    put(*writer_, paths_.channel("turtle", record.instance, channel.name), encode(channel));
-    put(*writer_, paths_.instance("turtle", record.instance), encode(record));
+    put(*writer_, paths_.channel("turtle"_driver, record.instance, channel.name), encode(channel));
+    put(*writer_, paths_.instance("turtle"_driver, record.instance), encode(record));
   }
   std::unique_ptr<DriverDirectory> directory(const std::string& where) {
     DriverDirectory::Callbacks callbacks;
     callbacks.on_channel = [this](const ChannelRecord& record) { told_.add("+" + record.instance); };
     callbacks.on_channel_gone = [this](const ChannelRecord& record) { told_.add("-" + record.instance); };
-    callbacks.on_verdict = [this](const std::string& instance, std::optional<bool>) { judged_.add(instance); };
-    return std::make_unique<DriverDirectory>(*registry_, paths_, "turtle", "kinect", std::move(callbacks),
+    callbacks.on_verdict = [this](const InstanceId& instance, std::optional<bool>) { judged_.add(instance); };
+    return std::make_unique<DriverDirectory>(*registry_, paths_, "turtle"_driver, "kinect", std::move(callbacks),
                                              Selection::parse(where));
   }
   /// What was asked after the first `count` questions.
@@ -80,7 +83,7 @@ class Cost : public testing::Test {
   }
 
   const Paths paths_;
-  const std::shared_ptr<embedded::Server> server_ = embedded::Server::named("cost");
+  const std::shared_ptr<embedded::RegistryServer> server_ = embedded::RegistryServer::named("cost");
   Seen<std::string> asked_;
   Seen<std::string> told_;
   Seen<std::string> judged_;
@@ -103,10 +106,10 @@ TEST_F(Cost, ADriverThatChangesIsReadAndJudgedAloneAmongMany) {
   const auto all = judged_.all();
   EXPECT_THAT(std::vector<std::string>(all.begin() + many, all.end()), ElementsAre("42"));
   // A node that was read just before (2 ms) is read again a little later, and so the channel perhaps after this.
-  const std::string instance = "get " + paths_.instance("turtle", "42");
-  EXPECT_THAT(
-      asked_since(asked),
-      AnyOf(ElementsAre(instance), UnorderedElementsAre(instance, "get " + paths_.channel("turtle", "42", "kinect"))));
+  const std::string instance = "get " + paths_.instance("turtle"_driver, "42"_instance);
+  EXPECT_THAT(asked_since(asked),
+              AnyOf(ElementsAre(instance),
+                    UnorderedElementsAre(instance, "get " + paths_.channel("turtle"_driver, "42"_instance, "kinect"))));
 }
 
 TEST_F(Cost, ADriverThatComesCostsItsOwnRecordsAndOneListForAllWhoWatch) {
@@ -118,11 +121,12 @@ TEST_F(Cost, ADriverThatComesCostsItsOwnRecordsAndOneListForAllWhoWatch) {
 
   put_driver(70, "50");
   ASSERT_TRUE(told_.wait_for_count(102));
-  const std::string list = "children " + paths_.driver("turtle");
+  const std::string list = "children " + paths_.driver("turtle"_driver);
   const auto since = asked_since(asked);
   EXPECT_EQ(std::count(since.begin(), since.end(), list), 1);
   for (const std::string& question : since) {
-    EXPECT_TRUE(question == list || question.starts_with("get " + paths_.instance("turtle", "70"))) << question;
+    EXPECT_TRUE(question == list || question.starts_with("get " + paths_.instance("turtle"_driver, "70"_instance)))
+        << question;
   }
 }
 

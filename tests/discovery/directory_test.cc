@@ -1,6 +1,7 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/discovery/contract_fixture.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::discovery::tests {
 namespace {
@@ -14,25 +15,25 @@ class Directory : public testing::Test {
 
   DriverRecord driver(const std::string& instance, DriverState state) const {
     DriverRecord record;
-    record.name = "turtle";
-    record.instance = instance;
-    record.gateway = "gw";
+    record.name = "turtle"_driver;
+    record.instance = InstanceId(instance);
+    record.gateway = "gw"_gateway;
     record.state = state;
     return record;
   }
   void put_driver(const std::string& instance, DriverState state) {
-    put(*writer_, paths_.instance("turtle", instance), encode(driver(instance, state)));
+    put(*writer_, paths_.instance("turtle"_driver, InstanceId(instance)), encode(driver(instance, state)));
   }
   void put_channel(const std::string& instance, const std::string& name, const std::string& broker_url = "amqp://1") {
     ChannelRecord record;
     record.name = name;
     record.transport = "rabbitmq";
-    record.driver = "turtle";
-    record.instance = instance;
+    record.driver = "turtle"_driver;
+    record.instance = InstanceId(instance);
     record.broker_url = broker_url;
-    put(*writer_, paths_.channel("turtle", instance, name), encode(record));
+    put(*writer_, paths_.channel("turtle"_driver, InstanceId(instance), name), encode(record));
   }
-  /// What a directory of `channel` says goes to `seen_`.
+  /// Records the events of a directory of `channel` in `seen_`.
   std::unique_ptr<DriverDirectory> watch(const std::string& channel) {
     DriverDirectory::Callbacks callbacks;
     callbacks.on_channel = [this](const ChannelRecord& record) {
@@ -41,7 +42,7 @@ class Directory : public testing::Test {
     callbacks.on_channel_gone = [this](const ChannelRecord& record) {
       seen_.add("-" + record.instance + "." + record.name);
     };
-    return std::make_unique<DriverDirectory>(*registry_, paths_, "turtle", channel, std::move(callbacks));
+    return std::make_unique<DriverDirectory>(*registry_, paths_, "turtle"_driver, channel, std::move(callbacks));
   }
 
   const Paths paths_;
@@ -71,7 +72,7 @@ TEST_F(Directory, ReportsAllChannelsWhenNoneIsNamed) {
   const auto directory = watch("");
   ASSERT_TRUE(seen_.wait_for_count(2));
   EXPECT_THAT(seen_.all(), UnorderedElementsAre("+1.kinect@amqp://1", "+1.control@amqp://1"));
-  writer_->remove(paths_.channel("turtle", "1", "control"));
+  writer_->remove(paths_.channel("turtle"_driver, "1"_instance, "control"));
   EXPECT_TRUE(seen_.wait_for_last("-1.control"));
 }
 
@@ -92,7 +93,7 @@ TEST_F(Directory, AChannelIsThereOnlyWhileItsDriverIsActive) {
   ASSERT_TRUE(seen_.wait_for_last("-1.kinect"));
   put_driver("1", DriverState::active);
   ASSERT_TRUE(seen_.wait_for_count(3));
-  remove_tree(*writer_, paths_.instance("turtle", "1"));
+  remove_tree(*writer_, paths_.instance("turtle"_driver, "1"_instance));
   ASSERT_TRUE(seen_.wait_for_count(4));
   EXPECT_THAT(seen_.all(), ElementsAre("+1.kinect@amqp://1", "-1.kinect", "+1.kinect@amqp://1", "-1.kinect"));
 }
@@ -110,10 +111,10 @@ TEST_F(Directory, AChangedRecordIsReportedAgainAndAnUnchangedOneIsNot) {
 }
 
 TEST_F(Directory, WhatCannotBeReadIsSkippedUntilItCan) {
-  put(*writer_, paths_.instance("turtle", "1"), "\x0bgarbage");
+  put(*writer_, paths_.instance("turtle"_driver, "1"_instance), "\x0bgarbage");
   put_channel("1", "kinect");
   put_driver("2", DriverState::active);
-  put(*writer_, paths_.channel("turtle", "2", "kinect"), "garbage");
+  put(*writer_, paths_.channel("turtle"_driver, "2"_instance, "kinect"), "garbage");
   put_driver("3", DriverState::active);
   put_channel("3", "kinect");
   const auto directory = watch("kinect");
@@ -122,7 +123,7 @@ TEST_F(Directory, WhatCannotBeReadIsSkippedUntilItCan) {
   ASSERT_TRUE(seen_.wait_for_last("+1.kinect@amqp://1"));
   put_channel("2", "kinect");
   ASSERT_TRUE(seen_.wait_for_last("+2.kinect@amqp://1"));
-  put(*writer_, paths_.channel("turtle", "2", "kinect"), "garbage");
+  put(*writer_, paths_.channel("turtle"_driver, "2"_instance, "kinect"), "garbage");
   EXPECT_TRUE(seen_.wait_for_last("-2.kinect"));
 }
 
@@ -136,7 +137,7 @@ TEST_F(Directory, KeepsItsViewThroughAnExpiredSession) {
   put_driver("2", DriverState::active);
   put_channel("2", "kinect");
   ASSERT_TRUE(seen_.wait_for_last("+2.kinect@amqp://1"));
-  EXPECT_EQ(seen_.all().size(), 2U);  // nothing is reported twice, nothing taken back
+  EXPECT_EQ(seen_.all().size(), 2U);  // no event is repeated or taken back
 }
 
 TEST_F(Directory, MayEndInItsOwnCallback) {
@@ -152,7 +153,7 @@ TEST_F(Directory, MayEndInItsOwnCallback) {
     directory.reset();
     seen_.add(record.name);
   };
-  directory = std::make_unique<DriverDirectory>(*registry_, paths_, "turtle", "", std::move(callbacks));
+  directory = std::make_unique<DriverDirectory>(*registry_, paths_, "turtle"_driver, "", std::move(callbacks));
   lock.unlock();
   ASSERT_TRUE(seen_.wait_for_count(1));
   const auto other = watch("");
@@ -165,7 +166,7 @@ TEST_F(Directory, ListsDriversWithTheirChannels) {
   put_driver("1", DriverState::failed);
   put_channel("1", "kinect");
   put_channel("1", "control");
-  put(*writer_, paths_.instance("turtle", "bad"), "garbage");
+  put(*writer_, paths_.instance("turtle"_driver, "bad"_instance), "garbage");
   const auto drivers = list_drivers(*registry_, paths_);
   ASSERT_EQ(drivers.size(), 1U);
   EXPECT_EQ(drivers[0].state, DriverState::failed);
@@ -176,10 +177,10 @@ TEST_F(Directory, ListsDriversWithTheirChannels) {
 TEST_F(Directory, ListsGatewaysAndWhetherTheyLive) {
   for (const char* id : {"a", "b"}) {
     GatewayRecord record;
-    record.id = id;
-    put(*writer_, paths_.gateway(id), encode(record));
+    record.id = GatewayId(id);
+    put(*writer_, paths_.gateway(GatewayId(id)), encode(record));
   }
-  const auto alive = writer_->hold(paths_.gateway_alive("b"), "");
+  const auto alive = writer_->hold(paths_.gateway_alive("b"_gateway), "");
   const auto gateways = list_gateways(*registry_, paths_);
   ASSERT_EQ(gateways.size(), 2U);
   EXPECT_EQ(gateways[0].record.id, "a");
@@ -189,13 +190,13 @@ TEST_F(Directory, ListsGatewaysAndWhetherTheyLive) {
 
 TEST_F(Directory, ListsTopologiesAndTheirWorkers) {
   TopologyRecord record;
-  record.name = "follower";
-  put(*writer_, paths_.topology("follower"), encode(record));
+  record.name = "follower"_topology;
+  put(*writer_, paths_.topology("follower"_topology), encode(record));
   WorkerRecord worker;
   worker.name = "w1";
   worker.components["decode"] = {2, 4};
-  const auto held = writer_->hold(paths_.workers("follower") + "/w1", encode(worker));
-  const auto unreadable = writer_->hold(paths_.workers("follower") + "/w2", "");
+  const auto held = writer_->hold(paths_.workers("follower"_topology) + "/w1", encode(worker));
+  const auto unreadable = writer_->hold(paths_.workers("follower"_topology) + "/w2", "");
   auto topologies = list_topologies(*registry_, paths_);
   ASSERT_EQ(topologies.size(), 1U);
   EXPECT_EQ(topologies[0].record, record);
@@ -207,42 +208,42 @@ TEST_F(Directory, ListsTopologiesAndTheirWorkers) {
   TopologyOrder order;
   order.revision = 3;
   order.active = false;
-  put(*writer_, paths_.topology_order("follower"), encode(order));
+  put(*writer_, paths_.topology_order("follower"_topology), encode(order));
   topologies = list_topologies(*registry_, paths_);
   EXPECT_EQ(topologies.at(0).order, order);
 }
 
 TEST_F(Directory, RemovesATopologyWithItsOrdersOnlyWhenNoWorkerIsLeft) {
   TopologyRecord record;
-  record.name = "follower";
-  put(*writer_, paths_.topology("follower"), encode(record));
-  put(*writer_, paths_.topology_order("follower"), encode(TopologyOrder{}));
-  put(*writer_, paths_.ended_workers("follower") + "/w0", "");
-  auto held = writer_->hold(paths_.workers("follower") + "/w1", "");
-  EXPECT_FALSE(remove_topology(*registry_, paths_, "follower"));
-  EXPECT_TRUE(registry_->get(paths_.topology_order("follower")));
+  record.name = "follower"_topology;
+  put(*writer_, paths_.topology("follower"_topology), encode(record));
+  put(*writer_, paths_.topology_order("follower"_topology), encode(TopologyOrder{}));
+  put(*writer_, paths_.ended_workers("follower"_topology) + "/w0", "");
+  auto held = writer_->hold(paths_.workers("follower"_topology) + "/w1", "");
+  EXPECT_FALSE(remove_topology(*registry_, paths_, "follower"_topology));
+  EXPECT_TRUE(registry_->get(paths_.topology_order("follower"_topology)));
   held.reset();
-  ASSERT_FALSE(writer_->get(paths_.workers("follower") + "/w1"));
-  EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"));
-  EXPECT_FALSE(registry_->get(paths_.topology("follower")));
-  EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"));  // what is gone already is no error
+  ASSERT_FALSE(writer_->get(paths_.workers("follower"_topology) + "/w1"));
+  EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"_topology));
+  EXPECT_FALSE(registry_->get(paths_.topology("follower"_topology)));
+  EXPECT_TRUE(remove_topology(*registry_, paths_, "follower"_topology));  // no error when it is gone already
 }
 
 TEST_F(Directory, ReportsOfTheInstancesThatAreChosenAsTheyChange) {
   const auto tell = [&](const std::string& instance, const std::string& battery, DriverState state) {
     DriverRecord record = driver(instance, state);
     record.metadata["battery"] = battery;
-    put(*writer_, paths_.instance("turtle", instance), encode(record));
+    put(*writer_, paths_.instance("turtle"_driver, InstanceId(instance)), encode(record));
   };
   DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const ChannelRecord& record) { seen_.add("+" + record.instance); };
   callbacks.on_channel_gone = [this](const ChannelRecord& record) { seen_.add("-" + record.instance); };
-  callbacks.on_verdict = [this](const std::string& instance, std::optional<bool> chosen) {
+  callbacks.on_verdict = [this](const InstanceId& instance, std::optional<bool> chosen) {
     seen_.add(instance + (!chosen ? " gone" : *chosen ? " yes" : " no"));
   };
   put_channel("1", "kinect");
   tell("1", "50", DriverState::starting);
-  const DriverDirectory directory(*registry_, paths_, "turtle", "kinect", std::move(callbacks),
+  const DriverDirectory directory(*registry_, paths_, "turtle"_driver, "kinect", std::move(callbacks),
                                   Selection::parse("battery > 20"));
   ASSERT_TRUE(seen_.wait_for_last("1 yes"));
   tell("1", "50", DriverState::active);
@@ -251,9 +252,29 @@ TEST_F(Directory, ReportsOfTheInstancesThatAreChosenAsTheyChange) {
   ASSERT_TRUE(seen_.wait_for_last("-1"));
   tell("1", "30", DriverState::active);
   ASSERT_TRUE(seen_.wait_for_last("+1"));
-  remove_tree(*writer_, paths_.instance("turtle", "1"));
+  remove_tree(*writer_, paths_.instance("turtle"_driver, "1"_instance));
   ASSERT_TRUE(seen_.wait_for_last("1 gone"));
   EXPECT_THAT(seen_.all(), ElementsAre("1 yes", "1 yes", "+1", "1 no", "-1", "1 yes", "+1", "-1", "1 gone"));
+}
+
+TEST_F(Directory, ReportsTheStatesOfAllInstancesChosenOrNot) {
+  const auto tell = [&](DriverState state) {
+    put(*writer_, paths_.instance("turtle"_driver, "1"_instance), encode(driver("1", state)));
+  };
+  DriverDirectory::Callbacks callbacks;
+  callbacks.on_state = [this](const InstanceId& instance, std::optional<DriverState> state) {
+    seen_.add(instance + " " + (state ? to_string(*state) : "gone"));
+  };
+  tell(DriverState::starting);
+  const DriverDirectory directory(*registry_, paths_, "turtle"_driver, "kinect", std::move(callbacks),
+                                  Selection::parse("battery > 20"));
+  ASSERT_TRUE(seen_.wait_for_last("1 starting"));
+  tell(DriverState::active);
+  ASSERT_TRUE(seen_.wait_for_last("1 active"));
+  tell(DriverState::failed);
+  ASSERT_TRUE(seen_.wait_for_last("1 failed"));
+  remove_tree(*writer_, paths_.instance("turtle"_driver, "1"_instance));
+  ASSERT_TRUE(seen_.wait_for_last("1 gone"));
 }
 
 }  // namespace

@@ -23,7 +23,7 @@ class Doubt : public testing::Test {
   }
   std::vector<std::string> held() const { return other_->children("/h").value(); }
 
-  const std::shared_ptr<embedded::Server> server_ = embedded::Server::named("doubt");
+  const std::shared_ptr<embedded::RegistryServer> server_ = embedded::RegistryServer::named("doubt");
   const std::unique_ptr<Registry> registry_ = client();
   const std::int64_t session_ = [this] {
     registry_->get("/");

@@ -7,7 +7,7 @@
 namespace iotcloud::discovery::tests {
 namespace {
 
-/// One process that stands for election, on a session of its own.
+/// One process that stands for election, on its own session.
 struct Member {
   Member(std::unique_ptr<Registry> own_registry, const std::string& name, Seen<std::string>& history)
       : registry(std::move(own_registry)) {
@@ -26,7 +26,7 @@ struct Member {
 
 class ElectionContract : public RegistryContract {
  protected:
-  /// Stands and is seen to stand, so that the order is certain.
+  /// Stands, and waits until the candidacy is visible, so that the order is certain.
   std::unique_ptr<Member> stand(const std::string& name,
                                 std::chrono::milliseconds session_timeout = std::chrono::seconds(20)) {
     const std::size_t before = registry_->children("/elections/of it").value_or(std::vector<std::string>()).size();
@@ -151,8 +151,8 @@ TEST_P(ElectionContract, AShortInterruptionLosesNoLeader) {
     EXPECT_THAT(history_.all(), testing::ElementsAre("it elected"));
     return;
   }
-  // A ZooKeeper that is asked at its very beginning may never answer. The client's library then waits for two thirds of
-  // the session's time before it asks again, and a third is enough to doubt the session.
+  // A ZooKeeper that is asked while it starts may never answer. The client's library then waits for two thirds of the
+  // session's time before it asks again, and a third is enough to doubt the session.
   ASSERT_TRUE(history_.wait_for_count(3));
   EXPECT_THAT(history_.all(), testing::ElementsAre("it elected", "it lost", "it elected"));
 }
@@ -196,7 +196,7 @@ TEST_P(ElectionContract, AnElectionMayEndInItsOwnCallback) {
   EXPECT_TRUE(eventually([&] { return other_->children("/e")->empty(); }));
 }
 
-/// Where whoever is first leads.
+/// Elections in which the first candidate leads.
 class SeatContract : public RegistryContract {
  protected:
   std::unique_ptr<Election> stand(Registry& registry, const std::string& name) {
@@ -248,7 +248,7 @@ TEST_P(SeatContract, OutOfContactForTooLongALeaderLosesAndLeadsAgainWhenItsNodeS
   const auto session = client(std::chrono::milliseconds(1500));
   const auto only = stand(*session, "only");
   ASSERT_TRUE(history_.wait_for_last("only elected"));
-  last_epoch_ = 0;  // it is the same one again
+  last_epoch_ = 0;  // the same candidate again
   place_->stop();
   ASSERT_TRUE(history_.wait_for_last("only lost"));
   place_->start();
@@ -262,7 +262,7 @@ TEST_P(SeatContract, ALeaderWhoseNodeIsRemovedLeavesTheNextOneAlone) {
   const auto second = stand(*other_, "second");
   const auto third = client();
   third->remove("/seats/it");
-  // Both want it; one has it, and keeps it when the other goes or comes again.
+  // Both want the seat; one has it, and keeps it when the other goes or comes back.
   ASSERT_TRUE(history_.wait_for_count(3));
   ASSERT_TRUE(eventually([&] { return first->leading() != second->leading(); }));
   if (first->leading()) {
@@ -274,7 +274,7 @@ TEST_P(SeatContract, ALeaderWhoseNodeIsRemovedLeavesTheNextOneAlone) {
   const std::size_t count = history_.all().size();
   const std::int64_t owner = holder();
   auto again = stand(*registry_, "again");
-  registry_->get("/");  // what the election asked for before is done
+  registry_->get("/");  // waits for the election's earlier requests
   EXPECT_EQ(holder(), owner);
   EXPECT_EQ(history_.all().size(), count);
   EXPECT_TRUE(second->leading());

@@ -1,4 +1,4 @@
-// Three ZooKeeper servers of which the leader is killed, again and again, while everything is in use.
+// The leader of three ZooKeeper servers is killed, again and again, while clients use everything.
 #include <array>
 #include <iostream>
 
@@ -44,7 +44,7 @@ struct Participant {
   std::vector<GuardPtr> guards;
 };
 
-/// Writes one key after the other until told to stop, and remembers what the registry has confirmed.
+/// Writes one key after another until stopped, and remembers the writes that the registry confirmed.
 struct Writer {
   explicit Writer(Registry& r) : registry(r), thread([this] { run(); }) {}
   void run() {
@@ -62,8 +62,8 @@ struct Writer {
     thread.join();
   }
   Registry& registry;
-  std::array<std::string, keys> confirmed;  ///< the writer's own until finish()
-  std::chrono::milliseconds longest{0};     ///< the writer's own until finish()
+  std::array<std::string, keys> confirmed;  ///< only used by the writer until finish()
+  std::chrono::milliseconds longest{0};     ///< only used by the writer until finish()
   std::atomic<int> writes{0};
   std::atomic<bool> stop{false};
   std::thread thread;

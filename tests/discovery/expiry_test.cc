@@ -1,19 +1,20 @@
-// Sessions that the registry drops, one after the other, while everything is in use. Each must come back whole.
+// The registry drops sessions, one after another, while clients use everything. Each client must recover completely.
 #include <array>
 #include <iostream>
 #include <map>
 #include <random>
 
 #include <iotcloud/tests/discovery/contract_fixture.h>
+#include <iotcloud/tests/long.h>
 
 namespace iotcloud::discovery::tests {
 namespace {
 
-constexpr int expiries = IOTCLOUD_TEST_EXPIRIES;
+const int expiries = iotcloud::tests::long_run() ? 1000 : 50;
 constexpr int processes = 3;
 constexpr int elections = 3;
 
-/// What one process has in the registry.
+/// What one process does in the registry.
 struct Process {
   Process(std::unique_ptr<Registry> own, int number)
       : name("process-" + std::to_string(number)), registry(std::move(own)) {
@@ -38,7 +39,7 @@ struct Process {
     caller.join();
   }
 
-  /// Calls, and watches and elections that come and go, all the time.
+  /// Calls, and watches and elections that begin and end, all the time.
   void call() {
     for (int i = 0; !stop; ++i) {
       try {
@@ -70,6 +71,7 @@ class Expiry : public RegistryContract {};
 
 TEST_P(Expiry, EverythingComesBackEachTime) {
   std::vector<std::unique_ptr<Process>> all;
+  all.reserve(processes);
   for (int i = 0; i < processes; ++i) all.push_back(std::make_unique<Process>(client(std::chrono::seconds(5)), i));
   std::mt19937 choose(20261121);
   for (int round = 0; round < expiries; ++round) {
@@ -88,7 +90,7 @@ TEST_P(Expiry, EverythingComesBackEachTime) {
 
   const std::string last = std::to_string(expiries - 1);
   int watches_behind = 0, held_lost = 0, without_leader = 0, epochs_again = 0, told = 0, calls = 0, away = 0;
-  std::array<std::map<std::int64_t, std::string>, elections> used;  // by whom
+  std::array<std::map<std::int64_t, std::string>, elections> used;  // who used it
   std::string names;
   for (const auto& process : all) names += (names.empty() ? "" : " ") + process->name;
   for (const auto& process : all) {
@@ -111,7 +113,7 @@ TEST_P(Expiry, EverythingComesBackEachTime) {
                           ? 0
                           : 1;
     for (const auto& process : all) {
-      // Who was out of contact for too long, and finds its node still there, leads again under the same one.
+      // A candidate that was out of contact too long but finds its node still there leads again under the same epoch.
       for (const std::int64_t epoch : process->epochs[i].all()) {
         epochs_again += used[i].try_emplace(epoch, process->name).first->second == process->name ? 0 : 1;
       }

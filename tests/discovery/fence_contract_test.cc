@@ -1,4 +1,4 @@
-// Writes that depend on a node: on every registry they take effect while it is there, and never afterwards.
+// Writes that depend on a node take effect while it exists, and never afterwards, on every registry.
 #include <atomic>
 #include <thread>
 
@@ -59,7 +59,7 @@ TEST_P(FenceContract, WithoutItsFenceNothingIsWritten) {
   EXPECT_EQ(code_of([&] { remove_tree(*registry_, "/a", fence_); }), Code::fenced);
   EXPECT_EQ(other_->get("/a")->data, "1");
   EXPECT_EQ(other_->get("/a")->version, 0);
-  // Whatever else would be wrong with it.
+  // The fence is checked before all other errors.
   EXPECT_EQ(code_of([&] { registry_->create("/a", "", true, fence_); }), Code::fenced);
   EXPECT_EQ(code_of([&] { registry_->set("/none", "", -1, fence_); }), Code::fenced);
   EXPECT_EQ(code_of([&] { registry_->remove("/none", -1, fence_); }), Code::fenced);
@@ -73,13 +73,13 @@ TEST_P(FenceContract, AFenceGoesWithItsSession) {
   const Fence before{paths.all().front()};
   registry_->set("/a", "1", -1, before);
   place_->expire(other_->get(before.path)->owner_session);
-  ASSERT_TRUE(paths.wait_for_count(2));  // that of the next session
+  ASSERT_TRUE(paths.wait_for_count(2));  // the next session's
   EXPECT_EQ(code_of([&] { registry_->set("/a", "2", -1, before); }), Code::fenced);
   registry_->set("/a", "3", -1, {paths.all().back()});
   EXPECT_EQ(other_->get("/a")->data, "3");
 }
 
-/// Writers do not know when their fence goes; the registry does.
+/// Writers do not notice when their fence goes; the registry does.
 TEST_P(FenceContract, NoWriteComesAfterTheEndOfItsFence) {
   registry_->create("/w", "");
   std::atomic<int> written{0}, refused{0};

@@ -11,7 +11,7 @@
 
 namespace iotcloud::tests {
 
-/// Hands everything on to another registry. For those that do one thing otherwise.
+/// Forwards every call to another registry. A base class for registries that do one thing differently.
 class PassingRegistry : public discovery::Registry {
  public:
   using Fence = discovery::Fence;

@@ -10,6 +10,7 @@
 
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/discovery/place.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/servers/private_server.h>
 
 namespace iotcloud::discovery::tests {
@@ -31,7 +32,7 @@ class EmbeddedPlace : public Place {
 
  private:
   const std::string name_ = next_name();
-  const std::shared_ptr<embedded::Server> server_ = embedded::Server::named(name_);
+  const std::shared_ptr<embedded::RegistryServer> server_ = embedded::RegistryServer::named(name_);
 };
 
 /// The password that ZooKeeper gives a session: java.util.Random's bytes, seeded with the session's number and a
@@ -88,7 +89,7 @@ class ZooKeeperPlace : public Place {
     int state = 0;
     {
       std::unique_lock lock(seen.mutex);
-      seen.changed.wait_for(lock, std::chrono::seconds(30), [&] { return seen.state != 0; });
+      seen.changed.wait_for(lock, iotcloud::tests::patience, [&] { return seen.state != 0; });
       state = seen.state;
     }
     zookeeper_close(thief);

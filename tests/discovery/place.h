@@ -9,18 +9,19 @@
 
 namespace iotcloud::discovery::tests {
 
-/// Where a contract test's registry lives: an empty tree of its own, and the power to harm it.
+/// A contract test's registry: an empty tree of its own, and the means to harm it.
 class Place {
  public:
   virtual ~Place() = default;
   virtual std::string url() const = 0;
-  /// The server is gone for all clients (killed, where there is a process), and back with its tree.
+  /// Makes the server unreachable for all clients (kills its process if it has one); start() brings it back with its
+  /// tree.
   virtual void stop() = 0;
   virtual void start() = 0;
-  /// The server keeps its connections and answers nothing, and goes on.
+  /// Makes the server keep its connections but answer nothing, until go_on().
   virtual void hang() = 0;
   virtual void go_on() = 0;
-  /// The server drops a session; its client hears of it.
+  /// Makes the server drop a session, and tell its client so.
   virtual void expire(std::int64_t session) = 0;
 };
 

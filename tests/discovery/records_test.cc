@@ -5,6 +5,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::discovery {
 namespace {
@@ -13,7 +14,7 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
-/// Thrift's binary protocol by hand: a field is its type, its id (two bytes, big endian) and its value.
+/// Writes Thrift's binary protocol by hand: a field is its type, its id (two bytes, big endian) and its value.
 class Bytes {
  public:
   Bytes& field(char type, int id) { return raw(std::string(1, type)).number(static_cast<std::uint64_t>(id), 2); }
@@ -44,9 +45,9 @@ ChannelRecord example_channel() {
   record.direction = Direction::out;
   record.properties = {{"exchange", "g.turtle"}, {"queueName", "q"}};
   record.broker_url = "amqp://b";
-  record.gateway = "gw";
-  record.driver = "turtle";
-  record.instance = "0123";
+  record.gateway = "gw"_gateway;
+  record.driver = "turtle"_driver;
+  record.instance = "0123"_instance;
   record.shared = true;
   return record;
 }
@@ -74,9 +75,9 @@ std::string channel_bytes() {
 
 DriverRecord example_driver() {
   DriverRecord record;
-  record.name = "turtle";
-  record.instance = "0123";
-  record.gateway = "gw";
+  record.name = "turtle"_driver;
+  record.instance = "0123"_instance;
+  record.gateway = "gw"_gateway;
   record.state = DriverState::failed;
   record.reason = "no Kinect";
   record.since_ms = 0x0102030405060708;
@@ -115,7 +116,7 @@ TEST(Records, ADriversBytesAreThoseOfTheOriginalWithOurFieldsFrom100Up) {
 
 TEST(Records, AGatewaysBytesAreThoseOfTheOriginalWithOurFieldsFrom100Up) {
   GatewayRecord record;
-  record.id = "gw";
+  record.id = "gw"_gateway;
   record.host = "robot.local";
   record.port = 12905;
   record.brokers = {"rabbitmq", "kafka"};
@@ -218,7 +219,7 @@ TEST(Records, RequiredFieldsOfAGatewayMustBeThere) {
 }
 
 TEST(Records, RandomHarmIsEitherReadOrRefused) {
-  std::mt19937 random(7);  // NOLINT: the same harm in every run
+  std::mt19937 random(7);  // NOLINT: the same damage in every run
   const std::string good = driver_bytes();
   for (int round = 0; round < 20000; ++round) {
     std::string bytes = good;
@@ -237,8 +238,8 @@ TEST(Records, NestingWithoutEndIsRefused) {
 
 TEST(Records, OrdersAndTopologiesAreJson) {
   OrderRecord order;
-  order.instance = "0123";
-  order.driver = "turtle";
+  order.instance = "0123"_instance;
+  order.driver = "turtle"_driver;
   order.plugin = "turtle.so";
   order.active = false;
   order.properties = {{"rate", "30"}};
@@ -247,7 +248,7 @@ TEST(Records, OrdersAndTopologiesAreJson) {
   EXPECT_EQ(decode_order(encode(order), "/o"), order);
   EXPECT_THAT(encode(order), HasSubstr(R"("plugin":"turtle.so")"));
   TopologyRecord topology;
-  topology.name = "follower";
+  topology.name = "follower"_topology;
   topology.since_ms = 5;
   topology.spouts = {"kinect"};
   topology.bolts = {"follow", "send"};
@@ -256,7 +257,7 @@ TEST(Records, OrdersAndTopologiesAreJson) {
 
 TEST(Records, WhichPluginAnInstanceRunsIsInItsOrderAndItsRecord) {
   OrderRecord order;
-  order.instance = "0123";
+  order.instance = "0123"_instance;
   order.plugin = "turtle-2.so";
   EXPECT_THAT(encode(order), Not(HasSubstr("sha256"))) << "programs before know nothing of it";
   order.sha256 = std::string(64, '2');
@@ -312,28 +313,28 @@ TEST(Records, JsonThatIsNoOrderIsRefusedWithItsKey) {
   EXPECT_EQ(refusal(decode_order, R"({"instance":"1","plugin":"p","new":[1,2]})"), "");
   EXPECT_NE(refusal(decode_topology, std::string(100000, '[')), "");
   OrderRecord no_utf8;
-  no_utf8.instance = "\xff";
+  no_utf8.instance = "\xff"_instance;
   no_utf8.plugin = "p";
   EXPECT_EQ(decode_order(encode(no_utf8), "/o").plugin, "p");
 }
 
 TEST(Records, PathsFollowTheSensorsRoot) {
   const Paths paths;
-  EXPECT_EQ(paths.channel("turtle", "01", "kinect"), "/iot/sensors/turtle/01/kinect");
-  EXPECT_EQ(paths.order("gw", "01"), "/iot/gateways/gw/orders/01");
-  EXPECT_EQ(paths.gateway_alive("gw"), "/iot/gateways/gw/alive");
+  EXPECT_EQ(paths.channel("turtle"_driver, "01"_instance, "kinect"), "/iot/sensors/turtle/01/kinect");
+  EXPECT_EQ(paths.order("gw"_gateway, "01"_instance), "/iot/gateways/gw/orders/01");
+  EXPECT_EQ(paths.gateway_alive("gw"_gateway), "/iot/gateways/gw/alive");
   EXPECT_EQ(paths.masters(), "/iot/masters");
-  EXPECT_EQ(paths.workers("t"), "/iot/topologies/t/workers");
-  EXPECT_EQ(Paths("/sensors").gateway("gw"), "/gateways/gw");
-  EXPECT_EQ(Paths("/a/b/c").topology("t"), "/a/b/topologies/t");
+  EXPECT_EQ(paths.workers("t"_topology), "/iot/topologies/t/workers");
+  EXPECT_EQ(Paths("/sensors").gateway("gw"_gateway), "/gateways/gw");
+  EXPECT_EQ(Paths("/a/b/c").topology("t"_topology), "/a/b/topologies/t");
 }
 
 TEST(Records, ANameCannotReachAnotherPlace) {
   const Paths paths;
   for (const std::string& name : {std::string(), std::string("."), std::string(".."), std::string("a/b"),
                                   std::string("/"), std::string("a\0b", 3)}) {
-    EXPECT_THROW(paths.driver(name), config::Error);
-    EXPECT_THROW(paths.order("gw", name), config::Error);
+    EXPECT_THROW(paths.driver(DriverName(name)), config::Error);
+    EXPECT_THROW(paths.order("gw"_gateway, InstanceId(name)), config::Error);
   }
   for (const std::string root : {"", "/", "iot/sensors", "/iot/sensors/", "/iot//sensors", "/iot/gateways"}) {
     EXPECT_THROW(Paths{root}, config::Error) << root;
@@ -341,7 +342,7 @@ TEST(Records, ANameCannotReachAnotherPlace) {
 }
 
 TEST(Records, InstanceIdsAreUuidsWithoutDashesAndDiffer) {
-  const std::string id = new_instance_id();
+  const std::string id = new_instance_id().str();
   EXPECT_THAT(id, testing::MatchesRegex("[0-9a-f]+"));
   EXPECT_EQ(id.size(), 32U);
   EXPECT_EQ(id[12], '4');

@@ -1,4 +1,4 @@
-// What every registry does: nodes, versions, errors, watches. Sessions and elections: the other two files.
+// What every registry does: nodes, versions, errors, watches. Other files cover sessions and elections.
 #include <atomic>
 #include <future>
 #include <thread>

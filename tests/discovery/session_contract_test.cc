@@ -1,4 +1,4 @@
-// What a registry does when its server or its session goes.
+// What every registry does when its server or its session is lost.
 #include <future>
 
 #include <iotcloud/tests/discovery/contract_fixture.h>

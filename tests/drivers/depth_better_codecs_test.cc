@@ -46,7 +46,7 @@ Bytes encoded(Codec codec, const Frame& frame) {
   return {payload.begin(), payload.end()};
 }
 
-/// What a receiver gets: millimetres, and the disparities of a lossless frame.
+/// What a receiver gets: millimetres, and for a lossless frame its disparities.
 struct Decoded {
   DecodeError error = DecodeError::none;
   Frame mm, disparities;
@@ -83,7 +83,7 @@ void expect_carried(Codec codec, const Frame& frame, const Decoded& result) {
   EXPECT_EQ(wrong, 0U);
 }
 
-/// Puts the right checksum on what was changed: the decoder itself has to see what is wrong.
+/// Sets the right checksum after a change, so that the decoder itself must notice the error.
 void sign(Bytes& payload) {
   const auto* bytes = reinterpret_cast<const Bytef*>(payload.data());
   const auto of_codec = crc32(0, bytes + 3, 1);
@@ -166,7 +166,7 @@ TEST_P(BetterCodec, refuses_a_payload_that_is_cut_off_or_goes_on) {
   const Bytes good = encoded(GetParam(), scene(4, 1));
   DepthDecoder decoder;
   for (std::size_t size = 3; size < good.size(); size += size < 32 ? 1 : good.size() / 40) {
-    // A copy of its own size, so that a read behind its end is seen by the address sanitizer.
+    // A copy of exact size, so that the address sanitizer sees a read behind its end.
     Bytes cut(good.begin(), good.begin() + static_cast<std::ptrdiff_t>(size));
     ASSERT_EQ(decoded(decoder, cut).error, DecodeError::damaged) << size << " bytes";
     if (size < 8) continue;
@@ -200,10 +200,10 @@ TEST_P(BetterCodec, survives_what_no_encoder_wrote) {
   }
   EXPECT_GT(refused, rounds * 9 / 10);
   Bytes huge = good;
-  huge.resize(4'000'000, std::byte{0x5a});  // more than any frame takes
+  huge.resize(4'000'000, std::byte{0x5a});  // more than any frame needs
   sign(huge);
   EXPECT_EQ(decoded(decoder, huge).error, DecodeError::malformed);
-  EXPECT_EQ(decoded(decoder, good).error, DecodeError::none);  // and goes on working
+  EXPECT_EQ(decoded(decoder, good).error, DecodeError::none);  // the decoder still works
 }
 
 INSTANTIATE_TEST_SUITE_P(Codecs, BetterCodec, testing::Values(Codec::compact, Codec::lossless),

@@ -35,7 +35,7 @@ std::string snappy_block(std::size_t size, char fill = 7) {
   return block;
 }
 
-/// Decodes into a frame of sentinels. \return the error, and whether the frame kept them.
+/// Decodes into a frame of sentinels. \return the error, and whether all sentinels stayed.
 std::pair<DecodeError, bool> decode_into_sentinels(std::span<const std::byte> payload) {
   std::vector<std::uint16_t> mm(frame_pixels, 12345);
   DepthDecoder decoder;
@@ -47,7 +47,7 @@ struct Golden {
   int disparity, code, mm;
 };
 
-// REFERENCE.md 6.
+// docs/wire.md#depth-frames
 constexpr Golden golden_values[] = {{61, 255, 326},  {100, 244, 340}, {200, 215, 381}, {300, 187, 432},
                                     {400, 160, 497}, {500, 132, 587}, {600, 106, 707}, {700, 79, 897},
                                     {800, 53, 1210}, {900, 27, 1858}, {1000, 1, 4000}};
@@ -142,7 +142,7 @@ TEST(DepthDecoder, refuses_every_block_that_is_cut_off_or_goes_on) {
   const auto payload = encoder.encode(FrameView(disparities));
   const std::size_t stride = payload.size() / 40;
   for (std::size_t size = 0; size < payload.size(); size += stride) {
-    // A copy of its own size, so that a read behind its end is seen by the address sanitizer.
+    // A copy of exact size, so that the address sanitizer sees a read behind its end.
     const std::vector<std::byte> cut(payload.begin(), payload.begin() + static_cast<std::ptrdiff_t>(size));
     const auto [error, untouched] = decode_into_sentinels(cut);
     EXPECT_EQ(error, DecodeError::not_snappy) << size << " of " << payload.size() << " bytes";
@@ -170,7 +170,7 @@ TEST(DepthDecoder, survives_random_damage) {
     if (decoder.decode(bad, FrameSpan(mm)) != DecodeError::none) ++refused;
   }
   EXPECT_GT(refused, 0);
-  EXPECT_EQ(decoder.decode(good, FrameSpan(mm)), DecodeError::none);  // and goes on working
+  EXPECT_EQ(decoder.decode(good, FrameSpan(mm)), DecodeError::none);  // the decoder still works
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// Both ways of the inversion step and of its reverse give the same bytes.
+// Both implementations of the inversion step and of its reverse give the same bytes.
 #include <algorithm>
 #include <cstdlib>
 #include <random>
@@ -21,7 +21,7 @@ class DepthInversion : public testing::TestWithParam<Path> {
 
 TEST_P(DepthInversion, codes_every_16_bit_value_as_the_table_says) {
   std::vector<std::uint16_t> disparities(frame_pixels);
-  // Every value at every position within the 32 that are taken at a time.
+  // Every value at every position within the 32 that are processed at a time.
   for (std::size_t shift = 0; shift < 32; ++shift) {
     for (std::size_t i = 0; i < frame_pixels; ++i) disparities[i] = static_cast<std::uint16_t>(i + shift);
     std::vector<std::uint8_t> codes(frame_pixels, 77);

@@ -16,7 +16,7 @@ using namespace std::chrono_literals;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
-/// Does what its test tells it to.
+/// Does what the test says.
 struct ToyDriver : Driver {
   std::vector<ChannelSpec> channels(const PropertyMap& properties) override {
     if (properties.contains("bad")) throw std::invalid_argument("bad property");
@@ -31,10 +31,13 @@ struct ToyDriver : Driver {
   void close() override { closed = true; }
   void on_message(std::string_view channel, Message message) override {
     if (message.payload.text() == "throw") throw std::runtime_error("cannot do that");
-    if (message.payload.text() == "throw a number") throw 7;  // NOLINT: what a careless author may do
+    if (message.payload.text() == "throw a number") throw 7;  // NOLINT: as a careless author may do
     last = std::string(channel) + ":" + std::string(message.payload.text());
   }
   void on_writable(std::string_view channel) override { last = "writable:" + std::string(channel); }
+  void on_stored(std::string_view channel, std::uint64_t count) override {
+    last = "stored:" + std::string(channel) + ":" + std::to_string(count);
+  }
   static inline std::function<void(DriverContext&)> on_open;
   static inline DriverContext* context = nullptr;
   static inline std::string last;
@@ -110,6 +113,8 @@ TEST_F(MockHostTest, hands_messages_over_and_keeps_the_first_exception) {
   EXPECT_EQ(ToyDriver::last, "in:hello");
   EXPECT_TRUE(instance.writable("out"));
   EXPECT_EQ(ToyDriver::last, "writable:out");
+  EXPECT_TRUE(instance.stored("out", 7));
+  EXPECT_EQ(ToyDriver::last, "stored:out:7");
   EXPECT_FALSE(instance.deliver("in", text("throw")));
   EXPECT_FALSE(instance.deliver("in", text("throw a number")));
   EXPECT_EQ(instance.error(), "cannot do that");

@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/drivers/testing/mock_host.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::drivers {
 namespace {
@@ -14,7 +15,7 @@ using namespace std::chrono_literals;
 struct Shipped {
   const char* file;
   const char* name;
-  const char* channel;  ///< on which it publishes by itself
+  const char* channel;  ///< the channel on which it publishes unasked
   bool own_thread;
 };
 
@@ -35,8 +36,8 @@ TEST_P(ShippedPlugin, is_found_by_its_one_symbol_and_runs_in_a_host) {
   {
     testing::MockInstance instance(descriptor);
     ASSERT_TRUE(instance.start()) << instance.error();
-    // loadgen sends by the real clock: simulated ticks until it has sent something.
-    const auto deadline = std::chrono::steady_clock::now() + 20s;
+    // loadgen uses the real clock: simulated ticks until it has sent a message.
+    const auto deadline = std::chrono::steady_clock::now() + tests::patience;
     while (instance.host().published(GetParam().channel).empty() && std::chrono::steady_clock::now() < deadline) {
       instance.host().advance(100ms);
     }

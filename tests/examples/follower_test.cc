@@ -26,7 +26,7 @@ void fill(Frame& frame, int u0, int u1, int v0, int v1, std::uint16_t mm) {
   }
 }
 
-/// REFERENCE.md section 6 as it is written there, point by point in doubles, with a box of any size.
+/// docs/wire.md#follower literally, point by point in doubles, with a box of any size.
 Follower::Result reference(const Frame& frame, const Box& box = {}) {
   Follower::Result result;
   double sum_x = 0, sum_z = 0;
@@ -53,7 +53,7 @@ Follower::Result reference(const Frame& frame, const Box& box = {}) {
   return result;
 }
 
-/// Both ways over the frame against the reference.
+/// Compares both implementations with the reference.
 void expect_same(const Frame& frame, const Box& box = {}) {
   FollowerOptions options;
   options.box = box;
@@ -104,7 +104,7 @@ TEST(Follower, agrees_with_the_reference_in_boxes_of_any_size_and_place) {
   expect_same(frame, {.x_min = -10, .x_max = 10, .y_min = -10, .y_max = 10, .z_min = 0, .z_max = 10});
   expect_same(frame, {.x_min = 0.3, .x_max = 1.1, .y_min = -0.7, .y_max = -0.1, .z_min = 0.8, .z_max = 3.2});
   expect_same(frame, {.x_min = -2, .x_max = -0.5, .y_min = -0.2, .y_max = 0.2, .z_min = 1.5, .z_max = 4});
-  // The largest sums there are: every pixel as far away as it may be.
+  // The largest possible sums: every pixel at the largest distance.
   expect_same(Frame(frame.size(), 9999),
               {.x_min = -10, .x_max = 10, .y_min = -10, .y_max = 10, .z_min = 0, .z_max = 10});
   // All on one side: the sums of columns do not cancel out.

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""What the demo makes of its robots' traces."""
+"""Tests the demo's report on its robots' traces."""
 
 import argparse
 import sys
@@ -15,7 +15,7 @@ SECONDS = 5
 
 
 def trace(unanswered=()):
-    """Frames of a robot that follows well, each answered but these."""
+    """Frames of a robot that follows well, all answered except these."""
     return [report.Row(seq=number, seconds=number * PERIOD_S, robot=(0.0, 0.0), person=(0.7, 0.0), distance=report.GOAL_M,
                        in_box=True, encode_ms=0.5, raw_bytes=614400, payload_bytes=60000, answered=number not in unanswered,
                        latency_ms=2.0) for number in range(50)]

@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-"""An outsider's driver and bolt: installs the SDK, builds a project that sees nothing else, deploys and runs it. The
+"""An outsider's driver and bolts: installs the SDK, builds a project that sees nothing else, runs its tests, deploys and
+runs it. It is the project that docs/driver-sdk.md and docs/topology-sdk.md print (tests/house compares the two). The
 project that the top README prints is built, too.
 
 usage: outsider_test.py BUILD_DIR   (exit status 0: every reading that was answered was answered rightly)
@@ -58,6 +59,7 @@ def main():
     prefix, project = work / "prefix", work / "build"
     run("cmake", "--install", tree, "--prefix", prefix)
     build(HERE / "project", project, prefix)
+    run("ctest", "--test-dir", project, "--output-on-failure", "--no-tests=error")
     write_readmes_project(work / "readme")
     build(work / "readme", work / "readme-build", prefix)
 
@@ -65,7 +67,8 @@ def main():
     with PrivateCluster(work / "cluster", prefix / "bin", project / "plugins") as cluster:
         cluster.start(gateways=1)
         topology = (HERE / "project/topology.yaml").read_text()
-        cluster.topology("topology", topology.replace("{library}", str(project / "plugins/thermostat.so")))
+        topology = topology.replace("127.0.0.1:2181", "{zookeeper}")
+        cluster.topology("topology", topology.replace("thermostat.so", str(project / "plugins/thermostat.so")))
         cluster.wait_until_ready()
         cluster.deploy("thermometer.so", "gateway-1", {"log": log})
         wait_for(f"{ANSWERS} orders for the heater",

@@ -9,7 +9,7 @@
 
 namespace iotcloud::fuzz {
 
-/// Ends the program, so that the fuzzer keeps the input, when what must hold does not.
+/// If the condition is false, ends the program, so that the fuzzer keeps the input.
 inline void must(bool holds, const char* what) {
   if (holds) return;
   std::cerr << "does not hold: " << what << '\n';

@@ -25,9 +25,10 @@ std::string sent(const Calls& calls) {
   return buffer->getBufferAsString();
 }
 
-const std::string sha256_of_bytes = "277089d91c0bdf4f2e6862ba7e4a07605119431f5d13f726dd352b06f1b206a9";  // of the word
+// hash of the word "bytes"
+const std::string sha256_of_bytes = "277089d91c0bdf4f2e6862ba7e4a07605119431f5d13f726dd352b06f1b206a9";
 
-/// Of the master and of a gateway alike.
+/// Plugin calls, for the master and for a gateway.
 template <typename Offer>
 Offer offer() {
   Offer offer;
@@ -46,7 +47,8 @@ discovery::wire::TSensorDeployDescriptor descriptor() {
   return descriptor;
 }
 
-void write_api_seeds(const std::filesystem::path& folder) {
+SeedsOfTarget api_seeds() {
+  SeedsOfTarget seeds;
   using Client = master::wire::TMasterAPIServiceClient;
   master::wire::TDeployRequest deployment;
   deployment.__set_gateways({"lab1"});
@@ -76,48 +78,50 @@ void write_api_seeds(const std::filesystem::path& folder) {
   topology.__set_topology("echo");
   topology.__set_change(master::wire::TTopologyChange::REBALANCE);
   topology.__set_parallelism({{"in", 2}});
-  write(folder, "reads", sent<Client>([&](Client& client) {
-          client.send_authenticate("token");
-          client.send_getStatus();
-          client.send_getSites();
-          client.send_getSite("lab1");
-          client.send_listGateways();
-          client.send_listDrivers();
-          client.send_listOrders();
-          client.send_listTopologies();
-          client.send_getHistory({"0a"}, {"lab1"}, 5);
-          client.send_readLog("lab1", "0a1b", "", 100);
-        }));
-  write(folder, "orders", sent<Client>([&](Client& client) {
-          client.send_deploy(deployment);
-          client.send_stop(selection);
-          client.send_start(selection);
-          client.send_updateMetadata(selection, {{"site", "roof"}, {"note", ""}});
-          client.send_changeDeployment(change);
-          client.send_drain(gateways);
-          client.send_undrain(gateways);
-          client.send_undeploy(selection);
-        }));
-  write(folder, "deploy", sent<Client>([&](Client& client) { client.send_deploy(deployment); }));
-  write(folder, "change", sent<Client>([&](Client& client) { client.send_changeDeployment(change); }));
-  write(folder, "plugin", sent<Client>([&](Client& client) {
-          client.send_offerPlugin(offer<master::wire::TPluginOffer>(), {"lab1", "lab2"});
-          client.send_sendPlugin("0", 0, "by");
-          client.send_sendPlugin("0", 2, "tes");
-          client.send_finishPlugin("0");
-          client.send_deploy(of_content);
-        }));
-  write(folder, "update", sent<Client>([&](Client& client) { client.send_update(update); }));
-  write(folder, "topology", sent<Client>([&](Client& client) { client.send_orderTopology(topology); }));
-  write(folder, "original", sent<Client>([&](Client& client) {
-          client.send_deploySensor({"lab1"}, descriptor());
-          client.send_startSensor({"lab1"}, "0a1b");
-          client.send_getSensors("lab1");
-          client.send_unDeployAllSensor("0a1b");
-        }));
+  seeds["reads"] = sent<Client>([&](Client& client) {
+    client.send_authenticate("token");
+    client.send_getStatus();
+    client.send_getSites();
+    client.send_getSite("lab1");
+    client.send_listGateways();
+    client.send_listDrivers();
+    client.send_listOrders();
+    client.send_listTopologies();
+    client.send_getHistory({"0a"}, {"lab1"}, 5);
+    client.send_readLog("lab1", "0a1b", "", 100);
+  });
+  seeds["orders"] = sent<Client>([&](Client& client) {
+    client.send_deploy(deployment);
+    client.send_stop(selection);
+    client.send_start(selection);
+    client.send_updateMetadata(selection, {{"site", "roof"}, {"note", ""}});
+    client.send_changeDeployment(change);
+    client.send_drain(gateways);
+    client.send_undrain(gateways);
+    client.send_undeploy(selection);
+  });
+  seeds["deploy"] = sent<Client>([&](Client& client) { client.send_deploy(deployment); });
+  seeds["change"] = sent<Client>([&](Client& client) { client.send_changeDeployment(change); });
+  seeds["plugin"] = sent<Client>([&](Client& client) {
+    client.send_offerPlugin(offer<master::wire::TPluginOffer>(), {"lab1", "lab2"});
+    client.send_sendPlugin("0", 0, "by");
+    client.send_sendPlugin("0", 2, "tes");
+    client.send_finishPlugin("0");
+    client.send_deploy(of_content);
+  });
+  seeds["update"] = sent<Client>([&](Client& client) { client.send_update(update); });
+  seeds["topology"] = sent<Client>([&](Client& client) { client.send_orderTopology(topology); });
+  seeds["original"] = sent<Client>([&](Client& client) {
+    client.send_deploySensor({"lab1"}, descriptor());
+    client.send_startSensor({"lab1"}, "0a1b");
+    client.send_getSensors("lab1");
+    client.send_unDeployAllSensor("0a1b");
+  });
+  return seeds;
 }
 
-void write_gateway_seeds(const std::filesystem::path& folder) {
+SeedsOfTarget gateway_seeds() {
+  SeedsOfTarget seeds;
   using Client = master::wire::TMasterServiceClient;
   discovery::wire::TBroker broker;
   broker.__set_name("rabbitmq");
@@ -135,76 +139,81 @@ void write_gateway_seeds(const std::filesystem::path& folder) {
   sensor.__set_sensorId("0a1b");
   sensor.__set_siteId("java");
   sensor.__set_channels({channel});
-  write(folder, "life", sent<Client>([&](Client& client) {
-          client.send_registerSite(site);
-          client.send_registerSensor("java", sensor);
-          client.send_updateSensor("java", sensor);
-          client.send_unRegisterSensor("java", "0a1b");
-          client.send_unRegisterSite(site);
-        }));
-  write(folder, "register", sent<Client>([&](Client& client) { client.send_registerSite(site); }));
-  write(folder, "sensor", sent<Client>([&](Client& client) { client.send_registerSensor("java", sensor); }));
+  seeds["life"] = sent<Client>([&](Client& client) {
+    client.send_registerSite(site);
+    client.send_registerSensor("java", sensor);
+    client.send_updateSensor("java", sensor);
+    client.send_unRegisterSensor("java", "0a1b");
+    client.send_unRegisterSite(site);
+  });
+  seeds["register"] = sent<Client>([&](Client& client) { client.send_registerSite(site); });
+  seeds["sensor"] = sent<Client>([&](Client& client) { client.send_registerSensor("java", sensor); });
+  return seeds;
 }
 
-void write_site_seeds(const std::filesystem::path& folder) {
+SeedsOfTarget site_seeds() {
+  SeedsOfTarget seeds;
   using Client = gateway::wire::TSensorSiteServiceClient;
-  write(folder, "original", sent<Client>([](Client& client) {
-          client.send_hearbeat({});
-          client.send_deploySensor(descriptor());
-          client.send_startSensor("0a1b");
-          client.send_stopSensor("0a1b");
-          client.send_unDeploySensor("0a1b");
-        }));
-  write(folder, "reads", sent<Client>([](Client& client) {
-          client.send_ping();
-          client.send_getChanges("");
-          client.send_readLog("0a1b", "1:2", 100);
-        }));
-  write(folder, "plugin", sent<Client>([](Client& client) {
-          client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
-          client.send_sendPlugin("0", 0, "by");
-          client.send_sendPlugin("0", 2, "tes");
-          client.send_finishPlugin("0");
-          client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
-        }));
-  write(folder, "plugins", sent<Client>([](Client& client) {
-          client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
-          client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
-          client.send_sendPlugin("1", 0, "bytes");
-          client.send_finishPlugin("0");
-          client.send_finishPlugin("1");
-        }));
+  seeds["original"] = sent<Client>([](Client& client) {
+    client.send_hearbeat({});
+    client.send_deploySensor(descriptor());
+    client.send_startSensor("0a1b");
+    client.send_stopSensor("0a1b");
+    client.send_unDeploySensor("0a1b");
+  });
+  seeds["reads"] = sent<Client>([](Client& client) {
+    client.send_ping();
+    client.send_getChanges("");
+    client.send_readLog("0a1b", "1:2", 100);
+  });
+  seeds["plugin"] = sent<Client>([](Client& client) {
+    client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
+    client.send_sendPlugin("0", 0, "by");
+    client.send_sendPlugin("0", 2, "tes");
+    client.send_finishPlugin("0");
+    client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
+  });
+  seeds["plugins"] = sent<Client>([](Client& client) {
+    client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
+    client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());
+    client.send_sendPlugin("1", 0, "bytes");
+    client.send_finishPlugin("0");
+    client.send_finishPlugin("1");
+  });
+  return seeds;
 }
 
-void write_manifest_seeds(const std::filesystem::path& folder) {
-  write(folder, "empty", "fleet: lab\ndeployments: {}\n");
-  write(folder, "documents without end", ", fleet: lab\n");
-  write(folder, "aliases of aliases", "a: &a [x, x]\nb: &b [*a, *a]\nfleet: [*b, *b]\n");
-  write(folder, "whole",
-        "fleet: lab\n"
-        "deployments:\n"
-        "  meter:\n"
-        "    plugin: meter.so\n"
-        "    driver: thermometer\n"
-        "    gateways: [lab1, lab2]\n"
-        "    count: 2\n"
-        "    state: inactive\n"
-        "    properties: {rate: 5, text: \"a: b\"}\n"
-        "    metadata: {site: lab}\n"
-        "    channels:\n"
-        "      data: {when_full: spool, spool_bytes: 65536, spool_fsync: never, spool_full: block, priority: 7}\n"
-        "      control: {keep_last: 1, deadline_ms: 100, durable: true, shared: false, broker: b, interop: java}\n"
-        "  all: &all {plugin: a.so, gateways: all}\n"
-        "  again: *all\n");
+SeedsOfTarget manifest_seeds() {
+  SeedsOfTarget seeds;
+  seeds["empty"] = "fleet: lab\ndeployments: {}\n";
+  seeds["documents without end"] = ", fleet: lab\n";
+  seeds["aliases of aliases"] = "a: &a [x, x]\nb: &b [*a, *a]\nfleet: [*b, *b]\n";
+  seeds["whole"] =
+      "fleet: lab\n"
+      "deployments:\n"
+      "  meter:\n"
+      "    plugin: meter.so\n"
+      "    driver: thermometer\n"
+      "    gateways: [lab1, lab2]\n"
+      "    count: 2\n"
+      "    state: inactive\n"
+      "    properties: {rate: 5, text: \"a: b\"}\n"
+      "    metadata: {site: lab}\n"
+      "    channels:\n"
+      "      data: {when_full: spool, spool_bytes: 65536, spool_fsync: never, spool_full: block, priority: 7}\n"
+      "      control: {keep_last: 1, deadline_ms: 100, durable: true, shared: false, broker: b, interop: java}\n"
+      "  all: &all {plugin: a.so, gateways: all}\n"
+      "  again: *all\n";
+  return seeds;
 }
 
 }  // namespace
 
-void write_control_plane_seeds(const std::filesystem::path& folder) {
-  write_api_seeds(folder / "master_api_fuzzer");
-  write_gateway_seeds(folder / "master_gateways_fuzzer");
-  write_site_seeds(folder / "gateway_site_fuzzer");
-  write_manifest_seeds(folder / "manifest_fuzzer");
+void add_control_plane_seeds(Seeds& seeds) {
+  seeds["master_api"] = api_seeds();
+  seeds["master_gateways"] = gateway_seeds();
+  seeds["gateway_site"] = site_seeds();
+  seeds["manifest"] = manifest_seeds();
 }
 
 }  // namespace iotcloud::fuzz

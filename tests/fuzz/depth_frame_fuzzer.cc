@@ -1,4 +1,4 @@
-// Depth frames from a broker: anybody who may publish there can write one, with a right checksum, too.
+// Depth frames from a broker: anybody who may publish there can write one, with a valid checksum.
 #include <cstring>
 #include <span>
 #include <vector>
@@ -7,6 +7,7 @@
 
 #include "iotcloud/drivers/depth/depth_codec.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
 
 using namespace iotcloud;
 namespace depth = drivers::depth;
@@ -25,7 +26,7 @@ std::vector<std::byte> signed_frame(std::uint8_t codec, const std::uint8_t* body
   return frame;
 }
 
-/// What was decoded before changes nothing of what comes out, and a frame that is refused leaves nothing behind.
+/// Decoding must not depend on earlier frames, and a refused frame must leave no trace.
 void decode_twice(std::span<const std::byte> payload) {
   static depth::DepthDecoder used;
   depth::DepthDecoder fresh;
@@ -41,8 +42,7 @@ void decode_twice(std::span<const std::byte> payload) {
 
 }  // namespace
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+IOTCLOUD_FUZZ_TARGET(depth_frame, 100) {
   decode_twice(std::as_bytes(std::span(data, size)));
   if (size > 0) decode_twice(signed_frame(1 + data[0] % 2, data + 1, size - 1));
-  return 0;
 }

@@ -7,12 +7,13 @@
 #include <unistd.h>
 
 #include "iotcloud/config/log.h"
-#include "iotcloud/config/signing/sha256.h"
 #include "iotcloud/discovery/registry.h"
 #include "iotcloud/gateway/fleet/in_process_launcher.h"
 #include "iotcloud/gateway/gateway.h"
-#include "iotcloud/gateway/site/site_handler.h"
+#include "iotcloud/gateway/site_handler.h"
+#include "iotcloud/security/sha256.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
 #include "iotcloud/tests/fuzz/thrift_frames.h"
 #include "iotcloud/tests/fuzz/whole_uploads.h"
 
@@ -20,48 +21,48 @@ using namespace iotcloud;
 
 namespace {
 
-class Site {
+class GatewayWithSite {
  public:
-  Site() {
+  GatewayWithSite() {
     gateway::InProcessLauncher::Options hosts;
     hosts.plugin_dir = "/nonexistent";
     gateway::GatewayOptions options;
-    options.id = "lab1";
+    options.id = discovery::GatewayId("lab1");
     options.brokers.push_back({"local", "embedded", {}});
     options.brokers.back().options.urls = {"embedded://fuzz-site"};
     options.registry = registry_.get();
-    gateway::PluginStore::Options plugins;
+    processes::PluginStore::Options plugins;
     plugins.folder = folder_;
     plugins.most_bytes = 1 << 16;
     plugins.clock = &clock_;
     plugins.new_upload_id = [this] { return std::to_string(uploads_++); };
     longest_kept_ = std::max(plugins.idle_limit, plugins.unnamed_limit);
-    options.plugins = std::make_shared<gateway::PluginStore>(plugins);
+    options.plugins = std::make_shared<processes::PluginStore>(plugins);
     options.launcher = std::make_shared<gateway::InProcessLauncher>(hosts);
     gateway_.emplace(options);
     gateway_->start();
     access_.rules = gateway::SiteService::rules();
-    service_ = [this](const std::shared_ptr<config::ThriftPeer>& peer) {
-      auto session = std::make_shared<config::Session>(access_, peer);
-      return config::guarded(
+    service_ = [this](const std::shared_ptr<rpc::ThriftPeer>& peer) {
+      auto session = std::make_shared<rpc::Session>(access_, peer);
+      return rpc::guarded(
           std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(std::make_shared<gateway::SiteHandler>(
               std::chrono::milliseconds(100), "/nonexistent", *gateway_, *registry_, discovery::Paths(), session)),
           session);
     };
   }
-  ~Site() {
+  ~GatewayWithSite() {
     service_ = nullptr;
     gateway_.reset();
     std::filesystem::remove_all(folder_);
   }
 
-  const config::ThriftService& service() const { return service_; }
+  const rpc::ThriftService& service() const { return service_; }
   bool is_full() { return gateway_->instances().size() > 1'000; }
   /// Nothing of an input's uploads is there for the next one. \return how many plugins came whole.
   int forget_plugins() {
     int whole = 0;
     for (const auto& entry : std::filesystem::directory_iterator(folder_))
-      whole += config::is_sha256(entry.path().filename().string()) ? 1 : 0;
+      whole += security::is_sha256(entry.path().filename().string()) ? 1 : 0;
     uploads_ = 0;
     clock_.move(longest_kept_);
     gateway_->plugins()->clean({});
@@ -83,25 +84,24 @@ class Site {
   int uploads_ = 0;
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   std::optional<gateway::Gateway> gateway_;
-  config::AccessOptions access_;
-  config::ThriftService service_;
+  rpc::AccessOptions access_;
+  rpc::ThriftService service_;
 };
 
 }  // namespace
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+IOTCLOUD_FUZZ_TARGET(gateway_site, 2'000) {
   config::set_log_level(config::LogLevel::off);
   static fuzz::Tally tally;
-  static auto site = std::make_unique<Site>();
+  static auto site = std::make_unique<GatewayWithSite>();
   const gateway::SiteService::Options options;
-  config::ThriftServerOptions limits;
+  rpc::ThriftServerOptions limits;
   limits.max_message_bytes = options.max_message_bytes;
   limits.max_items = options.max_items;
   fuzz::serve(site->service(), data, size, limits);
   tally.whole += site->forget_plugins();
   if (site->is_full()) {
     site.reset();
-    site = std::make_unique<Site>();
+    site = std::make_unique<GatewayWithSite>();
   }
-  return 0;
 }

@@ -1,44 +1,50 @@
-// A fleet's manifest, as anybody may write it, and what it would change.
+// A fleet's manifest, as anybody may write it, and the plan that follows from it.
 #include <string>
 
 #include "iotcloud/config/error.h"
 #include "iotcloud/master/cli/fleet/manifest.h"
 #include "iotcloud/master/cli/fleet/plan.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
+#include <iotcloud/tests/discovery/id_literals.h>
 
 using namespace iotcloud;
-using namespace iotcloud::master::cli;
+namespace cli = master::cli;
 
 namespace {
 
-/// The fleet after a plan that only deploys was carried out.
-Fleet carried_out(const Manifest& manifest, const Plan& plan, Fleet fleet) {
+/// The fleet after carrying out a plan that only deploys.
+cli::Fleet carried_out(const cli::Manifest& manifest, const cli::Plan& plan, cli::Fleet fleet) {
   for (const auto& step : plan.steps) {
-    fuzz::must(step.kind == StepKind::deploy, "in an empty fleet there is nothing else to do");
+    fuzz::must(step.kind == cli::StepKind::deploy, "in an empty fleet there is nothing else to do");
     const auto& wanted = manifest.deployments.at(step.deployment);
-    fleet.instances.push_back({step.gateway, "id", step.name, step.index, manifest.fleet, wanted.driver, wanted.plugin,
-                               wanted.active, wanted.properties, wanted.metadata, ""});
+    auto& instance = fleet.instances.emplace_back();
+    static_cast<discovery::Deployment&>(instance) = wanted;
+    instance.gateway = step.gateway;
+    instance.instance = "id"_instance;
+    instance.name = step.name;
+    instance.index = step.index;
+    instance.manager = manifest.fleet;
   }
   return fleet;
 }
 
 }  // namespace
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  Manifest manifest;
+IOTCLOUD_FUZZ_TARGET(manifest, 10'000) {
+  cli::Manifest manifest;
   try {
-    manifest = read_manifest(config::Section::parse(fuzz::text(data, size), "fleet.yaml"));
+    manifest = cli::read_manifest(config::Section::parse(fuzz::text(data, size), "fleet.yaml"));
   } catch (const config::ConfigError& error) {
     fuzz::must(std::string(error.what()).starts_with("fleet.yaml"), "an error names the file");
-    return 0;
+    return;
   }
   std::size_t instances = 0;
   for (const auto& deployment : manifest.deployments) instances += static_cast<std::size_t>(deployment.count);
-  if (instances > 1'000) return 0;
-  Fleet fleet;
-  fleet.gateways = {{"lab1", false, false}, {"lab2", true, false}, {"java", false, true}};
-  const auto first = make_plan(manifest, fleet, {});
-  const auto second = make_plan(manifest, carried_out(manifest, first, fleet), {});
+  if (instances > 1'000) return;
+  cli::Fleet fleet;
+  fleet.gateways = {{"lab1"_gateway, false, false}, {"lab2"_gateway, true, false}, {"java"_gateway, false, true}};
+  const auto first = cli::make_plan(manifest, fleet, {});
+  const auto second = cli::make_plan(manifest, carried_out(manifest, first, fleet), {});
   fuzz::must(second.steps.empty() && second.same == first.steps.size(), "applied twice it changes nothing");
-  return 0;
 }

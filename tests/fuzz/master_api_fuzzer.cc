@@ -1,7 +1,6 @@
-// What anybody may send to the master's API: a master on an embedded registry, whose gateways are lost, so that no
-// order is waited for. One of them takes the plugins that are sent: it is there while one is offered. The ids of
-// uploads are 0, 1,
-// ... in each input, so that an input can come to the end of one.
+// Hostile calls of the master's API: a master on an embedded registry, whose gateways are lost, so that it waits for no
+// order. One gateway takes plugins and is present while one is offered. The ids of uploads are 0, 1, ... in each input,
+// so that an input can complete an upload.
 #include <optional>
 #include <thread>
 
@@ -14,8 +13,10 @@
 #include "iotcloud/master/api/api_handler.h"
 #include "iotcloud/master/master.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
 #include "iotcloud/tests/fuzz/thrift_frames.h"
 #include "iotcloud/tests/fuzz/whole_uploads.h"
+#include <iotcloud/tests/discovery/id_literals.h>
 
 using namespace iotcloud;
 
@@ -31,7 +32,7 @@ std::unique_ptr<discovery::Registry> fresh_registry() {
 using apache::thrift::TProcessor;
 using apache::thrift::protocol::TProtocol;
 
-fuzz::Tally& tally() {
+fuzz::Tally& plugins_to_master() {
   static fuzz::Tally all;
   return all;
 }
@@ -41,10 +42,10 @@ class Receiver final : public gateway::wire::TSensorSiteServiceNull {
  public:
   void ping(gateway::wire::TPing& answer) override { answer.__set_gateway("lab2"); }
   void offerPlugin(std::string& upload, const gateway::wire::TPluginOffer&) override { upload = "u"; }
-  void finishPlugin(const std::string&) override { ++tally().whole; }
+  void finishPlugin(const std::string&) override { ++plugins_to_master().whole; }
 };
 
-/// The gateway at that path is there while a plugin is offered.
+/// The gateway at that path is present while a plugin is offered.
 class PresentForOffers final : public TProcessor {
  public:
   PresentForOffers(std::shared_ptr<TProcessor> api, discovery::Registry& registry, std::string path)
@@ -67,31 +68,31 @@ class PresentForOffers final : public TProcessor {
   const std::string path_;
 };
 
-class Fleet {
+class MasterOfFleet {
  public:
-  Fleet() {
+  MasterOfFleet() {
     const discovery::Paths paths;
     discovery::GatewayRecord gateway;
-    gateway.id = "lab1";
+    gateway.id = "lab1"_gateway;
     gateway.host = "127.0.0.1";
-    discovery::put(*registry_, paths.gateway("lab1"), encode(gateway));
-    gateway.id = "lab2";
+    discovery::put(*registry_, paths.gateway("lab1"_gateway), encode(gateway));
+    gateway.id = "lab2"_gateway;
     gateway.port = receiver_.port();
-    discovery::put(*registry_, paths.gateway("lab2"), encode(gateway));
+    discovery::put(*registry_, paths.gateway("lab2"_gateway), encode(gateway));
     discovery::OrderRecord order;
-    order.instance = "0a1b";
+    order.instance = "0a1b"_instance;
     order.plugin = "turtle.so";
     order.name = "robot";
     order.index = 1;
-    discovery::put(*registry_, paths.order("lab1", "0a1b"), encode(order));
+    discovery::put(*registry_, paths.order("lab1"_gateway, "0a1b"_instance), encode(order));
     discovery::DriverRecord driver;
-    driver.name = "turtle";
-    driver.instance = "0a1b";
-    driver.gateway = "lab1";
-    discovery::put(*registry_, paths.instance("turtle", "0a1b"), encode(driver));
+    driver.name = "turtle"_driver;
+    driver.instance = "0a1b"_instance;
+    driver.gateway = "lab1"_gateway;
+    discovery::put(*registry_, paths.instance("turtle"_driver, "0a1b"_instance), encode(driver));
     discovery::TopologyRecord topology;
-    topology.name = "echo";
-    discovery::put(*registry_, paths.topology("echo"), encode(topology));
+    topology.name = "echo"_topology;
+    discovery::put(*registry_, paths.topology("echo"_topology), encode(topology));
     master::MasterOptions options;
     options.outcome_timeout = std::chrono::milliseconds(1);
     master_.emplace(*registry_, options);
@@ -101,44 +102,45 @@ class Fleet {
     access.uploads.new_upload_id = [this] { return std::to_string(uploads_++); };
     longest_kept_ = access.uploads.idle_limit;
     service_ = [this, api = master::serve_api(*master_, access),
-                path = paths.gateway_alive("lab2")](const std::shared_ptr<config::ThriftPeer>& peer) {
+                path = paths.gateway_alive("lab2"_gateway)](const std::shared_ptr<rpc::ThriftPeer>& peer) {
       return std::make_shared<PresentForOffers>(api(peer), *registry_, path);
     };
   }
 
-  const config::ThriftService& service() const { return service_; }
-  /// Nothing of an input's uploads is there for the next one.
+  const rpc::ThriftService& service() const { return service_; }
+  /// Removes the uploads of an input before the next one.
   void forget_plugins() {
     uploads_ = 0;
     clock_.move(longest_kept_);
   }
-  /// Orders stay in the registry: so many that it is time for another one.
-  bool is_full() { return registry_->children(discovery::Paths().orders("lab1")).value_or(Names{}).size() > 20'000; }
+  /// Orders stay in the registry; when there are too many it is time for a new one.
+  bool is_full() {
+    return registry_->children(discovery::Paths().orders("lab1"_gateway)).value_or(Names{}).size() > 20'000;
+  }
 
  private:
   using Names = std::vector<std::string>;
   fuzz::InputClock clock_;
   std::chrono::milliseconds longest_kept_{0};
   int uploads_ = 0;
-  config::ThriftServer receiver_{{},
-                                 [site = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(
-                                      std::make_shared<Receiver>())](const auto&) { return site; }};
+  rpc::ThriftServer receiver_{{},
+                              [site = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(
+                                   std::make_shared<Receiver>())](const auto&) { return site; }};
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   std::optional<master::Master> master_;
-  config::ThriftService service_;
+  rpc::ThriftService service_;
 };
 
 }  // namespace
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+IOTCLOUD_FUZZ_TARGET(master_api, 1'000) {
   config::set_log_level(config::LogLevel::off);
-  tally();  // dies after the fleet
-  static auto fleet = std::make_unique<Fleet>();
+  plugins_to_master();  // destroyed after the fleet
+  static auto fleet = std::make_unique<MasterOfFleet>();
   fuzz::serve(fleet->service(), data, size, {});
   fleet->forget_plugins();
   if (fleet->is_full()) {
     fleet.reset();
-    fleet = std::make_unique<Fleet>();
+    fleet = std::make_unique<MasterOfFleet>();
   }
-  return 0;
 }

@@ -1,4 +1,4 @@
-// What gateways of the original system, or anybody in their place, may send to a master.
+// Hostile calls of gateways of the original system, or of anybody in their place, to a master.
 #include "iotcloud/config/log.h"
 #include "iotcloud/discovery/records.h"
 #include "iotcloud/discovery/registry.h"
@@ -6,6 +6,7 @@
 #include "iotcloud/master/originals/gateway_handler.h"
 #include "iotcloud/master/originals/original_gateways.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
 #include "iotcloud/tests/fuzz/thrift_frames.h"
 
 using namespace iotcloud;
@@ -14,8 +15,8 @@ namespace {
 
 class Originals {
  public:
-  const config::ThriftService& service() const { return service_; }
-  /// Each has a thread, and its records stay in the registry.
+  const rpc::ThriftService& service() const { return service_; }
+  /// Each gateway has a thread, and its records stay in the registry.
   bool is_full() { return registry_->children(discovery::Paths().gateways).value_or(Names{}).size() > 50; }
 
  private:
@@ -28,13 +29,13 @@ class Originals {
   }
   static master::OriginalGatewaysOptions never_called() {
     master::OriginalGatewaysOptions options;
-    options.heartbeat_interval = std::chrono::hours(24);  // nobody is to be called at the addresses that come
+    options.heartbeat_interval = std::chrono::hours(24);  // no call to the addresses in the inputs
     return options;
   }
 
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   master::OriginalGateways gateways_{*registry_, never_called()};
-  config::ThriftService service_ = master::serve_original_gateways(gateways_, [] {
+  rpc::ThriftService service_ = master::serve_original_gateways(gateways_, [] {
     master::MasterStatus status;
     status.leading = true;
     return status;
@@ -43,7 +44,7 @@ class Originals {
 
 }  // namespace
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+IOTCLOUD_FUZZ_TARGET(master_gateways, 3'000) {
   config::set_log_level(config::LogLevel::off);
   static auto originals = std::make_unique<Originals>();
   fuzz::serve(originals->service(), data, size, {});
@@ -51,5 +52,4 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     originals.reset();
     originals = std::make_unique<Originals>();
   }
-  return 0;
 }

@@ -1,5 +1,5 @@
-// What anybody who reaches a turtle driver's port, or answers an agent, may send: the first byte says in pieces of
-// which size the rest comes.
+// Hostile bytes for a turtle driver's port, or as answers to an agent: the first byte gives the size of the pieces in
+// which the rest comes.
 #include <algorithm>
 #include <cmath>
 #include <span>
@@ -8,13 +8,14 @@
 
 #include "iotcloud/drivers/turtle/robot/protocol.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
 
 using namespace iotcloud;
 namespace robot = drivers::turtle::robot;
 
 namespace {
 
-void read(const robot::Incoming& message) try {
+void read_message(const robot::Incoming& message) try {
   drivers::Payload encoded;
   switch (message.kind) {
     case robot::Kind::hello: {
@@ -47,8 +48,8 @@ void read(const robot::Incoming& message) try {
 } catch (const robot::ProtocolError&) {  // refused
 }
 
-/// The kinds and bodies of what was read until the stream ended or was refused.
-std::vector<std::string> messages(std::span<const std::byte> stream, std::size_t piece) {
+/// The kinds and bodies of the messages read until the stream ended or was refused.
+std::vector<std::string> messages_of(std::span<const std::byte> stream, std::size_t piece) {
   std::vector<std::string> found;
   robot::MessageReader reader(robot::most_to_agent);
   try {
@@ -58,7 +59,7 @@ std::vector<std::string> messages(std::span<const std::byte> stream, std::size_t
         fuzz::must(message->body->size() < robot::most_to_agent, "a message has its limit");
         found.push_back(static_cast<char>(message->kind) +
                         std::string(reinterpret_cast<const char*>(message->body->data()), message->body->size()));
-        read(*message);
+        read_message(*message);
       }
     }
   } catch (const robot::ProtocolError&) {  // refused
@@ -69,11 +70,10 @@ std::vector<std::string> messages(std::span<const std::byte> stream, std::size_t
 
 }  // namespace
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  if (size == 0) return 0;
+IOTCLOUD_FUZZ_TARGET(robot_protocol, 10'000) {
+  if (size == 0) return;
   const auto stream = std::as_bytes(std::span(data + 1, size - 1));
   const std::size_t piece = 1 + data[0] % 40;
-  fuzz::must(messages(stream, piece) == messages(stream, std::max<std::size_t>(stream.size(), 1)),
+  fuzz::must(messages_of(stream, piece) == messages_of(stream, std::max<std::size_t>(stream.size(), 1)),
              "what comes in pieces is what comes at once");
-  return 0;
 }

@@ -1,14 +1,19 @@
 #pragma once
 
-#include <filesystem>
+#include <map>
 #include <string>
 
 namespace iotcloud::fuzz {
 
-/// One first input of one fuzzer.
-void write(const std::filesystem::path& folder, const std::string& name, const std::string& bytes);
+/// A target's first inputs, by their names.
+using SeedsOfTarget = std::map<std::string, std::string>;
+/// By the targets' names.
+using Seeds = std::map<std::string, SeedsOfTarget>;
 
-/// Calls of the Thrift services, as clients write them, one and several on a connection; manifests.
-void write_control_plane_seeds(const std::filesystem::path& folder);
+/// The first inputs of all targets, made by the project's own encoders.
+Seeds all_seeds();
+
+/// Adds calls of the Thrift services, as clients write them, one or several on a connection, and manifests.
+void add_control_plane_seeds(Seeds& seeds);
 
 }  // namespace iotcloud::fuzz

@@ -1,12 +1,13 @@
-// Expressions that choose drivers, as anybody may write them in a topology's file or on a command line.
+// Expressions that select drivers, as anybody may write them in a topology's file or on a command line.
 #include <string>
 
 #include "iotcloud/discovery/selection/selection.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
 
 using namespace iotcloud;
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+IOTCLOUD_FUZZ_TARGET(selection, 15'000) {
   static const discovery::DriverRecord driver = [] {
     discovery::DriverRecord record;
     record.metadata = {{"a", "1"}, {"location", "39.17,-86.52"}, {"site", "lab"}, {"x", "1"}, {"y", ""}};
@@ -18,5 +19,4 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     fuzz::must(error.offset() <= size && error.line() >= 1 && error.column() >= 1, "an error's place is in the text");
     fuzz::must(!error.problem().empty(), "an error says what was expected");
   }
-  return 0;
 }

@@ -1,5 +1,5 @@
-// A spool's folder as a process finds it: the input is the last two segments and the mark. It must always be possible
-// to go on: what is appended then is read, after whatever is good in the files.
+// A spool's folder as a process finds it: the input is the last two segments and the mark. The spool must always be
+// able to continue: it reads appended records after the valid ones in the files.
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
@@ -11,6 +11,7 @@
 #include "iotcloud/brokers/spool/store/spool_reader.h"
 #include "iotcloud/brokers/spool/store/spool_store.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log.h>
 
@@ -18,16 +19,16 @@ namespace {
 
 using namespace iotcloud;
 
-class Folder {
+class SpoolFolder {
  public:
-  Folder() {
+  SpoolFolder() {
     std::string name = (std::filesystem::exists("/dev/shm") ? "/dev/shm" : "/tmp") + std::string("/spool-fuzz-XXXXXX");
     fuzz::must(mkdtemp(name.data()) != nullptr, "there is a folder to work in");
     path_ = name;
   }
-  Folder(const Folder&) = delete;
-  Folder& operator=(const Folder&) = delete;
-  ~Folder() { std::filesystem::remove_all(path_); }
+  SpoolFolder(const SpoolFolder&) = delete;
+  SpoolFolder& operator=(const SpoolFolder&) = delete;
+  ~SpoolFolder() { std::filesystem::remove_all(path_); }
   void clear() {
     for (const auto& file : std::filesystem::directory_iterator(path_)) std::filesystem::remove(file.path());
   }
@@ -38,7 +39,7 @@ class Folder {
   std::string path_;
 };
 
-/// The input's next part: its length stands before it in two bytes.
+/// Takes the input's next part, which begins with its length in two bytes.
 std::string_view take_part(std::string_view& input) {
   if (input.size() < 2) return {};
   const std::size_t size = static_cast<unsigned char>(input[0]) + 256u * static_cast<unsigned char>(input[1]);
@@ -49,8 +50,9 @@ std::string_view take_part(std::string_view& input) {
 
 }  // namespace
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  static Folder folder;
+IOTCLOUD_FUZZ_TARGET(spool_folder, 4'000) {
+  config::set_log_level(config::LogLevel::off);
+  static SpoolFolder folder;
   std::string_view input = fuzz::text(data, size);
   folder.clear();
   folder.write("mark", take_part(input));
@@ -58,7 +60,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   folder.write("00000000000000000003.segment", input);
   brokers::spool::SpoolStore::Options options;
   options.folder = folder.path();
-  options.sync = brokers::spool::Sync::never;
+  options.synced = false;
   try {
     brokers::spool::SpoolStore store(options);
     brokers::Message message;
@@ -70,12 +72,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     while (const auto record = reader.next()) last = record->message.driver_id;
     fuzz::must(last == "appended", "what is appended is read, last");
   } catch (const config::Error&) {
-    // Of a later version.
+    // Written by a later version.
   }
-  return 0;
-}
-
-extern "C" int LLVMFuzzerInitialize(int*, char***) {
-  config::set_log_level(config::LogLevel::off);
-  return 0;
 }

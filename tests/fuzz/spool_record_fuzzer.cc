@@ -1,17 +1,18 @@
-// A spool's records, once as they are, and once as the body of a record whose checksum is good.
+// A spool's records: the input as it is, and as the body of a record with a valid checksum.
 #include <span>
 #include <string>
 
 #include "iotcloud/brokers/spool/store/bytes.h"
 #include "iotcloud/brokers/spool/store/record.h"
 #include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
 
 namespace {
 
 using namespace iotcloud;
 using brokers::spool::Decoded;
 
-void check(std::string_view bytes) {
+void check_record(std::string_view bytes) {
   const auto input = std::as_bytes(std::span(bytes));
   const Decoded decoded = brokers::spool::decode_record(input);
   if (decoded.kind == Decoded::Kind::incomplete) fuzz::must(decoded.size > bytes.size(), "more bytes are asked for");
@@ -28,7 +29,7 @@ void check(std::string_view bytes) {
              "what was read can be written and read again");
 }
 
-/// A record with these bytes as its body, correct in all else.
+/// A record with these bytes as its body and all else valid.
 std::string with_good_start(std::string_view body) {
   std::string start;
   brokers::spool::put_number(start, static_cast<std::uint32_t>(body.size()));
@@ -40,15 +41,14 @@ std::string with_good_start(std::string_view body) {
 
 }  // namespace
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+IOTCLOUD_FUZZ_TARGET(spool_record, 40'000) {
   const std::string_view input = fuzz::text(data, size);
-  check(input);
-  check(with_good_start(input));
+  check_record(input);
+  check_record(with_good_start(input));
   for (std::size_t at = 0; at < size;) {
     const std::size_t next = brokers::spool::find_record(std::as_bytes(std::span(input)), at);
     if (next >= size) break;
-    check(input.substr(next));
+    check_record(input.substr(next));
     at = next + 1;
   }
-  return 0;
 }

@@ -7,16 +7,16 @@
 
 #include <thrift/TProcessor.h>
 
-#include "iotcloud/config/thrift/connection.h"
-#include "iotcloud/config/thrift/thrift_server.h"
+#include "iotcloud/rpc/connection.h"
+#include "iotcloud/rpc/thrift_server.h"
 
 namespace iotcloud::fuzz {
 
-/// What a server does with the bytes of one connection that it knows already, within the server's limits.
-inline void serve(const config::ThriftService& service, const std::uint8_t* data, std::size_t size,
-                  const config::ThriftServerOptions& limits) {
+/// Handles the bytes of one connection as a server does after it has accepted the client, within the server's limits.
+inline void serve(const rpc::ThriftService& service, const std::uint8_t* data, std::size_t size,
+                  const rpc::ThriftServerOptions& limits) {
   constexpr std::size_t head = 4;  // the length of a message, the high byte first
-  const auto processor = service(std::make_shared<config::ThriftPeer>("127.0.0.1:1", ""));
+  const auto processor = service(std::make_shared<rpc::ThriftPeer>("127.0.0.1:1", ""));
   std::string_view left(reinterpret_cast<const char*>(data), size);
   try {
     while (left.size() >= head) {
@@ -25,10 +25,10 @@ inline void serve(const config::ThriftService& service, const std::uint8_t* data
       left.remove_prefix(head);
       if (length > static_cast<std::size_t>(limits.max_message_bytes) || length > left.size()) return;
       std::string answer;
-      if (!config::answer_message(*processor, std::string(left.substr(0, length)), limits.max_items, answer)) return;
+      if (!rpc::answer_message(*processor, std::string(left.substr(0, length)), limits.max_items, answer)) return;
       left.remove_prefix(length);
     }
-  } catch (const apache::thrift::TException&) {  // NOLINT(bugprone-empty-catch): it closes the connection
+  } catch (const apache::thrift::TException&) {  // NOLINT(bugprone-empty-catch): the server would close the connection
   }
 }
 

@@ -9,7 +9,7 @@
 
 namespace iotcloud::fuzz {
 
-/// Time that stands still within an input.
+/// A clock that stands still while one input is processed.
 class InputClock final : public config::Clock {
  public:
   Instant now() const override { return now_; }
@@ -20,7 +20,7 @@ class InputClock final : public config::Clock {
   std::atomic<Instant> now_{Instant(std::chrono::hours{1})};
 };
 
-/// Tells at the end whether uploads came to theirs.
+/// Reports at the end how many uploads were complete.
 struct Tally {
   ~Tally() { std::fprintf(stderr, "plugins that came whole: %d\n", whole.load()); }
   std::atomic<int> whole = 0;

@@ -1,13 +1,19 @@
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
+#include <future>
+#include <optional>
+#include <thread>
 
 #include <gmock/gmock.h>
 #include <stdlib.h>
 #include <unistd.h>
 
 #include <iotcloud/gateway/change_log.h>
+#include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
+#include <iotcloud/tests/sync_calls.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -25,14 +31,15 @@ std::vector<DriverState> states(const std::vector<StateChange>& changes) {
 
 TEST(ChangeLog, KeepsTheLatestOfAllAndTellsThemByInstance) {
   ChangeLog log(3);
-  for (const auto* id : {"a", "b", "a", "b"}) log.add({id, "d", DriverState::active, "", 0});
-  EXPECT_EQ(log.of("").size(), 3u);
-  EXPECT_EQ(log.of("a").size(), 1u);
-  EXPECT_EQ(log.of("b").size(), 2u);
-  EXPECT_THAT(log.of("c"), IsEmpty());
+  for (const auto* id : {"a", "b", "a", "b"})
+    log.add({discovery::InstanceId(id), "d"_driver, DriverState::active, "", 0});
+  EXPECT_EQ(log.of({}).size(), 3u);
+  EXPECT_EQ(log.of("a"_instance).size(), 1u);
+  EXPECT_EQ(log.of("b"_instance).size(), 2u);
+  EXPECT_THAT(log.of("c"_instance), IsEmpty());
 }
 
-/// A change log in a file, several lives long.
+/// A change log in a file, over several runs.
 class ChangesOnDisk : public ::testing::Test {
  protected:
   ChangesOnDisk() {
@@ -43,10 +50,10 @@ class ChangesOnDisk : public ::testing::Test {
   ~ChangesOnDisk() override { std::filesystem::remove_all(folder_); }
 
   static StateChange change(const std::string& instance, std::int64_t time_ms, const std::string& reason = "") {
-    return {instance, "d", DriverState::active, reason, time_ms};
+    return {discovery::InstanceId(instance), "d"_driver, DriverState::active, reason, time_ms};
   }
-  /// What a next life knows.
-  std::vector<StateChange> found() const { return ChangeLog(most, file_).of(""); }
+  /// What the next run loads.
+  std::vector<StateChange> found() const { return ChangeLog(most, file_).of({}); }
   std::string text() const {
     std::ifstream file(file_);
     return {std::istreambuf_iterator<char>(file), {}};
@@ -61,8 +68,55 @@ class ChangesOnDisk : public ::testing::Test {
   std::string file_;
 };
 
+TEST_F(ChangesOnDisk, ASlowDiskKeepsNobodyFromReadingThem) {
+  std::promise<void> disk;
+  const auto done = disk.get_future().share();
+  const tests::SyncCalls slow([&](const std::string&) {
+    done.wait();
+    return 0;
+  });
+  ChangeLog log(most, file_);
+  std::jthread writer([&] { log.add(change("a", 1)); });
+  EXPECT_TRUE(tests::eventually([&] { return log.of("a"_instance).size() == 1; }));
+  disk.set_value();
+}
+
+TEST_F(ChangesOnDisk, TheNameOfAFileThatReplacesTheOldOneIsOnTheDiskToo) {
+  const tests::SyncCalls synced;
+  ChangeLog log(most, file_);
+  log.add(change("a", 1));
+  EXPECT_TRUE(synced.contains(folder_.string()));
+}
+
+TEST_F(ChangesOnDisk, WhatWasAppendedIsBroughtToTheDiskByTheNextSync) {
+  ChangeLog log(most, file_);
+  log.add(change("a", 1));
+  log.add(change("a", 2));
+  const tests::SyncCalls synced;
+  log.sync();
+  log.sync();
+  EXPECT_THAT(synced.paths(), ElementsAre(file_)) << "once: nothing was added since";
+  log.add(change("a", 3));
+  log.sync();
+  EXPECT_THAT(synced.paths(), ElementsAre(file_, file_));
+}
+
+TEST_F(ChangesOnDisk, AfterTheDiskFailedTheNextChangeWritesThemAllAgain) {
+  ChangeLog log(most, file_);
+  log.add(change("a", 1));
+  log.add(change("a", 2));
+  {
+    const tests::SyncCalls failing([](const std::string&) { return EIO; });
+    log.sync();
+  }
+  const tests::SyncCalls synced;
+  log.add(change("a", 3));
+  EXPECT_TRUE(synced.contains(folder_.string()));
+  EXPECT_THAT(found(), ElementsAre(change("a", 1), change("a", 2), change("a", 3)));
+}
+
 TEST_F(ChangesOnDisk, AreKnownToTheNextLifeAsTheyWere) {
-  const StateChange odd{"b", "e", DriverState::failed, "a \"quote\", a line\nbreak", 1'700'000'000'000};
+  const StateChange odd{"b"_instance, "e"_driver, DriverState::failed, "a \"quote\", a line\nbreak", 1'700'000'000'000};
   {
     ChangeLog log(most, file_);
     log.add(change("a", 1));
@@ -78,7 +132,7 @@ TEST_F(ChangesOnDisk, AreThereAtOnceForALifeThatIsKilled) {
   ChangeLog log(most, file_);
   for (int i = 1; i <= 3; ++i) {
     log.add(change("a", i));
-    EXPECT_EQ(found(), log.of(""));
+    EXPECT_EQ(found(), log.of({}));
   }
 }
 
@@ -91,7 +145,8 @@ TEST_F(ChangesOnDisk, AreBoundedInNumberAndInTheLengthOfTheirReasons) {
   EXPECT_LT(text().size(), 2 * most * 2'200);
   EXPECT_EQ(found().size(), most);
   EXPECT_EQ(found().back().time_ms, 100);
-  EXPECT_FALSE(std::filesystem::exists(file_ + ".new"));
+  const std::filesystem::directory_iterator left(folder_);
+  EXPECT_EQ(std::distance(begin(left), end(left)), 1);
 }
 
 TEST_F(ChangesOnDisk, WithATornLastLineAreKnownButForThatOne) {
@@ -121,7 +176,7 @@ TEST_F(ChangesOnDisk, ThatAreDamagedAreSetAsideWithAWarningAndWhatStoodBeforeIsK
 }
 
 TEST_F(ChangesOnDisk, ThatCannotBeWrittenAreKeptInMemoryUntilTheyCan) {
-  std::filesystem::create_directory(file_ + ".new");  // in the way of the file that would become the real one
+  std::optional<tests::SyncCalls> disk_fails([](const std::string&) { return EIO; });
   ChangeLog log(most, file_);
   ::testing::internal::CaptureStderr();
   log.add(change("a", 1));
@@ -129,19 +184,19 @@ TEST_F(ChangesOnDisk, ThatCannotBeWrittenAreKeptInMemoryUntilTheyCan) {
   const std::string said = ::testing::internal::GetCapturedStderr();
   EXPECT_THAT(said, HasSubstr("cannot be written"));
   EXPECT_EQ(said.find("cannot be written"), said.rfind("cannot be written")) << "said once";
-  EXPECT_EQ(log.of("").size(), 2u);
-  std::filesystem::remove(file_ + ".new");
+  EXPECT_EQ(log.of({}).size(), 2u);
+  disk_fails.reset();
   log.add(change("a", 3));
-  EXPECT_EQ(found(), log.of(""));
+  EXPECT_EQ(found(), log.of({}));
 }
 
 TEST_F(ChangesOnDisk, AreNotToldAgainOfAnInstanceThatIsAsItWas) {
   { ChangeLog(most, file_).add(change("a", 1)); }
   ChangeLog log(most, file_);
   log.add(change("a", 1));
-  EXPECT_THAT(log.of(""), ElementsAre(change("a", 1)));
+  EXPECT_THAT(log.of({}), ElementsAre(change("a", 1)));
   log.add(change("a", 1));
-  EXPECT_EQ(log.of("").size(), 2u) << "it was something else meanwhile, or somebody means it";
+  EXPECT_EQ(log.of({}).size(), 2u) << "it was something else meanwhile, or somebody means it";
 }
 
 class DriverHistory : public GatewayFixture {};
@@ -155,8 +210,8 @@ TEST_F(DriverHistory, HasEveryStateOfAnInstanceWithItsTimeItsEndToo) {
   give(paused);
   ASSERT_TRUE(comes_to("a", DriverState::inactive));
   take_back("a");
-  ASSERT_TRUE(eventually([&] { return states(gateway_->changes("a")).back() == DriverState::undeployed; }));
-  const auto changes = gateway_->changes("a");
+  ASSERT_TRUE(eventually([&] { return states(gateway_->changes("a"_instance)).back() == DriverState::undeployed; }));
+  const auto changes = gateway_->changes("a"_instance);
   EXPECT_THAT(states(changes),
               ElementsAre(DriverState::deployed, DriverState::starting, DriverState::active, DriverState::stopping,
                           DriverState::inactive, DriverState::stopping, DriverState::undeployed));
@@ -181,7 +236,7 @@ TEST_F(DriverHistory, OutlivesTheGateway) {
   gateway_.reset();
   live();
   ASSERT_TRUE(comes_to("a", DriverState::active));
-  const auto told = states(gateway_->changes("a"));
+  const auto told = states(gateway_->changes("a"_instance));
   gateway_.reset();
   std::filesystem::remove(file);
   EXPECT_THAT(told,
@@ -193,7 +248,7 @@ TEST_F(DriverHistory, SaysWhyAnInstanceFailed) {
   start_gateway();
   give(order("a", {{"channels", "none"}, {"throw_in", "open"}}));
   ASSERT_TRUE(comes_to("a", DriverState::failed));
-  EXPECT_THAT(gateway_->changes("a").back().reason, ::testing::HasSubstr("told to throw in open"));
+  EXPECT_THAT(gateway_->changes("a"_instance).back().reason, ::testing::HasSubstr("told to throw in open"));
 }
 
 }  // namespace

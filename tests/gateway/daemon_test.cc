@@ -14,10 +14,12 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <iotcloud/config/signing/ed25519.h>
+#include <iotcloud/discovery/freeze.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/gateway/host/control/unix_socket.h>
+#include <iotcloud/processes/unix_socket.h>
+#include <iotcloud/security/ed25519.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 #include <iotcloud/tests/servers/private_server.h>
 
@@ -66,15 +68,15 @@ class DaemonTest : public ::testing::Test {
 
   void give(bool active, const std::string& instance = "a", const std::string& plugin = "probe.so") {
     discovery::OrderRecord order;
-    order.instance = instance;
+    order.instance = discovery::InstanceId(instance);
     order.plugin = plugin;
-    order.driver = "probe";
+    order.driver = "probe"_driver;
     order.active = active;
     order.properties = properties_;
-    discovery::put(*registry_, paths_.order("gw", instance), encode(order));
+    discovery::put(*registry_, paths_.order("gw"_gateway, discovery::InstanceId(instance)), encode(order));
   }
   std::optional<discovery::DriverRecord> record(const std::string& instance = "a") {
-    const auto path = paths_.instance("probe", instance);
+    const auto path = paths_.instance("probe"_driver, discovery::InstanceId(instance));
     const auto node = registry_->get(path);
     if (!node) return std::nullopt;
     return discovery::decode_driver(node->data, path);
@@ -90,7 +92,7 @@ class DaemonTest : public ::testing::Test {
     std::error_code none;
     for (const auto& file : fs::directory_iterator(folder_ / "state", none)) {
       if (file.path().extension() != ".sock") continue;
-      const int process = peer_process(connect_in(folder_ / "state", file.path().filename()));
+      const int process = processes::peer_process(processes::connect_in(folder_ / "state", file.path().filename()));
       if (process > 0) hosts.push_back(process);  // 0: it has ended
     }
     return hosts;
@@ -101,7 +103,7 @@ class DaemonTest : public ::testing::Test {
   }
   /// The session that holds the gateway's ephemeral node; 0: there is no such node.
   std::int64_t alive_session() {
-    const auto node = registry_->get(paths_.gateway_alive("gw"));
+    const auto node = registry_->get(paths_.gateway_alive("gw"_gateway));
     return node ? node->owner_session : 0;
   }
 
@@ -149,8 +151,34 @@ TEST_F(DaemonTest, ItWaitsForARegistryThatIsAwayAndWorksWhenItComes) {
   EXPECT_TRUE(comes_to(DriverState::active));
 }
 
+TEST_F(DaemonTest, AZooKeeperThatLostItsDiskStopsNothingAndIsFollowedWhenItIsAdopted) {
+  configure(TEST_PLUGINS, "registry.session_timeout: 1s\n");
+  start_daemon();
+  give(true);
+  ASSERT_TRUE(comes_to(DriverState::active));
+  const auto before = record();
+  const int host = host_process();
+
+  zookeeper_.kill();
+  ASSERT_GT(fs::remove_all(zookeeper_.folder() / "data" / "version-2"), 0U);
+  zookeeper_.start();
+  discovery::RegistryOptions options;
+  options.url = zookeeper_.url();
+  registry_ = discovery::make_registry(options);  // the former client has seen a later state, and would wait
+  const auto mark = discovery::freeze_path(paths_, "gw"_gateway);
+  EXPECT_TRUE(eventually([&] { return registry_->get(mark).has_value() && alive_session() != 0; }));
+  EXPECT_TRUE(comes_to(DriverState::active));
+  EXPECT_EQ(record(), before) << "it runs as it did";
+  EXPECT_EQ(host_process(), host);
+
+  const auto freeze = discovery::decode_freeze(registry_->get(mark)->data, mark);
+  discovery::put(*registry_, paths_.orders("gw"_gateway), encode(discovery::Adoption{freeze.token, 1}));
+  EXPECT_TRUE(eventually([&] { return !record(); })) << "that nothing is ordered is meant";
+  EXPECT_TRUE(eventually([&] { return !registry_->get(mark); }));
+}
+
 TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {
-  const auto lab = config::new_key_pair(), anna = config::new_key_pair();
+  const auto lab = security::new_key_pair(), anna = security::new_key_pair();
   const auto write = [&](const fs::path& name, const std::string& bytes) {
     std::ofstream(folder_ / name, std::ios::binary) << bytes;
   };
@@ -161,7 +189,7 @@ TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {
   const std::string probe(std::istreambuf_iterator<char>(file), {});
   for (const auto& [name, key] : {std::pair("of-lab.so", &lab), std::pair("of-anna.so", &anna)}) {
     write(fs::path("plugins") / name, probe);
-    write(fs::path("plugins") / (std::string(name) + ".sig"), config::sign(key->private_pem, "key", probe));
+    write(fs::path("plugins") / (std::string(name) + ".sig"), security::sign(key->private_pem, "key", probe));
   }
   properties_["isolation"] = "instance";  // each starts a host
   configure(folder_ / "plugins",
@@ -189,7 +217,7 @@ TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {
   EXPECT_EQ(record("c" + std::to_string(number))->signed_by, "anna");
   give(true, "d", "of-lab.so");
   ASSERT_TRUE(comes_to(DriverState::failed, "d"));
-  EXPECT_THAT(record("d")->reason, testing::HasSubstr("a key that this gateway trusts"));
+  EXPECT_THAT(record("d")->reason, testing::HasSubstr("a key that is trusted here"));
   EXPECT_EQ(record()->state, DriverState::active) << "what runs goes on";
 }
 

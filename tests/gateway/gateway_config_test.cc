@@ -6,8 +6,8 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/signing/ed25519.h>
 #include <iotcloud/gateway/gateway_config.h>
+#include <iotcloud/security/ed25519.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -113,7 +113,7 @@ TEST_F(GatewayConfigTest, WhatIsWrongIsNamedWithItsPlace) {
 TEST_F(GatewayConfigTest, WhosePluginsRunIsRead) {
   EXPECT_EQ(load(with("thrift", "")).plugin_upload_limit, 64 << 20);
   EXPECT_FALSE(load(with("thrift", "")).hosts.trust->requires_signature());
-  std::ofstream(folder_ / "lab.pub") << config::new_key_pair().public_pem;
+  std::ofstream(folder_ / "lab.pub") << security::new_key_pair().public_pem;
   const std::string trusted = "plugins.trusted_keys: [" + (folder_ / "lab.pub").string() + "]\n";
   const auto config = load(with("thrift", trusted + "plugins.require_signature: true\nplugins.upload_limit_mb: 3"));
   EXPECT_TRUE(config.hosts.trust->requires_signature());

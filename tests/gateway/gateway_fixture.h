@@ -14,6 +14,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/gateway/fleet/in_process_launcher.h>
 #include <iotcloud/gateway/gateway.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/gateway/probe_driver.h>
 
@@ -21,7 +22,8 @@ namespace iotcloud::gateway {
 
 using tests::eventually;
 
-/// A gateway "gw" on an embedded registry and broker of its own, and what a master does: gives orders, reads records.
+/// A gateway "gw" on an embedded registry and broker of its own. The tests act as a master: they give orders and read
+/// records.
 class GatewayFixture : public ::testing::Test {
  protected:
   GatewayFixture() { registry_ = new_session(); }
@@ -41,7 +43,7 @@ class GatewayFixture : public ::testing::Test {
 
   GatewayOptions options() {
     GatewayOptions options;
-    options.id = "gw";
+    options.id = "gw"_gateway;
     options.port = 12905;
     options.brokers.push_back({"local", "embedded", {}});
     options.brokers.back().options.urls = {broker_url_};
@@ -59,19 +61,21 @@ class GatewayFixture : public ::testing::Test {
 
   discovery::OrderRecord order(const std::string& instance, std::map<std::string, std::string> properties = {}) const {
     discovery::OrderRecord order;
-    order.instance = instance;
+    order.instance = discovery::InstanceId(instance);
     order.plugin = "probe.so";
     order.properties = std::move(properties);
     order.epoch = 1;
     return order;
   }
   void give(const discovery::OrderRecord& order) {
-    discovery::put(*registry_, paths_.order("gw", order.instance), encode(order));
+    discovery::put(*registry_, paths_.order("gw"_gateway, order.instance), encode(order));
   }
-  void take_back(const std::string& instance) { registry_->remove(paths_.order("gw", instance)); }
+  void take_back(const std::string& instance) {
+    registry_->remove(paths_.order("gw"_gateway, discovery::InstanceId(instance)));
+  }
 
   std::optional<discovery::DriverRecord> record(const std::string& instance, const std::string& driver = "probe") {
-    const auto path = paths_.instance(driver, instance);
+    const auto path = paths_.instance(discovery::DriverName(driver), discovery::InstanceId(instance));
     const auto node = registry_->get(path);
     if (!node) return std::nullopt;
     return discovery::decode_driver(node->data, path);

@@ -1,6 +1,11 @@
+#include <map>
+#include <string>
+
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
+#include <iotcloud/tests/gateway/message_log.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -13,14 +18,14 @@ class GatewayTest : public GatewayFixture {};
 
 TEST_F(GatewayTest, ItRegistersAndIsAliveUntilItStops) {
   start_gateway();
-  const auto path = paths_.gateway("gw");
+  const auto path = paths_.gateway("gw"_gateway);
   const auto record = discovery::decode_gateway(registry_->get(path)->data, path);
   EXPECT_EQ(record.id, "gw");
   EXPECT_EQ(record.port, 12905);
   EXPECT_THAT(record.brokers, ::testing::ElementsAre("local"));
-  EXPECT_TRUE(registry_->get(paths_.gateway_alive("gw"))->ephemeral);
+  EXPECT_TRUE(registry_->get(paths_.gateway_alive("gw"_gateway))->ephemeral);
   gateway_->stop(20s);
-  EXPECT_FALSE(registry_->get(paths_.gateway_alive("gw")));
+  EXPECT_FALSE(registry_->get(paths_.gateway_alive("gw"_gateway)));
 }
 
 TEST_F(GatewayTest, AnOrderBecomesAnActiveInstanceWithItsRecords) {
@@ -34,7 +39,7 @@ TEST_F(GatewayTest, AnOrderBecomesAnActiveInstanceWithItsRecords) {
   EXPECT_EQ(driver->metadata, wanted.metadata);
   EXPECT_GT(driver->since_ms, 0);
   ASSERT_EQ(driver->channels.size(), 2u);
-  const auto path = paths_.channel("probe", "a", "readings");
+  const auto path = paths_.channel("probe"_driver, "a"_instance, "readings");
   const auto channel = discovery::decode_channel(registry_->get(path)->data, path);
   EXPECT_EQ(channel, driver->channels.at(0));
   EXPECT_EQ(channel.broker_url, broker_url_);
@@ -49,7 +54,7 @@ TEST_F(GatewayTest, TakingTheOrderBackRemovesTheInstanceAndItsRecords) {
   EXPECT_TRUE(eventually([&] { return !record("a"); }));
   EXPECT_EQ(record("b")->state, DriverState::active);
   take_back("b");
-  EXPECT_TRUE(eventually([&] { return !registry_->get(paths_.driver("probe")); }));
+  EXPECT_TRUE(eventually([&] { return !registry_->get(paths_.driver("probe"_driver)); }));
 }
 
 TEST_F(GatewayTest, AnInstanceIsStoppedAndStartedAsOrdered) {
@@ -71,7 +76,8 @@ TEST_F(GatewayTest, AnInstanceThatThrowsIsFailedForItsReasonAndHasNoChannels) {
   give(order("bad", {{"throw_in", "timer"}}));
   ASSERT_TRUE(comes_to("bad", DriverState::failed));
   EXPECT_THAT(record("bad")->reason, HasSubstr("told to throw in timer"));
-  EXPECT_TRUE(eventually([&] { return registry_->children(paths_.instance("probe", "bad"))->empty(); }));
+  EXPECT_TRUE(
+      eventually([&] { return registry_->children(paths_.instance("probe"_driver, "bad"_instance))->empty(); }));
   EXPECT_TRUE(comes_to("good", DriverState::active));
 }
 
@@ -110,7 +116,7 @@ TEST_F(GatewayTest, APluginOutsideThePluginFolderIsRefused) {
   start_gateway();
   auto wanted = order("a");
   wanted.plugin = "../../tmp/evil.so";
-  wanted.driver = "evil";
+  wanted.driver = "evil"_driver;
   give(wanted);
   ASSERT_TRUE(comes_to("a", DriverState::failed, "evil"));
   EXPECT_THAT(record("a", "evil")->reason, HasSubstr("not a plain file name"));
@@ -121,7 +127,7 @@ TEST_F(GatewayTest, APluginOutsideThePluginFolderIsRefused) {
 TEST_F(GatewayTest, ANameThatWouldLeaveItsPlaceInTheRegistryIsRefused) {
   start_gateway();
   auto wanted = order("a");
-  wanted.driver = "../gateways";
+  wanted.driver = "../gateways"_driver;
   give(wanted);
   ASSERT_TRUE(comes_to("a", DriverState::failed, "unknown"));
   EXPECT_THAT(record("a", "unknown")->reason, HasSubstr("cannot be used as driver name"));
@@ -168,7 +174,7 @@ TEST_F(GatewayTest, OrdersThatStoodBeforeTheGatewayCameAreFollowedWhateverTheirE
 }
 
 TEST_F(GatewayTest, OrdersGivenWhileTheRegistryWasOutOfReachAreFollowedWhateverTheirEpoch) {
-  const auto server = discovery::embedded::Server::named(name_);
+  const auto server = discovery::embedded::RegistryServer::named(name_);
   ASSERT_TRUE(eventually([&] { return server->sessions().size() == 1; }));
   const auto own = new_session();
   ASSERT_TRUE(eventually([&] { return server->sessions().size() == 2; }));
@@ -195,7 +201,7 @@ TEST_F(GatewayTest, OrdersGivenWhileTheRegistryWasOutOfReachAreFollowedWhateverT
 
 TEST_F(GatewayTest, AnOrderThatCannotBeReadIsIgnored) {
   start_gateway();
-  discovery::put(*registry_, paths_.order("gw", "a"), "{no json");
+  discovery::put(*registry_, paths_.order("gw"_gateway, "a"_instance), "{no json");
   give(order("b"));
   EXPECT_TRUE(comes_to("b", DriverState::active));
 }
@@ -216,25 +222,40 @@ TEST_F(GatewayTest, ASecondGatewayOfTheSameIdIsRefused) {
 
 TEST_F(GatewayTest, TheNodeOfItsDeadPredecessorIsTakenOverAtOnce) {
   const auto dead_session = new_session();
-  const auto dead = dead_session->hold(paths_.gateway_alive("gw"), R"({"host":"h","port":1,"state":"same folder"})");
+  const auto dead =
+      dead_session->hold(paths_.gateway_alive("gw"_gateway), R"({"host":"h","port":1,"state":"same folder"})");
   auto second = options();
   second.state_id = "same folder";
   second.session_timeout = 1h;
   gateway_.emplace(std::move(second));
   gateway_->start();
-  EXPECT_THAT(registry_->get(paths_.gateway_alive("gw"))->data, HasSubstr("127.0.0.1"));
+  EXPECT_THAT(registry_->get(paths_.gateway_alive("gw"_gateway))->data, HasSubstr("127.0.0.1"));
+}
+
+TEST_F(GatewayTest, AMarkOfLifeThatMakesNoSenseIsThatOfAnotherGateway) {
+  for (const std::string mark : {R"({"host":5})", R"({"port":"x"})", "[1", ""}) {
+    const auto other_session = new_session();
+    const auto other = other_session->hold(paths_.gateway_alive("gw"_gateway), mark);
+    gateway_.emplace(options());
+    try {
+      gateway_->start();
+      FAIL() << "it started beside " << mark;
+    } catch (const config::Error& e) {
+      EXPECT_THAT(e.what(), HasSubstr("another gateway with the id \"gw\" is alive")) << mark;
+    }
+  }
 }
 
 TEST_F(GatewayTest, RecordsOfAnEarlierLifeWithoutOrdersAreRemoved) {
   discovery::DriverRecord stale;
-  stale.name = "probe";
-  stale.instance = "old";
-  stale.gateway = "gw";
+  stale.name = "probe"_driver;
+  stale.instance = "old"_instance;
+  stale.gateway = "gw"_gateway;
   stale.state = DriverState::active;
-  discovery::put(*registry_, paths_.instance("probe", "old"), encode(stale));
-  stale.instance = "of another gateway";
-  stale.gateway = "gw2";
-  discovery::put(*registry_, paths_.instance("probe", "else"), encode(stale));
+  discovery::put(*registry_, paths_.instance("probe"_driver, "old"_instance), encode(stale));
+  stale.instance = "of another gateway"_instance;
+  stale.gateway = "gw2"_gateway;
+  discovery::put(*registry_, paths_.instance("probe"_driver, "else"_instance), encode(stale));
   start_gateway();
   EXPECT_TRUE(eventually([&] { return !record("old"); }));
   EXPECT_TRUE(record("else"));
@@ -262,6 +283,30 @@ TEST_F(GatewayTest, IsolatedInstancesHaveHostsOfTheirOwn) {
   take_back("a");
   EXPECT_TRUE(eventually([&] { return !record("a"); }));
   EXPECT_EQ(record("b")->state, DriverState::active);
+}
+
+TEST_F(GatewayTest, TwoPluginsOfOneDriverBothGetTheirCommandsOnASharedChannel) {
+  start_gateway();
+  MessageLog reader(broker_url_, {"probe", "gw.probe.readings", false});
+  give(order("a", {{"shared", "true"}}));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  auto other = order("b", {{"shared", "true"}});
+  other.plugin = "other.so";
+  other.driver = "probe"_driver;
+  give(other);
+  ASSERT_TRUE(comes_to("b", DriverState::active));
+  MessageSender sender(broker_url_, {"probe", "gw.probe.control", false});
+  constexpr int commands = 20;
+  for (int i = 0; i < commands; ++i) {
+    for (const char* instance : {"a", "b"}) sender.send(std::to_string(i), instance);
+  }
+  std::map<std::string, int> next;
+  while (next["a"] < commands || next["b"] < commands) {
+    const auto message = reader.next();
+    ASSERT_TRUE(message) << next["a"] << " and " << next["b"] << " came";
+    if (message->payload.text() == "up") continue;
+    ASSERT_EQ(message->payload.text(), std::to_string(next[message->driver_id]++)) << message->driver_id;
+  }
 }
 
 TEST_F(GatewayTest, ABrokerWithoutServersIsRefused) {

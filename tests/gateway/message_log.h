@@ -9,10 +9,11 @@
 #include <string>
 
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::gateway {
 
-/// Reads a topic, as a topology would, and hands out its messages one by one.
+/// Reads a topic, as a topology would, and returns its messages one by one.
 class MessageLog {
  public:
   MessageLog(const std::string& url, const brokers::Topic& topic) {
@@ -29,10 +30,10 @@ class MessageLog {
     });
   }
 
-  /// \return nullopt when none came in 20 s.
+  /// \return nullopt if no message came within 20 s.
   std::optional<brokers::Message> next() {
     std::unique_lock lock(mutex_);
-    if (!changed_.wait_for(lock, std::chrono::seconds{20}, [&] { return !messages_.empty(); })) return std::nullopt;
+    if (!changed_.wait_for(lock, tests::patience, [&] { return !messages_.empty(); })) return std::nullopt;
     auto message = std::move(messages_.front());
     messages_.pop_front();
     return message;
@@ -55,7 +56,7 @@ class MessageSender {
     broker_ = brokers::make_broker(options);
     publisher_ = broker_->publisher(topic, {});
   }
-  ~MessageSender() { publisher_->drain(std::chrono::seconds{20}); }
+  ~MessageSender() { publisher_->drain(tests::patience); }
 
   void send(const std::string& text, const std::string& instance) {
     brokers::Message message;

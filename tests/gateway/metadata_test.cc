@@ -1,6 +1,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 
 namespace iotcloud::gateway {
@@ -46,7 +47,7 @@ TEST_F(DriverMetadata, ChangesWhileTheDriverRunsAndNothingElseIsWritten) {
   start_gateway();
   give(order("a"));
   ASSERT_TRUE(comes_to("a", DriverState::active));
-  const auto channel = [&] { return registry_->get(paths_.channel("probe", "a", "control"))->version; };
+  const auto channel = [&] { return registry_->get(paths_.channel("probe"_driver, "a"_instance, "control"))->version; };
   const auto before = channel();
   const auto since = record("a")->since_ms;
   for (int round = 0; round < 5; ++round) {
@@ -69,7 +70,10 @@ TEST_F(DriverMetadata, IsRefusedWhenItIsTooMuchAndTheRestStands) {
 }
 
 TEST_F(DriverMetadata, OfAnInstanceThatFailsStaysAndOfItsNextLifeBeginsAnew) {
-  start_gateway();
+  auto slow = options();
+  slow.restart.first = std::chrono::hours(1);  // the state stays to be seen
+  gateway_.emplace(std::move(slow));
+  gateway_->start();
   give(order("a", {{"says", "battery=90"}, {"throw_in", "message"}}));
   ASSERT_TRUE(says("a", {{"battery", "90"}}));
   let_say("a", "battery=1");

@@ -9,7 +9,10 @@
 
 #include <gmock/gmock.h>
 
-#include <iotcloud/gateway/registration/order_feed.h>
+#include <iotcloud/gateway/order_feed.h>
+#include <iotcloud/tests/config/hand_clock.h>
+#include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -18,6 +21,7 @@ using discovery::Node;
 using discovery::SessionState;
 using testing::ElementsAre;
 using Names = std::vector<std::string>;
+using namespace std::chrono_literals;
 
 /// Reads tell what stands in `nodes`. Watches tell what the test says, and when.
 class ToldRegistry final : public discovery::Registry {
@@ -26,16 +30,19 @@ class ToldRegistry final : public discovery::Registry {
   std::function<void(const std::optional<Names>&)> tell_names;
   std::map<std::string, std::function<void(const std::optional<Node>&)>> tell_node;  ///< by path
   std::function<void(SessionState)> tell_session;
+  std::function<void()> before_names;  ///< called once, before names are read
 
   std::optional<Node> get(const std::string& path) override {
     const auto found = nodes.find(path);
     return found == nodes.end() ? std::nullopt : std::optional(found->second);
   }
   std::optional<Names> children(const std::string& path) override {
+    if (const auto call = std::exchange(before_names, nullptr)) call();
     Names names;
     for (const auto& [child, node] : nodes) {
       if (child.starts_with(path + "/")) names.push_back(child.substr(path.size() + 1));
     }
+    if (!nodes.contains(path)) return std::nullopt;
     return names;
   }
   std::vector<std::optional<Node>> get_all(const Names& paths) override {
@@ -59,10 +66,16 @@ class ToldRegistry final : public discovery::Registry {
   }
   SessionState session() const override { return SessionState::connected; }
 
-  // A feed only reads.
-  void create(const std::string&, const std::string&, bool, const discovery::Fence&) override { FAIL(); }
-  void set(const std::string&, const std::string&, std::int64_t, const discovery::Fence&) override { FAIL(); }
-  bool remove(const std::string&, std::int64_t, const discovery::Fence&) override { throw std::logic_error("remove"); }
+  void create(const std::string& path, const std::string& data, bool, const discovery::Fence&) override {
+    nodes[path] = Node{.data = data, .version = 0, .created = 1000};
+  }
+  void set(const std::string& path, const std::string& data, std::int64_t, const discovery::Fence&) override {
+    if (!nodes.contains(path)) throw discovery::RegistryError(discovery::RegistryErrorCode::no_node, path);
+    nodes[path].data = data;
+    ++nodes[path].version;
+  }
+  bool remove(const std::string& path, std::int64_t, const discovery::Fence&) override { return nodes.erase(path) > 0; }
+  // What a feed does not do.
   std::vector<std::optional<Names>> children_of_all(const Names&) override { throw std::logic_error("children"); }
   discovery::GuardPtr hold(const std::string&, const std::string&, bool,
                            std::function<void(const std::string&)>) override {
@@ -79,6 +92,7 @@ class ToldRegistry final : public discovery::Registry {
 
 class OrderFeedTest : public testing::Test {
  protected:
+  OrderFeedTest() { registry_.nodes[list_] = Node{.data = "", .version = 0, .created = ++created_}; }
   ~OrderFeedTest() override {
     on_loop([this] { feed_.stop(); });
   }
@@ -96,26 +110,64 @@ class OrderFeedTest : public testing::Test {
     on_loop([&] { all.swap(heard_); });
     return all;
   }
-  void give(const std::string& instance) {
+  /// Waits until the feed has said something by itself: an order must be gone for a moment.
+  std::vector<std::string> heard_soon() {
+    std::vector<std::string> all;
+    EXPECT_TRUE(tests::eventually([&] {
+      clock_.advance(pause);
+      all = heard();
+      return !all.empty();
+    }));
+    return all;
+  }
+  /// What the feed says when it looks after that time and that change. On the loop, because the feed's timer reads too.
+  std::vector<std::string> heard_after(
+      std::chrono::milliseconds time, const std::function<void()>& change = [] {}) {
+    on_loop([&] {
+      clock_.advance(time);
+      change();
+      feed_.look();
+    });
+    return heard();
+  }
+  void give(const std::string& instance, std::int64_t epoch = 0) {
     discovery::OrderRecord order;
-    order.instance = instance;
+    order.epoch = epoch;
+    order.instance = discovery::InstanceId(instance);
     order.plugin = "probe.so";
     registry_.nodes[path(instance)] = Node{.data = encode(order), .version = 0, .created = ++created_};
   }
-  std::string path(const std::string& instance) const { return paths_.order("gw", instance); }
+  std::string path(const std::string& instance) const {
+    return paths_.order("gw"_gateway, discovery::InstanceId(instance));
+  }
 
+  static constexpr auto pause = 200ms;  ///< how long an order must be gone
+  tests::HandClock clock_;
   const discovery::Paths paths_;
+  const std::string list_ = paths_.orders("gw"_gateway);
+  const std::string mark_ = discovery::freeze_path(paths_, "gw"_gateway);
   ToldRegistry registry_;
   std::int64_t created_ = 0;
   std::vector<std::string> heard_;  ///< of the loop
+  OrderFeed::Instances present_;    ///< the gateway's instances
+  OrderFeed::Instances recorded_;   ///< those whose record the registry has
   EventLoop loop_{"order-feed"};
   OrderFeed feed_{registry_,
                   paths_,
-                  "gw",
+                  "gw"_gateway,
                   loop_,
+                  clock_,
                   {[this](const auto& names) { heard_.push_back("first " + std::to_string(names.size())); },
                    [this](const auto& order, std::int64_t) { heard_.push_back("order " + order.instance); },
-                   [this](const auto& instance) { heard_.push_back("gone " + instance); }}};
+                   [this](const auto& instance) { heard_.push_back("gone " + instance); }, [this] { return present_; },
+                   [this](const auto& of) {
+                     OrderFeed::Instances without;
+                     for (const auto& instance : of) {
+                       if (!recorded_.contains(instance)) without.insert(instance);
+                     }
+                     return without;
+                   },
+                   [this] { heard_.push_back("frozen"); }, [] {}}};
 };
 
 TEST_F(OrderFeedTest, AnOrderThatGoesBeforeTheListOfNamesWasToldWithItIsTakenBack) {
@@ -127,9 +179,9 @@ TEST_F(OrderFeedTest, AnOrderThatGoesBeforeTheListOfNamesWasToldWithItIsTakenBac
   registry_.tell_session(SessionState::connected);
   EXPECT_THAT(heard(), ElementsAre("order a"));
   // The list had been empty when it was read last, and is so again: its watch has nothing new to tell.
-  registry_.nodes.clear();
+  registry_.nodes.erase(path("a"));
   registry_.tell_node.at(path("a"))(std::nullopt);
-  EXPECT_THAT(heard(), ElementsAre("gone a"));
+  EXPECT_THAT(heard_soon(), ElementsAre("gone a"));
 }
 
 TEST_F(OrderFeedTest, AnOrderThatGoesWithItsNameIsTakenBackBeforeItsNodeSaysSo) {
@@ -139,9 +191,251 @@ TEST_F(OrderFeedTest, AnOrderThatGoesWithItsNameIsTakenBackBeforeItsNodeSaysSo) 
   on_loop([] {});  // it watches the node now
   registry_.tell_node.at(path("a"))(registry_.get(path("a")));
   EXPECT_THAT(heard(), ElementsAre("first 1", "order a"));
+  registry_.nodes.erase(path("a"));
   registry_.tell_names(Names{});
   registry_.tell_node.at(path("a"))(std::nullopt);
-  EXPECT_THAT(heard(), ElementsAre("gone a"));
+  EXPECT_THAT(heard_soon(), ElementsAre("gone a"));
+}
+
+/// A feed that follows the order of an instance "a", which runs and has its record.
+class FrozenOrderFeed : public OrderFeedTest {
+ protected:
+  FrozenOrderFeed() {
+    give("a", 1000);
+    feed_.start();
+    registry_.tell_names(Names{"a"});
+    EXPECT_THAT(heard(), ElementsAre("first 1", "order a"));
+    present_ = recorded_ = {"a"_instance};  // the loop is idle, and reads them from now on
+  }
+  void connect_again() {
+    registry_.tell_session(SessionState::connected);
+    on_loop([] {});
+  }
+  discovery::FreezeRecord mark() { return discovery::decode_freeze(registry_.nodes.at(mark_).data, mark_); }
+  void adopt(std::int64_t epoch = 1) {
+    registry_.nodes[list_].data = encode(discovery::Adoption{mark().token, epoch});
+    registry_.tell_node.at(list_)(registry_.nodes.at(list_));
+  }
+};
+
+TEST_F(FrozenOrderFeed, AnOrderThatGoesWhileItsRecordStaysIsTakenBack) {
+  registry_.nodes.erase(path("a"));
+  connect_again();
+  EXPECT_THAT(heard_soon(), ElementsAre("gone a"));
+  EXPECT_EQ(feed_.frozen(), "");
+}
+
+TEST_F(FrozenOrderFeed, OrdersWhoseNodeIsGoneAreNoOrderToUndeploy) {
+  registry_.nodes.clear();
+  registry_.tell_node.at(path("a"))(std::nullopt);
+  registry_.tell_names(std::nullopt);
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  EXPECT_THAT(feed_.frozen(), testing::HasSubstr("emptied"));
+  EXPECT_EQ(mark().reason, feed_.frozen());
+}
+
+TEST_F(FrozenOrderFeed, OrdersThatAreRemovedOneByOneBeforeTheirNodeAreNoOrderToUndeploy) {
+  on_loop([&] {                        // in one go, so that the feed's timer cannot come in between
+    registry_.nodes.erase(path("a"));  // the gateway's record of it stays
+    feed_.look();
+    registry_.nodes.clear();
+  });
+  EXPECT_THAT(heard_soon(), ElementsAre("frozen"));
+}
+
+/// A feed that follows the orders of instances "a", "b" and "c", which run and have their records.
+class FeedWhoseOrdersGo : public FrozenOrderFeed {
+ protected:
+  FeedWhoseOrdersGo() {
+    for (const char* more : {"b", "c"}) give(more, 1000);
+    registry_.tell_names(Names{"a", "b", "c"});
+    present_ = recorded_ = {"a"_instance, "b"_instance, "c"_instance};
+    EXPECT_THAT(heard_after(0ms), ElementsAre("order b", "order c"));
+  }
+  std::vector<std::string> heard_when_gone(const std::string& instance, std::chrono::milliseconds after) {
+    return heard_after(after, [&] { registry_.nodes.erase(path(instance)); });
+  }
+};
+
+TEST_F(FeedWhoseOrdersGo, TakesNoneBackWhileOthersGo) {
+  EXPECT_THAT(heard_when_gone("a", 0ms), ElementsAre());
+  EXPECT_THAT(heard_when_gone("b", pause - 1ms), ElementsAre());
+  EXPECT_THAT(heard_when_gone("c", pause - 1ms), ElementsAre());
+  EXPECT_THAT(heard_after(pause - 1ms), ElementsAre());
+  EXPECT_THAT(heard_after(1ms), ElementsAre("gone a", "gone b", "gone c"));
+}
+
+TEST_F(FeedWhoseOrdersGo, TakesNoneBackWhenItFindsAnotherOneGoneAtTheEndOfThePause) {
+  EXPECT_THAT(heard_when_gone("a", 0ms), ElementsAre());
+  EXPECT_THAT(heard_when_gone("b", pause), ElementsAre());
+  EXPECT_THAT(heard_after(pause), ElementsAre("gone a", "gone b"));
+}
+
+TEST_F(FeedWhoseOrdersGo, IsFrozenWhenTheirNodeGoesInTheEnd) {
+  EXPECT_THAT(heard_when_gone("a", 0ms), ElementsAre());
+  EXPECT_THAT(heard_when_gone("b", pause - 1ms), ElementsAre());
+  EXPECT_THAT(heard_when_gone("c", pause - 1ms), ElementsAre());
+  EXPECT_THAT(heard_after(pause - 1ms, [&] { registry_.nodes.clear(); }), ElementsAre("frozen"));
+  EXPECT_THAT(heard_after(pause), ElementsAre());
+}
+
+TEST_F(FeedWhoseOrdersGo, IsFrozenWhenTheirNodeGoesWhileItIsRead) {
+  EXPECT_THAT(heard_when_gone("a", 0ms), ElementsAre());
+  const auto going = [&] { registry_.before_names = [this] { registry_.nodes.clear(); }; };
+  EXPECT_THAT(heard_after(pause, going), ElementsAre("frozen"));
+}
+
+TEST_F(FeedWhoseOrdersGo, TakesThemBackInTheEndEvenIfOthersGoAllTheTime) {
+  Names more;
+  for (int i = 10; i < 60; ++i) more.push_back(std::to_string(i));
+  for (const auto& instance : more) give(instance, 1000);
+  EXPECT_THAT(heard_after(0ms), testing::SizeIs(50));
+  EXPECT_THAT(heard_when_gone("a", 0ms), ElementsAre());
+  Names heard;
+  std::size_t went = 0;
+  for (; went < more.size() && heard.empty(); ++went) heard = heard_when_gone(more[went], pause - 1ms);
+  EXPECT_THAT(heard, ElementsAre("gone a"));
+  EXPECT_EQ(went, 26U) << "after five seconds";
+}
+
+TEST_F(FeedWhoseOrdersGo, StartsThePauseAnewForAnOrderThatGoesAgain) {
+  EXPECT_THAT(heard_when_gone("a", 0ms), ElementsAre());
+  EXPECT_THAT(heard_after(pause, [&] { give("a", 1000); }), ElementsAre("order a"));
+  EXPECT_THAT(heard_when_gone("a", pause), ElementsAre());
+  EXPECT_THAT(heard_after(pause), ElementsAre("gone a"));
+}
+
+TEST_F(FrozenOrderFeed, OrdersInAnotherNodeAreNotFollowed) {
+  registry_.nodes.clear();
+  registry_.nodes[list_] = Node{.data = "", .version = 0, .created = 100};
+  give("b");
+  connect_again();
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  registry_.tell_names(Names{"b"});
+  EXPECT_THAT(heard(), ElementsAre());
+}
+
+TEST_F(FrozenOrderFeed, AnOrderThatGoesWithItsRecordIsNotTakenBack) {
+  registry_.nodes.erase(path("a"));
+  recorded_.clear();
+  connect_again();
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  EXPECT_TRUE(mark().lasting);
+  recorded_ = present_;  // the gateway has written it again
+  connect_again();
+  EXPECT_THAT(heard(), ElementsAre()) << "which proves nothing any more";
+  EXPECT_THAT(feed_.frozen(), testing::HasSubstr("earlier state"));
+}
+
+TEST_F(FrozenOrderFeed, AnOrderInAnEarlierVersionIsNotFollowed) {
+  registry_.nodes[path("a")].version = 5;
+  registry_.tell_node.at(path("a"))(registry_.nodes.at(path("a")));
+  EXPECT_THAT(heard(), ElementsAre("order a"));
+  registry_.nodes[path("a")].version = 4;
+  connect_again();
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+}
+
+TEST_F(FrozenOrderFeed, AnAdoptionMakesAnEmptyListTheOrder) {
+  registry_.nodes.erase(path("a"));
+  recorded_.clear();
+  connect_again();
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  registry_.nodes[list_].data = encode(discovery::Adoption{"of another freeze", 7});
+  registry_.tell_node.at(list_)(registry_.nodes.at(list_));
+  EXPECT_THAT(heard(), ElementsAre());
+  adopt();
+  EXPECT_THAT(heard_soon(), ElementsAre("gone a"));
+  EXPECT_EQ(feed_.frozen(), "");
+  EXPECT_FALSE(registry_.nodes.contains(mark_));
+}
+
+TEST_F(FrozenOrderFeed, AnAdoptedRegistryCountsEpochsAnew) {
+  registry_.nodes.clear();
+  connect_again();
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  registry_.nodes[list_] = Node{.data = "", .version = 0, .created = 1};
+  give("a", 2);
+  give("b", 3);
+  adopt();
+  EXPECT_THAT(heard(), ElementsAre("order a", "order b"));
+  give("c", 4);
+  registry_.tell_names(Names{"a", "b", "c"});
+  on_loop([] {});
+  registry_.tell_node.at(path("c"))(registry_.nodes.at(path("c")));
+  EXPECT_THAT(heard(), ElementsAre("order c"));
+}
+
+TEST_F(FrozenOrderFeed, OrdersOfMastersThatLedBeforeTheAdoptionAreNotFollowedAfterIt) {
+  registry_.nodes.clear();
+  connect_again();
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  registry_.nodes[list_] = Node{.data = "", .version = 0, .created = 1};
+  give("a", 2);
+  adopt(7);
+  EXPECT_THAT(heard(), ElementsAre("order a")) << "which the master adopted";
+  EXPECT_EQ(feed_.epoch(), 7);
+  give("b", 6);
+  give("c", 7);
+  registry_.tell_names(Names{"a", "b", "c"});
+  on_loop([] {});
+  for (const char* instance : {"b", "c"}) registry_.tell_node.at(path(instance))(registry_.nodes.at(path(instance)));
+  EXPECT_THAT(heard(), ElementsAre("order c"));
+}
+
+TEST_F(FrozenOrderFeed, TheOrdersOwnNodeThatComesBackIsFollowed) {
+  const auto before = registry_.nodes;
+  registry_.nodes.clear();
+  connect_again();
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  registry_.nodes = before;  // the address led to another registry for a while
+  connect_again();
+  EXPECT_EQ(feed_.frozen(), "");
+  give("b");
+  connect_again();
+  EXPECT_THAT(heard(), testing::Contains("order b"));
+}
+
+TEST_F(FrozenOrderFeed, AGatewayWithoutInstancesHasNothingToLose) {
+  registry_.nodes.erase(path("a"));
+  connect_again();
+  EXPECT_THAT(heard_soon(), ElementsAre("gone a"));
+  present_.clear();
+  registry_.nodes.clear();
+  connect_again();
+  give("b", 3);
+  registry_.tell_names(Names{"b"});
+  EXPECT_THAT(heard(), ElementsAre("order b"));
+  EXPECT_EQ(feed_.frozen(), "");
+  give("c", 4);  // the masters of an emptied registry count epochs anew
+  registry_.tell_names(Names{"b", "c"});
+  on_loop([] {});
+  registry_.tell_node.at(path("c"))(registry_.nodes.at(path("c")));
+  EXPECT_THAT(heard(), ElementsAre("order c"));
+}
+
+TEST_F(OrderFeedTest, AGatewayWithAdoptedInstancesAndNoOrdersIsFrozenFromTheStart) {
+  present_ = recorded_ = {"a"_instance};
+  registry_.nodes.clear();
+  feed_.start();
+  registry_.tell_session(SessionState::connected);
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  registry_.nodes[list_] = Node{.data = "", .version = 0, .created = 100};  // somebody gives an order
+  give("b");
+  registry_.tell_names(Names{"b"});
+  EXPECT_THAT(heard(), ElementsAre());
+}
+
+TEST_F(OrderFeedTest, AFreezeOutlivesTheGateway) {
+  registry_.nodes[mark_] = Node{.data = encode(discovery::FreezeRecord{"why", 5, "token", false})};
+  give("a");
+  feed_.start();
+  registry_.tell_names(Names{"a"});
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  EXPECT_EQ(feed_.frozen(), "why");
+  registry_.nodes[list_].data = encode(discovery::Adoption{"token", 7});
+  registry_.tell_node.at(list_)(registry_.nodes.at(list_));
+  EXPECT_THAT(heard(), ElementsAre("first 1", "order a"));
 }
 
 }  // namespace

@@ -10,12 +10,13 @@
 
 namespace iotcloud::gateway {
 
-/// A driver that does what the deployment's properties say, wrong things included.
-///   throw_in: channels, open, activate, timer or message
+/// A driver that does what the deployment's properties say, including faults.
+/// throw_in: the call that throws: channels, open, activate, timer or message
 ///   crash_file: when this file appears it is removed and the process dies of SIGSEGV
 ///   shared: "true" makes both channels shared; channels: "none" leaves them out
 ///   says: "KEY=VALUE", metadata that it has from the beginning; a message "say KEY=VALUE" changes it
-/// It publishes one message ("up") when it is activated, and answers each message on `control` with its echo.
+/// It publishes one message ("up") when it is activated, and answers each message on `control` with its echo. Its
+/// metadata `stored` has what on_stored reported.
 class ProbeDriver : public drivers::Driver {
  public:
   std::vector<drivers::ChannelSpec> channels(const drivers::PropertyMap& properties) override {
@@ -41,7 +42,7 @@ class ProbeDriver : public drivers::Driver {
     if (crash_file.empty()) return;
     context.every(std::chrono::milliseconds{5}, [crash_file] {
       if (std::filesystem::remove(crash_file)) {
-        std::signal(SIGSEGV, SIG_DFL);  // a sanitizer's handler would write its report
+        std::signal(SIGSEGV, SIG_DFL);  // without this a sanitizer's handler would write its report
         std::raise(SIGSEGV);
       }
     });
@@ -56,6 +57,10 @@ class ProbeDriver : public drivers::Driver {
     throw_if("message");
     if (message.payload.text().starts_with("say ")) say(std::string(message.payload.text().substr(4)));
     context_->publish("readings", std::move(message));
+  }
+
+  void on_stored(std::string_view channel, std::uint64_t count) override {
+    say("stored=" + std::string(channel) + " " + std::to_string(count));
   }
 
  private:

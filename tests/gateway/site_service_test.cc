@@ -9,11 +9,12 @@
 #include <thrift/transport/TSocket.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
-#include <iotcloud/config/access/tokens.h>
-#include <iotcloud/config/thrift/thrift_client.h>
-#include <iotcloud/gateway/site/site_service.h>
-#include <iotcloud/tests/config/access/certificates.h>
+#include <iotcloud/gateway/site_service.h>
+#include <iotcloud/rpc/thrift_client.h>
+#include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
+#include <iotcloud/tests/security/certificates.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -68,7 +69,8 @@ TEST_F(SiteServiceTest, AnInstanceIsDeployedStoppedStartedAndUndeployed) {
   ASSERT_EQ(deployed.state, TResponseState::SUCCESS) << deployed.statusMessage;
   const std::string id = deployed.statusMessage;
   EXPECT_EQ(record(id, "camera")->state, DriverState::active);
-  EXPECT_TRUE(registry_->get(paths_.order("gw", id))) << "a call is an order in the registry";
+  EXPECT_TRUE(registry_->get(paths_.order("gw"_gateway, discovery::InstanceId(id))))
+      << "a call is an order in the registry";
 
   TResponse answer;
   client_->stopSensor(answer, id);
@@ -105,15 +107,15 @@ TEST_F(SiteServiceTest, ADeploymentThatFailsSaysWhyAndIsTakenBack) {
   const auto answer = deploy({{"throw_in", "open"}});
   EXPECT_EQ(answer.state, TResponseState::FAILURE);
   EXPECT_THAT(answer.statusMessage, HasSubstr("told to throw in open"));
-  EXPECT_TRUE(eventually([&] { return registry_->children(paths_.orders("gw"))->empty(); }));
-  EXPECT_TRUE(eventually([&] { return !registry_->get(paths_.driver("probe")); }));
+  EXPECT_TRUE(eventually([&] { return registry_->children(paths_.orders("gw"_gateway))->empty(); }));
+  EXPECT_TRUE(eventually([&] { return !registry_->get(paths_.driver("probe"_driver)); }));
 }
 
 TEST_F(SiteServiceTest, AFileOutsideThePluginFolderIsRefusedWithoutAnOrder) {
   const auto answer = deploy({}, "../probe.so");
   EXPECT_EQ(answer.state, TResponseState::FAILURE);
   EXPECT_THAT(answer.statusMessage, HasSubstr("not a plain file name"));
-  EXPECT_TRUE(registry_->children(paths_.orders("gw"))->empty());
+  EXPECT_TRUE(registry_->children(paths_.orders("gw"_gateway))->empty());
 }
 
 TEST_F(SiteServiceTest, AnUnknownInstanceIsAFailureThatNamesIt) {
@@ -162,23 +164,23 @@ TEST_F(SiteServiceTest, EveryMethodStatesItsRole) {
 }
 
 TEST_F(SiteServiceTest, WithTlsAndTokensAViewerReadsAndDeploysNothing) {
-  const config::test::Certificates certificates;
-  const config::test::Folder folder;
+  const security::test::Certificates certificates;
+  const security::test::Folder folder;
   SiteService::Options options;
   options.listen = {"0.0.0.0", 0, certificates.of("lab1"), folder / "tokens", ""};
-  const auto token = config::add_token(options.listen.tokens, "vera", config::Role::viewer);
+  const auto token = security::add_token(options.listen.tokens, "vera", security::Role::viewer);
   const SiteService guarded(options, *gateway_, *registry_, paths_);
-  config::ThriftClientOptions asking;
+  rpc::ThriftClientOptions asking;
   asking.host = "127.0.0.1";
   asking.port = guarded.port();
   EXPECT_THROW(
       {
         wire::TPing ping;
-        wire::TSensorSiteServiceClient(config::ThriftClient(asking).protocol()).ping(ping);
+        wire::TSensorSiteServiceClient(rpc::ThriftClient(asking).protocol()).ping(ping);
       },
       apache::thrift::TException);
   asking.tls = certificates.of("operator");
-  client_.emplace(config::ThriftClient(asking).protocol());
+  client_.emplace(rpc::ThriftClient(asking).protocol());
   wire::TPing ping;
   EXPECT_THROW(client_->ping(ping), apache::thrift::TApplicationException);
   TResponse answer;
@@ -194,7 +196,7 @@ TEST_F(SiteServiceTest, WithTlsAndTokensAViewerReadsAndDeploysNothing) {
   std::string upload;
   EXPECT_THROW(client_->offerPlugin(upload, {}), wire::TSiteError);
   EXPECT_THROW(client_->sendPlugin("x", 0, "bytes"), wire::TSiteError);
-  EXPECT_TRUE(registry_->children(paths_.orders("gw"))->empty());
+  EXPECT_TRUE(registry_->children(paths_.orders("gw"_gateway))->empty());
 }
 
 TEST_F(SiteServiceTest, AnAddressThatOthersReachIsRefusedWithoutTlsAndTokens) {

@@ -9,10 +9,11 @@
 #include <vector>
 
 #include <iotcloud/gateway/host/instance_spec.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::gateway {
 
-/// Collects the states that a host tells, and waits for one. Thread safe.
+/// Collects the states that a host reports, and waits for one. Thread safe.
 class StatusLog {
  public:
   void add(const InstanceStatus& status) {
@@ -23,11 +24,12 @@ class StatusLog {
     changed_.notify_all();
   }
 
-  /// \return the first status of the instance in that state, since the last call for it; nullopt after 20 s.
+  /// \return the instance's first status with that state since the last call for that instance; nullopt if none comes
+  /// in time.
   std::optional<InstanceStatus> wait_for(const std::string& instance, discovery::DriverState state) {
     std::unique_lock lock(mutex_);
     std::optional<InstanceStatus> found;
-    changed_.wait_for(lock, std::chrono::seconds{20}, [&] {
+    changed_.wait_for(lock, tests::patience, [&] {
       for (std::size_t& i = seen_[instance]; i < all_.size();) {
         const auto& status = all_[i++];
         if (status.instance != instance || status.state != state) continue;

@@ -13,12 +13,15 @@ from pathlib import Path
 # Room: the rooms that it may use, besides itself.
 ROOMS = {
     "config": [],
+    "security": ["config"],
+    "rpc": ["config", "security"],
     "brokers": ["config"],
     "discovery": ["config"],
     "drivers": ["brokers"],  # message.h only, see below
-    "gateway": ["config", "brokers", "discovery", "drivers"],
-    "master": ["config", "discovery", "gateway"],  # of the gateway: what Thrift generates, see below
-    "topology": ["config", "brokers", "discovery"],
+    "processes": ["config", "security"],
+    "gateway": ["config", "security", "rpc", "brokers", "discovery", "drivers", "processes"],
+    "master": ["config", "security", "rpc", "discovery", "gateway"],  # of the gateway: what Thrift generates, see below
+    "topology": ["config", "rpc", "brokers", "discovery", "processes"],
 }
 # A part of a room with rules of its own. `None`: everything.
 PARTS = {
@@ -26,6 +29,12 @@ PARTS = {
     "topology/runtime": ["config", "brokers"],
 }
 OUTSIDE = ("examples", "tests", "bench")  # users of the rooms
+# A folder of a room: the room's folders that it may use, besides itself.
+FOLDERS = {
+    "topology/runtime/scheduling": [],
+}
+# Of two folders of these rooms that lie beside each other one at most uses the other.
+ONE_WAY = ("processes", "discovery", "gateway", "topology")
 # Only these may name an implementation: its own folder, the factory, and who starts the in-process servers.
 IMPLEMENTATIONS = {
     "brokers/embedded": ["brokers/make_broker.cc", "topology/local/"],
@@ -56,6 +65,15 @@ def room_violation(file, target_room):
     return None
 
 
+def folder_violation(file, target):
+    """Why `file` may not use `target` of the same room; None when it may."""
+    for folder, allowed in FOLDERS.items():
+        if file.startswith(folder + "/") and target.split("/")[0] == folder.split("/")[0]:
+            if not target.startswith(tuple(f"{place}/" for place in [folder, *allowed])):
+                return f"{folder}/ may use {', '.join(allowed) or 'no other folder of its room'}"
+    return None
+
+
 def include_violation(file, included):
     """Why `file` (relative to the root) may not include `included`; None when it may."""
     if included.startswith("../") or "/../" in included:
@@ -68,7 +86,7 @@ def include_violation(file, included):
         if target.startswith(implementation + "/") and not file.startswith((implementation + "/", "tests/")):
             if not any(file.startswith(place) for place in allowed):
                 return f"only {', '.join(allowed)} may name {implementation}/"
-    reason = room_violation(file, target_room)
+    reason = room_violation(file, target_room) or folder_violation(file, target)
     if reason:
         return reason
     sdk = room == "drivers" or posixpath.dirname(file) == "topology"
@@ -77,6 +95,31 @@ def include_violation(file, included):
     if room == "master" and target_room == "gateway" and not THRIFT_OF_GATEWAY.search(target):
         return "master/ may use the gateway's Thrift client only"
     return None
+
+
+def includes_of(root, file):
+    """(line, as it stands, relative to the root) of each include of a file of ours."""
+    for number, line in enumerate((root / file).read_text().splitlines(), 1):
+        include = INCLUDE.match(line)
+        if include and include.group(2).startswith("iotcloud/"):
+            yield number, include.group(2), include.group(2).removeprefix("iotcloud/")
+
+
+def check_folders(root, files):
+    """Folders of one room that use each other, neither within the other."""
+    uses = {}
+    for file in files:
+        folder = posixpath.dirname(file)
+        if folder.split("/")[0] not in ONE_WAY:
+            continue
+        for number, text, target in includes_of(root, file):
+            other = posixpath.dirname(target)
+            beside = not f"{folder}/".startswith(f"{other}/") and not f"{other}/".startswith(f"{folder}/")
+            if beside and other.split("/")[0] == folder.split("/")[0]:
+                uses.setdefault((folder, other), f"{file}:{number}: {text}")
+    for (folder, other), place in uses.items():
+        if (other, folder) in uses:
+            yield f"{place}: {folder}/ and {other}/ use each other"
 
 
 def check_source(root, file):
@@ -133,7 +176,9 @@ def check_targets(root, files):
 def check(root):
     files = [path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file()]
     files = [file for file in files if not file.startswith(("build/", ".")) and "/build/" not in file]
-    problems = [problem for file in files if file.endswith((".h", ".cc")) for problem in check_source(root, file)]
+    sources = [file for file in files if file.endswith((".h", ".cc"))]
+    problems = [problem for file in sources for problem in check_source(root, file)]
+    problems += check_folders(root, sources)
     # tests/external is a project of its own.
     recipes = [f for f in files if posixpath.basename(f) == "CMakeLists.txt" and not f.startswith("tests/external/")]
     return problems + list(check_targets(root, recipes))

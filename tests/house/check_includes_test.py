@@ -40,6 +40,28 @@ class CheckIncludes(unittest.TestCase):
         self.assertFalse(self.problems("master/a.cc", '#include "iotcloud/gateway/TSensorSiteService.h"'))
         self.assertTrue(self.problems("master/a.cc", "#include <iotcloud/gateway/gateway.h>"))
 
+    def test_the_topologys_scheduling_knows_nothing_of_tasks(self):
+        self.assertFalse(self.problems("topology/runtime/tasks/a.h", "#include <iotcloud/topology/runtime/scheduling/lane.h>"))
+        self.assertFalse(self.problems("topology/runtime/scheduling/a.h", "#include <iotcloud/config/clock.h>"))
+        self.assertFalse(
+            self.problems("topology/runtime/scheduling/a.h", "#include <iotcloud/topology/runtime/scheduling/lane.h>"))
+        problems = self.problems("topology/runtime/scheduling/a.h", "#include <iotcloud/topology/runtime/tasks/task.h>")
+        self.assertEqual(len(problems), 1, problems)
+        self.assertIn("topology/runtime/scheduling/ may use no other folder of its room", problems[0])
+
+    def test_folders_beside_each_other_do_not_use_each_other(self):
+        with tempfile.TemporaryDirectory() as root:
+            for folder in ("runtime", "runtime/tasks", "sending", "receiving"):
+                (Path(root) / "topology" / folder).mkdir(parents=True, exist_ok=True)
+            (Path(root) / "topology/runtime/a.cc").write_text("#include <iotcloud/topology/runtime/tasks/a.h>\n")
+            (Path(root) / "topology/runtime/tasks/a.cc").write_text("#include <iotcloud/topology/runtime/a.h>\n")
+            (Path(root) / "topology/sending/a.cc").write_text("#include <iotcloud/topology/receiving/a.h>\n")
+            self.assertEqual(check_includes.check(Path(root)), [])
+            (Path(root) / "topology/receiving/a.cc").write_text("#include <iotcloud/topology/sending/a.h>\n")
+            problems = check_includes.check(Path(root))
+            self.assertEqual(len(problems), 2, problems)
+            self.assertIn("use each other", problems[0])
+
     def test_only_the_factory_names_an_implementation(self):
         line = "#include <iotcloud/brokers/rabbitmq/rabbitmq_broker.h>"
         self.assertFalse(self.problems("brokers/make_broker.cc", line))

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/master/orders/instance_id.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -23,7 +24,7 @@ DeployRequest meter(std::vector<std::string> gateways = {"lab1"}, int count = 1)
   DeployRequest request;
   request.plugin = "meter.so";
   request.name = "meter";
-  request.gateways = std::move(gateways);
+  request.gateways = {gateways.begin(), gateways.end()};
   request.count = count;
   return request;
 }
@@ -31,8 +32,8 @@ DeployRequest meter(std::vector<std::string> gateways = {"lab1"}, int count = 1)
 class MasterDeployments : public testing::Test {
  protected:
   MasterDeployments() { EXPECT_TRUE(master.leads()); }
-  std::vector<std::string> instances(const OrderResult& result) const {
-    std::vector<std::string> ids;
+  std::vector<discovery::InstanceId> instances(const OrderResult& result) const {
+    std::vector<discovery::InstanceId> ids;
     for (const auto& outcome : result.outcomes) ids.push_back(outcome.instance);
     return ids;
   }
@@ -42,16 +43,17 @@ class MasterDeployments : public testing::Test {
 };
 
 TEST_F(MasterDeployments, NameNumberAndGatewayMakeTheId) {
-  EXPECT_EQ(named_instance_id("lab1", "meter", 1), named_instance_id("lab1", "meter", 1));
-  const std::set<std::string> ids{named_instance_id("lab1", "meter", 1), named_instance_id("lab2", "meter", 1),
-                                  named_instance_id("lab1", "metre", 1), named_instance_id("lab1", "meter", 2)};
+  EXPECT_EQ(named_instance_id("lab1"_gateway, "meter", 1), named_instance_id("lab1"_gateway, "meter", 1));
+  const std::set<discovery::InstanceId> ids{
+      named_instance_id("lab1"_gateway, "meter", 1), named_instance_id("lab2"_gateway, "meter", 1),
+      named_instance_id("lab1"_gateway, "metre", 1), named_instance_id("lab1"_gateway, "meter", 2)};
   EXPECT_THAT(ids, SizeIs(4));
-  for (const auto& id : ids) EXPECT_THAT(id, SizeIs(32));
+  for (const auto& id : ids) EXPECT_THAT(id.str(), SizeIs(32));
 
   FakeGateway gateway(url, "lab1");
   const auto result = master->deploy(meter({"lab1"}, 2));
   ASSERT_TRUE(result.all_done()) << result.summary();
-  EXPECT_EQ(result.outcomes.at(1).instance, named_instance_id("lab1", "meter", 2));
+  EXPECT_EQ(result.outcomes.at(1).instance, named_instance_id("lab1"_gateway, "meter", 2));
   for (const auto& driver : master->drivers()) EXPECT_EQ(driver.deployment, "meter");
   EXPECT_EQ(master->orders().at(0).gateway, "lab1");
 }
@@ -86,7 +88,7 @@ TEST_F(MasterDeployments, NumbersMayBeNamedAndAnInstanceMayWaitToBeStarted) {
   request.manager = "lab";
   const auto result = master->deploy(request);
   ASSERT_TRUE(result.all_done()) << result.summary();
-  EXPECT_EQ(result.outcomes.at(0).instance, named_instance_id("lab1", "meter", 3));
+  EXPECT_EQ(result.outcomes.at(0).instance, named_instance_id("lab1"_gateway, "meter", 3));
   for (const auto& driver : master->drivers()) EXPECT_EQ(driver.state, DriverState::inactive);
   EXPECT_EQ(master->orders().at(0).order.manager, "lab");
 }

@@ -1,5 +1,6 @@
 #include <gmock/gmock.h>
 
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -18,7 +19,7 @@ class MasterDrain : public testing::Test {
   std::string deploy(const std::string& gateway) {
     DeployRequest request;
     request.plugin = "turtle.so";
-    request.gateways = {gateway};
+    request.gateways = {discovery::GatewayId(gateway)};
     return master->deploy(request).outcomes.at(0).instance;
   }
   DriverState state(const std::string& instance) {
@@ -27,8 +28,8 @@ class MasterDrain : public testing::Test {
     }
     return DriverState::undeployed;
   }
-  static GatewaySelection lab1() { return {{"lab1"}, {}}; }
-  static InstanceSelection only(const std::string& instance) { return {{instance}, {}, {}}; }
+  static GatewaySelection lab1() { return {{"lab1"_gateway}, {}}; }
+  static InstanceSelection only(const std::string& instance) { return {{discovery::InstanceId(instance)}, {}, {}}; }
 
   const std::string url = test::fresh_registry_url();
   TestMaster master{url};
@@ -62,13 +63,13 @@ TEST_F(MasterDrain, ADeploymentToAllPassesItByAndOneThatNamesItIsRefused) {
   const auto all = master->deploy(request);
   ASSERT_THAT(all.outcomes, SizeIs(1));
   EXPECT_EQ(all.outcomes[0].gateway, "lab2");
-  request.gateways = {"lab2", "lab1"};
+  request.gateways = {"lab2"_gateway, "lab1"_gateway};
   const auto named = master->deploy(request);
   EXPECT_EQ(named.refusal, Refusal::bad_request);
   EXPECT_THAT(named.text, HasSubstr("iotcloud undrain lab1"));
   EXPECT_THAT(first.orders(), IsEmpty());
   EXPECT_THAT(second.orders(), SizeIs(1));
-  ASSERT_TRUE(master->drain({{"lab2"}, {}}).all_done());
+  ASSERT_TRUE(master->drain({{"lab2"_gateway}, {}}).all_done());
   request.gateways.clear();
   EXPECT_THAT(master->deploy(request).text, HasSubstr("all gateways are draining"));
 }
@@ -113,7 +114,7 @@ TEST_F(MasterDrain, MayBeRepeatedAndFinishesWhatWasBegun) {
   FakeGateway gateway(url, "lab1");
   const auto instance = deploy("lab1");
   gateway.behave(FakeGateway::say_nothing());
-  const auto begun = master->drain({{"lab1"}, std::chrono::milliseconds(1)});
+  const auto begun = master->drain({{"lab1"_gateway}, std::chrono::milliseconds(1)});
   EXPECT_EQ(begun.outcomes.at(0).outcome, Outcome::unknown);
   ASSERT_TRUE(test::eventually([&] { return gateway.orders_seen() == 2; }));  // or it would obey this one too
   gateway.behave(FakeGateway::obey);
@@ -148,7 +149,7 @@ TEST_F(MasterDrain, ALostGatewayDrainsWhenItComesBack) {
 
 TEST_F(MasterDrain, WantsGatewaysThatThereAre) {
   FakeGateway gateway(url, "lab1");
-  EXPECT_EQ(master->drain({{"lab7"}, {}}).refusal, Refusal::unknown_gateway);
+  EXPECT_EQ(master->drain({{"lab7"_gateway}, {}}).refusal, Refusal::unknown_gateway);
   EXPECT_EQ(master->drain({}).refusal, Refusal::bad_request);
   EXPECT_FALSE(master->gateways().at(0).draining);
 }

@@ -4,6 +4,7 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/master/listing/driver_view.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -18,16 +19,16 @@ class ManyDrivers : public testing::Test {
  protected:
   void put(const std::string& instance, DriverState state, bool with_channel = true) {
     DriverRecord record;
-    record.name = "turtle";
-    record.instance = instance;
-    record.gateway = "lab1";
+    record.name = "turtle"_driver;
+    record.instance = discovery::InstanceId(instance);
+    record.gateway = "lab1"_gateway;
     record.state = state;
     if (with_channel) {
       record.channels.emplace_back();
       record.channels.back().name = "kinect";
       record.channels.back().broker_url = "amqp://1";
     }
-    discovery::put(*writer, paths.instance("turtle", instance), encode(record));
+    discovery::put(*writer, paths.instance("turtle"_driver, discovery::InstanceId(instance)), encode(record));
   }
   bool becomes(const std::string& instance, DriverState state) {
     return test::eventually([&] {
@@ -52,8 +53,8 @@ TEST_F(ManyDrivers, AreListedAsADirectReadListsThem) {
   discovery::ChannelRecord channel;
   channel.name = "control";
   channel.broker_url = "amqp://2";
-  discovery::put(*writer, paths.channel("turtle", "silent", "control"), encode(channel));
-  discovery::put(*writer, paths.instance("turtle", "bad"), "garbage");
+  discovery::put(*writer, paths.channel("turtle"_driver, "silent"_instance, "control"), encode(channel));
+  discovery::put(*writer, paths.instance("turtle"_driver, "bad"_instance), "garbage");
   EXPECT_EQ(view.list(), discovery::list_drivers(*registry, paths));
   EXPECT_EQ(view.list(), discovery::list_drivers(*registry, paths)) << "from what is known";
 }
@@ -64,11 +65,11 @@ TEST_F(ManyDrivers, ComeAndGoAtOnceAndChangesAreSeenSoon) {
   EXPECT_THAT(view.list(), SizeIs(2));
   put("c", DriverState::active);
   EXPECT_THAT(view.list(), SizeIs(3));
-  writer->remove(paths.instance("turtle", "b"));
+  writer->remove(paths.instance("turtle"_driver, "b"_instance));
   EXPECT_THAT(view.list(), SizeIs(2));
   put("a", DriverState::active);
   EXPECT_TRUE(becomes("a", DriverState::active));
-  writer->remove(paths.instance("turtle", "a"));
+  writer->remove(paths.instance("turtle"_driver, "a"_instance));
   EXPECT_THAT(view.list(), SizeIs(1));
   put("a", DriverState::inactive);
   EXPECT_TRUE(becomes("a", DriverState::inactive));
@@ -80,13 +81,13 @@ TEST_F(ManyDrivers, ThatWereOrderedAreReadAnew) {
   for (int i = 0; i < 100; ++i) {
     const auto state = i % 2 == 0 ? DriverState::active : DriverState::inactive;
     put("a", state);
-    view.ordered("a");
+    view.ordered("a"_instance);
     ASSERT_EQ(view.list().at(0).state, state) << "what a master has seen done is in the list";
   }
 }
 
 TEST_F(ManyDrivers, AreListedAgainAfterTheSessionExpired) {
-  const auto server = discovery::embedded::Server::named(url.substr(std::string("embedded://").size()));
+  const auto server = discovery::embedded::RegistryServer::named(url.substr(std::string("embedded://").size()));
   put("a", DriverState::active);
   ASSERT_THAT(view.list(), SizeIs(1));
   for (const auto session : server->sessions()) server->expire(session);

@@ -61,7 +61,8 @@ void FakeGateway::behave(Behaviour behaviour) {
 DriverRecord FakeGateway::record(const OrderRecord& order, DriverState state, const std::string& reason,
                                  int made_anew) const {
   DriverRecord record;
-  record.name = order.driver.empty() ? order.plugin.substr(0, order.plugin.find('.')) : order.driver;
+  record.name =
+      order.driver.empty() ? discovery::DriverName(order.plugin.substr(0, order.plugin.find('.'))) : order.driver;
   record.instance = order.instance;
   record.gateway = id_;
   record.state = state;
@@ -90,8 +91,9 @@ void FakeGateway::report(const std::string& instance, DriverState state, const s
     told = record(orders_.at(instance), state, reason, made_anew_[instance]);
   }
   for (const auto& channel : told.channels)
-    discovery::put(*registry_, paths_.channel(told.name, instance, channel.name), encode(channel));
-  discovery::put(*registry_, paths_.instance(told.name, instance), encode(told));
+    discovery::put(*registry_, paths_.channel(told.name, discovery::InstanceId(instance), channel.name),
+                   encode(channel));
+  discovery::put(*registry_, paths_.instance(told.name, discovery::InstanceId(instance)), encode(told));
 }
 
 std::vector<OrderRecord> FakeGateway::orders() const {
@@ -114,7 +116,7 @@ bool FakeGateway::wait_for_orders(std::size_t count) const {
 void FakeGateway::on_names(const std::vector<std::string>& names) {
   for (const auto& instance : names) {
     if (watches_.contains(instance)) continue;
-    watches_[instance] = registry_->watch_node(paths_.order(id_, instance),
+    watches_[instance] = registry_->watch_node(paths_.order(id_, discovery::InstanceId(instance)),
                                                [this, instance](const auto& node) { on_order(instance, node); });
   }
 }
@@ -125,7 +127,7 @@ void FakeGateway::on_order(const std::string& instance, const std::optional<disc
   {
     std::lock_guard lock(mutex_);
     if (node) {
-      const auto order = discovery::decode_order(node->data, paths_.order(id_, instance));
+      const auto order = discovery::decode_order(node->data, paths_.order(id_, discovery::InstanceId(instance)));
       const auto before = orders_.find(instance);
       if (before != orders_.end() && before->second.properties != order.properties) ++made_anew_[instance];
       orders_[instance] = order;
@@ -138,7 +140,8 @@ void FakeGateway::on_order(const std::string& instance, const std::optional<disc
   }
   changed_.notify_all();
   if (report_now) report(instance, report_now->first, report_now->second);
-  if (gone) discovery::remove_tree(*registry_, paths_.instance(record(*gone, {}, "", 0).name, instance));
+  if (gone)
+    discovery::remove_tree(*registry_, paths_.instance(record(*gone, {}, "", 0).name, discovery::InstanceId(instance)));
 }
 
 MasterOptions TestMaster::quick() {

@@ -18,8 +18,8 @@
 
 namespace iotcloud::master::test {
 
-/// What a test waits for at most before it fails.
-inline constexpr std::chrono::seconds patience{20};
+/// The longest that a test waits before it fails.
+using tests::patience;
 
 /// A registry that no other test sees.
 std::string fresh_registry_url();
@@ -27,27 +27,27 @@ std::unique_ptr<discovery::Registry> open_registry(const std::string& url);
 
 using tests::eventually;
 
-/// A gateway that follows orders as a real one does, and reports what the test tells it to.
+/// A gateway that follows orders as a real one does, and reports what the test says.
 class FakeGateway {
  public:
-  /// What it reports for an order; nullopt: it says nothing.
+  /// What the gateway reports for an order; nullopt: nothing.
   using Report = std::pair<discovery::DriverState, std::string>;
   using Behaviour = std::function<std::optional<Report>(const discovery::OrderRecord&)>;
-  /// Does as it is told.
+  /// Follows the order.
   static std::optional<Report> obey(const discovery::OrderRecord& order);
   static Behaviour fail(std::string reason);
   static Behaviour say_nothing();
 
   FakeGateway(const std::string& registry_url, std::string id, Behaviour behaviour = obey);
-  /// It dies: its records stay.
+  /// Dies: its records stay.
   ~FakeGateway();
 
-  const std::string& id() const { return id_; }
+  const discovery::GatewayId& id() const { return id_; }
   void behave(Behaviour behaviour);
-  /// Reports for an order that it has seen, whatever its behaviour says.
+  /// Reports a state for an order that it has seen, whatever its behaviour says.
   void report(const std::string& instance, discovery::DriverState state, const std::string& reason = "");
-  std::vector<discovery::OrderRecord> orders() const;  ///< as they stand, by instance
-  int orders_seen() const;                             ///< each change counts
+  std::vector<discovery::OrderRecord> orders() const;  ///< the current orders, sorted by instance
+  int orders_seen() const;                             ///< number of orders and changes of orders that it has seen
   bool wait_for_orders(std::size_t count) const;
 
  private:
@@ -56,31 +56,31 @@ class FakeGateway {
   discovery::DriverRecord record(const discovery::OrderRecord& order, discovery::DriverState state,
                                  const std::string& reason, int made_anew) const;
 
-  const std::string id_;
+  const discovery::GatewayId id_;
   const discovery::Paths paths_;
   std::unique_ptr<discovery::Registry> registry_;
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;
   Behaviour behaviour_;                                   ///< guarded by mutex_
   std::map<std::string, discovery::OrderRecord> orders_;  ///< guarded by mutex_
-  std::map<std::string, int> made_anew_;                  ///< guarded by mutex_: how often its properties changed
-  int seen_ = 0;                                          ///< guarded by mutex_
-  std::map<std::string, discovery::GuardPtr> watches_;    ///< of the registry's dispatcher
+  std::map<std::string, int> made_anew_;  ///< guarded by mutex_: by instance: how often its properties changed
+  int seen_ = 0;                          ///< guarded by mutex_
+  std::map<std::string, discovery::GuardPtr> watches_;  ///< used by the registry's dispatcher
   discovery::GuardPtr alive_;
   discovery::GuardPtr names_;
 };
 
-/// A master of its own session on a registry, leading (or standing by behind the one that leads).
+/// A master with a session of its own at a registry. It leads, or is on standby while another one leads.
 class TestMaster {
  public:
   explicit TestMaster(const std::string& registry_url, MasterOptions options = quick());
   static MasterOptions quick();
-  /// Waits until it leads.
+  /// Waits until this master leads.
   bool leads() const;
   Master* operator->() { return master_.get(); }
   Master& operator*() { return *master_; }
   discovery::Registry& registry() { return *registry_; }
-  /// The master goes away, as a process that ends.
+  /// Ends the master, as if its process ended.
   void end();
 
  private:

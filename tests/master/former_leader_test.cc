@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/held_up_registry.h>
 
@@ -20,7 +21,7 @@ MasterOptions at(const std::string& address) {
   return options;
 }
 
-DeployRequest turtle() {
+DeployRequest one_turtle() {
   DeployRequest request;
   request.plugin = "turtle.so";
   request.name = "turtle";
@@ -43,8 +44,8 @@ class FormerLeader : public testing::Test {
       ASSERT_TRUE(test::eventually([&] { return second_registry->children(paths.masters())->size() == 2; }));
     });
   }
-  std::optional<discovery::Node> order_node(const std::string& id) {
-    return second_registry->get(paths.order("lab1", id));
+  std::optional<discovery::Node> order_node(const discovery::InstanceId& id) {
+    return second_registry->get(paths.order("lab1"_gateway, id));
   }
   static void expect_lost_lead(const OrderResult& result) {
     ASSERT_EQ(result.outcomes.size(), 1U) << result.summary();
@@ -55,8 +56,8 @@ class FormerLeader : public testing::Test {
   const std::string url = test::fresh_registry_url();
   const discovery::Paths paths;
   test::HeldUpRegistry registry{test::open_registry(url)};
-  const std::shared_ptr<discovery::embedded::Server> server =
-      discovery::embedded::Server::named(url.substr(std::string("embedded://").size()));
+  const std::shared_ptr<discovery::embedded::RegistryServer> server =
+      discovery::embedded::RegistryServer::named(url.substr(std::string("embedded://").size()));
   Master first{registry, at("127.0.0.1:1111")};
   const std::int64_t first_session = [&] {
     EXPECT_TRUE(test::eventually([&] { return first.status().leading; }));  // before another one comes
@@ -69,10 +70,10 @@ class FormerLeader : public testing::Test {
 
 /// The new order has the id and the version of the one that the former leader read.
 TEST_F(FormerLeader, DoesNotOverwriteTheNewLeadersOrder) {
-  const auto id = first.deploy(turtle()).outcomes.at(0).instance;
+  const auto id = first.deploy(one_turtle()).outcomes.at(0).instance;
   hold_up([&] {
     EXPECT_TRUE(second.undeploy({{id}, {}, {}}).all_done());
-    EXPECT_TRUE(second.deploy(turtle()).all_done());
+    EXPECT_TRUE(second.deploy(one_turtle()).all_done());
   });
   expect_lost_lead(first.stop({{id}, {}, {}}));
   const auto node = order_node(id);
@@ -83,14 +84,14 @@ TEST_F(FormerLeader, DoesNotOverwriteTheNewLeadersOrder) {
 }
 
 TEST_F(FormerLeader, DoesNotChangeAnOrderThatTheNewLeaderHasNotTouched) {
-  const auto id = first.deploy(turtle()).outcomes.at(0).instance;
+  const auto id = first.deploy(one_turtle()).outcomes.at(0).instance;
   hold_up();
   expect_lost_lead(first.update_metadata({{id}, {}, {}}, {{"site", "lab"}}));
   EXPECT_EQ(order_node(id)->version, 0);
 }
 
 TEST_F(FormerLeader, DoesNotRemoveAnOrder) {
-  const auto id = first.deploy(turtle()).outcomes.at(0).instance;
+  const auto id = first.deploy(one_turtle()).outcomes.at(0).instance;
   hold_up();
   expect_lost_lead(first.undeploy({{id}, {}, {}}));
   EXPECT_TRUE(order_node(id));
@@ -98,14 +99,14 @@ TEST_F(FormerLeader, DoesNotRemoveAnOrder) {
 
 TEST_F(FormerLeader, DeploysNothing) {
   hold_up();
-  expect_lost_lead(first.deploy(turtle()));
+  expect_lost_lead(first.deploy(one_turtle()));
   EXPECT_THAT(second.orders(), IsEmpty());
   EXPECT_EQ(gateway.orders_seen(), 0);
 }
 
 TEST_F(FormerLeader, DrainsNothing) {
   hold_up();
-  const auto result = first.drain({{"lab1"}, {}});
+  const auto result = first.drain({{"lab1"_gateway}, {}});
   EXPECT_EQ(result.refusal, Refusal::not_leading);
   EXPECT_EQ(result.leader, "127.0.0.1:2222");
   EXPECT_FALSE(second.gateways().at(0).draining);
@@ -113,11 +114,11 @@ TEST_F(FormerLeader, DrainsNothing) {
 
 TEST_F(FormerLeader, OrdersNoTopology) {
   discovery::TopologyRecord topology;
-  topology.name = "t";
-  discovery::put(*second_registry, paths.topology("t"), encode(topology));
+  topology.name = "t"_topology;
+  discovery::put(*second_registry, paths.topology("t"_topology), encode(topology));
   hold_up();
   TopologyRequest request;
-  request.topology = "t";
+  request.topology = "t"_topology;
   request.change = TopologyChange::deactivate;
   const auto result = first.order(request);
   EXPECT_EQ(result.refusal, Refusal::not_leading);

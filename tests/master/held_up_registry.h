@@ -8,13 +8,12 @@
 
 namespace iotcloud::master::test {
 
-/// A registry on the way to which a write is held up, as when its process stands still between its decision to write
-/// and the write.
+/// A registry that delays a write, as if its process stood still between the decision to write and the write.
 class HeldUpRegistry final : public tests::PassingRegistry {
  public:
   using PassingRegistry::PassingRegistry;
 
-  /// What happens before the next write. Set and called by the one thread that writes.
+  /// Runs before the next write. Set and called by the one thread that writes.
   void before_next_write(std::function<void()> happens) { happens_ = std::move(happens); }
 
   void create(const std::string& path, const std::string& data, bool parents, const Fence& fence) override {

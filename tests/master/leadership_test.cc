@@ -1,6 +1,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -18,7 +19,7 @@ MasterOptions named(const std::string& id, const std::string& address) {
   return options;
 }
 
-DeployRequest turtle() {
+DeployRequest turtle_anywhere() {
   DeployRequest request;
   request.plugin = "turtle.so";
   return request;
@@ -38,13 +39,13 @@ TEST_F(Masters, OneLeadsAndTheOtherAnswersReadsAndRefusesOrdersNamingTheLeader) 
   ASSERT_TRUE(test::eventually([&] { return second->status().leader == "127.0.0.1:1111"; }));
   EXPECT_FALSE(second->status().leading);
 
-  const auto refused = second->deploy(turtle());
+  const auto refused = second->deploy(turtle_anywhere());
   EXPECT_EQ(refused.refusal, Refusal::not_leading);
   EXPECT_EQ(refused.leader, "127.0.0.1:1111");
   EXPECT_THAT(refused.text, HasSubstr("127.0.0.1:1111"));
   EXPECT_EQ(gateway.orders_seen(), 0);
 
-  EXPECT_TRUE(first->deploy(turtle()).all_done());
+  EXPECT_TRUE(first->deploy(turtle_anywhere()).all_done());
   EXPECT_THAT(second->drivers(), SizeIs(1));
   EXPECT_THAT(second->gateways(), SizeIs(1));
 }
@@ -53,7 +54,7 @@ TEST_F(Masters, ASuccessorPicksUpWhatStandsWithAGreaterEpoch) {
   ASSERT_TRUE(first.leads());
   FakeGateway gateway(url, "lab1");
   TestMaster second(url, named("m2", "127.0.0.1:2222"));
-  const auto id = first->deploy(turtle()).outcomes.at(0).instance;
+  const auto id = first->deploy(turtle_anywhere()).outcomes.at(0).instance;
   const auto first_epoch = gateway.orders().at(0).epoch;
   EXPECT_EQ(first_epoch, first->status().epoch);
   EXPECT_GT(first_epoch, 0);
@@ -67,16 +68,16 @@ TEST_F(Masters, ASuccessorPicksUpWhatStandsWithAGreaterEpoch) {
 TEST_F(Masters, AnOrderOfALaterLeaderIsNotChangedByAnEarlierOne) {
   ASSERT_TRUE(first.leads());
   FakeGateway gateway(url, "lab1");
-  const auto id = first->deploy(turtle()).outcomes.at(0).instance;
+  const auto id = first->deploy(turtle_anywhere()).outcomes.at(0).instance;
   auto order = gateway.orders().at(0);
   order.epoch += 1000;
-  discovery::put(first.registry(), paths.order("lab1", id), encode(order));
+  discovery::put(first.registry(), paths.order("lab1"_gateway, id), encode(order));
 
   for (const auto& result : {first->stop({{id}, {}, {}}), first->undeploy({{id}, {}, {}})}) {
     EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::failed);
     EXPECT_THAT(result.outcomes.at(0).reason, HasSubstr("later master"));
   }
-  EXPECT_TRUE(first.registry().get(paths.order("lab1", id)));
+  EXPECT_TRUE(first.registry().get(paths.order("lab1"_gateway, id)));
 }
 
 }  // namespace

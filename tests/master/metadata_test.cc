@@ -20,11 +20,13 @@ class MasterMetadata : public testing::Test {
   std::string deploy(const std::string& gateway, MetadataChanges metadata = {}) {
     DeployRequest request;
     request.plugin = "turtle.so";
-    request.gateways = {gateway};
+    request.gateways = {discovery::GatewayId(gateway)};
     request.metadata = std::move(metadata);
     return master->deploy(request).outcomes.at(0).instance;
   }
-  static InstanceSelection only(const std::string& id, WaitLimit wait = std::nullopt) { return {{id}, {}, wait}; }
+  static InstanceSelection only(const std::string& id, WaitLimit wait = std::nullopt) {
+    return {{discovery::InstanceId(id)}, {}, wait};
+  }
 
   const std::string url = test::fresh_registry_url();
   TestMaster master{url};

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <iotcloud/master/orders/order_book.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -16,15 +18,24 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::SizeIs;
 
+// Arguments that are swapped do not compile.
+template <typename... Arguments>
+concept AnOrderInTheBook = requires(OrderBook& book, const Arguments&... arguments) {
+  book.get(arguments...);
+};
+static_assert(AnOrderInTheBook<discovery::GatewayId, discovery::InstanceId>);
+static_assert(!AnOrderInTheBook<discovery::InstanceId, discovery::GatewayId>);
+static_assert(!AnOrderInTheBook<std::string, std::string>);
+
 DeployRequest turtle(std::vector<std::string> gateways = {}) {
   DeployRequest request;
   request.plugin = "turtle.so";
-  request.gateways = std::move(gateways);
+  request.gateways = {gateways.begin(), gateways.end()};
   return request;
 }
 
 InstanceSelection only(const std::string& instance) {
-  return {{instance}, {}, {}};
+  return {{discovery::InstanceId(instance)}, {}, {}};
 }
 
 class MasterOrders : public testing::Test {
@@ -71,7 +82,7 @@ TEST_F(MasterOrders, ASilentGatewayMakesTheOutcomeUnknownAndTheOrderStands) {
   std::size_t orders = 0;
   for (const char* driver : {"", "turtle"}) {  // whose record may be anywhere, and at a known place
     auto request = turtle({"lab1"});
-    request.driver = driver;
+    request.driver = discovery::DriverName(driver);
     request.wait = milliseconds(50);
     const auto result = master->deploy(request);
     ASSERT_THAT(result.outcomes, SizeIs(1));
@@ -156,7 +167,7 @@ TEST_F(MasterOrders, AMasterToldSoRecordsNothingForALostGateway) {
   ASSERT_TRUE(test::eventually([&] { return !strict->gateways().at(0).alive; }));
   const auto result = strict->deploy(turtle({"lab1"}));
   EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::failed);
-  EXPECT_FALSE(strict.registry().get(paths.order("lab1", result.outcomes[0].instance)));
+  EXPECT_FALSE(strict.registry().get(paths.order("lab1"_gateway, result.outcomes[0].instance)));
 }
 
 TEST_F(MasterOrders, AnUnknownGatewayIsRefusedWithTheKnownOnesAndNothingIsOrdered) {
@@ -183,7 +194,7 @@ TEST_F(MasterOrders, RequestsThatCannotBeAreRefused) {
     EXPECT_EQ(master->deploy(request).refusal, Refusal::bad_request) << plugin;
   }
   auto request = turtle({"lab1"});
-  request.driver = "a/b";
+  request.driver = "a/b"_driver;
   EXPECT_EQ(master->deploy(request).refusal, Refusal::bad_request);
   request = turtle({"lab1"});
   request.count = 0;
@@ -225,7 +236,7 @@ TEST_F(MasterOrders, UndeployIsUnknownWhileTheRecordStays) {
 TEST_F(MasterOrders, AnUnknownInstanceIsRefusedAndNoneIsChanged) {
   FakeGateway gateway(url, "lab1");
   const auto id = master->deploy(turtle({"lab1"})).outcomes.at(0).instance;
-  const auto result = master->undeploy({{id, "nosuch"}, {}, {}});
+  const auto result = master->undeploy({{id, "nosuch"_instance}, {}, {}});
   EXPECT_EQ(result.refusal, Refusal::unknown_instance);
   EXPECT_THAT(result.text, HasSubstr("nosuch"));
   EXPECT_THAT(master->drivers(), SizeIs(1));
@@ -235,10 +246,10 @@ TEST_F(MasterOrders, AnInstanceOnAnotherGatewayThanTheNamedOnesIsRefused) {
   FakeGateway one(url, "lab1");
   FakeGateway two(url, "lab2");
   const auto id = master->deploy(turtle({"lab1"})).outcomes.at(0).instance;
-  const auto result = master->stop({{id}, {"lab2"}, {}});
+  const auto result = master->stop({{id}, {"lab2"_gateway}, {}});
   EXPECT_EQ(result.refusal, Refusal::unknown_instance);
   EXPECT_THAT(result.text, HasSubstr("on gateway lab1, not on lab2"));
-  EXPECT_TRUE(master->stop({{id}, {"lab1"}, {}}).all_done());
+  EXPECT_TRUE(master->stop({{id}, {"lab1"_gateway}, {}}).all_done());
 }
 
 TEST_F(MasterOrders, AnOldFailureIsNotTheAnswerToANewOrder) {
@@ -257,7 +268,7 @@ TEST_F(MasterOrders, UndeployClearsWhatAGatewayThatIsNotRegisteredAnyMoreLeft) {
     FakeGateway gone(url, "lab1");
     id = master->deploy(turtle({"lab1"})).outcomes.at(0).instance;
   }
-  discovery::remove_tree(master.registry(), paths.gateway("lab1"));
+  discovery::remove_tree(master.registry(), paths.gateway("lab1"_gateway));
   ASSERT_TRUE(test::eventually([&] { return master->gateways().empty(); }));
   EXPECT_EQ(master->stop(only(id)).outcomes.at(0).outcome, Outcome::failed);
   EXPECT_TRUE(master->undeploy(only(id)).all_done());
@@ -275,12 +286,12 @@ TEST_F(MasterOrders, ClosingAnswersOrdersUnderWayAsUnknown) {
 TEST_F(MasterOrders, ARecordThatCannotBeReadIsNoAnswer) {
   FakeGateway silent(url, "lab1", FakeGateway::say_nothing());
   auto request = turtle({"lab1"});
-  request.driver = "turtle";
+  request.driver = "turtle"_driver;
   request.wait = test::patience;
   auto result = std::async(std::launch::async, [&] { return master->deploy(request); });
   ASSERT_TRUE(silent.wait_for_orders(1));
   const auto id = silent.orders()[0].instance;
-  discovery::put(master.registry(), paths.instance("turtle", id), "no record");
+  discovery::put(master.registry(), paths.instance("turtle"_driver, id), "no record");
   silent.report(id, DriverState::active);
   EXPECT_TRUE(result.get().all_done());
 }

@@ -6,17 +6,17 @@
 
 namespace iotcloud::master::test {
 
-/// What a program that ran to its end left.
+/// The result of a program that has ended.
 struct Finished {
   int status = -1;  ///< exit status; -1: a signal ended it
   std::string out;
   std::string err;
 };
 
-/// Runs a program to its end. \param environment is added to this process's own.
+/// Runs a program until it ends. \param environment is added to this process's own.
 Finished run_program(const std::vector<std::string>& words, const std::map<std::string, std::string>& environment = {});
 
-/// A port of the loopback interface that nobody listens on now.
+/// A port of the loopback interface on which nobody listens now.
 int free_port();
 
 }  // namespace iotcloud::master::test

@@ -11,8 +11,9 @@
 
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/rpc/thrift_server.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
 
@@ -53,14 +54,14 @@ class MasterServer : public testing::Test {
     EXPECT_TRUE(master.leads());
     serve();
   }
-  void serve(const config::ThriftServerOptions& options = {}) {
+  void serve(const rpc::ThriftServerOptions& options = {}) {
     server.reset();
     server.emplace(options, serve_api(*master));
   }
 
   const std::string url = test::fresh_registry_url();
   TestMaster master{url};
-  std::optional<config::ThriftServer> server;
+  std::optional<rpc::ThriftServer> server;
 };
 
 TEST_F(MasterServer, AClientDeploysListsAndUndeploys) {
@@ -127,13 +128,13 @@ TEST_F(MasterServer, AWaitLimitOfTheClientIsKept) {
 
 TEST_F(MasterServer, StatusAndTopologiesAreAnswered) {
   discovery::TopologyRecord topology;
-  topology.name = "follower";
+  topology.name = "follower"_topology;
   topology.spouts = {"kinect_receive"};
   topology.bolts = {"decode", "control_send"};
   topology.since_ms = 5;
   const discovery::Paths paths;
-  discovery::put(master.registry(), paths.topology("follower"), encode(topology));
-  const auto worker = master.registry().hold(paths.workers("follower") + "/w1", "");
+  discovery::put(master.registry(), paths.topology("follower"_topology), encode(topology));
+  const auto worker = master.registry().hold(paths.workers("follower"_topology) + "/w1", "");
 
   Connection client(server->port());
   std::vector<wire::TTopology> topologies;
@@ -150,7 +151,7 @@ TEST_F(MasterServer, StatusAndTopologiesAreAnswered) {
 }
 
 TEST_F(MasterServer, AMessageAboveTheLimitClosesTheConnectionAndTheServerGoesOn) {
-  config::ThriftServerOptions options;
+  rpc::ThriftServerOptions options;
   options.max_message_bytes = 10'000;
   serve(options);
   Connection client(server->port());
@@ -198,10 +199,10 @@ TEST_F(MasterServer, AnOrderUnderWayDoesNotHoldUpTheStopOnceTheMasterCloses) {
 }
 
 TEST_F(MasterServer, APortInUseIsAnErrorThatNamesIt) {
-  config::ThriftServerOptions options;
+  rpc::ThriftServerOptions options;
   options.port = server->port();
   try {
-    config::ThriftServer second(options, serve_api(*master));
+    rpc::ThriftServer second(options, serve_api(*master));
     FAIL() << "the port is taken";
   } catch (const config::Error& e) {
     EXPECT_THAT(e.what(), HasSubstr("127.0.0.1:" + std::to_string(options.port)));

@@ -6,6 +6,7 @@
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -42,23 +43,24 @@ class FakeWorker {
     record_.state = "active";
     record_.components = {{"in", {1, 1}}, {"work", {2, 4}}};
     discovery::TopologyRecord topology;
-    topology.name = "t";
-    discovery::put(*registry_, paths_.topology("t"), encode(topology));
+    topology.name = "t"_topology;
+    discovery::put(*registry_, paths_.topology("t"_topology), encode(topology));
     node_ = registry_->hold(path(), encode(record_));
-    orders_ = registry_->watch_node(paths_.topology_order("t"), [this](const auto& node) {
+    orders_ = registry_->watch_node(paths_.topology_order("t"_topology), [this](const auto& node) {
       if (node) follow(discovery::decode_topology_order(node->data, "order"));
     });
   }
   ~FakeWorker() { orders_.reset(); }
 
  private:
-  std::string path() const { return paths_.workers("t") + "/" + record_.name; }
+  std::string path() const { return paths_.workers("t"_topology) + "/" + record_.name; }
   void follow(const TopologyOrder& order) {
     const auto answer = behaviour_(order, record_);
     if (!answer) return;
     if (!order.kill) return registry_->set(path(), encode(record_));
     if (!node_) return;
-    if (*answer != "crash") discovery::put(*registry_, paths_.ended_workers("t") + "/" + record_.name, *answer);
+    if (*answer != "crash")
+      discovery::put(*registry_, paths_.ended_workers("t"_topology) + "/" + record_.name, *answer);
     node_.reset();
   }
 
@@ -76,14 +78,14 @@ class TopologyOrders : public testing::Test {
   TopologyResult give(TopologyChange change, std::map<std::string, int> parallelism = {},
                       std::chrono::milliseconds wait = test::patience) {
     TopologyRequest request;
-    request.topology = "t";
+    request.topology = "t"_topology;
     request.change = change;
     request.parallelism = std::move(parallelism);
     request.wait = wait;
     return master->order(request);
   }
   std::optional<TopologyOrder> standing() {
-    const auto node = master.registry().get(paths.topology_order("t"));
+    const auto node = master.registry().get(paths.topology_order("t"_topology));
     return node ? std::optional(discovery::decode_topology_order(node->data, "order")) : std::nullopt;
   }
   const std::string url = test::fresh_registry_url();
@@ -145,14 +147,14 @@ TEST_F(TopologyOrders, AreRefusedWithWhatIsPossible) {
   EXPECT_THAT(wrong({{"work", 0}}), HasSubstr("1 to 4"));
   EXPECT_THAT(wrong({}), HasSubstr("COMPONENT=N"));
   TopologyRequest other;
-  other.topology = "../iot";
+  other.topology = "../iot"_topology;
   EXPECT_THAT(master->order(other).text, HasSubstr("there are t"));
   EXPECT_FALSE(standing()) << "a refusal writes nothing";
 }
 
 TEST_F(TopologyOrders, AreRecordedForWorkersThatStartLater) {
   { FakeWorker gone(url, "w0"); }
-  ASSERT_TRUE(eventually([&] { return discovery::list_workers(master.registry(), paths, "t").empty(); }));
+  ASSERT_TRUE(eventually([&] { return discovery::list_workers(master.registry(), paths, "t"_topology).empty(); }));
   const auto result = give(TopologyChange::deactivate);
   EXPECT_TRUE(result.all_done());
   EXPECT_THAT(result.text, HasSubstr("those that start will follow"));
@@ -166,7 +168,7 @@ TEST_F(TopologyOrders, AKillIsDoneWhenAllWorkersDrainedAndLeavesNothing) {
   const auto result = give(TopologyChange::kill);
   EXPECT_TRUE(result.all_done()) << result.summary();
   EXPECT_THAT(result.outcomes, SizeIs(2));
-  EXPECT_FALSE(master.registry().get(paths.topology("t")));
+  EXPECT_FALSE(master.registry().get(paths.topology("t"_topology)));
 }
 
 TEST_F(TopologyOrders, AKillTellsWhoDidNotDrainAndWhoCrashed) {
@@ -178,7 +180,7 @@ TEST_F(TopologyOrders, AKillTellsWhoDidNotDrainAndWhoCrashed) {
   EXPECT_THAT(result.outcomes[0].reason, HasSubstr("3 tuples were under way"));
   EXPECT_EQ(result.outcomes[1].outcome, Outcome::failed);
   EXPECT_THAT(result.outcomes[1].reason, HasSubstr("crashed"));
-  EXPECT_FALSE(master.registry().get(paths.topology("t")));
+  EXPECT_FALSE(master.registry().get(paths.topology("t"_topology)));
 }
 
 TEST_F(TopologyOrders, WhileAKillIsUnderWayNothingElseIsTaken) {
@@ -195,7 +197,7 @@ TEST_F(TopologyOrders, AnOldKillIsForgottenByTheNextOrder) {
   old.revision = 7;
   old.active = false;
   old.kill = {{"w0"}, 0, 0};
-  discovery::put(master.registry(), paths.topology_order("t"), encode(old));
+  discovery::put(master.registry(), paths.topology_order("t"_topology), encode(old));
   FakeWorker fresh(url, "w1", [](const TopologyOrder& order, WorkerRecord& record) -> std::optional<std::string> {
     if (order.kill) return std::nullopt;  // not for this one
     return FakeWorker::obey(order, record);
@@ -208,7 +210,7 @@ TEST_F(TopologyOrders, AnOldKillIsForgottenByTheNextOrder) {
 
 TEST_F(TopologyOrders, AKillWithoutWorkersForgetsWhatWasOrdered) {
   { FakeWorker gone(url, "w0"); }
-  ASSERT_TRUE(eventually([&] { return discovery::list_workers(master.registry(), paths, "t").empty(); }));
+  ASSERT_TRUE(eventually([&] { return discovery::list_workers(master.registry(), paths, "t"_topology).empty(); }));
   EXPECT_TRUE(give(TopologyChange::deactivate).all_done());
   EXPECT_TRUE(give(TopologyChange::kill).all_done());
   EXPECT_THAT(master->topologies(), IsEmpty());
@@ -219,7 +221,7 @@ TEST_F(TopologyOrders, AnEarlierMasterDoesNotOverwriteALaterOnesOrder) {
   TopologyOrder later;
   later.revision = 1;
   later.epoch = master->status().epoch + 1;
-  discovery::put(master.registry(), paths.topology_order("t"), encode(later));
+  discovery::put(master.registry(), paths.topology_order("t"_topology), encode(later));
   const auto result = give(TopologyChange::deactivate);
   EXPECT_THAT(result.text, HasSubstr("a later master"));
   EXPECT_TRUE(standing()->active);
@@ -230,7 +232,7 @@ TEST_F(TopologyOrders, AreRefusedByAMasterOnStandby) {
   TestMaster second(url);
   ASSERT_TRUE(eventually([&] { return !second->status().registry_away; }));
   TopologyRequest request;
-  request.topology = "t";
+  request.topology = "t"_topology;
   EXPECT_EQ(second->order(request).refusal, Refusal::not_leading);
 }
 

@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -27,22 +28,22 @@ class Update : public testing::Test {
   Update() { EXPECT_TRUE(master.leads()); }
 
   /// \return the ids, in the order of the gateways.
-  std::vector<std::string> deploy(int count, std::vector<std::string> gateways) {
+  std::vector<discovery::InstanceId> deploy(int count, std::vector<std::string> gateways) {
     DeployRequest request;
-    request.gateways = std::move(gateways);
+    request.gateways = {gateways.begin(), gateways.end()};
     request.plugin = "turtle.so";
     request.sha256 = v1;
-    request.driver = "turtle";
+    request.driver = "turtle"_driver;
     request.properties = {{"rate", "5"}};
     request.metadata = {{"site", "lab"}};
     request.count = count;
     const auto result = master->deploy(request);
     EXPECT_TRUE(result.all_done()) << result.summary();
-    std::vector<std::string> ids;
+    std::vector<discovery::InstanceId> ids;
     for (const auto& outcome : result.outcomes) ids.push_back(outcome.instance);
     return ids;
   }
-  OrderResult update(const std::vector<std::string>& ids, int at_once = 0, WaitLimit wait = {},
+  OrderResult update(const std::vector<discovery::InstanceId>& ids, int at_once = 0, WaitLimit wait = {},
                      const std::string& sha256 = v2) {
     UpdateRequest request;
     request.selection.instances = ids;
@@ -52,7 +53,7 @@ class Update : public testing::Test {
     request.at_once = at_once;
     return master->update(request);
   }
-  OrderRecord order(const FakeGateway& gateway, const std::string& id) {
+  OrderRecord order(const FakeGateway& gateway, const discovery::InstanceId& id) {
     const auto path = paths.order(gateway.id(), id);
     return discovery::decode_order(master.registry().get(path)->data, path);
   }
@@ -276,7 +277,7 @@ TEST_F(Update, OneUpdateOfAnInstanceAtATime) {
 TEST_F(Update, WhatCannotBeIsRefused) {
   FakeGateway lab1(url, "lab1");
   const auto ids = deploy(1, {"lab1"});
-  EXPECT_EQ(update({"nobody"}).refusal, Refusal::unknown_instance);
+  EXPECT_EQ(update({"nobody"_instance}).refusal, Refusal::unknown_instance);
   EXPECT_EQ(update({}).refusal, Refusal::bad_request);
   EXPECT_EQ(update(ids, -1).refusal, Refusal::bad_request);
   EXPECT_THAT(update(ids, 0, {}, "../../etc/passwd").text, HasSubstr("64 hexadecimal digits"));

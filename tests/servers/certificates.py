@@ -1,4 +1,4 @@
-"""A throw-away certificate authority for one private server, and whom the server lets in.
+"""A throw-away certificate authority for one private server, and the user that the server lets in.
 
 The server's certificate is for `localhost` (and 127.0.0.1): clients must connect to the name, because host name checks
 of some libraries know no addresses.
@@ -10,7 +10,7 @@ import subprocess
 import private_server
 
 USER = "iotcloud"
-PASSWORD = "secret with %: chars"  # what a URL or a configuration file must quote
+PASSWORD = "secret with %: chars"  # with characters that a URL or a configuration file must quote
 STORE_PASSWORD = "iotcloud"        # of the Java key stores
 
 
@@ -72,7 +72,7 @@ class Certificates:
         return self.path("server.all.pem")
 
     def client_context(self):
-        """What a client needs that the server lets in, for Python's ssl."""
+        """The credentials of a client that the server accepts, for Python's ssl."""
         context = ssl.create_default_context(cafile=self.path("ca.pem"))
         context.load_cert_chain(self.path("client.pem"), self.path("client.key"))
         return context

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private Kafka for tests and benchmarks, on loopback only, that leaves nothing behind.
 
-    kafka.py --dir DIR [--port N] [--partitions N] [--tls] [--throughput]
+    kafka.py --dir DIR [--port N] [--partitions N] [--tls] [--throughput] [--listener PORT:ADVERTISED]...
 
 Runs one node (KRaft: broker and controller in one JVM) with its data and log below DIR, on free ports. Its jars come
 from Maven Central (maven_jars.py). Topics are made when they are first used, with --partitions partitions (default 4).
@@ -21,6 +21,8 @@ each line of stdin and answers with one line on stdout:
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
 Data of an earlier run in DIR are kept. What was confirmed survives `kill`: the log's pages are the kernel's by then.
 
+With --listener it also listens on PORT, and whoever comes there is told to go on at the port ADVERTISED: that of a proxy.
+
 With --tls the URL is kafkas://localhost:PORT: the server wants a client certificate, and user and password (SASL PLAIN;
 certificates.py; the files are in DIR).
 """
@@ -38,9 +40,11 @@ METADATA, SASL_HANDSHAKE, SASL_AUTHENTICATE = 3, 17, 36  # requests of Kafka's p
 class Kafka(private_server.Server):
     name = "Kafka"
 
-    def __init__(self, folder, port, partitions, tls, jvm=private_server.QUICK_START):
+    def __init__(self, folder, port, partitions, tls, jvm=private_server.QUICK_START, listeners=()):
+        """`listeners`: (port, advertised port) of those beside the clients' own."""
         super().__init__(folder)
         self.jvm = jvm
+        self.listeners = listeners
         self.class_path = maven_jars.fetch("kafka")
         ports = private_server.free_ports(2)
         self.port, self.controller_port = port or ports[0], ports[1]
@@ -50,29 +54,35 @@ class Kafka(private_server.Server):
         self.configure(1, {1: self.controller_port})
 
     def configure(self, number, controllers):
-        """`controllers`: the port of each node of the cluster (kafka_cluster.py), by its number."""
+        """Writes the configuration. `controllers`: by node number, the controller port of each node of the cluster
+        (kafka_cluster.py)."""
         copies = len(controllers)
-        self.peers = copies  # nodes that must be seen before this one is ready
+        self.peers = copies  # number of nodes that this one must see before it is ready
+        protocol = "SASL_SSL" if self.certificates else "PLAINTEXT"
+        more = ["LINK%d" % number for number in range(len(self.listeners))]
         self.config = self.write("server.properties", [
             "process.roles=broker,controller", "node.id=%d" % number,
             "controller.quorum.voters=" + ",".join("%d@127.0.0.1:%d" % item for item in controllers.items()),
             "controller.listener.names=CONTROLLER", "inter.broker.listener.name=CLIENT",
-            "listener.security.protocol.map=CONTROLLER:PLAINTEXT,CLIENT:%s" % ("SASL_SSL" if self.certificates else "PLAINTEXT"),
-            "listeners=CLIENT://127.0.0.1:%d,CONTROLLER://127.0.0.1:%d" % (self.port, self.controller_port),
-            "advertised.listeners=CLIENT://%s:%d" % (self.host(), self.port),
+            "listener.security.protocol.map=CONTROLLER:PLAINTEXT," + ",".join(
+                "%s:%s" % (name, protocol) for name in ["CLIENT", *more]),
+            ",".join(["listeners=CLIENT://127.0.0.1:%d" % self.port, "CONTROLLER://127.0.0.1:%d" % self.controller_port] + [
+                "%s://127.0.0.1:%d" % (name, port) for name, (port, _) in zip(more, self.listeners)]),
+            ",".join(["advertised.listeners=CLIENT://%s:%d" % (self.host(), self.port)] + [
+                "%s://%s:%d" % (name, self.host(), port) for name, (_, port) in zip(more, self.listeners)]),
             "log.dirs=" + self.path("data"), "num.partitions=%d" % self.partitions, "auto.create.topics.enable=true",
-            # Bodies of 8 MB and more, with their envelope and headers.
+            # Allows bodies of 8 MB and more, with their envelope and headers.
             "message.max.bytes=16777216", "replica.fetch.max.bytes=16777216", "socket.request.max.bytes=33554432",
-            # What is confirmed stands on most of the nodes.
+            # A record is confirmed when a majority of the nodes has it.
             "min.insync.replicas=%d" % (copies // 2 + 1),
             *(topic + "replication.factor=%d" % copies for topic in (
                 "default.", "offsets.topic.", "transaction.state.log.", "share.coordinator.state.topic.")),
             "transaction.state.log.min.isr=1", "share.coordinator.state.topic.min.isr=1",
             "offsets.topic.num.partitions=4", "transaction.state.log.num.partitions=4",
-            # Groups form at once: a test waits for each of them.
+            # Consumer groups form without delay, because tests wait for each of them.
             "group.initial.rebalance.delay.ms=0", "group.min.session.timeout.ms=1000",
             "controlled.shutdown.enable=false", "broker.heartbeat.interval.ms=500",
-            # A killed node that comes back is let in at once: its earlier life holds the registration no longer.
+            # A short session, so that a killed node can register again soon after its restart.
             "broker.session.timeout.ms=1500",
             "num.network.threads=2", "num.io.threads=2", "background.threads=2", "log.cleaner.enable=false",
             # A benchmark writes hundreds of megabytes a second; nobody reads what is gigabytes old.
@@ -85,7 +95,7 @@ class Kafka(private_server.Server):
         user = {"user": certificates.USER, "password": certificates.PASSWORD}
         return ["ssl.keystore.type=PEM", "ssl.keystore.location=" + self.certificates.server_chain(),
                 "ssl.truststore.type=PEM", "ssl.truststore.location=" + self.certificates.path("ca.pem"),
-                # For SASL the setting without the listener's name does not count.
+                # With SASL Kafka ignores this setting without the listener's name.
                 "listener.name.client.ssl.client.auth=required", "sasl.enabled.mechanisms=PLAIN",
                 "sasl.mechanism.inter.broker.protocol=PLAIN",
                 "listener.name.client.plain.sasl.jaas.config=org.apache.kafka.common.security.plain.PlainLoginModule "
@@ -193,8 +203,10 @@ def main():
     private_server.add_client_options(parser)
     private_server.add_jvm_options(parser)
     parser.add_argument("--partitions", type=int, default=4, help="of a topic that is made by its first use")
+    parser.add_argument("--listener", action="append", default=[], metavar="PORT:ADVERTISED",
+                        type=lambda word: tuple(map(int, word.split(":"))), help="another listener, for a proxy")
     given = parser.parse_args()
-    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions, given.tls, given.jvm))
+    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions, given.tls, given.jvm, given.listener))
 
 
 if __name__ == "__main__":

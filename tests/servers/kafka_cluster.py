@@ -4,8 +4,8 @@
     kafka_cluster.py --dir DIR [--nodes N]
 
 Runs N nodes (3) as kafka.py runs one, each broker and controller, with a small JVM and a folder of its own below DIR.
-Topics have a replica on each node unless their maker says otherwise; what is confirmed (acks=all) stands on most of
-them. When all of them take requests and see each other it prints their URLs in one line:
+Topics have a replica on each node unless their maker says otherwise; a message that is confirmed (acks=all) is on a
+majority of them. When all of them take requests and see each other it prints their URLs in one line:
 
     READY kafka://127.0.0.1:PORT1 kafka://127.0.0.1:PORT2 ...
 

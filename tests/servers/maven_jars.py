@@ -18,7 +18,7 @@ import private_server
 HERE = os.path.dirname(os.path.abspath(__file__))
 FETCHED = os.path.join(HERE, "..", "..", "build", "servers")
 LIMIT_S = 600
-# How Maven says that it is the network (or the registry), not the pom.
+# Maven's messages when the network or the registry fails, not the pom.
 UNREACHABLE = ("Could not transfer", "Unknown host", "Connection refused", "timed out", "Network is unreachable")
 
 

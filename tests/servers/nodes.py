@@ -17,7 +17,7 @@ class Nodes:
         return [self.nodes[int(number) - 1]]
 
     def launch(self, number):
-        """All at once, because each waits for the others. Returns those that were begun and are not ready yet."""
+        """Starts nodes all at once, because each waits for the others. Returns them; they are not ready yet."""
         nodes = [node for node in self.chosen(number) if number is not None or not node.runs()]
         for node in nodes:
             node.launch()

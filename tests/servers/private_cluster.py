@@ -1,13 +1,13 @@
 """A private system on loopback for the demo and the system tests: servers and daemons as children of this process.
 
-Every child is stopped by its id. The servers' supervisors (rabbitmq.py, zookeeper.py) end with their standard input, and
-what has none is told to stop by the kernel, so that nothing outlives a script that was killed.
+Every child is stopped by its process id. The scripts of servers (rabbitmq.py, zookeeper.py) end at the end of their
+standard input; the kernel sends other children a signal when this process ends. So nothing outlives a script that was
+killed.
 """
 
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -28,13 +28,14 @@ class Unavailable(Exception):
 
 
 def require(condition, text):
-    """Ends a test that saw something wrong."""
+    """Ends the test with `text` unless the condition is true."""
     if not condition:
         sys.exit(f"wrong: {text}")
 
 
 def wait_for(what, condition, limit=60):
-    """Ends a test in which `condition` does not become true. A master that does not answer yet is asked again."""
+    """Waits until `condition` is true; ends the test if that takes too long. A master that does not answer yet is asked
+    again."""
     deadline = time.monotonic() + limit
     while time.monotonic() < deadline:
         try:
@@ -47,7 +48,8 @@ def wait_for(what, condition, limit=60):
 
 
 def echo_topology(spouts=1, bolts=1, more=""):
-    """YAML of a topology that sends back what load generators send, with so many tasks; `more`: lines beside."""
+    """YAML of a topology that sends back what load generators send. `spouts`, `bolts`: parallelism; `more`: further
+    lines."""
     return f"""
 zk.servers: ["{{zookeeper}}"]
 topology.name: echo
@@ -72,9 +74,7 @@ def result_of(report):
 
 
 def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    return free_ports(1)[0]
 
 
 class Children:
@@ -157,9 +157,10 @@ class PrivateCluster(Children):
     def __init__(self, out, bin_dir, plugin_dir):
         super().__init__(out)
         self.bin, self.plugins = Path(bin_dir).resolve(), Path(plugin_dir).resolve()
-        # By the daemons' names: ports of the masters' two services, of the gateways' one, and command lines.
+        # All by the daemons' names: the ports of the masters' two services and of the gateways' one, and the command
+        # lines.
         self.apis, self.for_gateways, self.thrift_ports, self.commands = {}, {}, {}, {}
-        self.workers = 0  # of topologies, started so far
+        self.workers = 0  # number of topology workers started so far
 
     def start(self, gateways=2, brokers=None, more="", masters=1, of_masters=""):
         """`brokers`: lines of YAML below that key of the gateways' configuration; None: a private RabbitMQ. `more`: lines
@@ -170,7 +171,7 @@ class PrivateCluster(Children):
             self.rabbitmq = self.server("rabbitmq")
             brokers = [f'rabbitmq: {{type: rabbitmq, urls: ["{self.rabbitmq}"]}}']
         listed = "\n".join("  " + line for line in brokers)
-        ports = iter(free_ports(2 * masters + gateways))  # that nobody takes while a daemon is dead
+        ports = iter(free_ports(2 * masters + gateways))  # ports that nobody takes while a daemon is dead
         for name in ["master"] if masters == 1 else [f"master-{number}" for number in range(1, masters + 1)]:
             self.apis[name], self.for_gateways[name] = next(ports), next(ports)
             self.daemon("iotcloud-master", name, f"""
@@ -211,7 +212,7 @@ brokers:
         self.children.remove((name, child))
 
     def again(self, name):
-        """Starts a daemon that was killed as it was started before; its log goes on."""
+        """Starts a daemon again that was killed, with the same command line; its log is continued."""
         return self.spawn(name, self.commands[name], "a")
 
     def topology(self, name, configuration):
@@ -226,14 +227,14 @@ brokers:
         return [str(self.bin / "iotcloud"), "--master", masters, *map(str, words)]
 
     def run_cli(self, *words, limit=60):
-        """What came of a command of the CLI. Raises StartError when nothing comes in time."""
+        """Runs the CLI and returns its result. Raises StartError when it does not end in time."""
         try:
             return subprocess.run(self.command(*words), capture_output=True, text=True, timeout=limit)
         except subprocess.TimeoutExpired as error:
             raise StartError(f"iotcloud {' '.join(map(str, words))}: no answer within {error.timeout} s") from error
 
     def cli(self, *words):
-        """What the CLI printed. Raises StartError with what it complained about."""
+        """What the CLI printed. Raises StartError with the CLI's error message when it fails."""
         done = self.run_cli(*words)
         if done.returncode:
             raise StartError(f"iotcloud {' '.join(map(str, words))}: {done.stderr.strip() or done.stdout.strip()}")
@@ -267,7 +268,7 @@ brokers:
             self.cli("undeploy", driver["instance"])
 
     def wait_until_ready(self, limit=30):
-        """All gateways are ready, and a topology has a worker if one was started."""
+        """Waits until all gateways are ready and, if a topology worker was started, a topology has a worker."""
         deadline = time.monotonic() + limit
         problem = ""
         while time.monotonic() < deadline:

@@ -26,20 +26,20 @@
 
 namespace iotcloud::tests {
 
-/// Whom a server with "--tls" lets in, beside a client certificate of its authority: `ca.pem`, `client.pem` and
-/// `client.key` in PrivateServer::folder().
+/// The user of a server with "--tls", which also demands a client certificate of its authority: `ca.pem`, `client.pem`
+/// and `client.key` in PrivateServer::folder().
 inline constexpr const char* server_user = "iotcloud";
 inline constexpr const char* server_password = "secret with %: chars";
 
 /// A real server of its own for a test process: runs a script of this folder (rabbitmq.py, kafka.py, ...), which starts
 /// the server on free loopback ports and obeys one-line commands. The server ends with this object, and also when the
 /// test process dies (the script sees the end of its stdin). Not thread safe.
-/// Every call waits for the script's answer and throws std::runtime_error with what it said when something failed.
-/// A server that cannot be had on this machine now (its jars cannot be fetched) ends the test program with the status
-/// that iotcloud_test() tells ctest to report as "skipped"; with CI=true the constructor throws instead.
+/// Every call waits for the script's answer; after a failure it throws std::runtime_error with that answer.
+/// If the server is unavailable on this machine now (its jars cannot be fetched), the test program exits with the
+/// status that makes ctest report "skipped"; with CI=true the constructor throws instead.
 class PrivateServer {
  public:
-  /// \param script a file of this folder. \param arguments passed on. The data stand in a folder of their own below the
+  /// \param script a file of this folder. \param arguments passed on. The data are in a folder of their own below the
   /// system's temporary folder and are removed at the end.
   explicit PrivateServer(const std::string& script, const std::vector<std::string>& arguments = {}) : script_(script) {
     std::string pattern = (std::filesystem::temp_directory_path() / ("iotcloud-" + script + "-XXXXXX")).string();
@@ -59,7 +59,7 @@ class PrivateServer {
 
   /// Where the server listens, in the form that configuration takes ("amqp://guest:guest@127.0.0.1:5672/").
   const std::string& url() const { return url_; }
-  /// One for each node of a cluster.
+  /// One URL for each node of a cluster.
   std::vector<std::string> urls() const {
     std::istringstream words(url_);
     return {std::istream_iterator<std::string>(words), {}};
@@ -71,12 +71,12 @@ class PrivateServer {
   void start() { url_ = address(ask("start")); }  ///< after kill(): the same port, the same data
   void pause() { command("pause", "PAUSED"); }    ///< SIGSTOP: it hangs, its connections stay open
   void resume() { command("resume", "RESUMED"); }
-  /// The same for one node of a cluster (rabbitmq_cluster.py): 1, 2, ...
+  /// Like kill(), start(), pause() and resume(), for one node of a cluster (rabbitmq_cluster.py): 1, 2, ...
   void kill(int node) { command("kill " + std::to_string(node), "KILLED"); }
   void start(int node) { url_ = address(ask("start " + std::to_string(node))); }
   void pause(int node) { command("pause " + std::to_string(node), "PAUSED"); }
   void resume(int node) { command("resume " + std::to_string(node), "RESUMED"); }
-  /// A command that only this kind of server knows; throws when the answer is another one.
+  /// Sends a command that only this kind of server knows; throws if the answer differs from `expected`.
   void command(const std::string& text, const std::string& expected) {
     if (const std::string answer = ask(text); answer != expected) {
       throw std::runtime_error(script_ + ": " + text + ": " + answer);
@@ -94,6 +94,7 @@ class PrivateServer {
     std::vector<std::string> words{"/usr/bin/python3", path, "--dir", folder_.string()};
     words.insert(words.end(), arguments.begin(), arguments.end());
     std::vector<char*> argv;
+    argv.reserve(words.size() + 1);
     for (std::string& word : words) argv.push_back(word.data());
     argv.push_back(nullptr);
     posix_spawn_file_actions_t files;
@@ -128,7 +129,7 @@ class PrivateServer {
     return answer.substr(ready.size());
   }
 
-  /// What has failed before stays failed.
+  /// If a test has failed before, the program still fails.
   [[noreturn]] void skip(const std::string& reason) const {
     std::cout << script_ << ": " << reason << std::endl;
     std::error_code ignored;
@@ -137,7 +138,7 @@ class PrivateServer {
   }
 
   std::string read_line() {
-    const auto limit = std::chrono::steady_clock::now() + std::chrono::seconds(120);
+    const auto limit = std::chrono::steady_clock::now() + std::chrono::seconds(300);
     for (;;) {
       if (const auto end = received_.find('\n'); end != std::string::npos) {
         std::string line = received_.substr(0, end);
@@ -147,7 +148,7 @@ class PrivateServer {
       const auto left = std::chrono::ceil<std::chrono::milliseconds>(limit - std::chrono::steady_clock::now());
       pollfd waiting{answers_, POLLIN, 0};
       if (left.count() <= 0 || ::poll(&waiting, 1, static_cast<int>(left.count())) == 0) {
-        throw std::runtime_error(script_ + " did not answer within 120 s");
+        throw std::runtime_error(script_ + " did not answer within 300 s");
       }
       std::array<char, 512> chunk{};
       const ssize_t size = ::read(answers_, chunk.data(), chunk.size());
@@ -157,7 +158,7 @@ class PrivateServer {
   }
 
   void end() noexcept {
-    ::close(commands_);  // the end of its stdin: it stops the server and ends
+    ::close(commands_);  // the end of the script's stdin makes it stop the server and end
     if (process_ > 0) ::waitpid(process_, nullptr, 0);
     ::close(answers_);
     std::error_code ignored;
@@ -169,8 +170,8 @@ class PrivateServer {
   std::string url_;
   std::string received_;
   pid_t process_ = -1;
-  int commands_ = -1;  ///< its stdin
-  int answers_ = -1;   ///< its stdout
+  int commands_ = -1;  ///< the script's stdin
+  int answers_ = -1;   ///< the script's stdout
 };
 
 }  // namespace iotcloud::tests

@@ -2,7 +2,8 @@
 
 A script makes a subclass of `Server` and hands it to `run`. The first line on stdout is what `start` answers ("READY
 url"), "SKIP text" when the server itself cannot be had (its jars cannot be fetched), or "ERROR text". Then each line of
-stdin is a command and has one line of answer. The end of stdin means `stop`: nothing outlives who started the script.
+stdin is a command and has one line of answer. The end of stdin means `stop`: no server outlives the process that
+started the script.
 """
 import argparse
 import ctypes
@@ -15,54 +16,71 @@ import subprocess
 import sys
 import time
 
-START_LIMIT_S = 90
+START_LIMIT_S = 240
 PR_SET_PDEATHSIG = 1
 LIBC = ctypes.CDLL("libc.so.6", use_errno=True)
-PASSING = (RuntimeError, OSError, subprocess.SubprocessError)  # what is answered as "ERROR text"
+PASSING = (RuntimeError, OSError, subprocess.SubprocessError)  # answered as "ERROR text"
 
 
-# Of every JVM; its log (slf4j-simple) goes to stderr.
+# Options of every JVM. The log (slf4j-simple) goes to stderr.
 JVM_OPTIONS = ["-Xshare:auto", "-XX:-UsePerfData",
                "-Dorg.slf4j.simpleLogger.defaultLogLevel=info", "-Dorg.slf4j.simpleLogger.showDateTime=true",
                "-Dorg.slf4j.simpleLogger.dateTimeFormat=yyyy-MM-dd HH:mm:ss.SSS"]
 
 
-# How it is used: for a test it starts quickly, for a benchmark it has a server's compiler, memory and the collector that
-# Kafka's own start script asks for.
+# JVM options by use: a server for tests starts quickly; one for benchmarks has the optimizing compiler, more memory,
+# and the garbage collector that Kafka's own start script chooses.
 SMALL_JVM = ["-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1"]
 QUICK_START = ["-Xms64m", "-Xmx512m", *SMALL_JVM]
 THROUGHPUT = ["-Xms1g", "-Xmx1g", "-XX:+UseG1GC", "-XX:MaxGCPauseMillis=20"]
 
 
 class Unavailable(Exception):
-    """The server cannot be had on this machine now, for a reason outside of this project."""
+    """The server cannot run on this machine now, for a reason outside of this project."""
 
 
 def die_with_parent(how=signal.SIGTERM):
-    """In a child before exec: it is sent the signal `how` when the thread that started it ends, however that ended."""
+    """Called in a child before exec: the kernel sends it the signal `how` when the thread that started it ends, for
+    whatever reason."""
     LIBC.prctl(PR_SET_PDEATHSIG, how)
 
 
 def become_child():
-    """In a child before exec: an own process group, and death with the parent."""
+    """Called in a child before exec: gives it a process group of its own, and lets it die with its parent."""
     os.setpgid(0, 0)
     die_with_parent(signal.SIGKILL)
 
 
 def wait_until_frozen(process):
-    """A child's threads go on for a moment after SIGSTOP was sent, on another CPU."""
+    """Waits until the child has stopped: on another CPU its threads run for a moment after SIGSTOP."""
     os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
 
 
 def freeze(process):
-    """No thread of this child runs from now until it is sent SIGCONT. Raises ChildProcessError when it has ended."""
+    """Stops all threads of this child until it is sent SIGCONT. Raises ChildProcessError when it has ended."""
     process.send_signal(signal.SIGSTOP)
     wait_until_frozen(process)
 
 
+reservations = []  # abstract sockets, which go with this process
+
+
+def reserve(port):
+    """Whether no other process of the tests has chosen this port; then it is this one's until the process ends. Servers
+    take seconds until they listen at the ports that were chosen for them."""
+    mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        mark.bind("\0iotcloud-port-%d" % port)
+    except OSError:
+        mark.close()
+        return False
+    reservations.append(mark)
+    return True
+
+
 def free_ports(count):
-    """Ports that are free now, below the range from which the kernel takes ports for outgoing connections: while the
-    server is down between `kill` and `start` no client's socket can take its port."""
+    """Ports that are free now and reserved for this process, below the range from which the kernel takes ports for
+    outgoing connections: while the server is down between `kill` and `start` no client's socket can take its port."""
     with open("/proc/sys/net/ipv4/ip_local_port_range", encoding="ascii") as file:
         first_ephemeral = int(file.read().split()[0])
     found = []
@@ -75,13 +93,13 @@ def free_ports(count):
                 probe.bind(("127.0.0.1", port))
             except OSError:
                 continue
-        if port not in found:
+        if reserve(port):
             found.append(port)
     return found
 
 
 def java_environment():
-    """Without what would change a JVM from outside."""
+    """The environment without the variables that change a JVM."""
     return {key: value for key, value in os.environ.items()
             if key not in ("JAVA_TOOL_OPTIONS", "_JAVA_OPTIONS", "CLASSPATH")}
 
@@ -90,19 +108,19 @@ class Server:
     """One process in its own group. A subclass gives `name`, `command()` and `answers()`, and `url()`."""
 
     name = "the server"
-    grace_s = 0  # how long `stop` lets it write its data; 0: it writes ahead, so it is ended hard
+    grace_s = 0  # seconds that `stop` gives it to write its data; 0: it has a write-ahead log, so it is killed
 
     def __init__(self, folder):
         self.folder = os.path.abspath(folder)
         os.makedirs(self.folder, exist_ok=True)
         self.process = None
-        self.certificates = None  # set: it speaks TLS, to clients with a certificate of this authority
+        self.certificates = None  # None: no TLS; else the authority whose client certificates it requires
 
     def path(self, *parts):
         return os.path.join(self.folder, *parts)
 
     def write(self, name, lines):
-        """A file below the folder, one line for each of `lines`; returns its path."""
+        """Writes a file below the folder, one line for each of `lines`; returns its path."""
         with open(self.path(name), "w", encoding="utf-8") as file:
             file.writelines(line + "\n" for line in lines)
         return self.path(name)
@@ -114,14 +132,14 @@ class Server:
         return dict(os.environ)
 
     def answers(self):
-        """True once requests are served; may raise OSError before that."""
+        """True once the server answers requests; may raise OSError before that."""
         raise NotImplementedError
 
     def url(self):
         raise NotImplementedError
 
     def connect(self, port):
-        """A connection to the server, as a client has it."""
+        """Connects to the server as a client does."""
         plain = socket.create_connection(("127.0.0.1", port), timeout=5)
         if not self.certificates:
             return plain
@@ -168,7 +186,7 @@ class Server:
             time.sleep(0.02)
 
     def signal(self, number):
-        """To the process and its helpers: they share its process group."""
+        """Sends a signal to the process and its helpers, which share its process group."""
         if not self.runs():
             raise RuntimeError("%s does not run" % self.name)
         os.killpg(self.process.pid, number)
@@ -205,14 +223,14 @@ class Server:
 
 
 def options(description):
-    """What every script takes; a script may add its own before `run`."""
+    """A parser of the arguments that all scripts have; a script may add its own before `run`."""
     parser = argparse.ArgumentParser(description="%s on loopback; commands come on stdin." % description)
     parser.add_argument("--dir", required=True, help="folder for configuration, data and logs")
     return parser
 
 
 def add_client_options(parser):
-    """For servers that clients of the project connect to: --port, --tls."""
+    """Adds --port and --tls, for servers to which clients of the project connect."""
     parser.add_argument("--port", type=int, default=0, help="port for clients; default: a free one")
     parser.add_argument("--tls", action="store_true", help="TLS, client certificates, user and password; see "
                         "certificates.py")
@@ -227,7 +245,7 @@ def say(line):
     try:
         print(" ".join(line.split()), flush=True)
     except OSError:
-        pass  # whoever listened is gone; the end of stdin follows
+        pass  # nobody reads any more; the end of stdin follows
 
 
 def serve(server):
@@ -260,7 +278,7 @@ def run(make):
         server = make()
         serve(server)
     except Unavailable as reason:
-        # Where everything must be there, a suite that cannot run has failed.
+        # With CI=true every dependency must exist, so a suite that cannot run has failed.
         required = os.environ.get("CI") == "true"
         say("%s %s" % ("ERROR" if required else "SKIP", reason))
         status = 1 if required else 0

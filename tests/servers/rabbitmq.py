@@ -16,6 +16,8 @@ Then it obeys one command for each line of stdin and answers with one line on st
     resume  SIGCONT                                RESUMED
     alarm   memory alarm: it takes no messages     ALARM
     clear   ends the alarm                         CLEAR
+    forbid  the user `guest` may not write         FORBIDDEN   (a channel may go on until it is closed)
+    permit  it may again                           PERMITTED
     stop    ends everything                        STOPPED
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
@@ -31,11 +33,11 @@ import subprocess
 import certificates
 import private_server
 
-PROGRAMS = "/usr/lib/rabbitmq/bin"  # those in /usr/sbin change the user, which fails for private folders
+PROGRAMS = "/usr/lib/rabbitmq/bin"  # those in /usr/sbin switch to another user, which cannot use private folders
 
 
 class PortMapper(private_server.Server):
-    """epmd, which Erlang's nodes ask for one another's ports."""
+    """epmd, the process from which Erlang's nodes get each other's ports."""
 
     name = "the port mapper"
 
@@ -58,8 +60,8 @@ class PortMapper(private_server.Server):
 
 
 class RabbitMq(private_server.Server):
-    """A node. In a cluster the nodes share a port mapper and `home`, the folder with the Erlang cookie, and each knows
-    the names of all, `peers`."""
+    """One node. The nodes of a cluster share a port mapper and `home`, the folder with the Erlang cookie; `peers` has
+    the names of all of them."""
 
     name = "RabbitMQ"
     grace_s = 10
@@ -82,7 +84,7 @@ class RabbitMq(private_server.Server):
         cluster = ["cluster_formation.classic_config.nodes.%d = %s" % pair for pair in enumerate(self.peers, 1)]
         if cluster:
             cluster += ["cluster_formation.peer_discovery_backend = classic_config",
-                        # A node that hung is cut off, and comes back by itself.
+                        # A node that hung is removed from the cluster, and joins it again by itself.
                         "cluster_partition_handling = pause_minority"]
         channels = ["channel_max = %d" % self.channel_max] if self.channel_max else []
         self.write("rabbitmq.conf", [
@@ -141,7 +143,7 @@ class RabbitMq(private_server.Server):
         super().launch()
 
     def answers(self):
-        """The node opens its port last of all, and greets when it is ready."""
+        """The node opens its port last, and greets when it is ready."""
         with self.connect(self.port) as probe:
             probe.sendall(b"AMQP\x00\x00\x09\x01")
             return probe.recv(1) == b"\x01"  # a method frame: connection.start
@@ -159,13 +161,22 @@ class RabbitMq(private_server.Server):
         self.control("set_vm_memory_high_watermark", "0.4")
         return "CLEAR"
 
+    def forbid(self):
+        self.control("set_permissions", "guest", ".*", "", ".*")
+        return "FORBIDDEN"
+
+    def permit(self):
+        self.control("set_permissions", "guest", ".*", ".*", ".*")
+        return "PERMITTED"
+
     def stop(self):
         answer = super().stop()
         self.mapper.stop()
         return answer
 
     def commands(self):
-        return {**super().commands(), "alarm": self.alarm, "clear": self.clear}
+        return {**super().commands(), "alarm": self.alarm, "clear": self.clear, "forbid": self.forbid,
+                "permit": self.permit}
 
 
 def main():

@@ -45,7 +45,7 @@ class RabbitMqCluster(nodes.Nodes):
         return "READY " + self.urls()
 
     def stop(self):
-        """Hard: a cluster that is shut down node by node would wait for its members."""
+        """Kills the nodes, because a cluster shut down node by node waits for its members."""
         for node in self.nodes:
             if node.runs():
                 node.kill()

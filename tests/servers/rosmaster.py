@@ -8,8 +8,8 @@ addresses). When it answers it prints one line on stdout:
 
     READY http://127.0.0.1:PORT
 
-Then it obeys one command for each line of stdin, as zookeeper.py does: kill, start (the same port; it knows nobody any
-more), pause, resume, stop; and
+Then it obeys one command for each line of stdin, as zookeeper.py does: kill, start (the same port; it has forgotten all
+nodes), pause, resume, stop; and
 
     shutdown NAME   what `rosnode kill` does, to all nodes whose names begin so    DONE
 

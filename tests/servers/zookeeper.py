@@ -28,15 +28,15 @@ JARS = "/usr/share/java"
 CLASS_PATH = ["zookeeper", "zookeeper-jute", "slf4j-api", "slf4j-simple", "metrics-core", "snappy-java",
               "netty-handler", "netty-common", "netty-transport", "netty-buffer", "netty-codec", "netty-resolver",
               "netty-transport-native-epoll", "netty-transport-native-unix-common", "commons-cli"]
-# How it is used. A test wants it to start quickly and to be small. What measures it wants no driver to wait because the
-# collector stopped everything: with thousands of nodes in that small heap it does so for 0.1 to 0.4 s. Of a small young
-# generation little is alive, so collecting it takes milliseconds; the old one never fills.
+# JVM options by use. A test needs a server that is small and starts quickly. In a benchmark no driver should wait while
+# the garbage collector stops the JVM: with thousands of nodes in the small heap it does so for 0.1 to 0.4 s. In a small
+# young generation few objects are alive, so collecting it takes milliseconds; the old generation never fills.
 QUICK_START = ["-Xms24m", "-Xmx128m"]
 STEADY = ["-Xms768m", "-Xmx768m", "-Xmn32m"]
 
 
 class ZooKeeper(private_server.Server):
-    name = "ZooKeeper"  # it writes its log ahead: nothing is lost by ending it hard
+    name = "ZooKeeper"  # it has a write-ahead log, so nothing is lost when it is killed
 
     def __init__(self, folder, port=None, ensemble_settings=(), jvm=QUICK_START):
         """ensemble_settings: lines of the configuration, for a server of an ensemble."""
@@ -69,7 +69,7 @@ class ZooKeeper(private_server.Server):
         """"standalone", "leader" or "follower"; empty while it serves nobody. `srvr` tells the mode only once requests
         are served; `ruok` says imok long before."""
         with socket.create_connection(("127.0.0.1", self.port), timeout=1) as probe:
-            probe.settimeout(0.3)  # asked too early it may never answer
+            probe.settimeout(0.3)  # a server that is asked too early may never answer
             probe.sendall(b"srvr")
             answer = b""
             while True:

@@ -45,7 +45,7 @@ class ZooKeeperCluster(nodes.Nodes):
         return "zookeeper://" + ",".join("127.0.0.1:%d" % node.port for node in self.nodes)
 
     def leading(self):
-        """The one that leads; waits until there is one."""
+        """The leader; waits until there is one."""
         limit = time.monotonic() + LEADER_LIMIT_S
         while time.monotonic() < limit:
             for node in self.nodes:
@@ -53,7 +53,7 @@ class ZooKeeperCluster(nodes.Nodes):
                     if node.runs() and node.mode() == "leader":
                         return node
                 except OSError:
-                    continue  # it does not serve now
+                    continue  # this node does not serve requests now
             time.sleep(0.05)
         raise RuntimeError("no node leads within %d s" % LEADER_LIMIT_S)
 

@@ -83,7 +83,7 @@ TEST(ClosedLoop, OneTopologyFollowsRobotsWhoseFramesHaveDifferentCodecs) {
   std::map<std::string, std::vector<Row>> rows;
   {
     std::map<std::string, Trace> traces;
-    std::map<std::string, std::string> instances;
+    std::map<std::string, discovery::InstanceId> instances;
     for (const auto& codec : codecs) {
       const Trace& trace = traces.try_emplace(codec, "closed_loop_" + codec).first->second;
       auto with_codec = properties;

@@ -33,7 +33,7 @@ class Control:
         return self.cluster.json("topology", *words)
 
     def refusal(self, *words):
-        """(exit status, what it complained)"""
+        """(exit status, error text)"""
         done = subprocess.run(self.command(*words), capture_output=True, text=True, timeout=60)
         return done.returncode, done.stderr
 
@@ -41,7 +41,7 @@ class Control:
         return {entry["component"]: entry["sum"] for entry in self.json("metrics", "echo")["components"]}
 
     def quiet_sums(self):
-        """The sums when they do not change any more."""
+        """The sums, once they do not change any more."""
         before = self.sums()
         while True:
             time.sleep(0.5)
@@ -57,7 +57,7 @@ def check_pause(control):
     require([o["outcome"] for o in answer["outcomes"]] == ["done", "done"], answer)
     require(control.json("list")[0]["state"] == "inactive", control.json("list"))
     paused = control.quiet_sums()
-    time.sleep(1)  # the drivers go on; nothing may come through
+    time.sleep(1)  # the drivers go on sending; no message may come through
     require(control.sums() == paused, "messages went through an inactive topology")
     return paused
 
@@ -105,7 +105,7 @@ def check_tap(control):
     status, complaint = control.refusal("tap", "echo", "recieve")
     require(status == 1 and "recieve" in complaint, complaint)
 
-    # At a sink what comes in is shown; Ctrl-C ends it in order.
+    # At a sink the tap shows the input; Ctrl-C ends it in order.
     tap = subprocess.Popen(control.command("tap", "echo", "send"), stdout=subprocess.PIPE, text=True)
     line = tap.stdout.readline()
     require("receive/default" in line and "driverID=" in line, line)
@@ -115,7 +115,7 @@ def check_tap(control):
 
 
 def check_counts(control, cluster, reports):
-    """When all drivers have everything back, every message was counted once at every place."""
+    """When every message is back, each component has counted every message once."""
     wait_for("the drivers have everything back", lambda: all(
         report.exists() and report.read_text().rstrip().endswith("}") for report in reports), 60)
     sent = sum(json.loads(report.read_text())["sent"] for report in reports)

@@ -43,7 +43,7 @@ def check_crash(fleet, instance):
 
 
 def check_logs(fleet, instance):
-    """What is logged while somebody follows comes out; Ctrl-C ends it in order."""
+    """`logs --follow` prints new lines; Ctrl-C ends it in order."""
     require(instance in fleet.cli("logs", instance), "the log does not name the instance")
     follower = subprocess.Popen(fleet.command("logs", instance, "--follow", "--lines", 1), stdout=subprocess.PIPE, text=True)
     require("active" in follower.stdout.readline(), "the last line is not that it became active")
@@ -56,7 +56,7 @@ def check_logs(fleet, instance):
 
 
 def check_gone(fleet, instance):
-    """An instance that was taken away still has its history."""
+    """An undeployed instance still has its history."""
     fleet.cli("undeploy", instance)
     wait_for("its end is remembered", lambda: fleet.states(instance[:8])[-1] == "undeployed")
     for words in (("describe", instance), ("logs", instance)):

@@ -21,13 +21,13 @@ MANIFEST = HERE.parent.parent / "config" / "fleet.yaml"
 
 class Fleet(PrivateCluster):
     def changes(self, verb, file, status):
-        """What diff or apply says, which is to end with this status: ["deploy meter/1", ...]."""
+        """The changes of diff or apply, which must exit with this status: ["deploy meter/1", ...]."""
         done = self.run_cli(verb, "-f", file, "-o", "json", limit=120)
         require(done.returncode == status, f"{verb}: {done.returncode}: {done.stdout} {done.stderr}")
         return [f"{change['change']} {change['name']}/{change['index']}" for change in json.loads(done.stdout)["changes"]]
 
     def instances(self, **wanted):
-        """Ids of those whose records say so, in order."""
+        """Ids of the instances in this state, in order."""
         return sorted(driver["instance"] for driver in self.json("drivers")
                       if all(driver[key] == value for key, value in wanted.items()))
 

@@ -135,7 +135,7 @@ def check_signatures(cluster):
     done = cluster.run_cli("deploy", "--plugin", foreign, "--all")
     require(done.returncode == 1, done)
     refused("an admin deploys what a stranger signed", done.stdout,
-            "foreign.so: its signature is not one of these bytes by a key that this gateway trusts", *BOTH)
+            "foreign.so: its signature is not one of these bytes by a key that is trusted here", *BOTH)
 
     done = cluster.run_cli("deploy", "loadgen.so", "--all")  # of the gateways' own folders
     require(done.returncode == 1, done)

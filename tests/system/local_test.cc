@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/system/pinger.h>
 #include <iotcloud/topology/bolt.h>
@@ -110,11 +111,11 @@ TEST_F(LocalMode, SendsEachDriversMessagesBackToThatDriverInOrder) {
 }
 
 TEST_F(LocalMode, DoesSoOnSharedChannelsToo) {
-  options.gateways = {"gateway-1", "gateway-2"};
+  options.gateways = {"gateway-1"_gateway, "gateway-2"_gateway};
   local::LocalCluster cluster(options);
   run(cluster);
   std::vector<std::string> ids;
-  for (const char* gateway : {"gateway-1", "gateway-1", "gateway-2"}) {
+  for (const auto& gateway : {"gateway-1"_gateway, "gateway-1"_gateway, "gateway-2"_gateway}) {
     ids.push_back(cluster.deploy("pinger", {{"count", "100"}, {"shared", "true"}}, gateway));
   }
   for (const auto& id : ids) {

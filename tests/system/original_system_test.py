@@ -33,7 +33,7 @@ from thrift.server import TServer  # noqa: E402
 from thrift.transport import TSocket, TTransport  # noqa: E402
 
 SITE = "java1"
-# What the original looks for: its topologies read the channels of a driver that is deployed.
+# The original's topologies read the channels of a driver with this state.
 ACTIVE = TSensorState.DEPLOY
 
 
@@ -58,7 +58,7 @@ def succeeds(response):
 
 
 class OriginalGateway:
-    """Says SUCCESS at once, does what it was told afterwards, and tells the master: as the original does."""
+    """Answers SUCCESS at once, carries the order out later and tells the master, as the original does."""
 
     def __init__(self, port_of_master):
         self.port_of_master, self.port = port_of_master, free_port()
@@ -82,7 +82,7 @@ class OriginalGateway:
         with Client(TMasterService, self.port_of_master) as master:
             succeeds(master.registerSensor(SITE, self.sensor(number)))
 
-    # what the master calls
+    # called by the master
     def hearbeat(self, heartBeat):
         self.heartbeats += 1
         return THeartBeatResponse(totalSensors=0, responsiveSonsor=0)

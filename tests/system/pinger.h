@@ -9,10 +9,11 @@
 #include <vector>
 
 #include <iotcloud/drivers/plugin.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::tests {
 
-/// What the drivers of this process got back, by instance id. Thread safe.
+/// The answers that the drivers in this process got, by instance id. Thread safe.
 class Answers {
  public:
   static Answers& get() {
@@ -29,10 +30,10 @@ class Answers {
     const auto found = texts_.find(instance);
     return found == texts_.end() ? std::vector<std::string>() : found->second;
   }
-  /// \return false when it does not have so many answers within 20 s.
+  /// \return false if the instance does not get this many answers within 20 s.
   bool wait_for(const std::string& instance, std::size_t count) const {
     std::unique_lock lock(mutex_);
-    return changed_.wait_for(lock, std::chrono::seconds(20), [&] {
+    return changed_.wait_for(lock, tests::patience, [&] {
       const auto found = texts_.find(instance);
       return found != texts_.end() && found->second.size() >= count;
     });
@@ -44,8 +45,8 @@ class Answers {
   std::map<std::string, std::vector<std::string>> texts_;  ///< guarded by mutex_
 };
 
-/// Sends "<instance id> <number>" on `ping`, `count` of them (0: endless) one each millisecond, and logs what comes on
-/// `pong`. Property `shared`: "true" makes both channels shared.
+/// Sends "<instance id> <number>" on `ping`, one message each millisecond, `count` in all (0: endless), and stores the
+/// messages that it gets on `pong`. Property `shared`: "true" makes both channels shared.
 class Pinger : public drivers::Driver {
  public:
   std::vector<drivers::ChannelSpec> channels(const drivers::PropertyMap& properties) override {

@@ -82,7 +82,7 @@ brokers:
         wait_for(f"{count} gateways are ready", lambda: self.states("gateways", "state").count("ready") == count)
 
     def taken(self):
-        """How often the worker has begun to read a driver's channel, as its log says."""
+        """How often the worker has begun to read a driver's channel, according to its log."""
         return sum(map(int, re.findall(r" receive: units taken (\d+)", self.log("worker").read_text())))
 
 
@@ -92,7 +92,7 @@ def main():
     shutil.rmtree(work, ignore_errors=True)
     with Farm(work, build / "bin", build / "plugins") as farm:
         farm.begin()
-        farm.topology("worker", farm.registry + echo_topology())  # nobody is there yet, not even the tree
+        farm.topology("worker", farm.registry + echo_topology())  # nothing exists yet, not even the tree
         farm.master()
         wait_for("the topology is known", lambda: farm.states("topologies", "topology") == ["echo"])
         farm.gateway("gateway-1")
@@ -110,7 +110,7 @@ def main():
         farm.master()
         farm.ready(2)
         farm.order("zookeeper", "kill", "KILLED")
-        time.sleep(6)  # longer than a session lives: what was read before is read on
+        time.sleep(6)  # longer than a session lives; the channels are still read
         farm.order("zookeeper", "start", "READY")
         wait_for("both drivers have everything back", lambda: all(map(result_of, reports)), 120)
         farm.require_alive()

@@ -44,7 +44,7 @@ def broker_lines(cluster, kind, password_file):
 
 
 def result_of(report):
-    """The driver's report, None until it is written (when everything is back)."""
+    """The driver's report; None until it is written, when every message is back."""
     text = report.read_text() if report.exists() else ""
     return json.loads(text) if text.rstrip().endswith("}") else None
 
@@ -64,7 +64,7 @@ def run(work, build):
         brokers = {kind: broker_lines(cluster, kind, password_file) for kind in KINDS}
         cluster.start(gateways=1, brokers=[line for lines in brokers.values() for line in lines])
         for kind, lines in brokers.items():
-            # The worker takes the URL from the channel's record, and has its own way of proving who it is.
+            # The worker takes the URL from the channel's record and has its own credentials.
             own = "\n".join("  " + line for line in lines if "type:" not in line and "urls:" not in line)
             cluster.topology(f"worker-{kind}", TOPOLOGY.format(name=f"my_{kind}", brokers=own))
         cluster.wait_until_ready()

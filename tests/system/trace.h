@@ -18,7 +18,7 @@ inline std::vector<std::string> split_row(const std::string& line) {
   return words;
 }
 
-/// The whole rows of a trace (drivers/turtle/README.md), by column name.
+/// The complete rows of a trace (drivers/turtle/README.md), by column name.
 inline std::vector<Row> read_trace(const std::filesystem::path& path) {
   std::vector<Row> rows;
   std::ifstream file(path);

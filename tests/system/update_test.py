@@ -26,7 +26,7 @@ def sha256(file):
 
 
 class Plugins:
-    """Versions of a driver that do the same: nobody reads what stands behind the end of a library."""
+    """Versions of a driver that do the same: the bytes appended to a library are never read."""
 
     def __init__(self, folder, build):
         self.folder, self.build = folder, build
@@ -116,7 +116,7 @@ def check_later_failure(fleet, plugins, instances, second):
 
 
 def check_restart(fleet, instances, second):
-    """A gateway whose machine lost its power, hosts and all, runs what was sent when it returns."""
+    """A gateway whose machine lost its power, with its hosts, runs the sent plugin when it returns."""
     hosts = fleet.hosts_of("gateway-1")
     require(len(hosts) == 1, f"gateway-1 has the hosts {hosts}")
     freeze(dict(fleet.children)["gateway-1"])  # it does not start its host again
@@ -185,7 +185,7 @@ def check_manifest_going_back(fleet, file, manifest, ids):
 
 
 def check_signatures(fleet, plugins):
-    """gateway-2 asks for signatures."""
+    """gateway-2 requires signatures."""
     key = plugins.folder / "lab"
     fleet.cli("keys", "new", key)
     name = "gateway-2"

@@ -106,32 +106,32 @@ class Robot(PrivateCluster):
         wait_for("the robot follows the person", self.track.moves)
 
     def must_stop(self, what):
-        """That the driver tells the base to be still in time after its last command, and that it is."""
+        """Checks that the driver stops the base in time after its last command, and that the base stops."""
         wait_for(f"the robot stands still after {what} was killed", self.track.is_still)
         last, halt = self.track.commands()[-2:]
         require(halt["asked_linear"] == halt["asked_angular"] == 0, f"the last command is none to be still: {halt}")
         told, still = halt["time_s"] - last["time_s"], still_after(self.track, last)
         print(f"{what} killed at {halt['linear']:.2f} m/s: told to be still {told * 1000:.0f} ms after the last command, "
               f"still after {still * 1000:.0f} ms", flush=True)
-        # The last command may have come late: that it is not told sooner is the driver's own tests' business.
+        # The last command may have come late; the driver's own tests check that it does not stop earlier.
         require(told <= WATCHDOG_S + MARGIN_S, f"told after {told:.3f} s, not {WATCHDOG_S} s")
         limit = WATCHDOG_S + braking_time(halt) + MARGIN_S
         require(still <= limit, f"it was still after {still:.3f} s, not within {limit:.3f} s")
 
     def base_must_stop(self, what):
-        """That the base stops by itself, told by nobody."""
+        """Checks that the base stops by itself, without a command."""
         wait_for(f"the robot stands still after {what} was killed", self.track.is_still)
         last = self.track.commands()[-1]
         still = still_after(self.track, last)
         print(f"{what} killed at {last['linear']:.2f} m/s: nobody told it, still {still * 1000:.0f} ms after the last "
               "command", flush=True)
         require(last["asked_linear"] != 0 or last["asked_angular"] != 0, f"somebody told it to be still: {last}")
-        # Until then it goes where it was asked to, and may be faster than it was.
+        # Until then it obeys its last command and may become faster.
         limit = BASE_S + max(braking_time(row) for row in self.track.rows()) + MARGIN_S
         require(BASE_S <= still <= limit, f"it was still after {still:.3f} s, not within {limit:.3f} s")
 
     def must_go_on(self, what):
-        """That commands keep coming, without a gap in which the robot was told to be still."""
+        """Checks that commands keep coming, without a gap in which the robot was stopped."""
         before = self.track.newest()
         wait_for(f"60 more commands after {what} was killed",
                  lambda: self.track.newest()["commands"] > before["commands"] + 60)
@@ -185,7 +185,7 @@ def main():
         try:
             kill_each(robot, host)
         finally:
-            end_process(host)  # it outlives its gateway, also when the test ends there
+            end_process(host)  # it outlives its gateway, even when the test ends here
         robot.set_out()  # with a new driver host
         # roscpp knows one node to a process: another instance has one of its own, without a word in its order.
         robot.deploy("turtle_ros.so", "gateway-1", {"source": "ros", "actuator": "none"})

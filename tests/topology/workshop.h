@@ -17,14 +17,14 @@
 #include <iotcloud/topology/runtime/runtime.h>
 #include <iotcloud/topology/topology_builder.h>
 
-/// Spouts and bolts that tests put topologies together from; each task of a component shares what is outside of it.
+/// Spouts and bolts from which tests build topologies; the tasks of a component share the objects around them.
 namespace iotcloud::topology::workshop {
 
 using namespace std::chrono_literals;
 
 using tests::eventually;
 
-/// What a SourceSpout emits, put there from outside, and what it hears back.
+/// Gives a SourceSpout the tuples to emit, and collects its calls.
 class Source {
  public:
   void put(Values values) {
@@ -34,7 +34,7 @@ class Source {
     }
     waker_.wake();
   }
-  /// Puts without waking.
+  /// Puts a tuple without waking the spout.
   void lay(Values values) {
     const std::lock_guard lock(mutex_);
     waiting_.push_back(std::move(values));
@@ -72,7 +72,7 @@ class Source {
   MessageId next_id_ = 0;
 };
 
-/// Emits what its Source holds, tracked with ids 1, 2, 3, ...
+/// Emits the tuples of its Source, tracked with ids 1, 2, 3, ...
 class SourceSpout : public Spout {
  public:
   SourceSpout(std::shared_ptr<Source> source, Fields fields) : source_(std::move(source)), fields_(std::move(fields)) {}
@@ -123,7 +123,7 @@ inline SpoutFactory source_spout(std::shared_ptr<Source> source, Fields fields =
   return [source, fields] { return std::make_unique<SourceSpout>(source, fields); };
 }
 
-/// A bolt made of a function that does all by hand.
+/// A bolt that calls a function; the function must ack and emit.
 class FunctionBolt : public Bolt {
  public:
   using Execute = std::function<void(const Tuple&, OutputCollector&, const TopologyContext&)>;
@@ -148,7 +148,7 @@ inline BoltFactory bolt(FunctionBolt::Execute execute, Fields fields = {}) {
   return [execute, fields] { return std::make_unique<FunctionBolt>(execute, fields); };
 }
 
-/// Acks, and keeps what each task got.
+/// Acks all tuples, and keeps them by task.
 struct Sink {
   struct Item {
     int task;
@@ -181,7 +181,7 @@ inline BoltFactory sink_bolt(std::shared_ptr<Sink> sink) {
   });
 }
 
-/// Hands tuples on as they are, anchored.
+/// Passes tuples on unchanged, anchored.
 inline BoltFactory pass_bolt(Fields fields = {"value"}) {
   return bolt(
       [](const Tuple& tuple, OutputCollector& collector, const TopologyContext&) {
@@ -193,7 +193,7 @@ inline BoltFactory pass_bolt(Fields fields = {"value"}) {
       fields);
 }
 
-/// No threads, simulated time.
+/// Options for a runtime without threads and with simulated time.
 struct Bench {
   SimulatedClock clock;
   config::Metrics metrics;

@@ -1,4 +1,4 @@
-// Peers that do not say what AMQP has them say: no thread ends, what is good goes on.
+// Peers that break AMQP's rules: no thread ends, and valid messages still pass.
 #include <algorithm>
 #include <memory>
 #include <string>

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "iotcloud/brokers/activemq/connection/server_link.h"
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::brokers::activemq {
@@ -15,7 +16,7 @@ class CountingLink final : public ServerLink {
  public:
   using ServerLink::ServerLink;
   void wake_loop() {
-    const Lock lock(mutex_);
+    const config::MutexLock lock(mutex_);
     wake();
   }
   int looks() const { return looks_; }
@@ -41,7 +42,8 @@ TEST(ActiveMqLink, BeginsAlthoughTheLoopLookedAtItBefore) {
   const std::vector<BrokerUrl> urls{parse_broker_url(options.urls.front())};
   ConnectionLog log(options.urls.front());
   IoLoop loop(config::system_clock());
-  CountingLink link(loop, options, urls, "test", log);
+  config::Mutex mutex;
+  CountingLink link(mutex, loop, options, urls, "test", log);
   loop.start({&link});
   link.wake_loop();
   loop.wake();  // it looks again, and then sleeps

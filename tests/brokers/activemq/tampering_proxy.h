@@ -9,7 +9,7 @@
 
 namespace iotcloud::tests {
 
-/// Stands between clients and a server on loopback, and changes what the server says. Thread safe.
+/// A proxy between clients and a server on loopback, which changes the server's bytes. Thread safe.
 class TamperingProxy {
  public:
   explicit TamperingProxy(std::uint16_t server_port);
@@ -18,11 +18,11 @@ class TamperingProxy {
   TamperingProxy& operator=(const TamperingProxy&) = delete;
 
   std::uint16_t port() const { return port_; }
-  /// From now on the server's `words` arrive as `others` (of the same length).
+  /// From now on replaces `words` in what the server sends by `others`, which must have the same length.
   void replace(std::string words, std::string others);
-  /// Each client gets these bytes in the middle of what the server says.
+  /// Inserts these bytes into what the server sends to each client.
   void inject(std::string bytes);
-  /// So many connections there have been.
+  /// How many connections there were so far.
   int connections() const { return connections_; }
 
  private:
@@ -32,7 +32,7 @@ class TamperingProxy {
   };
   void run();
   void accept_one();
-  /// \return false when one side is gone
+  /// \return false if one side has closed the connection
   bool forward(const Pair& pair, bool from_server);
 
   const std::uint16_t server_port_;
@@ -41,7 +41,7 @@ class TamperingProxy {
   int wake_ = -1;
   std::atomic<bool> ending_ = false;
   std::atomic<int> connections_ = 0;
-  std::vector<Pair> pairs_;  ///< the thread's
+  std::vector<Pair> pairs_;  ///< used by the thread
   std::mutex mutex_;
   std::string words_, others_;  ///< guarded by mutex_
   std::string injection_;       ///< guarded by mutex_

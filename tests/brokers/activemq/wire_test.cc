@@ -1,4 +1,5 @@
-// How messages and names look on ActiveMQ's wire: ours, proton's, and what is no message at all.
+// Messages and names on ActiveMQ's wire: this project's, proton's, and invalid ones.
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
@@ -8,6 +9,7 @@
 #include <gtest/gtest.h>
 #include <proton/message.hpp>
 #include <proton/types.hpp>
+#include <pthread.h>
 
 #include "iotcloud/brokers/activemq/names.h"
 #include "iotcloud/brokers/activemq/wire/amqp_value.h"
@@ -29,7 +31,7 @@ std::optional<client::Arrived> from_bytes(const std::string& bytes) {
   return from_wire({owner, *owner});
 }
 
-/// As proton reads and writes it.
+/// The message as proton reads and writes it.
 proton::message decoded(const std::string& bytes) {
   proton::message message;
   message.decode({bytes.begin(), bytes.end()});
@@ -200,16 +202,56 @@ TEST(ActiveMqMessage, LengthsAndCountsThatLieAreRefused) {
            std::string("garbage"), std::string("\0\x53\x99\x40", 4),     // no such section
            std::string("\0\x53\x75\xb0\xff\xff\xff\xff", 8),             // 4 GB of body
            properties + std::string("\xd1\0\0\0\4\xff\xff\xff\xff", 9),  // 4 billion entries
-           properties + std::string("\xc1\2\1\x40", 4),                  // a key alone
+           properties + std::string("\xc1\2\1\x40", 4),                  // a key without a value
            properties + std::string("\xc1\3\2\xa1\x09", 5),              // a key that is too long
-           properties + std::string("\xc1\0", 2),                        // not even a count
-           properties + std::string("\xa1\1x", 3),                       // no map
+           properties + std::string("\xc1\0", 2),                        // no count
+           properties + std::string("\xa1\1x", 3),                       // not a map
            properties + std::string("\xc1\3\2\x01\x40", 5),              // no such type
            std::string("\0\x53\x77", 3) + std::string(1'000'000, '\0'),  // described by described by...
            std::string("\0\x53\x77\x40", 4) + std::string("\0\x53", 2),  // a section without an end
        }) {
     EXPECT_FALSE(from_bytes(bytes)) << testing::PrintToString(bytes.substr(0, 20));
   }
+}
+
+/// Runs `work` on a thread with a stack of 1 MiB.
+void on_small_stack(std::function<void()> work) {
+  pthread_attr_t attributes;
+  ASSERT_EQ(pthread_attr_init(&attributes), 0);
+  ASSERT_EQ(pthread_attr_setstacksize(&attributes, 1U << 20U), 0);
+  pthread_t thread{};
+  const auto run = [](void* what) -> void* {
+    (*static_cast<std::function<void()>*>(what))();
+    return nullptr;
+  };
+  ASSERT_EQ(pthread_create(&thread, &attributes, run, &work), 0);
+  pthread_join(thread, nullptr);
+  pthread_attr_destroy(&attributes);
+}
+
+std::string big_endian(std::size_t number) {
+  std::string bytes;
+  for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(number >> shift & 0xffU);
+  return bytes;
+}
+
+TEST(ActiveMqMessage, ListsInListsWithoutEndNeedNoStack) {
+  // Each level: a list of one element, whose length is that of all that follows.
+  constexpr std::size_t levels = 100'000;
+  std::string nested;
+  for (std::size_t inside = levels; inside > 0; --inside) nested += '\xd0' + big_endian(inside * 9 - 4) + big_endian(1);
+  nested += '\x40';
+  const std::string entry = "\xa1\x01p" + nested;
+  const std::string bytes = std::string("\x00\x53\x74\xd1", 4) + big_endian(entry.size() + 4) + big_endian(2) + entry +
+                            std::string("\x00\x53\x75\xa0\x04", 5) + "body";
+  on_small_stack([&] {
+    const auto arrived = from_bytes(bytes);
+    ASSERT_TRUE(arrived);
+    EXPECT_EQ(arrived->message.payload.text(), "body");
+    EXPECT_EQ(arrived->message.properties.size(), 0U);
+    EXPECT_FALSE(from_bytes(std::string(1'000'000, '\0'))) << "descriptors of descriptors";
+    EXPECT_FALSE(from_bytes(std::string("\x00\x53\x77", 3) + nested)) << "a list is no body";
+  });
 }
 
 TEST(ActiveMqMessage, TooManyPropertiesAreRefused) {

@@ -1,7 +1,9 @@
-// What every broker promises while its server is there. contract_reading_test.cc
-// and contract_settlement_test.cc have how they are read and settled, contract_failure_test.cc the rest.
+// What every broker guarantees while its server is up. contract_reading_test.cc covers reading,
+// contract_settlement_test.cc settling, contract_failure_test.cc the rest.
 #include <algorithm>
+#include <array>
 #include <atomic>
+#include <cstdint>
 #include <future>
 #include <map>
 #include <mutex>
@@ -78,8 +80,10 @@ TEST_P(BrokerContract, KeepsTheOrderOfATopic) {
   options.capacity = 5000;
   options.on_outcome = outcomes.callback();
   const auto publisher = broker->publisher(topic, options);
-  for (int i = 1; i <= 3000; ++i) {
-    ASSERT_EQ(publisher->publish(text_message(std::to_string(i))), PublishStatus::accepted);
+  for (std::uint64_t i = 1; i <= 3000; ++i) {
+    const Published published = publisher->publish(text_message(std::to_string(i)));
+    ASSERT_EQ(published, PublishStatus::accepted);
+    ASSERT_EQ(published.number, i);
   }
   ASSERT_TRUE(inbox.wait_for(3000));
   EXPECT_EQ(inbox.bodies(), numbered(1, 3000));
@@ -88,7 +92,7 @@ TEST_P(BrokerContract, KeepsTheOrderOfATopic) {
   EXPECT_TRUE(outcomes.each_once());
 }
 
-TEST_P(BrokerContract, KeepsTheOrderOfEachThreadThatPublishes) {
+TEST_P(BrokerContract, KeepsTheOrderOfEachThreadThatPublishesAndNumbersEachMessageOnce) {
   const auto broker = this->broker();
   const Topic topic = this->topic();
   Inbox inbox;
@@ -96,14 +100,26 @@ TEST_P(BrokerContract, KeepsTheOrderOfEachThreadThatPublishes) {
   PublisherOptions options;
   options.capacity = 4000;
   const auto publisher = broker->publisher(topic, options);
+  std::array<std::vector<std::uint64_t>, 3> numbers;  // by thread
   {
     std::vector<std::jthread> threads;
-    for (char name = 'a'; name < 'd'; ++name) {
-      threads.emplace_back([&, name] {
-        for (int i = 0; i < 500; ++i) publisher->publish(text_message(name + std::to_string(i)));
+    for (std::size_t thread = 0; thread < numbers.size(); ++thread) {
+      threads.emplace_back([&, thread] {
+        for (int i = 0; i < 500; ++i) {
+          const auto body = static_cast<char>('a' + thread) + std::to_string(i);
+          numbers[thread].push_back(publisher->publish(text_message(body)).number);
+        }
       });
     }
   }
+  std::set<std::uint64_t> all;
+  for (const auto& of_thread : numbers) {
+    EXPECT_TRUE(std::is_sorted(of_thread.begin(), of_thread.end()));
+    all.insert(of_thread.begin(), of_thread.end());
+  }
+  EXPECT_EQ(all.size(), 1500U);
+  EXPECT_EQ(*all.begin(), 1U);
+  EXPECT_EQ(*all.rbegin(), 1500U);
   ASSERT_TRUE(inbox.wait_for(1500));
   std::map<char, int> next;
   for (const std::string& body : inbox.bodies()) EXPECT_EQ(body, body[0] + std::to_string(next[body[0]]++));
@@ -321,15 +337,16 @@ TEST_P(BrokerContract, RefusesWhatNoBrokerCanCarryAndGoesOn) {
   long_name.properties.set(std::string(256, 'n'), "v");
   Message much = text_message("2");
   much.properties.set("k", std::string(130'000, 'v'));
-  EXPECT_EQ(publisher->publish(long_name), PublishStatus::accepted);
-  EXPECT_EQ(publisher->publish(much), PublishStatus::accepted);
-  EXPECT_EQ(publisher->publish(text_message("3")), PublishStatus::accepted);
+  const Published first = publisher->publish(long_name);
+  const Published second = publisher->publish(much);
+  const Published third = publisher->publish(text_message("3"));
+  for (const Published& published : {first, second, third}) EXPECT_EQ(published, PublishStatus::accepted);
   ASSERT_TRUE(inbox.wait_for(1));
   EXPECT_THAT(inbox.bodies(), ElementsAre("3"));
   ASSERT_TRUE(outcomes.wait_for(3));
-  EXPECT_EQ(outcomes.of(1), Outcome::refused);
-  EXPECT_EQ(outcomes.of(2), Outcome::refused);
-  EXPECT_EQ(outcomes.of(3), Outcome::confirmed);
+  EXPECT_EQ(outcomes.of(first.number), Outcome::refused);
+  EXPECT_EQ(outcomes.of(second.number), Outcome::refused);
+  EXPECT_EQ(outcomes.of(third.number), Outcome::confirmed);
 }
 
 TEST_P(BrokerContract, CarriesAsMuchMetadataAsItSays) {

@@ -1,4 +1,4 @@
-// What every broker promises when its server goes away and comes back, or a handler takes long.
+// What every broker guarantees when its server goes away and comes back, or a handler takes long.
 #include <algorithm>
 #include <atomic>
 #include <future>
@@ -95,7 +95,7 @@ TEST_P(BrokerContract, LosesNothingWhenTheServerIsKilledInTheMiddleOfADurableStr
   std::jthread stream([&] {
     for (int i = 1; i <= total; ++i) {
       while (publisher->publish(text_message(std::to_string(i))) != PublishStatus::accepted) {
-        if (!writable.try_acquire_for(patience)) return;  // seen below: not everything was sent
+        if (!writable.try_acquire_for(patience)) return;  // checked below: not all messages were sent
       }
       sent = i;
     }
@@ -103,7 +103,7 @@ TEST_P(BrokerContract, LosesNothingWhenTheServerIsKilledInTheMiddleOfADurableStr
   ASSERT_TRUE(inbox.wait_for(1000));
   {
     const Outage outage(server());
-    // The stream runs into its own limit, then it waits.
+    // The stream reaches its own limit, and then waits.
     EXPECT_TRUE(eventually([&] { return publisher->pending() >= 500 || sent == total; }));
   }
   stream.join();
@@ -144,7 +144,7 @@ TEST_P(BrokerContract, ALateSettlementAfterTheServersDeathIsIgnored) {
   holder.settle(0, Settlement::accept);
   publisher->publish(text_message("2"));
   std::size_t here = 1;
-  for (; holder.body(here) == "1"; ++here) {  // once more for each time that the connection is lost on its way back
+  for (; holder.body(here) == "1"; ++here) {  // another copy for each time that the connection is lost on its way back
     holder.settle(here, Settlement::accept);
     ASSERT_TRUE(holder.wait_for(here + 2));
   }

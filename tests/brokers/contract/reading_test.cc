@@ -1,4 +1,4 @@
-// How every broker's messages are read: by whom, how many at once, and in which order they may be settled.
+// How every broker delivers messages: to whom, how many at once, and in which order they may be settled.
 #include <atomic>
 #include <future>
 #include <mutex>
@@ -96,7 +96,7 @@ TEST_P(BrokerContract, ReadersThatAreNotExclusiveShareAQueue) {
   await_active(*first);
   await_active(*second);
   const auto publisher = broker->publisher(topic, {});
-  // Shared by key, two messages may go to one reader; of so many keys each gets some.
+  // Records are shared out by key, and two messages may go to one reader; of this many keys each reader gets some.
   const int messages = properties.empty() ? 2 : 20;
   for (int i = 1; i <= messages; ++i) {
     Message message = text_message(std::to_string(i));
@@ -196,8 +196,8 @@ TEST_P(BrokerContract, KeepLastHandsOnOnlyTheNewestOfWhatWaits) {
   const auto publisher = broker->publisher(topic, {});
   for (const auto& body : numbered(1, 50)) publisher->publish(text_message(body));
   ASSERT_TRUE(publisher->drain(patience));
-  // What is confirmed is with the server; when something sent later on another topic has come, some of it is here, and
-  // all of it where both are one place.
+  // A confirmed message is at the server. When a message sent later on another topic has arrived, some of the first
+  // topic's are here; all of them are if both topics are in one place.
   const Topic later = this->topic();
   Inbox fence;
   const auto other = broker->subscribe(later, {}, fence.handler());

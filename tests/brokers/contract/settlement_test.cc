@@ -1,4 +1,4 @@
-// How every broker's messages are settled: accepted, retried in their turn, rejected, dead letters.
+// How every broker settles messages: accepted, retried in order, rejected, dead letters.
 #include <algorithm>
 #include <atomic>
 #include <future>

@@ -1,4 +1,4 @@
-// What every broker promises for many messages of many drivers when its server dies in the middle.
+// What every broker guarantees for many messages of many drivers when its server dies in the middle.
 #include <algorithm>
 #include <array>
 #include <atomic>
@@ -20,7 +20,7 @@ namespace {
 constexpr std::size_t total = 50'000;
 constexpr std::size_t drivers = 8;
 
-/// What arrived, by message number. Thread safe.
+/// The messages that arrived, by number. Thread safe.
 class Arrivals {
  public:
   Handler handler() {
@@ -42,11 +42,10 @@ class Arrivals {
   }
   bool wait_for(std::size_t count) {
     std::unique_lock lock(mutex_);
-    return progress_.wait_until(lock, std::chrono::system_clock::now() + 2 * patience,
-                                [&] { return different_ >= count; });
+    return progress_.wait_for(lock, 2 * patience, [&] { return different_ >= count; });
   }
   std::size_t different() const { return read(different_); }
-  std::size_t unmarked() const { return read(unmarked_); }    ///< further copies that nothing says so of
+  std::size_t unmarked() const { return read(unmarked_); }    ///< further copies without a mark
   std::size_t overtaken() const { return read(overtaken_); }  ///< first copies behind a later message of their driver
 
  private:
@@ -87,7 +86,7 @@ TEST_P(BrokerContract, FiftyThousandMessagesOutliveTheServersDeathInTheMiddle) {
       Message message = text_message(std::to_string(number));
       message.driver_id = "driver-" + std::to_string(number % drivers);
       while (publisher->publish(message) != PublishStatus::accepted) {
-        if (!writable.try_acquire_for(patience)) return;  // seen below: not everything was sent
+        if (!writable.try_acquire_for(patience)) return;  // checked below: not all messages were sent
       }
     }
   });

@@ -1,4 +1,4 @@
-// What only several real nodes do: each knows of a new topic at its own time.
+// Behaviour that needs several real nodes: each learns of a new topic at its own time.
 #include <memory>
 #include <string>
 #include <vector>
@@ -12,7 +12,8 @@
 namespace iotcloud::brokers {
 namespace {
 
-/// Of ten new groups six or more got no partition of their first topic: the node that they asked did not know it yet.
+/// Without the remedy six or more of ten new groups got no partition of their first topic, because the node that they
+/// asked did not know it yet.
 TEST(KafkaCluster, ANewTopicIsReadAlthoughNotAllNodesKnewItWhenItWasPlaced) {
   tests::PrivateServer server("kafka_cluster.py");
   BrokerOptions options;

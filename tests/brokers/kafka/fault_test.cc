@@ -45,10 +45,10 @@ class KafkaFault : public testing::Test {
       at = end + 1;
     }
     options.heartbeat = std::chrono::seconds(2);
-    options.rpc_timeout = std::chrono::seconds(2);  // the mock cluster never answers a request for topics
+    options.rpc_timeout = std::chrono::seconds(2);  // the mock cluster never answers a request to create topics
     return make_broker(options);
   }
-  /// From now on, for all servers.
+  /// Sets the round trip of all servers.
   void set_round_trip(int milliseconds) const {
     for (int node = 1; node <= nodes; ++node) rd_kafka_mock_broker_set_rtt(cluster_, node, milliseconds);
   }
@@ -84,8 +84,8 @@ TEST_F(KafkaFault, ErrorsThatPassAreNotSeenAndNothingIsLost) {
   for (const auto& body : numbered(1, 200)) publisher->publish(text_message(body));
   ASSERT_TRUE(publisher->drain(patience));
   EXPECT_EQ(outcomes.count(Outcome::confirmed), 201U);
-  // In any order, and some of them twice: the mock cluster does not look at the sequence numbers by which a real one
-  // refuses what comes too early, and stores it (the contract and the ledgers show both on real ones).
+  // In any order, and some of them twice: the mock cluster ignores the sequence numbers by which a real one refuses
+  // messages that come too early (the contract and the ledgers test real ones).
   std::set<std::string> arrived;
   ASSERT_TRUE(inbox.wait_until([&](const auto& received) {
     for (const auto& one : received) arrived.insert(one.body);

@@ -51,7 +51,7 @@ class KafkaGroup : public testing::Test {
 
 tests::PrivateServer* KafkaGroup::server_ = nullptr;
 
-/// The bodies of each driver's messages, each once, as they came first; a second one must be flagged.
+/// The bodies of each driver's messages, each at its first arrival; a second copy must be marked.
 std::map<std::string, std::vector<int>> firsts_by_driver(const std::vector<Inbox::Received>& all) {
   std::map<std::string, std::vector<int>> firsts;
   std::set<std::pair<std::string, std::string>> seen;
@@ -65,7 +65,7 @@ std::map<std::string, std::vector<int>> firsts_by_driver(const std::vector<Inbox
   return firsts;
 }
 
-/// How many different messages both have.
+/// How many different messages the two have together.
 std::size_t count_firsts(const Inbox& one, const Inbox& other) {
   auto all = one.all();
   const auto more = other.all();
@@ -116,7 +116,7 @@ TEST_F(KafkaGroup, PartitionsMoveToAReaderThatComesAndBackWhenItGoes) {
   EXPECT_TRUE(becomes_active(*first)) << "it keeps half of them";
   publish_some();
   ASSERT_TRUE(publisher->drain(patience));
-  // What moves with a partition may come twice, so the copies are left out of the count.
+  // Messages of a partition that moves may come twice, so only distinct ones count.
   const auto have_come = [&](std::size_t count) {
     return eventually([&] { return inbox.size() + late.size() >= count && count_firsts(inbox, late) == count; },
                       patience);
@@ -139,7 +139,7 @@ TEST_F(KafkaGroup, LetsAMemberGoWhileItIsStillToldOfTopics) {
       another.name += std::to_string(number);
       all.push_back(goes->subscribe(another, readers(), inbox.handler()));
     }
-    // The group changes for each topic as it is told of it: a member leaves amid that, at different moments.
+    // The group changes for each topic that it learns of; a member leaves amid that, at different moments.
     ASSERT_TRUE(becomes_active(*all[round % topics]));
     const auto gone = std::async(std::launch::async, [&] {
       all.clear();
@@ -159,7 +159,7 @@ TEST_F(KafkaGroup, ReadsEveryTopicThatItIsToldOfWhileItChanges) {
       Topic another = topic();
       another.name += std::to_string(number);
       all.push_back(broker->subscribe(another, readers(), inbox.handler()));
-      // One by one, and not: the group is told in the middle of a change, or between two.
+      // One by one and several at a time: so the group learns of a topic during a change, and between two.
       if (number % 3 == 2) {
         ASSERT_TRUE(becomes_active(*all[number - 1]));
       }
@@ -211,7 +211,7 @@ TEST_F(KafkaGroup, WhatAReaderThatDiedMayHaveHandedOnIsFlagged) {
   const auto publisher = broker->publisher(topic(), {});
   for (const auto& body : numbered(1, 10)) publisher->publish(text_message(body));
   ASSERT_TRUE(publisher->drain(patience));
-  {  // A reader that committed the third and ended without a word.
+  {  // A reader that committed the third message and ended without leaving.
     rd_kafka_conf_t* conf = rd_kafka_conf_new();
     const std::string address = server_->url().substr(std::string("kafka://").size());
     rd_kafka_conf_set(conf, "bootstrap.servers", address.c_str(), nullptr, 0);

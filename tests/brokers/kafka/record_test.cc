@@ -1,4 +1,5 @@
-// What stands in Kafka's records, and what is made of those of others.
+// The content of Kafka's records, and how foreign ones are read.
+#include <array>
 #include <memory>
 #include <string>
 
@@ -28,16 +29,28 @@ class KafkaRecord : public testing::Test {
   static Topic topic() {
     return {"", std::string("gw.driver.") + testing::UnitTest::GetInstance()->current_test_info()->name(), false};
   }
-  /// Somebody else's record.
-  static void produce(const std::string& key, const std::string& value) {
+  /// Produces a record as a foreign program would.
+  static void produce(const std::string& key, const std::string& value, int headers = 0) {
     rd_kafka_conf_t* conf = rd_kafka_conf_new();
     const std::string address = server_->url().substr(std::string("kafka://").size());
     rd_kafka_conf_set(conf, "bootstrap.servers", address.c_str(), nullptr, 0);
     rd_kafka_t* producer = rd_kafka_new(RD_KAFKA_PRODUCER, conf, nullptr, 0);
     rd_kafka_topic_t* to = rd_kafka_topic_new(producer, topic().name.c_str(), nullptr);
-    std::string bytes = value;
-    EXPECT_EQ(rd_kafka_produce(to, 0, RD_KAFKA_MSG_F_COPY, bytes.data(), bytes.size(), key.data(), key.size(), nullptr),
-              0);
+    rd_kafka_headers_t* list = rd_kafka_headers_new(static_cast<std::size_t>(headers));
+    for (int i = 0; i < headers; ++i) rd_kafka_header_add(list, std::to_string(i).c_str(), -1, "", 0);
+    std::string copied_key = key, copied_value = value;  // the library takes pointers that are not const
+    std::array<rd_kafka_vu_t, 5> fields{};
+    fields[0].vtype = RD_KAFKA_VTYPE_RKT;
+    fields[0].u.rkt = to;
+    fields[1].vtype = RD_KAFKA_VTYPE_KEY;
+    fields[1].u.mem = {copied_key.data(), copied_key.size()};
+    fields[2].vtype = RD_KAFKA_VTYPE_VALUE;
+    fields[2].u.mem = {copied_value.data(), copied_value.size()};
+    fields[3].vtype = RD_KAFKA_VTYPE_MSGFLAGS;
+    fields[3].u.i = RD_KAFKA_MSG_F_COPY;
+    fields[4].vtype = RD_KAFKA_VTYPE_HEADERS;
+    fields[4].u.headers = list;
+    EXPECT_EQ(rd_kafka_produceva(producer, fields.data(), fields.size()), nullptr);
     EXPECT_EQ(rd_kafka_flush(producer, 60'000), RD_KAFKA_RESP_ERR_NO_ERROR);
     rd_kafka_topic_destroy(to);
     rd_kafka_destroy(producer);
@@ -94,7 +107,7 @@ TEST_F(KafkaRecord, WithNativeHeadersTheRecordsOfOthersAreBareBodies) {
 TEST_F(KafkaRecord, WhatIsNoMessageIsSkippedAndCountedAndNeverComesAgain) {
   produce("key", "garbage");
   produce("key", "");
-  produce("key", std::string(1, '\0'));  // an empty struct: a message without anything
+  produce("key", std::string(1, '\0'));  // an empty struct: a message without any field
   config::Metrics metrics;
   BrokerOptions counting = options();
   counting.metrics = &metrics;
@@ -116,6 +129,23 @@ TEST_F(KafkaRecord, WhatIsNoMessageIsSkippedAndCountedAndNeverComesAgain) {
   publisher->publish(text_message("after"));
   ASSERT_TRUE(inbox.wait_for_last("after"));
   EXPECT_EQ(skipped(), 2U);
+}
+
+TEST_F(KafkaRecord, WithMoreHeadersThanAnySenderOfOursWritesIsSkippedAndCounted) {
+  produce("key", "as many as are read", 8192);
+  produce("key", "one more", 8193);
+  produce("key", "after it", 1);
+  config::Metrics metrics;
+  BrokerOptions counting = options("headers");
+  counting.metrics = &metrics;
+  const auto broker = make_broker(counting);
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  ASSERT_TRUE(inbox.wait_for_last("after it"));
+  EXPECT_THAT(inbox.bodies(), testing::ElementsAre("as many as are read", "after it"));
+  EXPECT_EQ(
+      metrics.counter("iotcloud_broker_skipped_total", "", {{"broker", "kafka"}, {"reason", "undecodable"}}).value(),
+      1U);
 }
 
 TEST_F(KafkaRecord, ALargeBodyOutlivesItsBroker) {

@@ -21,7 +21,7 @@ using Clock = std::chrono::steady_clock;
 constexpr std::size_t topics = 3;
 constexpr std::size_t keys = 4;
 constexpr std::chrono::microseconds period{2500};  // between two messages of a topic
-constexpr std::chrono::seconds patience{120};
+using tests::patience;
 
 std::string body_of(std::uint64_t number) {
   constexpr std::size_t large = 60'000;
@@ -31,7 +31,7 @@ std::string body_of(std::uint64_t number) {
   return body;
 }
 
-/// One topic: what its publisher sent and its reader got. Message number n (1, 2, ...) has the key n % keys.
+/// One topic: what its publisher sent and its reader received. Message number n (1, 2, ...) has the key n % keys.
 class Account {
  public:
   void outcome(std::uint64_t number, Outcome outcome) {
@@ -139,7 +139,7 @@ class Sender {
       message.driver_id = Account::key_of(sent_ + 1);
       if (publisher_->publish(message) == PublishStatus::accepted) {
         ++sent_;
-        due = std::max(due + period, Clock::now() - 10 * period);  // after a wait some catch up
+        due = std::max(due + period, Clock::now() - 10 * period);  // after a wait it catches up on some
         std::this_thread::sleep_until(due);
       } else {
         static_cast<void>(writable_.try_acquire_for(std::chrono::milliseconds(100)));
@@ -148,9 +148,9 @@ class Sender {
   }
 
   std::counting_semaphore<> writable_{0};
-  std::uint64_t sent_ = 0;  ///< the thread's until it has ended
+  std::uint64_t sent_ = 0;  ///< only used by the thread until it has ended
   std::unique_ptr<Publisher> publisher_;
-  std::jthread thread_;  ///< dies first
+  std::jthread thread_;  ///< destroyed first
 };
 
 void torment(const Victim& victim, const LedgerOptions& options, Ledger& ledger) {

@@ -30,7 +30,7 @@ Victim process_victim(const std::string& script) {
   return victim;
 }
 
-/// One node of three at a time, the first one first: that is where the clients are.
+/// Stops one of three nodes at a time, first the one to which the clients are connected.
 Victim cluster_victim() {
   auto server = std::make_shared<tests::PrivateServer>("rabbitmq_cluster.py");
   auto next = std::make_shared<std::atomic<int>>(0);
@@ -52,7 +52,7 @@ Victim cluster_victim() {
   return victim;
 }
 
-/// Three nodes, each with a copy of everything; each time the node that leads the first topic.
+/// Three nodes, each with a copy of all data; stops each time the node that leads the first topic.
 Victim replicated_kafka_victim() {
   const std::string topic = "gw.ledger.0";
   auto server = std::make_shared<tests::PrivateServer>("kafka_cluster.py");

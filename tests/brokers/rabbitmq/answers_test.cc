@@ -1,5 +1,7 @@
-// What the client does when the server's answers are late, or never come.
+// The client's behaviour when the server's answers are late or never come.
 #include <algorithm>
+#include <chrono>
+#include <future>
 #include <memory>
 #include <set>
 #include <string>
@@ -92,8 +94,8 @@ TEST_F(RabbitMqAnswers, CopiesThatTheServerTakesLateFromALostConnectionAreMarked
   publish(11, 12);
   ASSERT_TRUE(inbox.wait_for_last("12"));
   EXPECT_EQ(firsts(inbox), numbered(1, 12));
-  // One to read, one to publish, and one in its place; more when the server was so slow to answer that it got others
-  // again, too.
+  // One connection to read, one to publish, and one that replaced it; more when the server was so slow that others were
+  // replaced, too.
   const bool others_too = proxy_.connections() > 3;
   for (const auto& received : inbox.all()) {
     const int number = std::stoi(received.body);
@@ -125,6 +127,47 @@ TEST_F(RabbitMqAnswers, TheChannelOfASubscriptionThatEndedIsUsedAgain) {
     ASSERT_TRUE(eventually([&] { return subscription->active(); }));
   }
   EXPECT_LE(proxy_.highest_channel(), 2) << "one, while the one before is being closed";
+}
+
+/// Acknowledgements and rejections by turns are as many frames: more than fit between here and the proxy.
+TEST_F(RabbitMqAnswers, WhoSettlesOrEndsASubscriptionDoesNotWaitForAServerThatTakesNothing) {
+  constexpr std::size_t messages = 20'000;
+  FrameProxy proxy(server_->url(), FrameProxy::Buffers::small);
+  BrokerOptions options;
+  options.urls = {proxy.url()};
+  options.heartbeat = std::chrono::minutes(1);  // neither side gives the other up
+  const auto broker = make_broker(options);
+  Holder holder;
+  SubscriptionOptions reading;
+  reading.prefetch = messages;
+  auto subscription = broker->subscribe(topic("full"), reading, holder.handler());
+  ASSERT_TRUE(eventually([&] { return subscription->active(); }));
+  {
+    BrokerOptions direct;
+    direct.urls = {server_->url()};
+    const auto other = make_broker(direct);
+    PublisherOptions sending;
+    sending.capacity = messages;
+    const auto publisher = other->publisher(topic("full"), sending);
+    for (std::size_t i = 0; i < messages; ++i) {
+      ASSERT_EQ(publisher->publish(text_message("x")), PublishStatus::accepted);
+    }
+    ASSERT_TRUE(holder.wait_for(messages));
+  }
+  proxy.stop_taking();
+  const auto told = [&] { return proxy.seen(AMQP_BASIC_ACK_METHOD) + proxy.seen(AMQP_BASIC_NACK_METHOD); };
+  auto settling = std::async(std::launch::async, [&] {
+    for (std::size_t i = 0; i < messages; ++i) {
+      holder.settle(i, i % 2 == 0 ? Settlement::accept : Settlement::reject);
+    }
+    subscription.reset();
+  });
+  EXPECT_EQ(settling.wait_for(patience), std::future_status::ready);
+  EXPECT_LT(told(), static_cast<int>(messages)) << "the buffers took all: this test looks at nothing";
+  proxy.take_again();
+  settling.get();
+  EXPECT_TRUE(eventually([&] { return proxy.seen(AMQP_CHANNEL_CLOSE_METHOD) == 1; }));
+  EXPECT_EQ(told(), static_cast<int>(messages)) << "all that was settled, before the channel was closed";
 }
 
 TEST_F(RabbitMqAnswers, TheServerIsAskedForSixtyFourSubscriptionsAtOnceAtMost) {

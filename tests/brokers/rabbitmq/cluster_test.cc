@@ -1,4 +1,4 @@
-// A RabbitMQ cluster of three nodes with quorum queues: one node may go.
+// A RabbitMQ cluster of three nodes with quorum queues loses one node.
 #include <algorithm>
 #include <fstream>
 #include <memory>
@@ -56,7 +56,7 @@ int connections_to(const std::string& url) {
   return found;
 }
 
-/// First deliveries come in order, whatever else; later ones are marked.
+/// First deliveries are in order; later copies are marked.
 void expect_whole(const Inbox& inbox, int last) {
   std::set<int> seen;
   std::vector<int> firsts;

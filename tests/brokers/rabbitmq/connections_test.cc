@@ -1,4 +1,4 @@
-// Which connections one broker object has: urgent channels have their own, and many subscriptions need several.
+// The connections of one broker object: urgent channels have their own, and many subscriptions need several.
 #include <future>
 #include <map>
 #include <memory>

@@ -7,6 +7,7 @@
 
 #include <arpa/inet.h>
 #include <fmt/core.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -19,7 +20,7 @@ namespace {
 constexpr std::size_t frame_head = 7;
 constexpr std::size_t frame_overhead = frame_head + 1;
 constexpr std::size_t greeting = 8;  // "AMQP0091", the client's first bytes
-constexpr int look_every_ms = 5;     // whether answers are held up still
+constexpr int look_every_ms = 5;     // how often it checks whether answers are still held up
 
 sockaddr_in loopback(int port) {
   sockaddr_in address{};
@@ -62,17 +63,24 @@ struct FrameProxy::Pair {
   const int server;
   bool greeted = false;
   bool exempt = false;       ///< made while messages were withheld
-  bool client_gone = false;  ///< and what it published is withheld, or has arrived late
+  bool client_gone = false;  ///< and the messages that it published are withheld, or have arrived late
   std::string withheld;
-  std::string from_client;  ///< of a frame that is not complete
+  std::string from_client;  ///< the bytes of an incomplete frame
   std::string from_server;
 };
 
-FrameProxy::FrameProxy(const std::string& server_url)
+FrameProxy::FrameProxy(const std::string& server_url, Buffers buffers)
     : server_port_(parse_broker_url(server_url).port), listener_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
   sockaddr_in address = loopback(0);
   socklen_t length = sizeof(address);
   auto* const generic = reinterpret_cast<sockaddr*>(&address);
+  if (buffers == Buffers::small) {
+    // A client's kernel sizes its send buffer by the largest segment, which on loopback is 64 KB.
+    const int segment = 536;
+    const int receiving = 4096;
+    ::setsockopt(listener_, IPPROTO_TCP, TCP_MAXSEG, &segment, sizeof(segment));
+    ::setsockopt(listener_, SOL_SOCKET, SO_RCVBUF, &receiving, sizeof(receiving));
+  }
   if (listener_ < 0 || ::bind(listener_, generic, length) != 0 || ::listen(listener_, 16) != 0 ||
       ::getsockname(listener_, generic, &length) != 0) {
     throw std::runtime_error("cannot listen on loopback");
@@ -98,7 +106,7 @@ void FrameProxy::run() {
     std::vector<pollfd> waiting{{listener_, POLLIN, 0}};
     for (const auto& pair : pairs_) {
       if (!withholding_ && !pair->withheld.empty()) send_all(pair->server, std::exchange(pair->withheld, {}));
-      waiting.push_back({pair->client_gone ? -1 : pair->client, POLLIN, 0});
+      waiting.push_back({pair->client_gone || !taking_ ? -1 : pair->client, POLLIN, 0});
       waiting.push_back({holding_ ? -1 : pair->server, POLLIN, 0});
     }
     if (::poll(waiting.data(), waiting.size(), look_every_ms) <= 0) continue;
@@ -129,7 +137,7 @@ bool FrameProxy::pass_on(Pair& pair, bool from_server) {
     pair.client_gone = !from_server && !pair.withheld.empty();
     return pair.client_gone;
   }
-  if (pair.client_gone) return true;  // nobody is there to read it
+  if (pair.client_gone) return true;  // the client is gone
   std::string& bytes = from_server ? pair.from_server : pair.from_client;
   bytes.append(chunk.data(), static_cast<std::size_t>(size));
   std::string out;

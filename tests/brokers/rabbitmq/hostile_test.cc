@@ -1,5 +1,5 @@
-// What a hostile or broken publisher may put into the properties of an AMQP message: it is read or refused, never a
-// crash. (The fuzzers in tests/fuzz look for what nobody thought of.)
+// Properties of an AMQP message from a hostile or broken publisher: the client reads or refuses them and never crashes.
+// (The fuzzers in tests/fuzz find what no author thought of.)
 #include <cstdint>
 #include <string>
 #include <thread>
@@ -23,7 +23,7 @@ std::string entry(const std::string& name, char kind, const std::string& value) 
   return static_cast<char>(name.size()) + name + kind + value;
 }
 
-/// Properties with nothing but headers, as they are on the wire.
+/// Properties with headers only, as on the wire.
 std::string headers(const std::string& entries) {
   return std::string("\x20\0", 2) + big_endian(entries.size(), 4) + entries;
 }
@@ -104,7 +104,8 @@ TEST(HostileAmqpTest, AFieldOfUnknownTypeIsRefused) {
 }
 
 TEST(HostileAmqpTest, PropertiesThatAreCutOffAnywhereAreRefused) {
-  const std::string whole = headers(entry("sensorID", 'S', big_endian(4, 4) + "0a1b") + entry("n", 'I', "\0\0\0\1"));
+  const std::string whole =
+      headers(entry("sensorID", 'S', big_endian(4, 4) + "0a1b") + entry("n", 'I', std::string("\0\0\0\1", 4)));
   for (std::size_t size = 0; size < whole.size(); ++size) EXPECT_FALSE(read(whole.substr(0, size)).understood) << size;
 }
 
@@ -120,7 +121,7 @@ TEST(HostileAmqpTest, TablesNestedAsDeeplyAsAFrameAllowsAreReadOrRefused) {
   constexpr std::size_t largest_frame = 131'072;
   std::string table = big_endian(0, 4);
   while (table.size() + 9 < largest_frame) table = big_endian(table.size() + 3, 4) + "\1tF" + table;
-  // On a thread, as frames are read: its stack is what a thread has.
+  // On a thread, as frames are read, because the thread's stack is the limit.
   std::thread([&] { read(std::string("\x20\0", 2) + table); }).join();
 }
 

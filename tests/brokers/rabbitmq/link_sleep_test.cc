@@ -1,4 +1,4 @@
-// What ends the sleep of a connection's thread, and what does not.
+// What wakes a connection's thread and what does not.
 #include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
 
 #include <array>
@@ -18,7 +18,7 @@ using namespace std::chrono_literals;
 constexpr std::chrono::milliseconds moment{20};
 constexpr std::chrono::milliseconds long_time{60'000};
 
-/// Whether it ended before its limit, whatever the machine was busy with.
+/// Whether the sleep ended before its limit, however busy the machine is.
 bool ends_by_itself(LinkSleep& sleep) {
   const auto began = std::chrono::steady_clock::now();
   const bool readable = sleep.wait(long_time).readable;

@@ -1,4 +1,4 @@
-// How messages leave: what the kernel is told to hold back for more must be followed by more.
+// How messages leave: bytes that the kernel is told to hold back must be followed by more.
 #include <algorithm>
 #include <array>
 #include <atomic>
@@ -25,7 +25,7 @@ bool something_is_held_back() {
 
 }  // namespace
 
-/// In place of the C library's: the same, and notes what was asked for.
+/// Replaces the C library's sendmsg: does the same and records its flags.
 extern "C" ssize_t sendmsg(int descriptor, const msghdr* message, int flags) {
   const ssize_t sent = ::syscall(SYS_sendmsg, descriptor, message, flags);
   if (sent > 0) {

@@ -1,4 +1,4 @@
-// What only a real RabbitMQ server does to its clients: alarms, hanging, objects deleted or made by others.
+// Behaviour that needs a real RabbitMQ server: alarms, hanging, objects deleted or made by others.
 #include <span>
 #include <string>
 #include <string_view>
@@ -10,6 +10,7 @@
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/captured_log.h"
 
 namespace iotcloud::brokers {
 namespace {
@@ -20,7 +21,7 @@ std::span<const std::byte> as_bytes(std::string_view literal) {
 
 class RabbitMqServer : public BrokerContract {
  protected:
-  /// A client of its own, to do what an operator or a foreign program might.
+  /// A separate client, which acts as an operator or a foreign program.
   std::unique_ptr<rabbitmq::AmqpLink> operator_link() const {
     rabbitmq::LinkOptions options;
     options.url = parse_broker_url(server().url());
@@ -69,6 +70,32 @@ TEST_P(RabbitMqServer, AnAlarmBlocksPublishingAndLosesNothing) {
   EXPECT_EQ(broker->state(), ConnectionState::connected);
 }
 
+TEST_P(RabbitMqServer, APermissionThatIsMissingForAWhileLosesNothing) {
+  const auto reader = this->broker();
+  const Topic topic = this->topic();
+  Inbox inbox;
+  const auto subscription = reader->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto broker = this->broker();
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic, options);
+  server().process()->command("forbid", "FORBIDDEN");
+  {
+    const tests::CapturedLog log;
+    publish_numbers(*publisher, 1, 20);
+    ASSERT_TRUE(eventually([&] { return log.contains("refuses messages for topic " + topic.name); }));
+  }
+  EXPECT_FALSE(publisher->drain(moment)) << "the server takes nothing";
+  EXPECT_EQ(outcomes.size(), 0U) << "and nothing is given up";
+  server().process()->command("permit", "PERMITTED");
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 20U);
+  ASSERT_TRUE(inbox.wait_for(20));
+  EXPECT_EQ(inbox.bodies(), numbered(1, 20));
+}
+
 TEST_P(RabbitMqServer, AServerThatHangsIsNoticedAndNothingIsLost) {
   const auto broker = this->broker();
   const Topic topic = this->topic();
@@ -80,7 +107,7 @@ TEST_P(RabbitMqServer, AServerThatHangsIsNoticedAndNothingIsLost) {
   ASSERT_TRUE(inbox.wait_for(10));
   server().process()->pause();
   publish_numbers(*publisher, 11, 50);
-  // Far more than fits into the socket: some thread stands in a send now, but not this one.
+  // Far more than the socket holds: now some thread blocks in a send, but not this one.
   for (int i = 0; i < 20; ++i) publisher->publish(text_message(std::string(2'000'000, 'x')));
   EXPECT_TRUE(eventually([&] { return broker->state() == ConnectionState::connecting && !subscription->active(); }));
   server().process()->resume();
@@ -141,7 +168,7 @@ TEST_P(RabbitMqServer, APublisherThatIsQuietOrOnlyPublishesKeepsItsConnection) {
 }
 
 TEST_P(RabbitMqServer, ABodyThatFillsItsFramesIsNotKeptBack) {
-  // librabbitmq says "more follows" with the last full frame, and the kernel would wait for that for 200 ms each time.
+  // librabbitmq marks the last full frame with "more follows", and the kernel would then wait 200 ms each time.
   constexpr std::size_t frame = 131072 - 8;
   constexpr int rounds = 25;
   const auto broker = this->broker();

@@ -20,9 +20,9 @@
 
 namespace iotcloud::brokers::spool {
 
-inline constexpr std::chrono::seconds patience{60};
+using tests::patience;
 
-/// Stands still until it is advanced. Thread safe.
+/// A clock that stands still until a test advances it. Thread safe.
 class TestClock final : public config::Clock {
  public:
   Instant now() const override { return Instant(std::chrono::milliseconds(ms_)); }
@@ -33,7 +33,7 @@ class TestClock final : public config::Clock {
   std::atomic<std::int64_t> ms_{1'000'000};
 };
 
-/// Outcomes by number; 0 may have many. Thread safe.
+/// Collects outcomes by publish number; number 0 may have several. Thread safe.
 class Outcomes {
  public:
   auto callback() {
@@ -50,7 +50,7 @@ class Outcomes {
     }
     return sum;
   }
-  /// The only one of a message.
+  /// The only outcome of a message.
   std::pair<Outcome, std::string> of(std::uint64_t number) const {
     const std::lock_guard lock(mutex_);
     const auto found = all_.find(number);
@@ -70,7 +70,7 @@ class Outcomes {
   std::map<std::uint64_t, std::vector<std::pair<Outcome, std::string>>> all_;
 };
 
-/// A publisher with a spool to an embedded broker, under a clock, a disk and metrics of its own.
+/// A publisher with a spool to an embedded broker, with a clock, a disk and metrics of its own.
 class SpoolPublisherTest : public testing::Test {
  protected:
   using Received = std::pair<std::string, bool>;
@@ -94,7 +94,7 @@ class SpoolPublisherTest : public testing::Test {
     return embedded::Server::named(testing::UnitTest::GetInstance()->current_test_info()->name());
   }
   std::unique_ptr<Publisher> publisher() { return make_spooled_publisher(*broker_, topic_, options_, spool_); }
-  /// Reads with manual acknowledgement, so that nothing is lost with the server.
+  /// Reads with manual acknowledgement, so that no message is lost with the server.
   std::unique_ptr<Subscription> subscribe() {
     SubscriptionOptions options;
     options.group = "readers";

@@ -1,4 +1,4 @@
-// A publisher with a spool: nothing that it accepted is lost, whatever becomes of broker, disk and process.
+// A publisher with a spool loses no accepted message, whatever happens to broker, disk and process.
 #include <algorithm>
 #include <future>
 #include <memory>
@@ -176,6 +176,36 @@ TEST_F(SpoolPublisherTest, AFullDiskDropsWhenTheOldestMayBeDropped) {
   disk_.error = 0;
 }
 
+TEST_F(SpoolPublisherTest, ABrokenDiskCostsNoMessageThatIsOnIt) {
+  server().stop();
+  spool_.when_full = SpoolFull::drop_oldest;
+  spool_.max_bytes = 16'000;
+  const auto publisher = this->publisher();
+  send(*publisher, 1, 100);
+  ASSERT_GT(files(spool_.folder, ".segment").size(), 3U);
+  const double before = metric("iotcloud_spool_messages");
+  disk_.error = EIO;
+  for (int i = 1; i <= 10; ++i) EXPECT_EQ(publisher->publish(sample("x")), PublishStatus::accepted);
+  ASSERT_TRUE(eventually([&] { return outcomes_.count(Outcome::dropped, "spool_failed") == 10; }));
+  EXPECT_EQ(metric("iotcloud_spool_messages"), before);
+  disk_.error = 0;
+}
+
+TEST_F(SpoolPublisherTest, AFullDiskThatStaysFullCostsTheOldestFileOnce) {
+  server().stop();
+  spool_.when_full = SpoolFull::drop_oldest;
+  spool_.max_bytes = 16'000;
+  const auto publisher = this->publisher();
+  send(*publisher, 1, 100);
+  const std::size_t before = files(spool_.folder, ".segment").size();
+  ASSERT_GT(before, 3U);
+  disk_.error = ENOSPC;
+  for (int i = 1; i <= 10; ++i) EXPECT_EQ(publisher->publish(sample("x")), PublishStatus::accepted);
+  ASSERT_TRUE(eventually([&] { return outcomes_.count(Outcome::dropped, "spool_failed") == 10; }));
+  EXPECT_EQ(files(spool_.folder, ".segment").size(), before - 1);
+  disk_.error = 0;
+}
+
 TEST_F(SpoolPublisherTest, TheDeadlineCountsForWhatWaitsOnDiskToo) {
   options_.deadline = std::chrono::seconds(10);
   options_.capacity = 2;
@@ -233,10 +263,12 @@ TEST_F(SpoolPublisherTest, AMessageThatNoBrokerTakesIsRefusedAndNeverWritten) {
   const auto publisher = this->publisher();
   Message message = sample("x");
   message.properties.set(std::string(300, 'n'), "value");
-  EXPECT_EQ(publisher->publish(message), PublishStatus::accepted);
-  send(*publisher, 2, 2);
+  const Published refused = publisher->publish(message);
+  EXPECT_EQ(refused, PublishStatus::accepted);
+  const Published stored = publisher->publish(sample("2"));
+  EXPECT_EQ(stored.number, refused.number + 1);
   ASSERT_TRUE(eventually([&] { return outcomes_.numbers() >= 1; }));
-  EXPECT_EQ(outcomes_.of(1), std::pair(Outcome::refused, std::string("property_name_too_long")));
+  EXPECT_EQ(outcomes_.of(refused.number), std::pair(Outcome::refused, std::string("property_name_too_long")));
   EXPECT_EQ(metric("iotcloud_spool_messages"), 1);
 }
 
@@ -260,6 +292,95 @@ TEST_F(SpoolPublisherTest, IntervalPutsTheFilesOnTheDiskNowAndThen) {
   send(*publisher, 1, 1);
   const int before = disk_.syncs;
   ASSERT_TRUE(eventually([&] { return disk_.syncs > before || before > 1; }));
+}
+
+/// What on_stored told last. Thread safe.
+class StoredUpTo {
+ public:
+  auto callback() {
+    return [this](std::uint64_t number) {
+      EXPECT_GT(number, number_.load()) << "ascending";
+      number_ = number;
+    };
+  }
+  std::uint64_t operator()() const { return number_; }
+
+ private:
+  std::atomic<std::uint64_t> number_{0};
+};
+
+TEST_F(SpoolPublisherTest, PublishWaitsForTheDiskInNoMode) {
+  for (const SpoolSync sync : {SpoolSync::never, SpoolSync::interval, SpoolSync::always}) {
+    spool_.sync = sync;
+    spool_.interval = std::chrono::milliseconds(0);
+    spool_.max_bytes = 16 * 4096;  // so that files are made and completed
+    const auto subscription = subscribe();
+    server().stop();  // what the broker has confirmed needs no sync
+    const auto publisher = this->publisher();
+    const StandStill still(disk_);
+    const int before = disk_.syncs;
+    send(*publisher, 1, 1);
+    ASSERT_TRUE(eventually([&] { return sync == SpoolSync::never || disk_.syncs > before; }));
+    // The thread of the spools stands in sync() now, and will until the end.
+    server().start();
+    for (int i = 2; i <= 100; ++i) {
+      ASSERT_EQ(publisher->publish(sample(std::string(200, 'x'))), PublishStatus::accepted) << i;
+    }
+    EXPECT_TRUE(publisher->drain(patience)) << "the broker has them, though the disk has not";
+  }
+}
+
+TEST_F(SpoolPublisherTest, AlwaysTellsWhatALossOfPowerCannotCost) {
+  server().stop();
+  StoredUpTo stored;
+  spool_.sync = SpoolSync::always;
+  spool_.on_stored = stored.callback();
+  const auto publisher = this->publisher();
+  StandStill still(disk_);
+  send(*publisher, 1, 3);
+  ASSERT_TRUE(eventually([&] { return disk_.syncs > 0; }));
+  EXPECT_EQ(stored(), 0u) << "nothing is on the disk yet";
+  still.end();
+  EXPECT_TRUE(eventually([&] { return stored() == 3; }));
+  send(*publisher, 4, 6);
+  EXPECT_TRUE(eventually([&] { return stored() == 6; }));
+  EXPECT_EQ(publisher->pending(), 6u) << "the broker has none of them";
+}
+
+TEST_F(SpoolPublisherTest, WhatTheBrokerHasNeedsNoDisk) {
+  const auto subscription = subscribe();
+  StoredUpTo stored;
+  spool_.sync = SpoolSync::always;
+  spool_.on_stored = stored.callback();
+  const auto publisher = this->publisher();
+  const StandStill still(disk_);
+  send(*publisher, 1, 3);
+  EXPECT_TRUE(eventually([&] { return stored() == 3; }));
+}
+
+TEST_F(SpoolPublisherTest, AlwaysTakesNothingWhileTheDiskFails) {
+  server().stop();
+  StoredUpTo stored;
+  spool_.sync = SpoolSync::always;
+  spool_.on_stored = stored.callback();
+  const auto publisher = this->publisher();
+  send(*publisher, 1, 1);
+  ASSERT_TRUE(eventually([&] { return stored() == 1; }));
+  disk_.sync_error = EIO;
+  send(*publisher, 2, 2);
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spool_disk_failures_total") > 0; }));
+  EXPECT_EQ(publisher->publish(sample("3")), PublishStatus::would_block);
+  disk_.sync_error = 0;
+  ASSERT_TRUE(eventually([&] { return writable_ > 0; }));
+  const int before = disk_.syncs;
+  send(*publisher, 3, 3);
+  ASSERT_TRUE(eventually([&] { return disk_.syncs > before; }));
+  EXPECT_EQ(stored(), 1u) << "a sync that succeeds says nothing of what an earlier one failed for";
+  server().start();
+  const auto subscription = subscribe();
+  EXPECT_TRUE(eventually([&] { return stored() == 3; }));
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes_.count(Outcome::confirmed), 3u);
 }
 
 TEST_F(SpoolPublisherTest, MayBeClosedByItsOwnCallback) {

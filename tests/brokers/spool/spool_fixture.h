@@ -16,7 +16,7 @@
 
 namespace iotcloud::brokers::spool {
 
-/// A folder that is gone when the test is over.
+/// A folder that is removed after the test.
 class TemporaryFolder {
  public:
   TemporaryFolder() {
@@ -38,12 +38,12 @@ class TemporaryFolder {
   std::string path_;
 };
 
-/// A disk that can be full, and counts. Thread safe.
+/// A disk that can be full or stand still, and counts its syncs. Thread safe.
 class TestDisk : public Disk {
  public:
   int write(int descriptor, iovec* parts, int count, std::uint64_t offset) override {
     if (error != 0) {
-      // A part arrives, as on a disk that becomes full in the middle.
+      // Writes only a part, like a disk that becomes full during the write.
       if (parts->iov_len > 1) {
         iovec half{parts->iov_base, parts->iov_len / 2};
         Disk::write(descriptor, &half, 1, offset);
@@ -54,11 +54,29 @@ class TestDisk : public Disk {
   }
   int sync(int descriptor) override {
     ++syncs;
+    stands_still.wait(true);
     return sync_error != 0 ? sync_error.load() : Disk::sync(descriptor);
   }
-  std::atomic<int> error{0};  ///< of writes
+  std::atomic<int> error{0};  ///< errno of writes; 0: they succeed
   std::atomic<int> sync_error{0};
   std::atomic<int> syncs{0};
+  std::atomic<bool> stands_still{false};  ///< no sync() returns; see StandStill
+};
+
+/// While this object exists, no sync() of the disk returns. It must be destroyed before the publisher.
+class StandStill {
+ public:
+  explicit StandStill(TestDisk& disk) : disk_(disk) { disk_.stands_still = true; }
+  ~StandStill() { end(); }
+  StandStill(const StandStill&) = delete;
+  StandStill& operator=(const StandStill&) = delete;
+  void end() {
+    disk_.stands_still = false;
+    disk_.stands_still.notify_all();
+  }
+
+ private:
+  TestDisk& disk_;
 };
 
 inline Message sample(const std::string& body, const std::string& driver = "d1") {
@@ -69,7 +87,7 @@ inline Message sample(const std::string& body, const std::string& driver = "d1")
   return message;
 }
 
-/// The files whose names end so, in order.
+/// The files with this ending, sorted.
 inline std::vector<std::string> files(const std::string& folder, const std::string& ending) {
   std::vector<std::string> found;
   if (!std::filesystem::exists(folder)) return found;

@@ -1,4 +1,4 @@
-// The log on disk: torn, damaged and missing files cost no more than what was in the damaged place, and are noticed.
+// The log on disk: torn, damaged and missing files lose only the damaged part, and the loss is reported.
 #include <algorithm>
 #include <cstdint>
 #include <string>

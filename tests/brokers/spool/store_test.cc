@@ -1,5 +1,8 @@
-// The log on disk: what is in it comes back, in order, in this life and the next.
+// The log on disk returns its records in order, in the same run and in the next.
+#include <atomic>
+#include <cerrno>
 #include <chrono>
+#include <filesystem>
 #include <future>
 #include <memory>
 #include <string>
@@ -13,6 +16,7 @@
 #include "iotcloud/brokers/spool/store/spool_store.h"
 #include "iotcloud/tests/brokers/spool/store_fixture.h"
 #include <iotcloud/config/error.h>
+#include <iotcloud/tests/sync_calls.h>
 
 namespace iotcloud::brokers::spool {
 namespace {
@@ -47,6 +51,25 @@ TEST_F(SpoolStoreTest, AMessageComesBackWithAllItsMetadataWhateverItsBytes) {
   EXPECT_EQ(record->message.time_ms, message.time_ms);
   EXPECT_EQ(record->message.properties, message.properties);
   EXPECT_FALSE(reader.next());
+}
+
+TEST_F(SpoolStoreTest, TheNamesOfNewFoldersAreOnTheDiskBeforeMessagesCountAsSynced) {
+  std::atomic<int> problem{0};
+  const tests::SyncCalls synced([&](const std::string& path) { return path == folder_.path() ? problem.load() : 0; });
+  auto deep = options();
+  deep.folder = folder_ / "instance/channel";
+  {
+    SpoolStore store(deep);
+    EXPECT_TRUE(synced.contains(folder_.path()));
+    EXPECT_TRUE(synced.contains(folder_ / "instance"));
+  }
+  std::filesystem::remove(folder_ / "instance");
+  problem = EIO;
+  SpoolStore store(deep);
+  append(store, "a");
+  EXPECT_EQ(store.sync(), EIO);
+  problem = 0;
+  EXPECT_EQ(store.sync(), 0);
 }
 
 TEST_F(SpoolStoreTest, AMessageWithoutAPayloadComesBackToo) {

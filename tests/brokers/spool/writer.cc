@@ -47,7 +47,7 @@ int run(const std::string& url, const brokers::Topic& topic, const std::string& 
 
 int main(int argc, char** argv) {
   if (argc != 5) return 2;
-  ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // a test that is itself killed leaves nothing behind
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // so that no writer survives a killed test
   try {
     return run(argv[1], {"spool.kill", argv[2], true}, argv[3], std::stoi(argv[4]));
   } catch (const std::exception& error) {

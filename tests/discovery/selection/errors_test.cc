@@ -109,7 +109,7 @@ TEST(SelectionErrors, RefuseWhatIsTooLongOrTooDeep) {
   EXPECT_NE(message(nots + "a == 1").find("more than 64"), std::string::npos);
 }
 
-/// Whatever comes in is an expression that can be evaluated, or a SelectionError whose place is in the text.
+/// Any text is an expression that can be evaluated, or throws a SelectionError whose place is in the text.
 void try_it(const std::string& text) {
   DriverRecord record;
   record.metadata = {{"a", "1"}, {"location", "39.17,-86.52"}, {"x", ""}};

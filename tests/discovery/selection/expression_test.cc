@@ -1,15 +1,16 @@
 #include <gtest/gtest.h>
 
 #include <iotcloud/discovery/selection/selection.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::discovery {
 namespace {
 
 DriverRecord driver(std::map<std::string, std::string> metadata) {
   DriverRecord record;
-  record.name = "turtle";
-  record.instance = "3f2a9c";
-  record.gateway = "lab1";
+  record.name = "turtle"_driver;
+  record.instance = "3f2a9c"_instance;
+  record.gateway = "lab1"_gateway;
   record.state = DriverState::active;
   record.metadata = std::move(metadata);
   return record;

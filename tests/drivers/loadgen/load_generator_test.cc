@@ -92,7 +92,7 @@ TEST_F(LoadGeneratorTest, counts_the_time_that_a_full_channel_held_a_message_up)
   EXPECT_TRUE(host->published("data").empty());
   host->answer_publish("data", PublishStatus::accepted);
   host->advance(1ms);
-  EXPECT_TRUE(host->published("data").empty());  // it waits to be told
+  EXPECT_TRUE(host->published("data").empty());  // it waits for the order
   ASSERT_TRUE(load.writable("data"));
   const auto sent = host->published("data");
   ASSERT_EQ(sent.size(), 5);

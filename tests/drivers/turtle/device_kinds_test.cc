@@ -20,7 +20,7 @@ using ::testing::HasSubstr;
 using testing::MockInstance;
 using ::testing::Not;
 
-/// A device that sends one frame, which comes encoded.
+/// A device that sends one encoded frame.
 class Postcard final : public DepthSource, public Actuator {
  public:
   Postcard(DriverContext& context, std::string text) : context_(context), text_(std::move(text)) {}
@@ -53,7 +53,7 @@ DeviceKind postcard_kind() {
   return kind;
 }
 
-/// What a plugin with kinds of its own has.
+/// A plugin with additional kinds.
 struct Extended : TurtleDriver {
   Extended() : TurtleDriver(shipped_kinds().with(postcard_kind())) {}
 };
@@ -75,7 +75,7 @@ TEST(DeviceKinds, of_a_plugin_s_own_stand_beside_the_shipped_ones) {
   robot.host().advance(1ms);
   const auto frames = robot.host().published("kinect");
   ASSERT_EQ(frames.size(), 1);
-  EXPECT_EQ(frames[0].message.payload.text(), "from afar");  // as it came
+  EXPECT_EQ(frames[0].message.payload.text(), "from afar");  // unchanged
   Message command;
   command.payload = Payload::copy(std::string_view(R"({"linear":{"x":0.25},"angular":{"z":0}})"));
   ASSERT_TRUE(robot.deliver("control", command));

@@ -9,7 +9,8 @@
 
 namespace iotcloud::drivers::turtle {
 
-/// The follower of REFERENCE.md 6 in its plainest form, as the loop's other half in tests of the driver.
+/// The follower of docs/wire.md#follower in its simplest form: the other half of the control loop in tests of the
+/// driver.
 struct Followed {
   long points = 0;
   double x = 0, z = 0;  ///< centroid of the points in the box, m
@@ -19,7 +20,7 @@ struct Followed {
 
 inline Followed follow(depth::FrameView mm) {
   Followed result;
-  for (int v = 241; v < 480; ++v) {  // above, y is not positive
+  for (int v = 241; v < 480; ++v) {  // in the rows above y is not positive
     for (int u = 0; u < 640; ++u) {
       const double z = mm[static_cast<std::size_t>(v * 640 + u)] / 1000.0;
       if (!(z > 0 && z < 1.0)) continue;

@@ -8,7 +8,7 @@
 
 namespace iotcloud::drivers::turtle {
 
-/// A folder of this process's own that is gone afterwards.
+/// A folder of this process, removed at the end.
 class ScratchFolder {
  public:
   explicit ScratchFolder(const std::string& name)

@@ -86,8 +86,9 @@ TEST(Kinect, sees_the_floor_and_bodies_where_a_pinhole_camera_does) {
   EXPECT_NEAR(mean(readings(pole, column - 5, 200, column + 6, 280)), 2.0, 0.02);
   EXPECT_TRUE(readings(pole, column - 20, 200, column - 17, 239).empty());
   EXPECT_TRUE(readings(pole, column + 18, 200, column + 21, 239).empty());
-  EXPECT_TRUE(readings(pole, column - 5, 100, column + 6, 240 - 600 * 0.25 / 2.0 - 3).empty());   // over its top
-  EXPECT_GT(mean(readings(pole, column - 5, 240 + 600 * 0.25 / 2.0 + 3, column + 6, 330)), 2.3);  // under it
+  constexpr int half_height = 75;                                                            // 600 * 0.25 / 2.0
+  EXPECT_TRUE(readings(pole, column - 5, 100, column + 6, 240 - half_height - 3).empty());   // over its top
+  EXPECT_GT(mean(readings(pole, column - 5, 240 + half_height + 3, column + 6, 330)), 2.3);  // under it
 }
 
 TEST(Kinect, sees_tops_from_above_and_undersides_from_below) {
@@ -176,7 +177,7 @@ TEST(Kinect, cannot_read_glass_nor_all_of_what_is_dark) {
   EXPECT_GT(share(Surface::dark), 0.4);
   EXPECT_LT(share(Surface::dark), 0.9);
   EXPECT_EQ(share(Surface::glass), 0);
-  // Behind something else, glass does no harm.
+  // Glass behind another object does not matter.
   auto scene = panel(1.0);
   scene.push_back(box({1.55, 0, 0}, 0.1, 20, 0, 5, Surface::glass));
   EXPECT_GT(readings(render(kinect, hall(), scene), 100, 50, 540, 350).size(), 0.98 * 440 * 300);
@@ -305,7 +306,7 @@ TEST(Base, does_not_enter_walls_furniture_or_the_person_and_gets_away_from_them)
 /// A lock-step loop of world, codec and reference follower, without driver and host.
 struct Loop {
   explicit Loop(std::uint64_t seed) : world(seed), disparities(depth::frame_pixels), mm(depth::frame_pixels) {}
-  /// One frame: what the follower makes of it takes effect `delay` seconds later.
+  /// Runs one frame; the follower's command takes effect `delay` seconds later.
   Followed step(double delay = 0) {
     world.render(depth::FrameSpan(disparities));
     EXPECT_EQ(decoder.decode(encoder.encode(depth::FrameView(disparities)), depth::FrameSpan(mm)),
@@ -318,7 +319,7 @@ struct Loop {
     return followed;
   }
   World world;
-  GroundTruth truth;  ///< when the last frame was taken
+  GroundTruth truth;  ///< at the time of the last frame
   int frame = 0;
   Frame disparities, mm;
   depth::DepthEncoder encoder;
@@ -346,7 +347,7 @@ TEST(World, shows_the_follower_the_distance_that_is_its_ground_truth) {
   for (int i = 0; i < 300; ++i) {
     const Followed followed = loop.step();
     ASSERT_FALSE(followed.lost());
-    // What lies beyond 1 m is not in the box, so the follower sees a striding person a little nearer.
+    // Points beyond 1 m are outside the box, so the follower sees a striding person a little nearer.
     ASSERT_NEAR(followed.z, loop.truth.distance, 0.08) << "frame " << i;
   }
 }
@@ -372,8 +373,8 @@ TEST_P(ClosedLoop, follows_the_person_for_half_a_minute) {
   EXPECT_GT(walked, 2.5);
 }
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-// A sanitizer looks for errors of memory and threads, for which one path is as good as five.
+#if defined(IOTCLOUD_SANITIZED)
+// A sanitizer looks for memory and thread errors, for which one path is enough.
 INSTANTIATE_TEST_SUITE_P(Seeds, ClosedLoop, ::testing::Values(1));
 #else
 INSTANTIATE_TEST_SUITE_P(Seeds, ClosedLoop, ::testing::Values(1, 2, 3, 11, 42));

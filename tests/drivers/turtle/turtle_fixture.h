@@ -17,7 +17,7 @@
 #include <iotcloud/drivers/turtle/turtle_driver.h>
 #include <iotcloud/tests/drivers/turtle/reference_follower.h>
 
-/// What tests of a whole turtle driver give it and read from it.
+/// Helpers for tests of a whole turtle driver.
 namespace iotcloud::drivers::turtle {
 
 inline const Descriptor turtle = describe<TurtleDriver>("turtle", "test", true);
@@ -40,14 +40,14 @@ inline std::vector<std::uint16_t> decoded(const Message& message) {
   return mm;
 }
 
-/// A file of this process's own that is gone afterwards.
+/// A file of this process, removed at the end.
 class ScratchFile {
  public:
   explicit ScratchFile(const std::string& name)
       : path_(std::filesystem::temp_directory_path() / ("turtle-" + std::to_string(getpid()) + "-" + name)) {}
   ~ScratchFile() { std::filesystem::remove(path_); }
   std::string path() const { return path_.string(); }
-  /// Row by row, by the names in the first line.
+  /// The rows, each by column names, which are in the first line.
   std::vector<std::map<std::string, std::string>> rows() const {
     std::ifstream file(path_);
     std::vector<std::string> names;

@@ -1,4 +1,4 @@
-// The simulated world stands still until its frame is answered: the loop closed without time.
+// The simulated world stands still until its frame is answered: a closed loop without time.
 #include <chrono>
 #include <cmath>
 #include <map>
@@ -21,7 +21,7 @@ TEST(TurtleDriverInLockStep, waits_for_the_answer_and_sends_the_frame_again_when
   ASSERT_TRUE(robot.start());
   robot.host().advance(1100ms);
   auto frames = robot.host().published("kinect");
-  ASSERT_EQ(frames.size(), 3);  // one frame, twice again
+  ASSERT_EQ(frames.size(), 3);  // one frame, sent three times
   for (const auto& frame : frames) {
     EXPECT_EQ(*frame.message.properties.find("seq"), "0");
     EXPECT_EQ(frame.message.time_ms, frames[0].message.time_ms);
@@ -35,7 +35,7 @@ TEST(TurtleDriverInLockStep, waits_for_the_answer_and_sends_the_frame_again_when
   EXPECT_EQ(*frames[3].message.properties.find("seq"), "1");
 }
 
-/// Runs a whole robot in lock step with the reference follower, through the driver's border.
+/// Runs a whole robot in lock step with the reference follower, through the driver's interface.
 std::vector<std::map<std::string, std::string>> follow_in_lock_step(const std::string& seed, const std::string& name,
                                                                     int frames, int& lost) {
   ScratchFile trace(name);
@@ -77,7 +77,7 @@ TEST(TurtleDriverInLockStep, closes_the_loop_and_keeps_its_distance) {
   EXPECT_NEAR(number(rows.back(), "device_s"), 449 / 30.0, 0.001);
   const double walked = std::hypot(number(rows.back(), "person_x") - number(rows.front(), "person_x"),
                                    number(rows.back(), "person_y") - number(rows.front(), "person_y"));
-  EXPECT_GT(walked, 0.5);  // otherwise it was no feat
+  EXPECT_GT(walked, 0.5);  // else the test proves nothing
   EXPECT_NEAR(number(rows.back(), "monotonic_us") - number(rows.front(), "monotonic_us"),
               1e6 * (number(rows.back(), "capture_s") - number(rows.front(), "capture_s")), 2);
 }

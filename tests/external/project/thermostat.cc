@@ -1,6 +1,9 @@
+#include <chrono>
 #include <string>
 
 #include <iotcloud/topology/plugin.h>
+#include <iotcloud/topology/state/stateful_bolt.h>
+#include <iotcloud/topology/windows/windowed_bolt.h>
 
 using namespace iotcloud::topology;
 
@@ -21,6 +24,50 @@ class Decide : public BasicBolt {
   int limit_ = 0;
 };
 
+/// The mean of all readings in a window.
+class Mean : public WindowedBolt {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare(Fields{"mean"}); }
+  void prepare(const Config&, const TopologyContext&, WindowOutputCollector& collector) override {
+    collector_ = &collector;
+  }
+  void execute(const TupleWindow& window) override {
+    double sum = 0;
+    for (const Tuple& tuple : window.tuples()) sum += std::stod(std::string(tuple.get<Payload>("reading").text()));
+    collector_->emit(Values(sum / static_cast<double>(window.tuples().size())));
+  }
+
+ private:
+  WindowOutputCollector* collector_ = nullptr;
+};
+
+/// Counts for each driver how often its heater was switched on. The counts survive the worker.
+class Switches : public StatefulBolt {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"driverID", "switches"});
+  }
+  void prepare(const Config&, const TopologyContext&, OutputCollector& collector) override { collector_ = &collector; }
+  void init_state(KeyValueState& state) override { state_ = &state; }
+  void execute(const Tuple& tuple) override {
+    const auto& driver = tuple.get<std::string>("driverID");
+    const std::string now = tuple.get<Payload>("order").text().ends_with("=on") ? "on" : "off";
+    if (now == "on" && state_->get("heater of " + driver) != "on") {
+      state_->put_int(driver, state_->get_int(driver) + 1);
+      collector_->emit(tuple, Values(driver, state_->get_int(driver)));
+    }
+    state_->put("heater of " + driver, now);
+    collector_->ack(tuple);
+  }
+
+ private:
+  OutputCollector* collector_ = nullptr;
+  KeyValueState* state_ = nullptr;
+};
+
 IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
+  using namespace std::chrono_literals;
   registry.add_bolt<Decide>("thermostat.Decide");
+  registry.add_bolt("thermostat.Mean", make_windowed_bolt<Mean>({.length = 1s}));
+  registry.add_bolt("thermostat.Switches", make_stateful_bolt<Switches>({.store = "memory://thermostat"}));
 }

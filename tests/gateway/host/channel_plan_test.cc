@@ -1,7 +1,12 @@
+#include <string>
+#include <type_traits>
+#include <vector>
+
 #include <gmock/gmock.h>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/gateway/host/instance/channel_plan.h>
+#include <iotcloud/gateway/host/channel_plan.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -9,9 +14,17 @@ namespace {
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 
+// Arguments that are swapped do not compile: the names of topics are made of them.
+template <typename Gateway, typename Driver>
+inline constexpr bool plans = std::is_invocable_v<decltype(plan_channels), const Gateway&, const Driver&,
+                                                  const InstanceSpec&, std::vector<drivers::ChannelSpec>>;
+static_assert(plans<discovery::GatewayId, discovery::DriverName>);
+static_assert(!plans<discovery::DriverName, discovery::GatewayId>);
+static_assert(!plans<std::string, std::string>);
+
 InstanceSpec instance(std::map<std::string, std::string> properties = {}) {
   InstanceSpec spec;
-  spec.order.instance = "0a1b";
+  spec.order.instance = "0a1b"_instance;
   spec.order.properties = std::move(properties);
   spec.brokers = {{"rabbitmq", "rabbitmq", {}, {"amqp://own"}, {"amqp://shared"}},
                   {"kafka", "kafka", {}, {"kafka://own"}, {"kafka://s"}}};
@@ -27,7 +40,7 @@ drivers::ChannelSpec channel(const std::string& name, bool shared = false) {
 
 std::string error_of(const InstanceSpec& spec, const std::vector<drivers::ChannelSpec>& wanted) {
   try {
-    plan_channels("gw1", "turtle", spec, wanted);
+    plan_channels("gw1"_gateway, "turtle"_driver, spec, wanted);
   } catch (const config::Error& e) {
     return e.what();
   }
@@ -35,7 +48,7 @@ std::string error_of(const InstanceSpec& spec, const std::vector<drivers::Channe
 }
 
 TEST(ChannelPlan, AnExclusiveChannelIsNamedAfterGatewayDriverAndInstance) {
-  const auto planned = plan_channels("gw1", "turtle", instance(), {channel("kinect")}).at(0);
+  const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, instance(), {channel("kinect")}).at(0);
   EXPECT_EQ(planned.topic, (brokers::Topic{"turtle", "gw1.turtle.0a1b.kinect", false}));
   EXPECT_EQ(planned.record.properties, (std::map<std::string, std::string>{{"exchange", "turtle"},
                                                                            {"routingKey", "gw1.turtle.0a1b.kinect"},
@@ -50,7 +63,7 @@ TEST(ChannelPlan, AnExclusiveChannelIsNamedAfterGatewayDriverAndInstance) {
 }
 
 TEST(ChannelPlan, ASharedChannelIsNamedAfterGatewayAndDriverOnTheGroupsServer) {
-  const auto planned = plan_channels("gw1", "turtle", instance(), {channel("kinect", true)}).at(0);
+  const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, instance(), {channel("kinect", true)}).at(0);
   EXPECT_EQ(planned.topic.name, "gw1.turtle.kinect");
   EXPECT_EQ(planned.record.broker_url, "amqp://shared");
   EXPECT_TRUE(planned.record.shared);
@@ -60,7 +73,7 @@ TEST(ChannelPlan, TheOtherServersOfAClusterStandInTheRecordToo) {
   auto spec = instance();
   spec.brokers.front().exclusive_urls = {"amqp://b/", "amqp://c/", "amqp://a/"};
   spec.brokers.front().options.user = "gateway";
-  const auto planned = plan_channels("gw1", "turtle", spec, {channel("kinect")}).at(0);
+  const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, spec, {channel("kinect")}).at(0);
   EXPECT_EQ(planned.address, (brokers::BrokerAddress{"rabbitmq", spec.brokers.front().exclusive_urls}));
   EXPECT_EQ(planned.broker.user, "gateway");
   EXPECT_EQ(planned.record.broker_url, "amqp://b/");
@@ -68,16 +81,18 @@ TEST(ChannelPlan, TheOtherServersOfAClusterStandInTheRecordToo) {
 }
 
 TEST(ChannelPlan, ForTopologiesOfTheOriginalTheTopicHasAQueueOfItsOwn) {
-  EXPECT_FALSE(plan_channels("gw1", "turtle", instance(), {channel("kinect")}).at(0).own_queue);
-  EXPECT_TRUE(plan_channels("gw1", "turtle", instance({{"channel.kinect.interop", "java"}}), {channel("kinect")})
-                  .at(0)
-                  .own_queue);
+  EXPECT_FALSE(plan_channels("gw1"_gateway, "turtle"_driver, instance(), {channel("kinect")}).at(0).own_queue);
+  EXPECT_TRUE(
+      plan_channels("gw1"_gateway, "turtle"_driver, instance({{"channel.kinect.interop", "java"}}), {channel("kinect")})
+          .at(0)
+          .own_queue);
   EXPECT_THAT(error_of(instance({{"channel.kinect.interop", "go"}}), {channel("kinect")}), HasSubstr("it can be java"));
 }
 
 TEST(ChannelPlan, AnUnusualPriorityStandsInTheRecord) {
   const auto planned =
-      plan_channels("gw1", "turtle", instance({{"channel.kinect.priority", "9"}}), {channel("kinect")}).at(0);
+      plan_channels("gw1"_gateway, "turtle"_driver, instance({{"channel.kinect.priority", "9"}}), {channel("kinect")})
+          .at(0);
   EXPECT_EQ(planned.spec.priority, 9);
   EXPECT_EQ(planned.record.properties.at("priority"), "9");
   EXPECT_THAT(error_of(instance({{"channel.kinect.priority", "10"}}), {channel("kinect")}), HasSubstr("from 0 to 9"));
@@ -86,21 +101,21 @@ TEST(ChannelPlan, AnUnusualPriorityStandsInTheRecord) {
 TEST(ChannelPlan, NamesThatTheDriverGivesFollowThePrefix) {
   auto wanted = channel("kinect");
   wanted.properties = {{"exchange", "sensors"}, {"routingKey", "depth"}, {"queueName", "frames"}};
-  const auto planned = plan_channels("gw1", "turtle", instance(), {wanted}).at(0);
+  const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, instance(), {wanted}).at(0);
   EXPECT_EQ(planned.topic, (brokers::Topic{"sensors", "gw1.turtle.0a1b.depth", false}));
   EXPECT_EQ(planned.record.properties.at("queueName"), "gw1.turtle.0a1b.frames");
 }
 
 TEST(ChannelPlan, ADurableChannelHasAnExchangeOfItsOwn) {
-  const auto planned =
-      plan_channels("gw1", "turtle", instance({{"channel.log.durable", "true"}}), {channel("log"), channel("kinect")});
+  const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, instance({{"channel.log.durable", "true"}}),
+                                     {channel("log"), channel("kinect")});
   EXPECT_EQ(planned.at(0).topic, (brokers::Topic{"turtle.durable", "gw1.turtle.0a1b.log", true}));
   EXPECT_EQ(planned.at(0).record.properties.at("durable"), "true");
   EXPECT_EQ(planned.at(1).topic.exchange, "turtle");
 }
 
 TEST(ChannelPlan, TheDeploymentOverridesTheQualityOfService) {
-  const auto planned = plan_channels("gw1", "turtle",
+  const auto planned = plan_channels("gw1"_gateway, "turtle"_driver,
                                      instance({{"channel.kinect.capacity", "2"},
                                                {"channel.kinect.when_full", "keep_newest"},
                                                {"channel.kinect.deadline_ms", "150"},
@@ -131,7 +146,7 @@ TEST(ChannelPlan, AnOverrideThatCannotBeIsNamedWithWhatWouldBeRight) {
 }
 
 TEST(ChannelPlan, AChannelMayBeSpooledToDisk) {
-  const auto planned = plan_channels("gw1", "meter",
+  const auto planned = plan_channels("gw1"_gateway, "meter"_driver,
                                      instance({{"channel.readings.when_full", "spool"},
                                                {"channel.readings.spool_bytes", "1000000"},
                                                {"channel.readings.spool_fsync", "always"},

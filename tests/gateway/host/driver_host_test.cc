@@ -1,6 +1,8 @@
+#include <algorithm>
 #include <atomic>
 #include <filesystem>
 #include <future>
+#include <map>
 #include <stdexcept>
 #include <utility>
 
@@ -8,6 +10,10 @@
 #include <stdlib.h>
 
 #include <iotcloud/gateway/host/driver_host.h>
+#include <iotcloud/gateway/host/shared_channels.h>
+#include <iotcloud/tests/captured_log.h>
+#include <iotcloud/tests/config/hand_clock.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/gateway/message_log.h>
 #include <iotcloud/tests/gateway/probe_driver.h>
@@ -37,9 +43,10 @@ class BlockingDriver : public drivers::Driver {
 
 class DriverHostTest : public ::testing::Test {
  protected:
-  void start_host(const drivers::Descriptor& descriptor) {
+  void start_host(const drivers::Descriptor& descriptor, const config::Clock* clock = nullptr) {
     DriverHost::Options options;
-    options.gateway = "gw";
+    options.clock = clock;
+    options.gateway = "gw"_gateway;
     options.metrics = &metrics_;
     options.drain_limit = 50ms;  // nobody reads most of what these drivers send
     options.state_folder = state_folder_;
@@ -48,7 +55,7 @@ class DriverHostTest : public ::testing::Test {
 
   InstanceSpec spec(const std::string& id, std::map<std::string, std::string> properties = {}) {
     InstanceSpec spec;
-    spec.order.instance = id;
+    spec.order.instance = discovery::InstanceId(id);
     spec.order.plugin = "probe.so";
     spec.order.properties = std::move(properties);
     spec.brokers = {{"local", "embedded", {}, {url_}, {url_}}};
@@ -68,6 +75,7 @@ class DriverHostTest : public ::testing::Test {
   const std::string url_ = "embedded://driver-host-test-" + std::to_string(next_broker_++);
   const drivers::Descriptor probe_ = drivers::describe<ProbeDriver>("probe", "1");
   const drivers::Descriptor blocking_ = drivers::describe<BlockingDriver>("blocking", "1");
+  tests::HandClock clock_;  ///< of hosts that are started with it
   config::Metrics metrics_;
   StatusLog log_;
   std::optional<DriverHost> host_;
@@ -81,9 +89,9 @@ TEST_F(DriverHostTest, AnInstanceLivesThroughItsStatesAndSaysSo) {
   EXPECT_EQ(active->driver, "probe");
   ASSERT_EQ(active->channels.size(), 2u);
   EXPECT_EQ(active->channels[0].properties.at("routingKey"), "gw.probe.a.readings");
-  host_->deactivate("a");
-  host_->activate("a");
-  host_->remove("a");
+  host_->deactivate("a"_instance);
+  host_->activate("a"_instance);
+  host_->remove("a"_instance);
   const auto gone = log_.wait_for("a", DriverState::undeployed);
   ASSERT_TRUE(gone);
   EXPECT_TRUE(gone->channels.empty());
@@ -98,7 +106,7 @@ TEST_F(DriverHostTest, AnInstanceThatIsOrderedInactiveIsOpenedOnly) {
   auto inactive = spec("a");
   inactive.order.active = false;
   host_->create(inactive);
-  host_->remove("a");
+  host_->remove("a"_instance);
   ASSERT_TRUE(log_.wait_for("a", DriverState::undeployed));
   EXPECT_THAT(log_.states("a"), ElementsAre(DriverState::starting, DriverState::inactive, DriverState::stopping,
                                             DriverState::undeployed));
@@ -136,7 +144,6 @@ TEST_F(DriverHostTest, AMessageOnASharedChannelReachesTheInstanceThatItNames) {
   ASSERT_TRUE(reader.next());
   ASSERT_TRUE(reader.next());
   MessageSender sender(url_, {"probe", "gw.probe.control", false});
-  sender.send("nobody", "c");
   sender.send("to b", "b");
   sender.send("to a", "a");
   const auto first = reader.next();
@@ -146,7 +153,242 @@ TEST_F(DriverHostTest, AMessageOnASharedChannelReachesTheInstanceThatItNames) {
   EXPECT_EQ(first->driver_id, "b");
   EXPECT_EQ(second->payload.text(), "to a");
   EXPECT_EQ(second->driver_id, "a");
-  EXPECT_EQ(count("iotcloud_host_messages_for_unknown_instance_total"), 1u);
+}
+
+/// The next message that is no "up"; empty if none came in time.
+std::string next_echo(MessageLog& reader) {
+  while (const auto message = reader.next()) {
+    if (message->payload.text() != "up") return std::string(message->payload.text());
+  }
+  return "";
+}
+
+TEST_F(DriverHostTest, WhatWaitsBehindACommandThatADriverThrowsOnIsHandedToItsNextLife) {
+  start_host(probe_);
+  MessageLog reader(url_, {"probe", "gw.probe.a.readings", false});
+  constexpr int commands = 50;
+  MessageSender sender(url_, {"probe", "gw.probe.a.control", false});
+  for (int i = 0; i < commands; ++i) sender.send(std::to_string(i), "a");
+  host_->create(spec("a", {{"throw_in", "message"}}));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::failed));
+  host_->create(spec("a"));
+  for (int i = 1; i < commands; ++i) ASSERT_EQ(next_echo(reader), std::to_string(i));
+  EXPECT_EQ(count("iotcloud_driver_lost_total"), 1u);
+  EXPECT_TRUE(tests::eventually([&] { return count("iotcloud_driver_received_total") == commands; }));
+}
+
+TEST_F(DriverHostTest, ACommandOnASharedChannelWaitsForItsInstance) {
+  start_host(probe_);
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  host_->create(spec("a", {{"shared", "true"}}));
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  sender.send("first to b", "b");
+  sender.send("second to b", "b");
+  sender.send("to a", "a");
+  ASSERT_EQ(next_echo(reader), "to a");
+  host_->create(spec("b", {{"shared", "true"}}));
+  ASSERT_EQ(next_echo(reader), "first to b");
+  ASSERT_EQ(next_echo(reader), "second to b");
+}
+
+TEST_F(DriverHostTest, WhatWaitsOnASharedChannelForAnInstanceThatFailedIsHandedToItsNextLife) {
+  start_host(probe_);
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  host_->create(spec("b", {{"shared", "true"}}));
+  host_->create(spec("a", {{"shared", "true"}, {"throw_in", "message"}}));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  constexpr int commands = 50;
+  for (int i = 0; i < commands; ++i) sender.send(std::to_string(i), "a");
+  ASSERT_TRUE(log_.wait_for("a", DriverState::failed));
+  host_->create(spec("a", {{"shared", "true"}}));
+  for (int i = 1; i < commands; ++i) ASSERT_EQ(next_echo(reader), std::to_string(i));
+  EXPECT_EQ(count("iotcloud_driver_lost_total"), 1u);
+}
+
+TEST_F(DriverHostTest, ACommandForAnInstanceThatDoesNotComeIsGivenUpAndCountedThenItsNextOnesAtOnce) {
+  const tests::CapturedLog log;
+  start_host(probe_, &clock_);
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  host_->create(spec("a", {{"shared", "true"}}));
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  sender.send("lost", "c");
+  sender.send("to a", "a");
+  ASSERT_EQ(next_echo(reader), "to a");
+  clock_.advance(SharedChannels::grace - 1ms);
+  sender.send("still to a", "a");
+  ASSERT_EQ(next_echo(reader), "still to a");
+  EXPECT_EQ(count("iotcloud_driver_lost_total"), 0u);
+  clock_.advance(1ms);
+  ASSERT_TRUE(tests::eventually([&] { return count("iotcloud_driver_lost_total") == 1; }));
+  EXPECT_TRUE(tests::eventually([&] { return log.contains("the last for \"c\""); })) << log.text();
+  sender.send("lost at once", "c");
+  ASSERT_TRUE(tests::eventually([&] { return count("iotcloud_driver_lost_total") == 2; }));
+  host_->create(spec("c", {{"shared", "true"}}));
+  ASSERT_TRUE(log_.wait_for("c", DriverState::active));
+  sender.send("to c", "c");
+  ASSERT_EQ(next_echo(reader), "to c");
+}
+
+TEST_F(DriverHostTest, ACommandForAnInstanceThatFailedWaitsForItsRestart) {
+  start_host(probe_, &clock_);
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  host_->create(spec("a", {{"shared", "true"}}));
+  host_->create(spec("b", {{"shared", "true"}, {"throw_in", "message"}}));
+  ASSERT_TRUE(log_.wait_for("b", DriverState::active));
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  sender.send("throw", "b");
+  ASSERT_TRUE(log_.wait_for("b", DriverState::failed));
+  sender.send("wait", "b");
+  sender.send("to a", "a");
+  ASSERT_EQ(next_echo(reader), "to a");
+  clock_.advance(SharedChannels::longest_wait - 1ms);
+  sender.send("look", "unknown");  // the first message for an instance makes the host look at all that wait
+  sender.send("to a again", "a");
+  ASSERT_EQ(next_echo(reader), "to a again");
+  EXPECT_EQ(count("iotcloud_driver_lost_total"), 1u);
+  host_->create(spec("b", {{"shared", "true"}}));
+  ASSERT_EQ(next_echo(reader), "wait");
+}
+
+/// Two hosts of one driver on one gateway, as during an update, or with two files of one driver's plugins. The test
+/// passes their messages on as the gateway does.
+class TwoHosts : public DriverHostTest {
+ protected:
+  TwoHosts() {
+    open(first_, second_);
+    open(second_, first_);
+  }
+  ~TwoHosts() override {
+    first_->stop(tests::patience);
+    second_->stop(tests::patience);
+  }
+  InstanceSpec shared(const std::string& id) { return spec(id, {{"shared", "true"}}); }
+  /// Reads until each of these instances has echoed the commands 0 to `count` - 1. \return what came out of order, or
+  /// did not come. A command that is echoed again counts once.
+  std::string misses(MessageLog& reader, const std::vector<std::string>& instances, int count) {
+    std::map<std::string, int> next;
+    for (const auto& id : instances) next[id] = 0;
+    std::string wrong;
+    const auto all = [&] {
+      return std::all_of(next.begin(), next.end(), [&](const auto& entry) { return entry.second == count; });
+    };
+    while (!all()) {
+      const auto message = reader.next();
+      if (!message) return wrong + " and then nothing came";
+      if (message->payload.text() == "up") continue;
+      const int number = std::stoi(std::string(message->payload.text()));
+      int& expected = next[message->driver_id];
+      if (number > expected) wrong += " " + message->driver_id + ":" + std::to_string(number);
+      expected = std::max(expected, number + 1);
+    }
+    return wrong;
+  }
+  void send_to(MessageSender& sender, const std::vector<std::string>& instances, int from, int count) {
+    for (int i = from; i < from + count; ++i) {
+      for (const auto& id : instances) sender.send(std::to_string(i), id);
+    }
+  }
+
+  enum class Gateway { passes, away, forgets };
+  std::atomic<Gateway> gateway_{Gateway::passes};
+  std::atomic<int> forgotten_{0};
+  std::optional<DriverHost> first_, second_;
+
+ private:
+  void open(std::optional<DriverHost>& host, std::optional<DriverHost>& other) {
+    DriverHost::Options options;
+    options.gateway = "gw"_gateway;
+    options.clock = &clock_;  // it stands still, so nothing is given up
+    options.metrics = &metrics_;
+    options.drain_limit = 50ms;
+    options.passing.pass = [this, &other](const PassedMessage& message) -> std::optional<PassAnswer> {
+      if (gateway_ == Gateway::forgets) ++forgotten_;
+      if (gateway_ == Gateway::passes) other->deliver(message);
+      if (gateway_ == Gateway::away) return PassAnswer::comes;
+      return std::nullopt;
+    };
+    options.passing.answer = [&other](std::int64_t number, PassAnswer answer) { other->answered(number, answer); };
+    host.emplace(options, Plugin::wrap(probe_, "linked in"), [this](const auto& status) { log_.add(status); });
+  }
+};
+
+TEST_F(TwoHosts, OfOneDriverBothGetTheirCommandsOnASharedChannel) {
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  first_->create(shared("a"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  second_->create(shared("b"));
+  ASSERT_TRUE(log_.wait_for("b", DriverState::active));
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  send_to(sender, {"a", "b"}, 0, 50);
+  EXPECT_EQ(misses(reader, {"a", "b"}, 50), "");
+  EXPECT_EQ(count("iotcloud_driver_lost_total"), 0u);
+}
+
+TEST_F(TwoHosts, LoseNoCommandWhileInstancesMoveFromOneToTheOther) {
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  const std::vector<std::string> instances{"a", "b", "c", "d"};
+  for (const auto& id : instances) {
+    first_->create(shared(id));
+    ASSERT_TRUE(log_.wait_for(id, DriverState::active));
+  }
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  int sent = 0;
+  for (const auto& id : instances) {
+    send_to(sender, instances, sent, 20);
+    first_->remove(discovery::InstanceId(id));
+    ASSERT_TRUE(log_.wait_for(id, DriverState::undeployed));
+    send_to(sender, instances, sent + 20, 20);
+    sent += 40;
+    second_->create(shared(id));
+  }
+  EXPECT_EQ(misses(reader, instances, sent), "");
+  EXPECT_EQ(count("iotcloud_driver_lost_total"), 0u);
+}
+
+TEST_F(TwoHosts, RejectACommandOnWhichTheOtherHostsDriverThrowsAndKeepTheRest) {
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  first_->create(shared("a"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  second_->create(spec("b", {{"shared", "true"}, {"throw_in", "message"}}));
+  ASSERT_TRUE(log_.wait_for("b", DriverState::active));
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  send_to(sender, {"b"}, 0, 10);
+  ASSERT_TRUE(log_.wait_for("b", DriverState::failed));
+  second_->create(shared("b"));
+  for (int i = 1; i < 10; ++i) ASSERT_EQ(next_echo(reader), std::to_string(i));
+  EXPECT_EQ(count("iotcloud_driver_lost_total"), 1u);
+}
+
+TEST_F(TwoHosts, KeepEachOthersCommandsWhileTheGatewayIsAway) {
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  first_->create(shared("a"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  second_->create(shared("b"));
+  gateway_ = Gateway::away;
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  send_to(sender, {"b", "a"}, 0, 1);
+  ASSERT_EQ(next_echo(reader), "0");
+  clock_.advance(SharedChannels::longest_wait - 1ms);
+  sender.send("1", "a");
+  ASSERT_EQ(next_echo(reader), "1");
+  gateway_ = Gateway::passes;
+  ASSERT_EQ(next_echo(reader), "0");
+  EXPECT_EQ(count("iotcloud_driver_lost_total"), 0u);
+}
+
+TEST_F(TwoHosts, PassAgainWhatAGatewayThatEndedHadInHand) {
+  MessageLog reader(url_, {"probe", "gw.probe.readings", false});
+  first_->create(shared("a"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  second_->create(shared("b"));
+  gateway_ = Gateway::forgets;
+  MessageSender sender(url_, {"probe", "gw.probe.control", false});
+  send_to(sender, {"b"}, 0, 3);
+  ASSERT_TRUE(tests::eventually([&] { return forgotten_ > 0; }));
+  gateway_ = Gateway::passes;
+  first_->nobody_answers();
+  for (const char* expected : {"0", "1", "2"}) ASSERT_EQ(next_echo(reader), expected);
 }
 
 class SpooledChannelTest : public DriverHostTest {
@@ -170,7 +412,7 @@ TEST_F(SpooledChannelTest, WhatNobodyHasReadWhenAnInstanceEndsIsSentByItsNextLif
   start_host(probe_);
   host_->create(spooled("a"));
   ASSERT_TRUE(log_.wait_for("a", DriverState::active));
-  host_->remove("a");
+  host_->remove("a"_instance);
   ASSERT_TRUE(log_.wait_for("a", DriverState::undeployed));
   EXPECT_TRUE(std::filesystem::exists(state_folder_ + "/spool/a/readings"));
   host_->create(spooled("a"));
@@ -181,7 +423,7 @@ TEST_F(SpooledChannelTest, WhatNobodyHasReadWhenAnInstanceEndsIsSentByItsNextLif
   EXPECT_EQ(first->payload.text(), "up");
   EXPECT_EQ(second->payload.text(), "up");
   EXPECT_LE(first->time_ms, second->time_ms);
-  host_->remove("a");
+  host_->remove("a"_instance);
   host_.reset();
   EXPECT_FALSE(std::filesystem::exists(state_folder_ + "/spool/a")) << "nothing is left when all was sent";
 }
@@ -198,6 +440,18 @@ TEST_F(SpooledChannelTest, AnInstanceThatFailedGoesOnWithItsSpoolAtOnce) {
   ASSERT_TRUE(reader.next());
 }
 
+TEST_F(SpooledChannelTest, ADriverIsToldWhatIsOnTheDisk) {
+  start_host(probe_);
+  host_->create(spooled("a", {{"channel.readings.spool_fsync", "always"}}));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  EXPECT_TRUE(tests::eventually([&] {
+    const auto all = host_->list();
+    const auto& metadata = all.front().status.metadata;
+    const auto stored = metadata.find("stored");
+    return stored != metadata.end() && stored->second == "readings 1";
+  }));
+}
+
 TEST_F(SpooledChannelTest, WithoutAStateFolderASpooledChannelIsRefusedWithWhatToDo) {
   const std::string folder = std::exchange(state_folder_, "");
   start_host(probe_);
@@ -210,7 +464,7 @@ TEST_F(SpooledChannelTest, WithoutAStateFolderASpooledChannelIsRefusedWithWhatTo
 
 TEST_F(DriverHostTest, ASharedIncomingChannelNeedsAllInstancesInOneHost) {
   DriverHost::Options options;
-  options.gateway = "gw";
+  options.gateway = "gw"_gateway;
   options.isolated = true;
   host_.emplace(options, Plugin::wrap(probe_, "linked in"), [this](const auto& status) { log_.add(status); });
   host_->create(spec("a", {{"shared", "true"}, {"isolation", "instance"}}));
@@ -322,7 +576,7 @@ TEST_F(DriverHostTest, StoppingRemovesEveryInstance) {
 
 TEST_F(DriverHostTest, RemovingAnUnknownInstanceIsAnsweredAtOnce) {
   start_host(probe_);
-  host_->remove("never seen");
+  host_->remove("never seen"_instance);
   EXPECT_TRUE(log_.wait_for("never seen", DriverState::undeployed));
 }
 

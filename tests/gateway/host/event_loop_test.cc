@@ -8,13 +8,14 @@
 #include <unistd.h>
 
 #include <iotcloud/gateway/host/event_loop.h>
+#include <iotcloud/tests/eventually.h>
 
 namespace iotcloud::gateway {
 namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto patience = 20s;
+using tests::patience;
 
 /// Runs a callback on the loop and waits for its end.
 void on_loop(EventLoop& loop, const std::function<void()>& callback) {

@@ -8,8 +8,8 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
 
@@ -17,22 +17,22 @@ namespace iotcloud::master::test {
 
 using Words = std::vector<std::string>;
 
-/// The command line as a process, before a master that serves its API.
+/// Runs the command line as a process, against a master that serves its API.
 class Cli : public ::testing::Test {
  protected:
-  /// The master tells others where its API is, so the port must be known before either is made.
+  /// The master publishes its API's address, so the port must be known before master and server are made.
   Cli() {
     for (int attempt = 0; !server && attempt < 10; ++attempt) {
       master.reset();
       auto options = TestMaster::quick();
-      config::ThriftServerOptions listen;
+      rpc::ThriftServerOptions listen;
       listen.port = free_port();
       options.address = "127.0.0.1:" + std::to_string(listen.port);
       master.emplace(url, options);
       try {
         server.emplace(listen, serve_api(**master));
       } catch (const config::Error&) {
-        continue;  // somebody else was faster to take the port
+        continue;  // another process took the port first
       }
     }
     EXPECT_TRUE(server && master->leads());
@@ -53,13 +53,13 @@ class Cli : public ::testing::Test {
   std::string deploy(const std::string& gateway) {
     DeployRequest request;
     request.plugin = "turtle.so";
-    request.gateways = {gateway};
+    request.gateways = {discovery::GatewayId(gateway)};
     return (*master)->deploy(request).outcomes.at(0).instance;
   }
 
   const std::string url = fresh_registry_url();
   std::optional<TestMaster> master;
-  std::optional<config::ThriftServer> server;
+  std::optional<rpc::ThriftServer> server;
 };
 
 }  // namespace iotcloud::master::test

@@ -7,8 +7,8 @@
 
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include "iotcloud/master/TMasterAPIService.h"
-#include <iotcloud/tests/config/access/certificates.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
+#include <iotcloud/tests/security/certificates.h>
 
 namespace iotcloud::master::test {
 namespace {
@@ -83,7 +83,7 @@ class CliHistory : public Cli {
  protected:
   CliHistory() {
     service_.emplace(
-        config::ThriftServerOptions{},
+        rpc::ThriftServerOptions{},
         [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(site_)](const auto&) { return p; });
     serve("lab1", service_->port());
   }
@@ -91,16 +91,16 @@ class CliHistory : public Cli {
   void serve(const std::string& gateway, int port, bool tls = false) const {
     const discovery::Paths paths;
     auto registry = open_registry(url);
-    auto record = discovery::decode_gateway(registry->get(paths.gateway(gateway))->data, gateway);
+    auto record = discovery::decode_gateway(registry->get(paths.gateway(discovery::GatewayId(gateway)))->data, gateway);
     record.host = "127.0.0.1";
     record.port = port;
     record.tls = tls;
-    discovery::put(*registry, paths.gateway(gateway), encode(record));
+    discovery::put(*registry, paths.gateway(discovery::GatewayId(gateway)), encode(record));
   }
 
   FakeGateway lab1_{url, "lab1"};
   const std::shared_ptr<PlayedSite> site_ = std::make_shared<PlayedSite>();
-  std::optional<config::ThriftServer> service_;
+  std::optional<rpc::ThriftServer> service_;
 };
 
 TEST_F(CliHistory, DescribeShowsTheRecordTheChannelsAndEveryChangeWithTimeAndReason) {
@@ -143,9 +143,9 @@ TEST_F(CliHistory, OfManyChangesTheLatestAreShown) {
 
 TEST_F(CliHistory, AGatewayOfTheOriginalSystemIsNamedAsOne) {
   const FakeGateway old(url, "lab2");
-  const config::ThriftServer knows_no_history(
-      config::ThriftServerOptions{}, [p = std::make_shared<wire::TMasterAPIServiceProcessor>(
-                                          std::make_shared<wire::TMasterAPIServiceNull>())](const auto&) { return p; });
+  const rpc::ThriftServer knows_no_history(
+      rpc::ThriftServerOptions{}, [p = std::make_shared<wire::TMasterAPIServiceProcessor>(
+                                       std::make_shared<wire::TMasterAPIServiceNull>())](const auto&) { return p; });
   serve("lab2", knows_no_history.port());
   const auto done = run({"history", "--gateway", "lab2"});
   EXPECT_EQ(done.status, 1);
@@ -213,21 +213,21 @@ TEST_F(CliHistory, WhatTheGatewayCannotReadIsSaidInItsWords) {
 }
 
 TEST_F(CliHistory, AGatewayWithTlsIsAskedWithTheMastersCertificateAndToken) {
-  const config::test::Certificates certificates;
-  const config::test::Folder folder;
+  const security::test::Certificates certificates;
+  const security::test::Folder folder;
   const std::string shown = folder / "shown";
   std::ofstream(shown) << "the master's\n";
   const auto site = std::make_shared<PlayedSite>();
   site->remember("1234", "active", 1000);
-  config::ThriftServerOptions options;
+  rpc::ThriftServerOptions options;
   options.tls = certificates.of("lab1");
-  const config::ThriftServer guarded(
+  const rpc::ThriftServer guarded(
       options, [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(site)](const auto&) { return p; });
   serve("lab1", guarded.port(), true);
   const auto without = run({"history"});
   EXPECT_THAT(without.err, AllOf(HasSubstr("lab1"), HasSubstr("no certificate")));
 
-  config::ThriftServerOptions api;
+  rpc::ThriftServerOptions api;
   api.port = server->port();
   server.reset();
   ApiAccess access;

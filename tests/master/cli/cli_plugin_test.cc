@@ -5,8 +5,8 @@
 #include <gmock/gmock.h>
 #include <sys/stat.h>
 
-#include <iotcloud/config/signing/ed25519.h>
-#include <iotcloud/config/signing/sha256.h>
+#include <iotcloud/security/ed25519.h>
+#include <iotcloud/security/sha256.h>
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 #include <iotcloud/tests/master/cli/receiving_gateway.h>
@@ -48,7 +48,7 @@ TEST_F(CliPlugin, AFileIsSentInPiecesToEveryGatewayAndDeployedByItsContent) {
     EXPECT_EQ(lab->site->offer().plugin, "turtle.so");
     EXPECT_EQ(lab->site->offer().size, 1'300'000);
     EXPECT_EQ(lab->gateway.orders().at(0).plugin, "turtle.so");
-    EXPECT_EQ(lab->gateway.orders().at(0).sha256, config::sha256_hex(bytes));
+    EXPECT_EQ(lab->gateway.orders().at(0).sha256, security::sha256_hex(bytes));
   }
   const auto again = run({"deploy", path, "--gateway", "lab1"});
   EXPECT_EQ(again.status, 0) << again.err;
@@ -86,10 +86,10 @@ TEST_F(CliPlugin, TheSignatureBesideAFileGoesWithIt) {
   const auto path = write("turtle.so", "abc");
   const auto signing = run({"sign", path, "--key", folder_ / "lab.key"});
   EXPECT_EQ(signing.status, 0) << signing.err;
-  EXPECT_THAT(signing.out, HasSubstr(config::sha256_hex("abc")));
-  EXPECT_EQ(run_json({"sign", path, "--key", folder_ / "lab.key"})["sha256"], config::sha256_hex("abc"));
+  EXPECT_THAT(signing.out, HasSubstr(security::sha256_hex("abc")));
+  EXPECT_EQ(run_json({"sign", path, "--key", folder_ / "lab.key"})["sha256"], security::sha256_hex("abc"));
   ASSERT_EQ(run({"deploy", "--plugin", path, "-g", "lab1"}).status, 0);
-  const auto key = config::PublicKey::from_pem(read_file(folder_ / "lab.pub"), "lab.pub");
+  const auto key = security::PublicKey::from_pem(read_file(folder_ / "lab.pub"), "lab.pub");
   EXPECT_TRUE(key.verifies("abc", lab1_.site->offer().signature));
   write("turtle.so.sig", "short");
   const auto done = run({"deploy", "--plugin", path, "-g", "lab1"});
@@ -124,17 +124,17 @@ TEST_F(CliPlugin, AnUpdateSendsTheFileAndChangesTheInstances) {
       run_json({"deploy", "--plugin", write("turtle.so", "one"), "-g", "lab1"})["outcomes"][0]["instance"];
   const auto done = run({"update", "--settle", "0", "--plugin", write("turtle-2.so", "two"), id});
   EXPECT_EQ(done.status, 0) << done.out << done.err;
-  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, config::sha256_hex("two"));
+  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, security::sha256_hex("two"));
   EXPECT_EQ(lab2_.site->offers(), 0u) << "none of the instances is there";
   const auto described = run({"describe", id});
-  EXPECT_THAT(described.out, AllOf(HasSubstr("turtle-2.so"), HasSubstr(config::sha256_hex("two").substr(0, 12)),
+  EXPECT_THAT(described.out, AllOf(HasSubstr("turtle-2.so"), HasSubstr(security::sha256_hex("two").substr(0, 12)),
                                    HasSubstr("not signed")));
 }
 
 TEST_F(CliPlugin, AnUpdateThatFailsGoesBackAndEndsWithStatusOne) {
   ASSERT_EQ(run({"deploy", "--plugin", write("turtle.so", "one"), "--all"}).status, 0);
   lab2_.gateway.behave([](const discovery::OrderRecord& order) {
-    return order.sha256 == config::sha256_hex("two")
+    return order.sha256 == security::sha256_hex("two")
                ? FakeGateway::Report{discovery::DriverState::failed, "built with another SDK"}
                : *FakeGateway::obey(order);
   });
@@ -142,8 +142,8 @@ TEST_F(CliPlugin, AnUpdateThatFailsGoesBackAndEndsWithStatusOne) {
   EXPECT_EQ(done.status, 1);
   EXPECT_THAT(done.out, AllOf(HasSubstr("lab1"), HasSubstr("lab2"), HasSubstr("built with another SDK"),
                               HasSubstr("back on turtle.so")));
-  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, config::sha256_hex("one"));
-  EXPECT_EQ(lab2_.gateway.orders().at(0).sha256, config::sha256_hex("one"));
+  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, security::sha256_hex("one"));
+  EXPECT_EQ(lab2_.gateway.orders().at(0).sha256, security::sha256_hex("one"));
 }
 
 TEST_F(CliPlugin, AnUpdateChangesNothingWhenAGatewayDoesNotTakeTheFile) {
@@ -153,7 +153,7 @@ TEST_F(CliPlugin, AnUpdateChangesNothingWhenAGatewayDoesNotTakeTheFile) {
   EXPECT_EQ(done.status, 1);
   EXPECT_THAT(done.err, HasSubstr("no instance was updated"));
   EXPECT_THAT(done.out, AllOf(HasSubstr("lab2"), HasSubstr("its disk is full")));
-  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, config::sha256_hex("one"));
+  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, security::sha256_hex("one"));
 }
 
 TEST_F(CliPlugin, WrongUsageIsSaid) {
@@ -187,7 +187,7 @@ TEST_F(FleetOfFiles, ApplySendsAFileFromTheManifestsFolderAndASecondTimeNothing)
     EXPECT_EQ(lab->site->received(), "one");
     ASSERT_THAT(lab->gateway.orders(), SizeIs(2));
     EXPECT_EQ(lab->gateway.orders().at(0).plugin, "meter.so");
-    EXPECT_EQ(lab->gateway.orders().at(0).sha256, config::sha256_hex("one"));
+    EXPECT_EQ(lab->gateway.orders().at(0).sha256, security::sha256_hex("one"));
   }
   EXPECT_EQ(fleet("diff").status, 0);
   const auto offers = lab1_.site->offers();
@@ -203,12 +203,12 @@ TEST_F(FleetOfFiles, OtherBytesAreAnotherPluginWhichDiffShowsAndSendsNowhere) {
   write("meter.so", "two");
   const auto shown = fleet("diff");
   EXPECT_EQ(shown.status, 4);
-  EXPECT_THAT(shown.out, HasSubstr("meter.so (" + config::short_sha256(config::sha256_hex("one")) + ") -> meter.so (" +
-                                   config::short_sha256(config::sha256_hex("two")) + ")"));
+  EXPECT_THAT(shown.out, HasSubstr("meter.so (" + security::short_sha256(security::sha256_hex("one")) +
+                                   ") -> meter.so (" + security::short_sha256(security::sha256_hex("two")) + ")"));
   EXPECT_EQ(lab1_.site->offers(), 1u);
   const auto done = fleet("apply");
   EXPECT_EQ(done.status, 0) << done.out << done.err;
-  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, config::sha256_hex("two"));
+  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, security::sha256_hex("two"));
   EXPECT_EQ(lab1_.gateway.orders().at(0).instance, id);
   EXPECT_EQ(lab2_.site->offers(), 0u);
 }
@@ -223,8 +223,8 @@ TEST_F(FleetOfFiles, AGatewayThatDoesNotTakeAFileKeepsWhatItRunsAndTheOthersChan
   EXPECT_EQ(done.status, 1);
   EXPECT_THAT(done.err, HasSubstr("lab2: 1 of 1 changes not done; the first: failed: "));
   EXPECT_THAT(done.err, HasSubstr("meter.so is not signed"));
-  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, config::sha256_hex("two"));
-  EXPECT_EQ(lab2_.gateway.orders().at(0).sha256, config::sha256_hex("one"));
+  EXPECT_EQ(lab1_.gateway.orders().at(0).sha256, security::sha256_hex("two"));
+  EXPECT_EQ(lab2_.gateway.orders().at(0).sha256, security::sha256_hex("one"));
 }
 
 TEST_F(FleetOfFiles, AFileThatIsNotThereIsAnErrorWithItsLine) {

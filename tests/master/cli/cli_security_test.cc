@@ -9,9 +9,9 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/master_service.h>
-#include <iotcloud/tests/config/access/certificates.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/master/process.h>
+#include <iotcloud/tests/security/certificates.h>
 
 namespace iotcloud::master::test {
 namespace {
@@ -48,7 +48,7 @@ class CliSecurity : public testing::Test {
     return "tls: {ca: " + certs + "/ca.pem, certificate: " + certs + "/lab1.pem, key: " + certs + "/lab1.key}";
   }
 
-  const config::test::Folder folder_;
+  const security::test::Folder folder_;
 };
 
 TEST_F(CliSecurity, CertsInitMakesFilesSaysWhatIsNextAndOverwritesNothing) {

@@ -9,11 +9,13 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include <iotcloud/config/access/tokens.h>
 #include <iotcloud/config/error.h>
-#include <iotcloud/config/thrift/thrift_server.h>
+#include <iotcloud/discovery/freeze.h>
 #include <iotcloud/master/api/api_handler.h>
-#include <iotcloud/master/cli/command.h>
+#include <iotcloud/master/cli/program.h>
+#include <iotcloud/rpc/thrift_server.h>
+#include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
@@ -125,6 +127,28 @@ TEST_F(Cli, IdsMayBeGivenByTheirBeginning) {
   EXPECT_THAT(gone.err, HasSubstr("iotcloud drivers"));
 }
 
+TEST_F(Cli, RestartStopsAndStartsWhatIsChosen) {
+  FakeGateway gateway(url, "lab1");
+  const auto id = deploy("lab1");
+  deploy("lab1");
+  const int before = gateway.orders_seen();
+  EXPECT_EQ(run({"restart", id}).status, 0);
+  EXPECT_EQ(run_json({"drivers", id})[0]["state"], "active");
+  EXPECT_EQ(gateway.orders_seen(), before + 2) << "this one's: stop, and start";
+  EXPECT_EQ(run({"restart", "nobody"}).status, 1);
+}
+
+TEST_F(Cli, RestartLeavesAnInstanceAloneThatDoesNotStop) {
+  FakeGateway gateway(url, "lab1");
+  const auto id = deploy("lab1");
+  const int before = gateway.orders_seen();
+  gateway.behave(FakeGateway::fail("the device does not answer"));
+  const auto done = run({"restart", id});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.out + done.err, HasSubstr("the device does not answer"));
+  EXPECT_EQ(gateway.orders_seen(), before + 1);
+}
+
 TEST_F(Cli, ABeginningOfSeveralIdsIsRefusedWithTheCandidates) {
   FakeGateway gateway(url, "lab1");
   // Seventeen ids: two begin with the same hexadecimal digit.
@@ -164,9 +188,27 @@ TEST_F(Cli, YamlSaysTheSameAsJson) {
   const auto done = run({"gateways", "-o", "yaml"});
   EXPECT_EQ(done.status, 0);
   EXPECT_EQ(done.out,
-            "- gateway: lab1\n  state: ready\n  draining: false\n  host: \"127.0.0.1\"\n  port: 12905\n  brokers:\n    "
+            "- gateway: lab1\n  state: ready\n  draining: false\n  frozen: \"\"\n  host: \"127.0.0.1\"\n  port: "
+            "12905\n  brokers:\n    "
             "- rabbitmq\n"
             "  since_ms: 1\n");
+}
+
+TEST_F(Cli, ShowsAFrozenGatewayAndAdoptsTheRegistryForIt) {
+  FakeGateway gateway(url, "lab1");
+  const auto registry = test::open_registry(url);
+  const discovery::Paths paths;
+  const auto mark = discovery::freeze_path(paths, "lab1"_gateway);
+  discovery::put(*registry, mark, encode(discovery::FreezeRecord{"it was emptied", 5, "token"}));
+  EXPECT_THAT(run({"gateways"}).out, HasSubstr("ready, frozen"));
+  EXPECT_EQ(json::parse(run({"gateways", "-o", "json"}).out)[0]["frozen"], "it was emptied");
+  EXPECT_THAT(run({"status"}).out, HasSubstr("1 ready, 1 frozen: `iotcloud registry adopt`"));
+  const auto thaws = registry->watch_node(paths.orders("lab1"_gateway), [&](const auto& node) {
+    if (node && node->data.find("token") != std::string::npos) registry->remove(mark);
+  });
+  const auto done = run({"registry", "adopt", "lab1"});
+  EXPECT_EQ(done.status, 0) << done.out << done.err;
+  EXPECT_THAT(run({"status"}).out, Not(HasSubstr("frozen")));
 }
 
 TEST_F(Cli, FollowsTheLeaderWhenItAskedAStandby) {
@@ -175,7 +217,7 @@ TEST_F(Cli, FollowsTheLeaderWhenItAskedAStandby) {
   options.id = "m2";
   TestMaster standby(url, options);
   ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
-  config::ThriftServer standby_server({}, serve_api(*standby));
+  rpc::ThriftServer standby_server({}, serve_api(*standby));
   const auto at_standby = "127.0.0.1:" + std::to_string(standby_server.port());
 
   const auto deployed = run({"--master", at_standby, "deploy", "turtle.so", "--all"});
@@ -190,16 +232,14 @@ TEST_F(Cli, ALeaderThatDoesNotAnswerIsSaidWhenPatienceEnds) {
   options.id = "m2";
   TestMaster standby(url, options);
   ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
-  config::ThriftServer standby_server({}, serve_api(*standby));
+  rpc::ThriftServer standby_server({}, serve_api(*standby));
   const auto leader = address();
   server.reset();
-  cli::Command command;
-  command.verb = cli::Verb::deploy;
-  command.masters = {"127.0.0.1:" + std::to_string(standby_server.port())};
-  command.plugin = "turtle.so";
-  command.election_patience = std::chrono::milliseconds(1);
   std::ostringstream out, err;
-  EXPECT_EQ(cli::run(command, out, err), 3);
+  cli::Call call{out, err};
+  call.election_patience = std::chrono::milliseconds(1);
+  const auto at = "127.0.0.1:" + std::to_string(standby_server.port());
+  EXPECT_EQ(cli::run_program({"--master", at, "deploy", "turtle.so", "--all"}, call), 3);
   EXPECT_THAT(err.str(), AllOf(HasSubstr("standby"), HasSubstr(leader)));
 }
 
@@ -210,15 +250,14 @@ TEST_F(Cli, AnOrderWaitsForTheSuccessorOfALeaderThatDied) {
   options.address = "127.0.0.1:1";  // nobody is sent there: it leads before anyone asks it for the leader
   TestMaster standby(url, options);
   ASSERT_TRUE(test::eventually([&] { return standby->status().leader == address(); }));
-  config::ThriftServer standby_server({}, serve_api(*standby));
+  rpc::ThriftServer standby_server({}, serve_api(*standby));
   server.reset();  // the leader is silent, and the registry does not know it yet
   auto done = std::async(std::launch::async, [&] {
-    cli::Command command;
-    command.verb = cli::Verb::deploy;
-    command.masters = {"127.0.0.1:" + std::to_string(standby_server.port())};
-    command.plugin = "turtle.so";
     std::ostringstream out, err;
-    return std::pair(cli::run(command, out, err), err.str());
+    cli::Call call{out, err};
+    const auto at = "127.0.0.1:" + std::to_string(standby_server.port());
+    const int status = cli::run_program({"--master", at, "deploy", "turtle.so", "--all"}, call);
+    return std::pair(status, err.str());
   });
   EXPECT_EQ(done.wait_for(std::chrono::milliseconds(50)), std::future_status::timeout);
   master->end();
@@ -230,7 +269,7 @@ TEST_F(Cli, AnOrderWaitsForTheSuccessorOfALeaderThatDied) {
 TEST_F(Cli, StatusIsSaidWhileTheRegistryIsAway) {
   const auto nowhere = test::open_registry("zookeeper://127.0.0.1:1");
   Master alone(*nowhere, TestMaster::quick());
-  config::ThriftServer alone_server({}, serve_api(alone));
+  rpc::ThriftServer alone_server({}, serve_api(alone));
   const auto at = "127.0.0.1:" + std::to_string(alone_server.port());
   const auto table = run({"--master", at, "status"});
   EXPECT_EQ(table.status, 1);
@@ -256,10 +295,10 @@ TEST_F(Cli, AMasterThatWantsATokenGetsItFromAFile) {
   server.reset();
   const std::string file = testing::TempDir() + "iotcloud-token-" + std::to_string(getpid());
   const std::string tokens = file + "s";
-  const std::string token = config::add_token(tokens, "anna", config::Role::viewer);
+  const std::string token = security::add_token(tokens, "anna", security::Role::viewer);
   ApiAccess access;
-  access.tokens = std::make_shared<config::TokenKeeper>(tokens);
-  server.emplace(config::ThriftServerOptions{}, serve_api(**master, access));
+  access.tokens = std::make_shared<security::TokenKeeper>(tokens);
+  server.emplace(rpc::ThriftServerOptions{}, serve_api(**master, access));
   const auto closed = run({"gateways"});
   EXPECT_EQ(closed.status, 1);
   EXPECT_THAT(closed.err, AllOf(HasSubstr("token"), HasSubstr("--token-file")));
@@ -297,6 +336,8 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
         {"deploy", "turtle.so", "--all", "-c", "a.priority=1", "-p", "channel.a.priority=1"},
         {"deploy", "turtle.so", "--all", "-c", "a.spool_full=block", "-c", "a.when_full=block"},
         {"drain"},
+        {"registry", "adopt"},
+        {"registry", "adopt", "lab1", "--all"},
         {"diff"},
         {"apply"},
         {"diff", "-f", "/nonexistent/fleet.yaml"},
@@ -323,8 +364,8 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
 
 TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   for (const char* command :
-       {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop", "metadata", "describe",
-        "history", "logs", "drain", "undrain", "diff", "apply", "completion"}) {
+       {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop", "restart", "metadata",
+        "describe", "history", "logs", "drain", "undrain", "diff", "apply", "completion"}) {
     const auto done = run({command, "--help"});
     EXPECT_EQ(done.status, 0) << command;
     EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud "))) << command;
@@ -342,16 +383,16 @@ TEST_F(Cli, ATopologyIsListedWithItsStateAndOrderedToChange) {
   const discovery::Paths paths;
   auto& registry = master->registry();
   discovery::TopologyRecord record;
-  record.name = "echo";
+  record.name = "echo"_topology;
   record.spouts = {"in"};
-  discovery::put(registry, paths.topology("echo"), encode(record));
+  discovery::put(registry, paths.topology("echo"_topology), encode(record));
   discovery::WorkerRecord worker;
   worker.name = "w1";
   worker.state = "active";
   worker.components = {{"in", {1, 2}}};
-  const auto path = paths.workers("echo") + "/w1";
+  const auto path = paths.workers("echo"_topology) + "/w1";
   const auto node = registry.hold(path, encode(worker));
-  const auto orders = registry.watch_node(paths.topology_order("echo"), [&](const auto& order) {
+  const auto orders = registry.watch_node(paths.topology_order("echo"_topology), [&](const auto& order) {
     if (!order) return;
     const auto wanted = discovery::decode_topology_order(order->data, "order");
     worker.state = wanted.active ? "active" : "inactive";

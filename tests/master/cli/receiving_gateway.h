@@ -7,14 +7,14 @@
 #include <vector>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
-#include <iotcloud/config/signing/sha256.h>
-#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/rpc/thrift_server.h>
+#include <iotcloud/security/sha256.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master::test {
 
-/// The Thrift service of a gateway that takes what is sent to it. Thread safe.
+/// The Thrift service of a gateway that accepts uploads. Thread safe.
 class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
  public:
   explicit ReceivingSite(std::string gateway) : gateway_(std::move(gateway)) {}
@@ -39,7 +39,7 @@ class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
   }
   void finishPlugin(const std::string&) override {
     const std::lock_guard lock(mutex_);
-    if (config::sha256_hex(received_) != offers_.back().sha256) {
+    if (security::sha256_hex(received_) != offers_.back().sha256) {
       refusal_ = "other bytes";
       refuse();
     }
@@ -80,13 +80,13 @@ class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
   int pieces_ = 0;                                   ///< guarded by mutex_
 };
 
-/// From now on the gateway's record says that its service is at this port.
+/// Sets the port of the service in the gateway's record.
 inline void serve_at(const std::string& url, const std::string& id, int port) {
   const discovery::Paths paths;
   auto registry = open_registry(url);
-  auto record = discovery::decode_gateway(registry->get(paths.gateway(id))->data, id);
+  auto record = discovery::decode_gateway(registry->get(paths.gateway(discovery::GatewayId(id)))->data, id);
   record.port = port;
-  discovery::put(*registry, paths.gateway(id), encode(record));
+  discovery::put(*registry, paths.gateway(discovery::GatewayId(id)), encode(record));
 }
 
 /// A gateway that follows orders, and its Thrift service.
@@ -100,7 +100,7 @@ struct ServedGateway {
   }
   FakeGateway gateway;
   const std::shared_ptr<ReceivingSite> site;
-  config::ThriftServer service;
+  rpc::ThriftServer service;
 };
 
 }  // namespace iotcloud::master::test

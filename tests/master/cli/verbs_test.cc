@@ -123,6 +123,8 @@ TEST_F(CliVerbs, JsonAndYamlSayTheSame) {
                                               {"apply", "-f", file},
                                               {"drain", "lab1"},
                                               {"undrain", "lab1"},
+                                              {"registry", "adopt", "lab1"},
+                                              {"registry", "adopt", "--all"},
                                               {"stop", "--name", "m"},
                                               {"start", "--name", "m"},
                                               {"metadata", "--name", "m", "a=b"},
@@ -168,6 +170,7 @@ TEST_F(CliVerbs, AShellCompletesNamesThatTheMasterKnows) {
   const auto id = deploy("lab1");
   ASSERT_EQ(run({"deploy", "a.so", "--name", "meter", "--gateway", "lab2"}).status, 0);
   EXPECT_THAT(complete({"drain", ""}), ElementsAre("lab1", "lab2"));
+  EXPECT_THAT(complete({"registry", "adopt", ""}), ElementsAre("lab1", "lab2"));
   EXPECT_THAT(complete({"drain", "lab1", "lab"}), ElementsAre("lab1", "lab2")) << "it takes several";
   EXPECT_THAT(complete({"drivers", "--gateway", "lab1,la"}), ElementsAre("lab1,lab1", "lab1,lab2"));
   EXPECT_THAT(complete({"describe", id.substr(0, 12)}), ElementsAre(id));

@@ -1,5 +1,6 @@
-// The API as clients of the original system were compiled with it (REFERENCE.md section 1): no new method, no new
-// field. Kept apart from ours on purpose, so that a change there shows here.
+// The API as clients of the original system were compiled with it (docs/wire.md#thrift): no new method, no new
+// field. It is a copy that does not include our files, so that tests with it notice a change of ours that breaks old
+// clients.
 enum TDirection { IN = 0, OUT = 1 }
 enum TSensorState { DEPLOY = 0, ACTIVE = 1, DE_ACTIVATE = 2, UN_DEPLOY = 3, UPDATE = 4, UNKNOWN = 5 }
 enum TResponseState { SUCCESS = 0, FAILURE = 1 }

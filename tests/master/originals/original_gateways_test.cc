@@ -12,9 +12,10 @@
 
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include "iotcloud/master/TMasterService.h"
-#include <iotcloud/config/thrift/thrift_server.h>
 #include <iotcloud/master/originals/gateway_handler.h>
 #include <iotcloud/master/originals/original_gateways.h>
+#include <iotcloud/rpc/thrift_server.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -141,7 +142,7 @@ class OriginalGatewayTest : public testing::Test {
     master.emplace(url, master_options);
     EXPECT_TRUE(master->leads());
     originals->start([this] { return (*master)->status().leading; });
-    for_gateways.emplace(config::ThriftServerOptions{},
+    for_gateways.emplace(rpc::ThriftServerOptions{},
                          serve_original_gateways(*originals, [this] { return (*master)->status(); }));
     gateway = std::make_shared<OriginalGateway>(for_gateways->port());
     serve_gateway(0);
@@ -153,7 +154,7 @@ class OriginalGatewayTest : public testing::Test {
   }
 
   void serve_gateway(int port) {
-    config::ThriftServerOptions options;
+    rpc::ThriftServerOptions options;
     options.port = port;
     gateway_server.emplace(options, [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(gateway)](
                                         const auto&) { return p; });
@@ -177,7 +178,7 @@ class OriginalGatewayTest : public testing::Test {
   static DeployRequest jar() {
     DeployRequest request;
     request.plugin = "turtle.jar";
-    request.driver = "cgl.iotcloud.turtle.TurtleSensor";
+    request.driver = "cgl.iotcloud.turtle.TurtleSensor"_driver;
     return request;
   }
 
@@ -186,9 +187,9 @@ class OriginalGatewayTest : public testing::Test {
   std::unique_ptr<discovery::Registry> registry;
   std::optional<OriginalGateways> originals;
   std::optional<TestMaster> master;
-  std::optional<config::ThriftServer> for_gateways;
+  std::optional<rpc::ThriftServer> for_gateways;
   std::shared_ptr<OriginalGateway> gateway;
-  std::optional<config::ThriftServer> gateway_server;
+  std::optional<rpc::ThriftServer> gateway_server;
 };
 
 TEST_F(OriginalGatewayTest, RegistersAndIsAskedForHeartbeats) {
@@ -217,7 +218,7 @@ TEST_F(OriginalGatewayTest, DeployIsDoneWhenItHasRegisteredTheDriver) {
   ASSERT_THAT(drivers, SizeIs(1));
   EXPECT_EQ(drivers[0].gateway, "java1");
   EXPECT_EQ(drivers[0].state, DriverState::active);
-  const auto channel = registry->get(paths.channel("turtle", "original1", "kinect"));
+  const auto channel = registry->get(paths.channel("turtle"_driver, "original1"_instance, "kinect"));
   ASSERT_TRUE(channel);
   EXPECT_EQ(discovery::decode_channel(channel->data, "").broker_url, "amqp://127.0.0.1:5672");
 }
@@ -304,17 +305,17 @@ TEST_F(OriginalGatewayTest, IsTendedByTheMasterThatComesToLeadNext) {
   OriginalGateways next(*registry, options);
   next.start([] { return true; });
   EXPECT_TRUE(test::eventually([&] { return alive(); }));
-  EXPECT_TRUE(next.has("java1"));
+  EXPECT_TRUE(next.has("java1"_gateway));
   next.stop();
 }
 
 TEST_F(OriginalGatewayTest, AStandbyMasterRefusesAndNamesTheLeader) {
-  config::ThriftServer standby({}, serve_original_gateways(*originals, [] {
-                                 MasterStatus status;
-                                 status.id = "m2";
-                                 status.leader = "10.0.0.1:12904";
-                                 return status;
-                               }));
+  rpc::ThriftServer standby({}, serve_original_gateways(*originals, [] {
+                              MasterStatus status;
+                              status.id = "m2";
+                              status.leader = "10.0.0.1:12904";
+                              return status;
+                            }));
   TResponse response;
   ToMaster(standby.port())->registerSite(response, site());
   EXPECT_EQ(response.state, TResponseState::FAILURE);

@@ -150,7 +150,7 @@ bolt count_send: 1 executor, 3 tasks; sends to channel "control" of driver "turt
   ticks every 1 s
   -> control, driverID, time
 
-These inputs reach across drivers, and each worker has only its own drivers' tuples: one worker alone may run this; where each for itself is meant, say "scope: worker":
+These inputs reach across drivers, and each worker has only its own drivers' tuples: one worker alone may run this, unless "scope: worker" says that each worker processes its own tuples only:
   count_send <- count, global
 )");
 }

@@ -4,7 +4,7 @@
 
 namespace iotcloud::topology::texts {
 
-/// The paper's example, word for word (REFERENCE.md 5).
+/// The paper's example, word for word (docs/wire.md#topology-files).
 inline constexpr const char* paper_example = R"(zk.servers: ["server1:2181"]
 zk.root: "/iot/sensors"
 topology.name: "wordcount"
@@ -22,13 +22,13 @@ bolts:
     fields: ["control", "driverID", "time"]
 )";
 
-/// What stands in front of a spout's keys, which begin in line 5.
+/// Puts the lines before a spout's keys, which begin in line 5.
 inline std::string with_spout(const std::string& spout) {
   return "zk.servers: [a:2181]\ntopology.name: t\nspouts:\n  s:\n" + spout;
 }
 inline const std::string good_spout = "    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f]\n";
 
-/// What stands in front of a bolt's keys, which begin in line 11.
+/// Puts the lines before a bolt's keys, which begin in line 11.
 inline std::string with_bolt(const std::string& bolt) {
   return with_spout(good_spout) + "bolts:\n  b:\n" + bolt;
 }

@@ -43,10 +43,10 @@ class ScriptedPublisher final : public brokers::Publisher {
     --script_.alive;
     while (!script_.open.empty()) script_.outcome(*script_.open.begin(), Outcome::unknown);
   }
-  PublishStatus publish(brokers::Message message) override {
+  brokers::Published publish(brokers::Message message) override {
     if (script_.full) {
       if (script_.when_full) script_.when_full();
-      return PublishStatus::would_block;
+      return {PublishStatus::would_block};
     }
     script_.published.emplace_back(message.payload.text());
     const std::uint64_t number = script_.published.size();
@@ -55,7 +55,7 @@ class ScriptedPublisher final : public brokers::Publisher {
     if (script_.confirm_before_publish_returns) {
       std::thread([&] { script_.outcome(number, Outcome::confirmed); }).join();
     }
-    return PublishStatus::accepted;
+    return {PublishStatus::accepted, number};
   }
   bool drain(std::chrono::milliseconds) override { return true; }
   std::size_t pending() const override { return script_.open.size(); }
@@ -106,7 +106,7 @@ class SentTuples : public testing::Test {
 
   void open(AckWhen ack_when = AckWhen::confirmed) {
     sender_ = ChannelSender::open(std::make_shared<ScriptedBroker>(script_), {"", "t", false}, {}, ack_when, meters_,
-                                  std::make_shared<Fence>());
+                                  std::make_shared<StandstillFence>());
   }
   void TearDown() override {
     if (sender_) sender_->close();

@@ -255,7 +255,22 @@ TEST_P(Commands, ThatTheBrokerHasConfirmedSettleTheSpoutsMessages) {
   EXPECT_EQ(mailbox.texts().back(), "last");
 }
 
-class BrokerThatIsAway : public Endpoints {};
+/// The server goes while a tuple stands before the gate, and is away when it passes.
+class BrokerThatIsAway : public Endpoints {
+ protected:
+  void stop_server_while_works(const std::string& text) {
+    show_driver("one");
+    Gate::set(false);
+    publisher_ = device("one");
+    publisher_->publish(message(text, "one"));
+    ASSERT_TRUE(Gate::wait_for_one());
+    server_.stop();
+    Gate::set(true);
+  }
+
+  brokers::embedded::Server server_ = brokers::embedded::Server::named(url_.substr(11));
+  std::unique_ptr<brokers::Publisher> publisher_;
+};
 
 TEST_F(BrokerThatIsAway, HasNoMessageOfTheSpoutAcknowledgedBeforeItsCommandIsSafe) {
   ComponentRegistry components;
@@ -267,17 +282,7 @@ TEST_F(BrokerThatIsAway, HasNoMessageOfTheSpoutAcknowledgedBeforeItsCommandIsSaf
       "bolts:\n  gate: {class: Gate, inputs: {from: in}}\n"
       "  out: {broker: rabbitmq, driver: d, channel: down, fields: [text, driverID, time], inputs: {from: gate}}\n",
       std::move(components));
-  show_driver("one");
-  Gate::set(false);
-  const auto publisher = device("one");
-  publisher->publish(message("command", "one"));
-  ASSERT_TRUE(eventually([] {
-    const std::lock_guard lock(Gate::mutex);
-    return Gate::inside > 0;
-  }));
-  auto server = brokers::embedded::Server::named(url_.substr(11));
-  server.stop();
-  Gate::set(true);
+  ASSERT_NO_FATAL_FAILURE(stop_server_while_works("command"));
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_bolt_sent_total") == 1; }));
   const auto pending = [&] {
     std::size_t tuples = 0;
@@ -285,7 +290,7 @@ TEST_F(BrokerThatIsAway, HasNoMessageOfTheSpoutAcknowledgedBeforeItsCommandIsSaf
     return tuples;
   };
   EXPECT_EQ(pending(), 1U);
-  server.start();
+  server_.start();
   ASSERT_TRUE(mailbox.wait_for(1));
   EXPECT_TRUE(eventually([&] { return pending() == 0; }));
 }
@@ -301,20 +306,10 @@ TEST_F(BrokerThatIsAway, GetsItsDeadLettersWhenItIsBack) {
       "fields: [text, driverID, time], properties: {maxTries: 1, deadLetter: letters}}\n"
       "bolts:\n  gate: {class: Gate, inputs: {from: in}}\n  picky: {class: Picky, inputs: {from: gate}}\n",
       std::move(components));
-  show_driver("one");
-  Gate::set(false);
-  const auto publisher = device("one");
-  publisher->publish(message("bad", "one"));
-  ASSERT_TRUE(eventually([] {
-    const std::lock_guard lock(Gate::mutex);
-    return Gate::inside > 0;
-  }));
-  auto server = brokers::embedded::Server::named(url_.substr(11));
-  server.stop();
-  Gate::set(true);
+  ASSERT_NO_FATAL_FAILURE(stop_server_while_works("bad"));
   ASSERT_TRUE(eventually([] { return PickyBolt::seen("bad") == 1; }));
   EXPECT_EQ(metric("iotcloud_spout_dead_letters_total"), 0);
-  server.start();
+  server_.start();
   Mailbox reader(*broker_, "letters", true);
   ASSERT_TRUE(reader.wait_for(1));
   EXPECT_EQ(reader.texts().at(0), "bad");

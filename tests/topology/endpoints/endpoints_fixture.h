@@ -14,6 +14,7 @@
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/topology/worker/worker.h>
 
@@ -21,7 +22,7 @@ namespace iotcloud::topology {
 
 using tests::eventually;
 
-/// What a topology sent to one topic, or a driver's stand-in.
+/// Collects the messages of one topic, in place of a driver.
 class Mailbox {
  public:
   Mailbox(brokers::Broker& broker, const std::string& topic, bool durable = false) {
@@ -33,10 +34,10 @@ class Mailbox {
       changed_.notify_all();
     });
   }
-  /// \return false when there were not so many within 20 s.
+  /// \return false if there were fewer within 20 s.
   bool wait_for(std::size_t count) {
     std::unique_lock lock(mutex_);
-    return changed_.wait_for(lock, std::chrono::seconds(20), [&] { return messages_.size() >= count; });
+    return changed_.wait_for(lock, tests::patience, [&] { return messages_.size() >= count; });
   }
   std::vector<std::string> texts() {
     const std::lock_guard lock(mutex_);
@@ -56,7 +57,7 @@ class Mailbox {
   std::unique_ptr<brokers::Subscription> subscription_;
 };
 
-/// Lets tuples pass while it is open; thread safe.
+/// Lets tuples pass while it is open, and holds them while it is closed. Thread safe.
 struct Gate {
   static inline std::mutex mutex;
   static inline std::condition_variable changed;
@@ -66,6 +67,13 @@ struct Gate {
     const std::lock_guard lock(mutex);
     open = is_open;
     changed.notify_all();
+  }
+  /// Waits until a tuple has reached the gate. \return false if none came in time.
+  static bool wait_for_one() {
+    return eventually([] {
+      const std::lock_guard lock(mutex);
+      return inside > 0;
+    });
   }
 };
 
@@ -87,7 +95,7 @@ class GateBolt final : public BasicBolt {
 
 class Endpoints : public ::testing::Test {
  protected:
-  /// \param broker_url empty: an embedded one.
+  /// \param broker_url empty: an embedded broker.
   explicit Endpoints(std::string broker_url = {}) {
     static int number = 0;
     Gate::open = true;
@@ -128,13 +136,14 @@ class Endpoints : public ::testing::Test {
     return *workers_.back();
   }
 
-  /// A driver as a gateway would show it.
-  void show_driver(const std::string& instance, const std::string& transport = "rabbitmq") {
+  /// Shows a driver in the registry as a gateway would.
+  void show_driver(const std::string& instance, const std::string& transport = "rabbitmq",
+                   discovery::DriverState state = discovery::DriverState::active) {
     discovery::DriverRecord driver;
-    driver.name = "d";
-    driver.instance = instance;
-    driver.gateway = "g";
-    driver.state = discovery::DriverState::active;
+    driver.name = "d"_driver;
+    driver.instance = discovery::InstanceId(instance);
+    driver.gateway = "g"_gateway;
+    driver.state = state;
     for (const std::string name : {"up", "down"}) {
       discovery::ChannelRecord channel;
       channel.name = name;
@@ -142,12 +151,13 @@ class Endpoints : public ::testing::Test {
       channel.direction = name == "up" ? discovery::Direction::out : discovery::Direction::in;
       channel.properties = {{"routingKey", topic(instance, name)}};
       channel.broker_url = broker_url_;
-      channel.gateway = "g";
-      channel.driver = "d";
-      channel.instance = instance;
-      discovery::put(*registry_, paths_.channel("d", instance, name), discovery::encode(channel));
+      channel.gateway = "g"_gateway;
+      channel.driver = "d"_driver;
+      channel.instance = discovery::InstanceId(instance);
+      discovery::put(*registry_, paths_.channel("d"_driver, discovery::InstanceId(instance), name),
+                     discovery::encode(channel));
     }
-    discovery::put(*registry_, paths_.instance("d", instance), discovery::encode(driver));
+    discovery::put(*registry_, paths_.instance("d"_driver, discovery::InstanceId(instance)), discovery::encode(driver));
   }
   static std::string topic(const std::string& instance, const std::string& channel) {
     return "g.d." + instance + "." + channel;
@@ -181,7 +191,7 @@ class Endpoints : public ::testing::Test {
   const discovery::Paths paths_;
   std::unique_ptr<discovery::Registry> registry_;
   std::unique_ptr<brokers::Broker> broker_;
-  std::vector<std::unique_ptr<Worker>> workers_;  // they go first
+  std::vector<std::unique_ptr<Worker>> workers_;  // destroyed first
 };
 
 }  // namespace iotcloud::topology

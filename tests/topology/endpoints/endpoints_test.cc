@@ -13,6 +13,7 @@
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
 #include <iotcloud/topology/worker/worker.h>
 
@@ -54,10 +55,7 @@ TEST_F(Endpoints, LeaveWhatASlowTopologyCannotTakeInTheBroker) {
   Gate::set(false);
   const auto publisher = device("one");
   for (int i = 0; i < 1000; ++i) publisher->publish(message(std::to_string(i), "one"));
-  ASSERT_TRUE(eventually([] {
-    const std::lock_guard lock(Gate::mutex);
-    return Gate::inside > 0;
-  }));
+  ASSERT_TRUE(Gate::wait_for_one());
   EXPECT_LE(metric("iotcloud_spout_received_total"), 10);
   EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 1000U);
   Gate::set(true);
@@ -75,10 +73,7 @@ TEST_F(Endpoints, FinishWhatIsUnderWayWhenTheWorkerStops) {
   Gate::set(false);
   const auto publisher = device("one");
   publisher->publish(message("unfinished", "one"));
-  ASSERT_TRUE(eventually([] {
-    const std::lock_guard lock(Gate::mutex);
-    return Gate::inside > 0;
-  }));
+  ASSERT_TRUE(Gate::wait_for_one());
   std::thread opener([&] {
     // Whether the stop has begun or not: what the bolt has in hand is not settled before it is done.
     EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 1U);
@@ -111,7 +106,7 @@ TEST_F(Endpoints, CountTuplesForADriverThatWentAndSayItOnceWithItsName) {
   Mailbox reader(*broker_, topic("gone", "down"));
   publisher->publish(message("hello", "gone"));
   ASSERT_TRUE(reader.wait_for(1));  // the way to it is known
-  discovery::remove_tree(*registry_, paths_.instance("d", "gone"));
+  discovery::remove_tree(*registry_, paths_.instance("d"_driver, "gone"_instance));
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
   testing::internal::CaptureStderr();
   int sent = 0;
@@ -182,8 +177,47 @@ TEST_F(Endpoints, DropAChannelWhenItsDriverGoes) {
   run();
   show_driver("one");
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
-  discovery::remove_tree(*registry_, paths_.instance("d", "one"));
+  discovery::remove_tree(*registry_, paths_.instance("d"_driver, "one"_instance));
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+}
+
+TEST_F(Endpoints, ReadWhatADriverSentBeforeItWentToItsEnd) {
+  run("{prefetchCount: 10}");
+  show_driver("one");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+  Gate::set(false);
+  const auto publisher = device("one");
+  for (int i = 0; i < 200; ++i) publisher->publish(message(std::to_string(i), "one"));
+  ASSERT_TRUE(publisher->drain(tests::patience));  // the broker has confirmed all
+  ASSERT_TRUE(Gate::wait_for_one());
+  discovery::remove_tree(*registry_, paths_.instance("d"_driver, "one"_instance));
+  show_driver("two");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2; })) << "the first is still read";
+  Gate::set(true);
+  EXPECT_TRUE(eventually(
+      [&] { return brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t") == 0; }));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; })) << "only the other driver is read";
+}
+
+TEST_F(Endpoints, ReadADriverThatComesBackWhileItIsReadToItsEndWithoutAnInterruption) {
+  Mailbox mailbox(*broker_, topic("one", "down"));
+  run();
+  show_driver("one");
+  const auto publisher = device("one");
+  publisher->publish(message("before", "one"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  Gate::set(false);
+  publisher->publish(message("in hand", "one"));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_received_total") == 2; }));
+  show_driver("one", "rabbitmq", discovery::DriverState::starting);
+  show_driver("two");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2; }));
+  show_driver("one");
+  Gate::set(true);
+  publisher->publish(message("after", "one"));
+  ASSERT_TRUE(mailbox.wait_for(3));
+  EXPECT_THAT(mailbox.texts(), ElementsAre("before", "in hand", "after"));
+  EXPECT_EQ(metric("iotcloud_broker_redelivered_total"), 0);
 }
 
 TEST_F(Endpoints, ReadOnWhenTheBrokerWasGoneForAWhile) {
@@ -209,7 +243,7 @@ TEST_F(Endpoints, ReadOnWhileTheRegistryIsAwayAndAfterItsSessionExpired) {
   publisher->publish(message("before", "one"));
   ASSERT_TRUE(mailbox.wait_for(1));
 
-  const auto server = discovery::embedded::Server::named(url_.substr(11));
+  const auto server = discovery::embedded::RegistryServer::named(url_.substr(11));
   const auto session = server->sessions().at(0);
   server->stop();
   ASSERT_TRUE(eventually([&] { return registry_->session() == discovery::SessionState::expired; }));
@@ -228,7 +262,7 @@ TEST_F(Endpoints, ReadOnWhileTheRegistryIsAwayAndAfterItsSessionExpired) {
 
 TEST_F(Endpoints, StartWithoutTheRegistryAndWorkWhenItComes) {
   Mailbox mailbox(*broker_, topic("one", "down"));
-  const auto server = discovery::embedded::Server::named(url_.substr(11));
+  const auto server = discovery::embedded::RegistryServer::named(url_.substr(11));
   server->stop();
   run();
   server->start();

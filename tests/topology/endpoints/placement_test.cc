@@ -6,6 +6,7 @@
 #include <set>
 
 #include <iotcloud/brokers/embedded/server.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
 
 namespace iotcloud::topology {
@@ -107,7 +108,7 @@ class Placement : public Endpoints {
   }
 
   void remove_driver(std::size_t place) {
-    discovery::remove_tree(*registry_, paths_.instance("d", present_[place]));
+    discovery::remove_tree(*registry_, paths_.instance("d"_driver, discovery::InstanceId(present_[place])));
     present_.erase(present_.begin() + static_cast<std::ptrdiff_t>(place));
   }
 
@@ -205,8 +206,8 @@ TEST_F(Placement, IsWithinOneUnitOfEvenOverAllTasksAfterEachOfManyChangesAndNoth
     }
     ASSERT_TRUE(eventually([&] { return even(); })) << "step " << step << ", " << last << ": " << description();
   }
-  for (const auto& [id, mailbox] : mailboxes_) {
-    ASSERT_TRUE(eventually([&] { return complete(id); })) << id << " lost messages";
+  for (const auto& mailbox : mailboxes_) {
+    ASSERT_TRUE(eventually([&] { return complete(mailbox.first); })) << mailbox.first << " lost messages";
   }
   expect_each_once_in_order();
 }

@@ -17,15 +17,15 @@ using testing::IsEmpty;
 class RetriesTest : public testing::Test {
  protected:
   /// A new message, named by its driver and number.
-  Arrival arrive(const std::string& driver) {
+  ChannelMessage arrive(const std::string& driver) {
     brokers::Message message;
     message.driver_id = driver;
-    Arrival arrival(brokers::Delivery(std::move(message), false, nullptr, 0), nullptr);
+    ChannelMessage arrival(brokers::Delivery(std::move(message), false, nullptr, 0), nullptr);
     arrival.sequence = ++last_sequence_;
     return arrival;
   }
   /// It was emitted and its tuple failed.
-  void fail(Arrival arrival) {
+  void fail(ChannelMessage arrival) {
     ++arrival.tries;
     retries_.add(std::move(arrival), now_);
   }
@@ -38,7 +38,7 @@ class RetriesTest : public testing::Test {
     }
     return taken;
   }
-  bool hold(Arrival arrival) { return retries_.hold(arrival); }
+  bool hold(ChannelMessage arrival) { return retries_.hold(arrival); }
 
   Retries retries_;
   Retries::Instant now_{1h};

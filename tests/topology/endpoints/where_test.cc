@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <iotcloud/brokers/embedded/server.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
 
 namespace iotcloud::topology {
@@ -24,25 +25,25 @@ class Where : public Endpoints {
     channel.direction = name == "up" ? discovery::Direction::out : discovery::Direction::in;
     channel.properties = {{"routingKey", shared ? "g.d." + name : topic(instance, name)}};
     channel.broker_url = url;
-    channel.gateway = "g";
-    channel.driver = "d";
-    channel.instance = instance;
+    channel.gateway = "g"_gateway;
+    channel.driver = "d"_driver;
+    channel.instance = discovery::InstanceId(instance);
     channel.shared = shared;
     return channel;
   }
   void tell(const std::string& instance, Metadata metadata,
             discovery::DriverState state = discovery::DriverState::active) {
     discovery::DriverRecord driver;
-    driver.name = "d";
-    driver.instance = instance;
-    driver.gateway = "g";
+    driver.name = "d"_driver;
+    driver.instance = discovery::InstanceId(instance);
+    driver.gateway = "g"_gateway;
     driver.state = state;
     driver.metadata = std::move(metadata);
-    discovery::put(*registry_, paths_.instance("d", instance), discovery::encode(driver));
+    discovery::put(*registry_, paths_.instance("d"_driver, discovery::InstanceId(instance)), discovery::encode(driver));
   }
   void show(const std::string& instance, Metadata metadata, bool shared = false) {
     for (const char* name : {"up", "down"}) {
-      discovery::put(*registry_, paths_.channel("d", instance, name),
+      discovery::put(*registry_, paths_.channel("d"_driver, discovery::InstanceId(instance), name),
                      discovery::encode(channel(instance, name, shared && std::string(name) == "up", broker_url_)));
     }
     tell(instance, std::move(metadata));

@@ -71,7 +71,7 @@ struct DirectBolt : Bolt {
   OutputCollector* collector_ = nullptr;
   int target_ = 0;
 };
-struct Sink : BasicBolt {
+struct Discarding : BasicBolt {
   void execute(const Tuple&, BasicOutputCollector&) override {}
 };
 
@@ -79,7 +79,7 @@ TEST(CompleteTopology, CollectsDirectStreamsAndThoseThatNobodyReads) {
   TopologyBuilder builder;
   builder.set_spout("numbers", source_spout(std::make_shared<Source>(), {"number"}));
   builder.set_bolt<DirectBolt>("director").shuffle_grouping("numbers");
-  builder.set_bolt<Sink>("sink", 2).direct_grouping("director", "to-one");
+  builder.set_bolt<Discarding>("sink", 2).direct_grouping("director", "to-one");
   CompleteOptions options;
   options.inputs["numbers"] = {Values(1), Values(2)};
   const CompletedTopology result = complete_topology(builder.build("t"), options);

@@ -7,6 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/topology/workshop.h>
 
 namespace iotcloud::topology::workshop {
@@ -27,7 +28,7 @@ class Crowd {
     std::unique_lock lock(mutex_);
     most_ = std::max(most_, ++inside_);
     changed_.notify_all();
-    changed_.wait_for(lock, 20s, [this] { return most_ >= wanted_; });
+    changed_.wait_for(lock, tests::patience, [this] { return most_ >= wanted_; });
     lock.unlock();
     std::this_thread::yield();  // whoever must not come in has time to do so
     lock.lock();
@@ -236,6 +237,40 @@ TEST(Executors, ATaskThatDoesNotReturnIsNamed) {
   ASSERT_EQ(reports.size(), 1U) << "once for each time that it hangs";
   EXPECT_THAT(reports.front(), HasSubstr("stuck/2: does not return from user code"));
   EXPECT_THAT(runtime.snapshot().component("stuck").last_error, HasSubstr("does not return"));
+}
+
+TEST(Executors, WhoIsToldOfAHangingTaskMayChangeTheParallelism) {
+  auto source = std::make_shared<Source>();
+  std::latch may_end(1);
+  std::atomic<Runtime*> there{nullptr};
+  std::atomic<bool> changed{false};
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder
+      .set_bolt("stuck", bolt([&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                  may_end.wait();
+                  out.ack(tuple);
+                }))
+      .shuffle_grouping("in")
+      .tasks(4);
+  config::Metrics metrics;
+  RuntimeOptions options;
+  options.threads = 2;
+  options.metrics = &metrics;
+  options.hang_after = 100ms;  // long enough that the tasks behind the one that hangs stand aside by then
+  options.on_error = [&](const std::string& component, int, const std::string&) {
+    if (component != "stuck" || there.load() == nullptr || changed) return;
+    there.load()->rebalance("stuck", 4);
+    changed = true;
+  };
+  Runtime runtime(builder.build("hanging"), options);
+  there = &runtime;
+  runtime.start();
+  for (int i = 0; i < 8; ++i) source->lay(Values(i));
+  std::jthread reader([&] { source->wake(); });
+  EXPECT_TRUE(eventually([&] { return changed.load(); })) << "the tasks that stood aside could not be handed on";
+  may_end.count_down();
+  EXPECT_TRUE(eventually([&] { return source->acked().size() == 8; }));
 }
 
 TEST(Executors, ATaskThatIsInUserCodeWhenTheRuntimeStopsIsCleanedUpWhenItReturns) {

@@ -25,52 +25,57 @@ BoltFactory slow_bolt(SimulatedClock& clock, std::chrono::milliseconds period) {
       {"value"});
 }
 
-TEST(Deadline, ALateTupleIsNotExecutedButCountedAndAcked) {
+/// A spout "in", a sink, and simulated time; a test adds what is between them.
+struct Line {
+  Line() { builder.set_spout("in", source_spout(source)); }
+  void start() {
+    runtime = std::make_unique<Runtime>(builder.build("line"), bench.options());
+    runtime->start();
+  }
+  void put(int value) {
+    source->put(Values(value));
+    runtime->run_until_idle();
+  }
+
   Bench bench;
-  auto source = std::make_shared<Source>();
-  auto sink = std::make_shared<Sink>();
+  std::shared_ptr<Source> source = std::make_shared<Source>();
+  std::shared_ptr<Sink> sink = std::make_shared<Sink>();
   TopologyBuilder builder;
-  builder.set_spout("in", source_spout(source));
-  builder
+  std::unique_ptr<Runtime> runtime;
+};
+
+TEST(Deadline, ALateTupleIsNotExecutedButCountedAndAcked) {
+  Line line;
+  line.builder
       .set_bolt("takes", bolt(
                              [&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
-                               bench.clock.advance(std::chrono::milliseconds(tuple.get<std::int64_t>("value")));
+                               line.bench.clock.advance(std::chrono::milliseconds(tuple.get<std::int64_t>("value")));
                                out.emit(tuple, Values(tuple.at(0)));
                                out.ack(tuple);
                              },
                              {"value"}))
       .shuffle_grouping("in");
-  builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("takes").deadline(50ms);
-  Runtime runtime(builder.build("late"), bench.options());
-  runtime.start();
-  for (const int milliseconds : {10, 60, 49, 51}) {
-    source->put(Values(milliseconds));
-    runtime.run_until_idle();
-  }
-  EXPECT_THAT(sink->numbers(), ElementsAre(10, 49));
-  const auto out = runtime.snapshot().component("out");
+  line.builder.set_bolt("out", sink_bolt(line.sink)).shuffle_grouping("takes").deadline(50ms);
+  line.start();
+  for (const int milliseconds : {10, 60, 49, 51}) line.put(milliseconds);
+  EXPECT_THAT(line.sink->numbers(), ElementsAre(10, 49));
+  const auto out = line.runtime->snapshot().component("out");
   EXPECT_EQ(out.late, 2U);
   EXPECT_EQ(out.executed, 2U);
-  EXPECT_EQ(source->acked().size(), 4U);
-  EXPECT_THAT(source->failed(), IsEmpty());
+  EXPECT_EQ(line.source->acked().size(), 4U);
+  EXPECT_THAT(line.source->failed(), IsEmpty());
 }
 
 TEST(Deadline, AFreshTupleIsExecuted) {
-  Bench bench;
-  auto source = std::make_shared<Source>();
-  auto sink = std::make_shared<Sink>();
-  TopologyBuilder builder;
-  builder.set_spout("in", source_spout(source));
-  builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("in").deadline(50ms);
-  Runtime runtime(builder.build("fresh"), bench.options());
-  runtime.start();
+  Line line;
+  line.builder.set_bolt("out", sink_bolt(line.sink)).shuffle_grouping("in").deadline(50ms);
+  line.start();
   for (int i = 1; i <= 3; ++i) {
-    bench.clock.advance(10s);
-    source->put(Values(i));
-    runtime.run_until_idle();
+    line.bench.clock.advance(10s);
+    line.put(i);
   }
-  EXPECT_THAT(sink->numbers(), ElementsAre(1, 2, 3));
-  EXPECT_EQ(runtime.snapshot().component("out").late, 0U);
+  EXPECT_THAT(line.sink->numbers(), ElementsAre(1, 2, 3));
+  EXPECT_EQ(line.runtime->snapshot().component("out").late, 0U);
 }
 
 /// Takes `period` between being asked for its only tuple and emitting it.
@@ -111,69 +116,53 @@ TEST(Deadline, CountsFromWhenTheSpoutWasAsked) {
 }
 
 TEST(Deadline, ALateTupleGoesToTheLateStreamWithItsValuesAndItsTree) {
-  Bench bench;
-  auto source = std::make_shared<Source>();
-  auto on_time = std::make_shared<Sink>(), late = std::make_shared<Sink>();
+  auto late = std::make_shared<Sink>();
   std::vector<Tuple> held;
-  TopologyBuilder builder;
-  builder.set_spout("in", source_spout(source));
-  builder.set_bolt("slow", slow_bolt(bench.clock, 100ms)).shuffle_grouping("in");
-  builder.set_bolt("out", sink_bolt(on_time)).shuffle_grouping("slow").deadline(50ms, "late");
-  builder
+  Line line;
+  line.builder.set_bolt("slow", slow_bolt(line.bench.clock, 100ms)).shuffle_grouping("in");
+  line.builder.set_bolt("out", sink_bolt(line.sink)).shuffle_grouping("slow").deadline(50ms, "late");
+  line.builder
       .set_bolt("archive", bolt([&](const Tuple& tuple, OutputCollector&, const TopologyContext& context) {
                   late->add(tuple, context.task);
                   held.push_back(tuple);
                 }))
       .shuffle_grouping("out", "late");
-  Runtime runtime(builder.build("late"), bench.options());
-  runtime.start();
-  source->put(Values(7));
-  runtime.run_until_idle();
-  EXPECT_THAT(on_time->numbers(), IsEmpty());
+  line.start();
+  line.put(7);
+  EXPECT_THAT(line.sink->numbers(), IsEmpty());
   EXPECT_THAT(late->numbers(), ElementsAre(7));
   EXPECT_EQ(held.at(0).fields().list(), "value");
-  EXPECT_THAT(source->acked(), IsEmpty()) << "it is anchored: the archive has not acked";
+  EXPECT_THAT(line.source->acked(), IsEmpty()) << "it is anchored: the archive has not acked";
   held.clear();
 }
 
 TEST(Deadline, TheShorterOneOfInputAndComponentCounts) {
-  Bench bench;
-  auto source = std::make_shared<Source>();
-  auto strict = std::make_shared<Sink>(), mild = std::make_shared<Sink>();
-  TopologyBuilder builder;
-  builder.set_spout("in", source_spout(source));
-  builder.set_bolt("slow", slow_bolt(bench.clock, 30ms)).shuffle_grouping("in");
-  builder.set_bolt("strict", sink_bolt(strict)).shuffle_grouping("slow").input_deadline(20ms).deadline(50ms);
-  builder.set_bolt("mild", sink_bolt(mild)).shuffle_grouping("slow").input_deadline(200ms);
-  Runtime runtime(builder.build("two"), bench.options());
-  runtime.start();
-  source->put(Values(1));
-  runtime.run_until_idle();
-  EXPECT_THAT(strict->numbers(), IsEmpty());
+  Line line;
+  auto mild = std::make_shared<Sink>();
+  line.builder.set_bolt("slow", slow_bolt(line.bench.clock, 30ms)).shuffle_grouping("in");
+  line.builder.set_bolt("strict", sink_bolt(line.sink)).shuffle_grouping("slow").input_deadline(20ms).deadline(50ms);
+  line.builder.set_bolt("mild", sink_bolt(mild)).shuffle_grouping("slow").input_deadline(200ms);
+  line.start();
+  line.put(1);
+  EXPECT_THAT(line.sink->numbers(), IsEmpty());
   EXPECT_THAT(mild->numbers(), ElementsAre(1));
 }
 
 TEST(Deadline, CountsFromTheSpoutAlsoThroughABoltThatDoesNotAnchor) {
-  Bench bench;
-  auto source = std::make_shared<Source>();
-  auto sink = std::make_shared<Sink>();
-  TopologyBuilder builder;
-  builder.set_spout("in", source_spout(source));
-  builder
+  Line line;
+  line.builder
       .set_bolt("slow", bolt(
                             [&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
-                              bench.clock.advance(60ms);
+                              line.bench.clock.advance(60ms);
                               out.emit(Values(tuple.at(0)));
                               out.ack(tuple);
                             },
                             {"value"}))
       .shuffle_grouping("in");
-  builder.set_bolt("out", sink_bolt(sink)).shuffle_grouping("slow").deadline(50ms);
-  Runtime runtime(builder.build("unanchored"), bench.options());
-  runtime.start();
-  source->put(Values(1));
-  runtime.run_until_idle();
-  EXPECT_THAT(sink->numbers(), IsEmpty());
+  line.builder.set_bolt("out", sink_bolt(line.sink)).shuffle_grouping("slow").deadline(50ms);
+  line.start();
+  line.put(1);
+  EXPECT_THAT(line.sink->numbers(), IsEmpty());
 }
 
 TEST(Deadline, ALateStreamNeedsInputsThatAgreeAndANameOfItsOwn) {
@@ -196,9 +185,8 @@ TEST(Deadline, ALateStreamNeedsInputsThatAgreeAndANameOfItsOwn) {
 
 /// in -> burst -> several that keep the newest: one call emits a1 b1 a2 c1 b2 a3, so that they reach a mailbox
 /// together.
-struct Burst {
+struct Burst : Line {
   Burst() {
-    builder.set_spout("in", source_spout(source));
     builder
         .set_bolt("burst", bolt(
                                [](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
@@ -218,18 +206,12 @@ struct Burst {
                             }));
   }
   void run() {
-    runtime = std::make_unique<Runtime>(builder.build("burst"), bench.options());
-    runtime->start();
-    source->put(Values(1));
-    runtime->run_until_idle();
+    start();
+    put(1);
   }
   std::uint64_t superseded(const std::string& id) const { return runtime->snapshot().component(id).superseded; }
 
-  Bench bench;
-  std::shared_ptr<Source> source = std::make_shared<Source>();
-  TopologyBuilder builder;
   std::map<std::string, std::vector<std::string>> got;
-  std::unique_ptr<Runtime> runtime;
 };
 
 TEST(KeepLast, ANewerTupleOfAKeyTakesThePlaceOfTheOneThatWaits) {

@@ -31,6 +31,19 @@ class Reliability : public testing::Test {
         },
         fields);
   }
+  /// Emits a tuple for each two that it gets, anchored to both.
+  static BoltFactory join_of_two() {
+    return bolt(
+        [held = std::make_shared<std::vector<Tuple>>()](const Tuple& tuple, OutputCollector& out,
+                                                        const TopologyContext&) {
+          held->push_back(tuple);
+          if (held->size() < 2) return;
+          out.emit(*held, Values(1));
+          for (const Tuple& anchor : *held) out.ack(anchor);
+          held->clear();
+        },
+        {"sum"});
+  }
   void pass(std::chrono::nanoseconds time) {
     bench.clock.advance(time);
     runtime->run_due_timers();
@@ -83,18 +96,7 @@ TEST_F(Reliability, AFailureReachesTheSpoutAtOnceAndOnce) {
 TEST_F(Reliability, ATupleWithTwoAnchorsFailsBothTrees) {
   start(
       [this](TopologyBuilder& builder) {
-        builder
-            .set_bolt("join", bolt(
-                                  [held = std::make_shared<std::vector<Tuple>>()](
-                                      const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
-                                    held->push_back(tuple);
-                                    if (held->size() < 2) return;
-                                    out.emit(*held, Values(100));
-                                    for (const Tuple& anchor : *held) out.ack(anchor);
-                                    held->clear();
-                                  },
-                                  {"sum"}))
-            .global_grouping("in");
+        builder.set_bolt("join", join_of_two()).global_grouping("in");
         builder.set_bolt("keep", keeper()).shuffle_grouping("join");
       },
       bench.options());
@@ -111,18 +113,7 @@ TEST_F(Reliability, AnchorsOfTheSameTreeCountOnce) {
   start(
       [this](TopologyBuilder& builder) {
         builder.set_bolt("pass", pass_bolt(), 2).all_grouping("in");
-        builder
-            .set_bolt("join", bolt(
-                                  [held = std::make_shared<std::vector<Tuple>>()](
-                                      const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
-                                    held->push_back(tuple);
-                                    if (held->size() < 2) return;
-                                    out.emit(*held, Values(1));
-                                    for (const Tuple& anchor : *held) out.ack(anchor);
-                                    held->clear();
-                                  },
-                                  {"sum"}))
-            .global_grouping("pass");
+        builder.set_bolt("join", join_of_two()).global_grouping("pass");
         builder.set_bolt("keep", keeper()).shuffle_grouping("join");
       },
       bench.options());

@@ -133,19 +133,26 @@ TEST(Runtime, FailsTheTupleOfABoltThatThrowsAndGoesOn) {
   EXPECT_THAT(errors, ElementsAre("odd/2: execute() threw: odd", "odd/2: execute() threw: odd"));
 }
 
+/// For spouts that emit how often they were asked.
+class CallCountingSpout : public Spout {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare({"value"}); }
+  void open(const Config&, const TopologyContext&, SpoutOutputCollector& collector) override {
+    collector_ = &collector;
+  }
+
+ protected:
+  SpoutOutputCollector* collector_ = nullptr;
+  int calls_ = 0;
+};
+
 TEST(Runtime, AsksASpoutAgainThatThrewAndReportsIt) {
-  struct Throwing : Spout {
-    void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare({"value"}); }
-    void open(const Config&, const TopologyContext&, SpoutOutputCollector& collector) override {
-      collector_ = &collector;
-    }
+  struct Throwing : CallCountingSpout {
     bool next_tuple() override {
       if (++calls_ == 1) throw 42;
       if (calls_ == 2) collector_->emit(Values(calls_));
       return calls_ == 2;
     }
-    SpoutOutputCollector* collector_ = nullptr;
-    int calls_ = 0;
   };
   Bench bench;
   auto sink = std::make_shared<Sink>();
@@ -163,18 +170,12 @@ TEST(Runtime, AsksASpoutAgainThatThrewAndReportsIt) {
 }
 
 TEST(Runtime, PollsASpoutThatCannotWake) {
-  struct Polled : Spout {
-    void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare({"value"}); }
-    void open(const Config&, const TopologyContext&, SpoutOutputCollector& collector) override {
-      collector_ = &collector;
-    }
+  struct Polled : CallCountingSpout {
     bool next_tuple() override {
       collector_->emit(Values(++calls_));
       return false;
     }
     std::chrono::microseconds poll_period() const override { return 10ms; }
-    SpoutOutputCollector* collector_ = nullptr;
-    int calls_ = 0;
   };
   Bench bench;
   auto sink = std::make_shared<Sink>();

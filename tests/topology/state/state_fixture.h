@@ -9,7 +9,7 @@
 
 namespace iotcloud::topology::workshop {
 
-/// A folder that is gone after the test.
+/// A folder that is removed after the test.
 class Folder {
  public:
   Folder() {
@@ -27,7 +27,7 @@ class Folder {
   std::string path_;
 };
 
-/// What `call` throws says; empty when it throws nothing.
+/// The message of what `call` throws; empty if it throws nothing.
 inline std::string problem_of(const std::function<void()>& call) {
   try {
     call();

@@ -15,7 +15,7 @@
 
 namespace iotcloud::topology::workshop {
 
-/// "1 2 3": the first fields.
+/// The first fields of the tuples: "1 2 3".
 inline std::string list(std::span<const Tuple> tuples) {
   std::string text;
   for (const Tuple& tuple : tuples) {
@@ -24,7 +24,7 @@ inline std::string list(std::span<const Tuple> tuples) {
   return text;
 }
 
-/// Emits what each window holds. Throws when a window holds the number 13.
+/// Emits the contents of each window. Throws if a window holds the number 13.
 struct Show : WindowedBolt {
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     declarer.declare({"tuples", "added", "expired", "begin", "end"});
@@ -40,7 +40,7 @@ struct Show : WindowedBolt {
   WindowOutputCollector* out_ = nullptr;
 };
 
-/// A source, the windows, and a sink that may leave what it gets unsettled.
+/// A source, the windows, and a sink that may fail what it gets.
 class Windows {
  public:
   explicit Windows(const WindowOptions& options, const Config& config = {}, int sources = 1) {

@@ -1,4 +1,5 @@
 // Windows by count and by the clock.
+#include <chrono>
 #include <string>
 #include <utility>
 
@@ -14,6 +15,14 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::UnorderedElementsAre;
+
+TEST(Windows, ALengthOrSlideMayBeATimeInAnyUnit) {
+  using namespace std::chrono_literals;
+  const WindowOptions options{.length = 10s, .slide = 1min};
+  EXPECT_EQ(options.length.duration, 10'000ms);
+  EXPECT_EQ(options.slide.duration, 60'000ms);
+  EXPECT_FALSE(options.length.counts());
+}
 
 // By count.
 

@@ -6,6 +6,7 @@
 
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/topology/workshop.h>
 #include <iotcloud/topology/worker/control.h>
 
@@ -24,7 +25,7 @@ class WorkerControlTest : public testing::Test {
   WorkerControlTest() {
     static std::atomic<int> counter{0};
     name_ = "control-test-" + std::to_string(getpid()) + "-" + std::to_string(++counter);
-    server_ = discovery::embedded::Server::named(name_);
+    server_ = discovery::embedded::RegistryServer::named(name_);
     registry_ = connect();
     watcher_ = connect();
   }
@@ -57,7 +58,7 @@ class WorkerControlTest : public testing::Test {
     runtime_->deactivate();
     runtime_->start();
     auto services = std::make_shared<EndpointServices>();
-    services->topology = "t";
+    services->topology = "t"_topology;
     services->worker = "w1";
     services->registry = registry_.get();
     services->clock = &config::system_clock();
@@ -65,7 +66,7 @@ class WorkerControlTest : public testing::Test {
     WorkerControl::Options control;
     control.services = services;
     control.runtime = runtime_.get();
-    control.topology.name = "t";
+    control.topology.name = "t"_topology;
     control.worker.name = "w1";
     control.worker.http = "127.0.0.1:1";
     control.patience = patience;
@@ -86,7 +87,7 @@ class WorkerControlTest : public testing::Test {
   }
 
   void order(const TopologyOrder& order) {
-    discovery::put(*watcher_, paths_.topology_order("t"), discovery::encode(order));
+    discovery::put(*watcher_, paths_.topology_order("t"_topology), discovery::encode(order));
   }
   static TopologyOrder numbered(std::int64_t revision, bool active = true) {
     TopologyOrder order;
@@ -101,7 +102,7 @@ class WorkerControlTest : public testing::Test {
   }
   /// What the worker says of itself in the registry.
   discovery::WorkerRecord told() {
-    const auto workers = discovery::list_workers(*watcher_, paths_, "t");
+    const auto workers = discovery::list_workers(*watcher_, paths_, "t"_topology);
     return workers.empty() ? discovery::WorkerRecord{} : workers.front();
   }
   /// Sends a tuple that stays unacked. \return whether it came.
@@ -123,14 +124,14 @@ class WorkerControlTest : public testing::Test {
     });
   }
   std::optional<std::string> end_report() {
-    const auto node = watcher_->get(paths_.ended_workers("t") + "/w1");
+    const auto node = watcher_->get(paths_.ended_workers("t"_topology) + "/w1");
     return node ? std::optional(node->data) : std::nullopt;
   }
 
   std::string name_;
   const discovery::Paths paths_;
   config::Metrics metrics_;
-  std::shared_ptr<discovery::embedded::Server> server_;
+  std::shared_ptr<discovery::embedded::RegistryServer> server_;
   std::unique_ptr<discovery::Registry> registry_, watcher_;
   std::shared_ptr<Source> source_ = std::make_shared<Source>();
   std::mutex mutex_;
@@ -172,7 +173,7 @@ TEST_F(WorkerControlTest, ChangesTheParallelismAndGoesBackToTheDeclaredOneWithou
   ASSERT_TRUE(says("active", 1));
   EXPECT_EQ(runtime_->snapshot().parallelism.at("work"), 1);
   EXPECT_EQ(told().components.at("work").parallelism, 1);
-  watcher_->remove(paths_.topology_order("t"));
+  watcher_->remove(paths_.topology_order("t"_topology));
   ASSERT_TRUE(says("active", 0));
   EXPECT_EQ(runtime_->snapshot().parallelism.at("work"), 2);
 }
@@ -192,7 +193,7 @@ TEST_F(WorkerControlTest, ReportsAnOrderThatCannotBeReadAndKeepsTheState) {
   start();
   order(numbered(1, false));
   ASSERT_TRUE(says("inactive", 1));
-  discovery::put(*watcher_, paths_.topology_order("t"), "{");
+  discovery::put(*watcher_, paths_.topology_order("t"_topology), "{");
   EXPECT_TRUE(eventually([&] { return told().error.find("JSON") != std::string::npos; }));
   EXPECT_EQ(told().state, "inactive");
 }
@@ -230,7 +231,7 @@ TEST_F(WorkerControlTest, DrainsLeavesAReportAndTheRegistryWhenKilled) {
   ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
   EXPECT_EQ(end_report(), "");
   EXPECT_EQ(source_->acked().size(), 1U);
-  EXPECT_TRUE(eventually([&] { return discovery::list_workers(*watcher_, paths_, "t").empty(); }));
+  EXPECT_TRUE(eventually([&] { return discovery::list_workers(*watcher_, paths_, "t"_topology).empty(); }));
 }
 
 TEST_F(WorkerControlTest, ReportsADrainThatDidNotEndInTime) {
@@ -240,8 +241,8 @@ TEST_F(WorkerControlTest, ReportsADrainThatDidNotEndInTime) {
   order(kill_of({"w1"}, 1));
   ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
   EXPECT_THAT(end_report().value_or(""), HasSubstr("1 tuples were still under way"));
-  EXPECT_TRUE(eventually([&] { return discovery::list_workers(*watcher_, paths_, "t").empty(); }));
-  EXPECT_TRUE(watcher_->get(paths_.topology_order("t"))) << "the master that waits clears it away";
+  EXPECT_TRUE(eventually([&] { return discovery::list_workers(*watcher_, paths_, "t"_topology).empty(); }));
+  EXPECT_TRUE(watcher_->get(paths_.topology_order("t"_topology))) << "the master that waits clears it away";
 }
 
 TEST_F(WorkerControlTest, TheLastOneClearsAKillAwayThatNobodyWaitsFor) {
@@ -251,7 +252,7 @@ TEST_F(WorkerControlTest, TheLastOneClearsAKillAwayThatNobodyWaitsFor) {
   kill.kill->awaited_until_ms = 1;
   order(kill);
   ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
-  EXPECT_TRUE(eventually([&] { return !watcher_->get(paths_.topology("t")); }));
+  EXPECT_TRUE(eventually([&] { return !watcher_->get(paths_.topology("t"_topology)); }));
 }
 
 TEST_F(WorkerControlTest, IsNotKilledByAnOrderForThoseBeforeItAndClearsThatAway) {
@@ -259,10 +260,10 @@ TEST_F(WorkerControlTest, IsNotKilledByAnOrderForThoseBeforeItAndClearsThatAway)
   kill.active = false;
   kill.kill->awaited_until_ms = 1;
   order(kill);
-  discovery::put(*watcher_, paths_.ended_workers("t") + "/w0", "");
+  discovery::put(*watcher_, paths_.ended_workers("t"_topology) + "/w0", "");
   start();
   ASSERT_TRUE(says("active", 0));
-  EXPECT_TRUE(eventually([&] { return !watcher_->get(paths_.topology_order("t")); }));
+  EXPECT_TRUE(eventually([&] { return !watcher_->get(paths_.topology_order("t"_topology)); }));
   EXPECT_EQ(killed_, 0);
   EXPECT_TRUE(runtime_->snapshot().active);
 }
@@ -272,13 +273,13 @@ TEST_F(WorkerControlTest, WhatIsOrderedOutlivesTheLastWorkerThatStops) {
   order(numbered(1, false));
   ASSERT_TRUE(says("inactive", 1));
   control_.reset();
-  EXPECT_THAT(discovery::list_workers(*watcher_, paths_, "t"), IsEmpty());
-  EXPECT_TRUE(watcher_->get(paths_.topology_order("t")));
-  watcher_->remove(paths_.topology_order("t"));
+  EXPECT_THAT(discovery::list_workers(*watcher_, paths_, "t"_topology), IsEmpty());
+  EXPECT_TRUE(watcher_->get(paths_.topology_order("t"_topology)));
+  watcher_->remove(paths_.topology_order("t"_topology));
   start();
   ASSERT_TRUE(says("active", 0));
   control_.reset();
-  EXPECT_FALSE(watcher_->get(paths_.topology("t"))) << "nothing was ordered: nothing stays";
+  EXPECT_FALSE(watcher_->get(paths_.topology("t"_topology))) << "nothing was ordered: nothing stays";
 }
 
 }  // namespace

@@ -12,8 +12,8 @@
 #include <iotcloud/drivers/turtle/turtle_driver.h>
 #include <iotcloud/tests/drivers/turtle/scratch_folder.h>
 
-// With libfreenect's replay in place of libfreenect: this program's run path leads there. It keeps its place in the
-// recording for as long as the process lives, so there is one test.
+// libfreenect's replay replaces libfreenect: this program's run path leads to it. The replay keeps its place in the
+// recording for the life of the process, so there is one test.
 namespace iotcloud::drivers::turtle::kinect {
 namespace {
 
@@ -35,7 +35,7 @@ TEST(Fakenect, sends_what_was_recorded_and_at_its_end_the_camera_counts_as_gone)
                      {{"source", "kinect"}, {"reconnect_ms", "1"}, {"tilt", "5"}, {"led", "green"}});
   ASSERT_TRUE(robot.start()) << robot.error();
   const auto deadline = std::chrono::steady_clock::now() + 60s;
-  // "absent" is said after the last frame was posted.
+  // "absent" is reported after the last frame was posted.
   const auto ended = [&] {
     const auto metadata = robot.host().metadata();
     return metadata.contains("camera") && metadata.at("camera") == "absent";
@@ -46,8 +46,8 @@ TEST(Fakenect, sends_what_was_recorded_and_at_its_end_the_camera_counts_as_gone)
   }
   robot.host().run_posted();
   EXPECT_EQ(robot.host().logged_count("the Kinect is gone"), 1);
-  // When this thread was held up newer frames have overwritten older ones: those that came are in order, the last among
-  // them.
+  // When this thread was delayed, newer frames have overwritten older ones. The frames that came are in order, and the
+  // last one is among them.
   const auto sent = robot.host().published("kinect");
   ASSERT_FALSE(sent.empty());
   depth::DepthDecoder decoder;

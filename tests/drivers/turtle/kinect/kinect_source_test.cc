@@ -35,7 +35,7 @@ class KinectSourceTest : public ::testing::Test {
     });
     return *source_;
   }
-  /// Runs what the source posts until this holds, for a minute at most.
+  /// Runs posted callbacks until this holds, for at most a minute.
   template <typename Condition>
   bool run_until(Condition holds) {
     const auto deadline = std::chrono::steady_clock::now() + 60s;
@@ -61,7 +61,7 @@ TEST_F(KinectSourceTest, hands_over_frames_with_the_device_s_time) {
   source_->stop();
   EXPECT_NEAR(times_[2] - times_[0], 2.0 * (values_[2] - values_[0]), 1e-6);  // also past where the stamp wraps round
   EXPECT_EQ(host_.metadata().at("camera"), "connected");
-  EXPECT_FALSE(stub::seen().motor_selected);  // nobody asked for it
+  EXPECT_FALSE(stub::seen().motor_selected);  // no caller asked for it
   EXPECT_EQ(stub::seen().devices, 0);
   EXPECT_EQ(stub::seen().contexts, 0);
 }

@@ -4,19 +4,19 @@
 #include <string>
 #include <vector>
 
-/// In place of libfreenect in the test's own program: its functions, and Kinects that a test plugs in and pulls out.
+/// Replaces libfreenect in the test's own program: its functions, and Kinects that a test plugs in and pulls out.
 namespace iotcloud::drivers::turtle::kinect::stub {
 
 struct Kinect {
   std::string serial;
   bool opens = true;
   bool has_motor = true;
-  bool sends = true;  ///< a frame in each call that polls
+  bool sends = true;  ///< sends a frame in each call that polls
 };
 
-/// What is on the USB from now on; those that were open are gone when they are not in it. Thread safe, as all here.
+/// Sets the Kinects on the USB; open ones that are missing in the list are gone. Thread safe, like all functions here.
 void plug_in(std::vector<Kinect> kinects);
-/// After hold(true) no frame comes, also none that was under way, until hold(false).
+/// After hold(true) no frame comes until hold(false), not even one that was under way.
 void hold(bool on);
 
 struct Seen {
@@ -26,7 +26,7 @@ struct Seen {
   double tilt = 0;
   int led = -1;
   bool motor_selected = false;
-  std::uint64_t frames = 0;  ///< sent in all; the values of frame n are all n, its stamp n times 2 s
+  std::uint64_t frames = 0;  ///< sent so far; all values of frame n are n, its stamp is n times 2 s
 };
 Seen seen();
 void reset();

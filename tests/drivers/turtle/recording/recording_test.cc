@@ -30,7 +30,7 @@ void record(const ScratchFolder& folder, const std::vector<double>& seconds) {
   }
 }
 
-std::string error_of(auto&& call) {
+std::string failure_of(auto&& call) {
   try {
     call();
   } catch (const std::exception& e) {
@@ -70,8 +70,8 @@ TEST(Recording, is_not_written_over_another) {
   ScratchFolder folder("another");
   { RecordingWriter empty(folder.path()); }
   record(folder, {0});  // one without frames is none
-  EXPECT_THAT(error_of([&] { RecordingWriter again(folder.path()); }), HasSubstr("already"));
-  EXPECT_THAT(error_of([&] { RecordingWriter bad(folder.path() / "INDEX.txt" / "x"); }), HasSubstr("cannot make"));
+  EXPECT_THAT(failure_of([&] { RecordingWriter again(folder.path()); }), HasSubstr("already"));
+  EXPECT_THAT(failure_of([&] { RecordingWriter bad(folder.path() / "INDEX.txt" / "x"); }), HasSubstr("cannot make"));
 }
 
 TEST(Recording, passes_over_other_sensors_and_goes_round_where_time_goes_back) {
@@ -85,20 +85,21 @@ TEST(Recording, passes_over_other_sensors_and_goes_round_where_time_goes_back) {
 }
 
 TEST(Recording, that_is_damaged_says_where) {
-  EXPECT_THAT(error_of([] { Recording("/nonexistent"); }), AllOf(HasSubstr("/nonexistent"), HasSubstr("INDEX.txt")));
+  EXPECT_THAT(failure_of([] { Recording("/nonexistent"); }), AllOf(HasSubstr("/nonexistent"), HasSubstr("INDEX.txt")));
   ScratchFolder folder("damaged");
   for (const std::string name : {"d-1.0-5.png", "../d-1.0-5.pgm", "d-x-5.pgm", "d-1.0-99999999999.pgm", "d-nan-5.pgm",
                                  "d-1.0-5/../x.pgm", "frame1.pgm"}) {
     folder.write("INDEX.txt", "d-1.0-5.pgm\n" + name + "\n");
-    EXPECT_THAT(error_of([&] { Recording(folder.path()); }), AllOf(HasSubstr("INDEX.txt:2"), HasSubstr(name))) << name;
+    EXPECT_THAT(failure_of([&] { Recording(folder.path()); }), AllOf(HasSubstr("INDEX.txt:2"), HasSubstr(name)))
+        << name;
   }
   folder.write("INDEX.txt", "r-1.0-5.ppm\n");
-  EXPECT_THAT(error_of([&] { Recording(folder.path()); }), HasSubstr("no depth"));
+  EXPECT_THAT(failure_of([&] { Recording(folder.path()); }), HasSubstr("no depth"));
 
   folder.write("INDEX.txt", "d-1.0-5.pgm\n");
   const Recording recording(folder.path());
   Frame read(depth::frame_pixels);
-  const auto error = [&] { return error_of([&] { recording.read(0, depth::FrameSpan(read)); }); };
+  const auto error = [&] { return failure_of([&] { recording.read(0, depth::FrameSpan(read)); }); };
   EXPECT_THAT(error(), HasSubstr("d-1.0-5.pgm"));
   folder.write("d-1.0-5.pgm", "P5 320 240 65535\n" + std::string(614'400, 'x'));
   EXPECT_THAT(error(), HasSubstr("P5 640 480 65535"));

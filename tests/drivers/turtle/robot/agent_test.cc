@@ -20,7 +20,7 @@ namespace {
 using namespace std::chrono_literals;
 using testing::MockInstance;
 
-constexpr const char* secret = "0123456789abcdef";
+constexpr const char* agent_secret = "0123456789abcdef";
 
 /// A robot that the test moves by hand.
 class HandHeld final : public DepthSource, public Actuator {
@@ -56,7 +56,7 @@ class AgentTest : public ::testing::Test {
             [this](const std::string& reason) { failure_ = reason; }),
         listener_(listen_at("127.0.0.1:0")) {
     options_.driver = address_of(listener_);
-    options_.token = secret;
+    options_.token = agent_secret;
     options_.name = "rover";
     options_.silence = 1min;  // where it is not the test's subject, a slow machine must not end a connection
     options_.reconnect = 2ms;
@@ -88,7 +88,7 @@ class AgentTest : public ::testing::Test {
     return message;
   }
   /// Greets the agent as its driver. \return the kind of what it says then: `proof`.
-  Kind greet(Peer& peer, const std::string& token = secret, std::uint32_t silence_ms = 60'000) {
+  Kind greet(Peer& peer, const std::string& token = agent_secret, std::uint32_t silence_ms = 60'000) {
     const auto first = next(peer);
     if (!first) return Kind::refused;
     const Hello hello = read_hello(*first);
@@ -100,7 +100,7 @@ class AgentTest : public ::testing::Test {
     peer.send(write_challenge(challenge));
     const auto answer = next(peer);
     if (!answer) return Kind::refused;
-    EXPECT_TRUE(same_proof(read_proof(*answer), make_proof(Side::agent, secret, hello.nonce, challenge.nonce)));
+    EXPECT_TRUE(same_proof(read_proof(*answer), make_proof(Side::agent, agent_secret, hello.nonce, challenge.nonce)));
     return answer->kind;
   }
   /// A driver that wants frames.
@@ -224,7 +224,7 @@ TEST_F(AgentTest, notices_a_link_that_is_dead_and_is_heard_itself) {
   options_.silence = 60ms;
   start();
   Peer driver = accepted();
-  ASSERT_EQ(greet(driver, secret, 20), Kind::proof);
+  ASSERT_EQ(greet(driver, agent_secret, 20), Kind::proof);
   driver.send(write_bare(Kind::start) + write_drive({0.5, 0}));
   ASSERT_TRUE(until([&] { return robot_->driven.size() == 1; }));
   // The socket stays open, and nothing comes: a laptop that was carried out of the radio's reach.

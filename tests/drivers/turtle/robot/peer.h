@@ -18,7 +18,7 @@
 
 namespace iotcloud::drivers::turtle::robot {
 
-/// Until this holds, doing `work` meanwhile; a minute at most.
+/// Calls `work` until the condition is true, for a minute at most.
 template <typename Condition, typename Work>
 bool run_until(Condition holds, Work work) {
   const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
@@ -54,7 +54,7 @@ class Peer {
       if (count < 0 && errno != EAGAIN) return;
     }
   }
-  /// Takes what has come.
+  /// Reads what has arrived.
   void pump() {
     std::array<std::byte, 65536> buffer;
     for (;;) {
@@ -71,7 +71,7 @@ class Peer {
       }
     }
   }
-  /// The first message that has come and was not taken.
+  /// Takes the oldest message that was not taken yet.
   std::optional<Incoming> take() {
     pump();
     if (messages_.empty()) return std::nullopt;

@@ -15,15 +15,15 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using testing::MockInstance;
 
-const Descriptor turtle = describe<TurtleDriver>("turtle", "test", true);
+const Descriptor turtle_descriptor = describe<TurtleDriver>("turtle", "test", true);
 constexpr const char* secret = "0123456789abcdef";
 
-/// A turtle driver whose robot the test plays.
+/// A turtle driver; the test plays its robot.
 class RobotLinkTest : public ::testing::Test {
  protected:
   explicit RobotLinkTest(PropertyMap properties = {}) {
     properties.insert({{"source", "robot"}, {"listen", "127.0.0.1:0"}, {"token", secret}});
-    driver_.emplace(turtle, properties);
+    driver_.emplace(turtle_descriptor, properties);
   }
   void SetUp() override { ASSERT_TRUE(driver_->start()) << driver_->error(); }
 
@@ -40,7 +40,7 @@ class RobotLinkTest : public ::testing::Test {
     until([&] { return (message = peer.take()) || peer.ended(); });
     return message;
   }
-  /// Says who it is with this token; a message other than `start` or `stop` comes back when that fails.
+  /// Authenticates with this token. \return `start` or `stop`, or another kind when that fails.
   Kind shake_hands(Peer& peer, const std::string& token = secret) {
     Hello hello;
     hello.silence_ms = 1000;
@@ -82,7 +82,7 @@ TEST_F(RobotLinkTest, passes_frames_on_as_they_came_and_commands_back) {
   Peer peer = Peer::connect_to(port());
   ASSERT_EQ(shake_hands(peer), Kind::start);
   EXPECT_EQ(robot_is(), "connected");
-  const std::string contents(100'000, 'z');  // not even decoded
+  const std::string contents(100'000, 'z');  // not decoded at all
   peer.send(frame(1, contents));
   ASSERT_TRUE(until([&] { return frames().size() == 1; }));
   EXPECT_EQ(frames()[0].message.payload.text(), contents);
@@ -133,7 +133,7 @@ TEST_F(RobotLinkTest, lets_nobody_in_without_the_token) {
   EXPECT_EQ(shake_hands(peer, "another secret!!"), Kind::refused);
   EXPECT_TRUE(until([&] { return peer.ended(); }));
   EXPECT_EQ(robot_is(), "away");
-  EXPECT_EQ(driver_->host().logged_count("token is not ours"), 1);
+  EXPECT_EQ(driver_->host().logged_count("token is not the driver's"), 1);
   Peer hasty = Peer::connect_to(port());
   hasty.send(frame(1, "x"));
   EXPECT_TRUE(until([&] { return hasty.ended(); }));
@@ -184,10 +184,10 @@ TEST_F(RobotLinkTest, notices_a_connection_that_is_dead_and_is_heard_itself) {
   const int beats = peer.beats();
   driver_->host().advance(180ms);
   EXPECT_EQ(robot_is(), "connected");
-  driver_->host().advance(70ms);  // in all as long as the watchdog
+  driver_->host().advance(70ms);  // together as long as the watchdog
   EXPECT_EQ(robot_is(), "away");
   EXPECT_TRUE(until([&] { return peer.ended(); }));
-  EXPECT_EQ(peer.beats(), beats);  // it wants to be heard once a second
+  EXPECT_EQ(peer.beats(), beats);  // it must be heard once a second
   EXPECT_EQ(driver_->host().logged_count("nothing was heard"), 1);
 
   Peer again = Peer::connect_to(port());
@@ -219,20 +219,20 @@ TEST_F(RobotLinkTest, ends_with_the_instance) {
   Peer peer = Peer::connect_to(port());
   ASSERT_EQ(shake_hands(peer), Kind::start);
   const auto address = driver_->host().metadata().at("robot_listen");
-  MockInstance second(turtle, {{"source", "robot"}, {"listen", address}});
+  MockInstance second(turtle_descriptor, {{"source", "robot"}, {"listen", address}});
   EXPECT_FALSE(second.open());
   EXPECT_THAT(second.error(), AllOf(HasSubstr(address), HasSubstr("port of its own")));
   driver_->close();
   EXPECT_TRUE(run_until([&] { return peer.ended(); }, [] {}));
   EXPECT_EQ(driver_->host().logged_count("1 connections of a robot"), 1);
-  MockInstance third(turtle, {{"source", "robot"}, {"listen", address}});
+  MockInstance third(turtle_descriptor, {{"source", "robot"}, {"listen", address}});
   EXPECT_TRUE(third.open()) << third.error();
 }
 
 TEST(RobotKind, wants_a_token_beyond_this_machine) {
   const auto error_with = [](PropertyMap properties) {
     properties["source"] = "robot";
-    MockInstance driver(turtle, properties);
+    MockInstance driver(turtle_descriptor, properties);
     EXPECT_FALSE(driver.open());
     return driver.error();
   };

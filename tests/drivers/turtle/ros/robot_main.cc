@@ -40,10 +40,10 @@ class Robot {
     if (trace_ == nullptr) throw std::runtime_error("cannot write " + trace);
     std::fputs("time_s,commands,asked_linear,asked_angular,linear,angular,x,y,distance,in_box\n", trace_);
     note();
-    std::rename((trace + ".new").c_str(), trace.c_str());  // whoever sees it knows that we are there
+    std::rename((trace + ".new").c_str(), trace.c_str());  // its existence shows that this process is ready
   }
 
-  /// The world at the pace of the clock.
+  /// Moves the world at the clock's pace.
   void run_real_time() {
     const double begin = now_s();
     double next_frame = 0;
@@ -56,7 +56,7 @@ class Robot {
     }
   }
 
-  /// The world goes one frame further when a frame was answered, and waits for whoever reads it.
+  /// Moves the world one frame further when a frame was answered, and waits until it is read.
   void run_lock_step() {
     double sent = 0;
     std::uint64_t answered = commands_;
@@ -80,7 +80,7 @@ class Robot {
     note();
   }
 
-  /// Everything that happens to the base, on the clock that all processes here share (CLOCK_MONOTONIC).
+  /// Records all events of the base, on the clock that all processes share (CLOCK_MONOTONIC).
   void note() {
     const auto truth = world_.truth();
     const Velocity velocity = world_.base().velocity();

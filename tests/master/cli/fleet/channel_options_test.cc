@@ -5,8 +5,9 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/gateway/host/instance/channel_plan.h>
+#include <iotcloud/gateway/host/channel_plan.h>
 #include <iotcloud/master/cli/fleet/channel_options.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::master::cli {
 namespace {
@@ -16,13 +17,13 @@ using testing::HasSubstr;
 /// What a driver host says of the properties of an instance with a channel "data"; empty: it takes them.
 std::string host_says(const std::map<std::string, std::string>& properties) {
   gateway::InstanceSpec spec;
-  spec.order.instance = "0a1b";
+  spec.order.instance = "0a1b"_instance;
   spec.order.properties = properties;
   spec.brokers = {{"rabbitmq", "rabbitmq", {}, {"amqp://own"}, {"amqp://shared"}}};
   drivers::ChannelSpec channel;
   channel.name = "data";
   try {
-    plan_channels("gw1", "meter", spec, {channel});
+    plan_channels("gw1"_gateway, "meter"_driver, spec, {channel});
     return "";
   } catch (const config::Error& e) {
     return e.what();

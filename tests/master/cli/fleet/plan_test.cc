@@ -1,6 +1,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/master/cli/fleet/plan.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::master::cli {
 namespace {
@@ -19,7 +20,7 @@ Deployment deployment(const std::string& name, std::vector<std::string> gateways
   deployment.name = name;
   deployment.plugin = "meter.so";
   deployment.all_gateways = gateways.empty();
-  deployment.gateways = std::move(gateways);
+  deployment.gateways = {gateways.begin(), gateways.end()};
   deployment.count = count;
   deployment.properties = {{"rate", "5"}};
   deployment.metadata = {{"site", "lab"}};
@@ -29,18 +30,14 @@ Deployment deployment(const std::string& name, std::vector<std::string> gateways
 /// As that deployment orders it.
 Fleet::Instance instance(const Deployment& from, const std::string& gateway, int index,
                          const std::string& manager = "lab") {
-  return {gateway,
-          gateway + from.name + std::to_string(index),
-          from.name,
-          index,
-          manager,
-          from.driver,
-          from.plugin,
-          from.active,
-          from.properties,
-          from.metadata,
-          "",
-          from.sha256};
+  Fleet::Instance there{from,
+                        discovery::GatewayId(gateway),
+                        discovery::InstanceId(gateway + from.name + std::to_string(index)),
+                        index,
+                        "",
+                        {}};
+  there.manager = manager;
+  return there;
 }
 
 std::vector<std::string> words(const Plan& plan) {
@@ -53,7 +50,7 @@ std::vector<std::string> words(const Plan& plan) {
 class FleetPlan : public testing::Test {
  protected:
   FleetPlan() {
-    fleet.gateways = {{"lab1", false, false}, {"lab2", false, false}};
+    fleet.gateways = {{"lab1"_gateway, false, false}, {"lab2"_gateway, false, false}};
     manifest.fleet = "lab";
   }
   Plan plan(const PlanOptions& options = {}) const { return make_plan(manifest, fleet, options); }
@@ -81,7 +78,7 @@ TEST_F(FleetPlan, AFleetAsTheManifestSaysNeedsNothing) {
 }
 
 TEST_F(FleetPlan, AllMeansEveryGatewayThatFollowsOrders) {
-  fleet.gateways.push_back({"java", false, true});
+  fleet.gateways.push_back({"java"_gateway, false, true});
   manifest.deployments = {deployment("meter", {})};
   EXPECT_THAT(words(plan()), ElementsAre("deploy lab1 meter/1", "deploy lab2 meter/1"));
 }
@@ -95,7 +92,9 @@ TEST_F(FleetPlan, WhatTheManifestDeployedAndDoesNotNameAnyMoreGoesAndNothingElse
                      instance(old, "lab1", 1),                      // it was named once
                      instance(old, "lab2", 1, ""),                  // a person's
                      instance(old, "lab2", 2, "other")};            // another manifest's
-  fleet.instances.push_back({"lab1", "nameless", "", 0, "", "", "meter.so", true, {}, {}, ""});
+  discovery::Deployment nameless;
+  nameless.plugin = "meter.so";
+  fleet.instances.push_back({nameless, "lab1"_gateway, "nameless"_instance, 0, "", {}});
   EXPECT_THAT(words(plan()), ElementsAre("undeploy lab1 meter/2", "undeploy lab1 old/1", "undeploy lab2 meter/1"));
   const auto kept = plan({.prune = false, .adopt = false});
   EXPECT_THAT(kept.steps, IsEmpty());
@@ -172,9 +171,9 @@ TEST_F(FleetPlan, AnotherPluginIsAnUpdateAndAnotherDriverAReplacement) {
   for (const auto& one : manifest.deployments) fleet.instances.push_back(instance(one, "lab1", 1));
   fleet.instances[0].plugin = "old.so";
   fleet.instances[0].active = false;
-  manifest.deployments[1].driver = "thermometer";
+  manifest.deployments[1].driver = "thermometer"_driver;
   fleet.instances[2].plugin = "old.so";
-  manifest.deployments[2].driver = "thermometer";
+  manifest.deployments[2].driver = "thermometer"_driver;
   const auto made = plan();
   EXPECT_THAT(words(made), ElementsAre("replace lab1 b/1", "replace lab1 c/1", "update lab1 a/1", "start lab1 a/1"));
   EXPECT_THAT(made.steps[0].what, ElementsAre("driver: the plugin's own -> thermometer"));
@@ -185,7 +184,7 @@ TEST_F(FleetPlan, AnotherPluginIsAnUpdateAndAnotherDriverAReplacement) {
 TEST_F(FleetPlan, ADriversNameThatNoManifestGaveStays) {
   manifest.deployments = {deployment("a", {"lab1"})};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1)};
-  fleet.instances[0].driver = "meter";  // an update has written it down
+  fleet.instances[0].driver = "meter"_driver;  // an update has written it down
   EXPECT_THAT(plan().steps, IsEmpty());
 }
 
@@ -257,7 +256,7 @@ TEST_F(FleetPlan, AGatewayThatDrainsKeepsWhatItHasAndGetsNothingNew) {
   EXPECT_THAT(made.problems, IsEmpty());
 
   manifest.deployments[0].all_gateways = false;
-  manifest.deployments[0].gateways = {"lab1", "lab2"};
+  manifest.deployments[0].gateways = {"lab1"_gateway, "lab2"_gateway};
   const auto named = plan();
   ASSERT_THAT(named.problems, SizeIs(1));
   EXPECT_THAT(named.problems[0].text, HasSubstr("iotcloud undrain lab1"));
@@ -266,7 +265,7 @@ TEST_F(FleetPlan, AGatewayThatDrainsKeepsWhatItHasAndGetsNothingNew) {
 }
 
 TEST_F(FleetPlan, AGatewayThatCannotBeUsedIsAProblemAndTheOthersAreServed) {
-  fleet.gateways.push_back({"java", false, true});
+  fleet.gateways.push_back({"java"_gateway, false, true});
   manifest.deployments = {deployment("meter", {"lab3", "java", "lab1"})};
   const auto made = plan();
   EXPECT_THAT(words(made), ElementsAre("deploy lab1 meter/1"));

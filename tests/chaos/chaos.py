@@ -1,0 +1,307 @@
+#!/usr/bin/python3
+"""Random faults in a whole private system, and what must be true afterwards: tests/chaos/README.md.
+
+usage: chaos.py BUILD_DIR [--seed N] [--minutes N] [--broker rabbitmq|kafka|activemq] [--runs N] [--again]
+       [--faults KIND,...] [--targets TARGET,...] [--schedule FILE] [--shrink RUNS] [--patience SECONDS] [--print]
+"""
+
+import argparse
+import datetime
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(HERE), str(HERE.parent / "servers")]
+
+import checks  # noqa: E402
+import ledger  # noqa: E402
+import schedule  # noqa: E402
+from cluster import ChaosCluster  # noqa: E402
+from faults import Faults  # noqa: E402
+from orders import Orders  # noqa: E402
+from private_cluster import StartError, Unavailable  # noqa: E402
+from shrink import shrink  # noqa: E402
+
+RATE = 25  # messages a second of each instance
+INSTANCES = 2  # of each kind on each gateway
+PLUGIN, NEXT_PLUGIN = "chaos_ledger_driver.so", "chaos_ledger_driver-2.so"
+SKIPPED = 77
+SPACES = "IOTCLOUD_CHAOS_HAS_ITS_SPACES"
+COLUMNS = ("seed", "broker", "minutes", "faults", "result", "actions", "messages", "duplicates", "converged_s", "took_s",
+           "commit", "when", "first violation")
+
+
+def log(text):
+    print(text, flush=True)
+
+
+class Run:
+    """One run of a schedule. `violations` says what was wrong."""
+
+    def __init__(self, build, out, broker, actions, patience_s=60):
+        self.build, self.out, self.broker, self.actions = Path(build), Path(out), broker, actions
+        self.patience_s = patience_s  # until all must be well after the faults
+        self.violations, self.messages, self.duplicates, self.converged_s = [], 0, 0, None
+
+    def run(self):
+        shutil.rmtree(self.out, ignore_errors=True)
+        deceived = any(action.kind in schedule.MACHINE for action in self.actions)
+        with ChaosCluster(self.build, self.out, self.broker, deceived) as cluster:
+            try:
+                self.run_in(cluster)
+            except StartError as error:
+                self.violations.append(str(error))
+        self.violations += cluster.violations
+        self.violations += checks.crashed(cluster) + checks.left_over(cluster, self.patience_s)
+        self.violations = list(dict.fromkeys(self.violations))
+        return self
+
+    def run_in(self, cluster):
+        began = time.monotonic()
+        cluster.start(self.patience_s)
+        instances = self.deploy(cluster)
+        log(f"the cluster runs after {time.monotonic() - began:.1f} s; its files are in {self.out}")
+        orders = Orders(cluster, [action for action in self.actions if action.is_order], (PLUGIN, NEXT_PLUGIN), log)
+        self.load(cluster, True)
+        self.wait("every instance's messages come", cluster, lambda: all(
+            ledger.lines(cluster.books / f"{instance}.{end}") for instance in instances for end in ("came", "read")), self.patience_s)
+        cluster.pause(1)
+        before = checks.all_figures(cluster)
+
+        faults = Faults(cluster, [action for action in self.actions if not action.is_order], log)
+        faults.start()
+        orders.start()
+        while not (faults.over and cluster.idle):
+            faults.step()
+            orders.step()
+            cluster.pause(0.02)
+        healed = time.monotonic()
+        log(f"{faults.passed():7.2f} s  all faults are over")
+
+        self.violations += self.converge(cluster, instances, orders, healed + self.patience_s)
+        after = checks.all_figures(cluster)
+        self.load(cluster, False)
+        self.violations += orders.violations + self.told(orders.start_stopped)
+        accounts, wrong = self.judge_messages(cluster, instances, healed + self.patience_s)
+        self.converged_s = time.monotonic() - healed
+        self.violations += wrong
+        self.violations += checks.grown(before, after) + checks.spinning(cluster, self.patience_s)
+        self.violations += checks.uncounted(cluster, accounts, self.patience_s)
+        self.messages = sum(len(run.sent) for account in accounts for run in account.runs)
+        self.duplicates = sum(ledger.duplicates(account.came) for account in accounts)
+        self.violations += self.told(lambda: self.undeploy(cluster))
+
+    def converge(self, cluster, instances, orders, deadline):
+        """Waits until the cluster is as it is to be; returns what is not so in the end."""
+        while True:
+            cluster.pause(0.2)
+            orders.step()
+            why = checks.not_converged(cluster, instances, orders) if orders.over else ["an order is not answered"]
+            if not why:
+                return []
+            if time.monotonic() > deadline:
+                return [f"not within {self.patience_s} s: {reason}" for reason in why]
+
+    @staticmethod
+    def told(check):
+        """What a check found; a command line that fails is a finding, too."""
+        try:
+            return check()
+        except StartError as error:
+            return [str(error)]
+
+    @staticmethod
+    def undeploy(cluster):
+        for driver in cluster.json("drivers"):
+            cluster.cli("undeploy", driver["instance"])
+        return []
+
+    def deploy(self, cluster):
+        """Deploys the instances that stay; returns their kind by id."""
+        found = {}
+        for gateway in schedule.GATEWAYS:
+            for kind in (ledger.SPOOLED, ledger.BLOCKED):
+                answer = cluster.answer("deploy", PLUGIN, "--gateway", gateway, "--name", f"ledger-{kind}", "--count",
+                                        INSTANCES, "--property", f"folder={cluster.books}", "--property", f"kind={kind}",
+                                        "--property", f"rate={RATE}", "--property", f"shared={cluster.shared}")
+                for outcome in answer["outcomes"]:
+                    if outcome["outcome"] != "done":
+                        raise StartError(f"an instance could not be deployed: {outcome}")
+                    found[outcome["instance"]] = (gateway, kind)
+        if cluster.shared == "true":
+            topics = [f"{gateway}.ledger.{kind}" for gateway in schedule.GATEWAYS for kind in (ledger.SPOOLED, ledger.BLOCKED)]
+        else:
+            topics = [f"{gateway}.ledger.{instance}.{kind}" for instance, (gateway, kind) in found.items()]
+        cluster.start_reader("ledger.durable", topics)
+        cluster.pause(1)
+        return {instance: kind for instance, (_, kind) in found.items()}
+
+    @staticmethod
+    def load(cluster, on):
+        if on:
+            (cluster.books / "go").touch()
+        else:
+            (cluster.books / "go").unlink()
+
+    def wait(self, what, cluster, condition, limit):
+        deadline = time.monotonic() + limit
+        while not condition():
+            if time.monotonic() > deadline:
+                raise StartError(f"not within {limit} s: {what}")
+            cluster.pause(0.1)
+
+    @staticmethod
+    def judge_messages(cluster, instances, deadline):
+        """Waits until the books balance, those of guests included."""
+        while True:
+            cluster.pause(0.5)
+            guests = sorted({book.stem for book in cluster.books.glob("*.sent")} - set(instances))
+            accounts = [ledger.account(cluster.books, instance, kind, True) for instance, kind in instances.items()]
+            accounts += [ledger.account(cluster.books, instance, ledger.BLOCKED, False) for instance in guests]
+            wrong = ledger.check(accounts, cluster.emptied)
+            if not wrong or time.monotonic() > deadline:
+                return accounts, wrong
+
+
+def commit(root=ROOT):
+    """Of the sources; with "-dirty" behind it when some are not committed."""
+    def git(*words):
+        return subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=False).stdout.strip()
+    return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if git("status", "--porcelain") else "")
+
+
+def in_own_spaces():
+    """Runs this script again with mounts and processes of its own: small disks may be mounted, and all processes end with
+    this script, however it ends. Where that is not possible there are no small disks, and this says so."""
+    if os.environ.get(SPACES):
+        return
+    enter = ["unshare", *([] if os.geteuid() == 0 else ["--map-root-user"]), "--mount", "--pid", "--fork", "--kill-child",
+             "--mount-proc"]
+    if not shutil.which("unshare") or subprocess.run([*enter, "true"], capture_output=True, check=False).returncode:
+        log("no mounts and processes of its own here: disks are not filled")
+        return
+    sys.stdout.flush()
+    os.execvpe(enter[0], [*enter, sys.executable, HERE / "init.py", sys.executable, *sys.argv], {**os.environ, SPACES: "1"})
+
+
+class Results:
+    """A line for each seed, by which a series goes on where it was interrupted."""
+
+    def __init__(self, file):
+        self.file = Path(file)
+
+    def known(self):
+        if not self.file.exists():
+            return []
+        lines = [line.split("\t") for line in self.file.read_text().splitlines()[1:]]
+        return [dict(zip(COLUMNS, line)) for line in lines]
+
+    def has(self, **key):
+        """Never of changes that are not committed: nobody knows whether they are the same."""
+        return not key["commit"].endswith("-dirty") and any(all(line.get(name) == str(value) for name, value in key.items()) for line in self.known())
+
+    def add(self, **line):
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        if not self.file.exists():
+            self.file.write_text("\t".join(COLUMNS) + "\n")
+        with open(self.file, "a", encoding="utf-8") as file:
+            file.write("\t".join(str(line.get(name, "")).replace("\t", " ").replace("\n", " ") for name in COLUMNS) + "\n")
+
+
+def one(given, seed, actions, name):
+    """Runs a schedule and prints what was wrong; returns the run."""
+    began = time.monotonic()
+    run = Run(given.build, given.out / name, given.broker, actions, given.patience).run()
+    run.took_s = time.monotonic() - began
+    if run.violations:
+        log(f"\nVIOLATED, seed {seed}, {given.broker}:")
+        for text in run.violations:
+            log(f"  {text}")
+        log(f"its schedule, which --schedule takes:\n{schedule.text(actions)}")
+    else:
+        log(f"seed {seed}, {given.broker}: {len(actions)} faults and orders; {run.messages} messages accepted, none lost, "
+            f"{run.duplicates} came twice; all was well {run.converged_s:.1f} s after the faults; {run.took_s:.0f} s in all")
+    return run
+
+
+def main():
+    options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    options.add_argument("build", type=Path)
+    options.add_argument("--seed", type=int, default=None, help="of the schedule; default: one of the time")
+    options.add_argument("--minutes", type=float, default=1.0, help="of faults (default: 1)")
+    options.add_argument("--broker", choices=schedule.BROKERS, default="rabbitmq")
+    options.add_argument("--runs", type=int, default=1, help="that many seeds, from --seed on; those that build/chaos/"
+                         "results.tsv has of this commit are passed over; none with changes that are not committed")
+    options.add_argument("--again", action="store_true", help="pass over none")
+    options.add_argument("--faults", default="", help=f"only these, joined by commas: {', '.join(schedule.FAULTS)}; or "
+                         "`steady`: those of ./dev test")
+    options.add_argument("--targets", default="", help="only faults of these targets, joined by commas")
+    options.add_argument("--schedule", type=Path, help="a file with a schedule, instead of a seed's")
+    options.add_argument("--shrink", type=int, default=0, metavar="RUNS", help="make a schedule that shows a violation "
+                         "smaller, by at most so many runs")
+    options.add_argument("--patience", type=int, default=60, metavar="SECONDS", help="how soon after the faults all must be "
+                         "well (default: 60)")
+    options.add_argument("--print", action="store_true", help="only print the schedule")
+    options.add_argument("--out", type=Path, default=None, help="default: BUILD_DIR/chaos-runs")
+    options.add_argument("--results", type=Path, default=ROOT / "build/chaos/results.tsv")
+    given = options.parse_args()
+    given.build = given.build.resolve()
+    given.out = (given.out or given.build / "chaos-runs").resolve()
+    kinds = schedule.STEADY if given.faults == "steady" else [word for word in given.faults.split(",") if word]
+    targets = [word for word in given.targets.split(",") if word]
+    first = given.seed if given.seed is not None else int(time.time())
+    results, failed = Results(given.results), 0
+    if not given.print:
+        in_own_spaces()
+    for seed in range(first, first + given.runs):
+        try:
+            actions = schedule.parse(given.schedule.read_text()) if given.schedule else schedule.generate(
+                seed, 60 * given.minutes, given.broker, kinds, targets)
+        except ValueError as error:
+            options.error(str(error))
+        title = f"{given.schedule}, {given.broker}" if given.schedule else \
+            f"seed {seed}, {given.minutes:g} minutes, {given.broker}" + (f", {given.faults}" if given.faults else "")
+        if given.print:
+            print(schedule.text(actions, title), end="")
+            continue
+        if given.runs > 1 and not given.again and results.has(seed=seed, broker=given.broker, minutes=f"{given.minutes:g}", faults=given.faults,
+                                          commit=commit()):
+            log(f"seed {seed}: {results.file} has its result already")
+            continue
+        log(title)
+        name = f"{given.broker}-{seed}"
+        try:
+            run = one(given, seed, actions, name)
+        except Unavailable as error:
+            print(f"SKIPPED chaos: {error}")
+            sys.exit(SKIPPED)
+        results.add(seed=seed, broker=given.broker, minutes=f"{given.minutes:g}",
+                    faults=f"schedule {given.schedule}" if given.schedule else given.faults, result="violated" if run.violations else "well", actions=len(actions), messages=run.messages,
+                    duplicates=run.duplicates, converged_s=f"{run.converged_s or 0:.1f}", took_s=f"{run.took_s:.0f}",
+                    commit=commit(), when=datetime.datetime.now().isoformat(timespec="seconds"),
+                    **{"first violation": run.violations[0] if run.violations else ""})
+        if run.violations:
+            failed += 1
+            if given.shrink:
+                smaller(given, seed, actions)
+    sys.exit(1 if failed else 0)
+
+
+def smaller(given, seed, actions):
+    file = given.out / f"{given.broker}-{seed}.schedule"
+
+    def keep(part, runs):
+        file.write_text(schedule.text(part, f"seed {seed}, {given.broker}, after {runs} runs"))
+
+    part = shrink(actions, lambda part: bool(one(given, seed, part, "shrink").violations), given.shrink, keep)
+    log(f"the smallest schedule that was found ({file}):\n{schedule.text(part)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""What the channels accepted, and what came of it: the books of ledger_driver.cc, ledger_bolt.cc and ledger_reader.cc,
+and the judgement over them.
+
+What may be missing follows from what each channel promises:
+- `spooled`: nothing, whatever dies.
+- `blocked`: nothing, unless the run of the instance ended before its last messages were confirmed (its host was killed,
+  or the instance was closed while the broker was away). Then the end of that run may be missing: all messages from some
+  number on, and no others.
+- both: what a broker had confirmed and nobody had read when the broker lost its data (`emptied`): of each instance only
+  messages that were accepted before that moment and come after all those that had been read by then. The readers' queues
+  are gone, too. A reader may lack what was accepted until it has declared its queue again, because a broker that has the
+  other reader's queue confirms.
+"""
+
+import collections
+import dataclasses
+from pathlib import Path
+
+SPOOLED, BLOCKED = "spooled", "blocked"
+
+
+@dataclasses.dataclass
+class Run:
+    """One life of an instance: opened, killed or closed. Times are those of time.monotonic()."""
+    name: str
+    begin: float
+    end: float = None  # when it was closed; None: it was killed, or it lives
+    sent: list = dataclasses.field(default_factory=list)  # times at which 1, 2, ... were accepted
+    last: float = 0.0  # time of its last line
+
+
+@dataclasses.dataclass
+class Copy:
+    run: str
+    number: int
+    time: float
+    marked: bool = False  # the broker's client said that it may have come before
+
+
+@dataclasses.dataclass
+class Account:
+    """One instance."""
+    instance: str
+    kind: str
+    runs: list  # in order of their begin
+    came: list  # copies that the topology's bolt had, in the order of their coming
+    read: list = None  # those that the second reader had, which sees marks; None: it does not read this instance
+
+
+def lines(file):
+    """Words of each whole line; none when there is no file."""
+    file = Path(file)
+    content = file.read_text() if file.exists() else ""
+    return [line.split() for line in content.split("\n")[:-1]]
+
+
+def read_sent(file):
+    """The runs in a book of the driver. Raises ValueError for a line that no driver writes."""
+    runs = {}
+    for words in lines(file):
+        what, name, moment = words[0], words[1], float(words[-1])
+        if what == "run":
+            runs[name] = Run(name, moment)
+        elif what == "sent" and int(words[2]) == len(runs[name].sent) + 1:
+            runs[name].sent.append(moment)
+        elif what == "end":
+            runs[name].end = moment
+        else:
+            raise ValueError(f"{file}: {' '.join(words)}")
+        runs[name].last = moment
+    return sorted(runs.values(), key=lambda run: run.begin)
+
+
+def read_came(file):
+    return [Copy(run, int(number), float(moment)) for run, number, _, moment in lines(file)]
+
+
+def read_read(file):
+    return [Copy(run, int(number), float(moment), marked == "1") for run, number, marked, moment in lines(file)]
+
+
+def account(folder, instance, kind, second_reader):
+    folder = Path(folder)
+    return Account(instance, kind, read_sent(folder / f"{instance}.sent"), read_came(folder / f"{instance}.came"),
+                   read_read(folder / f"{instance}.read") if second_reader else None)
+
+
+def check(accounts, emptied=()):
+    """Sentences about what is wrong; none when all is as promised. `emptied`: when the broker lost its data."""
+    wrong = []
+    for one in accounts:
+        who = f"{one.kind} {one.instance[:8]}"
+        wrong += [f"{who}: {text}" for text in overlapping(one.runs)]
+        for where, copies in (("the topology", one.came), ("the second reader", one.read)):
+            if copies is None:
+                continue
+            found = missing(one, copies, lost_spans(one, copies, emptied)) + foreign(one, copies) + out_of_order(one, copies)
+            if where == "the second reader":
+                found += unmarked(copies)
+            wrong += [f"{who}, {where}: {text}" for text in found]
+    return wrong
+
+
+def overlapping(runs):
+    """An instance of which two ran at the same time: an earlier run wrote a line after a later one had begun."""
+    return [f"run {earlier.name} went on for {earlier.last - later.begin:.2f} s after run {later.name} had begun"
+            for earlier, later in zip(runs, runs[1:]) if earlier.last > later.begin]
+
+
+def lost_spans(one, copies, emptied):
+    """For each time that the broker lost its data: (the newest message that had come by then, until when messages were
+    accepted that may be lost). A reader that does not come back is not excused."""
+    accepted = {(place, number): moment for place, run in enumerate(one.runs) for number, moment in enumerate(run.sent, 1)}
+    place = {run.name: number for number, run in enumerate(one.runs)}
+    keys = [((place.get(copy.run, -1), copy.number), copy.time) for copy in copies]
+    spans = []
+    for moment in emptied:
+        newest = max((key for key, time in keys if time < moment), default=(-1, 0))
+        spans.append((newest, min((accepted[key] for key, _ in keys if accepted.get(key, 0) > moment), default=moment)))
+    return spans
+
+
+def missing(one, copies, spans):
+    there = collections.defaultdict(set)
+    for copy in copies:
+        there[copy.run].add(copy.number)
+    place = {run.name: number for number, run in enumerate(one.runs)}
+    wrong = []
+    for run in one.runs:
+        absent = [number for number in range(1, len(run.sent) + 1) if number not in there[run.name]]
+        absent = [number for number in absent if not any(
+            run.sent[number - 1] < until and (place[run.name], number) > newest for newest, until in spans)]
+        if one.kind == BLOCKED and (run.end is not None or run is not one.runs[-1]):
+            newest = max(there[run.name], default=0)
+            absent = [number for number in absent if number < newest]
+        if absent:
+            wrong.append(f"{len(absent)} of {len(run.sent)} accepted messages of run {run.name} never came: "
+                         f"{ranges(absent)}; the first was accepted at {run.sent[absent[0] - 1]:.2f}")
+    return wrong
+
+
+def foreign(one, copies):
+    """Messages that nobody sent. A run that was killed may have sent one more than its book says."""
+    sent = {run.name: len(run.sent) for run in one.runs}
+    strange = [copy for copy in copies if copy.run not in sent or not 1 <= copy.number <= sent[copy.run] + 1]
+    return [f"{len(strange)} messages came that were never sent, such as number {strange[0].number} of run "
+            f"{strange[0].run}"] if strange else []
+
+
+def out_of_order(one, copies):
+    """First copies that came after a newer message of their instance."""
+    place = {run.name: number for number, run in enumerate(one.runs)}
+    seen, newest, wrong = set(), (-1, 0), []
+    for copy in copies:
+        key = (place.get(copy.run, -1), copy.number)
+        if key not in seen and key < newest:
+            wrong.append(f"number {copy.number} of run {copy.run} came at {copy.time:.2f} after number {newest[1]}")
+        seen.add(key)
+        newest = max(newest, key)
+    return [f"{len(wrong)} messages were overtaken: {wrong[0]}"] if wrong else []
+
+
+def unmarked(copies):
+    """Of the copies of a message one may be without the mark."""
+    count = collections.Counter((copy.run, copy.number) for copy in copies if not copy.marked)
+    twice = [key for key, times in count.items() if times > 1]
+    return [f"{len(twice)} messages came twice without the mark `redelivered`: number {twice[0][1]} of run {twice[0][0]}"
+            ] if twice else []
+
+
+def duplicates(copies):
+    return len(copies) - len({(copy.run, copy.number) for copy in copies})
+
+
+def ranges(numbers):
+    """1, 2, 3, 7 -> "1-3, 7"."""
+    parts = []
+    for number in numbers:
+        if parts and parts[-1][1] == number - 1:
+            parts[-1][1] = number
+        else:
+            parts.append([number, number])
+    told = [str(first) if first == last else f"{first}-{last}" for first, last in parts]
+    return ", ".join(told[:5]) + (f" and {len(told) - 5} more" if len(told) > 5 else "")

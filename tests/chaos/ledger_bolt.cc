@@ -1,0 +1,35 @@
+// A bolt that enters each message of the ledger driver in its instance's book, FOLDER/INSTANCE.came: a line
+// "RUN NUMBER PROCESS TIME", where PROCESS is the worker's. Its configuration names the folder: `books`.
+#include <filesystem>
+#include <map>
+#include <string>
+
+#include "book.h"
+
+#include <iotcloud/topology/plugin.h>
+
+namespace {
+
+using namespace iotcloud::topology;
+
+class LedgerBolt final : public BasicBolt {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer&) const override {}
+  void prepare(const Config& config, const TopologyContext&) override { folder_ = config.at("books"); }
+  void execute(const Tuple& tuple, BasicOutputCollector&) override {
+    const Entry entry = Entry::parse(tuple.get<Payload>("data").text());
+    auto book = books_.find(entry.instance);
+    if (book == books_.end()) book = books_.emplace(entry.instance, Book(folder_ / (entry.instance + ".came"))).first;
+    book->second.write(entry.run_and_number + ' ' + std::to_string(::getpid()));
+  }
+
+ private:
+  std::filesystem::path folder_;
+  std::map<std::string, Book> books_;  ///< by instance
+};
+
+}  // namespace
+
+IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
+  registry.add_bolt<LedgerBolt>("chaos.Ledger");
+}

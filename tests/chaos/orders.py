@@ -1,0 +1,146 @@
+"""Orders by the command line while faults are done, and what must be true afterwards of what it answered.
+
+The orders are about `guests`, instances of the ledger driver with a name of their own. After each order the set of states
+in which its guest may be is known: one, if the answer was `done` or `pending` (the gateway is lost, and follows the order
+when it comes back); otherwise also the ordered one.
+"""
+
+import json
+import subprocess
+import time
+
+import schedule
+
+ABSENT, ACTIVE, INACTIVE, FAILED = "absent", "active", "inactive", "failed"
+TARGET = {"deploy": ACTIVE, "undeploy": ABSENT, "start": ACTIVE, "stop": INACTIVE}
+LIMIT_S = 90  # the command line answers within this time, whatever is done to the cluster
+
+
+NOT_THERE = "no driver instance is chosen"  # the command line's words for a selection of nothing
+
+
+class UntrueAnswer(Exception):
+    """The text says what the command line answered, and what is so."""
+
+
+class Guest:
+    def __init__(self, name, gateway, plugins):
+        self.name, self.gateway, self.plugins = name, gateway, plugins
+        self.possible = {ABSENT}
+        self.updates = 0
+        self.under_way = None  # (the action, the command line's process, when it began)
+
+    def words(self, cluster, kind):
+        if kind == "deploy":
+            return ["deploy", self.plugins[0], "--gateway", self.gateway, "--name", self.name, "--property",
+                    f"folder={cluster.books}", "--property", "kind=blocked", "--property", "rate=5", "--property",
+                    f"shared={cluster.shared}"]
+        if kind == "update":
+            self.updates += 1
+            return ["update", "--plugin", self.plugins[self.updates % 2], "--name", self.name]
+        return [kind, "--name", self.name]
+
+    def learn(self, kind, status, answer, printed=""):
+        """`status`: of the command line; `answer`: its JSON, None when it gave none; `printed`: all it printed. Returns what
+        the answer said. Raises UntrueAnswer when it says that a guest is not there that is."""
+        if NOT_THERE in printed and ABSENT not in self.possible:
+            raise UntrueAnswer(f"iotcloud {kind} --name {self.name} found no such instance; it is "
+                               f"{' or '.join(sorted(self.possible))}")
+        outcomes = [each["outcome"] for each in answer.get("outcomes", [])] if isinstance(answer, dict) else []
+        said = outcomes[0] if len(outcomes) == 1 else f"status {status}"
+        if kind == "update":
+            return said
+        goal = TARGET[kind]
+        if said in ("done", "pending"):
+            self.possible = {goal}
+        elif said == "unknown" or not outcomes:
+            # A selection that selects nothing is refused; so is a deployment of what is there already.
+            self.possible |= {goal}
+        else:
+            self.possible |= {goal, FAILED}
+        return said
+
+
+class Orders:
+    """`actions`: a schedule's orders. An order to a guest whose last one is not answered yet is left out."""
+
+    def __init__(self, cluster, actions, plugins, told=print):
+        self.cluster, self.actions, self.told = cluster, list(actions), told
+        self.guests = {name: Guest(name, schedule.GATEWAYS[number % 2], plugins)
+                       for number, name in enumerate(schedule.GUESTS)}
+        self.began = None
+        self.given = 0
+        self.violations = []
+
+    def start(self):
+        self.began = time.monotonic()
+
+    @property
+    def over(self):
+        return not self.actions and not any(guest.under_way for guest in self.guests.values())
+
+    def step(self):
+        for guest in self.guests.values():
+            if guest.under_way:
+                self.look_after(guest)
+        while self.actions and self.actions[0].begin <= time.monotonic() - self.began:
+            action = self.actions.pop(0)
+            guest = self.guests[action.target]
+            if guest.under_way is None:
+                self.give(guest, action)
+
+    def give(self, guest, action):
+        command = self.cluster.command(*guest.words(self.cluster, action.kind), "-o", "json")
+        self.given += 1
+        out = open(self.cluster.out / f"order-{self.given}.json", "w+", encoding="utf-8")
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT)
+        guest.under_way = (action, process, time.monotonic(), out)
+
+    def look_after(self, guest):
+        action, process, began, out = guest.under_way
+        took = time.monotonic() - began
+        if process.poll() is None:
+            if took > LIMIT_S:
+                process.kill()
+                process.wait()
+                self.violations.append(f"iotcloud {action.kind} --name {guest.name} did not answer within {LIMIT_S} s")
+            else:
+                return
+        guest.under_way = None
+        out.seek(0)
+        printed = out.read()
+        out.close()
+        try:
+            answer = json.loads(printed)
+        except ValueError:
+            answer = None
+        try:
+            said = guest.learn(action.kind, process.returncode, answer, printed)
+        except UntrueAnswer as error:
+            said = f"untrue: {error}"
+            self.violations.append(str(error))
+        self.told(f"{time.monotonic() - self.began:7.2f} s  iotcloud {action.kind} {guest.name}: {said} after {took:.1f} s")
+        if process.returncode < 0:
+            self.violations.append(f"iotcloud {action.kind} was ended by signal {-process.returncode}: {printed[-300:]}")
+
+    def untrue(self, drivers):
+        """What the command line answered and is not so. `drivers`: what it lists now."""
+        wrong = []
+        for guest in self.guests.values():
+            listed = [driver for driver in drivers if driver["name"] == guest.name]
+            state = listed[0]["state"] if listed else ABSENT
+            if state not in guest.possible:
+                wrong.append(f"{guest.name} is {state}" + (f" ({listed[0].get('reason', '')})" if listed else "") +
+                             f"; after what the command line answered it is {' or '.join(sorted(guest.possible))}")
+        return wrong
+
+    def start_stopped(self):
+        """Starts all guests that are stopped, because a topology does not read the channels of a stopped instance, and
+        what it had accepted is to come. Returns what was wrong."""
+        wrong = []
+        for driver in self.cluster.json("drivers"):
+            if driver["name"] in self.guests and driver["state"] == INACTIVE:
+                answer = self.cluster.answer("start", driver["instance"])
+                wrong += [f"{driver['name']} could not be started after the faults: {outcome}"
+                          for outcome in answer["outcomes"] if outcome["outcome"] != "done"]
+        return wrong

@@ -1,0 +1,55 @@
+#!/usr/bin/python3
+"""systemd's own checks of the units: usage: units_test.py UNITS PROGRAMS"""
+
+import pathlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import unittest
+
+UNITS, PROGRAMS = pathlib.Path(sys.argv[1]), sys.argv[2]
+SKIPPED = 77
+# Of 100, as `systemd-analyze security` counts what a service could still do: below 20 it calls it OK, a gateway has
+# devices and a topology runs code of its own.
+MOST_EXPOSED = 20
+
+
+class Units(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.units = []
+        for source in sorted(UNITS.glob("*.service")):
+            # An instance of a template, with programs that exist.
+            unit = pathlib.Path(folder.name, source.name.replace("@.", "@follower."))
+            unit.write_text(source.read_text().replace("ExecStart=/usr/bin/", f"ExecStart={PROGRAMS}/"))
+            self.units.append(unit)
+
+    def analyze(self, *words):
+        return subprocess.run(["systemd-analyze", *words], capture_output=True, text=True, timeout=60)
+
+    def test_there_is_one_for_each_daemon(self):
+        self.assertEqual([unit.name for unit in self.units],
+                         ["iotcloud-gateway.service", "iotcloud-master.service", "iotcloud-topology@follower.service"])
+
+    def test_systemd_understands_all_that_they_say(self):
+        for unit in self.units:
+            done = self.analyze("verify", "--man=no", "--recursive-errors=no", str(unit))
+            self.assertEqual((done.returncode, done.stderr), (0, ""), unit.name)
+
+    def test_hosts_outlive_a_gateway_that_dies(self):
+        gateway = self.units[0].read_text().splitlines()
+        self.assertEqual([line for line in gateway if line.startswith("KillMode=")], ["KillMode=process"])
+
+    def test_their_daemons_may_do_little(self):
+        for unit in self.units:
+            done = self.analyze("security", "--offline=yes", f"--threshold={MOST_EXPOSED}", "--no-pager", str(unit))
+            self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+
+
+if __name__ == "__main__":
+    if shutil.which("systemd-analyze") is None:
+        print("systemd-analyze is not here: skipped")
+        sys.exit(SKIPPED)
+    unittest.main(argv=sys.argv[:1])

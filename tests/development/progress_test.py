@@ -1,0 +1,61 @@
+#!/usr/bin/python3
+"""Tests how development/progress.py reads the output of ninja and ctest."""
+import io
+import sys
+import unittest
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
+
+import progress  # noqa: E402
+
+
+class BuildTest(unittest.TestCase):
+    def test_counts_steps_and_names_the_last(self):
+        build = progress.Build({})
+        self.assertIsNone(build.take("[12/48] Building CXX object brokers/CMakeFiles/x.dir/url.cc.o"))
+        self.assertEqual(build.text(), ("step 12 of 48", "url.cc"))
+        self.assertEqual(build.share(), 0.25)
+
+    def test_passes_on_what_a_compiler_says(self):
+        self.assertEqual(progress.Build({}).take("url.cc:3:1: error: no"), "url.cc:3:1: error: no")
+        self.assertIsNone(progress.Build({}).take("ninja: Entering directory `build/release'"))
+
+
+class TestsTest(unittest.TestCase):
+    def take(self, tests, *lines):
+        return [text for text in map(tests.take, lines) if text]
+
+    def test_counts_and_names_those_that_run(self):
+        tests = progress.Tests({})
+        said = self.take(tests, "      Start  1: Url.Reads", "      Start  2: brokers_contract_test.kafka",
+                         " 1/40 Test  #1: Url.Reads ...........................   Passed    0.03 sec")
+        self.assertEqual(said, [])
+        self.assertEqual(tests.text(), ("39 of 40 left", "brokers_contract_test.kafka"))
+
+    def test_tells_failures_at_once_and_skips_not(self):
+        tests = progress.Tests({})
+        said = self.take(tests, " 1/3 Test  #1: A.b ....***Failed    0.30 sec", " 2/3 Test  #2: C.d ....***Skipped   0.30 sec",
+                         " 3/3 Test  #3: E.f ....***Timeout 300.01 sec")
+        self.assertEqual(said, ["FAILED after 0.3 s: A.b", "FAILED after 300.0 s: E.f"])
+
+    def test_knows_by_earlier_runs_how_far_it_is(self):
+        tests = progress.Tests({"Short": 1.0, "Long": 99.0})
+        self.take(tests, " 1/2 Test  #1: Long ....   Passed    50.00 sec")
+        self.assertEqual(tests.share(), 0.99)
+
+
+class TellerTest(unittest.TestCase):
+    def test_without_a_terminal_tells_every_30_s_how_much_is_left(self):
+        now = [0.0]
+        out = io.StringIO()
+        build = progress.Build({})
+        teller = progress.Teller("building release", build, out, lambda: now[0])
+        build.take("[10/40] Linking CXX executable bin/x")
+        for now[0] in (10.0, 29.0, 31.0, 45.0):
+            teller.tick()
+        self.assertEqual(out.getvalue(), "building release: step 10 of 40, 31 s, about 1.6 min left   x\n")
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,76 @@
+#!/usr/bin/python3
+"""Tests how development/summary.py reads ctest's JUnit files."""
+import contextlib
+import io
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
+
+import summary  # noqa: E402
+
+JUNIT = """<?xml version="1.0" encoding="UTF-8"?>
+<testsuite name="Linux" tests="4" failures="1" disabled="0" skipped="2">
+  <testcase name="Url.Reads" classname="Url.Reads" time="0.5" status="run"><system-out>fine</system-out></testcase>
+  <testcase name="Slow.Fails" classname="Slow.Fails" time="12" status="fail"><failure message=""/>
+    <system-out>no</system-out></testcase>
+  <testcase name="DepthInversion.avx2" classname="x" time="0" status="notrun"><skipped message="SKIP_RETURN_CODE=77"/>
+    <system-out>[ RUN      ] it
+depth_inversion_test.cc:18: Skipped
+this machine has no AVX2
+[  SKIPPED ] it</system-out></testcase>
+  <testcase name="Hosts.OfAnotherUser" classname="x" time="0" status="notrun"><skipped message=""/>
+    <system-out>SKIPPED only root can become another user</system-out></testcase>
+</testsuite>
+"""
+LIMITS = {"minutes": 1, "pace_s": 0.5, "skips_allowed": {"avx2": "a machine without AVX2"}}
+
+
+class SummaryTest(unittest.TestCase):
+    def setUp(self):
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "release", "tests.xml")
+            file.parent.mkdir()
+            file.write_text(JUNIT)
+            self.tests = summary.read(file)
+
+    def report(self, **given):
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            wrong = summary.report(self.tests, given.get("steps", []), LIMITS, given.get("ci", False), True)
+        return wrong, out.getvalue()
+
+    def test_reads_outcomes(self):
+        self.assertEqual([(test.preset, test.outcome) for test in self.tests],
+                         [("release", "passed"), ("release", "failed"), ("release", "skipped"), ("release", "skipped")])
+
+    def test_says_why_tests_were_skipped(self):
+        _, said = self.report()
+        self.assertIn("DepthInversion.avx2 (release): this machine has no AVX2", said)
+        self.assertIn("Hosts.OfAnotherUser (release): only root can become another user", said)
+
+    def test_in_ci_only_the_skips_that_are_allowed_pass(self):
+        wrong, _ = self.report(ci=True)
+        self.assertEqual(len(wrong), 1)
+        self.assertIn("Hosts.OfAnotherUser", wrong[0])
+
+    def test_in_ci_the_whole_must_stay_within_its_minutes(self):
+        steps = [(50, "building", 0.5), (20, "testing", 0.4)]
+        self.assertEqual(self.report(steps=steps)[0], [])
+        self.assertTrue(any("70 s" in text for text in self.report(ci=True, steps=steps)[0]))
+
+    def test_a_slower_machine_is_allowed_more_minutes(self):
+        steps = [(50, "building", 0.7), (20, "testing", 0.6), (1, "linting", 0.5)]
+        self.assertFalse(any("the whole took" in text for text in self.report(ci=True, steps=steps)[0]))
+        steps = [(50, "building", 0.7), (23, "testing", 0.6), (1, "linting", 0.5)]
+        self.assertTrue(any("1.20 times as much" in text for text in self.report(ci=True, steps=steps)[0]))
+
+    def test_names_the_slowest_first(self):
+        _, said = self.report()
+        self.assertLess(said.index("Slow.Fails"), said.index("Url.Reads"))
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,70 @@
+// Clients of a server whose state was emptied or put back: it refuses those that have seen a later state, without a
+// word.
+#include <gmock/gmock.h>
+
+#include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/tests/discovery/contract_fixture.h>
+#include <iotcloud/tests/eventually.h>
+
+namespace iotcloud::discovery {
+namespace {
+
+using iotcloud::tests::eventually;
+using tests::Seen;
+
+class PutBack : public testing::Test {
+ protected:
+  std::unique_ptr<Registry> client() const {
+    RegistryOptions options;
+    options.url = "embedded://put-back";
+    options.session_timeout = std::chrono::milliseconds(50);
+    return make_registry(options);
+  }
+  const std::shared_ptr<embedded::RegistryServer> server_ = embedded::RegistryServer::named("put-back");
+};
+
+TEST_F(PutBack, AClientOfAnEmptiedServerComesBackWithANewSession) {
+  const auto registry = client();
+  registry->create("/kept", "data");
+  Seen<std::string> created, seen;
+  const auto held = registry->hold("/a/held", "mine", false, [&](const auto& path) { created.add(path); });
+  const auto watch = registry->watch_node("/kept", [&](const auto& node) { seen.add(node ? node->data : "(none)"); });
+  ASSERT_TRUE(created.wait_for_count(1));
+  ASSERT_TRUE(seen.wait_for_last("data"));
+  server_->put_back(nullptr);
+  EXPECT_TRUE(created.wait_for_count(2));
+  EXPECT_TRUE(seen.wait_for_last("(none)"));
+  EXPECT_EQ(registry->get("/a/held")->data, "mine");
+}
+
+TEST_F(PutBack, AServerThatIsOnlyAwayCostsNoSession) {
+  const auto registry = client();
+  const auto held = registry->hold("/held", "");
+  const auto session = registry->get("/held")->owner_session;
+  for (int round = 0; round < 3; ++round) {
+    server_->stop();
+    // Longer than the time-out, after which the client asks whether a server takes new sessions: none answers.
+    ASSERT_TRUE(eventually([&] { return registry->session() == SessionState::expired; }));
+    ASSERT_TRUE(eventually([&] { return server_->is_asked(); }));
+    server_->start();
+    ASSERT_TRUE(eventually([&] { return registry->session() == SessionState::connected; }));
+    EXPECT_EQ(registry->get("/held")->owner_session, session);
+  }
+}
+
+TEST_F(PutBack, ABackupHasThePersistentNodesOfItsTime) {
+  const auto registry = client();
+  registry->create("/a/b", "1");
+  const auto held = registry->hold("/a/held", "");
+  const auto backup = server_->image();
+  registry->set("/a/b", "2");
+  registry->create("/c", "");
+  server_->put_back(backup);
+  EXPECT_EQ(registry->get("/a/b")->data, "1");
+  EXPECT_FALSE(registry->get("/c"));
+  EXPECT_TRUE(eventually([&] { return registry->get("/a/held").has_value(); }));
+}
+
+}  // namespace
+}  // namespace iotcloud::discovery

@@ -1,0 +1,167 @@
+// What driver hosts give up, as drivers in real processes see it.
+#include <map>
+#include <string>
+
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/gateway/fleet/process_fixture.h>
+#include <iotcloud/tests/gateway/status_log.h>
+
+namespace iotcloud::gateway {
+namespace {
+
+using discovery::DriverState;
+using ::testing::HasSubstr;
+namespace fs = std::filesystem;
+
+class ConfinedHosts : public ProcessTest {
+ protected:
+  ConfinedHosts() { fs::copy(fs::path(TEST_PLUGINS) / "confined.so", plugins_ / "confined.so"); }
+
+  /// What a driver in such a host finds out.
+  std::map<std::string, std::string> facts(std::map<std::string, std::string> properties = {}) {
+    start_gateway();
+    give(quiet("a", "confined.so", std::move(properties)));
+    EXPECT_TRUE(comes_to("a", DriverState::active, "confined"));
+    EXPECT_TRUE(eventually([&] {
+      const auto now = record("a", "confined");
+      return now && now->metadata.contains("user");
+    }));
+    const auto now = record("a", "confined");
+    return now ? now->metadata : std::map<std::string, std::string>{};
+  }
+};
+
+TEST_F(ConfinedHosts, WithoutAConfinementADriverMayWhatItsGatewayMay) {
+  auto found = facts();
+  EXPECT_EQ(found["user"], std::to_string(geteuid()));
+  EXPECT_EQ(found["no_new_privileges"], "0");
+  EXPECT_EQ(found["unshare"], "ok");
+  EXPECT_EQ(found["process_vm_readv"], "ok");
+}
+
+TEST_F(ConfinedHosts, GiveUpNewPrivilegesCoreDumpsDebuggersAndFiles) {
+  confinement_.no_new_privileges = true;
+  confinement_.debuggable = false;
+  confinement_.open_files = 200;
+  auto found = facts();
+  EXPECT_EQ(found["no_new_privileges"], "1");
+  EXPECT_EQ(found["dumpable"], "0");
+  EXPECT_EQ(found["core"], "0");
+  EXPECT_EQ(found["open_files"], "200");
+}
+
+TEST_F(ConfinedHosts, AreRefusedSystemCallsThatNoDriverNeedsAndMayStartThreadsAndPrograms) {
+  confinement_.no_new_privileges = true;  // what the kernel wants of a filter that root did not set
+  confinement_.filter_calls = true;
+  auto found = facts();
+  EXPECT_EQ(found["unshare"], "EPERM");
+  EXPECT_EQ(found["ptrace"], "EPERM");
+  EXPECT_EQ(found["process_vm_readv"], "EPERM");
+  EXPECT_EQ(found["thread"], "ok");
+  EXPECT_EQ(found["program"], "ok");
+}
+
+TEST_F(ConfinedHosts, ThatCannotBeConfinedRunNoDriverAndSayWhy) {
+  confinement_.open_files = std::uint64_t{1} << 40;
+  start_gateway();
+  give(quiet("a", "confined.so"));
+  ASSERT_TRUE(comes_to("a", DriverState::failed, "confined"));
+  EXPECT_THAT(record("a", "confined")->reason, HasSubstr("cannot have 1099511627776 files open"));
+}
+
+/// A gateway that runs as root, and hosts that do not.
+class HostsOfAnotherUser : public ConfinedHosts {
+ protected:
+  void SetUp() override {
+    if (geteuid() != 0) GTEST_SKIP() << "only root can become another user";
+    confinement_.user = "nobody";
+    chmod(folder_.c_str(), 0711);  // to the state folder and the plugins
+  }
+
+  static uid_t owner(const fs::path& path) {
+    struct stat status {};
+    return stat(path.c_str(), &status) == 0 ? status.st_uid : uid_t{0} - 1;
+  }
+  /// A host that outlived its gateway; its process, 0: there is none.
+  int leave_host_running() {
+    StatusLog told;
+    const auto link = new_launcher()->launch({"probe.so", "gw"_gateway, false},
+                                             {[&](const auto& s) { told.add(s); }, [](const auto&) {}});
+    InstanceSpec spec;
+    spec.order = quiet("a");
+    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
+    link->create(spec);
+    return told.wait_for("a", DriverState::active) ? host_process() : 0;
+  }
+  const processes::Account nobody_ = processes::find_account("nobody");
+};
+
+TEST_F(HostsOfAnotherUser, AreNotRootAndCannotBecomeIt) {
+  auto found = facts({{"forbidden_file", state_ / "id"}});
+  EXPECT_EQ(found["user"], std::to_string(nobody_.user));
+  EXPECT_EQ(found["group"], std::to_string(nobody_.group));
+  EXPECT_EQ(found["groups_of_root"], "no");
+  EXPECT_EQ(found["root_again"], "EPERM");
+  EXPECT_EQ(found["forbidden_file"], "EACCES") << "the state folder is the gateway's";
+}
+
+TEST_F(HostsOfAnotherUser, SpoolAndEndInOrder) {
+  start_gateway();
+  give(order("a", {{"channel.readings.when_full", "spool"}}));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  EXPECT_TRUE(eventually([&] { return owner(state_ / "spool/a/readings") == nobody_.user; }));
+  const int process = host_process();
+  take_back("a");
+  EXPECT_TRUE(has_ended(process));
+  EXPECT_TRUE(eventually([&] { return sockets().empty(); }));
+}
+
+TEST_F(HostsOfAnotherUser, LogIntoFilesThatTheirGatewayMovesOn) {
+  give(quiet("a", "confined.so", {{"chatter", "true"}}));
+  start_gateway();
+  // The second is moved only when the host went on in a new one.
+  EXPECT_TRUE(eventually([&] { return fs::exists(state_ / "confined.log.2"); }));
+  // Older ones move first; then the log itself is moved, and made anew.
+  EXPECT_TRUE(eventually([&] { return owner(state_ / "confined.log") == nobody_.user; }));
+  EXPECT_EQ(owner(state_), 0u);
+}
+
+TEST_F(HostsOfAnotherUser, AreAdopted) {
+  const int process = leave_host_running();
+  ASSERT_GT(process, 0);
+  EXPECT_EQ(new_launcher()->running("gw"_gateway).size(), 1u);
+  EXPECT_EQ(host_process(), process);
+}
+
+TEST_F(HostsOfAnotherUser, AreAdoptedOnlyAsTheOneThatTheConfigurationNames) {
+  confinement_.user = "";
+  const int process = leave_host_running();
+  ASSERT_GT(process, 0);
+  confinement_.user = "nobody";
+  EXPECT_TRUE(new_launcher()->running("gw"_gateway).empty());
+  EXPECT_TRUE(sockets().empty());
+}
+
+TEST_F(HostsOfAnotherUser, TheUserMustBeThereAndHaveFewerRights) {
+  confinement_.user = "no-such-user";
+  EXPECT_THROW(new_launcher(), config::Error);
+  confinement_.user = "root";
+  EXPECT_THROW(new_launcher(), config::Error);
+}
+
+TEST_F(HostsOfAnotherUser, SpoolsOfAThirdOneAreLeftToIt) {
+  fs::create_directories(state_ / "spool");
+  ASSERT_EQ(chown((state_ / "spool").c_str(), 1, 1), 0);
+  EXPECT_THROW(new_launcher(), config::Error);
+  ASSERT_EQ(chown((state_ / "spool").c_str(), 0, 0), 0);
+  fs::create_directories(state_ / "spool/a");
+  new_launcher();
+  EXPECT_EQ(owner(state_ / "spool/a"), nobody_.user);
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway

@@ -1,0 +1,124 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/gateway/host/protocol.h>
+#include <iotcloud/processes/frames.h>
+
+namespace iotcloud::gateway::protocol {
+namespace {
+
+std::string body_of(const std::string& frame) {
+  processes::FrameReader reader;
+  reader.feed(frame.data(), frame.size());
+  return reader.next().value();
+}
+
+PassedMessage passed_message() {
+  PassedMessage passed;
+  passed.number = 1'577'836'800'000'000'007;
+  passed.topic = "gw.p.control";
+  passed.message.driver_id = "a";
+  passed.message.gateway_id = "gw";
+  passed.message.time_ms = 1234;
+  passed.message.properties.set("key", std::string("\0\xFF\x80", 3));
+  passed.message.properties.set("", "empty");
+  std::string all;
+  for (int byte = 0; byte < 256; ++byte) all.push_back(static_cast<char>(byte));
+  passed.message.payload = brokers::Payload::copy(all);
+  return passed;
+}
+
+void expect_same(const PassedMessage& read, const PassedMessage& written) {
+  EXPECT_EQ(read.number, written.number);
+  EXPECT_EQ(read.topic, written.topic);
+  EXPECT_EQ(read.message.driver_id, written.message.driver_id);
+  EXPECT_EQ(read.message.gateway_id, written.message.gateway_id);
+  EXPECT_EQ(read.message.time_ms, written.message.time_ms);
+  EXPECT_EQ(read.message.properties, written.message.properties);
+  EXPECT_EQ(read.message.payload, written.message.payload);
+}
+
+TEST(HostProtocol, CarriesAPassedMessageOfAnyBytesInBothDirections) {
+  HostReport report;
+  report.kind = HostReport::Kind::pass;
+  report.passed = passed_message();
+  expect_same(decode_report(body_of(encode(report))).passed, report.passed);
+  HostCommand command;
+  command.kind = HostCommand::Kind::deliver;
+  command.passed = passed_message();
+  expect_same(decode_command(body_of(encode(command))).passed, command.passed);
+}
+
+/// 4 MiB of zeros, most of them in the properties or in the payload.
+PassedMessage large_message(bool in_properties) {
+  PassedMessage passed;
+  const std::string zeros(std::size_t{4} << 20, '\0');
+  if (in_properties) {
+    passed.message.properties.set("huge", zeros);
+  } else {
+    passed.message.payload = brokers::Payload::copy(zeros);
+  }
+  return passed;
+}
+
+TEST(HostProtocol, CarriesALargePassedMessageOfBytesThatJsonWritesAsSixCharacters) {
+  HostReport report;
+  report.kind = HostReport::Kind::pass;
+  report.passed = large_message(false);
+  const auto reported = encode(report);
+  ASSERT_TRUE(processes::fits(reported)) << reported.size();
+  expect_same(decode_report(body_of(reported)).passed, report.passed);
+  HostCommand command;
+  command.kind = HostCommand::Kind::deliver;
+  command.passed = large_message(true);
+  const auto commanded = encode(command);
+  ASSERT_TRUE(processes::fits(commanded)) << commanded.size();
+  expect_same(decode_command(body_of(commanded)).passed, command.passed);
+}
+
+TEST(HostProtocol, TellsOfAFrameThatItsReaderWouldRefuse) {
+  const auto largest = processes::frame(std::string(processes::max_frame, 'x'));
+  EXPECT_TRUE(processes::fits(largest));
+  EXPECT_EQ(body_of(largest).size(), processes::max_frame);
+  const auto larger = processes::frame(std::string(processes::max_frame + 1, 'x'));
+  EXPECT_FALSE(processes::fits(larger));
+  EXPECT_THROW(body_of(larger), config::Error);
+}
+
+TEST(HostProtocol, CarriesEveryAnswer) {
+  for (const auto answer : {PassAnswer::handled, PassAnswer::failed, PassAnswer::comes, PassAnswer::nowhere}) {
+    HostReport report;
+    report.kind = HostReport::Kind::answer;
+    report.number = 7;
+    report.answer = answer;
+    const auto reported = decode_report(body_of(encode(report)));
+    EXPECT_EQ(reported.answer, answer);
+    EXPECT_EQ(reported.number, 7);
+    HostCommand command;
+    command.kind = HostCommand::Kind::answer;
+    command.number = 7;
+    command.answer = answer;
+    const auto commanded = decode_command(body_of(encode(command)));
+    EXPECT_EQ(commanded.answer, answer);
+    EXPECT_EQ(commanded.number, 7);
+  }
+}
+
+TEST(HostProtocol, RefusesAPassedMessageThatCannotBe) {
+  EXPECT_THROW(decode_report(R"({"kind":"answer","number":7,"answer":"perhaps"})"), config::Error);
+  EXPECT_THROW(decode_report(R"({"kind":"pass","passed":{"number":7}})"), config::Error);
+  for (const std::string topic : {"\xE2\x82\xAC", "A", "A===", "QQ=A", "QUJD!AAA"}) {
+    HostReport report;
+    report.kind = HostReport::Kind::pass;
+    report.passed = passed_message();
+    auto passed = body_of(encode(report));
+    const std::string written = "\"topic\":\"Z3cucC5jb250cm9s\"";
+    ASSERT_NE(passed.find(written), std::string::npos) << passed;
+    passed.replace(passed.find(written), written.size(), "\"topic\":\"" + topic + "\"");
+    EXPECT_THROW(decode_report(passed), config::Error) << topic;
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway::protocol

@@ -1,0 +1,72 @@
+#!/usr/bin/python3
+"""Nothing waits for the time of day, and nothing measures by it: it is set back and forth while a process runs. Checks the
+C++ below a source tree. Waits and time spans are the steady clock's or an injected config::Clock's (config/mutex.h).
+
+usage: check_clocks.py ROOT     (exit status 1 and a line for each violation)
+"""
+
+import re
+import sys
+from pathlib import Path
+
+# Where the time of day itself is meant, and why.
+TIME_OF_DAY = {
+    "config/clock.cc": "config::Clock::wall_ms() for all others",
+    "drivers/turtle/turtle_driver.cc": "time stamps of messages; a driver links no clock of ours",
+    "tests/c11_threads_for_tsan.cc": "C's own functions, as the standard has them",
+    "tests/chaos/machine.cc": "makes it go wrong",
+    "tests/config/mutex_test.cc": "shows that our waits refuse it",
+}
+# Where wall_ms() is compared or calculated with: times that another process wrote, or that outlive this one.
+STAMPS_OF_OTHERS = {
+    "brokers/kafka/reading/reader.cc": "a message's deadline, which its sender wrote",
+    "master/topologies/topology_service.cc": "an order says until when its master waits, whichever process reads it",
+    "topology/windows/windowed_bolt.cc": "event times that are time stamps, by the steady clock from the first look on",
+    "topology/worker/control.cc": "an order says until when its master waits, whichever process reads it",
+    "tests/topology/worker/worker_control_test.cc": "such an order",
+}
+
+CLOCKS = re.compile(
+    r"\bchrono\s*::\s*(?:system_clock|utc_clock|file_clock|high_resolution_clock)\b"
+    r"|(?<![\w:])(?:system_clock|utc_clock|high_resolution_clock)\s*::"
+    r"|\bCLOCK_REALTIME(?:_COARSE)?\b|\bTIME_UTC\b|\bgettimeofday\s*\(|(?<![\w:.>])(?:std::)?time\s*\(\s*(?:nullptr|NULL|0|&\w+)\s*\)")
+# These take the time of day whatever they are given.
+WAITS = re.compile(
+    r"\b(?:pthread_cond_timedwait|pthread_mutex_timedlock|pthread_rwlock_timed\w+|sem_timedwait|mtx_timedlock"
+    r"|cnd_timedwait|mq_timed(?:send|receive))\s*\(")
+SPANS = re.compile(r"\bwall_ms\(\)\s*(?:[-+](?!\+)|[<>])|(?:[-+]|[<>]=?)\s*(?:[\w.]|->|::|\(\))*\bwall_ms\(\)")
+COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+
+
+def without_comments(text):
+    return COMMENT.sub(lambda comment: "\n" * comment.group().count("\n"), text)
+
+
+def check_source(file, text):
+    """Lines for what `file` (relative to the root) does wrong."""
+    for number, line in enumerate(without_comments(text).splitlines(), 1):
+        if file not in TIME_OF_DAY:
+            for found in (CLOCKS.search(line), WAITS.search(line)):
+                if found:
+                    yield (f"{file}:{number}: {found.group().strip()}: the time of day may be set back at any moment; wait "
+                           f"and measure by std::chrono::steady_clock or config::Clock::now(), and take time stamps from "
+                           f"config::Clock::wall_ms()")
+        span = SPANS.search(line.replace("->", "."))
+        if span and file not in STAMPS_OF_OTHERS:
+            yield (f"{file}:{number}: {span.group().strip()}: how long something takes is measured by "
+                   f"config::Clock::now(); wall_ms() is for time stamps")
+
+
+def check(root):
+    problems = []
+    for path in sorted(root.rglob("*")):
+        file = path.relative_to(root).as_posix()
+        if path.suffix in (".h", ".cc") and path.is_file() and not file.startswith(("build/", ".")) and "/build/" not in file:
+            problems += check_source(file, path.read_text())
+    return problems
+
+
+if __name__ == "__main__":
+    found = check(Path(sys.argv[1]).resolve())
+    print("\n".join(found) or "nothing waits for the time of day")
+    sys.exit(1 if found else 0)

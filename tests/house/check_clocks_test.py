@@ -1,0 +1,64 @@
+#!/usr/bin/python3
+"""The checker finds what it is there to find, and nothing else."""
+
+import unittest
+
+import check_clocks
+
+
+class CheckClocks(unittest.TestCase):
+    def problems(self, line, file="brokers/a.cc"):
+        return list(check_clocks.check_source(file, f"#include <chrono>\n{line}\n"))
+
+    def assert_refused(self, line):
+        problems = self.problems(line)
+        self.assertEqual(len(problems), 1, line)
+        self.assertTrue(problems[0].startswith("brokers/a.cc:2: "), problems[0])
+
+    def assert_allowed(self, line):
+        self.assertEqual(self.problems(line), [], line)
+
+    def test_waits_on_the_wall_clock(self):
+        self.assert_refused("changed_.wait_until(lock, std::chrono::system_clock::now() + limit);")
+        self.assert_refused("future.wait_until(system_clock::now() + limit);")
+        self.assert_refused("std::this_thread::sleep_until(std::chrono::system_clock::now() + 1s);")
+        self.assert_refused("using Time = std::chrono::system_clock::time_point;")
+        self.assert_refused("using std::chrono::system_clock;")
+        self.assert_refused("const auto began = std::chrono::high_resolution_clock::now();")
+
+    def test_waits_of_the_operating_system_that_take_no_other(self):
+        self.assert_refused("pthread_cond_timedwait(&condition, &mutex, &end);")
+        self.assert_refused("sem_timedwait(&semaphore, &end);")
+        self.assert_refused("clock_gettime(CLOCK_REALTIME, &now);")
+        self.assert_refused("gettimeofday(&now, nullptr);")
+        self.assert_refused("const auto now = time(nullptr);")
+        self.assert_refused("const std::time_t now = std::time(nullptr);")
+
+    def test_time_spans_between_time_stamps(self):
+        self.assert_refused("const auto took = clock.wall_ms() - began_ms;")
+        self.assert_refused("if (options_.clock->wall_ms() > end_ms) return;")
+        self.assert_refused("if (end_ms <= options_.clock->wall_ms()) return;")
+
+    def test_what_is_right_is_let_pass(self):
+        self.assert_allowed("changed_.wait_until(lock, std::chrono::steady_clock::now() + limit);")
+        self.assert_allowed("changed_.wait_for(lock, limit);")
+        self.assert_allowed("const auto& clock = config::system_clock();")
+        self.assert_allowed("record.since_ms = options_.clock->wall_ms();")
+        self.assert_allowed("say(name, clock->wall_ms());")
+        self.assert_allowed("pthread_cond_clockwait(&condition, &mutex, CLOCK_MONOTONIC, &end);")
+        self.assert_allowed("const auto left = remaining_time(nullptr);")
+        self.assert_allowed("std::int64_t wall_ms() const override { return 1 + ms_; }")
+
+    def test_comments_say_what_they_like(self):
+        self.assert_allowed("// std::chrono::system_clock::now() is not for waits")
+        self.assert_allowed("/* sem_timedwait(a, b)\n std::chrono::system_clock */")
+
+    def test_each_exception_says_why_and_is_for_its_file_alone(self):
+        for file, reason in {**check_clocks.TIME_OF_DAY, **check_clocks.STAMPS_OF_OTHERS}.items():
+            self.assertTrue(reason, file)
+        self.assertFalse(self.problems("std::chrono::system_clock::now();", "config/clock.cc"))
+        self.assertTrue(self.problems("std::chrono::system_clock::now();", "config/other.cc"))
+
+
+if __name__ == "__main__":
+    unittest.main()

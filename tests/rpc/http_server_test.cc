@@ -1,0 +1,211 @@
+#include <atomic>
+#include <memory>
+#include <vector>
+
+#include <arpa/inet.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <netinet/tcp.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/rpc/http/http_server.h>
+#include <iotcloud/rpc/http/metrics_endpoint.h>
+#include <iotcloud/tests/captured_log.h>
+#include <iotcloud/tests/eventually.h>
+
+namespace iotcloud::rpc {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+/// One connection to the server.
+class Client {
+ public:
+  Client() : fd_(socket(AF_INET, SOCK_STREAM, 0)) {}
+  explicit Client(const HttpServer& server) : Client() { reach(server); }
+  ~Client() { close(fd_); }
+  Client(const Client&) = delete;
+  Client& operator=(const Client&) = delete;
+
+  /// Before reach(): the kernels keep little of what comes for this client.
+  void take_little() const {
+    const int segment = 536;
+    const int buffer = 4096;
+    EXPECT_EQ(setsockopt(fd_, IPPROTO_TCP, TCP_MAXSEG, &segment, sizeof segment), 0);
+    EXPECT_EQ(setsockopt(fd_, SOL_SOCKET, SO_RCVBUF, &buffer, sizeof buffer), 0);
+  }
+  void reach(const HttpServer& server) const {
+    const std::string address = server.address();
+    sockaddr_in to{};
+    to.sin_family = AF_INET;
+    to.sin_port = htons(static_cast<std::uint16_t>(std::stoi(address.substr(address.rfind(':') + 1))));
+    to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    EXPECT_EQ(connect(fd_, reinterpret_cast<const sockaddr*>(&to), sizeof to), 0);
+  }
+  /// \return false if the server has closed the connection
+  bool say(const std::string& bytes) const {
+    return send(fd_, bytes.data(), bytes.size(), MSG_NOSIGNAL) == static_cast<ssize_t>(bytes.size());
+  }
+  /// All that comes until the server closes the connection.
+  std::string rest() const {
+    std::string answer;
+    char buffer[4096];
+    for (ssize_t n = 0; (n = recv(fd_, buffer, sizeof buffer, 0)) > 0;)
+      answer.append(buffer, static_cast<std::size_t>(n));
+    return answer;
+  }
+
+ private:
+  const int fd_;
+};
+
+/// All that comes back for these bytes until the server closes.
+std::string talk(const HttpServer& server, const std::string& bytes) {
+  const Client client(server);
+  return client.say(bytes) ? client.rest() : "";
+}
+
+std::string get(const HttpServer& server, const std::string& target, const std::string& method = "GET") {
+  return talk(server, method + " " + target + " HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n");
+}
+
+TEST(HttpServer, AnswersAPageWithItsQueryDecoded) {
+  const HttpServer server("127.0.0.1:0", {{"/echo", [](const HttpRequest& request) {
+                                             std::string all = request.path;
+                                             for (const auto& [key, value] : request.query)
+                                               all += " " + key + "=" + value;
+                                             return HttpAnswer{200, "text/plain", all};
+                                           }}});
+  EXPECT_THAT(get(server, "/echo?a=1&b=x%20y%26z+q&c&=&d=a?b=c"),
+              AllOf(StartsWith("HTTP/1.1 200"), HasSubstr("text/plain"), HasSubstr("/echo =")));
+  EXPECT_THAT(get(server, "/echo?a=1&b=x%20y%26z+q&c&d=a?b=c"), HasSubstr("/echo a=1 b=x y&z q c= d=a?b=c"));
+  EXPECT_THAT(get(server, "/echo?a=%zz%2"), HasSubstr("a=%zz%2"));
+  EXPECT_THAT(get(server, "/echo?"), HasSubstr("\r\n\r\n/echo"));
+}
+
+TEST(HttpServer, KeepsAConnectionForTheNextQuestion) {
+  int asked = 0;
+  const HttpServer server("127.0.0.1:0", {{"/n", [&](const HttpRequest&) {
+                                             return HttpAnswer{200, "text/plain", "n" + std::to_string(++asked)};
+                                           }}});
+  const auto both =
+      talk(server, "GET /n HTTP/1.1\r\nHost: h\r\n\r\nGET /n HTTP/1.1\r\nHost: h\r\nConnection: close\r\n\r\n");
+  EXPECT_THAT(both, AllOf(HasSubstr("n1"), HasSubstr("n2")));
+}
+
+TEST(HttpServer, SaysWhatIsWrong) {
+  const HttpServer server(
+      "127.0.0.1:0",
+      {{"/bad", [](const HttpRequest&) -> HttpAnswer { throw std::runtime_error("the page is broken"); }}});
+  EXPECT_THAT(get(server, "/bad"), AllOf(StartsWith("HTTP/1.1 500"), HasSubstr("the page is broken")));
+  EXPECT_THAT(get(server, "/other"), AllOf(StartsWith("HTTP/1.1 404"), HasSubstr("there are: /bad")));
+  EXPECT_THAT(get(server, "/bad", "DELETE"), AllOf(StartsWith("HTTP/1.1 405"), HasSubstr("GET, HEAD")));
+  EXPECT_EQ(talk(server, "GET /" + std::string(100'000, 'x') + " HTTP/1.1\r\n\r\n").find("HTTP/1.1 200"),
+            std::string::npos);
+  EXPECT_EQ(talk(server, "nonsense\r\n\r\n").find("HTTP/1.1 200"), std::string::npos);
+  EXPECT_THAT(get(server, "/other"), StartsWith("HTTP/1.1 404")) << "it still answers";
+}
+
+TEST(HttpServer, AnswersAHeadWithoutTheBody) {
+  const HttpServer server("127.0.0.1:0", {{"/p", [](const HttpRequest&) { return HttpAnswer{200, "a/b", "body"}; }}});
+  EXPECT_THAT(get(server, "/p", "HEAD"), AllOf(HasSubstr("Content-Length: 4"), testing::EndsWith("\r\n\r\n")));
+}
+
+TEST(HttpServer, AnswersAProbeWhileOthersHoldAllConnectionsAndAskForNothing) {
+  const HttpServer server("127.0.0.1:0", {{"/healthz", [](const HttpRequest&) { return HttpAnswer{}; }}});
+  std::vector<std::unique_ptr<Client>> silent;
+  for (int i = 0; i < 64; ++i) silent.push_back(std::make_unique<Client>(server));
+  for (int i = 0; i < 3; ++i) EXPECT_THAT(get(server, "/healthz"), StartsWith("HTTP/1.1 200"));
+}
+
+TEST(HttpServer, AnswersAProbeWhileOthersHoldAllConnectionsAndSendTheirRequestsInDrops) {
+  const HttpServer server("127.0.0.1:0", {{"/healthz", [](const HttpRequest&) { return HttpAnswer{}; }}});
+  std::vector<std::unique_ptr<Client>> slow;
+  for (int i = 0; i < 64; ++i) slow.push_back(std::make_unique<Client>(server));
+  for (const char* drop : {"GET /healthz", " HTTP/1.1\r\n", "X: y\r\n"}) {
+    for (const auto& client : slow) client->say(drop);
+    EXPECT_THAT(get(server, "/healthz"), StartsWith("HTTP/1.1 200"));
+  }
+  const auto& newest = slow.back();
+  EXPECT_TRUE(newest->say("Connection: close\r\n\r\n"));
+  EXPECT_THAT(newest->rest(), StartsWith("HTTP/1.1 200")) << "the oldest made room";
+}
+
+TEST(HttpServer, AnswersAProbeWhileOthersHoldAllConnectionsAndDoNotReadTheirAnswers) {
+  std::atomic<int> asked{0};
+  const HttpServer server("127.0.0.1:0", {{"/healthz", [](const HttpRequest&) { return HttpAnswer{}; }},
+                                          {"/large", [&](const HttpRequest&) {
+                                             ++asked;
+                                             return HttpAnswer{200, "text/plain", std::string(1 << 20, 'x')};
+                                           }}});
+  std::vector<std::unique_ptr<Client>> deaf;
+  for (int i = 0; i < 64; ++i) {
+    deaf.push_back(std::make_unique<Client>());
+    deaf.back()->take_little();
+    deaf.back()->reach(server);
+    EXPECT_TRUE(deaf.back()->say("GET /large HTTP/1.1\r\nHost: here\r\n\r\n"));
+  }
+  ASSERT_TRUE(tests::eventually([&] { return asked == 64; }));
+  for (int i = 0; i < 3; ++i) EXPECT_THAT(get(server, "/healthz"), StartsWith("HTTP/1.1 200"));
+}
+
+#if !defined(IOTCLOUD_SANITIZED)  // the sanitizer opens a pipe to look at an object's type
+TEST(HttpServer, WithoutDescriptorsItWaitsSaysSoOnceAndGoesOnWhenThereAreSome) {
+  auto& refused = config::process_metrics().counter("iotcloud_http_refused_total", "", {{"reason", "accept"}});
+  const std::uint64_t refused_before = refused.value();
+  const HttpServer server("127.0.0.1:0", {{"/p", [](const HttpRequest&) { return HttpAnswer{}; }}});
+  const Client client;
+  const tests::CapturedLog log;
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &before), 0);
+  std::vector<int> taken;
+  for (int fd = dup(0); fd >= 0; fd = dup(0)) {
+    taken.push_back(fd);
+    rlimit few = before;
+    few.rlim_cur = static_cast<rlim_t>(fd) + 1;
+    ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &few), 0);
+  }
+  client.reach(server);
+  EXPECT_TRUE(tests::eventually([&] { return refused.value() >= refused_before + 2; }));
+  setrlimit(RLIMIT_NOFILE, &before);
+  for (const int fd : taken) close(fd);
+  EXPECT_TRUE(client.say("GET /p HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n"));
+  EXPECT_THAT(client.rest(), StartsWith("HTTP/1.1 200"));
+  const std::string said = log.text();
+  const auto first = said.find("cannot be accepted");
+  ASSERT_NE(first, std::string::npos) << said;
+  EXPECT_EQ(said.find("cannot be accepted", first + 1), std::string::npos) << said;
+}
+#endif
+
+TEST(HttpServer, RefusesAnAddressThatIsTakenOrNone) {
+  const HttpServer server("127.0.0.1:0", {});
+  EXPECT_THAT(server.address(), StartsWith("127.0.0.1:"));
+  EXPECT_THROW(HttpServer(server.address(), {}), config::Error);
+  EXPECT_THROW(HttpServer("nonsense", {}), config::Error);
+}
+
+TEST(HttpServer, KnowsWhichAddressesOnlyThisMachineReaches) {
+  for (const char* address : {"127.0.0.1:80", "localhost:0", "[::1]:1", "127.8.9.1:5"})
+    EXPECT_TRUE(is_loopback_address(address)) << address;
+  for (const char* address : {"0.0.0.0:80", "10.0.0.1:0", "[::]:1", "example.org:5", ""})
+    EXPECT_FALSE(is_loopback_address(address)) << address;
+}
+
+TEST(MetricsPage, HasPrometheusText) {
+  config::Metrics metrics;
+  metrics.counter("frames_total", "Frames", {{"driver", "a"}}).add(3);
+  metrics.histogram("t_seconds", "T").record_ns(2'000'000'000);
+  const HttpServer server("127.0.0.1:0", {{"/metrics", metrics_page(metrics)}});
+  EXPECT_THAT(get(server, "/metrics"), AllOf(HasSubstr("# TYPE frames_total counter"),
+                                             HasSubstr("frames_total{driver=\"a\"} 3"), HasSubstr("t_seconds_count 1"),
+                                             HasSubstr("t_seconds{quantile=\"0.99\"}"), HasSubstr("t_seconds_max 2")));
+}
+
+}  // namespace
+}  // namespace iotcloud::rpc

@@ -1,0 +1,255 @@
+// Who gets in through TLS, and who does not.
+#include <csignal>
+#include <filesystem>
+#include <memory>
+#include <mutex>
+#include <optional>
+
+#include <arpa/inet.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <openssl/ssl.h>
+#include <sys/socket.h>
+#include <thrift/Thrift.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/tests/rpc/service.h>
+#include <iotcloud/tests/security/certificates.h>
+
+namespace iotcloud::rpc {
+namespace {
+
+using test::ask;
+using test::client_of;
+using test::RawClient;
+using test::refusals;
+using testing::AnyOf;
+using testing::HasSubstr;
+
+/// A client that says of TLS what the test wants, by OpenSSL alone.
+class OtherClient {
+ public:
+  explicit OtherClient(int port) : descriptor_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(static_cast<std::uint16_t>(port));
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    EXPECT_EQ(connect(descriptor_, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+    // Whatever the system's policy is: the server is to refuse.
+    SSL_CTX_set_security_level(context_.get(), 0);
+    SSL_CTX_set_min_proto_version(context_.get(), TLS1_VERSION);
+  }
+  ~OtherClient() { close(descriptor_); }
+  OtherClient(const OtherClient&) = delete;
+  OtherClient& operator=(const OtherClient&) = delete;
+
+  SSL_CTX* context() { return context_.get(); }
+  void show(const security::TlsFiles& files) {
+    EXPECT_EQ(SSL_CTX_use_certificate_chain_file(context(), files.certificate.c_str()), 1);
+    EXPECT_EQ(SSL_CTX_use_PrivateKey_file(context(), files.key.c_str(), SSL_FILETYPE_PEM), 1);
+  }
+  /// With TLS 1.3 a client learns only at its first answer that it was refused.
+  bool is_answered() {
+    const std::unique_ptr<SSL, decltype(&SSL_free)> ssl(SSL_new(context()), SSL_free);
+    SSL_set_fd(ssl.get(), descriptor_);
+    if (SSL_connect(ssl.get()) != 1) return false;
+    const std::string call = test::call_frame("greet");
+    char byte = 0;
+    return SSL_write(ssl.get(), call.data(), static_cast<int>(call.size())) > 0 && SSL_read(ssl.get(), &byte, 1) == 1;
+  }
+
+ private:
+  const int descriptor_;
+  const std::unique_ptr<SSL_CTX, decltype(&SSL_CTX_free)> context_{SSL_CTX_new(TLS_client_method()), SSL_CTX_free};
+};
+
+class Tls : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    signal(SIGPIPE, SIG_IGN);  // OtherClient's
+    ours_ = std::make_unique<security::test::Certificates>();
+    theirs_ = std::make_unique<security::test::Certificates>();
+  }
+  static void TearDownTestSuite() {
+    ours_.reset();
+    theirs_.reset();
+  }
+  Tls() {
+    options_.name = testing::UnitTest::GetInstance()->current_test_info()->name();
+    options_.tls = ours_->of("lab1");
+  }
+
+  void serve() {
+    server_.emplace(options_, [this](const std::shared_ptr<ThriftPeer>& peer) {
+      const std::lock_guard lock(mutex_);
+      peer_ = peer->certificate();
+      return std::make_shared<test::Greeter>();
+    });
+  }
+  ThriftClientOptions client(const security::TlsFiles& tls, const std::string& host = "127.0.0.1") const {
+    auto options = client_of(server_->port());
+    options.host = host;
+    options.tls = tls;
+    return options;
+  }
+  std::string error_of(const ThriftClientOptions& options) const {
+    try {
+      ask(ThriftClient(options));
+    } catch (const apache::thrift::TException& e) {
+      return e.what();
+    }
+    return "";
+  }
+  /// Whom the last connection was with.
+  std::string peer() {
+    const std::lock_guard lock(mutex_);
+    return peer_;
+  }
+  std::uint64_t refused() const { return refusals(options_.name, "tls"); }
+  /// They are still served, and whatever was refused has been counted.
+  void others_are_served() {
+    EXPECT_EQ(ask(ThriftClient(client(ours_->of("operator")))), "hello");
+    server_.reset();
+  }
+
+  static std::unique_ptr<security::test::Certificates> ours_, theirs_;
+  ThriftServerOptions options_;
+  std::mutex mutex_;
+  std::string peer_;  ///< guarded by mutex_
+  std::optional<ThriftServer> server_;
+};
+
+std::unique_ptr<security::test::Certificates> Tls::ours_, Tls::theirs_;
+
+TEST_F(Tls, ACertificateOfTheAuthorityGetsInAndTheServerKnowsWhoseItIs) {
+  serve();
+  for (const char* host : {"127.0.0.1", "localhost"}) {
+    const ThriftClient known(client(ours_->of("operator"), host));
+    EXPECT_EQ(ask(known), "hello");
+    EXPECT_EQ(peer(), "CN=operator");
+    EXPECT_EQ(ask(known, "size:3000000").size(), 3'000'000u);
+    EXPECT_EQ(ask(known), "hello");
+  }
+}
+
+TEST_F(Tls, DaemonsMayCallEachOtherWithTheCertificatesOfTheirMachines) {
+  serve();
+  EXPECT_EQ(ask(ThriftClient(client(ours_->of("lab1")))), "hello");
+}
+
+TEST_F(Tls, WithoutACertificateNobodyGetsIn) {
+  serve();
+  EXPECT_FALSE(OtherClient(server_->port()).is_answered());
+  others_are_served();
+  EXPECT_EQ(refused(), 1u);
+}
+
+TEST_F(Tls, ACertificateOfAnotherAuthorityDoesNotGetIn) {
+  serve();
+  OtherClient other(server_->port());
+  other.show(theirs_->of("operator"));
+  EXPECT_FALSE(other.is_answered());
+  others_are_served();
+  EXPECT_EQ(refused(), 1u);
+}
+
+TEST_F(Tls, WhatIsOlderThanTls12DoesNotGetIn) {
+  serve();
+  for (const int version : {TLS1_VERSION, TLS1_1_VERSION}) {
+    OtherClient old(server_->port());
+    old.show(ours_->of("operator"));
+    ASSERT_EQ(SSL_CTX_set_max_proto_version(old.context(), version), 1);
+    EXPECT_FALSE(old.is_answered());
+  }
+  for (const int version : {TLS1_2_VERSION, TLS1_3_VERSION}) {
+    OtherClient good(server_->port());
+    good.show(ours_->of("operator"));
+    ASSERT_EQ(SSL_CTX_set_max_proto_version(good.context(), version), 1);
+    EXPECT_TRUE(good.is_answered());
+  }
+  others_are_served();
+  EXPECT_EQ(refused(), 2u);
+}
+
+TEST_F(Tls, AClientWithoutTlsDoesNotGetIn) {
+  serve();
+  RawClient plain(server_->port());
+  plain.send(test::call_frame("greet"));
+  EXPECT_TRUE(plain.is_cut_off());
+  others_are_served();
+  EXPECT_EQ(refused(), 1u);
+}
+
+TEST_F(Tls, OneThatStopsInTheMiddleOfTheHandshakeIsCutOff) {
+  options_.stranger_limit = std::chrono::milliseconds{100};
+  serve();
+  RawClient half(server_->port());
+  half.send(std::string("\x16\x03\x01\x02\x00\x01", 6));  // the beginning of a hello
+  EXPECT_TRUE(half.is_cut_off());
+  server_.reset();
+  EXPECT_EQ(refusals(options_.name, "slow"), 1u);
+}
+
+TEST_F(Tls, AServerOfAnotherAuthorityIsNotSpokenWith) {
+  serve();
+  auto options = ours_->of("operator");
+  options.ca = theirs_->of("operator").ca;
+  EXPECT_THAT(error_of(client(options)), HasSubstr("certificate verify failed"));
+}
+
+TEST_F(Tls, AServerThatIsNotTheHostThatWasAskedForIsNotSpokenWith) {
+  options_.host = "127.0.0.2";
+  serve();
+  EXPECT_THAT(error_of(client(ours_->of("operator"), "127.0.0.2")), HasSubstr("IP address mismatch"));
+}
+
+TEST_F(Tls, ACallersCertificateDoesNotMakeAServer) {
+  options_.tls = ours_->of("operator");
+  serve();
+  EXPECT_THAT(error_of(client(ours_->of("operator"))), AnyOf(HasSubstr("purpose"), HasSubstr("certificate verify")));
+}
+
+TEST_F(Tls, AClientWithTlsIsCutOffByAServerWithoutAndSaysSo) {
+  options_.tls = {};
+  serve();
+  EXPECT_THAT(error_of(client(ours_->of("operator"))), AnyOf(HasSubstr("closed"), HasSubstr("reset")));
+}
+
+TEST_F(Tls, NewConnectionsSeeTheCertificatesThatWereReadAgainAndOldOnesGoOn) {
+  const security::test::Folder folder;
+  options_.tls = {folder / "ca.pem", folder / "lab1.pem", folder / "lab1.key"};
+  const auto install = [&](const security::TlsFiles& files) {
+    constexpr auto over = std::filesystem::copy_options::overwrite_existing;
+    std::filesystem::copy_file(files.ca, options_.tls.ca, over);
+    std::filesystem::copy_file(files.certificate, options_.tls.certificate, over);
+    std::filesystem::copy_file(files.key, options_.tls.key, over);
+  };
+  install(ours_->of("lab1"));
+  serve();
+  const ThriftClient early(client(ours_->of("operator")));
+  EXPECT_EQ(ask(early), "hello");
+  install(theirs_->of("lab1"));
+  EXPECT_NE(error_of(client(theirs_->of("operator"))), "") << "nothing is read before it is told so";
+  server_->reload();
+  EXPECT_EQ(ask(ThriftClient(client(theirs_->of("operator")))), "hello");
+  EXPECT_NE(error_of(client(ours_->of("operator"))), "");
+  EXPECT_EQ(ask(early), "hello");
+  std::filesystem::remove(options_.tls.key);
+  EXPECT_THROW(server_->reload(), config::Error);
+  EXPECT_EQ(ask(ThriftClient(client(theirs_->of("operator")))), "hello") << "it goes on with what it had";
+}
+
+TEST_F(Tls, FilesThatDoNotFitTogetherAreAnErrorThatNamesOne) {
+  options_.tls.key = theirs_->of("lab1").key;
+  try {
+    serve();
+    FAIL() << "the key is not the certificate's";
+  } catch (const config::Error& e) {
+    EXPECT_THAT(e.what(), HasSubstr(options_.tls.key));
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::rpc

@@ -1,0 +1,119 @@
+// Orders in the audit log: each is on the disk before it is answered, and waits for nobody else's.
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <stdlib.h>
+
+#include <iotcloud/security/audit_log.h>
+#include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/files.h>
+
+namespace iotcloud::security {
+namespace {
+
+using ::testing::HasSubstr;
+using tests::eventually;
+using tests::read_file;
+
+AuditEntry order(const std::string& what) {
+  AuditEntry entry;
+  entry.order = "deploy";
+  entry.what = what;
+  return entry;
+}
+
+class AuditLogTest : public ::testing::Test {
+ public:
+  AuditLogTest() {
+    std::string pattern = std::filesystem::temp_directory_path() / "iotcloud-audit-XXXXXX";
+    folder_ = mkdtemp(pattern.data());
+  }
+  ~AuditLogTest() override { std::filesystem::remove_all(folder_); }
+
+ protected:
+  std::string file() const { return folder_ / "audit.log"; }
+  std::string text() const { return read_file(file()); }
+  std::size_t lines() const {
+    const std::string all = text();
+    return static_cast<std::size_t>(std::count(all.begin(), all.end(), '\n'));
+  }
+
+  std::filesystem::path folder_;
+  std::atomic<int> syncs_{0};
+  std::optional<AuditLog> log_;
+};
+
+TEST_F(AuditLogTest, ALineIsWrittenBeforeItIsBroughtToTheDisk) {
+  log_.emplace(file(), [&](int) {
+    ++syncs_;
+    EXPECT_THAT(text(), HasSubstr("one on g1"));
+    return true;
+  });
+  log_->write(order("one on g1"));
+  EXPECT_EQ(syncs_, 1);
+  EXPECT_EQ(log_->waiting(), 0u);
+}
+
+TEST_F(AuditLogTest, LinesThatComeWhileTheDiskIsBusyAreBroughtThereTogether) {
+  constexpr int others = 8;
+  log_.emplace(file(), [&](int) {
+    if (++syncs_ == 1) {
+      EXPECT_TRUE(eventually([&] { return log_->waiting() == 1 + others; }));
+    }
+    return true;
+  });
+  {
+    std::vector<std::jthread> writers;
+    writers.emplace_back([&] { log_->write(order("first")); });
+    ASSERT_TRUE(eventually([&] { return syncs_ == 1; }));
+    for (int i = 0; i < others; ++i) {
+      writers.emplace_back([&, i] { log_->write(order(std::to_string(i))); });
+    }
+  }
+  EXPECT_EQ(syncs_, 2);
+  EXPECT_EQ(lines(), 1u + others);
+  EXPECT_EQ(log_->waiting(), 0u);
+}
+
+TEST_F(AuditLogTest, TheOldFileGetsNothingMoreOnceTheNewOneIsOpen) {
+  std::atomic<bool> synced{false};
+  std::jthread reopening;
+  log_.emplace(file(), [&](int) {
+    if (++syncs_ > 1) return true;
+    std::filesystem::rename(file(), file() + ".1");
+    reopening = std::jthread([&] {
+      log_->reopen();
+      EXPECT_TRUE(synced);
+    });
+    EXPECT_TRUE(eventually([&] { return std::filesystem::exists(file()); })) << "the new one is made meanwhile";
+    synced = true;
+    return true;
+  });
+  log_->write(order("old"));
+  reopening.join();
+  log_->write(order("new"));
+  EXPECT_THAT(read_file(file() + ".1"), HasSubstr("old"));
+  EXPECT_THAT(text(), HasSubstr("new"));
+  EXPECT_EQ(lines(), 1u);
+}
+
+TEST_F(AuditLogTest, WhatTheDiskDoesNotTakeKeepsNobodyWaiting) {
+  log_.emplace(file(), [&](int) {
+    ++syncs_;
+    errno = EIO;
+    return false;
+  });
+  log_->write(order("one"));
+  log_->write(order("two"));
+  EXPECT_EQ(syncs_, 2);
+}
+
+}  // namespace
+}  // namespace iotcloud::security

@@ -1,0 +1,127 @@
+#include <fstream>
+#include <sstream>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/security/certificates.h>
+
+namespace iotcloud::security {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
+
+class Tokens : public testing::Test {
+ protected:
+  std::string text() const {
+    std::ostringstream all;
+    all << std::ifstream(file_).rdbuf();
+    return all.str();
+  }
+  void write(const std::string& text) const { std::ofstream(file_) << text; }
+  std::string problem() const {
+    try {
+      read_tokens(file_);
+    } catch (const config::Error& e) {
+      return e.what();
+    }
+    return "";
+  }
+
+  const test::Folder folder_;
+  const std::string file_ = folder_ / "tokens";
+};
+
+TEST_F(Tokens, AreKnownByTheirHolderAndKeptAsHashes) {
+  const auto anna = add_token(file_, "anna", Role::operating);
+  const auto bob = add_token(file_, "bob", Role::viewer);
+  EXPECT_NE(anna, bob);
+  EXPECT_THAT(text(), AllOf(HasSubstr("anna:operator:scrypt$"), HasSubstr("bob:viewer:scrypt$"),
+                            Not(HasSubstr(anna.substr(5))), Not(HasSubstr(bob.substr(4)))));
+  struct stat status {};
+  ASSERT_EQ(stat(file_.c_str(), &status), 0);
+  EXPECT_EQ(status.st_mode & 0777, 0600u);
+
+  const TokenKeeper keeper(file_);
+  ASSERT_TRUE(keeper.holder(anna));
+  EXPECT_EQ(keeper.holder(anna)->name, "anna");
+  EXPECT_EQ(keeper.holder(anna)->role, Role::operating);
+  EXPECT_EQ(keeper.holder(bob)->name, "bob");
+}
+
+TEST_F(Tokens, WhatIsNobodysIsNobodys) {
+  const auto anna = add_token(file_, "anna", Role::admin);
+  const auto bob = add_token(file_, "bob", Role::viewer);
+  const TokenKeeper keeper(file_);
+  for (const std::string& wrong :
+       {std::string(), std::string("anna"), std::string("anna."), anna + "0", anna.substr(0, anna.size() - 1),
+        anna.substr(5), "bob." + anna.substr(5), "eve." + anna.substr(5), std::string(100'000, 'a'),
+        "anna." + read_tokens(file_).at(0).hash})
+    EXPECT_FALSE(keeper.holder(wrong)) << wrong.substr(0, 100);
+}
+
+TEST_F(Tokens, TheSameTokenTwiceHasAnotherHash) {
+  add_token(file_, "anna", Role::admin);
+  const auto first = read_tokens(file_).at(0).hash;
+  EXPECT_TRUE(remove_token(file_, "anna"));
+  add_token(file_, "anna", Role::admin);
+  EXPECT_NE(read_tokens(file_).at(0).hash, first);
+}
+
+TEST_F(Tokens, OneThatIsTakenAwayOrMadeAnewIsWorthNothingAfterReloading) {
+  const auto anna = add_token(file_, "anna", Role::admin);
+  add_token(file_, "bob", Role::viewer);
+  TokenKeeper keeper(file_);
+  const auto entry = keeper.holder(anna);
+  ASSERT_TRUE(entry);
+  EXPECT_EQ(keeper.role_of(*entry), Role::admin);
+  EXPECT_TRUE(remove_token(file_, "anna"));
+  EXPECT_FALSE(remove_token(file_, "anna"));
+  EXPECT_EQ(keeper.role_of(*entry), Role::admin) << "it was not told yet";
+  add_token(file_, "anna", Role::viewer);
+  keeper.reload();
+  EXPECT_FALSE(keeper.role_of(*entry));
+  EXPECT_FALSE(keeper.holder(anna));
+}
+
+TEST_F(Tokens, AFileThatIsWrongChangesNothingWhenItIsReadAgain) {
+  const auto anna = add_token(file_, "anna", Role::admin);
+  TokenKeeper keeper(file_);
+  write("nonsense\n");
+  EXPECT_THROW(keeper.reload(), config::Error);
+  EXPECT_TRUE(keeper.holder(anna));
+}
+
+TEST_F(Tokens, ASecondOneOfTheSameNameIsRefused) {
+  add_token(file_, "anna", Role::admin);
+  EXPECT_THROW(add_token(file_, "anna", Role::viewer), config::Error);
+  for (const char* name : {"", "a:b", "a.b", "a b", "a/b", "ä"})
+    EXPECT_THROW(add_token(file_, name, Role::viewer), config::Error);
+}
+
+TEST_F(Tokens, LinesThatAreWrongAreNamed) {
+  add_token(file_, "anna", Role::admin);
+  const auto good = text();
+  write("# comment\n\n" + good);
+  EXPECT_EQ(problem(), "");
+  write(good + "bob:admin:secret\n");
+  EXPECT_THAT(problem(), HasSubstr("tokens:2:"));
+  write(good + "bob:king" + good.substr(good.rfind(':')));
+  EXPECT_THAT(problem(), AllOf(HasSubstr("tokens:2:"), HasSubstr("king"), HasSubstr("viewer")));
+  write(good + good);
+  EXPECT_THAT(problem(), AllOf(HasSubstr("tokens:2:"), HasSubstr("anna")));
+}
+
+TEST_F(Tokens, AFileThatEverybodyMayWriteIsRefusedWithTheRemedy) {
+  add_token(file_, "anna", Role::admin);
+  ASSERT_EQ(chmod(file_.c_str(), 0666), 0);
+  EXPECT_THAT(problem(), HasSubstr("chmod 600"));
+}
+
+}  // namespace
+}  // namespace iotcloud::security

@@ -1,0 +1,104 @@
+// The readers of one unit, with the in-process broker.
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include <iotcloud/brokers/broker.h>
+#include <iotcloud/brokers/embedded/server.h>
+#include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/eventually.h>
+#include <iotcloud/topology/endpoints/receiving/unit_readers.h>
+
+namespace iotcloud::topology {
+namespace {
+
+using tests::eventually;
+using namespace std::chrono_literals;
+
+class UnitReadersTest : public testing::Test {
+ protected:
+  UnitReadersTest() : server_(brokers::embedded::Server::named(name())) {
+    brokers::BrokerOptions options;
+    options.urls = {"embedded://" + name()};
+    broker_ = brokers::make_broker(options);
+  }
+  static std::string name() {
+    return std::string("readers-") + testing::UnitTest::GetInstance()->current_test_info()->name();
+  }
+  UnitReaders::Key key(const std::string& topic) const {
+    return {{"local", {"embedded://" + name()}}, {"", topic, false}};
+  }
+  UnitReaders::Wanted wanted(const std::vector<std::string>& topics) const {
+    UnitReaders::Wanted wanted;
+    for (const auto& topic : topics) wanted.emplace(key(topic), &channel_);
+    return wanted;
+  }
+  UnitReaders::Open open() {
+    return [this](const discovery::ChannelRecord&, const UnitReaders::Key& at) -> std::shared_ptr<ChannelReader> {
+      ++opened_;
+      if (at.second.name == "broken") return nullptr;
+      return ChannelReader::open(broker_, at.first, at.second, {}, "driver"_instance, queue_, fence_);
+    };
+  }
+  void send(const std::string& topic) {
+    const auto publisher = broker_->publisher(key(topic).second, {});
+    brokers::Message message;
+    message.payload = brokers::Payload::copy("x");
+    EXPECT_EQ(publisher->publish(std::move(message)), brokers::PublishStatus::accepted);
+    EXPECT_TRUE(publisher->drain(20s));
+  }
+
+  brokers::embedded::Server server_;
+  std::shared_ptr<brokers::Broker> broker_;
+  const std::shared_ptr<SpoutQueue> queue_ = std::make_shared<SpoutQueue>(100, SpoutWaker());
+  const std::shared_ptr<StandstillFence> fence_ = std::make_shared<StandstillFence>();
+  discovery::ChannelRecord channel_;
+  std::size_t total_ = 0;
+  int opened_ = 0;
+};
+
+TEST_F(UnitReadersTest, WhatIsWantedIsOpenedOnceAndWhatIsNotIsClosed) {
+  UnitReaders readers(total_);
+  readers.open_missing(wanted({"a", "b"}), open());
+  EXPECT_EQ(total_, 2u);
+  readers.keep_only(wanted({"b", "c"}));
+  EXPECT_EQ(total_, 1u);
+  readers.open_missing(wanted({"b", "c"}), open());
+  EXPECT_EQ(total_, 2u);
+  EXPECT_EQ(opened_, 3);
+  readers.close();
+  EXPECT_EQ(total_, 0u);
+}
+
+TEST_F(UnitReadersTest, WhatCannotBeOpenedIsTriedAgain) {
+  UnitReaders readers(total_);
+  readers.open_missing(wanted({"broken"}), open());
+  readers.open_missing(wanted({"broken"}), open());
+  EXPECT_EQ(total_, 0u);
+  EXPECT_EQ(opened_, 2);
+}
+
+TEST_F(UnitReadersTest, WhatWasBroughtIsInHandUntilItIsSettled) {
+  UnitReaders readers(total_);
+  readers.open_missing(wanted({"a"}), open());
+  EXPECT_FALSE(readers.have_in_hand());
+  send("a");
+  EXPECT_TRUE(eventually([&] { return readers.have_in_hand(); }));
+  readers.drain();
+  EXPECT_TRUE(readers.have_in_hand());
+  queue_->pop().arrival->delivery.settle(brokers::Settlement::accept);
+  EXPECT_FALSE(readers.have_in_hand());
+  readers.close();
+}
+
+TEST_F(UnitReadersTest, AReaderWhoseBrokerIsAwayIsCutOff) {
+  UnitReaders readers(total_);
+  readers.open_missing(wanted({"a"}), open());
+  EXPECT_TRUE(eventually([&] { return !readers.cut_off(); }));
+  server_.stop();
+  EXPECT_TRUE(eventually([&] { return readers.cut_off(); }));
+  readers.close();
+}
+
+}  // namespace
+}  // namespace iotcloud::topology

@@ -1,0 +1,187 @@
+// The scheduler alone, with things to run that are no tasks of a topology.
+#include <functional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/config/clock.h>
+#include <iotcloud/topology/runtime/scheduling/executors.h>
+#include <iotcloud/topology/runtime/scheduling/scheduler.h>
+#include <iotcloud/topology/runtime/scheduling/timers.h>
+
+namespace iotcloud::topology::internal {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::ElementsAre;
+using testing::IsEmpty;
+
+/// Time stands still unless a test moves it.
+class HandClock final : public config::Clock {
+ public:
+  Instant now() const override { return now_; }
+  std::int64_t wall_ms() const override { return 0; }
+  void move(std::chrono::nanoseconds by) { now_ += by; }
+
+ private:
+  Instant now_{1h};
+};
+
+/// Each slice is a call of the test's.
+class Job final : public Runnable {
+ public:
+  Job(Executors& executors, std::function<bool(Lane&)> work) : Runnable(executors), work_(std::move(work)) {}
+  bool slice(Lane& lane) override {
+    const OwnCall own(lane, *this);
+    return work_(lane);
+  }
+  std::int64_t waiting_ns() const override { return 0; }
+  void signal(std::uint32_t bits) override { signals.push_back(bits); }
+  void hangs(std::int64_t for_ns) override { hung_ns.push_back(for_ns); }
+
+  std::vector<std::uint32_t> signals;
+  std::vector<std::int64_t> hung_ns;
+
+ private:
+  const std::function<bool(Lane&)> work_;
+};
+
+class SchedulerTest : public testing::Test {
+ protected:
+  std::function<bool(Lane&)> note(const std::string& name) {
+    return [this, name](Lane&) {
+      done_.push_back(name);
+      return false;
+    };
+  }
+
+  HandClock clock_;
+  Timers timers_{clock_, false};
+  Executors many_{10, 10};
+  std::vector<std::string> done_;
+  Scheduler scheduler_{0, 1000us, 1000us, [](Scheduler& scheduler) { return std::make_unique<Lane>(scheduler); },
+                       timers_};
+};
+
+TEST_F(SchedulerTest, NothingRunsBeforeItIsReleasedAndWhatWasAskedForMeanwhileIsNotLost) {
+  Job job(many_, note("job"));
+  scheduler_.schedule(job);
+  scheduler_.run_until_idle();
+  EXPECT_THAT(done_, IsEmpty());
+  scheduler_.release(job, false);
+  scheduler_.run_until_idle();
+  EXPECT_THAT(done_, ElementsAre("job"));
+  EXPECT_TRUE(scheduler_.idle());
+}
+
+TEST_F(SchedulerTest, WhatIsMadeReadyInASliceRunsOnTheSameLaneAfterIt) {
+  Lane* first = nullptr;
+  Lane* second = nullptr;
+  Job behind(many_, [&](Lane& lane) {
+    second = &lane;
+    done_.push_back("behind");
+    return false;
+  });
+  Job ahead(many_, [&](Lane& lane) {
+    first = &lane;
+    scheduler_.schedule(behind);
+    scheduler_.schedule(behind);  // one slice for all news
+    done_.push_back("ahead");
+    return false;
+  });
+  scheduler_.release(behind, false);
+  scheduler_.release(ahead, false);
+  scheduler_.run_now(ahead);
+  EXPECT_THAT(done_, ElementsAre("ahead", "behind"));
+  EXPECT_EQ(first, second);
+}
+
+TEST_F(SchedulerTest, NewsDuringASliceIsAnotherSlice) {
+  Job* self = nullptr;
+  Job job(many_, [&](Lane&) {
+    done_.push_back("slice");
+    if (done_.size() == 1) scheduler_.schedule(*self);
+    return false;
+  });
+  self = &job;
+  scheduler_.release(job, true);
+  scheduler_.run_until_idle();
+  EXPECT_THAT(done_, ElementsAre("slice", "slice"));
+}
+
+TEST_F(SchedulerTest, WhoHasMoreToDoLetsOthersThatAreReadyRunFirst) {
+  Job long_one(many_, [&](Lane&) {
+    done_.push_back("long");
+    return done_.size() < 3;
+  });
+  Job other(many_, note("other"));
+  Job both(many_, [&](Lane&) {
+    scheduler_.schedule(long_one);
+    scheduler_.schedule(other);
+    return false;
+  });
+  for (Job* job : {&long_one, &other, &both}) scheduler_.release(*job, false);
+  scheduler_.run_now(both);
+  EXPECT_THAT(done_, ElementsAre("long", "other", "long"));
+}
+
+TEST_F(SchedulerTest, WithOneExecutorASecondJobStandsAsideUntilTheFirstIsDone) {
+  Executors one(1, 2);
+  Job aside(one, note("aside"));
+  Job first(one, [&](Lane&) {
+    std::thread([&] { scheduler_.run_now(aside); }).join();
+    done_.push_back("first");
+    return false;
+  });
+  scheduler_.release(first, true);
+  scheduler_.release(aside, false);
+  scheduler_.run_until_idle();
+  EXPECT_THAT(done_, ElementsAre("first", "aside"));
+}
+
+TEST_F(SchedulerTest, AJobThatHangsIsToldOnceInEachSlice) {
+  Job* self = nullptr;
+  Job job(many_, [&](Lane&) {
+    scheduler_.report_hanging(0ms);
+    scheduler_.report_hanging(0ms);
+    EXPECT_TRUE(scheduler_.runs(*self));
+    return false;
+  });
+  self = &job;
+  scheduler_.release(job, true);
+  scheduler_.run_until_idle();
+  EXPECT_EQ(job.hung_ns.size(), 1u);
+  EXPECT_FALSE(scheduler_.runs(job));
+}
+
+TEST_F(SchedulerTest, AfterAHaltNothingStarts) {
+  Job job(many_, note("job"));
+  scheduler_.halt();
+  scheduler_.release(job, true);
+  scheduler_.run_until_idle();
+  EXPECT_THAT(done_, IsEmpty());
+}
+
+TEST_F(SchedulerTest, TimersSignalWhenTheirTimeHasComeAndPeriodicOnesAgain) {
+  Job job(many_, note("job"));
+  timers_.add(clock_.now() + 2s, job, 4);
+  timers_.add(clock_.now() + 1s, job, 1, 1s);
+  timers_.run_due();
+  EXPECT_THAT(job.signals, IsEmpty());
+  clock_.move(2500ms);  // the tick of the second second was missed, it comes once
+  timers_.run_due();
+  EXPECT_THAT(job.signals, ElementsAre(1, 4));
+  clock_.move(500ms);
+  timers_.run_due();
+  EXPECT_THAT(job.signals, ElementsAre(1, 4, 1));
+  timers_.end_periodic();
+  clock_.move(10s);
+  timers_.run_due();
+  EXPECT_THAT(job.signals, ElementsAre(1, 4, 1));
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::internal
