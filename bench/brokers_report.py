@@ -8,28 +8,30 @@ import time
 from pathlib import Path
 
 from figures import ProgramFailed, Programs, Verdict, number
+from heartbeat import Line
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "servers"))
 from private_cluster import Children, StartError  # noqa: E402
 
 OURS = "iotcloud"
-BROKERS = {"rabbitmq": "librabbitmq", "kafka": "librdkafka", "activemq": "qpid-proton"}  # and the bare client's library
+# broker: library of the bare client
+BROKERS = {"rabbitmq": "librabbitmq", "kafka": "librdkafka", "activemq": "qpid-proton"}
 SIZES = {"100 B": 100, "1 KB": 1000, "10 KB": 10_000, "60 KB": 60_000, "200 KB": 200_000, "1 MB": 1_000_000}
 RATES = (10, 50, 100)  # messages a second of each of 4 drivers
-MOST = {"100 B": 1000, "60 KB": 64}  # under way when as much as possible is sent
+MOST = {"100 B": 1000, "60 KB": 64}  # messages under way at the highest rate
 # A topic of ours has one partition unless configured otherwise, so one that the bare client makes has, too.
 SERVER = {"kafka": ["--throughput", "--partitions", "1"], "activemq": ["--throughput"]}
-UNSAFE = ("rabbitmq", "kafka")  # their bare clients can do without confirms and acknowledgements
+UNSAFE = ("rabbitmq", "kafka")  # brokers whose bare clients can also run without confirms and acknowledgements
 NOISE = 0.2  # CPUs that other processes may take in a round
 
 
 class Report(Verdict):
-    """One line for each figure; its ratio is the median of the ratios of one round."""
+    """Prints a line for each figure. Its ratio is the median, over the rounds, of the ratio within one round."""
 
     def __init__(self):
         super().__init__()
         self.thrown_away = 0
-        self.missing = 0  # figures
+        self.missing = 0  # number of figures that could not be measured
 
     @staticmethod
     def print_head():
@@ -38,7 +40,8 @@ class Report(Verdict):
 
     def compare(self, name, unit, ours, beside=None, theirs=(), ratio_at_least=None, ratio_at_most=None, at_most=None,
                 at_least=None):
-        """`ours` and `theirs`: a value of each round. The target is for the ratio, or (at_most, at_least) for our value."""
+        """`ours` and `theirs` have a value for each round. The target is for the ratio, or (at_most, at_least) for our
+        value."""
         if not ours:
             self.missing += 1  # the reason was printed
             return
@@ -65,24 +68,23 @@ class Report(Verdict):
 
 
 class Progress:
-    """What is under way and how long the rest will take, on a terminal."""
+    """Tells which figure is being measured and about how long the rest will take."""
 
     def __init__(self):
         self.began, self.seconds_done, self.seconds_all = time.monotonic(), 0.0, 0.0
+        self.line = Line()
 
     def say(self, text):
-        if not sys.stderr.isatty():
-            return
         left = ""
         if self.seconds_done:
             spent = time.monotonic() - self.began
             minutes = spent / self.seconds_done * max(0, self.seconds_all - self.seconds_done) / 60
             left = f", about {minutes:.0f} min left"
-        print(f"\r\033[K{text}{left}\r", end="", file=sys.stderr, flush=True)
+        self.line.say(text + left)
 
 
 class Plan:
-    """Which runs one broker's figures take: asked for them like a Bench it only adds up their seconds."""
+    """Has the interface of Bench, but measures nothing: it adds up the seconds that one broker's figures will take."""
 
     def __init__(self, kind, given):
         self.kind, self.bare, self.given = kind, BROKERS[kind], given
@@ -102,7 +104,7 @@ class Plan:
         return {name: [] for name in variants}
 
     def pair(self, title, options, seconds):
-        """Ours and the bare client with the same options."""
+        """Runs our client and the bare client with the same options. Returns the lines of both."""
         runs = self.turns(title, {OURS: (OURS, options), self.bare: (self.kind, options)}, seconds)
         return runs[OURS], runs[self.bare]
 
@@ -123,7 +125,7 @@ class Bench(Plan):
         self.processes = [word for process in processes for word in ("--server", process)]
 
     def run(self, engine, options, seconds):
-        """One run. `options` are the program's, without its dashes."""
+        """Runs the client `engine` once. `options` are those of the program, without the dashes."""
         self.progress.seconds_done += seconds
         options = {"warm_up": 0.5 * self.shorter, **options}
         words = ["--name", f"bench-{engine}-{'shared' if options.get('shared') else 'own'}"]
@@ -132,9 +134,10 @@ class Bench(Plan):
         return self.programs.run(engine, "--url", self.url, *words, "--seconds", seconds, *self.processes)[0]
 
     def turns(self, title, variants, seconds):
-        """Rounds in which each of `variants` ({name: (engine, options)}) runs once. Returns {name: [a line of each
-        round]}, without the rounds that had company; no lines when the load is more than one of them can sustain, when
-        one of them failed, and when nobody asked for the figure."""
+        """Runs rounds in each of which every one of `variants` ({name: (engine, options)}) runs once. Returns {name: [a
+        line for each round]}, without the rounds in which other processes took more than NOISE CPUs. There are no
+        lines when the load is more than a variant can sustain, when one failed, or when the figure is not among
+        those asked for."""
         kept, thrown = {name: [] for name in variants}, 0
         if not self.asked_for(title):
             return kept
@@ -208,7 +211,7 @@ def idle(bench, layout):
 
 
 def closed_loop(bench, layout):
-    """The gate: 8 messages under way."""
+    """The round trip with 8 messages under way, which has the targets."""
     for size in ("100 B", "60 KB"):
         options = {**layout, "size": SIZES[size], "under_way": 8}
         variants = {OURS: (OURS, options), bench.bare: (bench.kind, options)}
@@ -267,7 +270,8 @@ def figures(bench, quick):
     # A Kafka topic is never exclusive.
     layout = {"shared": True} if bench.kind == "kafka" else {}
     layouts = [{"shared": True}] if bench.kind == "kafka" else [{"shared": True}, {}]
-    for engine in (OURS, bench.kind):  # a JVM compiles what is used often
+    # runs both clients before the first round, so that the server's JVM has compiled the code that they use
+    for engine in (OURS, bench.kind):
         bench.run(engine, {**layout, "under_way": 100}, 2 if bench.kind == "rabbitmq" else 6)
     idle(bench, layout)
     closed_loop(bench, layout)

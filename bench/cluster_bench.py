@@ -3,8 +3,8 @@
 
     cluster_bench.py [--quick] [--commit ID]
 
-Load generators on both gateways send through broker, topology workers and back; beside them, in turns, the bare clients of
-`./dev bench brokers` on the same broker, in this container. Prints a table and writes REPORT.
+Load generators on both gateways send through broker, topology workers and back; beside them, in turns, the bare
+clients of `./dev bench brokers` on the same broker, in this container. Prints a table and writes REPORT.
 """
 
 import argparse
@@ -25,11 +25,12 @@ from figures import ProgramFailed, Programs, Verdict, machine, number
 REPORTS = Path("/var/lib/iotcloud-reports")
 PASSWORD = Path("/run/secrets/rabbitmq.password")
 SIZES = {"100 B": 100, "10 KB": 10_000, "60 KB": 60_000, "200 KB": 200_000}
-DRIVERS = {"rabbitmq": "loadgen", "kafka": "loadgen-kafka"}  # whose channels config/cluster/topology.yaml reads
+# broker: driver whose channels deploy/cluster/topology.yaml reads
+DRIVERS = {"rabbitmq": "loadgen", "kafka": "loadgen-kafka"}
 GATEWAYS, ON_EACH, RATE = ["gateway-1", "gateway-2"], 2, 100
 OURS = "our broker client"
-SETTLE_S = 2  # until the workers read what was deployed; nothing is sent meanwhile
-LIMIT_S = 60  # beyond the time that sending takes
+SETTLE_S = 2  # time that the workers have to begin reading the new drivers; nothing is sent in it
+LIMIT_S = 60  # how long a run may take in addition to the sending
 
 
 def iotcloud(*words):
@@ -39,7 +40,8 @@ def iotcloud(*words):
 
 
 def manifest(name, instances, properties, state):
-    """Deployments NAME-0, NAME-1, ..., on the gateways in turn, each with a report of its own. Returns the reports."""
+    """Writes a manifest with the deployments NAME-0, NAME-1, ... on the gateways in turn, each with a report file of
+    its own. Returns the report files."""
     reports = {f"{name}-{at}": REPORTS / f"{name}-{at}.json" for at in range(instances)}
     broker = properties["broker"]
     deployments = {key: {
@@ -62,7 +64,8 @@ def take_away(name, reports):
 
 @contextlib.contextmanager
 def warm(broker):
-    """A load generator on each gateway has had an answer, and stays: topics are there, and read."""
+    """Deploys a load generator on each gateway and waits until each has had an answer, so that the topics exist and are
+    read. They stay."""
     name = f"warm-{broker}-{os.getpid()}-{int(time.time())}"
     reports = manifest(name, len(GATEWAYS), {"broker": broker, "count": 2 * RATE}, "active")
     try:
@@ -73,7 +76,7 @@ def warm(broker):
 
 
 def through_the_cluster(broker, size, seconds, run):
-    """What the load generators of one run report, as one figure: the means over the drivers, the worst of the largest."""
+    """One figure from the reports of a run's load generators: means over the drivers, and the largest maximum."""
     count = int(RATE * seconds)
     reports = manifest(run, len(GATEWAYS) * ON_EACH, {"broker": broker, "size": size, "count": count}, "inactive")
     try:
@@ -172,5 +175,5 @@ def main():
 if __name__ == "__main__":
     try:
         main()
-    except ProgramFailed as failure:  # a command line that failed has the password in its URL
+    except ProgramFailed as failure:  # its text has the command line, whose URL has the password
         sys.exit(str(failure).replace(PASSWORD.read_text().strip(), "PASSWORD"))

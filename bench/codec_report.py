@@ -9,13 +9,13 @@ OURS = ("reference", "compact", "lossless")
 ENCODE_LIMIT_MS = {"reference": 0.6, "compact": 2, "lossless": 2}
 DECODE_LIMIT_MS = {"reference": 0.5, "compact": 1, "lossless": 1}
 RAW_PEER = "delta + zstd -1"
-EVERY_FRAME_RATIO = 20  # of compact, on real frames
-# Whose ratio and time of encoding ours has to reach.
+EVERY_FRAME_RATIO = 20  # the target for `compact` on real frames
+# Published results that ours must reach: (our codec, source, compression ratio, encoding time in ms).
 PUBLISHED = (("reference", "the paper", 10, 10), ("lossless", "Mehrotra 2011", 7, 5))
 
 
 def by_name(lines, key):
-    """{name: the value of each round}, of those that have it."""
+    """{name: [a value for each round]} of the contestants that have this value."""
     values = {}
     for line in lines:
         if key in line:
@@ -24,7 +24,7 @@ def by_name(lines, key):
 
 
 def record(report, name, unit, value):
-    """A figure that is the same in every round, for the JSON; table() shows it."""
+    """Adds a figure that is the same in every round to the JSON; table() prints it."""
     report.results.append({"name": name, "value": value, "unit": unit, "baseline": None, "baseline_value": None,
                            "ratio": None, "target": None, "met": None, "rounds": 1, "spread": 0.0})
 

@@ -15,7 +15,7 @@ BARE_READ, BARE_DECLARE = "zookeeper C client", "librabbitmq"
 
 
 class Bench:
-    """Private servers, and one fleet for each kind of channels in a tree of its own."""
+    """Runs the rounds: each has private servers and a fleet in a registry of its own."""
 
     def __init__(self, programs, servers, instances, fresh):
         self.programs, self.servers = programs, servers
@@ -27,7 +27,8 @@ class Bench:
         return ["--registry", registry, "--broker", broker, "--instances", self.instances] + ["--shared"] * shared
 
     def turn(self, kind):
-        """One round with real servers: what the programs say, by figure. Each in a registry and queues of its own."""
+        """Runs a round with real servers, which have a registry and queues of their own. Returns {figure: line of the
+        program}."""
         self.runs += 1
         with Children(Path(self.servers) / f"run{self.runs}") as children:
             zookeeper, rabbitmq = children.server("zookeeper", "--steady"), children.server("rabbitmq")
@@ -41,7 +42,7 @@ class Bench:
             return lines
 
     def embedded(self, kind):
-        """The same in one process: the limit that the code of the topology itself sets."""
+        """Runs the same in one process, which shows the limit that the topology's own code sets."""
         self.runs += 1
         name = f"embedded://bench-{self.runs}"
         lines = self.programs.run("iotcloud", *self.options(name, name, kind == "shared"), "--fresh", self.fresh,
@@ -50,8 +51,9 @@ class Bench:
 
 
 def newcomers(report, title, lines):
-    """How soon a new driver is read. `lines`: what each round says of it. One in which other processes took the CPUs
-    says how long threads wait for one: it is left out, and when there is no other the target is not judged."""
+    """Reports how soon a new driver is read. `lines` has a line for each round. A round in which other processes took
+    more than NOISE CPUs is left out, because it shows how long threads wait for a CPU. If no round is left, the
+    target is not judged."""
     quiet = [line for line in lines if line["others_cpu"] <= NOISE]
     title = f"{title}: a new driver is read"
 
@@ -93,7 +95,7 @@ def figures(bench, report, kind, rounds):
 
 
 def selection(programs, report, rounds):
-    """A question to many drivers, beside the same in plain C++."""
+    """Evaluates an expression on many drivers, beside the same conditions in plain C++."""
     lines = programs.run("selection", 100_000, max(rounds, 3) * 3)
     report.compare("100 000 drivers chosen by an expression", "ms", [line["seconds"] * 1000 for line in lines],
                    "plain C++", [line["plain_seconds"] * 1000 for line in lines], at_most=50)

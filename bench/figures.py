@@ -1,4 +1,4 @@
-"""What all benchmarks share: their programs, how figures are written, and what is said about the machine."""
+"""What all benchmarks share: running their programs, printing figures, and describing the machine."""
 
 import json
 import os
@@ -7,15 +7,15 @@ import shlex
 import subprocess
 
 
-LIMIT_S = 600  # of one program
+LIMIT_S = 600  # how long one program may take
 
 
 class ProgramFailed(Exception):
-    """A program that measures found something wrong; the text has all that it said."""
+    """A measuring program failed; the text has all that it printed."""
 
 
 class Programs:
-    """What CMake built for one benchmark: bench_PREFIX_NAME."""
+    """The programs bench_PREFIX_NAME that CMake built for one benchmark."""
 
     def __init__(self, folder, prefix):
         self.folder, self.prefix = folder, prefix
@@ -24,11 +24,12 @@ class Programs:
         return (self.folder / f"bench_{self.prefix}_{name}").exists()
 
     def run(self, name, *arguments):
-        """The lines of JSON that a program prints. Raises ProgramFailed: its figures would mean nothing."""
+        """Runs a program and returns the lines of JSON that it prints. Raises ProgramFailed when it fails: its figures
+        would mean nothing."""
         return [json.loads(line) for line in self.output(name, *arguments).splitlines()]
 
     def output(self, name, *arguments):
-        """What a program prints. Raises ProgramFailed."""
+        """Runs a program and returns what it prints. Raises ProgramFailed."""
         command = [str(self.folder / f"bench_{self.prefix}_{name}"), *map(str, arguments)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
@@ -42,7 +43,7 @@ class Programs:
 
 
 class Verdict:
-    """The results of a benchmark in the form of its JSON file, and how many targets were met."""
+    """Collects a benchmark's results in the form of its JSON file, and counts the targets that were met."""
 
     def __init__(self):
         self.results = []
@@ -51,12 +52,12 @@ class Verdict:
     def verdict(self):
         judged = {}
         for result in self.results:
-            if result["met"] is not None:  # a figure stands there once for each of what is beside it
+            if result["met"] is not None:  # `results` has a figure once for each baseline
                 judged[result["name"]] = judged.get(result["name"], True) and result["met"]
         missed = [name for name, met in judged.items() if not met]
         lines = [f"{len(judged) - len(missed)} of {len(judged)} targets met"]
         lines += [f"  missed: {name}" for name in missed]
-        return "\n".join(lines + ["  bench/README.md says why"] * bool(missed))
+        return "\n".join(lines + ["  bench/causes.toml says why, as far as it is known"] * bool(missed))
 
 
 def number(value):

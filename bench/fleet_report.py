@@ -1,4 +1,5 @@
-"""The figures of `./dev bench fleet`: how soon a fleet is deployed, what it takes at rest, how soon it is listed."""
+"""The figures of `./dev bench fleet`: how long deploying a fleet takes, its memory at rest, and how long listing it
+takes."""
 
 import socket
 import statistics
@@ -17,7 +18,7 @@ from private_cluster import PrivateCluster, StartError, echo_topology, free_port
 LOADED, RATE, SIZE, CARRIED_S = 1000, 5, 100, 10  # the paper's load
 DEPLOY_LIMIT_S, MEMORY_LIMIT_MB, LIST_LIMIT_MS = 20, 200, 200
 ORDER_LIMIT_S = 300
-LISTS = 9  # of which the median counts
+LISTS = 9  # number of times that a list is taken; the figure is the median
 
 
 class Fleet(PrivateCluster):
@@ -29,7 +30,8 @@ class Fleet(PrivateCluster):
         self.topology("worker", echo_topology(more=f'metrics: {{address: "{self.page}"}}'))
 
     def deploy_all(self, count, properties):
-        """Seconds that `iotcloud deploy` takes for so many load generators on each gateway, all of them active."""
+        """Deploys `count` load generators on each gateway. Returns the seconds until `iotcloud deploy` said that all
+        are active."""
         words = [word for name, value in properties.items() for word in ("--property", f"{name}={value}")]
         began = time.monotonic()
         answer = self.answer("deploy", "loadgen.so", "--all", "--count", count, "--wait", ORDER_LIMIT_S, *words,
@@ -40,23 +42,24 @@ class Fleet(PrivateCluster):
         return took
 
     def received(self):
-        """Messages that the topology has had so far."""
+        """Number of messages that the topology has received so far."""
         text = urllib.request.urlopen(f"http://{self.page}/metrics", timeout=10).read().decode()
         return sum(float(line.rsplit(" ", 1)[1]) for line in text.splitlines()
                    if line.startswith("iotcloud_spout_received_total{"))
 
     def carried(self):
-        """Messages each second that come through."""
+        """Messages that the topology receives in a second."""
         before, began = self.received(), time.monotonic()
         time.sleep(CARRIED_S)
         return (self.received() - before) / (time.monotonic() - began)
 
     def list_process_ms(self):
-        """Of `iotcloud drivers`, from its start to its end."""
+        """Median duration of the process `iotcloud drivers`, in ms."""
         return self.timed(lambda: self.cli("drivers"))
 
     def list_call_ms(self):
-        """Of the call to the master that it makes, on a connection that is open, until the last byte is here."""
+        """Median duration of the call that `iotcloud drivers` makes to the master, in ms: on an open connection, until
+        the answer's last byte."""
         name = b"listDrivers"
         call = struct.pack("!iI", -0x7FFEFFFF, len(name)) + name + struct.pack("!ib", 0, 0)
         with socket.create_connection(("127.0.0.1", self.api_port), timeout=60) as master:
@@ -78,7 +81,7 @@ class Fleet(PrivateCluster):
         return statistics.median(times)
 
     def hosts_mb(self):
-        """Memory of each driver host, in all."""
+        """Resident memory of each driver host, in MB."""
         found = []
         for process in self.descendants():
             folder = Path("/proc", str(process))
@@ -98,7 +101,8 @@ class Bench:
         return Fleet(self.folder / f"run{self.runs}", self.build / "bin", self.build / "plugins")
 
     def loaded(self, shared):
-        """1000 instances in two gateways, with a topology that sends all back: figures of a round."""
+        """Runs a round with 1000 instances on two gateways and a topology that sends all messages back. Returns its
+        figures."""
         with self.fleet() as fleet:
             fleet.start(gateways=2)
             fleet.worker()
@@ -110,7 +114,7 @@ class Bench:
             return figures
 
     def idle(self, instances):
-        """So many instances in one host, which send a message in 100 s each."""
+        """Runs a round with instances in one driver host that each send a message in 100 s. Returns its figures."""
         with self.fleet() as fleet:
             fleet.start(gateways=1)
             fleet.wait_until_ready()

@@ -14,11 +14,12 @@ usage: ./dev bench runtime [--quick] [--build DIR] [--json FILE]      (it builds
        ./dev bench soak [--minutes N] [--seed N] [--build DIR] [--json FILE]
        ./dev bench page      writes build/bench/report.html and plots/*.svg again, of all JSON files there; measures nothing
 
-Everything here is measured: the programs take turns, round by round, a ratio is the median of the ratios of one round,
-and whether a target is met is computed.
+The programs take turns, round by round. A ratio is the median, over the rounds, of the ratio within one round.
+Whether a target is met is computed.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import shlex
@@ -33,6 +34,7 @@ from codec_report import run_codec, run_follower
 from discovery_report import run_discovery
 from figures import ProgramFailed, commit, machine
 from fleet_report import run_fleet
+from heartbeat import Heartbeat, seconds_of_last_run
 from paper.report import add_options as add_paper_options, run_paper
 from runtime_report import run_runtime, run_soak
 from storm_report import add_options as add_storm_options
@@ -40,7 +42,7 @@ from storm_report import add_options as add_storm_options
 
 def main():
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was started ends with it
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that processes that were started end with this one
     root = Path(__file__).resolve().parent.parent
     if sys.argv[1:] == ["page"]:
         print(page.write(root / "build/bench"))
@@ -51,7 +53,7 @@ def main():
     runtime, soak, brokers, discovery, fleet, codec, follower, paper, storm = map(commands.add_parser, names)
     for command in (runtime, soak, brokers, discovery, fleet, codec, follower, paper, storm):
         command.add_argument("--build", type=Path, default=root / "build/release")
-        if command not in (paper, storm):  # it writes a file for each figure
+        if command not in (paper, storm):  # paper and storm write a file for each figure
             command.add_argument("--json", type=Path)
     add_paper_options(paper, root)
     add_storm_options(storm, root)
@@ -84,18 +86,21 @@ def main():
     benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery,
                   "fleet": run_fleet, "codec": run_codec, "follower": run_follower, "paper": run_paper,
                   "storm": run_paper}
+    file = getattr(given, "json", None) or root / f"build/bench/{given.what}.json"
+    command = shlex.join(["./dev", "bench", *sys.argv[1:]])
+    tells_by_itself = given.what in ("brokers", "paper", "storm")  # these tell by themselves how much time is left
     try:
-        report, verdict = benchmarks[given.what](given)
+        with contextlib.nullcontext() if tells_by_itself else Heartbeat(given.what, seconds_of_last_run(file, command)):
+            report, verdict = benchmarks[given.what](given)
     except ProgramFailed as failure:
         sys.exit(str(failure))
     if given.what in ("paper", "storm"):
         print(f"{verdict}\n{time.monotonic() - began:.0f} s; the figures are in {given.out}")
         sys.exit(1 if report.failed else 0)
     facts["load_average_after"] = os.getloadavg()[0]
-    file = given.json or root / f"build/bench/{given.what}.json"
     file.parent.mkdir(parents=True, exist_ok=True)
-    command = shlex.join(["./dev", "bench", *sys.argv[1:]])
-    written = {"machine": facts, "commit": commit(root), "command": command, "results": report.results}
+    written = {"machine": facts, "commit": commit(root), "command": command, "seconds": time.monotonic() - began,
+               "results": report.results}
     file.write_text(json.dumps(written, indent=1) + "\n")
     print(f"{verdict}\n{time.monotonic() - began:.0f} s; all figures are in {file}")
     sys.exit(1 if report.failed else 0)

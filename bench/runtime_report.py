@@ -7,11 +7,12 @@ import subprocess
 from figures import Programs, Verdict, number
 
 OURS, CALLS, RING, PEER = "iotcloud", "calls", "ring", "onetbb"
-BASELINES = {CALLS: "plain calls", RING: "SPSC rings", PEER: "oneTBB"}  # two limits, and a peer
+BASELINES = {CALLS: "plain calls", RING: "SPSC rings", PEER: "oneTBB"}  # the first two are limits, the third is a peer
 DAGS = {"chain": "chain of 3", "words": "word count", "fan": "fan 1-4-1", "payload": "60 KB chain"}
 UNITS = {"cpu": "% of a core", "switches": "switches/s"}
-NO_ALLOCATION = 0.001  # for each tuple: pools may still grow by a few objects in all, when another thread takes part
-LOADS = (1, 50, 90)  # percent of what the engine reached at most
+# allocations per tuple that count as none: pools still grow by a few objects when another thread takes part
+NO_ALLOCATION = 0.001
+LOADS = (1, 50, 90)  # percent of the engine's highest rate
 
 
 def engines(programs, *without):
@@ -20,8 +21,8 @@ def engines(programs, *without):
 
 class Report(Verdict):
     def compare(self, name, unit, by_engine, at_least=None, at_most=None):
-        """One figure: `by_engine` has a value of each round for ours, and for each baseline that ran beside it. One
-        line of the table, and a result for each baseline."""
+        """Reports one figure. `by_engine` has a value for each round, for our engine and for each baseline that ran
+        beside it. Prints one line of the table and adds a result for each baseline."""
         values = by_engine[OURS]
         value = statistics.median(values)
         target, met = None, None
@@ -75,7 +76,7 @@ def title(dag, tracked):
 
 
 def saturation(programs, report, dag, tracked, rounds, seconds):
-    """As many results as possible. Returns {engine: results a second}."""
+    """Measures the highest rate. Returns {engine: results a second}."""
     lines = {engine: [] for engine in engines(programs)}
     for _ in range(rounds):
         for engine in lines:
@@ -104,7 +105,8 @@ def saturation(programs, report, dag, tracked, rounds, seconds):
 
 
 def latency(programs, report, dag, tracked, most, load, rounds, seconds):
-    """At a part of what each engine reached: from the intended time of sending to the last task's execute (or ack)."""
+    """Measures latency at a part of each engine's highest rate: from the time at which an item should have been sent to
+    the end of the last task (or to the ack)."""
     lines = {engine: [] for engine in engines(programs, CALLS)}
     for _ in range(rounds):
         for engine in lines:
@@ -121,7 +123,8 @@ def latency(programs, report, dag, tracked, most, load, rounds, seconds):
 
 
 def quiet(programs, report, rounds, seconds):
-    """The chain at 100 tuples a second: from the moment that the thread that brings a tuple has it."""
+    """Measures the chain at 100 tuples a second. Latency counts from the time at which the source's thread has woken
+    up."""
     lines = {engine: [] for engine in engines(programs)}
     for _ in range(rounds):
         for engine in lines:
@@ -143,7 +146,7 @@ def quiet(programs, report, rounds, seconds):
 
 
 def costs(programs, report, rounds, seconds):
-    """What only our runtime is asked: nothing runs beside it."""
+    """Measures the costs of our runtime that have no baseline."""
     runs = {}
     for _ in range(rounds):
         for line in programs.run("costs", seconds):
@@ -152,7 +155,7 @@ def costs(programs, report, rounds, seconds):
     for figure, values in runs.items():
         kind = figure.split(":")[0]
         unit = {"heap": "allocations", "copies": "copies"}.get(kind, figure.split()[-1])
-        # A sentence of the word count is longer than a string holds without the heap: no small tuple.
+        # The word count is left out, because a sentence does not fit into a string without an allocation.
         if kind == "heap" and "words" not in figure:
             targets[figure] = NO_ALLOCATION
         if kind == "copies":
@@ -179,7 +182,7 @@ def run_runtime(given):
 
 
 def run_soak(given):
-    """One long run; what it says on the way is passed on."""
+    """Runs the soak program, and passes its progress on to standard error."""
     programs, report = Programs(given.build / "bin", "runtime"), Report()
     command = [str(programs.folder / "bench_runtime_soak"), "--minutes", str(given.minutes)]
     if given.seed is not None:

@@ -15,11 +15,11 @@ from storm_turns import BARE, DEFAULTS, DRIVERS, OURS, SETTLE_S, STORM, TUNED, S
 
 POINTS = [(size, rate) for size in (100, 60_000) for rate in (20, 100)]
 NAMES = {"words": ("word count", "M words/s"), "chain": ("chain of 3", "M tuples/s")}
-KINDS = {OURS: "ours", STORM: "peer", BARE: "limit"}  # in the plots
+KINDS = {OURS: "ours", STORM: "peer", BARE: "limit"}  # kind of each side's curve in the plots
 LIBRARY = "librabbitmq"
-TAIL_TARGET, CPU_TARGET = 1 / 3, 1 / 5  # of Storm's
-RATE_TARGETS = {("words", False): 10, ("words", True): 5}  # times Storm's
-START_S = 8  # of a JVM with Storm, until its topology works
+TAIL_TARGET, CPU_TARGET = 1 / 3, 1 / 5  # targets: share of Storm's
+RATE_TARGETS = {("words", False): 10, ("words", True): 5}  # targets: times Storm's
+START_S = 8  # how long a JVM with Storm needs until its topology works
 STATISTICS = {"mean_ms": "mean_us", "p50_ms": "p50_us", "p99_ms": "p99_us", "stddev_ms": "stddev_us"}
 
 
@@ -36,8 +36,8 @@ def memory_title(dag, tracked):
 
 
 class Scale:
-    """How much is measured: rounds, seconds, and which (topology, tracked, setting) phases. `asked_for(title)`: whether
-    a figure is."""
+    """How much is measured: rounds, seconds, and the phases (topology, tracked, setting). `asked_for(title)` says
+    whether a figure is to be measured."""
 
     def __init__(self, scale, rounds=None, asked_for=lambda _title: True):
         quick = scale == "quick"
@@ -54,7 +54,7 @@ class Scale:
                        or phase[0] != "echo" and asked_for(f"{memory_title(*phase[:2])}, {phase[2]}")]
 
     def points(self, tracked, setting):
-        """(size, rate) of the echo."""
+        """The echo's points (size, rate) that are to be measured."""
         return [point for point in POINTS if self.asked_for(f"{echo_title(*point, tracked)}, {setting}")]
 
     def round_s(self, topology):
@@ -72,8 +72,8 @@ class Scale:
 
 
 class Rounds:
-    """Rounds in which all sides take one turn each, every second one in reverse order; one with company is thrown
-    away and taken again."""
+    """Rounds in each of which all sides take one turn, in reverse order in every second round. A round in which other
+    processes took more than NOISE CPUs is thrown away and taken again."""
 
     def __init__(self, title, wanted, sides):
         self.sides, self.title, self.wanted, self.taken, self.thrown, self.problem = sides, title, wanted, 0, 0, None
@@ -83,12 +83,12 @@ class Rounds:
         return not self.problem and len(self.lines[OURS]) < self.wanted and self.taken < 2 * self.wanted
 
     def take(self, turn):
-        """`turn(side)` measures."""
+        """Runs one round. `turn(side)` measures one side and returns a line."""
         order = self.sides if self.taken % 2 == 0 else self.sides[::-1]
         self.taken += 1
         try:
             lines = {side: turn(side) for side in order}
-        except ProgramFailed as failure:  # the other figures are still worth knowing
+        except ProgramFailed as failure:  # the other figures are measured in any case
             self.problem, self.lines = str(failure).strip(), {side: [] for side in self.sides}
             return
         if max(line["others_cpu"] for line in lines.values()) > NOISE:
@@ -110,7 +110,7 @@ class Rounds:
 
 
 def point_of(x, rounds, side):
-    """A point of a plot: of the rounds the medians, the largest, the sums."""
+    """A point of a plot: medians, the largest maximum and sums over the rounds."""
     lines = rounds.lines[side]
     if not lines:
         return {"x": x, "failed": rounds.problem.splitlines()[-1] if rounds.problem else "no round was quiet"}
@@ -122,12 +122,12 @@ def point_of(x, rounds, side):
 
 
 def processor_cpu(line):
-    """Microseconds for a message, of the process that sends it back."""
+    """CPU time for a message, in microseconds, of the process that sends it back."""
     return 1e6 * line["processor_cpu_seconds"] / line["count"]
 
 
 class Measurement:
-    """All phases, judged into a report; what is plotted is kept beside."""
+    """Runs all phases, adds their figures to a report, and keeps what is plotted."""
 
     def __init__(self, turns, scale, report, progress):
         self.turns, self.scale, self.report, self.progress = turns, scale, report, progress
@@ -139,7 +139,7 @@ class Measurement:
             self.progress.step(f"{topology}, {tracking(tracked)}, {setting}: warm-up", self.scale.warm_up_of(topology))
             try:
                 (self.echo if topology == "echo" else self.memory)(*phase)
-            except (StartError, ProgramFailed) as failure:  # the other phases are still worth knowing
+            except (StartError, ProgramFailed) as failure:  # the other phases are measured in any case
                 self.report.failed = True
                 print(f"{topology}, {tracking(tracked)}, {setting}: GIVEN UP: {failure}", flush=True)
         if self.report.thrown_away:
@@ -164,7 +164,8 @@ class Measurement:
             for side, name in ((OURS, "IoTCloud"), (STORM, setting), (BARE, LIBRARY)):
                 point = point_of(size, rounds, side)
                 curve = self.curves.setdefault((tracked, name, rate, side), [])
-                if size not in [each["x"] for each in curve]:  # ours and the library run beside each setting
+                # ours and the bare client are measured beside each of Storm's settings, and plotted once
+                if size not in [each["x"] for each in curve]:
                     curve.append(point)
                 self.table.append((f"{rounds.title}: {name}" + f" beside {setting}" * (side != STORM), point))
 
@@ -179,7 +180,8 @@ class Measurement:
         compare("p99", "ms", p99, ratio_at_most=TAIL_TARGET)
         self.report.compare(f"{rounds.title}: p99", "ms", rounds.of(OURS, p99), LIBRARY, rounds.of(BARE, p99))
         compare("CPU", "us/msg", processor_cpu, ratio_at_most=CPU_TARGET)
-        compare("broker's CPU", "us/msg", lambda line: 100 * broker_cpu(line))  # that is s/10 000
+        # broker_cpu() is in s for 10 000 messages
+        compare("broker's CPU", "us/msg", lambda line: 100 * broker_cpu(line))
 
     def memory(self, dag, tracked, setting):
         _, unit = NAMES[dag]
@@ -203,7 +205,7 @@ class Measurement:
                 self.rates[key].append({"x": tracking(tracked), "per_second": statistics.median(values), "n": len(values)})
 
     def print_table(self):
-        """Every point with all that is known of it."""
+        """Prints every point with all its values."""
         if not self.table:
             return
         print(f"\n{'round trip, ms':<60} {'mean':>7} {'p50':>7} {'p99':>7} {'max':>7} {'stddev':>7} {'n':>6} {'lost':>5} "

@@ -1,4 +1,4 @@
-"""Which versions a benchmark ran with: asked from the programs, libraries and jars that it uses, never typed in."""
+"""Finds the versions that a benchmark ran with by asking the programs, libraries and jars that it uses."""
 
 import re
 import subprocess
@@ -6,11 +6,11 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-FETCHED = ROOT / "build/servers"  # what tests/servers/maven_jars.py fetched
+FETCHED = ROOT / "build/servers"  # where tests/servers/maven_jars.py puts jars
 
 
 def said_by(*command):
-    """The first line that a program prints; None when it is not there or fails."""
+    """The first line that a program prints; None when the program is missing or fails."""
     try:
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60)
     except (OSError, subprocess.TimeoutExpired):
@@ -20,7 +20,7 @@ def said_by(*command):
 
 
 def of_jar(folder, pattern):
-    """What the manifest of the only jar of this name says; None when there is none."""
+    """The version in the manifest of the only jar with this name; None when there is no such jar."""
     jars = sorted(Path(folder).glob(pattern))
     if len(jars) != 1:
         return None
@@ -40,7 +40,8 @@ def compiler(build):
 
 
 def rabbitmq():
-    return {"RabbitMQ": said_by("/usr/lib/rabbitmq/bin/rabbitmqctl", "version"),
+    # rabbitmqctl is not asked for its version, because it would start Erlang's port mapper, which does not end.
+    return {"RabbitMQ": said_by("dpkg-query", "-W", "-f=${Version}", "rabbitmq-server"),
             "librabbitmq": said_by("pkg-config", "--modversion", "librabbitmq")}
 
 
@@ -72,8 +73,8 @@ SERVERS = {"rabbitmq": rabbitmq, "kafka": kafka, "activemq": activemq, "zookeepe
 
 
 def asked(build, *servers):
-    """{what: its version} of the compiler and of these servers with their libraries, for the key "versions" of a
-    figure's file. What does not tell is not in it."""
+    """{name: version} of the compiler and of these servers with their libraries, for the key "versions" of a figure's
+    file. Names whose version is unknown are left out."""
     versions = {"compiler": compiler(build)}
     for server in servers:
         versions |= SERVERS[server]()

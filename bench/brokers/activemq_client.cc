@@ -30,10 +30,10 @@ namespace iotcloud::bench {
 namespace {
 
 constexpr int credit = 200;
-constexpr std::size_t links_of_a_session = 500;  // 2000 in one never opened all
+constexpr std::size_t links_of_a_session = 500;  // with 2000 links in one session, some never opened
 constexpr std::int64_t connect_limit_ns = 60'000'000'000;
 
-/// One end on qpid-proton alone: one connection, all of it on one thread.
+/// One end of the bare client, on qpid-proton alone: one connection, all on one thread.
 class End final : public proton::messaging_handler {
  public:
   using Take = std::function<void(unsigned index, const proton::message& message)>;
@@ -52,10 +52,10 @@ class End final : public proton::messaging_handler {
     }
   }
 
-  /// From the end's own thread.
+  /// On the end's own thread.
   void send(unsigned index, const proton::message& message) { senders_[index].send(message); }
 
-  /// From any thread.
+  /// On any thread.
   void call(std::function<void()> work) { connection_.work_queue().add(std::move(work)); }
 
   void stop() {
@@ -64,7 +64,7 @@ class End final : public proton::messaging_handler {
   }
 
  private:
-  /// Of one receiver; accepts each message when it has been taken.
+  /// Reads from one receiver; accepts each message when it has been taken.
   class Reader final : public proton::messaging_handler {
    public:
     Reader(End& end, unsigned index) : end_(end), index_(index) {}
@@ -113,7 +113,7 @@ class End final : public proton::messaging_handler {
 
   [[noreturn]] static void fail(const std::string& problem) {
     std::fprintf(stderr, "bare client: %s\n", problem.c_str());
-    std::_Exit(1);  // nothing more would come back
+    std::_Exit(1);  // no more messages would come back
   }
 
   const BrokerOptions& options_;
@@ -149,10 +149,7 @@ class ActiveMqClient final : public Client {
 
   void begin() override {
     schedule_ = std::jthread([this] {
-      for (std::int64_t due = load_.due_ns(); due != Load::never; due = load_.due_ns()) {
-        if (due > now_ns()) sleep_until(due);
-        device_.call([this, driver = load_.take_due()] { send(driver); });
-      }
+      load_.send_on_schedule([this](unsigned driver) { device_.call([this, driver] { send(driver); }); });
     });
   }
 
@@ -171,7 +168,7 @@ class ActiveMqClient final : public Client {
     return names;
   }
 
-  /// On the device end's thread. With the same properties as ours.
+  /// On the device end's thread. The message has the same properties as this project's.
   void send(unsigned driver) {
     load_.send(driver, [&](const Stamp& stamp) {
       proton::binary body;

@@ -15,7 +15,7 @@ namespace {
 
 constexpr std::int64_t connect_limit_ns = 60'000'000'000;
 
-/// Ours, through the public interface of the brokers only.
+/// This project's client, through the public interface of the brokers only.
 class IotcloudClient final : public Client {
  public:
   IotcloudClient(const BrokerOptions& options, Load& load)
@@ -52,12 +52,7 @@ class IotcloudClient final : public Client {
   }
 
   void begin() override {
-    schedule_ = std::jthread([this] {
-      for (std::int64_t due = load_.due_ns(); due != Load::never; due = load_.due_ns()) {
-        if (due > now_ns()) sleep_until(due);
-        send(load_.take_due());
-      }
-    });
+    schedule_ = std::jthread([this] { load_.send_on_schedule([this](unsigned driver) { send(driver); }); });
   }
 
   void stop() override {
@@ -116,7 +111,7 @@ class IotcloudClient final : public Client {
     });
   }
 
-  /// Waits while the publisher is full: a load above what the broker takes.
+  /// Waits while the publisher is full, under a load above what the broker takes.
   void publish(brokers::Publisher& publisher, const brokers::Message& message) {
     for (;;) {
       const std::uint64_t seen = writable_;
@@ -141,7 +136,7 @@ class IotcloudClient final : public Client {
 
 int main(int argc, char** argv) {
   using namespace iotcloud::bench;
-  iotcloud::config::keep_freed_memory();  // as our daemons
+  iotcloud::config::keep_freed_memory();  // as the project's daemons do
   return measure_client("iotcloud", argc, argv, [](const BrokerOptions& options, Load& load) {
     return std::make_unique<IotcloudClient>(options, load);
   });

@@ -28,7 +28,7 @@ struct Destroy {
   void operator()(rd_kafka_message_t* message) const { rd_kafka_message_destroy(message); }
 };
 
-/// What was delivered needs no more; what was not makes the round worthless.
+/// Checks a delivery report: one failed delivery makes the round worthless.
 void on_report(rd_kafka_t*, const rd_kafka_message_t* message, void*) {
   if (message->err != RD_KAFKA_RESP_ERR_NO_ERROR)
     std::fprintf(stderr, "not sent: %s\n", rd_kafka_err2str(message->err));
@@ -53,10 +53,11 @@ std::unique_ptr<rd_kafka_t, Destroy> make(rd_kafka_type_t type, const BrokerOpti
   return std::unique_ptr<rd_kafka_t, Destroy>(client);
 }
 
-/// One end on librdkafka alone: a producer, with a thread that takes its delivery reports, and a group's consumer with
-/// a thread that polls it. It promises what ours does: with confirms every message has an outcome and none is stored
-/// twice or overtaken (a producer without that has a request for each message under way as soon as the server is slow,
-/// which then is slower still); with acknowledgements the group's place is kept as often as ours.
+/// One end of the bare client, on librdkafka alone: a producer with a thread that takes its delivery reports, and a
+/// group's consumer with a polling thread. It gives the same guarantees as this project's client. With confirms every
+/// message has an outcome, and none is stored twice or overtaken; without them a producer has a request for each
+/// message under way as soon as the server is slow, which makes the server slower still. With acknowledgements the
+/// group's place is stored as often as this project's client does it.
 class End {
  public:
   End(const BrokerOptions& options, std::string from, const std::string& to)
@@ -69,7 +70,7 @@ class End {
                        {{"group.id", from_},
                         {"enable.auto.commit", options.acknowledgements ? "true" : "false"},
                         {"auto.commit.interval.ms", "100"},
-                        {"auto.offset.reset", "earliest"},  // what an earlier run left is told apart by its stamp
+                        {"auto.offset.reset", "earliest"},  // messages of an earlier run are recognised by their stamps
                         {"fetch.min.bytes", "1"},
                         {"allow.auto.create.topics", "true"},
                         {"topic.metadata.refresh.interval.ms", "1000"},
@@ -100,7 +101,7 @@ class End {
     }
   }
 
-  /// Copies key and body, as ours must for a message that outlives the call.
+  /// Copies key and body, as this project's client must for a message that outlives the call.
   void publish(std::string_view key, std::span<const std::byte> body) {
     if (rd_kafka_produce(topic_.get(), RD_KAFKA_PARTITION_UA, RD_KAFKA_MSG_F_COPY, const_cast<std::byte*>(body.data()),
                          body.size(), key.data(), key.size(), nullptr) != 0) {
@@ -108,7 +109,7 @@ class End {
     }
   }
 
-  /// `take(key, body)` for each message until it is to stop.
+  /// Calls `take(key, body)` for each message until stopped.
   template <typename Take>
   void read(const std::stop_token& stop, Take&& take) {
     while (!stop.stop_requested()) {
@@ -130,7 +131,7 @@ class End {
  private:
   const std::string from_;
   std::unique_ptr<rd_kafka_t, Destroy> producer_, consumer_;
-  std::unique_ptr<rd_kafka_topic_t, Destroy> topic_;  ///< where to, of the producer
+  std::unique_ptr<rd_kafka_topic_t, Destroy> topic_;  ///< the producer's target
   std::jthread reports_;
 };
 
@@ -158,12 +159,7 @@ class KafkaClient final : public Client {
   }
 
   void begin() override {
-    schedule_ = std::jthread([this] {
-      for (std::int64_t due = load_.due_ns(); due != Load::never; due = load_.due_ns()) {
-        if (due > now_ns()) sleep_until(due);
-        send(load_.take_due());
-      }
-    });
+    schedule_ = std::jthread([this] { load_.send_on_schedule([this](unsigned driver) { send(driver); }); });
   }
 
   void stop() override {

@@ -9,34 +9,45 @@
 
 #include <iotcloud/bench/brokers/options.h>
 #include <iotcloud/bench/harness/latency_histogram.h>
+#include <iotcloud/bench/harness/machine.h>
 
 namespace iotcloud::bench {
 
 /// The first bytes of each body.
 struct Stamp {
-  std::uint32_t run;  ///< a message left over by another run is not counted
+  std::uint32_t run;  ///< a leftover message of another run is not counted
   std::uint32_t driver;
   std::uint64_t number;  ///< 0, 1, 2, ... for each driver
   std::int64_t intended_ns;
 };
 
-/// What is sent and when, and what came back: the same for all clients. Thread safe, but for the schedule.
+/// Decides what is sent and when, and checks what comes back: the same for all clients. Thread safe, except for the
+/// schedule.
 class Load {
  public:
   static constexpr std::int64_t never = INT64_MAX;
 
   explicit Load(const BrokerOptions& options);
 
-  /// The schedule starts now.
+  /// Starts the schedule now.
   void begin();
-  /// Nothing more is sent.
+  /// Ends sending.
   void stop() { stopped_ = true; }
   bool stopped() const { return stopped_; }
 
-  /// The schedule, for one thread: when the next message is due (now_ns(); 0: at once; never: an arrival brings it),
-  /// and taking it: its driver.
+  /// The schedule, for one thread: when the next message is due (now_ns(); 0: at once; never: an arrival triggers it),
+  /// and its driver, which take_due() returns.
   std::int64_t due_ns() const;
   unsigned take_due();
+
+  /// Calls `send_it(driver)` each time a message is due, until none will be. For one thread.
+  template <typename Send>
+  void send_on_schedule(Send&& send_it) {
+    for (std::int64_t due = due_ns(); due != never; due = due_ns()) {
+      if (due > now_ns()) sleep_until(due);
+      send_it(take_due());
+    }
+  }
 
   /// Calls `send_it(stamp)` for the driver's next message, one call at a time for each driver.
   template <typename Send>
@@ -48,11 +59,10 @@ class Load {
     send_it(stamp);
   }
 
-  /// A body came back. \return the driver that is to send its next one at once (closed loop).
+  /// Counts a body that came back. \return the driver that must send its next message at once (closed loop).
   std::optional<unsigned> arrived(std::span<const std::byte> body);
 
-  /// What is to be sent from now on is timed when it comes back, however late, until end_recording(): that is what is
-  /// to be sent after it.
+  /// Messages that are due between these two calls are timed when they come back, however late.
   void begin_recording();
   void end_recording();
 
@@ -65,7 +75,7 @@ class Load {
   struct Driver {
     std::mutex sending;
     std::uint64_t sent = 0;                   ///< guarded by `sending`
-    std::atomic<std::uint64_t> expected = 0;  ///< the number that comes back next
+    std::atomic<std::uint64_t> expected = 0;  ///< number of the next message to come back
   };
 
   std::int64_t intended_ns(unsigned driver, std::uint64_t number) const;

@@ -11,7 +11,7 @@ namespace {
 constexpr std::int64_t second_ns = 1'000'000'000;
 constexpr std::int64_t look_every_ns = second_ns / 20;
 constexpr std::int64_t patience_ns = 20 * second_ns;
-/// A load that the broker cannot keep up with is given up before the broker's memory is full.
+/// A load that exceeds the broker's capacity is aborted before the broker's memory is full.
 constexpr std::uint64_t most_bytes_under_way = 256 << 20;
 constexpr std::uint64_t most_under_way = 50'000;
 
@@ -29,7 +29,7 @@ bool overrun(const BrokerOptions& options, const Load& load) {
   return options.rate > 0 && (under_way * options.size > most_bytes_under_way || under_way > most_under_way);
 }
 
-/// \return false when the load had to be given up.
+/// \return false when the load was aborted.
 bool wait(const BrokerOptions& options, const Load& load, double seconds) {
   const std::int64_t end = now_ns() + static_cast<std::int64_t>(seconds * second_ns);
   while (now_ns() < end) {
@@ -70,7 +70,7 @@ int run(const char* engine, const BrokerOptions& options, const MakeClient& make
   const Snapshot after(options);
   load.stop();
   const std::int64_t limit = now_ns() + patience_ns;
-  // What was sent in time and is still coming; a load that was given up has much of it.
+  // Messages that were sent in time may still arrive; an aborted load has many of them.
   while (load.came_back() < load.sent() && now_ns() < limit) sleep_until(now_ns() + second_ns / 1000);
   const bool complete = load.came_back() == load.sent() && load.wrong() == 0;
   if (!complete) {

@@ -9,10 +9,10 @@
 
 namespace iotcloud::bench {
 
-/// What a program of `./dev bench brokers` is told.
+/// Options of the programs of `./dev bench brokers`.
 struct BrokerOptions {
   std::string url;
-  std::string name;      ///< prefix of the topics: another one for each kind of run, so that queues are never shared
+  std::string name;      ///< prefix of the topics: each kind of run needs its own, so that runs never share queues
   unsigned drivers = 4;  ///< each with topics of its own, unless `shared`
   bool shared = false;   ///< one topic for all drivers in each direction
   std::size_t size = 100;
@@ -20,14 +20,15 @@ struct BrokerOptions {
   unsigned under_way = 8;        ///< in the closed loop, over all drivers
   bool idle = false;             ///< connect and send nothing
   bool confirms = true;          ///< only bare clients can do without
-  bool acknowledgements = true;  ///< likewise
-  bool devices_only = false;     ///< the cloud end is somebody else's, from `processors` (RabbitMQ's bare client)
+  bool acknowledgements = true;  ///< only bare clients can do without
+  bool devices_only = false;     ///< `processors` are the cloud end (RabbitMQ's bare client)
   double warm_up = 0.5, seconds = 2;
-  std::vector<pid_t> server;      ///< processes of the server, whose CPU time is told apart
-  std::vector<pid_t> processors;  ///< those that send back what the devices send, likewise
+  std::vector<pid_t> server;  ///< processes of the server, whose CPU time is reported separately
+  /// processes that send back the devices' messages; their CPU time is reported separately
+  std::vector<pid_t> processors;
 };
 
-/// \return nothing when the words make no sense; the usage was printed then.
+/// \return nothing for wrong arguments, after printing the usage.
 std::optional<BrokerOptions> parse_broker_options(int argc, char** argv);
 
 }  // namespace iotcloud::bench

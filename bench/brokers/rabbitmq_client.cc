@@ -28,7 +28,8 @@ amqp_bytes_t bytes_of(std::string_view text) {
   return {text.size(), const_cast<char*>(text.data())};
 }
 
-/// One end on librabbitmq alone: one connection, of one thread, with a channel to read and one to write.
+/// One end of the bare client, on librabbitmq alone: one connection of one thread, with a channel to read and one to
+/// write.
 class End {
  public:
   explicit End(const BrokerOptions& options) : options_(options), connection_(amqp_new_connection()) {
@@ -73,7 +74,7 @@ class End {
     check(amqp_get_rpc_reply(connection_));
   }
 
-  /// With the same headers as ours.
+  /// With the same headers as this project's client.
   void publish(const std::string& queue, const std::string& driver, amqp_bytes_t body) {
     const auto header = [](const char* key, std::string_view value) {
       amqp_table_entry_t entry;
@@ -93,8 +94,8 @@ class End {
     if (status != AMQP_STATUS_OK) throw std::runtime_error(amqp_error_string2(status));
   }
 
-  /// Hands on all messages that are there, waiting for the first one until `until_ns` at most; then acknowledges.
-  /// `take(queue, message)`; the message dies with the call.
+  /// Passes on all messages that have arrived, waiting for the first one until `until_ns`; then acknowledges.
+  /// \param take (queue, message); the message lives only during the call.
   template <typename Take>
   void read(std::int64_t until_ns, Take&& take) {
     if (!amqp_frames_enqueued(connection_) && !amqp_data_in_buffer(connection_) && !wait(until_ns)) return;
@@ -182,7 +183,7 @@ class RabbitMqClient final : public Client {
       work();
     } catch (const std::exception& error) {
       std::fprintf(stderr, "bare client: %s\n", error.what());
-      std::_Exit(1);  // nothing more would come back
+      std::_Exit(1);  // no more messages would come back
     }
   }
 

@@ -1,4 +1,5 @@
-// Ours and the peers on the same depth frames, in turns: a line of JSON for each of them and each round.
+// This project's codecs and their peers on the same depth frames, in turns: prints a line of JSON for each codec and
+// round.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -19,9 +20,9 @@ double milliseconds_since(std::int64_t begin_ns) {
   return static_cast<double>(now_ns() - begin_ns) * 1e-6;
 }
 
-/// What a contestant's frames are worth, the same in every round.
+/// The size and exactness of a contestant's frames, the same in every round.
 struct Quality {
-  std::size_t bytes = 0, largest = 0;  ///< of all frames, of one
+  std::size_t bytes = 0, largest = 0;  ///< of all frames, and of the largest
   double worst_mm = 0, squares = 0;    ///< of readings that came back
   std::size_t readings = 0, lost = 0;
 
@@ -44,7 +45,7 @@ struct Quality {
   double rms_mm() const { return std::sqrt(squares / static_cast<double>(std::max<std::size_t>(readings - lost, 1))); }
 };
 
-/// One pass of a contestant over all frames. The clock runs while it works, and only then.
+/// Runs a contestant over all frames. The clock runs only while it works.
 void turn(const Named& named, const std::vector<Frame>& frames, int round, Quality& quality) {
   std::vector<Bytes> payloads(frames.size());
   Bytes out;
@@ -71,7 +72,7 @@ void turn(const Named& named, const std::vector<Frame>& frames, int round, Quali
               encode_ms / count, decode_ms / count);
 }
 
-/// What the steps of the reference take, and what a plain copy of the same bytes takes.
+/// Measures the steps of the reference, and a plain copy of the same bytes.
 void steps(const std::vector<Frame>& frames, int round) {
   Frame copy(depth::frame_pixels);
   std::vector<std::uint8_t> codes(depth::frame_pixels);
@@ -98,7 +99,7 @@ void steps(const std::vector<Frame>& frames, int round) {
 int run(const std::vector<Frame>& frames, int rounds) {
   std::vector<Named> all = all_contestants();
   std::vector<Quality> qualities(all.size());
-  for (int round = -1; round < rounds; ++round) {  // the first one warms up and looks at what came back
+  for (int round = -1; round < rounds; ++round) {  // the first round warms up and checks the decoded frames
     steps(frames, round);
     for (std::size_t i = 0; i < all.size(); ++i) {
       const std::size_t at = round % 2 == 0 ? i : all.size() - 1 - i;

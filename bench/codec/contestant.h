@@ -10,12 +10,12 @@ namespace iotcloud::bench {
 
 using Bytes = std::vector<std::byte>;
 
-/// One way to compress depth frames, ours or a peer's. Keeps its buffers; never fails on what it wrote itself.
+/// One way to compress depth frames, ours or a peer's. Reuses its buffers; never fails on its own output.
 class Contestant {
  public:
   virtual ~Contestant() = default;
   virtual void encode(const Frame& disparities, Bytes& out) = 0;
-  /// Ours give millimetres, as the follower wants them; the peers give the disparities back.
+  /// Ours give millimetres, which the follower needs; the peers give disparities.
   virtual void decode(const Bytes& bytes, Frame& out) = 0;
   virtual bool gives_mm() const { return false; }
 };
@@ -25,7 +25,7 @@ struct Named {
   std::unique_ptr<Contestant> contestant;
 };
 
-/// Ours ("reference", "compact", "lossless") and, on the raw frame of 16-bit disparities, the peers.
+/// Ours ("reference", "compact", "lossless"), and the peers on the raw frame of 16-bit disparities.
 std::vector<Named> all_contestants();
 
 /// Run lengths and variable-length differences in groups of four bits (A. D. Wilson, Fast lossless depth image

@@ -74,7 +74,7 @@ class Lz4 : public Contestant {
   }
 };
 
-/// Of the frame, or of the difference of each pixel to the one before.
+/// Compresses the frame, or the difference of each pixel to the previous one.
 class Zstd : public Contestant {
  public:
   explicit Zstd(bool differences) : differences_(differences), work_(depth::frame_pixels) {}
@@ -113,7 +113,7 @@ class Png : public Contestant {
     png_image image = empty();
     image.width = depth::frame_width;
     image.height = depth::frame_height;
-    image.format = PNG_FORMAT_LINEAR_Y;  // 16 bits, as they are
+    image.format = PNG_FORMAT_LINEAR_Y;  // 16 bits, unchanged
     png_alloc_size_t size = raw_bytes * 2;
     out.resize(size);
     must(png_image_write_to_memory(&image, out.data(), &size, 0, disparities.data(), 0, nullptr) != 0, "PNG");

@@ -1,4 +1,4 @@
-// The follower's work on a frame, in turns with a plain reading of the same bytes: lines of JSON, one for each round.
+// The follower's work on a frame, in turns with a plain pass over the same bytes: prints a line of JSON for each round.
 #include <cstdio>
 #include <cstring>
 #include <string>
@@ -17,7 +17,7 @@ using turtlebot_follower::Path;
 
 constexpr int warm_passes = 20;
 
-/// The same frames as the follower gets them, and as they come from the broker.
+/// The frames as the follower gets them, and as they come from the broker.
 struct Input {
   std::vector<Frame> mm;
   std::vector<std::vector<Bytes>> payloads;  ///< by codec
@@ -50,9 +50,9 @@ std::uint64_t read_all(const Frame& frame) {
   return sum;
 }
 
-double check = 0;  ///< what came out; so that none of it is left out
+double check = 0;  ///< uses the results, so that the compiler keeps the work
 
-/// Calls work(frame) for each frame, `passes` times in a row: the later ones find it in the cache.
+/// Calls work(frame) for each frame, `passes` times in a row: the later passes find it in the cache.
 template <typename Work>
 void measure(const char* name, int round, const std::vector<Frame>& frames, int passes, Work work) {
   std::int64_t spent_ns = 0;
@@ -69,7 +69,7 @@ void measure(const char* name, int round, const std::vector<Frame>& frames, int 
 void measure_bolt(const std::string& codec, int round, const std::vector<Bytes>& payloads, const Follower& follower) {
   depth::DepthDecoder decoder;
   Frame mm(depth::frame_pixels);
-  for (const auto& payload : payloads) {  // its buffers are there
+  for (const auto& payload : payloads) {  // allocates its buffers
     if (decoder.decode(payload, depth::FrameSpan(mm)) != depth::DecodeError::none) std::exit(1);
   }
   const std::int64_t begin = now_ns();

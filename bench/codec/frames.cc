@@ -40,7 +40,7 @@ void follow_for_a_second(drivers::turtle::simulator::World& world, int second, F
 }
 
 Frame read_pgm(const std::filesystem::path& file) {
-  // It reads plain files, too.
+  // gzopen reads plain files, too.
   const std::unique_ptr<gzFile_s, int (*)(gzFile)> in(gzopen(file.c_str(), "rb"), gzclose);
   if (!in) refuse(file, "cannot be opened");
   std::string head;

@@ -55,7 +55,7 @@ class BitSource {
   int held_ = 0;
 };
 
-/// How long runs of zeros are likely to be, and how large other numbers: both in eighths of a bit, learnt on the way.
+/// Estimates of the lengths of zero runs and of other numbers: both in eighths of a bit, adapted on the way.
 struct Adaptation {
   int run = 8, size = 8;
   int run_bits() const { return run >> 3; }
@@ -151,7 +151,7 @@ class RunLengthGolombRiceReader {
   bool ends_run_ = false;
 };
 
-/// Of each pixel the difference to the last reading, folded; readings that begin or end are a number in between.
+/// The folded difference of each pixel to the last reading. A smaller number marks where readings begin or end.
 constexpr std::uint32_t edge = 8;
 std::uint32_t number_of(std::int32_t change) {
   const auto folded = static_cast<std::uint32_t>(change << 1 ^ change >> 31);

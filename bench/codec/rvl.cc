@@ -7,7 +7,8 @@ namespace {
 
 using drivers::depth::no_reading;
 
-/// Numbers in groups of four bits, three of the number and one that says whether it goes on; eight groups to a word.
+/// Numbers in groups of four bits: three bits of the number, and one that says whether it continues; eight groups per
+/// word.
 class Nibbles {
  public:
   explicit Nibbles(Bytes& bytes) : bytes_(bytes) {}

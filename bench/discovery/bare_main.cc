@@ -1,4 +1,4 @@
-// The fleet written into a registry, and what bare clients take to read it and to declare its queues.
+// Writes a fleet into a registry, and measures how long bare clients take to read it and to declare its queues.
 #include <cstdio>
 #include <cstring>
 #include <exception>
@@ -28,7 +28,7 @@ void fill(const FleetOptions& options) {
   std::printf("{\"nodes\": %zu, \"seconds\": %.6f}\n", nodes.size(), seconds_since(begin));
 }
 
-/// What one who wants one channel of each instance has to read, in two rounds: the names, then all records.
+/// Reads what a topology needs that wants one channel of each instance, in two rounds: the names, then all records.
 void read(const FleetOptions& options) {
   BareZooKeeper registry(options.registry);
   const std::string driver = Fleet(options).parents().back();
@@ -41,7 +41,7 @@ void read(const FleetOptions& options) {
   std::printf("{\"nodes\": %zu, \"bytes\": %zu, \"seconds\": %.6f}\n", paths.size(), bytes, seconds_since(begin));
 }
 
-/// A queue for each topic and a reader for each queue, one request after the other.
+/// Declares a queue for each topic and a reader for each queue, one request after another.
 void declare(const FleetOptions& options) {
   const Fleet fleet(options);
   BareRabbitMq broker(options.broker);

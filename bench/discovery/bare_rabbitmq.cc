@@ -59,7 +59,7 @@ void BareRabbitMq::consume(const std::string& queue) {
 int BareRabbitMq::readers(const std::string& queue) {
   const auto* known = amqp_queue_declare(connection_, channel_, bytes_of(queue), 1, 0, 0, 0, amqp_empty_table);
   if (known != nullptr) return static_cast<int>(known->consumer_count);
-  const auto reply = amqp_get_rpc_reply(connection_);  // a queue that is not there closes the channel
+  const auto reply = amqp_get_rpc_reply(connection_);  // a missing queue closes the channel
   if (reply.reply_type != AMQP_RESPONSE_SERVER_EXCEPTION || reply.reply.id != AMQP_CHANNEL_CLOSE_METHOD) {
     throw std::runtime_error("RabbitMQ does not tell of " + queue);
   }

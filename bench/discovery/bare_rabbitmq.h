@@ -6,7 +6,7 @@
 
 namespace iotcloud::bench {
 
-/// librabbitmq and nothing else, one request after the other on one connection. Every failure throws
+/// A client on librabbitmq alone, which makes one request after the other on one connection. Every failure throws
 /// std::runtime_error.
 class BareRabbitMq {
  public:
@@ -17,7 +17,7 @@ class BareRabbitMq {
 
   void declare(const std::string& queue);
   void consume(const std::string& queue);
-  /// How many read the queue; -1: it is not there.
+  /// How many consumers the queue has; -1 if it does not exist.
   int readers(const std::string& queue);
 
  private:

@@ -43,7 +43,7 @@ void BareZooKeeper::on_event(zhandle_t* /*handle*/, int type, int state, const c
   self.changed_.notify_all();
 }
 
-/// Begins `count` operations, as many at a time as a server takes, and waits for all.
+/// Starts `count` operations, as many at a time as a server takes, and waits for all.
 void BareZooKeeper::run(std::size_t count, const std::function<int(std::size_t)>& begin) {
   std::unique_lock lock(mutex_);
   for (std::size_t i = 0; i < count; ++i) {

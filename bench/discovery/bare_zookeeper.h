@@ -12,20 +12,20 @@
 
 namespace iotcloud::bench {
 
-/// ZooKeeper's C client and nothing else, with as many operations under way as are given at once: what the fleet is
-/// written with, and the limit beside which ours is measured. Every failure throws std::runtime_error.
+/// A client on ZooKeeper's C library alone, which starts all given operations at once. It writes the fleet, and is the
+/// limit beside which our client is measured. Every failure throws std::runtime_error.
 class BareZooKeeper {
  public:
-  /// \param url "zookeeper://host:port/chroot"; the chroot must be there or have one name.
+  /// \param url "zookeeper://host:port/chroot"; the chroot must exist or have one name.
   explicit BareZooKeeper(const std::string& url);
   ~BareZooKeeper();
   BareZooKeeper(const BareZooKeeper&) = delete;
   BareZooKeeper& operator=(const BareZooKeeper&) = delete;
 
-  /// Those that are there already stay as they are.
+  /// Leaves existing nodes unchanged.
   void create(const std::vector<std::pair<std::string, std::string>>& nodes);
   std::vector<std::string> children(const std::string& path);
-  /// Reads all, with a watch on each. \return bytes read.
+  /// Reads all nodes, with a watch on each. \return bytes read.
   std::size_t read_and_watch(const std::vector<std::string>& paths);
 
  private:
@@ -44,12 +44,12 @@ class BareZooKeeper {
   int failure_ = ZOK;
 };
 
-/// What a server says that it has done since it began: counts, which no other work on the machine changes.
+/// A server's own counters since it began, which no other work on the machine changes.
 struct ServerCounts {
-  std::int64_t requests = 0;  ///< that it got, pings included
-  std::int64_t writes = 0;    ///< that it put on disk, refused ones included
+  std::int64_t requests = 0;  ///< received, pings included
+  std::int64_t writes = 0;    ///< put on disk, refused ones included
 };
-/// \param url of an ensemble of one. \throws std::runtime_error.
+/// \param url of a single server. \throws std::runtime_error.
 ServerCounts counts_of(const std::string& url);
 
 }  // namespace iotcloud::bench

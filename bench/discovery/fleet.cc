@@ -37,18 +37,22 @@ FleetOptions parse_fleet_options(int argc, char** argv) {
   return options;
 }
 
-std::string Fleet::gateway(int instance) const {
-  return instance < options_.instances ? fmt::format("gateway-{:02}", instance % gateways)
-                                       : fmt::format("gateway-of-{}", instance);
+discovery::GatewayId Fleet::gateway(int instance) const {
+  return discovery::GatewayId(instance < options_.instances ? fmt::format("gateway-{:02}", instance % gateways)
+                                                            : fmt::format("gateway-of-{}", instance));
+}
+
+discovery::InstanceId Fleet::id(int instance) {
+  return discovery::InstanceId(fmt::format("{:032x}", instance));
 }
 
 std::string Fleet::wire_name(int instance, const std::string& channel) const {
   return options_.shared ? fmt::format("{}.{}.{}", gateway(instance), driver, channel)
-                         : fmt::format("{}.{}.{:032x}.{}", gateway(instance), driver, instance, channel);
+                         : fmt::format("{}.{}.{}.{}", gateway(instance), driver, id(instance), channel);
 }
 
 std::string Fleet::instance_path(int instance) const {
-  return paths_.instance(driver, fmt::format("{:032x}", instance));
+  return paths_.instance(discovery::DriverName(driver), id(instance));
 }
 
 std::string Fleet::queue(int instance, const std::string& topology) const {
@@ -60,7 +64,7 @@ int Fleet::topics() const {
 }
 
 std::vector<std::string> Fleet::parents() const {
-  return {"/iot", "/iot/sensors", paths_.driver(driver)};
+  return {"/iot", "/iot/sensors", paths_.driver(discovery::DriverName(driver))};
 }
 
 discovery::ChannelRecord Fleet::channel(int instance, const std::string& name, discovery::Direction direction) const {
@@ -72,8 +76,8 @@ discovery::ChannelRecord Fleet::channel(int instance, const std::string& name, d
   record.properties = {{"exchange", "bench"}, {"routingKey", wire}, {"queueName", wire}};
   record.broker_url = options_.broker;
   record.gateway = gateway(instance);
-  record.driver = driver;
-  record.instance = fmt::format("{:032x}", instance);
+  record.driver = discovery::DriverName(driver);
+  record.instance = id(instance);
   record.shared = options_.shared;
   return record;
 }
@@ -82,7 +86,7 @@ std::vector<std::pair<std::string, std::string>> Fleet::nodes(int instance) cons
   const auto data = channel(instance, "data", discovery::Direction::out);
   const auto control = channel(instance, "control", discovery::Direction::in);
   discovery::DriverRecord record;
-  record.name = driver;
+  record.name = discovery::DriverName(driver);
   record.instance = data.instance;
   record.gateway = data.gateway;
   record.state = discovery::DriverState::active;

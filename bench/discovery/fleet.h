@@ -8,21 +8,21 @@
 
 namespace iotcloud::bench {
 
-/// What all programs of `./dev bench discovery` take.
+/// Options of all programs of `./dev bench discovery`.
 struct FleetOptions {
   std::string registry;  ///< "zookeeper://host:port/chroot" or "embedded://NAME"
-  std::string broker;    ///< URL; its scheme says which
+  std::string broker;    ///< URL of the broker
   int instances = 10'000;
-  int fresh = 200;  ///< driver instances that come while a topology runs
-  double rest = 5;  ///< seconds for which everything rests
+  int fresh = 200;  ///< driver instances that appear while a topology runs
+  double rest = 5;  ///< seconds without any change
   bool shared = false;
   std::vector<pid_t> server;
 };
-/// \throws std::invalid_argument with how to call the program.
+/// \throws std::invalid_argument with the program's usage.
 FleetOptions parse_fleet_options(int argc, char** argv);
 
-/// A fleet of driver instances with two channels each, `data` from the driver and `control` to it, on 20 gateways;
-/// those that come later are on a gateway of their own, so that each brings a topic whatever the channels are.
+/// A fleet of driver instances on 20 gateways, with two channels each: `data` from the driver and `control` to it.
+/// Later instances are on a gateway of their own, so that each adds a topic even if channels are shared.
 class Fleet {
  public:
   explicit Fleet(const FleetOptions& options) : options_(options) {}
@@ -32,16 +32,17 @@ class Fleet {
   /// The nodes above all instances.
   std::vector<std::string> parents() const;
   std::string instance_path(int instance) const;
-  /// The queue of the topology `topology` for an instance's data.
+  /// The queue from which the topology `topology` reads an instance's data.
   std::string queue(int instance, const std::string& topology) const;
-  /// Topics with data of the first `instances` ones.
+  /// Topics with data of the first `instances` instances.
   int topics() const;
 
   static constexpr int gateways = 20;
   static constexpr const char* driver = "sensor";
 
  private:
-  std::string gateway(int instance) const;
+  discovery::GatewayId gateway(int instance) const;
+  static discovery::InstanceId id(int instance);
   std::string wire_name(int instance, const std::string& channel) const;
   discovery::ChannelRecord channel(int instance, const std::string& name, discovery::Direction direction) const;
 

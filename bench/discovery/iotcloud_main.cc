@@ -1,5 +1,5 @@
-// A topology that reads a large fleet and sends to it: when it is ready, what it costs at rest, and how soon it reads a
-// driver that comes.
+// Measures a topology that reads a large fleet and sends to it: when it is ready, its costs at rest, and how soon it
+// reads a new driver.
 #include <algorithm>
 #include <cstdio>
 #include <exception>
@@ -92,7 +92,7 @@ class Run {
     for (const auto& [path, data] : fleet_.nodes(instance)) gateway_->create(path, data);
   }
 
-  /// Readers that the topology has opened, as its metrics tell.
+  /// Readers that the topology has opened, according to its metrics.
   int readers() {
     return static_cast<int>(metrics_
                                 .gauge("iotcloud_spout_channels", "Channels that this worker reads",
@@ -102,7 +102,7 @@ class Run {
 
   bool is_read(int instance) { return !broker_ || broker_->readers(fleet_.queue(instance, topology_name)) > 0; }
 
-  /// The broker itself is asked, so what it has not done yet counts; asking takes its time and counts as well.
+  /// Asks the broker itself, so its unfinished work counts; the question takes time, which counts, too.
   void check_all_are_read() {
     if (!broker_) return;
     for (int i = 0; i < fleet_.topics(); ++i) {
@@ -110,7 +110,7 @@ class Run {
     }
   }
 
-  /// Nothing for the embedded registry.
+  /// Empty for the embedded registry.
   ServerCounts counts() const {
     return options_.registry.starts_with("zookeeper:") ? counts_of(options_.registry) : ServerCounts();
   }
@@ -121,7 +121,7 @@ class Run {
     return all;
   }
 
-  /// Of all threads of this process and of the servers.
+  /// Sum over all threads of this process and of the servers.
   double waited_seconds() const {
     double all = waited_seconds_of(getpid());
     for (const pid_t process : options_.server) all += waited_seconds_of(process);
@@ -129,7 +129,7 @@ class Run {
   }
 
   void rest() {
-    sleep_until(now_ns() + 2000 * ms);  // what still settles
+    sleep_until(now_ns() + 2000 * ms);  // lets the system settle
     const Usage before = Usage::now();
     const double server = server_cpu();
     sleep_until(before.at_ns + static_cast<std::int64_t>(options_.rest * 1e9));
@@ -140,8 +140,8 @@ class Run {
     std::fflush(stdout);
   }
 
-  /// One driver at a time; from the moment when its nodes stand in the registry until the broker has a reader for it.
-  /// The broker is not asked before there can be one, so that it has nothing else to do.
+  /// Adds one driver at a time, and measures from the moment when its nodes are in the registry until the broker has a
+  /// reader for it. It asks the broker no earlier than a reader can exist, so that the broker has nothing else to do.
   void newcomers() {
     struct Newcomer {
       double took_ms, waited_ms;
@@ -185,8 +185,8 @@ class Run {
   const FleetOptions options_;
   const Fleet fleet_;
   config::Metrics metrics_;
-  std::unique_ptr<discovery::Registry> gateway_;  ///< whoever writes the records of new drivers
-  std::optional<BareRabbitMq> broker_;            ///< to ask who reads; none: ask the metrics
+  std::unique_ptr<discovery::Registry> gateway_;  ///< writes the records of new drivers
+  std::optional<BareRabbitMq> broker_;            ///< is asked for readers; none: the metrics are used
 };
 
 }  // namespace

@@ -1,4 +1,4 @@
-// How long it takes to choose among many drivers by an expression, beside the same question written in C++.
+// Measures how long the selection of drivers by an expression takes, beside the same condition written in C++.
 #include <charconv>
 #include <cmath>
 #include <cstdio>
@@ -21,16 +21,16 @@ constexpr const char* question = R"(site == "lab" and battery > 20 and within(lo
 constexpr double latitude = 39.17;
 constexpr double longitude = -86.52;
 
-/// Half of them are in the lab, four fifths have battery, one in ten or so is near.
+/// Makes records of drivers: half of them are in the lab, four fifths have battery, about one in ten is near.
 std::vector<DriverRecord> fleet(std::size_t count) {
   std::mt19937 random(7);
   std::uniform_real_distribution<double> degrees(-0.014, 0.014);
   std::vector<DriverRecord> drivers(count);
   for (std::size_t i = 0; i < count; ++i) {
     DriverRecord& driver = drivers[i];
-    driver.name = "turtle";
+    driver.name = discovery::DriverName("turtle");
     driver.instance = discovery::new_instance_id();
-    driver.gateway = "gateway-" + std::to_string(i % 20);
+    driver.gateway = discovery::GatewayId("gateway-" + std::to_string(i % 20));
     driver.state = discovery::DriverState::active;
     driver.metadata = {
         {"battery", std::to_string(random() % 101)},
@@ -50,7 +50,7 @@ std::optional<double> number_of(const char* first, const char* last) {
   return number;
 }
 
-/// The question as one would write it by hand.
+/// The condition as one would write it by hand.
 bool plain(const DriverRecord& driver) {
   const auto site = driver.metadata.find("site");
   if (site == driver.metadata.end() || site->second != "lab") return false;

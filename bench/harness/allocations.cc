@@ -28,7 +28,7 @@ std::uint64_t allocations() {
 
 }  // namespace iotcloud::bench
 
-// The other forms end in these.
+// The other forms of operator new and delete call these.
 void* operator new(std::size_t size) {
   return counted(size, 0);
 }

@@ -4,7 +4,7 @@
 
 namespace iotcloud::bench {
 
-/// Calls of operator new by all threads since the program began. Only in programs that link allocations.cc, which
+/// Calls of operator new by all threads since the program began. Works only in programs that link allocations.cc, which
 /// replaces the global operators.
 std::uint64_t allocations();
 

@@ -12,14 +12,14 @@
 
 namespace iotcloud::bench {
 
-/// Bodies of one driver that are used again once nobody holds them: a driver's own buffers, not a new one each time.
-/// Not thread safe; whoever lets go of a body may be on any thread.
+/// A driver's message bodies, whose buffers are used again when no message holds them any more. Not thread safe, but
+/// any thread may release a body.
 class Bodies {
  public:
   explicit Bodies(std::size_t size) : size_(size) {}
   std::size_t size() const { return size_; }
 
-  /// A body that begins with these bytes, which are not more than size().
+  /// Makes a body that begins with these bytes, at most size() of them.
   brokers::Payload beginning_with(std::span<const std::byte> head) {
     std::shared_ptr<std::vector<std::byte>> free;
     for (std::size_t tried = 0; tried < buffers_.size() && !free; ++tried) {
@@ -27,7 +27,7 @@ class Bodies {
       if (buffers_[next_].use_count() == 1) free = buffers_[next_];
     }
     if (!free) free = buffers_.emplace_back(std::make_shared<std::vector<std::byte>>(size_));
-    std::atomic_thread_fence(std::memory_order_acquire);  // whoever let go of it has read it
+    std::atomic_thread_fence(std::memory_order_acquire);  // its last holder has finished reading
     std::copy(head.begin(), head.end(), free->begin());
     const std::span<const std::byte> bytes = *free;
     return brokers::Payload::wrap(std::move(free), bytes);

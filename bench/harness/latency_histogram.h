@@ -10,7 +10,7 @@
 namespace iotcloud::bench {
 
 /// Durations in log-linear buckets of 1/128 octave: a quantile is within 0.4 % of the true one; mean, standard
-/// deviation and maximum are exact. Thread safe, wait free but for the sums, never allocates.
+/// deviation and maximum are exact. Thread safe, wait free except for the sums, never allocates.
 class LatencyHistogram {
  public:
   struct Summary {
@@ -18,11 +18,11 @@ class LatencyHistogram {
     double mean_us = 0, stddev_us = 0, p50_us = 0, p99_us = 0, max_us = 0;
   };
 
-  /// Less than nothing counts as nothing, more than 18 minutes as 18 minutes (the maximum stays exact).
+  /// Counts negative durations as 0, and those above 18 minutes as 18 minutes (the maximum stays exact).
   void record_ns(std::int64_t ns);
-  /// Not while others record.
+  /// \pre no thread records.
   Summary summary() const;
-  /// The buckets that are not empty: their middle in microseconds, and how many durations are in each.
+  /// The buckets that are not empty: their middle in microseconds, and their number of durations.
   std::vector<std::pair<double, std::uint64_t>> counts() const;
 
  private:

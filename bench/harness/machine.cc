@@ -14,7 +14,7 @@
 namespace iotcloud::bench {
 
 void sleep_until(std::int64_t when_ns) {
-  thread_local const int exact = prctl(PR_SET_TIMERSLACK, 1UL);  // otherwise every sleep ends 50 us late
+  thread_local const int exact = prctl(PR_SET_TIMERSLACK, 1UL);  // without it every sleep ends 50 us late
   (void)exact;
   timespec time;
   time.tv_sec = when_ns / 1'000'000'000;

@@ -1,3 +1,4 @@
-"""The report: one page and its plots, drawn from the JSON files of build/bench. `page.write(folder)` writes them again."""
+"""The report: one page and its pictures, drawn from the JSON files of build/bench. `page.write(folder)` writes them again,
+`page.write_pictures(folder)` the pictures alone."""
 
-from .page import write  # noqa: F401
+from .page import name_of, put, write, write_pictures  # noqa: F401

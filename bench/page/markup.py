@@ -1,21 +1,25 @@
-"""Text for HTML and SVG, which any name or message may be put into."""
+"""Makes HTML and SVG from any text: names and messages are escaped."""
 
 import re
 
-# What XML cannot hold, whatever it is written as.
+# Characters that XML does not allow, not even as entities.
 _IMPOSSIBLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
+def printable(text):
+    return _IMPOSSIBLE.sub("\ufffd", str(text))
+
+
 def escape(text):
-    text = _IMPOSSIBLE.sub("\ufffd", str(text))
+    text = printable(text)
     for character, entity in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
         text = text.replace(character, entity)
     return text
 
 
 def element(name, content="", **attributes):
-    """`content` is markup already; attributes are text. An underscore in a name stands for a hyphen, at the end for
-    nothing (class_); one that is None is left out."""
+    """An element. `content` is markup already; attributes are text. An underscore in an attribute's name becomes a
+    hyphen; one at the end is removed (class_). An attribute whose value is None is left out."""
     words = "".join(f' {key.rstrip("_").replace("_", "-")}="{escape(value)}"' for key, value in attributes.items()
                     if value is not None)
     return f"<{name}{words}>{content}</{name}>" if content else f"<{name}{words}/>"
@@ -26,7 +30,7 @@ def slug(text):
 
 
 def number(value):
-    """Three digits; large ones whole. What is no number is said as it is."""
+    """A number with three digits, or whole if it is large; anything else as text."""
     if value is None:
         return ""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -43,7 +47,7 @@ def count(many, what):
 
 
 def short(value):
-    """For an axis: 1000 as 1k."""
+    """A number for an axis: 1000 becomes 1k."""
     for factor, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if abs(value) >= factor:
             return f"{value / factor:.3g}{letter}"

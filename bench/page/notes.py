@@ -1,4 +1,4 @@
-"""What a picture alone does not say."""
+"""Notes below a picture: failed points, and the sources of values."""
 
 from .markup import number
 
@@ -9,7 +9,7 @@ def failed_notes(plot):
 
 
 def source_notes(plot):
-    """Whence the paper's values are, each source once."""
+    """A note for each source that values of the paper come from."""
     notes = []
     for series in plot["series"]:
         values = {}

@@ -7,35 +7,40 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from . import tables
-from .causes import Causes, markup
+from .causes import Causes
+from .gnuplot import standalone
 from .markup import count, element, escape, number, slug
 from .plots import draw
-from .style import PAGE, PLOT
-from .svg import standalone
+from .style import PAGE, PICTURE
 
-README = Path(__file__).resolve().parent.parent / "README.md"
+CAUSES = Path(__file__).resolve().parent.parent / "causes.toml"
 MACHINE = {"cpu": "CPU", "cores": "cores", "memory_mb": "memory (MB)", "kernel": "kernel",
            "load_average_before": "load before", "load_average_after": "load after"}
 
 
+def name_of(folder, file):
+    """The name of the section for this file of `folder`; the names of its pictures begin with it."""
+    return slug(file.stem if file.parent != folder else f"bench-{file.stem}")
+
+
 class Section:
-    """One JSON file."""
+    """The section of the page for one JSON file."""
 
     def __init__(self, folder, file, causes):
         self.file, self.link = file, file.relative_to(folder).as_posix()
         self.is_paper = file.parent != folder
-        self.name = slug(file.stem if self.is_paper else f"bench-{file.stem}")
+        self.name = name_of(folder, file)
         self.causes, self.bench = causes, "paper" if self.is_paper else file.stem
-        if self.is_paper and file.stem in causes.sections:
+        if self.is_paper and file.stem in causes.items:
             self.bench = file.stem
         self.broken = None
         try:
             self.data = json.loads(file.read_text(encoding="utf-8"))
             self.results, self.plots = self.data["results"], self.data.get("plots", [])
-            self.drawn = [draw(plot) for plot in self.plots]
+            self.drawn = [draw(plot, f"{self.name}-{index}") for index, plot in enumerate(self.plots, 1)]
             self.body = self._body()
-        except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-            # One file that says nothing does not cost the page of all others.
+        except (OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
+            # A file that cannot be shown must not prevent the sections of the others.
             self.broken, self.data, self.results, self.plots, self.drawn = error, {}, [], [], []
 
     @property
@@ -46,7 +51,8 @@ class Section:
         return title or f"./dev bench {self.file.stem}"
 
     def judged(self):
-        """{name: met}: a figure stands there once for each of what is beside it, and is met when it is met in all."""
+        """{name: met}. `results` has a figure once for each baseline; its target counts as met when it is met for all
+        of them."""
         met = {}
         for result in self.results:
             if result.get("met") is not None:
@@ -126,7 +132,7 @@ def sections(folder, causes):
 
 
 def machines(all_sections):
-    """Which machines, commits and versions the figures are of: several, when figures were taken again later."""
+    """The machines, commits and versions of the figures; there are several if figures were taken again later."""
     found = {}
     for section in all_sections:
         machine = section.data.get("machine") or {}
@@ -142,15 +148,14 @@ def machines(all_sections):
     return tables.table(["", ""], rows) if rows else ""
 
 
-def page(folder, readme):
-    """(the page, {name: svg})"""
-    causes = Causes(readme)
+def page(folder, causes):
+    """Returns (the page's HTML, {name: svg})."""
+    causes = Causes(causes)
     shown = sections(folder, causes)
     met = [met for section in shown for met in section.judged().values()]
     failed = sum(section.failures() for section in shown)
     links = "".join(f'<li><a href="#{section.name}">{escape(section.link if section.broken else section.title)}</a>: '
                     f"{section.summary()}</li>" for section in shown)
-    why = "".join(f'<div id="{causes.anchor(name)}">{markup(text)}</div>' for name, text in causes.distinct())
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
     body = (
         "<h1>IoTCloud: what was measured</h1>"
@@ -158,28 +163,29 @@ def page(folder, readme):
         f"{'; ' + count(failed, 'point') + ' failed' if failed else ''}. Written {now}. bench/README.md says how the figures are taken.</p>"
         f"<nav><ul>{links or '<li>There are no figures yet: run ./dev bench paper</li>'}</ul></nav>"
         f"{machines(shown)}{''.join(section.markup() for section in shown)}"
-        f'<section id="why"><h2>What is missed, and why</h2>{why}</section>')
+        f'<section id="why"><h2>Why targets are missed</h2>{causes.markup()}</section>')
     document = (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"/>'
         '<meta name="viewport" content="width=device-width,initial-scale=1"/>'
         '<meta name="color-scheme" content="light dark"/><title>IoTCloud: what was measured</title>'
-        f"<style>{PAGE}{PLOT}</style></head><body>{body}</body></html>\n")
-    pictures = {f"{section.name}-{index}": standalone(svg)
-                for section in shown for index, (svg, _) in enumerate(section.drawn, 1)}
-    return document, pictures
+        f"<style>{PAGE}{PICTURE}</style></head><body>{body}</body></html>\n")
+    return document, _pictures(shown)
+
+
+def _pictures(all_sections):
+    return {f"{section.name}-{index}": standalone(svg)
+            for section in all_sections for index, (svg, _) in enumerate(section.drawn, 1)}
 
 
 def put(file, text):
-    """Whole or not at all: somebody may be looking at it."""
+    """Writes a file by way of a rename, so that a reader never sees a part of it."""
     new = file.with_name(f".{file.name}.new")
     new.write_text(text, encoding="utf-8")
     os.replace(new, file)
 
 
-def write(folder, readme=README):
-    """Writes `folder`/report.html and `folder`/plots/*.svg. Returns the page's path."""
-    folder = Path(folder)
-    document, pictures = page(folder, Path(readme).read_text(encoding="utf-8"))
+def _put_pictures(folder, pictures):
+    """Writes these pictures to `folder`/plots and removes all others there."""
     plots = folder / "plots"
     plots.mkdir(parents=True, exist_ok=True)
     for name, svg in pictures.items():
@@ -187,5 +193,22 @@ def write(folder, readme=README):
     for old in plots.glob("*.svg"):
         if old.stem not in pictures:
             old.unlink()
+
+
+def write_pictures(folder):
+    """Writes the pictures of all JSON files of `folder` to `folder`/plots, without a page. If drawing one of them
+    raises, nothing is written."""
+    shown = sections(folder, Causes(""))
+    for section in shown:
+        if section.broken:
+            raise section.broken
+    _put_pictures(folder, _pictures(shown))
+
+
+def write(folder, causes=CAUSES):
+    """Writes `folder`/report.html and `folder`/plots/*.svg. Returns the page's path."""
+    folder = Path(folder)
+    document, pictures = page(folder, Path(causes).read_text(encoding="utf-8"))
+    _put_pictures(folder, pictures)
     put(folder / "report.html", document)
     return folder / "report.html"

@@ -1,27 +1,19 @@
-"""Colours and shapes: those of the page, and those that every plot carries with it."""
+"""Colours: those of the page, and those that every picture carries with it."""
 
-# For a light and for a dark ground.
+# Each colour twice: for a light and for a dark background.
 PALETTE = (("#1f6fb2", "#6cb2f0"), ("#c8501e", "#f08c5a"), ("#2b8a3e", "#69c97a"), ("#8e44ad", "#c792ea"),
            ("#9a7200", "#e0b84a"), ("#0e8080", "#4fd0d0"), ("#c2255c", "#f06595"), ("#606060", "#b0b0b0"))
 
+BAD = ("#c0182b", "#ff7b72")
 
-def _colours(dark):
-    ground, ink, grid, bad = ("#15181c", "#d8dce2", "#3a3f46", "#ff7b72") if dark else (
-        "#ffffff", "#22262b", "#d5d9de", "#c0182b")
-    rules = [f".plot .ground{{fill:{ground}}}", f".plot text{{fill:{ink}}}", f".plot .grid{{stroke:{grid}}}",
-             f".plot .axis{{stroke:{ink}}}", f".plot .bad{{stroke:{bad}}}", f".plot .hollow{{fill:{ground}}}"]
-    for index, pair in enumerate(PALETTE):
-        rules += [f".plot .s{index}{{stroke:{pair[dark]}}}", f".plot .f{index}{{fill:{pair[dark]}}}"]
-    return "".join(rules)
+# The colours of what gnuplot draws without a colour of its own.
+_GROUND, _INK, _GRID = ("#ffffff", "#15181c"), ("black", "#d8dce2"), ("gray", "#3a3f46")
 
-
-PLOT = (
-    ".plot text{font:13px system-ui,sans-serif}.plot .title{font-weight:600;font-size:15px}"
-    ".plot .grid,.plot .axis{stroke-width:1}.plot .line{fill:none;stroke-width:2}"
-    ".plot .limit{stroke-dasharray:6 4}.plot .peer{stroke-dasharray:2 3}.plot .mark{stroke-width:2}"
-    ".plot .bad{stroke-width:2.5;fill:none}"
-    f"{_colours(False)}@media (prefers-color-scheme:dark){{{_colours(True)}}}"
-)
+# gnuplot writes colours as attributes; a style overrides them.
+_DARK = "".join(f'.plot [{attribute}="{light}" i]{{{attribute}:{dark}}}'
+                for light, dark in (*PALETTE, BAD, _GROUND, _INK, _GRID) for attribute in ("stroke", "fill", "color"))
+PICTURE = (f".plot .ground{{fill:{_GROUND[0]}}}"
+           f"@media (prefers-color-scheme:dark){{.plot .ground{{fill:{_GROUND[1]}}}{_DARK}}}")
 
 PAGE = """
 :root{--ground:#fff;--ink:#22262b;--soft:#5d6570;--edge:#d5d9de;--bad:#c0182b;--good:#1d7a35;--link:#1f5fa8}

@@ -10,7 +10,7 @@ SHORT = 25  # rows; a longer table is folded
 
 
 def table(heads, rows):
-    """`heads` are text, cells markup; a cell may bring its own <td>."""
+    """A table. `heads` are text, cells are markup; a cell may have its own <td>."""
     head = "".join(element("th", escape(each) or " ", scope="col") for each in heads)
     body = "".join("<tr>" + "".join(cell if cell.startswith("<td") else f"<td>{cell}</td>" for cell in row) + "</tr>"
                    for row in rows)
@@ -26,7 +26,7 @@ def name_cell(text, **attributes):
 
 
 def points(plot):
-    """Every point of a plot with all that is known of it."""
+    """A table of all points of a plot with all their values."""
     drawn = statistic_of(plot)
     columns = STATISTICS if drawn in dict(STATISTICS) else (("n", "n"), (drawn, plot.get("y") or drawn))
     heads = ["series", plot.get("x") or "", *(title for _, title in columns), "source"]
@@ -66,7 +66,7 @@ def results(list_of_results):
 
 
 def missed(list_of_results, cause_of, anchor):
-    """The targets that were missed, each with its cause: `cause_of(name)` is Markdown or None."""
+    """A list of the targets that were missed, with their causes. `cause_of(name)` returns a text or None."""
     heads = ["missed", "value", "unit", "beside", "theirs", "ratio (of rounds)", "target", "", "cause"]
     rows = []
     for result in list_of_results:
@@ -76,8 +76,8 @@ def missed(list_of_results, cause_of, anchor):
         if cause:
             said = inline(cause)
         elif anchor:
-            said = f'<a href="#{anchor}">what bench/README.md says of this benchmark</a>'
+            said = f'<a href="#{anchor}">what is known of this benchmark</a>'
         else:
-            said = "bench/README.md does not say yet"
+            said = "bench/causes.toml does not say yet"
         rows.append(_figures(result) + [f'<td class="cause">{said}</td>'])
     return table(heads, rows) if rows else ""

@@ -7,7 +7,7 @@ from paper.sizes import CONNECT_S, ORDER_S, START_S
 from paper.systems import KINDS, StartError, system
 
 SIZE = 100
-# (drivers, messages a second of each); beyond 1000 on shared channels only.
+# (drivers, messages a second of each); more than 1000 drivers only on shared channels.
 STEPS = {"quick": [(4, 5), (1000, 5)],
          "usual": [(4, 5), (100, 5), (500, 5), (1000, 5), (2000, 1), (5000, 1), (10_000, 1)],
          "full": [(4, 5), (100, 5), (500, 5), (1000, 5), (2000, 1), (5000, 1), (10_000, 1)]}
@@ -15,12 +15,12 @@ MOST_EXCLUSIVE = 1000
 ROUNDS = {"quick": 1, "usual": 2, "full": 5}
 WINDOW_S = {"quick": 2, "usual": 6, "full": 12}
 WARM_UP_S = {"quick": 1, "usual": 2, "full": 2}
-# With the figure's own load, so that the server is not compiling what serves it while it is measured.
+# The warm-up uses the figure's own load, so that the server's JVM has compiled the code that serves it.
 JVM_WARM_UP_S = {"quick": 20, "usual": 30, "full": 30}
 JVM_WARM_UP = ("--drivers", 1000, "--rate", 5)
 DEPLOYED_A_SECOND, UNDEPLOYED_A_SECOND = 150, 300
-FEW, FLAT, FLAT_LIMIT = 4, 1000, 1.5  # p99 of FLAT drivers is so many x that of FEW at most
-SERVED = 10_000  # drivers of which no message may be lost or late for good
+FEW, FLAT, FLAT_LIMIT = 4, 1000, 1.5  # target: p99 with FLAT drivers is at most FLAT_LIMIT times that with FEW
+SERVED = 10_000  # target: with so many drivers no message may be lost
 PARTITIONS = 4  # of a Kafka topic, as in the paper
 
 
@@ -76,7 +76,7 @@ class ByDrivers:
         return self.plots(pairs)
 
     def progressions(self, running, given, progress, layout):
-        """Each round begins with 4 drivers and adds more, as the paper did. {(drivers, rate): Pair}"""
+        """Measures rounds that begin with 4 drivers and add more, as the paper did. Returns {(drivers, rate): Pair}."""
         steps = self.steps(given, layout)
         pairs = {step: Pair(self.title_of(*step, layout)) for step in steps}
         for round_number in range(given.rounds or ROUNDS[given.scale]):
@@ -87,7 +87,7 @@ class ByDrivers:
                     running.deploy(drivers - running.drivers, layout == "shared")
                 except StartError as failure:
                     pair.our_problem = str(failure)
-                    break  # nor would more drivers be served
+                    break  # a system that cannot serve these cannot serve more drivers
                 progress.step(step, self.point_seconds(given))
                 shape = (SIZE, rate, WARM_UP_S[given.scale], WINDOW_S[given.scale])
                 pair.round(lambda: running.measure(*shape), lambda: running.measure_bare(*shape, drivers, layout == "shared"),

@@ -1,58 +1,53 @@
-"""What the paper's figures share: rounds in pairs, points of a curve, and the time that is left."""
+"""Shared by the paper's figures: rounds in pairs, points of a curve, and the progress line."""
 
 import re
 import statistics
-import sys
 import time
 
 from figures import ProgramFailed, number
+from heartbeat import Line
 
-NOISE = 0.2  # CPUs that other processes may take in a turn
+NOISE = 0.2  # CPUs that other processes may take in a round
 STATISTICS = ("mean_ms", "p50_ms", "p99_ms", "stddev_ms")
-SAY_EVERY_S = 15  # where it is no terminal
 
 
 class Progress:
-    """What is under way and how long the rest will take."""
+    """Tells which point is being measured and about how long the rest will take."""
 
     def __init__(self, seconds):
         self.all_s, self.done_s, self.figure_s = seconds, 0.0, 0.0
-        self.began = self.said = time.monotonic()
+        self.began = time.monotonic()
+        self.line = Line()
 
     def step(self, text, seconds):
-        """This begins; it will take about so long."""
+        """Says what begins now. `seconds`: about how long it will take."""
         done = self.done_s + self.figure_s
         spent = time.monotonic() - self.began
         pace = spent / done if done > 10 else 1.0
-        left = f"{text}, about {max(0.0, self.all_s - done) * pace / 60:.1f} min left"
         self.figure_s += seconds
-        if sys.stderr.isatty():
-            print(f"\r\033[K{left}\r", end="", file=sys.stderr, flush=True)
-        elif time.monotonic() - self.said > SAY_EVERY_S:
-            self.said = time.monotonic()
-            print(left, file=sys.stderr, flush=True)
+        self.line.say(f"{text}, about {max(0.0, self.all_s - done) * pace / 60:.1f} min left")
 
     def figure_done(self, seconds):
-        """What steps had been thought to take in this figure is set right."""
+        """Replaces the seconds that were expected for this figure's steps by `seconds`."""
         self.done_s, self.figure_s = self.done_s + seconds, 0.0
 
 
 class Pair:
-    """Ours and the bare client, in turns: rounds of the same load."""
+    """Rounds of one load, in each of which our system and the bare client run in turns."""
 
     def __init__(self, title):
         self.title, self.ours, self.theirs = title, [], []
         self.our_problem = self.their_problem = None
-        self.noisy = 0  # rounds that count although others were at work
+        self.noisy = 0  # number of rounds that count although other processes took more than NOISE CPUs
 
     def round(self, ours, theirs, attempts=2):
-        """One turn of each, the other one first in every second round; taken again when others were at work, and then the
-        quieter one counts. `ours` and `theirs` measure and return a line; `theirs` may be None."""
+        """Runs one round; which side begins alternates. If other processes took more than NOISE CPUs, the round is run
+        again, and the quieter one counts. `ours` and `theirs` measure and return a line; `theirs` may be None."""
         tried = []
         for _ in range(attempts):
             turn = self.turn(ours, theirs)
             if self.our_problem:
-                self.theirs += [line for line in turn if line]  # what the bare client can do is worth knowing
+                self.theirs += [line for line in turn if line]  # the bare client's line is kept
                 return
             company = max(line["others_cpu"] for line in turn if line)
             tried.append((company, turn))
@@ -81,7 +76,7 @@ class Pair:
         return lines["ours"], lines["theirs"]
 
     def compare(self, report, beside, statistic="mean_ms", **target):
-        """A line of the report for this statistic; the reason where there is none."""
+        """Adds a line for this statistic to the report, or prints why there is none."""
         lost = sum(line["lost"] for line in self.ours)
         if lost:
             print(f"{self.title}: {lost} of {sum(line['n'] for line in self.ours) + lost} did not come back", flush=True)
@@ -99,7 +94,7 @@ class Pair:
 
 
 def point(x, lines, problem=None):
-    """A point of a curve: medians over the rounds, which stand beside it."""
+    """A point of a curve: the medians over the rounds, and the rounds themselves."""
     if problem or not lines:
         return {"x": x, "failed": problem or "it was not measured"}
     medians = {name: statistics.median(line[name] for line in lines) for name in STATISTICS}
@@ -109,7 +104,7 @@ def point(x, lines, problem=None):
 
 
 def attempts(given):
-    """How often a noisy turn is taken at most: a quick run is to be over soon."""
+    """How often a round is run at most when it is noisy; a quick run does not repeat rounds."""
     return 1 if given.scale == "quick" else 2
 
 

@@ -18,12 +18,12 @@ from paper import drivers, sizes
 from paper.points import Progress
 from paper.systems import KINDS, StartError, Unavailable
 
-# In the order in which they run. Each has: `name`, `title`, `broker` (one of KINDS, or None), `servers` (of which the file
-# names the versions, as versions.py knows them), `seconds(given)` (about how long it takes) and
-# `take(given, report, progress)`, which adds to the report's results and returns the plots. `given` has
-# `scale` ("quick", "usual", "full"), `build` and `out` (the folder of the figures' files). It raises ProgramFailed or
-# StartError when nothing can be measured; a point that cannot be served is told in its place ({"x": .., "failed": why}),
-# and sets report.failed.
+# The figures in the order in which they run. Each has: `name`, `title`, `broker` (one of KINDS, or None), `servers`
+# (whose versions versions.py finds for the file), `seconds(given)` (about how long it takes) and
+# `take(given, report, progress)`, which adds to the report's results and returns the plots. `given` has `scale`
+# ("quick", "usual", "full"), `build` and `out` (the folder of the figures' files). take() raises ProgramFailed or
+# StartError when nothing can be measured. A point that cannot be measured becomes {"x": .., "failed": why}, and
+# report.failed is set.
 FIGURES = [
     *sizes.FIGURES,
     *drivers.FIGURES,
@@ -33,7 +33,7 @@ FIGURES = [
 
 
 def chosen(given):
-    """The figures that are asked for."""
+    """The figures that the command line asks for."""
     return [figure for figure in FIGURES
             if (not given.figure or figure.name in given.figure)
             and (not given.broker or figure.broker is None or figure.broker in given.broker)]
@@ -44,7 +44,7 @@ def file_of(folder, figure):
 
 
 def write(given, figure, facts, report, plots, problem):
-    """The figure's file, as a whole or not at all."""
+    """Writes the figure's file by way of a rename, so that a reader never sees a part of it."""
     facts = {**facts, "load_average_after": os.getloadavg()[0]}
     content = {"figure": figure.name, "title": figure.title, "machine": facts, "commit": commit(Path(__file__).parent),
                "command": shlex.join(["./dev", "bench", *sys.argv[1:]]),
@@ -61,7 +61,7 @@ def write(given, figure, facts, report, plots, problem):
 
 
 def take(given, figure, whole, progress):
-    """One figure. What it found goes to `whole` too."""
+    """Measures one figure. Its results are also added to `whole`."""
     print(f"\nfigure {figure.name}: {figure.title}", flush=True)
     facts, report, plots, problem = machine(), Report(), [], None
     report.print_head()

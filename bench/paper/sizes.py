@@ -14,15 +14,16 @@ RATES = {"quick": (20, 100), "usual": (10, 20, 50, 100), "full": (10, 20, 50, 10
 ROUNDS = {"quick": 1, "usual": 3, "full": 5}
 LEAST_S = {"quick": 2, "usual": 2, "full": 2}
 MOST_S = {"quick": 2, "usual": 4, "full": 20}
-MESSAGES = 200  # of each driver, as in the paper, if that is not too long
+MESSAGES = 200  # messages of each driver, as in the paper; fewer if that takes too long
 WARM_UP_S = 0.5
-JUDGED_SIZE = 200_000  # targets hold up to here
-MEAN_LIMIT, DEVIATION_LIMIT = 1.2, 1.25  # x the bare client's, on RabbitMQ
+JUDGED_SIZE = 200_000  # bytes; only smaller and equal sizes have targets
+MEAN_LIMIT, DEVIATION_LIMIT = 1.2, 1.25  # targets on RabbitMQ: times the bare client's
 START_S = {"rabbitmq": 8, "kafka": 8, "activemq": 7, "embedded": 2}
-CONNECT_S = {"rabbitmq": 0.3, "kafka": 4.0, "activemq": 0.5, "embedded": 0.2}  # of the bare client
+# how long the bare client needs to connect
+CONNECT_S = {"rabbitmq": 0.3, "kafka": 4.0, "activemq": 0.5, "embedded": 0.2}
 ORDER_S = 0.4  # from an order to its first message, and from the last one to the report
 JVM_WARM_UP_S = {"quick": 3, "usual": 6, "full": 6}
-# What the paper's text gives a number for. Its figures are pictures, and are not read off here.
+# Values that the paper's text gives. Values are not read off its pictures.
 PAPER = {"rabbitmq": [(20, {"x": 60_000, "mean_ms": 10, "source": "section 5.4: \"the best case latency without any "
                             "processing\" for messages of 60 KB at 20/s \"is around 10ms\" (one robot, university network)"})]}
 
@@ -37,7 +38,7 @@ class BySize:
     def __init__(self, name, broker):
         self.name, self.broker = name, broker
         self.servers = [] if broker == "embedded" else [broker, "zookeeper"]
-        self.shared = broker == "kafka"  # where a topic is never exclusive
+        self.shared = broker == "kafka"  # a Kafka topic is never exclusive
         self.title = f"mean round trip by message size and rate, {KINDS[broker][0]}"
 
     def rates(self, given):
@@ -52,13 +53,13 @@ class BySize:
         return f"{KINDS[self.broker][0]}, {bytes_text(size)}, {DRIVERS} x {rate}/s"
 
     def points(self, given):
-        """{rate: sizes}"""
+        """The points to measure: {rate: [sizes]}."""
         points = {rate: [size for size in self.sizes(given) if asked_for(given, self.title_of(size, rate))]
                   for rate in self.rates(given)}
         return {rate: sizes for rate, sizes in points.items() if sizes}
 
     def point_seconds(self, given, rate):
-        """Of one round."""
+        """Duration of one round of a point."""
         return 2 * (WARM_UP_S + window(given.scale, rate)) + ORDER_S + CONNECT_S[self.broker]
 
     def seconds(self, given):
@@ -110,7 +111,7 @@ class BySize:
 
 
 class Deviation:
-    """Figure 9: from what figures 7 and 8 measured."""
+    """Figure 9, drawn from what figures 7 and 8 measured."""
 
     name, broker, servers = "9", None, []
     title = "standard deviation by message size and rate, from figures 7 and 8"
@@ -135,7 +136,7 @@ class Deviation:
         for ours, theirs in zip(lines[::2], lines[1::2]):
             for one, other in zip(ours["points"], theirs["points"]):
                 if "failed" in one or "failed" in other:
-                    continue  # figure 7 or 8 says why
+                    continue  # figure 7 or 8 tells why it failed
                 judged = source == "7" and one["x"] <= JUDGED_SIZE
                 report.compare(f"{broker}, {bytes_text(one['x'])}, 4 x {one['rate']}/s: standard deviation", "ms",
                                [turn["stddev_ms"] for turn in one["rounds"]], theirs["name"].split(",")[0],

@@ -1,5 +1,5 @@
-"""What the paper's figures are measured on: its application on a private cluster or in one process, and the bare client
-on the same broker."""
+"""The systems that the paper's figures measure: its application on a private cluster or in one process, and the bare
+client on the same broker."""
 
 import json
 import math
@@ -14,7 +14,7 @@ from figures import ProgramFailed, Programs
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "servers"))
 from private_cluster import Children, PrivateCluster, StartError, Unavailable  # noqa: E402, F401
 
-# By kind: its name, the server's options, and the bare client: its program and what it is called.
+# By kind of broker: its name, the server's options, the bare client's program, and the bare client's name.
 KINDS = {
     "rabbitmq": ("RabbitMQ", [], "rabbitmq", "librabbitmq"),
     "kafka": ("Kafka", ["--throughput"], "kafka", "librdkafka"),
@@ -23,13 +23,13 @@ KINDS = {
 }
 DRIVER = "paper_load"
 HOSTS = 2  # gateways, with a driver host each
-PATIENCE_S = 20  # for what comes late
+PATIENCE_S = 20  # how long to wait for late messages
 READY_S = 60
-ORDER_S = 300  # for a deployment
+ORDER_S = 300  # limit for a deployment
 
 
 def topology(broker, registry=""):
-    """YAML of the paper's: 4 spouts that read, 4 bolts that send back."""
+    """The YAML of the paper's topology: 4 spout tasks that read, 4 bolt tasks that send back."""
     return f"""{registry}
 topology.name: paper
 spouts:
@@ -52,12 +52,12 @@ def descendants(process):
             try:
                 found += map(int, children.read_text().split())
             except OSError:
-                continue  # it ended meanwhile
+                continue  # the process has ended
     return found
 
 
 class Company:
-    """CPU time of the machine, and of it what this script and all it started took."""
+    """CPU time that processes other than this script and those that it started have taken so far."""
 
     TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -73,12 +73,12 @@ class Company:
         self.others = (self.machine - own) / self.TICKS
 
     def since(self, before):
-        """CPUs that others took."""
+        """CPUs that other processes took, on average, since `before`."""
         return max(0.0, (self.others - before.others) / (self.at - before.at))
 
 
 def quantile(counts, share):
-    """Of {value: how many}, as the programs take theirs."""
+    """A quantile of {value: how many}, computed as the measuring programs do."""
     rank, below = int(share * sum(counts.values())), 0
     for value, count in sorted(counts.items()):
         below += count
@@ -88,7 +88,7 @@ def quantile(counts, share):
 
 
 def merge(reports, seconds):
-    """One line from what all hosts said of an order."""
+    """Combines the reports of all hosts on an order into one line."""
     n = sum(report["n"] for report in reports)
     counts = {}
     for report in reports:
@@ -111,9 +111,10 @@ class Orders:
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def give(self, size, rate, drivers, warm_up, seconds, patience=PATIENCE_S):
-        """Orders it and waits for the hosts' reports, which it returns, and how many CPUs others took meanwhile."""
+        """Gives an order and waits for the hosts' reports. Returns them, and how many CPUs other processes took
+        meanwhile."""
         self.last += 1
-        start = time.monotonic_ns() + int((0.2 + drivers / 20_000) * 1e9)  # until all drivers know of it
+        start = time.monotonic_ns() + int((0.2 + drivers / 20_000) * 1e9)  # gives all drivers time to read the order
         begin = start + int(warm_up * 1e9)
         end = begin + int(seconds * 1e9)
         part = self.folder / "order.part"
@@ -129,7 +130,7 @@ class Orders:
             if len(reports) == self.hosts:
                 return reports, company
             time.sleep(0.01)
-        raise ProgramFailed(f"{len(reports)} of {self.hosts} driver hosts said what came back")
+        raise ProgramFailed(f"only {len(reports)} of {self.hosts} driver hosts reported what came back")
 
     @staticmethod
     def sleep_until(when_ns):
@@ -141,7 +142,7 @@ class Orders:
 
 
 class System:
-    """The paper's application; a context manager. `drivers` are deployed."""
+    """The paper's application, a context manager. `drivers`: how many are deployed."""
 
     def __init__(self, kind, build, folder):
         self.kind, self.build, self.folder = kind, build, Path(folder)
@@ -150,12 +151,12 @@ class System:
         self.drivers = 0
 
     def measure(self, size, rate, warm_up, seconds, drivers=None):
-        """A line: all drivers send messages of this size, each at this rate. Raises ProgramFailed."""
+        """Has all drivers send messages of this size, each at this rate. Returns a line. Raises ProgramFailed."""
         drivers = drivers or self.drivers
         reports, company = self.orders.give(size, rate, drivers, warm_up, seconds)
         joined, wrong = sum(report["drivers"] for report in reports), sum(report["wrong"] for report in reports)
         if joined != drivers:
-            raise ProgramFailed(f"{joined} of {drivers} drivers took part")
+            raise ProgramFailed(f"only {joined} of {drivers} drivers took part")
         if wrong:
             raise ProgramFailed(f"{wrong} messages came back twice, out of order or changed")
         if any(report["overrun"] for report in reports):
@@ -166,7 +167,7 @@ class System:
         return {**line, "others_cpu": company}
 
     def measure_bare(self, size, rate, warm_up, seconds, drivers, shared=False):
-        """A line of the bare client with the same load on the same broker. Raises ProgramFailed."""
+        """Runs the bare client with the same load on the same broker. Returns a line. Raises ProgramFailed."""
         words = ["--url", self.url, "--name", f"bare-{self.program}-{'shared' if shared else 'own'}", "--drivers", drivers, "--size", size,
                  "--rate", rate, "--warm-up", warm_up, "--seconds", seconds, *["--shared"] * shared]
         line = self.programs.run(self.program, *words, *self.servers())[0]
@@ -179,17 +180,18 @@ class System:
         return {**figures, "n": line["count"], "lost": 0, "carried": line["per_second"], "others_cpu": line["others_cpu"]}
 
     def servers(self):
-        """All that runs beside the bare client and belongs to the measurement."""
+        """Options that name the processes that belong to the measurement, so that they do not count as others."""
         return [word for process in self.cluster.descendants() for word in ("--server", process)]
 
     def warm_up(self, seconds, load=("--under-way", 100)):
-        """A JVM compiles what is used often, beside what it serves. `load`: the bare client's options."""
+        """Runs the bare client until the server's JVM has compiled the code that it uses. `load`: the bare client's
+        options."""
         if self.kind in ("kafka", "activemq"):
             self.programs.run(self.program, "--url", self.url, "--name", "warm-up", *load, "--seconds", seconds,
                               *["--shared"] * (self.kind == "kafka"), *self.servers())
 
     def wait_until_served(self, rate=50):
-        """Every driver's message comes back."""
+        """Waits until a message of every driver came back."""
         deadline = time.monotonic() + READY_S
         while time.monotonic() < deadline:
             reports, _ = self.orders.give(100, rate, self.drivers, 0, 1 / rate, 1 + self.drivers / 1000)
@@ -225,7 +227,7 @@ class Cluster(System):
         return self.cluster.__exit__(*failure)
 
     def deploy(self, drivers, shared):
-        """So many more, equally on all gateways, until each gets its messages back."""
+        """Deploys more drivers, equally on all gateways, and waits until each gets its messages back."""
         if self.drivers == 0:
             self.deployments += 1
             self.orders = Orders(self.folder / f"orders-{self.deployments}", HOSTS)

@@ -25,9 +25,9 @@ discovery::ChannelRecord channel(const Words& words, const std::string& number, 
   record.direction = direction;
   record.properties = {{"exchange", exchange}, {"routingKey", queue}, {"queueName", queue}};
   record.broker_url = words.at("--broker");
-  record.gateway = "bench";
-  record.driver = exchange;
-  record.instance = number;
+  record.gateway = discovery::GatewayId("bench");
+  record.driver = discovery::DriverName(exchange);
+  record.instance = discovery::InstanceId(number);
   return record;
 }
 
@@ -38,9 +38,9 @@ void write_records(const Words& words) {
   const discovery::Paths paths("/iot/sensors");
   for (int i = 0; i < std::stoi(words.at("--drivers")); ++i) {
     discovery::DriverRecord driver;
-    driver.name = words.at("--name");
-    driver.instance = std::to_string(i);
-    driver.gateway = "bench";
+    driver.name = discovery::DriverName(words.at("--name"));
+    driver.instance = discovery::InstanceId(std::to_string(i));
+    driver.gateway = discovery::GatewayId("bench");
     driver.state = discovery::DriverState::active;
     driver.channels = {channel(words, driver.instance, "data", discovery::Direction::out),
                        channel(words, driver.instance, "control", discovery::Direction::in)};

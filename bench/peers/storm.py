@@ -25,8 +25,8 @@ BUILD_LIMIT_S, START_LIMIT_S, ANSWER_LIMIT_S = 600, 100, 30
 
 
 def build(folder=BUILD):
-    """Builds the project unless that was done, and returns its class path. Raises Unavailable, with Maven's reason, when
-    it cannot be built here and now."""
+    """Builds the project if it is not built yet, and returns its class path. Raises Unavailable, with Maven's reason,
+    when that fails."""
     digest = hashlib.sha256()
     for file in sorted([PROJECT / "pom.xml", *(PROJECT / "src").rglob("*")]):
         if file.is_file():
@@ -59,19 +59,19 @@ def package(folder):
 
 
 def cpu_seconds_of(process):
-    """CPU seconds that a process has used since it began: Linux's clock of a process, as clock_getcpuclockid() names it."""
+    """CPU seconds that a process has used since it began, by the process's CPU clock (clock_getcpuclockid())."""
     return time.clock_gettime(~process << 3 | 2)
 
 
-numbers = itertools.count(1)  # of the JVMs, for their logs and their place in ZooKeeper
+numbers = itertools.count(1)  # numbers of the JVMs, for their logs and their nodes in ZooKeeper
 
 
 class Storm:
-    """A JVM with Storm and one topology. It stands still (SIGSTOP) while it is not its turn, so that its idle threads
-    take nothing from others."""
+    """A JVM with Storm and one topology. It is stopped (SIGSTOP) while it is not its turn, so that its idle threads
+    take no CPU from others."""
 
     def __init__(self, children, class_path, jvm, topology, options, settings):
-        """`children` end it; `options` of its program (Main.java), `settings` of Storm."""
+        """Starts the JVM. `children` end it; `options` are those of Main.java, `settings` those of Storm."""
         self.name = f"storm-{topology}-{next(numbers)}"
         scratch = children.out / self.name
         scratch.mkdir()
@@ -81,7 +81,7 @@ class Storm:
                    "-cp", class_path, "iotcloud.bench.storm.Main", topology, "--root", f"/{self.name}", *words]
         self.log = children.log(self.name)
         self.children = children
-        killed = functools.partial(die_with_parent, signal.SIGKILL)  # which also ends one that stands still
+        killed = functools.partial(die_with_parent, signal.SIGKILL)  # SIGKILL also ends a stopped process
         self.process = children.spawn(self.name, command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
                                       env=java_environment(), cwd=scratch, preexec_fn=killed)
         try:
@@ -102,7 +102,7 @@ class Storm:
         self.end()
 
     def end(self):
-        """Ends it alone; what `children` has besides goes on."""
+        """Ends this JVM; other processes of `children` go on."""
         self.go_on()
         self.process.stdin.close()
         try:
@@ -130,7 +130,7 @@ class Storm:
         return json.loads(line)
 
     def fail(self, what):
-        """The log goes with the benchmark's folder, so its first error is told."""
+        """Raises an error with the first error in the log, because the log is removed with the benchmark's folder."""
         errors = [line for line in self.log.read_text(errors="replace").splitlines() if " ERROR " in line or "Caused" in line]
         raise StartError(f"Storm: {what}{': ' if errors else ''}{' / '.join(errors[:3])}")
 
@@ -140,7 +140,7 @@ class Storm:
         return self.answer(ANSWER_LIMIT_S)
 
     def rate(self, seconds):
-        """Results a second over so many seconds, and the CPU seconds that it took each second."""
+        """Measures for `seconds`. Returns the results per second, and the CPU seconds that the JVM took per second."""
         before, cpu = self.ask("count"), cpu_seconds_of(self.pid)
         time.sleep(seconds)
         after, cpu = self.ask("count"), cpu_seconds_of(self.pid) - cpu
@@ -148,7 +148,7 @@ class Storm:
         return {"per_second": (after["results"] - before["results"]) / took, "cpus": cpu / took, "seconds": took}
 
     def check_complete(self):
-        """Sends nothing more; all that was sent must have arrived."""
+        """Stops sending, and checks that all that was sent has arrived."""
         end = self.ask("drain")
         if end["results"] != end["expected"] or end["failed"]:
             raise StartError(f"Storm: {end['results']} of {end['expected']} results arrived, {end['failed']} failed")

@@ -1,4 +1,4 @@
-"""What takes turns in `./dev bench storm`: our worker, our runtime and Storm, on the same private servers."""
+"""The sides that take turns in `./dev bench storm`: our worker, our runtime and Storm, on the same private servers."""
 
 import contextlib
 import os
@@ -14,15 +14,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent / "tests" /
 from private_cluster import PrivateCluster, StartError, echo_topology, free_port  # noqa: E402
 from storm import Storm, cpu_seconds_of  # noqa: E402
 
-OURS, STORM, BARE = "ours", "storm", "bare"  # the last: both ends on librabbitmq alone, in one process
-DRIVERS = 4  # with a spout's and a bolt's task for each
-PENDING = 4096  # items under way when tracked, as in bench/runtime
-SETTLE_S = {"echo": 1.0, "memory": 0.5}  # of each turn, before anything counts
+OURS, STORM, BARE = "ours", "storm", "bare"  # BARE: both ends on librabbitmq alone, in one process
+DRIVERS = 4  # each has a spout task and a bolt task
+PENDING = 4096  # tracked items under way, as in bench/runtime
+SETTLE_S = {"echo": 1.0, "memory": 0.5}  # the first seconds of each turn, which do not count
 WORKER_LIMIT_S = 30
-# A server's memory and collector; in the echo its pauses matter, in memory its throughput.
+# Heap and collector of the JVM: the echo needs short pauses, the runs in memory need throughput.
 JVM_ECHO = ["-Xms1g", "-Xmx1g", "-XX:+UseG1GC", "-XX:MaxGCPauseMillis=20"]
 JVM_MEMORY = ["-Xms2g", "-Xmx2g", "-XX:+UseG1GC"]
-# What a JVM compiles while it warms up: (size, messages a second of each driver).
+# The loads of the warm-up, in which the JVM compiles: (size, messages a second of each driver).
 WARM_UP_LOADS = ((100, 500), (60_000, 100))
 DEFAULTS, TUNED = "Storm, defaults", "Storm, tuned"
 # Storm's performance guide for low latency: no batches (the default, too), and the wait strategy that parks for 100 us
@@ -44,20 +44,21 @@ def settings_of(topology, tracked, setting):
 
 
 def worker_yaml(name, tracked, page):
-    """Our topology: what comes from the driver `name`'s channel `data` goes to its `control`."""
+    """The YAML of our topology, which sends what comes from the channel `data` of the driver `name` to its channel
+    `control`."""
     text = echo_topology(DRIVERS, DRIVERS, f'metrics: {{address: "{page}"}}')
     for ours, theirs in (("topology.name: echo", f"topology.name: {name}"), ("driver: loadgen", f"driver: {name}"),
                          ("channel: echo", "channel: control")):
         text = text.replace(ours, theirs)
     if tracked:
         return text
-    # As Storm without ackers: the broker forgets a message when it has sent it.
+    # As in Storm without ackers, the broker forgets a message when it has sent it.
     text = text.replace(f"parallelism: {DRIVERS}}}", f"parallelism: {DRIVERS}, properties: {{ackMode: auto}}}}")
     return text + "runtime: {acking: false}\n"
 
 
 class Turns:
-    """Servers, and whoever is to take turns on them; `with` ends all of it."""
+    """The private servers and the sides that take turns on them; a context manager that ends all of them."""
 
     def __init__(self, programs, folder, class_path):
         self.devices, self.runtime, self.records = (Programs(programs, kind) for kind in ("brokers", "runtime", "peers"))
@@ -85,7 +86,7 @@ class Turns:
 
     @contextlib.contextmanager
     def echo(self, tracked, setting, warm_up_s):
-        """Our worker and Storm's topology, warm; Storm stands still."""
+        """Starts our worker and Storm's topology and warms both up; Storm is then stopped (SIGSTOP)."""
         kind = "tracked" if tracked else "untracked"
         self.ends[OURS] = (f"ours-{kind}", self.worker(f"ours-{kind}", tracked))
         options = [("--url", self.cluster.rabbitmq.rstrip("/")), ("--name", f"storm-{kind}"), ("--drivers", DRIVERS)]
@@ -99,7 +100,8 @@ class Turns:
 
     @contextlib.contextmanager
     def memory(self, dag, tracked, setting, warm_up_s):
-        """Storm's topology at full speed, warm; it stands still. At its end all that it sent must have arrived."""
+        """Starts Storm's topology, warms it up at full speed and stops it (SIGSTOP). At its end checks that all that it
+        sent arrived."""
         with self.start(dag, tracked, setting, [("--sentences", self.sentences)]) as self.storm:
             time.sleep(warm_up_s)
             self.storm.stand_still()
@@ -108,7 +110,7 @@ class Turns:
             self.storm.check_complete()
 
     def worker(self, name, tracked):
-        """The process of our topology worker; one that is there is used again."""
+        """The process of our topology worker, started if it does not run yet."""
         for started, child in self.cluster.children:
             if started == name:
                 return child.pid
@@ -140,7 +142,7 @@ class Turns:
             return self.measure_devices(STORM, size, rate, seconds)
 
     def measure_devices(self, side, size, rate, seconds):
-        """The load of all drivers, sent back by this side: a line of figures."""
+        """Runs the load of all drivers, which this side sends back. Returns a line of figures."""
         name, process = self.ends[side]
         others = [word for server in self.brokers for word in ("--server", server)]
         others += ["--devices-only", "--processor", process] if process else []
@@ -152,7 +154,7 @@ class Turns:
         return line
 
     def memory_turn(self, side, dag, tracked, seconds):
-        """{"per_second", "cpus", "others_cpu"}"""
+        """Measures one turn in memory. Returns {"per_second", "cpus", "others_cpu"}."""
         if side == OURS:
             before, own, began = machine_cpu_seconds(), ended_cpu_seconds(), time.monotonic()
             line = self.runtime.run("iotcloud", "--dag", dag, "--warm-up", SETTLE_S["memory"], "--seconds", seconds,
@@ -169,7 +171,7 @@ class Turns:
 
 
 def channels_read(page):
-    """By our worker, as its metrics say; 0 while it starts."""
+    """Number of channels that our worker reads, by its metrics; 0 while it starts."""
     try:
         text = urllib.request.urlopen(f"http://{page}/metrics", timeout=10).read().decode()
     except OSError:
@@ -178,13 +180,14 @@ def channels_read(page):
 
 
 def machine_cpu_seconds():
-    """Of the whole machine since it booted."""
+    """CPU seconds of the whole machine since it booted."""
     with open("/proc/stat", encoding="ascii") as file:
         ticks = list(map(int, file.readline().split()[1:9]))
-    return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")  # without idle and waiting for a disk
+    # leaves out idle time and time waiting for a disk
+    return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
 
 
 def ended_cpu_seconds():
-    """Of the children that have ended."""
+    """CPU seconds of the children that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime

@@ -1,5 +1,5 @@
-// The DAGs as plain calls on one thread: no queues, no other core, no acks. What the work itself costs; at a low rate
-// this is the limit for a runtime that runs a tuple to completion on the thread that brought it.
+// The DAGs as plain calls on one thread: no queues, no other core, no acks. This is the cost of the work itself. At a
+// low rate it is the limit for a runtime that runs a tuple to completion on the thread that brought it.
 #include <functional>
 
 #include <iotcloud/bench/runtime/measure.h>
@@ -81,7 +81,7 @@ class CallsEngine final : public Engine {
     const Dag dag = work_.options.dag;
     while (work_.feed.due()) {
       const std::uint64_t n = work_.feed.take();
-      // The source's item is its own, as in every engine.
+      // The source owns its item, as in every engine.
       const std::string text = dag == Dag::words ? work_.sentences[n] : std::string();
       const brokers::Payload payload = dag == Dag::payload ? work_.payloads[n] : brokers::Payload();
       second_[n % second_.size()]->execute(n, text, payload);

@@ -1,5 +1,5 @@
-// What our runtime costs where no other engine is compared: the heap, copies, an idle topology, ten thousand tasks.
-// Prints one line of JSON for each figure.
+// Measures the runtime's costs that are not compared with other engines: the heap, copies, an idle topology, ten
+// thousand tasks. Prints one line of JSON for each figure.
 #include <cstdio>
 #include <cstdlib>
 #include <string>
@@ -27,8 +27,9 @@ void pause(double seconds) {
   sleep_until(now_ns() + static_cast<std::int64_t>(seconds * 1e9));
 }
 
-/// Runs a DAG and prints what the heap had to do with each result in its steady state.
-/// \param rate 0: on the pool, as fast as it can; otherwise on the thread that wakes the source. \return false: lost.
+/// Runs a DAG and prints the heap's operations per result in the steady state.
+/// \param rate 0: on the pool, as fast as possible; otherwise on the thread that wakes the source. \return false:
+/// tuples were lost.
 bool heap(const char* dag_name, Dag dag, bool tracked, double rate, double seconds) {
   Options options;
   options.dag = dag;
@@ -61,7 +62,7 @@ bool heap(const char* dag_name, Dag dag, bool tracked, double rate, double secon
   return arrived() == work.feed.sent() * results_of_item(dag);
 }
 
-/// A chain that waits: who spins is found out here.
+/// Runs a chain that waits, which shows whether a thread spins.
 void idle(double seconds) {
   Options options;
   options.rate = 1e-3;  // the first item is due at once, the next one much later
@@ -156,7 +157,7 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "usage: %s SECONDS_OF_EACH_MEASUREMENT\n", argv[0]);
     return 2;
   }
-  ten_thousand_tasks();  // first: what others leave behind in the heap would be used again
+  ten_thousand_tasks();  // first, because it would reuse memory that the others leave in the heap
   idle(5 * seconds);
   bool complete = true;
   for (const bool tracked : {false, true}) {

@@ -22,7 +22,7 @@ std::uint64_t item_of(const Tuple& tuple, std::size_t field) {
   return static_cast<std::uint64_t>(tuple.get<std::int64_t>(field));
 }
 
-/// Emits what the feed says is due.
+/// Emits the items that are due according to the feed.
 class Source : public topology::Spout {
  public:
   Source(Workload& work, topology::SpoutWaker& waker) : work_(work), waker_(waker) {}

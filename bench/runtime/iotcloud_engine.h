@@ -6,7 +6,7 @@
 
 namespace iotcloud::bench {
 
-/// Our own runtime. It runs when this returns; `work` must outlive it, and its feed is started.
+/// Makes our own runtime, already running. `work` must outlive it, and its feed must be started.
 std::unique_ptr<Engine> make_iotcloud_engine(Workload& work);
 
 }  // namespace iotcloud::bench

@@ -49,13 +49,13 @@ std::optional<Options> parse(int argc, char** argv) {
   return options;
 }
 
-/// Items that are due within this time come together, as they do from a network. A source that wakes for each of
-/// several millions a second would measure itself.
+/// Items that are due within this time come together, as from a network. A source that wakes for each of several
+/// million items a second would measure itself.
 constexpr double burst_ns = 10'000;
-/// A thread that sleeps wakes up to 100 us late: shorter pauses are waited for awake.
+/// A sleeping thread wakes up to 100 us late, so it spins through shorter pauses.
 constexpr std::int64_t shortest_sleep_ns = 500'000;
 
-/// Sends everything at the time when it is due, until the feed is stopped.
+/// Sends every item at the time when it is due, until the feed is stopped.
 void send(Engine& engine, Workload& work, std::atomic<std::int64_t>& brought_ns) {
   if (!work.feed.paced()) {
     engine.pump();
@@ -95,7 +95,7 @@ int measure(const char* engine_name, int argc, char** argv, const MakeEngine& ma
   Workload work(*options);
   std::atomic<std::int64_t> brought_ns{0};
   if (options->rate > 0) {
-    // A clock is read for at most some 200 000 items a second.
+    // The clock is read for at most some 200 000 items a second.
     const double items = 1e9 / work.feed.interval_ns();
     const auto every = std::bit_ceil(static_cast<std::uint64_t>(std::max(1.0, items / 200'000)));
     for (Arrivals& arrivals : work.arrivals) arrivals.time(every), arrivals.brought_ns = &brought_ns;
@@ -134,7 +134,7 @@ int measure(const char* engine_name, int argc, char** argv, const MakeEngine& ma
       1e9 / per_second / hops_of_result(options->dag), after.cpu_percent_since(before),
       after.switches_per_second_since(before));
   if (options->rate > 0) {
-    // Of the busier last task: with two of them their items are alike.
+    // The latency of the busier last task; when there are two, their items are alike.
     const Arrivals& one = work.arrivals[0].latency.summary().count >= work.arrivals[1].latency.summary().count
                               ? work.arrivals[0]
                               : work.arrivals[1];

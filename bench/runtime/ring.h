@@ -11,10 +11,10 @@
 
 namespace iotcloud::bench {
 
-/// Where a thread waits for rings to change, first by giving its core away a few times, then asleep.
+/// Lets a thread wait for rings to change: first it yields a few times, then it sleeps.
 class Doorbell {
  public:
-  /// The one thread that waits. Returns when `ready()`.
+  /// Returns when `ready()`. Only one thread may wait.
   template <typename Ready>
   void wait(Ready&& ready) {
     for (int i = 0; i < 20; ++i) {
@@ -30,7 +30,7 @@ class Doorbell {
     }
     asleep_.store(false, std::memory_order_relaxed);
   }
-  /// After a change. Any thread.
+  /// Must be called after each change. Any thread.
   void ring() {
     std::atomic_thread_fence(std::memory_order_seq_cst);
     if (!asleep_.load(std::memory_order_relaxed)) return;
@@ -44,17 +44,17 @@ class Doorbell {
   std::atomic<std::uint32_t> rung_{0};
 };
 
-/// A ring between one thread that puts and one that takes, in batches.
+/// A ring between one thread that puts items and one that takes them, in batches.
 template <typename T, std::size_t capacity = 1024>
 class Ring {
  public:
   static constexpr std::size_t batch = 64;
 
-  /// \param not_empty rung for the taker, \param not_full for the putter.
+  /// \param not_empty wakes the taker. \param not_full wakes the putter.
   Ring(Doorbell& not_empty, Doorbell& not_full) : not_empty_(not_empty), not_full_(not_full) {}
 
-  // The putter's.
-  /// Waits while the ring is full. The taker sees it after the batch is complete, or after flush().
+  // Called by the putter.
+  /// Waits while the ring is full. The taker sees the item when its batch is complete, or after flush().
   void put(T&& item) {
     if (written_ - known_head_ == capacity) make_room();
     items_[written_++ % capacity] = std::move(item);
@@ -66,9 +66,9 @@ class Ring {
     not_empty_.ring();
   }
 
-  // The taker's.
+  // Called by the taker.
   bool empty() const { return tail_.load(std::memory_order_acquire) == taken_; }
-  /// Calls `each(T&&)` for a batch at most. \return how many.
+  /// Calls `each(T&&)` for at most a batch of items. \return how many.
   template <typename Each>
   std::size_t take(Each&& each) {
     const std::size_t there = std::min(tail_.load(std::memory_order_acquire) - taken_, std::size_t{batch});
@@ -90,11 +90,11 @@ class Ring {
   }
   Doorbell& not_empty_;
   Doorbell& not_full_;
-  alignas(64) std::atomic<std::size_t> head_{0};  ///< everything before was taken
-  std::size_t taken_ = 0;                         ///< the taker's
-  alignas(64) std::atomic<std::size_t> tail_{0};  ///< everything before may be taken
-  std::size_t written_ = 0;                       ///< the putter's
-  std::size_t known_head_ = 0;                    ///< the putter's
+  alignas(64) std::atomic<std::size_t> head_{0};  ///< all items before it were taken
+  std::size_t taken_ = 0;                         ///< used by the taker
+  alignas(64) std::atomic<std::size_t> tail_{0};  ///< all items before it may be taken
+  std::size_t written_ = 0;                       ///< used by the putter
+  std::size_t known_head_ = 0;                    ///< used by the putter
   alignas(64) std::array<T, capacity> items_;
 };
 

@@ -1,5 +1,5 @@
-// The DAGs by hand: a thread for each task, a ring between two of them, typed items and nothing else. What a runtime
-// that hands work from thread to thread could reach at best.
+// The DAGs by hand: a thread for each task, a ring between two tasks, typed items and nothing else. This is the limit
+// for a runtime that hands work from thread to thread.
 #include <array>
 #include <functional>
 #include <optional>
@@ -24,13 +24,13 @@ struct Block {
   std::uint64_t n = 0;
 };
 
-/// Threads, one for each task, which end when told.
+/// Threads, one for each task, which end when stopped.
 class Stages {
  public:
   ~Stages() { stop(); }
-  /// \param take works on a batch, answers how much there was.
-  /// \param ready whether there is something to take.
-  /// \param idle called before it waits.
+  /// \param take works on a batch and returns its size.
+  /// \param ready whether there is a batch to take.
+  /// \param idle called before the thread waits.
   template <typename Take, typename Ready, typename Idle>
   void add(Doorbell& bell, Take take, Ready ready, Idle idle) {
     bells_.push_back(&bell);
@@ -55,8 +55,8 @@ class Stages {
   std::vector<std::jthread> threads_;
 };
 
-/// The source's side, on the thread that pumps. Tracked: the last tasks send the number of every result back, and not
-/// more than max_pending items are under way.
+/// The source's side, on the thread that pumps. Tracked: the last tasks return the number of every result, and at most
+/// max_pending items are under way.
 class RingEngine : public Engine {
  public:
   explicit RingEngine(Workload& work) : work_(work) {}
@@ -72,7 +72,7 @@ class RingEngine : public Engine {
       flush();
       if (work_.feed.stopped()) break;
       if (sent > 0) continue;
-      if (may_send()) return;  // paced, and nothing is due
+      if (may_send()) return;  // paced, and no item is due
       source_bell_.wait([this] { return !acks_[0].empty() || !acks_[1].empty(); });
     }
     while (work_.options.tracked && acked_ < work_.feed.sent() * acks_of_item_) {
@@ -85,7 +85,7 @@ class RingEngine : public Engine {
  protected:
   virtual void send(std::uint64_t n) = 0;
   virtual void flush() = 0;
-  /// The end of item `n` in the last task of that index.
+  /// Item `n` has arrived in the last task of that index.
   void arrived(std::size_t task, std::uint64_t n) {
     work_.arrivals[task].arrived(work_.feed, n);
     if (work_.options.tracked) acks_[task].put({n});
@@ -105,7 +105,7 @@ class RingEngine : public Engine {
       acked_ += ring.take([](Number) {});
     }
   }
-  /// Holds all that is under way: the last task never waits for the source, which may wait for it.
+  /// Large enough for all items under way, so that the last task never waits for the source, which may wait for it.
   using AckRing = Ring<Number, std::size_t{16} * max_pending>;
   std::array<Doorbell, 2> ack_room_;
   std::array<AckRing, 2> acks_{AckRing{source_bell_, ack_room_[0]}, AckRing{source_bell_, ack_room_[1]}};

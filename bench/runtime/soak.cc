@@ -1,5 +1,5 @@
-// A long run at most of what the runtime can do, disturbed at random. Progress to stderr, figures as lines of JSON to
-// stdout. Exit status 1: a tuple is not accounted for, a key was out of order, or memory grew.
+// A long run at most of the runtime's capacity, with random disturbances. Prints progress to stderr and figures as
+// lines of JSON to stdout. Exit status 1: a tuple is not accounted for, a key was out of order, or memory grew.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
@@ -16,7 +16,7 @@ namespace {
 using std::chrono::milliseconds;
 constexpr double load = 0.8;
 
-/// Of what it reaches undisturbed, with no limit.
+/// The rate that it reaches undisturbed and unlimited.
 double saturation_rate() {
   SoakOptions options;
   options.length = milliseconds(4000);
@@ -37,7 +37,7 @@ double median(std::vector<double> values) {
   return values[values.size() / 2];
 }
 
-/// What the last quarter's memory is above that of the second quarter: the first one is warming up.
+/// The growth from the second quarter's memory to the last quarter's; the first quarter is the warm-up.
 double growth_mb(const std::vector<double>& samples) {
   const auto quarter = static_cast<std::ptrdiff_t>(samples.size() / 4);
   const auto part = [&](std::ptrdiff_t n) {
@@ -46,7 +46,7 @@ double growth_mb(const std::vector<double>& samples) {
   return quarter == 0 ? 0 : part(3) - part(1);
 }
 
-/// \param at_most negative: whatever it is will do.
+/// \param at_most negative: no limit.
 void print(const char* figure, const char* unit, double value, double at_most = -1) {
   std::printf("{\"figure\":\"%s\",\"unit\":\"%s\",\"value\":%.15g", figure, unit, value);
   if (at_most >= 0) std::printf(",\"at_most\":%.9g", at_most);

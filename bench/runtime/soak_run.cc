@@ -27,12 +27,12 @@ using topology::Values;
 constexpr int spouts = 2, bolt_tasks = 8;
 constexpr std::uint64_t keys_of_spout = 500, keys = spouts * keys_of_spout;
 constexpr std::size_t most_pending = 4096;
-/// The source is asked to go on this often.
+/// How often the source is asked to continue.
 constexpr std::int64_t beat_ns = 1'000'000;
-/// Of a pause longer than this nothing is made up for.
+/// After a longer pause the source does not catch up.
 constexpr std::int64_t longest_debt_ns = 20'000'000;
 
-/// What the tasks share: counts, and where they report.
+/// What the tasks share: counts, and error reports.
 struct Ledger {
   std::atomic<std::uint64_t> emitted{0}, acked{0}, failed{0}, refused{0}, arrived{0}, out_of_order{0}, overlapping{0},
       unknown_ends{0}, rebalances{0}, pauses{0};
@@ -43,7 +43,7 @@ struct Ledger {
   std::vector<topology::SpoutWaker> wakers;  ///< guarded by mutex
 };
 
-/// Says when a task is called twice at the same time.
+/// Reports when a task is called twice at the same time.
 class Serial {
  public:
   Serial(std::atomic<bool>& inside, Ledger& ledger) : inside_(inside) {
@@ -110,7 +110,7 @@ class Source final : public topology::Spout {
   std::atomic<bool> inside_{false};
 };
 
-/// Hands on, or fails, at random; sometimes stays for two milliseconds.
+/// Passes tuples on or fails them, at random; sometimes takes two milliseconds.
 class Pass final : public Bolt {
  public:
   explicit Pass(Ledger& ledger, std::uint64_t seed) : ledger_(ledger), random_(seed) {}
@@ -197,7 +197,7 @@ struct Soak::Impl {
     ledger.rate = options.rate / spouts * 1e-9;
   }
 
-  /// \return how long to wait for the next one.
+  /// \return how long to wait before the next disturbance.
   std::chrono::milliseconds disturb() {
     const auto up_to = [this](int most) { return std::uniform_int_distribution<int>(1, most)(random); };
     const int calm = up_to(static_cast<int>(options.longest_calm.count()));
@@ -217,7 +217,7 @@ struct Soak::Impl {
   }
 
   void wake() {
-    // Nobody adds to the list after start().
+    // The list is constant after start().
     for (const topology::SpoutWaker& waker : ledger.wakers) waker.wake();
   }
 

@@ -1,6 +1,6 @@
-// The DAGs on oneTBB's flow graph, as its documentation teaches: function nodes, serial where a task of ours is, and a
-// limiter that keeps its unbounded queues from growing. With oneTBB's own number of workers: with one more, or with the
-// thread that brings items working too, it is slower.
+// The DAGs on oneTBB's flow graph, as its documentation teaches: function nodes, serial where this project has one
+// task, and a limiter that bounds its unbounded queues. It uses oneTBB's own number of workers; with one more, or with
+// the thread that brings items working too, it is slower.
 #include <array>
 #include <tuple>
 
@@ -34,8 +34,8 @@ T item_of(const Workload& work, std::uint64_t n) {
   }
 }
 
-/// The source, the limiter, and what becomes of an item at the end. Not paced: the graph asks its source. Paced: the
-/// thread that pumps puts items in, and the graph takes them when the limiter lets it.
+/// The source, the limiter, and the end of an item. Not paced: the graph asks its source. Paced: the thread that pumps
+/// puts items in, and the graph takes them when the limiter allows it.
 template <typename T>
 class GraphEngine : public Engine {
  public:
@@ -67,7 +67,7 @@ class GraphEngine : public Engine {
   void stop() override { graph_.wait_for_all(); }
 
  protected:
-  /// Item `n` is done: tracked items are acked by a node of their own, others only give the limiter their place back.
+  /// Item `n` is done: a separate node acks tracked items; other items only return their place to the limiter.
   void done(std::uint64_t n) {
     if (work_.options.tracked) {
       acks_.try_put({n});
@@ -133,7 +133,7 @@ class WordsEngine final : public GraphEngine<Item> {
     if (!work_.options.tracked) work_.arrivals[task].arrived(work_.feed, word.n);
     if (--left_of(word.n) == 0) done(word.n);
   }
-  /// Words of sentence `n` that are not counted yet; there are far more places than sentences under way.
+  /// Number of words of sentence `n` not yet counted; there are far more places than sentences under way.
   std::atomic<std::uint64_t>& left_of(std::uint64_t n) { return left_[n % left_.size()]; }
   std::vector<std::atomic<std::uint64_t>> left_ =
       std::vector<std::atomic<std::uint64_t>>(std::size_t{16} * max_pending);

@@ -8,7 +8,7 @@ Feed::Feed(const Options& options)
     : interval_ns_(options.rate > 0 ? 1e9 * static_cast<double>(results_of_item(options.dag)) / options.rate : 0) {}
 
 void Feed::start() {
-  start_ns_ = now_ns() + 50'000'000;  // the engine starts meanwhile
+  start_ns_ = now_ns() + 50'000'000;  // the engine starts in this time
   if (!paced()) due_ = ~std::uint64_t{0};
 }
 

@@ -11,14 +11,14 @@
 #include <iotcloud/brokers/message.h>
 #include <iotcloud/config/metrics.h>
 
-/// What every engine is given to do: the same items at the same times, counted and timed the same way.
+/// The work of every engine: the same items at the same times, counted and timed in the same way.
 namespace iotcloud::bench {
 
 enum class Dag {
   chain,    ///< source -> pass -> sink, a number
   words,    ///< source -> split (2) -> by word -> count (2), sentences of ten words
   fan,      ///< source -> pass (4, in turn) -> sink, a number
-  payload,  ///< as chain, 60 KB
+  payload,  ///< like chain, 60 KB
 };
 
 struct Options {
@@ -29,26 +29,26 @@ struct Options {
   double warm_up = 0.5, seconds = 1.5;
   unsigned threads = 0;  ///< 0: the engine's own choice
 };
-inline constexpr std::uint64_t max_pending = 4096;  ///< tracked items under way
+inline constexpr std::uint64_t max_pending = 4096;  ///< most tracked items under way
 
 constexpr std::uint64_t results_of_item(Dag dag) {
   return dag == Dag::words ? 10 : 1;
 }
-/// Tuples that are handed from task to task for one result.
+/// Hand-overs of tuples from task to task for one result.
 constexpr double hops_of_result(Dag dag) {
   return dag == Dag::words ? 1.1 : 2;
 }
 
-/// The source's view: which item is due. One thread at a time, except for what says otherwise.
+/// The source's view: which item is due. One thread at a time uses it, except where a comment says otherwise.
 class Feed {
  public:
   explicit Feed(const Options& options);
-  /// Whether the next item is to be sent now. \return false: nothing is due, or it is over.
+  /// Whether the next item is due now. \return false if none is due, or the feed is stopped.
   bool due() {
     if (sent_.load(std::memory_order_relaxed) < due_) return !stopped();
     return look();
   }
-  /// The item that was just found due: 0, 1, 2, ...
+  /// Takes the item that due() found: 0, 1, 2, ...
   std::uint64_t take() {
     const std::uint64_t n = sent_.load(std::memory_order_relaxed);
     sent_.store(n + 1, std::memory_order_relaxed);
@@ -59,7 +59,7 @@ class Feed {
     return start_ns_ + static_cast<std::int64_t>(static_cast<double>(n) * interval_ns_);
   }
   bool paced() const { return interval_ns_ > 0; }
-  /// Of items; 0 when not paced.
+  /// Time between items; 0 if not paced.
   double interval_ns() const { return interval_ns_; }
   void start();                     ///< before the first due()
   void stop() { stopped_ = true; }  ///< any thread
@@ -75,25 +75,26 @@ class Feed {
   std::atomic<bool> stopped_{false};
 };
 
-/// Counts and times what arrives at one task of the last component. One thread at a time writes, any reads.
+/// Counts and times the items that arrive at one task of the last component. One thread at a time writes, any thread
+/// reads.
 class alignas(64) Arrivals {
  public:
-  /// \param results that came with it.
+  /// \param results how many results the item brought.
   void arrived(const Feed& feed, std::uint64_t n, std::uint64_t results = 1) {
     count_.store(count_.load(std::memory_order_relaxed) + results, std::memory_order_relaxed);
     if (timing_ && (n & sample_mask_) == 0) record(feed, n);
   }
-  /// For a result that does not know its item. Not timed.
+  /// Counts a result that does not know its item, so it is not timed.
   void arrived() { count_.store(count_.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed); }
   std::uint64_t count() const { return count_.load(std::memory_order_relaxed); }
 
-  /// Times one item of `every` (a power of two) from now on. Before the engine starts.
+  /// Times one of `every` items (a power of two) from now on. Call it before the engine starts.
   void time(std::uint64_t every) { timing_ = true, sample_mask_ = every - 1; }
-  /// Items sent before are not recorded. Any thread.
+  /// Records only items from `first` on. Any thread.
   void begin_recording(std::uint64_t first) { first_recorded_.store(first, std::memory_order_relaxed); }
-  /// From the intended time, and from the time when the source's thread woke up for it.
+  /// Latency counts from the due time, service from the time when the source's thread woke up for the item.
   config::Histogram latency, service;
-  /// When the thread that brings items was last told to. Written by that thread.
+  /// When the thread that brings items was last woken. Written by that thread.
   std::atomic<std::int64_t>* brought_ns = nullptr;
 
  private:
@@ -128,7 +129,7 @@ void split(std::string_view sentence, Each&& each) {
 
 using WordCounts = std::unordered_map<std::string, std::uint64_t>;
 
-/// A few payloads of 60 KB, sent in turn; who receives one checks that it is the very same bytes.
+/// A few payloads of 60 KB, sent in turn; a receiver checks that it got the very same memory.
 class Payloads {
  public:
   Payloads();
@@ -139,24 +140,24 @@ class Payloads {
   std::vector<brokers::Payload> all_;
 };
 
-/// What one measurement shares among the engine's components.
+/// What the engine's components share in one measurement.
 struct Workload {
   explicit Workload(const Options& o) : options(o), feed(o) {}
   const Options options;
   Feed feed;
-  Arrivals arrivals[2];  ///< of the last tasks; of the source when items are acked there
+  Arrivals arrivals[2];  ///< of the last tasks; of the source if items are acked there
   Sentences sentences;
   Payloads payloads;
-  std::atomic<std::uint64_t> wrong{0};  ///< failed, or not the payload that was sent
+  std::atomic<std::uint64_t> wrong{0};  ///< failed, or received with another payload
 };
 
-/// What runs a DAG.
+/// Runs a DAG.
 class Engine {
  public:
   virtual ~Engine() = default;
-  /// Sends what is due, on this thread or by telling its own threads. Returns when nothing is due, or when the engine's
-  /// own threads go on with it; not paced: at the latest when the feed is stopped. Paced: called a last time after
-  /// that.
+  /// Sends the due items, on this thread or by waking its own threads. Returns when none is due, or when the engine's
+  /// own threads continue. Without pacing it returns when the feed is stopped at the latest. With pacing it is called
+  /// once more after that.
   virtual void pump() = 0;
   /// Called once, after the feed is stopped and everything has arrived.
   virtual void stop() = 0;

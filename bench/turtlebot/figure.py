@@ -16,17 +16,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent / "tests" /
 from private_cluster import PrivateCluster  # noqa: E402
 
 FOLLOWER = Path(__file__).resolve().parent.parent.parent / "examples/turtlebot_follower/follower.yaml"
-RATE, FRAMES, WARM_UP = 20, 300, 30  # frames a second, of a round, and before it
-SIZE, ECHOES = 60_000, 150  # the bare client's messages of a round
+RATE, FRAMES, WARM_UP = 20, 300, 30  # frames a second; frames of a round; frames before it that do not count
+SIZE, ECHOES = 60_000, 150  # SIZE in bytes; ECHOES: the bare client's messages in a round
 BARE = "librabbitmq"
-START_S = 30  # until a robot that was deployed has its first command
+START_S = 30  # limit for a deployed robot's first command
 AT_MOST = {"p50_ms": 2.5, "p99_ms": 5}
 PAPER = [("the paper", {"mean_ms": 33.26, "stddev_ms": 2.91, "source": "section 5.4"}),
          ("the paper, without processing", {"mean_ms": 10, "source": "section 5.4, \"around 10ms\""})]
 
 
 def topology_with_stamps(library, folder):
-    """The example's own YAML, its bolts from the library that notes the time."""
+    """The example's own YAML, with the bolts of the library that records time stamps."""
     text = FOLLOWER.read_text()
     changes = [('zk.servers: ["127.0.0.1:2181"]', 'zk.servers: ["{zookeeper}"]'),
                ('topology.library: "turtlebot_follower.so"', f'topology.library: "{library}"'),
@@ -40,7 +40,7 @@ def topology_with_stamps(library, folder):
 
 
 class Loop(System):
-    """RabbitMQ, ZooKeeper, a master, two gateways and the follower's worker; a context manager."""
+    """A cluster of RabbitMQ, ZooKeeper, a master, two gateways and the follower's worker; a context manager."""
 
     def __init__(self, build, folder):
         super().__init__("rabbitmq", build, folder)
@@ -77,7 +77,7 @@ class Loop(System):
             self.cluster.__exit__(*failure)
 
     def measure_loop(self):
-        """A line of one robot, from its deployment until it is taken away; "frames" has those that count."""
+        """Deploys a robot, measures and undeploys it. Returns a line; its "frames" are those that count."""
         self.rounds += 1
         trace = self.folder / f"trace-{self.rounds}.csv"
         self.cluster.deploy("turtle.so", f"gateway-{1 + self.rounds % 2}",
@@ -114,7 +114,8 @@ class Loop(System):
         return self.measure_bare(SIZE, RATE, 1, ECHOES / RATE, 1)
 
     def broken_down(self, frames):
-        """Of the frames of which all is known: [(frame, ({part: ms}, {detail: ms}))]. After the worker has ended."""
+        """The parts of the frames that have all time stamps: [(frame, ({part: ms}, {detail: ms}))]. Call it after the
+        worker has ended."""
         wire = parts.Wire(self.tap.packets) if self.tap and not self.tap.lost else None
         if self.tap and self.tap.lost:
             print(f"figure 12: the kernel dropped {self.tap.lost} packets of the wire's record, so what is before and behind "

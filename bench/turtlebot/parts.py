@@ -1,5 +1,5 @@
-"""Which part of a frame's time went where: from the robot's trace, the time stamps of the follower's bolts, and what
-passed on the wire. All of one machine's monotonic clock."""
+"""Splits a frame's time into parts, by the robot's trace, the time stamps of the follower's bolts, and the packets on
+the wire. All times are of one machine's monotonic clock."""
 
 import bisect
 import csv
@@ -9,12 +9,12 @@ from pathlib import Path
 LATE, ENCODE, TO_BROKER, TO_SPOUT, TO_BOLT, COMPUTE, BACK = (
     "late", "encode", "gateway to broker", "broker to spout", "spout to bolt", "compute", "back")
 PARTS = (LATE, ENCODE, TO_BROKER, TO_SPOUT, TO_BOLT, COMPUTE, BACK)
-UNSEEN = "gateway to spout"  # where nobody may look at the wire
-# What the wire tells beyond that: of two parts, how much is the broker's own.
+UNSEEN = "gateway to spout"  # replaces the two parts around the broker if the packets could not be captured
+# Details that the packets tell: which share of two parts the broker takes.
 IN_BROKER, TO_WORKER = "broker to spout: in the broker", "broker to spout: on the wire and in the worker"
 BACK_WORKER, BACK_BROKER, BACK_HOST = "back: worker to broker", "back: in the broker", "back: broker to robot"
-COMMAND = b'"linear"'  # of what goes back
-SMALL = 1000  # bytes; a frame does not begin with so small a packet
+COMMAND = b'"linear"'  # text that every command contains
+SMALL = 1000  # bytes; a frame's first packet is larger than this
 
 
 class Frame:
@@ -23,7 +23,8 @@ class Frame:
     def __init__(self, row):
         self.sequence, self.time_ms = int(row["seq"]), int(row["time_ms"])
         self.captured = round(float(row["monotonic_us"]) * 1000)
-        self.begun = self.captured - round(float(row["render_us"]) * 1000)  # a camera would not take this time
+        # without the time to render, which a camera would not need
+        self.begun = self.captured - round(float(row["render_us"]) * 1000)
         self.encoded = self.captured + round(float(row["encode_us"]) * 1000)
         self.size = int(row["payload_bytes"])
         self.answered = row["answered"] == "1"
@@ -32,7 +33,7 @@ class Frame:
 
     @property
     def whole_ms(self):
-        """From when it was to be captured to when its command is there."""
+        """From the time at which the frame should have been captured to the arrival of its command, in ms."""
         return (self.arrived - self.captured + self.late) / 1e6
 
 
@@ -43,22 +44,22 @@ def read_trace(path):
 
 
 def note_lateness(frames, period_ns):
-    """Sets how late each frame was begun: the grid of intended times goes through the one that was most in time.
-    \return how many frames of the grid there should have been between the first and the last one."""
+    """Sets how late each frame was begun. The grid of intended times goes through the frame that was least late.
+    Returns how many frames the grid has between the first and the last one."""
     if not frames:
         return 0
     first = min(frame.begun - index * period_ns for index, frame in enumerate(frames))
     tick = -1
     for frame in frames:
         tick += 1
-        # A driver that is behind by periods leaves frames out.
+        # A driver that is late by whole periods leaves frames out.
         tick = max(tick, (frame.begun - first) // period_ns)
         frame.late = frame.begun - first - tick * period_ns
     return tick + 1
 
 
 def read_stamps(folder, component):
-    """{time_ms: (born, begin, end)} of all tasks of a component."""
+    """The time stamps that all tasks of a component recorded: {time_ms: (born, begin, end)}."""
     found = {}
     for file in Path(folder).glob(f"{component}-*.csv"):
         for row in csv.DictReader(file.read_text().splitlines()):
@@ -67,7 +68,7 @@ def read_stamps(folder, component):
 
 
 class Wire:
-    """The packets of a tap, in the order of time."""
+    """The packets of a tap, ordered by time."""
 
     def __init__(self, packets):
         self.packets = sorted(packets, key=lambda packet: packet.at_ns)
@@ -78,11 +79,12 @@ class Wire:
         return [packet for packet in self.packets[first:last] if packet.to_broker == to_broker]
 
     def body(self, begin, end, to_broker, size):
-        """When the first and when the last byte of so many passed on one connection; None when they did not."""
+        """When the first and the last of `size` bytes passed on one connection; None when no connection carried so
+        many."""
         passed = {}  # {peer: [first, bytes so far]}
         for packet in self.between(begin, end, to_broker):
             if packet.peer not in passed and packet.size <= SMALL:
-                continue  # an acknowledgement, a heartbeat
+                continue  # an acknowledgement or a heartbeat
             sent = passed.setdefault(packet.peer, [packet.at_ns, 0])
             sent[1] += packet.size
             if sent[1] >= size:
@@ -90,13 +92,13 @@ class Wire:
         return None
 
     def command(self, begin, end, to_broker):
-        """When a command passed; None when none did."""
+        """When a command passed; None when none passed."""
         return next((packet.at_ns for packet in self.between(begin, end, to_broker) if COMMAND in packet.head), None)
 
 
 def parts_of(frame, decode, follow, wire):
-    """{part: ms} of an answered frame, which add up to its whole; and what of them is known more closely. None when a
-    time stamp is missing. `wire` may be None."""
+    """Returns ({part: ms}, {detail: ms}) of an answered frame; None when a time stamp is missing. The parts add up to
+    the whole; the details divide some of them further. `wire` may be None."""
     if frame.time_ms not in decode or frame.time_ms not in follow:
         return None
     born, begin, _ = decode[frame.time_ms]
@@ -119,13 +121,13 @@ def parts_of(frame, decode, follow, wire):
 
 
 def slowest(frames, known):
-    """{part: mean ms} of the slowest hundredth of the frames of which all is known: these do add up."""
+    """{part: mean ms} over the slowest hundredth of the frames that have all time stamps; these means add up."""
     order = sorted(range(len(known)), key=lambda index: -frames[index].whole_ms)[: max(1, len(known) // 100)]
     return {name: sum(known[index][0][name] for index in order) / len(order) for name in known[0][0]} if known else {}
 
 
 def statistics_of(values, lost=0):
-    """What a point of a figure has of these milliseconds."""
+    """The statistics of a point, from its values in ms."""
     ordered, n = sorted(values), len(values)
     if not n:
         return {"failed": "nothing came back", "n": 0, "lost": lost}

@@ -12,9 +12,9 @@
 #include <iotcloud/topology/bolt.h>
 #include <iotcloud/topology/plugin.h>
 
-/// The follower's own components, each with a note of when it worked: loads the library that IOTCLOUD_FOLLOWER names
-/// and puts itself around its bolts. Their `conf` takes one key more, `stamps`: the folder where each task leaves a
-/// file COMPONENT-TASK.csv when the topology ends. All times are the machine's monotonic clock, nanoseconds.
+/// The follower's components with a record of when they worked: loads the library that IOTCLOUD_FOLLOWER names and
+/// wraps its bolts. Their `conf` takes one more key, `stamps`: the folder in which each task leaves a file
+/// COMPONENT-TASK.csv when the topology ends. All times are the machine's monotonic clock, in nanoseconds.
 namespace iotcloud::bench {
 
 namespace {
@@ -27,7 +27,7 @@ using topology::OutputFieldsDeclarer;
 using topology::TopologyContext;
 using topology::Tuple;
 
-constexpr std::size_t room = 100'000;  // no allocation while it runs
+constexpr std::size_t room = 100'000;  // reserved before the run: no allocation during the run
 
 class StampedBolt final : public Bolt {
  public:
@@ -69,7 +69,7 @@ class StampedBolt final : public Bolt {
   struct Stamp {
     std::int64_t time_ms;   ///< which frame
     std::int64_t born_ns;   ///< when the spout emitted it
-    std::int64_t begin_ns;  ///< of execute()
+    std::int64_t begin_ns;  ///< start of execute()
     std::int64_t end_ns;
   };
   const std::unique_ptr<Bolt> bolt_;
@@ -77,7 +77,7 @@ class StampedBolt final : public Bolt {
   std::vector<Stamp> stamps_;
 };
 
-/// Never closed: what it made lives until the process ends.
+/// Never unloaded: its objects live until the process ends.
 void fill(ComponentRegistry& registry, const char* library) {
   void* const handle = dlopen(library, RTLD_NOW | RTLD_LOCAL);
   if (handle == nullptr) throw std::runtime_error(dlerror());

@@ -1,5 +1,5 @@
-"""What passes on the loopback interface to and from one port, and when: the kernel's own time stamps. Nobody who is
-measured has to do anything for it."""
+"""Captures the packets to and from one port on the loopback interface, with the kernel's time stamps. The processes
+that are measured do not take part in it."""
 
 import ctypes
 import socket
@@ -8,22 +8,22 @@ import threading
 import time
 
 _HEAD = 2048  # bytes of each packet that are kept
-_EVERY_S = 0.25  # it wakes this often, and takes what the kernel has kept
+_EVERY_S = 0.25  # pause between two reads of what the kernel has captured
 _BUFFER = 64 << 20
 _SO_ATTACH_FILTER, _SO_TIMESTAMPNS, _SO_RCVBUFFORCE = 26, 35, 33
-_OUTGOING = 4  # a packet on loopback is seen leaving, and seen arriving
+_OUTGOING = 4  # a packet on loopback is seen twice, when it leaves and when it arrives
 
 
 class Packet:
-    """`at_ns`: monotonic; `to_broker`: its direction; `peer`: the other end's port; `size`: of what it carries; `head`: the
-    first bytes of that."""
+    """A packet. `at_ns`: when, by the monotonic clock; `to_broker`: its direction; `peer`: the port of the other end;
+    `size`: bytes of its payload; `head`: the payload's first bytes."""
 
     def __init__(self, at_ns, to_broker, peer, size, head):
         self.at_ns, self.to_broker, self.peer, self.size, self.head = at_ns, to_broker, peer, size, head
 
 
 def filter_of(port):
-    """A filter for the kernel: TCP over IPv4 from or to this port, once, and only its head."""
+    """A filter for the kernel: takes TCP over IPv4 from or to this port, each packet once, and only its first bytes."""
     load_half, load_byte, load_word, equal, done = 0x28, 0x30, 0x20, 0x15, 0x06
     packet_type = 0xFFFFF000 + 4
     rules = [(load_word, 0, 0, packet_type), (equal, 8, 0, _OUTGOING), (load_half, 0, 0, 12), (equal, 0, 6, 0x0800),
@@ -33,7 +33,7 @@ def filter_of(port):
 
 
 def parse(frame, port):
-    """(to_broker, peer, size, head) of an Ethernet frame of the loopback interface; None when it carries nothing."""
+    """Returns (to_broker, peer, size, head) of an Ethernet frame; None when it has no payload."""
     network = frame[14:]
     header = (network[0] & 15) * 4
     whole = struct.unpack_from("!H", network, 2)[0]
@@ -46,11 +46,11 @@ def parse(frame, port):
 
 
 class Tap:
-    """A context manager. Needs to be root (CAP_NET_RAW), otherwise PermissionError."""
+    """Captures packets; a context manager. Raises PermissionError without CAP_NET_RAW."""
 
     def __init__(self, port):
         self.port, self.packets, self.lost = port, [], 0
-        self.socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)  # hears nothing before it is bound
+        self.socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)  # receives nothing before it is bound
         rules = filter_of(port)
         self._rules = ctypes.create_string_buffer(rules)
         program = struct.pack("HL", len(rules) // 8, ctypes.addressof(self._rules))
@@ -70,7 +70,7 @@ class Tap:
         self._ended.set()
         self._thread.join()
         self._take()
-        # Packets that the kernel had no room for: (all, lost).
+        # The kernel's counts: (all packets, packets that it had no room for).
         self.lost = struct.unpack("II", self.socket.getsockopt(263, 6, 8))[1]
         self.socket.close()
 
@@ -79,7 +79,7 @@ class Tap:
             self._take()
 
     def _take(self):
-        # The kernel stamps with the wall clock.
+        # The kernel's time stamps are of the wall clock.
         to_monotonic = time.clock_gettime_ns(time.CLOCK_MONOTONIC) - time.clock_gettime_ns(time.CLOCK_REALTIME)
         while True:
             try:

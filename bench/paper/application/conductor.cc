@@ -92,7 +92,7 @@ void Conductor::write(const Point& point) const {
   stream << point.report() << '\n';
   stream.close();
   if (!stream) throw std::runtime_error("cannot write " + part);
-  std::filesystem::rename(part, file);  // whoever reads it finds all of it
+  std::filesystem::rename(part, file);  // so that a reader finds the complete file
 }
 
 }  // namespace iotcloud::bench::paper

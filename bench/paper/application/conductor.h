@@ -12,24 +12,25 @@
 
 namespace iotcloud::bench::paper {
 
-/// Reads orders from the file `order` of a folder, hands each to all drivers of this process, and writes what became of
-/// it to PROCESS_ID.json there when everything came back, or the order's patience is over. One thread, which sleeps
-/// while it is measured. Thread safe.
+/// Reads orders from the file `order` of a folder, gives each to all drivers of this process, and writes the result to
+/// PROCESS_ID.json there when all messages came back, or the order's patience is over. Has one thread, which sleeps
+/// during the measurement. Thread safe.
 class Conductor {
  public:
   using Begin = std::function<void(std::shared_ptr<Point>)>;
 
-  /// The one of this folder in this process; lives as long as somebody has it.
+  /// This process's conductor of the folder; lives as long as somebody holds it.
   static std::shared_ptr<Conductor> of(const std::string& folder);
   explicit Conductor(std::string folder);
   ~Conductor();
   Conductor(const Conductor&) = delete;
   Conductor& operator=(const Conductor&) = delete;
 
-  /// A driver takes part from the next order on; `begin` is called on the conductor's thread and only hands it on.
+  /// Adds a driver, which takes part from the next order on. The conductor's thread calls `begin`, which must only pass
+  /// the order on.
   /// \return the driver's number in this process: 0, 1, 2, ...
   unsigned join(Begin begin);
-  /// When this returns its `begin` does not run and never will again.
+  /// Removes a driver. When this returns, `begin` does not run any more.
   void leave(unsigned number);
 
  private:
@@ -41,7 +42,7 @@ class Conductor {
   const std::string folder_;
   std::mutex mutex_;
   std::map<unsigned, Begin> drivers_;  ///< guarded by mutex_
-  unsigned joined_ = 0;                ///< likewise; those that left count too
+  unsigned joined_ = 0;                ///< guarded by mutex_; includes those that left
   std::jthread thread_;
 };
 

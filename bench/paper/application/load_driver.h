@@ -11,9 +11,9 @@
 
 namespace iotcloud::bench::paper {
 
-/// The paper's mock driver: sends what the conductor's orders say on `data`, each message at its intended time, and
-/// takes what comes back on `echo`. Latency counts from the intended time to on_message(). Properties: `folder` (of
-/// orders and reports), `host` and `hosts` (which of how many processes this is), `shared`, `broker`.
+/// The paper's mock driver: sends what the conductor's orders demand on `data`, each message when it is due, and
+/// receives the echoes on `echo`. Latency counts from the due time to on_message(). Properties: `folder` (of orders and
+/// reports), `host` and `hosts` (the number of this process, and how many there are), `shared`, `broker`.
 class LoadDriver : public drivers::Driver {
  public:
   static constexpr std::string_view data_channel = "data", echo_channel = "echo";
@@ -29,7 +29,7 @@ class LoadDriver : public drivers::Driver {
  private:
   /// The first bytes of each body.
   struct Stamp {
-    std::uint64_t order;  ///< what another one left over is not counted
+    std::uint64_t order;  ///< leftover messages of another order are not counted
     std::uint64_t number;
     std::int64_t intended_ns;
   };
@@ -46,13 +46,13 @@ class LoadDriver : public drivers::Driver {
   drivers::DriverContext* context_ = nullptr;
   Options options_;
   std::shared_ptr<Conductor> conductor_;
-  std::optional<unsigned> number_;  ///< in this process, while it takes part
+  std::optional<unsigned> number_;  ///< its number in this process, while it takes part
   std::optional<drivers::HandlerId> timer_;
   std::shared_ptr<Point> point_;
   std::optional<Bodies> bodies_;
   unsigned turn_ = 0;
-  std::uint64_t messages_ = 0;             ///< of the order
-  std::uint64_t next_ = 0, expected_ = 0;  ///< numbers: to be sent, to come back
+  std::uint64_t messages_ = 0;             ///< how many this order demands
+  std::uint64_t next_ = 0, expected_ = 0;  ///< numbers of the next message to send, and of the next to come back
   bool blocked_ = false;
 };
 

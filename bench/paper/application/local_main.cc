@@ -13,12 +13,12 @@ namespace {
 
 using namespace iotcloud;
 
-/// The paper's application in one process, on the embedded broker: two gateways with half of the drivers each, and the
-/// topology of a YAML file. Prints READY when it takes orders, ends when its standard input does.
+/// Runs the paper's application in one process, on the embedded broker: two gateways with half of the drivers each, and
+/// the topology of a YAML file. Prints READY when it takes orders, and ends when its standard input does.
 void serve(const std::string& topology, const std::string& folder, int drivers) {
   const drivers::Descriptor load = drivers::describe<bench::paper::LoadDriver>("paper_load", "1.0");
   local::LocalOptions options;
-  options.gateways = {"gateway-1", "gateway-2"};
+  options.gateways = {discovery::GatewayId("gateway-1"), discovery::GatewayId("gateway-2")};
   options.brokers = {{"embedded", ""}};
   options.drivers = {{"paper_load", &load}};
   local::LocalCluster cluster(options);
@@ -39,7 +39,7 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "usage: %s TOPOLOGY.yaml FOLDER DRIVERS\n", argv[0]);
     return 2;
   }
-  config::keep_freed_memory();  // as our daemons
+  config::keep_freed_memory();  // as the project's daemons do
   try {
     serve(argv[1], argv[2], std::atoi(argv[3]));
     return 0;

@@ -6,7 +6,7 @@ namespace iotcloud::bench::paper {
 
 namespace {
 
-/// In one host; as the bare clients' limits (bench/brokers/measure.cc), which are for both.
+/// For one host; the bare clients have the same limits (bench/brokers/measure.cc).
 constexpr std::uint64_t most_bytes_under_way = 128 << 20;
 constexpr std::uint64_t most_under_way = 25'000;
 

@@ -9,25 +9,25 @@
 
 namespace iotcloud::bench::paper {
 
-/// What becomes of one order in this process. Thread safe.
+/// Counts the outcome of one order in this process. Thread safe.
 class Point {
  public:
   explicit Point(const Order& order) : order_(order) {}
   const Order& order() const { return order_; }
 
-  /// A driver takes part, and will send so many messages.
+  /// Adds a driver, which will send this many messages.
   void joined(std::uint64_t messages);
   void sent();
-  /// A message came back for the first time, whole and in order. \param now_ns when.
+  /// Counts a message that came back for the first time, unchanged and in order. \param now_ns when.
   void came_back(std::int64_t intended_ns, std::int64_t now_ns);
-  /// It came out of order, twice or changed.
+  /// Counts a message that came back out of order, twice or changed.
   void wrong() { wrong_.fetch_add(1, std::memory_order_relaxed); }
 
-  /// So much is under way that the rest is not sent: before the broker's memory is full.
+  /// Whether so many messages are under way that the rest must not be sent, before the broker's memory is full.
   bool overrun() const { return overrun_; }
-  /// All messages of `drivers` drivers came back; or what was sent of them did, after an overrun.
+  /// Whether all messages of `drivers` drivers came back; after an overrun, all that were sent.
   bool complete(std::uint64_t drivers) const;
-  /// As JSON, with the histogram: hosts are added up by who asked for it.
+  /// The counts as JSON, with the histogram; the reader adds up the hosts.
   std::string report() const;
 
  private:

@@ -1,10 +1,7 @@
 package iotcloud.bench.storm;
 
-import java.util.Map;
-import java.util.concurrent.atomic.AtomicLong;
 import org.apache.storm.Config;
 import org.apache.storm.generated.StormTopology;
-import org.apache.storm.task.TopologyContext;
 import org.apache.storm.topology.BasicOutputCollector;
 import org.apache.storm.topology.OutputFieldsDeclarer;
 import org.apache.storm.topology.TopologyBuilder;
@@ -21,7 +18,7 @@ final class Chain {
         TopologyBuilder builder = new TopologyBuilder();
         builder.setSpout("source", new Numbers(options.tracked));
         builder.setBolt("pass", new Pass()).shuffleGrouping("source");
-        builder.setBolt("sink", new Sink(!options.tracked)).shuffleGrouping("pass");
+        builder.setBolt("sink", new Sink(options.tracked)).shuffleGrouping("pass");
         return builder.createTopology();
     }
 
@@ -53,27 +50,12 @@ final class Chain {
         }
     }
 
-    private static final class Sink extends BaseBasicBolt {
-        private final boolean counts;
-        private transient AtomicLong done;
-
-        Sink(boolean counts) {
-            this.counts = counts;
+    private static final class Sink extends LastBolt {
+        Sink(boolean tracked) {
+            super(tracked);
         }
 
         @Override
-        public void prepare(Map<String, Object> conf, TopologyContext context) {
-            done = counts ? Counters.ofTask() : null;
-        }
-
-        @Override
-        public void execute(Tuple tuple, BasicOutputCollector collector) {
-            if (counts) {
-                Counters.add(done, 1);
-            }
-        }
-
-        @Override
-        public void declareOutputFields(OutputFieldsDeclarer declarer) {}
+        void take(Tuple tuple) {}
     }
 }

@@ -7,7 +7,7 @@ import java.util.concurrent.atomic.AtomicLong;
 /** How much the sources send. */
 enum Feed { FULL, SLOW, NOTHING }
 
-/** What the components of the one worker have done. Each counter has one writer. */
+/** Counts of what the components of the only worker have done. Each counter has one writer. */
 final class Counters {
     static final AtomicLong emitted = new AtomicLong();
     static final AtomicLong failed = new AtomicLong();
@@ -16,7 +16,7 @@ final class Counters {
 
     private Counters() {}
 
-    /** Of one task, for what it finishes. */
+    /** A new counter for the results that one task finishes. */
     static AtomicLong ofTask() {
         AtomicLong counter = new AtomicLong();
         ofTasks.add(counter);

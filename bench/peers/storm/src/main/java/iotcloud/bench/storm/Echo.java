@@ -6,10 +6,10 @@ import org.apache.storm.generated.StormTopology;
 import org.apache.storm.topology.TopologyBuilder;
 import org.apache.storm.tuple.Fields;
 
-/** The application of the paper's measurements: what comes from the drivers' queues goes back to them. */
+/** The application of the paper's measurements: it sends the messages of the drivers' queues back to the drivers. */
 final class Echo {
     static final String URL = "bench.url";
-    static final String NAME = "bench.name";  // of the exchange, and what the queues' names begin with
+    static final String NAME = "bench.name";  // name of the exchange, and beginning of the queues' names
     static final String TRACKED = "bench.tracked";
     private static final AtomicInteger tasks = new AtomicInteger();
 
@@ -25,7 +25,7 @@ final class Echo {
         return builder.createTopology();
     }
 
-    /** A task has its connection. */
+    /** A task calls it when it is connected. */
     static void taskConnected() {
         tasks.incrementAndGet();
     }

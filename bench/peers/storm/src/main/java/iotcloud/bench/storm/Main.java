@@ -16,7 +16,7 @@ import org.apache.storm.generated.StormTopology;
 /**
  * A topology on Storm's LocalCluster, in one worker. Prints {"ready":true} when it works, then answers commands on stdin,
  * one line of JSON each: "count" (what was done so far), "drain" (sends nothing more and waits for all that is under
- * way). The end of stdin is the end.
+ * way). It ends when stdin ends.
  */
 public final class Main {
     private static final long READY_LIMIT_S = 90;
@@ -38,7 +38,7 @@ public final class Main {
         LocalCluster cluster = new LocalCluster.Builder()
                 .withSupervisors(1)
                 .withPortsPerSupervisor(1)
-                .withDaemonConf(patience())  // first: it takes the place of what was set before
+                .withDaemonConf(patience())  // first, because it replaces settings made before
                 .withDaemonConf(Config.TOPOLOGY_ENABLE_MESSAGE_TIMEOUTS, true)
                 .withDaemonConf(Config.STORM_ZOOKEEPER_SERVERS, List.of(options.zookeeperHost))
                 .withDaemonConf(Config.STORM_ZOOKEEPER_PORT, options.zookeeperPort)
@@ -47,10 +47,10 @@ public final class Main {
         cluster.submitTopology(options.topology, conf, topology(options, conf));
         answer(answers, "{\"ready\":" + becomesReady(options) + "}");
         obey(options, answers);
-        Runtime.getRuntime().halt(0);  // the folders of the cluster are the starter's
+        Runtime.getRuntime().halt(0);  // the process that started this one removes the folders of the cluster
     }
 
-    /** This process stands still while others are measured: nobody is to take it for dead, and nothing is started anew. */
+    /** Time-outs so long that Storm does not take this process for dead, and restarts nothing, while it is stopped. */
     private static Map<String, Object> patience() {
         return new HashMap<>(Map.of(Config.STORM_ZOOKEEPER_SESSION_TIMEOUT, SESSION_MS,
                 Config.STORM_ZOOKEEPER_CONNECTION_TIMEOUT, SESSION_MS,
@@ -87,8 +87,8 @@ public final class Main {
         BufferedReader commands = new BufferedReader(new InputStreamReader(System.in, StandardCharsets.UTF_8));
         for (String command = commands.readLine(); command != null; command = commands.readLine()) {
             if (command.equals("drain")) {
-                // What had to wait for room in a full queue is left in an unfinished batch, which Storm does not flush
-                // before the next tuple goes the same way: a few more are sent, slowly.
+                // Tuples that waited for room in a full queue stay in an unfinished batch, which Storm flushes only
+                // when the next tuple goes the same way. So a few more are sent, slowly.
                 Counters.feed = Feed.SLOW;
                 Thread.sleep(SLOW_MS);
                 Counters.feed = Feed.NOTHING;

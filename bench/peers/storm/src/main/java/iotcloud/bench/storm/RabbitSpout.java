@@ -20,8 +20,8 @@ import org.apache.storm.tuple.Fields;
 import org.apache.storm.tuple.Values;
 
 /**
- * Reads one driver's queue. The client's thread leaves messages in a queue, nextTuple() takes one and never waits, as
- * Storm asks of spouts. Tracked: a message is acknowledged when its tuple tree is acked.
+ * Reads one driver's queue. The client's thread puts messages into a queue; nextTuple() takes one and never waits, as
+ * Storm demands of spouts. Tracked, a message is acknowledged when its tuple tree is acked.
  */
 final class RabbitSpout extends BaseRichSpout {
     private static final int PREFETCH = 100;  // our spout's default

@@ -7,7 +7,7 @@ import org.apache.storm.task.TopologyContext;
 import org.apache.storm.topology.base.BaseRichSpout;
 import org.apache.storm.tuple.Values;
 
-/** Emits as much as it is asked for. Tracked: what was acked counts as done. */
+/** Emits whenever Storm asks it. Tracked, it counts acked tuples as results. */
 abstract class Source extends BaseRichSpout {
     private static final long SLOW_NS = 1_000_000;
 

@@ -6,7 +6,6 @@ import java.nio.file.Files;
 import java.nio.file.Path;
 import java.util.HashMap;
 import java.util.Map;
-import java.util.concurrent.atomic.AtomicLong;
 import org.apache.storm.Config;
 import org.apache.storm.generated.StormTopology;
 import org.apache.storm.spout.SpoutOutputCollector;
@@ -19,10 +18,10 @@ import org.apache.storm.tuple.Fields;
 import org.apache.storm.tuple.Tuple;
 import org.apache.storm.tuple.Values;
 
-/** Source -> split (2) -> by word -> count (2): as bench/runtime's word count, with its very sentences. */
+/** Source -> split (2) -> by word -> count (2): the word count of bench/runtime, with the same sentences. */
 final class Words {
     static final int WORDS_OF_SENTENCE = 10;
-    static final String SENTENCES = "bench.sentences";  // the file with them, one a line
+    static final String SENTENCES = "bench.sentences";  // the file with the sentences, one in a line
 
     private Words() {}
 
@@ -30,7 +29,7 @@ final class Words {
         TopologyBuilder builder = new TopologyBuilder();
         builder.setSpout("source", new Sentences(options.tracked));
         builder.setBolt("split", new Split(), 2).shuffleGrouping("source");
-        builder.setBolt("count", new Count(!options.tracked), 2).fieldsGrouping("split", new Fields("word"));
+        builder.setBolt("count", new Count(options.tracked), 2).fieldsGrouping("split", new Fields("word"));
         return builder.createTopology();
     }
 
@@ -80,30 +79,22 @@ final class Words {
         }
     }
 
-    private static final class Count extends BaseBasicBolt {
-        private final boolean counts;
+    private static final class Count extends LastBolt {
         private transient Map<String, Long> words;
-        private transient AtomicLong done;
 
-        Count(boolean counts) {
-            this.counts = counts;
+        Count(boolean tracked) {
+            super(tracked);
         }
 
         @Override
         public void prepare(Map<String, Object> conf, TopologyContext context) {
+            super.prepare(conf, context);
             words = new HashMap<>();
-            done = counts ? Counters.ofTask() : null;
         }
 
         @Override
-        public void execute(Tuple tuple, BasicOutputCollector collector) {
+        void take(Tuple tuple) {
             words.merge(tuple.getString(0), 1L, Long::sum);
-            if (counts) {
-                Counters.add(done, 1);
-            }
         }
-
-        @Override
-        public void declareOutputFields(OutputFieldsDeclarer declarer) {}
     }
 }
