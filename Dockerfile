@@ -2,10 +2,10 @@
 # which skips the stages that an image does not need.
 #
 #   runtime  daemons, driver host, CLI, plugins; the user `iotcloud`; no compiler, no headers, no shell tools but Debian's
-#   bench    the same with Python and the clients that `./dev cluster bench` runs
+#   bench    `runtime` with Python and the clients that `./dev cluster bench` runs
 
 ARG BASE=debian:bookworm-slim
-# Where the binaries come from: the stage below, or another image with the same folder /out.
+# The source of the binaries: the stage below, or another image with the same folder /out.
 ARG BINARIES=build
 
 FROM ${BASE} AS build
@@ -16,7 +16,7 @@ RUN apt-get update && apt-get install -y --no-install-recommends \
       nlohmann-json3-dev libssl-dev zlib1g-dev libfreenect-dev libpng-dev libsystemd-dev libseccomp-dev
 WORKDIR /source
 COPY . .
-# How many compilers at once: each takes up to 1 GB. Empty: one for each core.
+# The number of compilers at a time: each takes up to 1 GB. Empty: one for each core.
 ARG JOBS
 ARG PROGRAMS="iotcloud iotcloud-master iotcloud-gateway iotcloud-driver-host iotcloud-topology loadgen turtle turtlebot_follower"
 ARG CLIENTS="bench_brokers_iotcloud bench_brokers_rabbitmq bench_brokers_kafka"
@@ -28,8 +28,8 @@ RUN cmake --preset release -DBUILD_TESTING=OFF -DIOTCLOUD_BENCHMARKS=ON -DIOTCLO
 
 FROM ${BINARIES} AS binaries
 
-# Debian's Thrift brings Qt and ICU, and they 60 MB that nothing of ours uses: only what is linked goes on, and what SASL
-# loads.
+# Debian's Thrift brings Qt and ICU, 60 MB that no program of this project uses. So only the linked libraries are
+# copied, and those that SASL loads.
 FROM ${BASE} AS libraries
 RUN find /usr/lib/*-linux-gnu -maxdepth 1 -name '*.so*' | sort >/before
 RUN apt-get update && apt-get install -y --no-install-recommends \
@@ -44,15 +44,15 @@ RUN mkdir /needed \
 
 FROM ${BASE} AS runtime
 COPY --from=libraries /needed /
-# `./dev cluster up` gives the id of who calls it, so that secrets are files which only that user can read.
+# `./dev cluster up` passes its caller's id, so that only that user can read the secrets' files.
 ARG UID=10001
 RUN groupadd --gid ${UID} iotcloud \
  && useradd --uid ${UID} --gid ${UID} --home-dir /var/lib/iotcloud --no-create-home --shell /usr/sbin/nologin iotcloud \
  && install -d -o iotcloud -g iotcloud -m 0750 /var/lib/iotcloud /var/lib/iotcloud-reports
 COPY --from=binaries /out/bin /usr/bin
 COPY --from=binaries /out/lib/iotcloud/plugins /usr/lib/iotcloud/plugins
-COPY config/cluster/healthz /usr/bin/iotcloud-healthz
-# What is linked is there.
+COPY deploy/cluster/healthz /usr/bin/iotcloud-healthz
+# Checks that every linked library exists.
 RUN ldconfig && ! ldd /usr/bin/iotcloud* /usr/lib/iotcloud/plugins/* | grep 'not found'
 USER iotcloud
 WORKDIR /var/lib/iotcloud

@@ -1,0 +1,16 @@
+# What authors of drivers, spouts and bolts use: find_package(iotcloud) with the targets iotcloud::drivers and
+# iotcloud::topology, and the programs that run their plugins.
+include(CMakePackageConfigHelpers)
+include(GNUInstallDirs)
+
+get_property(sdk_targets GLOBAL PROPERTY IOTCLOUD_SDK_TARGETS)
+install(TARGETS ${sdk_targets} EXPORT iotcloudTargets
+  ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
+  FILE_SET HEADERS DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
+  INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
+install(EXPORT iotcloudTargets NAMESPACE iotcloud:: DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/iotcloud)
+configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/iotcloudConfig.cmake.in
+  ${PROJECT_BINARY_DIR}/iotcloudConfig.cmake INSTALL_DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/iotcloud)
+write_basic_package_version_file(${PROJECT_BINARY_DIR}/iotcloudConfigVersion.cmake COMPATIBILITY SameMinorVersion)
+install(FILES ${PROJECT_BINARY_DIR}/iotcloudConfig.cmake ${PROJECT_BINARY_DIR}/iotcloudConfigVersion.cmake
+  DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/iotcloud)

@@ -1,0 +1,174 @@
+# One function for each kind of test, and targets that build what tests need.
+
+# The tests are compiled fast instead of optimized, in every preset, because they examine the product.
+function(_iotcloud_test_code target)
+  target_compile_options(${target} PRIVATE -O0)
+endfunction()
+
+# A test's labels: what it needs (`unit`, `contract`, `server`, `system`, `long`; tests/README.md), its room, which is
+# its folder (below tests/), and the sanitizers under which ./dev test runs it too (`asan`, `tsan`).
+function(_iotcloud_test_labels out)
+  cmake_parse_arguments(arg "" "" "LABELS;SANITIZERS" ${ARGN})
+  list(POP_FRONT arg_LABELS kind)
+  if(NOT kind MATCHES "^(unit|contract|server|system|long)$")
+    message(FATAL_ERROR "a test is labelled unit, contract, server, system or long, not \"${kind}\"")
+  endif()
+  file(RELATIVE_PATH room ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
+  string(REGEX REPLACE "^tests/" "" room ${room})
+  string(REGEX REPLACE "/.*" "" room ${room})
+  set(${out} ${kind} ${room} ${arg_LABELS} ${arg_SANITIZERS} PARENT_SCOPE)
+endfunction()
+
+# `java` if the word names a server that runs on Java.
+function(_iotcloud_java_label out word)
+  set(${out} "" PARENT_SCOPE)
+  if(word MATCHES "[Kk]afka|[Aa]ctive[Mm][Qq]")
+    set(${out} java PARENT_SCOPE)
+  endif()
+endfunction()
+
+# The targets tests_<room> and tests_<room>_unit build what a room's tests need, tests_all and tests_all_unit what all
+# tests need; sanitized_<room> and so on leave out the tests that do not declare the preset's sanitizers.
+function(_iotcloud_needed_by_tests)
+  cmake_parse_arguments(arg "" "" "TARGETS;LABELS" ${ARGN})
+  list(GET arg_LABELS 0 kind)
+  list(GET arg_LABELS 1 room)
+  foreach(group tests sanitized)
+    foreach(place ${room} ${room}_unit all all_unit)
+      if(NOT TARGET ${group}_${place})
+        add_custom_target(${group}_${place})
+      endif()
+    endforeach()
+  endforeach()
+  set(groups tests)
+  if((asan IN_LIST arg_LABELS AND IOTCLOUD_SANITIZE MATCHES address) OR
+     (tsan IN_LIST arg_LABELS AND IOTCLOUD_SANITIZE MATCHES thread))
+    list(APPEND groups sanitized)
+  endif()
+  if(arg_TARGETS)
+    foreach(group ${groups})
+      add_dependencies(${group}_${room} ${arg_TARGETS})
+      add_dependencies(${group}_all ${arg_TARGETS})
+      if(kind STREQUAL unit)
+        add_dependencies(${group}_${room}_unit ${arg_TARGETS})
+        add_dependencies(${group}_all_unit ${arg_TARGETS})
+      endif()
+    endforeach()
+  endif()
+endfunction()
+
+# A GoogleTest program; each of its tests is a test of ctest.
+#   LABELS: one of `unit`, `contract`, `server`, `system`, `long` (tests/README.md says what they mean), then `java` if
+#   it starts servers from Maven Central, and `ros` if it needs ROS: ./dev test fetches these for no other test.
+#   SANITIZERS: those under which ./dev test runs it too: asan if it handles bytes or lifetimes of its own, tsan if it
+#   has threads. Both are the default of `unit` and `contract`; `SANITIZERS none` turns them off.
+#   WHOLE words: its tests share servers that take seconds to start, so ctest runs the program once for each word, with
+#   the tests whose names contain the word. ctest starts the runs with the longest TIMEOUT first, so that none of them
+#   is left to run alone at the end. A word that names Kafka or ActiveMQ adds the label `java`.
+#   SHARDS words: each of these runs in two halves side by side, each with servers of its own.
+#   LONG seconds: the program runs again in `long`, with IOTCLOUD_LONG=1 in its environment, for at most this time.
+# A test whose server is unavailable here (tests/servers/private_server.h) exits with IOTCLOUD_TEST_SKIPPED.
+function(iotcloud_test)
+  set(skipped 77)
+  cmake_parse_arguments(arg "" "NAME;TIMEOUT;LONG" "SOURCES;USES;LIBRARIES;LABELS;SANITIZERS;WHOLE;SHARDS" ${ARGN})
+  if(NOT arg_TIMEOUT)
+    set(arg_TIMEOUT 300)
+  endif()
+  if(NOT arg_SANITIZERS AND arg_LABELS MATCHES "^(unit|contract)")
+    set(arg_SANITIZERS asan tsan)
+  endif()
+  list(REMOVE_ITEM arg_SANITIZERS none)
+  _iotcloud_test_labels(labels LABELS ${arg_LABELS} SANITIZERS ${arg_SANITIZERS})
+  add_executable(${arg_NAME} ${arg_SOURCES})
+  _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} GTest::gmock_main)
+  _iotcloud_test_code(${arg_NAME})
+  iotcloud_precompiled(${arg_NAME} tests)
+  _iotcloud_unity(${arg_NAME} 8)
+  _iotcloud_needed_by_tests(TARGETS ${arg_NAME} LABELS ${labels})
+  # Test sources may include helpers as <iotcloud/tests/...>. The scripts that they run are in this folder:
+  target_compile_definitions(${arg_NAME} PRIVATE IOTCLOUD_TEST_SERVERS="${PROJECT_SOURCE_DIR}/tests/servers"
+                                                 IOTCLOUD_TEST_SKIPPED=${skipped})
+  if(IOTCLOUD_SANITIZE MATCHES thread)
+    target_sources(${arg_NAME} PRIVATE $<TARGET_OBJECTS:c11_threads_for_tsan>)
+  endif()
+  if(arg_WHOLE)
+    foreach(word ${arg_WHOLE})
+      _iotcloud_java_label(java ${word})
+      set(own_labels ${labels} ${java})
+      set(shards 0)
+      if(word IN_LIST arg_SHARDS)
+        set(shards 0 1)
+      endif()
+      list(LENGTH shards count)
+      foreach(shard ${shards})
+        set(test ${arg_NAME}.${word})
+        if(count GREATER 1)
+          string(APPEND test .${shard})
+        endif()
+        add_test(NAME ${test} COMMAND ${arg_NAME} --gtest_filter=*${word}*)
+        set_tests_properties(${test} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${own_labels}" COST ${arg_TIMEOUT}
+          SKIP_RETURN_CODE ${skipped} ENVIRONMENT "GTEST_TOTAL_SHARDS=${count};GTEST_SHARD_INDEX=${shard}")
+      endforeach()
+    endforeach()
+  else()
+    # gtest_discover_tests() cannot pass on a list as a property's value, so the labels are set afterwards.
+    gtest_discover_tests(${arg_NAME} TEST_LIST ${arg_NAME}_list DISCOVERY_TIMEOUT 60
+                         PROPERTIES TIMEOUT ${arg_TIMEOUT} SKIP_RETURN_CODE ${skipped})
+    set(script ${CMAKE_CURRENT_BINARY_DIR}/${arg_NAME}_labels.cmake)
+    file(CONFIGURE OUTPUT ${script} CONTENT
+"foreach(test IN LISTS @arg_NAME@_list)
+  set_tests_properties(\${test} PROPERTIES LABELS \"@labels@\")
+endforeach()
+" @ONLY)
+    set_property(DIRECTORY APPEND PROPERTY TEST_INCLUDE_FILES ${script})
+  endif()
+  if(arg_LONG)
+    if(NOT arg_WHOLE)
+      set(arg_WHOLE .)  # a dot is in every test's name
+    endif()
+    foreach(word ${arg_WHOLE})
+      _iotcloud_java_label(java ${word})
+      iotcloud_command_test(NAME ${arg_NAME}.long.${word} LABELS long ${java} TIMEOUT ${arg_LONG} NEEDS ${arg_NAME}
+                            ENVIRONMENT IOTCLOUD_LONG=1 COMMAND ${arg_NAME} --gtest_filter=*${word}*)
+    endforeach()
+  endif()
+endfunction()
+
+# A test that runs a command, mostly a Python script.
+#   iotcloud_command_test(NAME name COMMAND words... LABELS unit [NEEDS targets] [TIMEOUT 300] [COST 10] [ENVIRONMENT A=b])
+function(iotcloud_command_test)
+  cmake_parse_arguments(arg "" "NAME;TIMEOUT;COST;WORKING_DIRECTORY" "COMMAND;LABELS;NEEDS;ENVIRONMENT" ${ARGN})
+  if(NOT arg_TIMEOUT)
+    set(arg_TIMEOUT 300)
+  endif()
+  _iotcloud_test_labels(labels LABELS ${arg_LABELS})
+  add_test(NAME ${arg_NAME} COMMAND ${arg_COMMAND} WORKING_DIRECTORY ${arg_WORKING_DIRECTORY})
+  set_tests_properties(${arg_NAME} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${labels}" SKIP_RETURN_CODE 77
+                                              ENVIRONMENT "${arg_ENVIRONMENT}")
+  if(arg_COST)
+    set_tests_properties(${arg_NAME} PROPERTIES COST ${arg_COST})
+  endif()
+  _iotcloud_needed_by_tests(TARGETS ${arg_NEEDS} LABELS ${labels})
+endfunction()
+
+# A fuzz target, whose source is <name>_fuzzer.cc. With the preset `fuzz` it is a libFuzzer program, and the target
+# `fuzzers` builds them all. Otherwise its parts are added to IOTCLOUD_FUZZ_SOURCES, _USES and _LIBRARIES.
+#   iotcloud_fuzzer(NAME envelope USES brokers)
+function(iotcloud_fuzzer)
+  cmake_parse_arguments(arg "" "NAME" "USES;LIBRARIES" ${ARGN})
+  set(program ${arg_NAME}_fuzzer)
+  set(arg_SOURCES ${program}.cc)
+  if(NOT IOTCLOUD_SANITIZE MATCHES fuzzer)
+    foreach(what SOURCES USES LIBRARIES)
+      set(all ${IOTCLOUD_FUZZ_${what}} ${arg_${what}})
+      list(REMOVE_DUPLICATES all)
+      set(IOTCLOUD_FUZZ_${what} ${all} PARENT_SCOPE)
+    endforeach()
+    return()
+  endif()
+  add_executable(${program} ${arg_SOURCES})
+  _iotcloud_setup(${program} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
+  target_compile_definitions(${program} PRIVATE IOTCLOUD_LIBFUZZER)
+  target_link_options(${program} PRIVATE -fsanitize=fuzzer)
+  add_dependencies(fuzzers ${program})
+endfunction()

@@ -1,0 +1,315 @@
+#!/usr/bin/python3
+"""The cluster of docker-compose.yml on this machine's Docker daemon: ./dev cluster up|status|bench|cli|down
+
+Its containers belong to the compose project `iotcloud` (COMPOSE_PROJECT_NAME), its files are in build/cluster; `down`
+removes both.
+"""
+
+import argparse
+import json
+import os
+import secrets
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+OUT = ROOT / "build" / "cluster"
+SECRETS = OUT / "secrets"
+HOSTS = ["master-1", "master-2", "gateway-1", "gateway-2"]  # each gets a certificate
+USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never root
+REPORT = "/var/lib/iotcloud-reports/cluster.json"
+EVERYTHING = ["--profile", "whole", "--profile", "bench", "--profile", "tools"]
+START_LIMIT_S = 300
+
+
+class Refused(Exception):
+    """The command cannot work here; the text says why, and how to mend that."""
+
+
+def say(text):
+    print(f"\033[1m==>\033[0m {text}", flush=True)
+
+
+def project():
+    return os.environ.get("COMPOSE_PROJECT_NAME", "iotcloud")
+
+
+def user_id():
+    return os.getuid() or USER_OF_IMAGE
+
+
+def environment(**more):
+    """The variables of docker-compose.yml; those that the caller has set win."""
+    processors = min(2, os.cpu_count() or 1)
+    ours = {"COMPOSE_PROJECT_NAME": project(), "IOTCLOUD_UID": str(user_id()), "SECRETS": str(SECRETS),
+            "BROKER_CPUS": str(processors), "DOCKER_BUILDKIT": "1", "COMPOSE_DOCKER_CLI_BUILD": "1",
+            "BUILDKIT_PROGRESS": "plain"}
+    return {**ours, **os.environ, **more}
+
+
+def run(command, **options):
+    options.setdefault("env", environment())
+    return subprocess.run(command, cwd=ROOT, text=True, **options)
+
+
+def asked(command):
+    """Runs a command and returns its output. Raises Refused with its complaint."""
+    done = run(command, capture_output=True)
+    if done.returncode:
+        raise Refused(f"{' '.join(command)}: {(done.stderr or done.stdout).strip()}")
+    return done.stdout
+
+
+class Docker:
+    """The Docker daemon, and whichever compose is installed."""
+
+    def __init__(self):
+        how = "install it (Debian: apt install docker.io docker-compose) and start its daemon"
+        if not shutil.which("docker"):
+            raise Refused(f"there is no program docker: {how}")
+        answer = run(["docker", "version", "--format", "{{.Server.Version}}"], capture_output=True)
+        if answer.returncode:
+            raise Refused(f"no Docker daemon answers: {answer.stderr.strip()}\nWithout one {how}; one that runs may ask "
+                          "for root or the group docker, or be elsewhere (DOCKER_HOST)")
+        if "rootless" in asked(["docker", "info", "--format", "{{.SecurityOptions}}"]):
+            raise Refused("this daemon is rootless: it gives containers other users than files have here, so that they "
+                          "cannot read their secrets; use one that runs as root")
+        for command in (["docker", "compose"], ["docker-compose"]):
+            if shutil.which(command[0]) and run([*command, "version"], capture_output=True).returncode == 0:
+                self.command = command
+                return
+        raise Refused("there is neither `docker compose` nor `docker-compose`: install one (Debian: apt install "
+                      "docker-compose)")
+
+    def compose(self, *words):
+        return [*self.command, "-f", str(ROOT / "docker-compose.yml"), *words]
+
+    def once(self, service, *words, entrypoint=None):
+        """The command line of a container that runs once, beside the others."""
+        terminal = [] if sys.stdin.isatty() and sys.stdout.isatty() else ["-T"]
+        other = ["--entrypoint", entrypoint] if entrypoint else []
+        return self.compose("run", "--rm", "--no-deps", *terminal, *other, service, *words)
+
+    def containers(self):
+        """What docker says of the project's containers, by service. A container that starts or ends may be missing."""
+        ours = [f"--filter=label=com.docker.compose.project={project()}", "--filter=label=com.docker.compose.oneoff=False"]
+        listed = asked(["docker", "ps", "-a", "--no-trunc", *ours, "--format", "{{.ID}}"]).split()
+        told = run(["docker", "inspect", *listed], capture_output=True) if listed else None
+        if told and told.returncode and "No such object" not in told.stderr:
+            raise Refused(f"docker inspect: {told.stderr.strip()}")
+        found = json.loads(told.stdout) if told else []
+        return {container["Config"]["Labels"]["com.docker.compose.service"]: container for container in found}
+
+
+def state_of(container):
+    state = container["State"]
+    return state.get("Health", {}).get("Status") or state["Status"] if state["Running"] else state["Status"]
+
+
+def follow(process, log, what):
+    """Waits for a process that writes a log, and prints its last line twice a minute."""
+    begin = told = time.monotonic()
+    while process.poll() is None:
+        time.sleep(0.2)
+        if time.monotonic() - told > 30:
+            told = time.monotonic()
+            lines = log.read_text(errors="replace").splitlines()
+            print(f"    {what}, {(told - begin) / 60:.1f} min: {lines[-1][:100] if lines else ''}", flush=True)
+    if process.returncode:
+        tail = "\n".join(log.read_text(errors="replace").splitlines()[-30:])
+        raise Refused(f"{tail}\n{what} failed; all it said is in {log}")
+
+
+def build(docker, service):
+    OUT.mkdir(parents=True, exist_ok=True)
+    log = OUT / f"build-{service}.log"
+    begin = time.monotonic()
+    say(f"the image of {service} (from source it takes long the first time; log: {log.relative_to(ROOT)})")
+    with open(log, "w", encoding="utf-8") as out:
+        process = subprocess.Popen(docker.compose("build", service), cwd=ROOT, env=environment(), stdout=out,
+                                   stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+        try:
+            follow(process, log, "building")
+        finally:
+            process.terminate()
+    say(f"it is there after {time.monotonic() - begin:.0f} s")
+
+
+def write_secret(folder, name, text):
+    file = folder / name
+    file.touch(0o600)
+    file.write_text(text + "\n", encoding="utf-8")
+    if os.getuid() == 0:
+        os.chown(file, user_id(), user_id())
+
+
+def make_secrets(docker):
+    """Makes certificates, tokens and passwords, readable by the containers' user only: all of them, or none."""
+    if SECRETS.exists():
+        return
+    say(f"certificates, tokens and passwords, in {SECRETS.relative_to(ROOT)}")
+    fresh = SECRETS.with_name("secrets.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir(parents=True, mode=0o700)
+    if os.getuid() == 0:
+        os.chown(fresh, user_id(), user_id())
+
+    def iotcloud(*words):
+        done = run(docker.once("secrets", *words), capture_output=True, env=environment(SECRETS=str(fresh)))
+        if done.returncode:
+            raise Refused(f"iotcloud {' '.join(words)}: {done.stderr.strip()}")
+        return done.stdout.strip()
+
+    iotcloud("certs", "init", "/secrets", "--host", ",".join(HOSTS))
+    for holder in ("admin", "master"):  # `admin` is a person, `master` authenticates the masters at the gateways
+        write_secret(fresh, f"{holder}.token", iotcloud("token", "add", holder, "--role", "admin", "--file", "/secrets/tokens"))
+    password = secrets.token_hex(24)
+    write_secret(fresh, "rabbitmq.password", password)
+    write_secret(fresh, "rabbitmq.conf", f"default_user = iotcloud\ndefault_pass = {password}")
+    write_secret(fresh, "registry.password", secrets.token_hex(24))
+    fresh.rename(SECRETS)
+
+
+def wait_until_healthy(docker, process, log):
+    begin, known = time.monotonic(), {}
+    while True:
+        ended = process.poll()
+        containers = docker.containers()
+        for service, container in sorted(containers.items()):
+            state = state_of(container)
+            if known.get(service) != state:
+                known[service] = state
+                print(f"    {time.monotonic() - begin:5.1f} s  {service}: {state}", flush=True)
+        if ended:
+            raise Refused(f"{log.read_text(errors='replace').strip()}\nthe cluster did not start: "
+                          "`./dev cluster status`, `docker logs CONTAINER`; `./dev cluster down` takes it away")
+        if ended == 0 and known and all(state == "healthy" for state in known.values()):
+            say(f"{len(known)} containers are healthy after {time.monotonic() - begin:.0f} s")
+            return
+        if time.monotonic() - begin > START_LIMIT_S:
+            waiting = sorted(f"{service}: {state}" for service, state in known.items() if state != "healthy")
+            raise Refused(f"not within {START_LIMIT_S} s: {', '.join(waiting)}; see `docker logs CONTAINER`")
+        time.sleep(0.3)
+
+
+HOW_TO = """
+The topology `echo` sends back what load generators send. Look at the cluster, deploy one, and take it away:
+
+  ./dev cluster cli status
+  ./dev cluster cli deploy loadgen.so --gateway gateway-1 --property rate=100
+  ./dev cluster cli drivers
+  ./dev cluster cli logs --help
+  ./dev cluster cli undeploy --driver loadgen
+
+The command line sees this folder: `./dev cluster cli deploy --plugin ./build/release/plugins/turtle.so ...` sends a file.
+`./dev cluster bench` measures, `./dev cluster down` takes everything away.
+"""
+
+
+def up(given):
+    docker = Docker()
+    build(docker, "master-1")
+    make_secrets(docker)
+    say("starting" + (" without Kafka" if given.small else ""))
+    profile = [] if given.small else ["--profile", "whole"]
+    log = OUT / "up.log"
+    with open(log, "w", encoding="utf-8") as out:
+        process = subprocess.Popen(docker.compose(*profile, "up", "-d", "--no-build"), cwd=ROOT, env=environment(),
+                                   stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+        try:
+            wait_until_healthy(docker, process, log)
+        finally:
+            process.terminate()
+            process.wait()
+    print(HOW_TO)
+
+
+def require_up(docker):
+    containers = docker.containers()
+    if not containers:
+        raise Refused("the cluster is not up: ./dev cluster up")
+    return containers
+
+
+def status(_):
+    docker = Docker()
+    containers = require_up(docker)
+    print(f"{'SERVICE':12} {'STATE':10} {'RESTARTS':>8}  PORTS ON THIS MACHINE")
+    for service, container in sorted(containers.items()):
+        bound = container["NetworkSettings"]["Ports"] or {}
+        ports = [f"{each['HostIp']}:{each['HostPort']} -> {port}" for port, hosts in bound.items() for each in hosts or []]
+        print(f"{service:12} {state_of(container):10} {container['RestartCount']:8}  {', '.join(ports)}")
+    print(flush=True)
+    if run(docker.once("cli", "status"), stderr=subprocess.DEVNULL).returncode:
+        raise Refused("no master answers")
+    return 0 if all(state_of(container) == "healthy" for container in containers.values()) else 1
+
+
+def bench(given):
+    docker = Docker()
+    require_up(docker)
+    build(docker, "bench")
+    commit = run(["git", "describe", "--always", "--dirty", "--abbrev=40"], capture_output=True).stdout.strip() or "unknown"
+    done = run(docker.once("bench", "--commit", commit, *(["--quick"] if given.quick else [])))
+    if done.returncode:
+        raise Refused(f"the benchmark failed with status {done.returncode}")
+    report = OUT / "cluster.json"
+    report.write_text(asked(docker.once("bench", REPORT, entrypoint="cat")), encoding="utf-8")
+    say(f"the report is in the volume {project()}_reports, and in {report.relative_to(ROOT)}")
+
+
+def cli(given):
+    docker = Docker()
+    require_up(docker)
+    os.chdir(ROOT)
+    command = docker.once("cli", *given.words)
+    os.execvpe(command[0], command, environment())
+
+
+def down(given):
+    docker = Docker()
+    done = run(docker.compose(*EVERYTHING, "down", "--volumes", "--remove-orphans"))
+    if done.returncode:
+        raise Refused(f"docker compose down failed with status {done.returncode}")
+    for folder in (SECRETS, SECRETS.with_name("secrets.new")):
+        shutil.rmtree(folder, ignore_errors=True)
+    if given.images:
+        for image in ("iotcloud:local", "iotcloud-bench:local"):
+            run(["docker", "image", "rm", image], capture_output=True)
+    say("containers, networks, volumes and secrets are gone" + ("" if given.images else
+                                                                 "; images stay for the next time (--images: they go too)"))
+
+
+def main():
+    if sys.argv[1:2] == ["cli"]:  # all words after `cli` belong to iotcloud
+        return cli(argparse.Namespace(words=sys.argv[2:]))
+    parser = argparse.ArgumentParser(prog="./dev cluster", description="A whole IoTCloud in containers")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name, function, what):
+        sub = commands.add_parser(name, help=what, description=what)
+        sub.set_defaults(function=function)
+        return sub
+
+    command("up", up, "build the images, make the secrets, start it and wait until all is healthy").add_argument(
+        "--small", action="store_true", help="without Kafka")
+    command("status", status, "what runs, and what the masters say")
+    command("bench", bench, "measure round trips through it").add_argument(
+        "--quick", action="store_true", help="fewer sizes and rounds")
+    command("cli", cli, "the command line iotcloud, as an admin")
+    command("down", down, "take away all that `up` made").add_argument(
+        "--images", action="store_true", help="the images too")
+    given = parser.parse_args()
+    return given.function(given)
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except Refused as problem:
+        sys.exit(str(problem))
+    except KeyboardInterrupt:
+        sys.exit("interrupted: `./dev cluster down` takes away what is there")

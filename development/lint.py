@@ -1,0 +1,68 @@
+#!/usr/bin/python3
+"""Runs clang-tidy on each of the files named on stdin, as many at once as there are cores.
+
+usage: lint.py --build FOLDER [--seconds N] <FILES      FOLDER: configured without unity builds and precompiled headers
+
+Each file is read alone, so one that forgets an include is found. After --seconds no further file is started, and the
+files left out are named. The exit status is 1 when clang-tidy found something.
+"""
+import argparse
+import concurrent.futures
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from progress import PERIOD_S, in_minutes  # noqa: E402
+
+
+def look_at(build, file):
+    done = subprocess.run(["clang-tidy-14", "-p", build, "--quiet", file], stdin=subprocess.DEVNULL,
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
+    return file, done.returncode, done.stdout
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--build", required=True)
+    parser.add_argument("--seconds", type=float, default=float("inf"))
+    given = parser.parse_args()
+    files = sys.stdin.read().split()
+    began = told = time.monotonic()
+    done, bad = 0, 0
+    terminal = sys.stdout.isatty()
+    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
+        waiting = iter(files)
+        running = set()
+        left_out = []
+        while True:
+            while len(running) < os.cpu_count() and time.monotonic() - began < given.seconds:
+                file = next(waiting, None)
+                if file is None:
+                    break
+                running.add(pool.submit(look_at, given.build, file))
+            if not running:
+                left_out = list(waiting)
+                break
+            finished, running = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
+            for result in finished:
+                file, status, said = result.result()
+                done += 1
+                if status != 0:
+                    bad += 1
+                    print(f"{file}:\n{said}", flush=True)
+            if terminal or time.monotonic() - told >= PERIOD_S:
+                told = time.monotonic()
+                print(f"lint: {done} of {len(files)} files, {in_minutes(told - began)}", end="\r" if terminal else "\n",
+                      flush=True)
+    print(f"lint: {done} files, {bad} with findings, {in_minutes(time.monotonic() - began)}")
+    if left_out:
+        print(f"lint: {len(left_out)} files were not looked at within {given.seconds:.0f} s: {' '.join(left_out)}")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

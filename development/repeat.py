@@ -1,0 +1,107 @@
+#!/usr/bin/python3
+"""Repeats the release suite to find tests that depend on how busy the machine is: every second run shares it with
+processes that keep all cores busy.
+
+usage: ./dev test --repeat RUNS [CTEST OPTIONS]      (it builds, and runs this file)
+
+One line for each run is added to development/repeats.tsv: number, commit, idle or loaded, begin, seconds, tests, failed,
+and the names of those that failed; what they printed is in build/repeat/run-NUMBER.log. Stopped and started again, also
+on another day with the file committed, it goes on after the last line. The exit status is 1 when any of the RUNS last lines says that a test failed.
+"""
+import argparse
+import ctypes
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+TREE = Path(__file__).resolve().parents[1]
+PR_SET_PDEATHSIG = 1
+HEAD = "run\tcommit\tmachine\tbegan\tseconds\ttests\tfailed\tnames\n"
+SUMMARY = re.compile(r"(\d+)% tests passed, (\d+) tests failed out of (\d+)")
+FAILED = re.compile(r"^\s+\d+ - (\S+) \((?!Skipped)", re.MULTILINE)
+
+
+def commit_of(tree, table):
+    """The commit of the tree, with "-modified" when another file than the table differs from it."""
+    def git(*words):
+        return subprocess.run(["git", "-C", str(tree), *words], capture_output=True, text=True, check=True).stdout.strip()
+    changes = git("status", "--porcelain", "--", ".", f":(exclude){table.relative_to(tree)}")
+    return git("rev-parse", "--short", "HEAD") + ("-modified" if changes else "")
+
+
+def die_with_parent():
+    ctypes.CDLL("libc.so.6").prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def burners():
+    """Starts a process for each core that only computes."""
+    return [subprocess.Popen([sys.executable, "-c", "while True: pass"], preexec_fn=die_with_parent)
+            for _ in range(os.cpu_count())]
+
+
+def outcome(said):
+    """Returns the number of tests and the failed ones from what ctest printed. Raises ValueError without a summary."""
+    summary = SUMMARY.search(said)
+    if not summary:
+        raise ValueError("ctest ended without a summary")
+    return int(summary[3]), sorted(FAILED.findall(said[summary.end():]))
+
+
+def run_suite(build, options):
+    """Runs the suite and returns ctest's output. An interrupt ends its tests and their servers too."""
+    command = ["ctest", "--test-dir", str(build), "--output-on-failure", "-j", str(3 * os.cpu_count()), "-LE", "^long$",
+               *options]
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                          errors="replace", start_new_session=True) as suite:
+        try:
+            return suite.communicate()[0]
+        except BaseException:
+            os.killpg(suite.pid, signal.SIGKILL)
+            raise
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="./dev test --repeat", description=__doc__.split("\n")[0])
+    parser.add_argument("runs", type=int, metavar="RUNS", help="how many lines the file is to have")
+    parser.add_argument("--build", type=Path, default=Path("build/release"), help=argparse.SUPPRESS)
+    parser.add_argument("--out", type=Path, default=Path("build/repeat"), help=argparse.SUPPRESS)
+    parser.add_argument("--table", type=Path, default=TREE / "development/repeats.tsv", help=argparse.SUPPRESS)
+    given, options = parser.parse_known_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    given.out.mkdir(parents=True, exist_ok=True)
+    table = given.table
+    if not table.exists():
+        table.write_text(HEAD)
+    commit = commit_of(TREE, table)
+    lines = table.read_text().splitlines()[1:]
+    while len(lines) < given.runs:
+        number = len(lines) + 1
+        loaded = number % 2 == 0
+        print(f"run {number} of {given.runs}, {'beside busy cores' if loaded else 'the machine to itself'}", flush=True)
+        began = time.strftime("%Y-%m-%dT%H:%M:%S")
+        start = time.monotonic()
+        busy = burners() if loaded else []
+        try:
+            said = run_suite(given.build, options)
+        finally:
+            for process in busy:
+                process.kill()
+                process.wait()
+        (given.out / f"run-{number}.log").write_text(said)
+        tests, names = outcome(said)
+        lines.append("\t".join([str(number), commit, "loaded" if loaded else "idle", began,
+                                f"{time.monotonic() - start:.0f}", str(tests), str(len(names)), " ".join(names)]))
+        with open(table, "a", encoding="utf-8") as file:
+            file.write(lines[-1] + "\n")
+        print(lines[-1], flush=True)
+    failed = [line for line in lines[-given.runs:] if line.split("\t")[6] != "0"]
+    print(f"{given.runs} runs, {len(failed)} with failures; {table}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

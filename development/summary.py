@@ -1,0 +1,140 @@
+#!/usr/bin/python3
+"""Summarises a test run from the JUnit files that ctest wrote.
+
+usage: summary.py [--ci] [--steps FILE] [--table FILE] [--whole] JUNIT_FILE...
+
+Prints the time of each step (FILE: "seconds<TAB>name<TAB>what pace.py said" a line), the ten slowest tests, what was
+skipped and why, what failed, and in the end "N passed, N failed, N skipped". With --ci a skip that is not among the
+`skips_allowed` of limits.json is a failure, and so is, with --whole, a run that took longer than its `minutes`. These
+are minutes of a machine where pace.py takes `pace_s` seconds: a slower machine is allowed more, in proportion. --table:
+one line for each test. The exit status is 1 after a failure.
+"""
+import argparse
+import json
+import re
+import statistics
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as xml
+from dataclasses import dataclass
+from pathlib import Path
+
+LIMITS = Path(__file__).resolve().parent / "limits.json"
+SLOWEST = 10
+# How GoogleTest, unittest and the scripts of this tree print why a test was skipped.
+REASON = re.compile(r"^(?:.*: Skipped|SKIPPED? |.*\.\.\. skipped )(.*)$", re.MULTILINE)
+
+
+@dataclass
+class Test:
+    preset: str
+    name: str
+    seconds: float
+    outcome: str  # "passed", "failed" or "skipped"
+    said: str
+
+    def full_name(self):
+        return f"{self.name} ({self.preset})"
+
+    def reason(self):
+        """Why the test was skipped: its text after the word, or its last line."""
+        lines = [line.strip() for line in self.said.splitlines() if line.strip() and not line.startswith("[")]
+        for at, line in enumerate(lines):
+            if line.endswith(": Skipped") and at + 1 < len(lines):
+                return lines[at + 1]
+            if found := REASON.match(line):
+                return found[1].strip(" '\"") or line
+        return lines[-1] if lines else "it did not say why"
+
+
+def read(file):
+    """Reads the tests in one JUnit file of ctest; the preset is the name of its folder."""
+    tests = []
+    for case in xml.parse(file).getroot().iter("testcase"):
+        if case.get("status") == "disabled":
+            continue
+        outcome = "passed" if case.get("status") == "run" else "failed"
+        if case.find("skipped") is not None or case.get("status") == "notrun":
+            outcome = "skipped"
+        elif case.find("failure") is not None:
+            outcome = "failed"
+        tests.append(Test(Path(file).parent.name, case.get("name"), float(case.get("time", 0)), outcome,
+                          case.findtext("system-out", "")))
+    return tests
+
+
+def in_minutes(seconds):
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
+
+
+def report(tests, steps, limits, ci, whole):
+    """Prints the report. Returns what is wrong besides failed tests, one text for each fault."""
+    wrong = []
+    if steps:
+        print("\nsteps:")
+        for seconds, name, _ in steps:
+            print(f"  {in_minutes(seconds):>9}  {name}")
+        total = sum(seconds for seconds, _, _ in steps)
+        slower = max(1.0, statistics.median(pace for _, _, pace in steps) / limits["pace_s"])
+        allowed = 60 * limits["minutes"] * slower
+        why = f"the {limits['minutes']} min of {LIMITS.name}, and {slower:.2f} times as much at this machine's pace"
+        print(f"  {in_minutes(total):>9}  in all; {in_minutes(allowed)} are allowed: {why}")
+        if ci and whole and total > allowed:
+            wrong.append(f"the whole took {in_minutes(total)}; {in_minutes(allowed)} are allowed: {why}")
+    print(f"\nthe {SLOWEST} slowest tests:")
+    for test in sorted(tests, key=lambda test: -test.seconds)[:SLOWEST]:
+        print(f"  {test.seconds:>7.1f} s  {test.full_name()}")
+    skipped = [test for test in tests if test.outcome == "skipped"]
+    if skipped:
+        print("\nskipped:")
+    for test in skipped:
+        allowed = next((why for pattern, why in limits["skips_allowed"].items() if re.search(pattern, test.name)), None)
+        print(f"  {test.full_name()}: {test.reason()}" + (f" [allowed: {allowed}]" if allowed else ""))
+        if ci and allowed is None:
+            wrong.append(f"{test.full_name()} was skipped, which {LIMITS.name} does not allow")
+    failed = [test for test in tests if test.outcome == "failed"]
+    if failed:
+        print("\nfailed:")
+    for test in failed:
+        print(f"  {test.full_name()}, {test.seconds:.1f} s")
+    for text in wrong:
+        print(f"\nwrong: {text}")
+    return wrong
+
+
+def write_table(file, tests):
+    commit = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True).stdout.strip()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with open(file, "w", encoding="utf-8") as out:
+        out.write(f"# commit {commit}, {time.strftime('%Y-%m-%d %H:%M')}\npreset\ttest\toutcome\tseconds\n")
+        for test in sorted(tests, key=lambda test: test.name):
+            out.write(f"{test.preset}\t{test.name}\t{test.outcome}\t{test.seconds:.2f}\n")
+    print(f"\nthe table of all tests is {file}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--ci", action="store_true")
+    parser.add_argument("--whole", action="store_true")
+    parser.add_argument("--steps", type=Path)
+    parser.add_argument("--table", type=Path)
+    parser.add_argument("files", nargs="+", type=Path)
+    given = parser.parse_args()
+    limits = json.loads(LIMITS.read_text(encoding="utf-8"))
+    tests = [test for file in given.files for test in read(file)]
+    steps = []
+    if given.steps:
+        for line in given.steps.read_text(encoding="utf-8").splitlines():
+            seconds, name, pace = line.split("\t")
+            steps.append((float(seconds), name, float(pace)))
+    wrong = report(tests, steps, limits, given.ci, given.whole)
+    if given.table:
+        write_table(given.table, tests)
+    count = {outcome: sum(test.outcome == outcome for test in tests) for outcome in ("passed", "failed", "skipped")}
+    print(f"\n{count['passed']} passed, {count['failed'] + len(wrong)} failed, {count['skipped']} skipped")
+    return 1 if count["failed"] or wrong or not tests else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
