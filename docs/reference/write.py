@@ -1,0 +1,196 @@
+#!/usr/bin/python3
+"""Writes README.md: every key of the daemons' configuration files, as the daemons themselves list them.
+
+usage: write.py BUILD_DIR [--check]      (./dev reference; --check: only say whether README.md is up to date)
+
+Each daemon reads its default file of the folder above with all that is commented out there taken in, and lists the keys
+that it asked for (--list-keys): names, kinds, defaults and limits come from the code that reads them. What a key means
+comes from the comment above it in that file, or from the tables of a README; a key of which neither says anything is an
+error.
+"""
+
+import argparse
+import difflib
+import getpass
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+TARGET = HERE / "README.md"
+KEY_LINE = re.compile(r"^(\s*)([a-z_][\w.]*):(?: (.*))?$")
+# In a comment: prose may have a colon, too, but no value of one word, in quotes or in brackets behind it.
+OPTION = re.compile(r"^ *[a-z_][\w.]*:( *| \S+| [\[{\"].*)( +#.*)?$")
+# What a file of another machine names, and stands in for it here.
+STAND_INS = {"iotcloud-drivers": getpass.getuser() if os.geteuid() else "nobody",
+             "my_components.so": "turtlebot_follower.so", "my.Work": "turtlebot.Decoder"}
+
+DAEMONS = (
+    ("iotcloud-gateway", "gateway.yaml", None),
+    ("iotcloud-master", "master.yaml", None),
+    ("iotcloud-topology", "topology.yaml", "topology/definition/README.md"),
+)
+# What the first cell of that README's second table stands for.
+OWNERS = {"all": ["spouts.<name>.", "bolts.<name>."], "spouts": ["spouts.<name>."], "bolts": ["bolts.<name>."],
+          "inputs": ["bolts.<name>.inputs[]."]}
+
+HEAD = """\
+# Configuration reference
+
+`./dev reference` makes this page from the keys that the daemons read and from the comments in the default files; a test
+compares it with them. `<name>` is a name of your choice, `[]` an item of a sequence. Durations have a unit (`250ms`, `10s`,
+`5m`, `1h`). **required**: the key must be there if its mapping is (for a spout or bolt: if it faces a broker). A key without
+a meaning shares that of the lines above it. A daemon refuses any other key, and names the nearest one of these.
+[fleet.yaml](../../config/fleet.yaml) explains the manifest of `iotcloud apply`.
+"""
+
+
+def taken_in(text):
+    """The file with what is commented out there. A mapping that stands there twice is the one with more in it."""
+    lines = []
+    for line in text.splitlines():
+        inner = re.match(r"^(\s*)# ?(.*)$", line)
+        if inner and OPTION.match(inner[2]):
+            line = inner[1] + inner[2]
+        lines.append(line)
+    last = {match[2]: number for number, line in enumerate(lines) if (match := KEY_LINE.match(line)) and not match[1]}
+    kept = [line for number, line in enumerate(lines)
+            if not ((match := KEY_LINE.match(line)) and not match[1] and last[match[2]] != number)]
+    return "\n".join(kept) + "\n"
+
+
+def furnished(text, folder, binaries):
+    """The same for this machine: what the file names exists, in `folder`."""
+    for name, stand_in in STAND_INS.items():
+        text = text.replace(name, stand_in)
+    names = sorted(set(re.findall(r"/etc/iotcloud/([\w.-]+)", text)))
+    text = text.replace("/etc/iotcloud/", f"{folder}/").replace("build/release", str(binaries.parent))
+
+    def run(*words):
+        subprocess.run(list(map(str, words)), check=True, stdout=subprocess.DEVNULL, cwd=folder)
+
+    hosts = sorted({Path(name).stem for name in names if name.endswith(".key")} - {"ca"})
+    if hosts:
+        run(binaries / "iotcloud", "certs", "init", folder, "--host", *hosts)
+    for name in names:
+        file = folder / name
+        if name == "tokens":
+            run(binaries / "iotcloud", "token", "add", "somebody", "--role", "viewer", "--file", file)
+        elif name == "plugin-keys":
+            file.mkdir()
+            run(binaries / "iotcloud", "keys", "new", folder / "lab")
+            shutil.copy(folder / "lab.pub", file)
+        elif not file.exists():
+            file.write_text("a secret\n")
+            file.chmod(0o600)
+    return text
+
+
+def comments(text):
+    """What is said of each dotted key of a file: what belongs to it alone (the comment lines right above it, and what
+    stands behind it), and what it shares with the keys before it (their comment, up to an empty line)."""
+    said, above, fresh, stack = {}, [], False, []
+    for line in text.splitlines():
+        match = KEY_LINE.match(line)
+        if not line.strip():
+            above = []
+        elif line.lstrip().startswith("#"):
+            above = (above if fresh else []) + [line.strip().lstrip("# ")]
+            fresh = True
+        elif match:
+            indent, key = len(match[1]), match[2]
+            if not fresh and stack and stack[-1][0] != indent:
+                above = []
+            stack = [entry for entry in stack if entry[0] < indent] + [(indent, key)]
+            behind = (match[3] or "").partition(" # ")[2].strip()
+            own = above * fresh + [behind] * bool(behind)
+            said[".".join(part for _, part in stack)] = (" ".join(own), " ".join(above))
+            fresh = False
+    return said
+
+
+def tables(readme):
+    """What the tables of a README say of keys, in the form of comments()."""
+    said, owner = {}, None
+    for line in readme.read_text().splitlines() if readme else []:
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if not line.startswith("|") or len(cells) < 2:
+            continue
+        if len(cells) == 3:
+            owner = cells[0] or owner
+        for key in re.findall(r"`([a-z_][\w.]*)(?:: \w+)?`", cells[-2]):
+            for prefix in OWNERS.get(owner, [""]) if len(cells) == 3 else [""]:
+                said[prefix + key] = (cells[-1], "")
+    return said
+
+
+def lookup(key, said):
+    """What is said of a key; a name of the user's choice may stand for `<name>` in the file."""
+    if key in said:
+        return said[key]
+    pattern = re.compile(re.escape(key).replace("<name>", r"[^.]+").replace(r"\[\]", ""))
+    found = [text for path, text in said.items() if pattern.fullmatch(path)]
+    return next((text for text in found if text[0]), next(iter(found), ("", "")))
+
+
+def table(keys, said, mentioned):
+    """Markdown of a daemon's keys, and those of which nothing is said."""
+    rows, unsaid = [], []
+    for entry in keys:
+        key = entry["key"]
+        own, shared = lookup(key, said)
+        if not own and not shared and not re.search(rf"(?<!\w){re.escape(key.rsplit('.', 1)[-1])}(?!\w)", mentioned):
+            unsaid.append(key)
+        fallback = "**required**" if entry["required"] else f"`{entry['default']}`" * bool(entry["default"])
+        kind = entry["kind"] + f": {entry['allowed']}" * bool(entry["allowed"])
+        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in (f"`{key}`", kind, fallback, own)) + " |")
+    return "\n".join(["| key | value | default | meaning |", "|---|---|---|---|", *rows]), unsaid
+
+
+def section(program, file, readme, binaries):
+    source = (ROOT / "config" / file).read_text()
+    complete = taken_in(source)
+    with tempfile.TemporaryDirectory(prefix="iotcloud-reference-") as folder:
+        folder = Path(folder) / "etc"
+        folder.mkdir(mode=0o700)
+        configuration = folder / file
+        configuration.write_text(furnished(complete, folder, binaries))
+        listed = subprocess.run([binaries / program, "--config", configuration, "--list-keys"], capture_output=True,
+                                text=True)
+    if listed.returncode != 0:
+        sys.exit(f"{program} does not take {file} with all that is commented out in it:\n{listed.stderr}")
+    beside = {key: text for key, text in comments(complete).items() if any(text)}
+    said = tables(readme and ROOT / readme) | beside
+    mentioned = source + ((ROOT / readme).read_text() if readme else "")
+    text, unsaid = table(json.loads(listed.stdout), said, mentioned)
+    if unsaid:
+        where = f"config/{file}" + f" or {readme}" * bool(readme)
+        sys.exit(f"{where}: nothing is said of {', '.join(unsaid)}: add a comment that tells what each is for")
+    more = f"[{readme}](../../{readme}) says more.\n\n" if readme else ""
+    return f"## {program}: [{file}](../../config/{file})\n\n{more}{text}\n"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("build", type=Path)
+    parser.add_argument("--check", action="store_true")
+    given = parser.parse_args()
+    text = "\n".join([HEAD, *(section(*daemon, given.build.resolve() / "bin") for daemon in DAEMONS)])
+    if not given.check:
+        TARGET.write_text(text)
+        return
+    written = TARGET.read_text()
+    if written != text:
+        sys.stdout.writelines(difflib.unified_diff(written.splitlines(True), text.splitlines(True),
+                                                   "docs/reference/README.md", "what the daemons ask for"))
+        sys.exit("docs/reference/README.md is not what the daemons ask their files for: run ./dev reference")
+
+
+if __name__ == "__main__":
+    main()
