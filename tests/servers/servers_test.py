@@ -107,6 +107,8 @@ class ServersTest(unittest.TestCase):
             with subprocess.Popen(["/usr/bin/python3", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                                   text=True) as script:
                 program = script.stdout.readline().strip()
+                while not command_line(program):
+                    os.sched_yield()  # a parent runs on before the kernel has written its child's new arguments
                 self.assertEqual(command_line(program), b"sleep\x001000\x00")
                 script.kill()
             while command_line(program):
