@@ -4,6 +4,8 @@ include(CMakePackageConfigHelpers)
 include(GNUInstallDirs)
 
 get_property(sdk_targets GLOBAL PROPERTY IOTCLOUD_SDK_TARGETS)
+add_custom_target(installed)  # all that is installed, and no test
+add_dependencies(installed programs ${sdk_targets})
 install(TARGETS ${sdk_targets} EXPORT iotcloudTargets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
   FILE_SET HEADERS DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}

@@ -6,7 +6,8 @@ usage: ./dev test --repeat RUNS [CTEST OPTIONS]      (it builds, and runs this f
 
 One line for each run is added to development/repeats.tsv: number, commit, idle or loaded, begin, seconds, tests, failed,
 and the names of those that failed; what they printed is in build/repeat/run-NUMBER.log. Stopped and started again, also
-on another day with the file committed, it goes on after the last line. The exit status is 1 when any of the RUNS last lines says that a test failed.
+on another day and with another commit, it goes on after the last line. The exit status is 1 when any of the RUNS last
+lines says that a test failed.
 """
 import argparse
 import ctypes

@@ -3,8 +3,8 @@
 
 usage: summary.py [--ci] [--steps FILE] [--table FILE] [--whole] JUNIT_FILE...
 
-Prints the time of each step (FILE: "seconds<TAB>name<TAB>what pace.py said" a line), the ten slowest tests, what was
-skipped and why, what failed, and in the end "N passed, N failed, N skipped". With --ci a skip that is not among the
+Prints the time of each step (FILE: "seconds<TAB>name<TAB>what pace.py said<TAB>seconds of CPU" a line), the ten slowest
+tests, what was skipped and why, what failed, and in the end "N passed, N failed, N skipped". With --ci a skip that is not among the
 `skips_allowed` of limits.json is a failure, and so is, with --whole, a run that took longer than its `minutes`. These
 are minutes of a machine where pace.py takes `pace_s` seconds: a slower machine is allowed more, in proportion. --table:
 one line for each test. The exit status is 1 after a failure.
@@ -73,13 +73,14 @@ def report(tests, steps, limits, ci, whole):
     wrong = []
     if steps:
         print("\nsteps:")
-        for seconds, name, _ in steps:
-            print(f"  {in_minutes(seconds):>9}  {name}")
-        total = sum(seconds for seconds, _, _ in steps)
-        slower = max(1.0, statistics.median(pace for _, _, pace in steps) / limits["pace_s"])
+        for seconds, name, _, cpu in steps:
+            print(f"  {in_minutes(seconds):>9}  {name} ({in_minutes(cpu)} of CPU)")
+        total = sum(seconds for seconds, _, _, _ in steps)
+        slower = max(1.0, statistics.median(pace for _, _, pace, _ in steps) / limits["pace_s"])
         allowed = 60 * limits["minutes"] * slower
         why = f"the {limits['minutes']} min of {LIMITS.name}, and {slower:.2f} times as much at this machine's pace"
-        print(f"  {in_minutes(total):>9}  in all; {in_minutes(allowed)} are allowed: {why}")
+        cpu = sum(cpu for _, _, _, cpu in steps)
+        print(f"  {in_minutes(total):>9}  in all ({in_minutes(cpu)} of CPU); {in_minutes(allowed)} are allowed: {why}")
         if ci and whole and total > allowed:
             wrong.append(f"the whole took {in_minutes(total)}; {in_minutes(allowed)} are allowed: {why}")
     print(f"\nthe {SLOWEST} slowest tests:")
@@ -126,8 +127,8 @@ def main():
     steps = []
     if given.steps:
         for line in given.steps.read_text(encoding="utf-8").splitlines():
-            seconds, name, pace = line.split("\t")
-            steps.append((float(seconds), name, float(pace)))
+            seconds, name, pace, cpu = line.split("\t")
+            steps.append((float(seconds), name, float(pace), float(cpu)))
     wrong = report(tests, steps, limits, given.ci, given.whole)
     if given.table:
         write_table(given.table, tests)

@@ -57,15 +57,20 @@ class SummaryTest(unittest.TestCase):
         self.assertIn("Hosts.OfAnotherUser", wrong[0])
 
     def test_in_ci_the_whole_must_stay_within_its_minutes(self):
-        steps = [(50, "building", 0.5), (20, "testing", 0.4)]
+        steps = [(50, "building", 0.5, 100), (20, "testing", 0.4, 40)]
         self.assertEqual(self.report(steps=steps)[0], [])
         self.assertTrue(any("70 s" in text for text in self.report(ci=True, steps=steps)[0]))
 
     def test_a_slower_machine_is_allowed_more_minutes(self):
-        steps = [(50, "building", 0.7), (20, "testing", 0.6), (1, "linting", 0.5)]
+        steps = [(50, "building", 0.7, 100), (20, "testing", 0.6, 40), (1, "linting", 0.5, 2)]
         self.assertFalse(any("the whole took" in text for text in self.report(ci=True, steps=steps)[0]))
-        steps = [(50, "building", 0.7), (23, "testing", 0.6), (1, "linting", 0.5)]
+        steps = [(50, "building", 0.7, 100), (23, "testing", 0.6, 46), (1, "linting", 0.5, 2)]
         self.assertTrue(any("1.20 times as much" in text for text in self.report(ci=True, steps=steps)[0]))
+
+    def test_tells_the_cpu_time_of_each_step_and_of_all(self):
+        _, said = self.report(steps=[(50, "building", 0.5, 90), (20, "testing", 0.5, 400)])
+        self.assertIn("50 s  building (90 s of CPU)", said)
+        self.assertIn("70 s  in all (8.2 min of CPU)", said)
 
     def test_names_the_slowest_first(self):
         _, said = self.report()
