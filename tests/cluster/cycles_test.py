@@ -77,14 +77,19 @@ def main():
         def only_the_host_that_stays():
             return host_process(processes["gateway-1"]) == processes["driver host"]
 
+        def gateway_closed_what_it_held():
+            return measure(processes["gateway-1"])["descriptors"] <= at_first + MORE["descriptors"]
+
+        at_first = measure(processes["gateway-1"])["descriptors"]
         api = MasterApi(cluster.apis["master"], 60)
         began = time.monotonic()
         for number in range(given.cycles):
             for properties in ({"rate": "50"}, {"rate": "50", "isolation": "instance"}):
                 instances = api.deploy("loadgen.so", "gateway-1", properties)
                 api.undeploy(instances)
-            # The host of the removed instance may still be ending, and holds what its end frees.
+            # The host of the removed instance may still be ending, and the gateway has yet to close what it held of it.
             wait_for("only the host that stays is left", only_the_host_that_stays)
+            wait_for("the gateway closed what it held of the other", gateway_closed_what_it_held)
             for name, process in processes.items():
                 samples[name].append(measure(process))
         took = time.monotonic() - began
