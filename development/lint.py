@@ -4,10 +4,13 @@
 usage: lint.py --build FOLDER [--seconds N] <FILES      FOLDER: configured without unity builds and precompiled headers
 
 Each file is read alone, so one that forgets an include is found. After --seconds no further file is started, and the
-files left out are named. The exit status is 1 when clang-tidy found something.
+files left out are named. A file that was found clean is not looked at again until it, a header, a definition in Thrift,
+a CMake file or clang-tidy's options change: FOLDER/clean remembers it. The exit status is 1 when clang-tidy found
+something.
 """
 import argparse
 import concurrent.futures
+import hashlib
 import os
 import subprocess
 import sys
@@ -19,10 +22,41 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from progress import PERIOD_S, in_minutes  # noqa: E402
 
 
-def look_at(build, file):
+def look_at(build, file, remembered):
+    mark = remembered.mark_of(file)  # before clang-tidy reads it: it may be changed meanwhile
     done = subprocess.run(["clang-tidy-14", "-p", build, "--quiet", file], stdin=subprocess.DEVNULL,
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
+    if done.returncode == 0:
+        mark.touch()
     return file, done.returncode, done.stdout
+
+
+class Remembered:
+    """The files that were found clean, each by a digest of all that clang-tidy reads for it."""
+
+    def __init__(self, folder):
+        self.folder = Path(folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        listed = subprocess.run(["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+                                capture_output=True, check=True, text=True).stdout
+        self.shared = hashlib.sha256()
+        for file in sorted(listed.split("\0")):
+            if file.endswith((".h", ".thrift", ".cmake", "CMakeLists.txt", "CMakePresets.json", ".clang-tidy")):
+                self.add(self.shared, file)
+
+    def is_clean(self, file):
+        return self.mark_of(file).exists()
+
+    def mark_of(self, file):
+        digest = self.shared.copy()
+        self.add(digest, file)
+        return self.folder / digest.hexdigest()
+
+    @staticmethod
+    def add(digest, file):
+        path = Path(file)
+        text = path.read_bytes() if path.exists() else b""
+        digest.update(f"{file} {len(text)} ".encode() + text)
 
 
 def main():
@@ -30,7 +64,11 @@ def main():
     parser.add_argument("--build", required=True)
     parser.add_argument("--seconds", type=float, default=float("inf"))
     given = parser.parse_args()
-    files = sys.stdin.read().split()
+    remembered = Remembered(Path(given.build) / "clean")
+    named = sys.stdin.read().split()
+    files = [file for file in named if not remembered.is_clean(file)]
+    if len(files) < len(named):
+        print(f"lint: {len(named) - len(files)} files are as they were when they were found clean")
     began = told = time.monotonic()
     done, bad = 0, 0
     terminal = sys.stdout.isatty()
@@ -43,7 +81,7 @@ def main():
                 file = next(waiting, None)
                 if file is None:
                     break
-                running.add(pool.submit(look_at, given.build, file))
+                running.add(pool.submit(look_at, given.build, file, remembered))
             if not running:
                 left_out = list(waiting)
                 break

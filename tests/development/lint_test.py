@@ -1,0 +1,75 @@
+#!/usr/bin/python3
+"""Tests which files development/lint.py gives to clang-tidy, with a program in its place."""
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+LINT = Path(__file__).resolve().parents[2] / "development/lint.py"
+TIDY = """#!/bin/sh
+for file; do :; done
+echo "$file" >>looked_at
+! grep -q bad "$file"
+"""
+
+
+class LintTest(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory(prefix="iotcloud-lint-")
+        self.addCleanup(folder.cleanup)
+        self.tree = Path(folder.name)
+        subprocess.run(["git", "init", "-q"], cwd=self.tree, check=True)
+        (self.tree / "clang-tidy-14").write_text(TIDY)
+        (self.tree / "clang-tidy-14").chmod(0o755)
+        (self.tree / ".gitignore").write_text("build\nlooked_at\n")
+        self.write("good.cc", "int good;")
+        self.write("bad.cc", "int bad;")
+        self.write("any.h", "int any;")
+
+    def write(self, name, text):
+        (self.tree / name).write_text(text)
+
+    def lint(self, *options, status):
+        """Returns the files that clang-tidy looked at, and what was printed."""
+        looked_at = self.tree / "looked_at"
+        looked_at.write_text("")
+        done = subprocess.run([sys.executable, str(LINT), "--build", "build", *options], cwd=self.tree, text=True,
+                              input="good.cc\nbad.cc\n", capture_output=True,
+                              env={**os.environ, "PATH": f"{self.tree}:{os.environ['PATH']}"})
+        self.assertEqual(done.returncode, status, done.stderr)
+        return sorted(looked_at.read_text().split()), done.stdout
+
+    def test_only_what_is_not_known_to_be_clean_is_looked_at(self):
+        self.assertEqual(self.lint(status=1)[0], ["bad.cc", "good.cc"])
+        looked_at, said = self.lint(status=1)
+        self.assertEqual(looked_at, ["bad.cc"])
+        self.assertIn("1 files are as they were", said)
+        self.write("bad.cc", "int mended;")
+        self.assertEqual(self.lint(status=0)[0], ["bad.cc"])
+        self.assertEqual(self.lint(status=0)[0], [])
+
+    def test_a_change_is_looked_at(self):
+        self.write("bad.cc", "int mended;")
+        self.lint(status=0)
+        self.write("good.cc", "int better;")
+        self.assertEqual(self.lint(status=0)[0], ["good.cc"])
+
+    def test_a_change_of_a_header_or_an_option_is_a_change_of_all(self):
+        self.write("bad.cc", "int mended;")
+        self.lint(status=0)
+        self.write("any.h", "int other;")
+        self.assertEqual(self.lint(status=0)[0], ["bad.cc", "good.cc"])
+        self.write(".clang-tidy", "Checks: all")
+        self.assertEqual(self.lint(status=0)[0], ["bad.cc", "good.cc"])
+
+    def test_what_was_not_looked_at_in_time_is_named_and_not_taken_for_clean(self):
+        looked_at, said = self.lint("--seconds", "0", status=0)
+        self.assertEqual(looked_at, [])
+        self.assertIn("good.cc bad.cc", said)
+        self.assertEqual(self.lint(status=1)[0], ["bad.cc", "good.cc"])
+
+
+if __name__ == "__main__":
+    unittest.main()
