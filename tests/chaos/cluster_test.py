@@ -47,8 +47,9 @@ class AnEndedCluster(InAFolder):
 
 class Processes(InAFolder):
     def test_of_a_run_are_not_those_of_a_run_whose_name_begins_alike(self):
-        with subprocess.Popen([sys.executable, "-c", "input()", self.folder / "rabbitmq-70/a.yaml"], stdin=subprocess.PIPE,
-                              stderr=subprocess.DEVNULL) as child:
+        with subprocess.Popen([sys.executable, "-c", "input(1)", self.folder / "rabbitmq-70/a.yaml"], stdin=subprocess.PIPE,
+                              stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as child:
+            self.assertEqual(child.stdout.read(1), b"1")  # so it runs, and the kernel has its arguments
             self.assertEqual(cluster.processes(self.folder / "rabbitmq-7"), [])
             self.assertEqual([pid for pid, _ in cluster.processes(self.folder / "rabbitmq-70")], [child.pid])
             child.stdin.close()
