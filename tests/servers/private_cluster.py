@@ -255,7 +255,10 @@ brokers:
         """Process ids of a gateway's driver hosts."""
         found = []
         for process in self.descendants():
-            words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+            try:
+                words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+            except OSError:
+                continue  # it has ended since it was listed
             if words[0].endswith(b"iotcloud-driver-host") and gateway.encode() in words:
                 found.append(process)
         return found
