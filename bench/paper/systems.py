@@ -12,7 +12,7 @@ from pathlib import Path
 from figures import ProgramFailed, Programs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "servers"))
-from private_cluster import Children, PrivateCluster, StartError, Unavailable  # noqa: E402, F401
+from private_cluster import Children, PrivateCluster, StartError, Unavailable, children_of  # noqa: E402, F401
 
 # By kind of broker: its name, the server's options, the bare client's program, and the bare client's name.
 KINDS = {
@@ -48,11 +48,7 @@ bolts:
 def descendants(process):
     found = [process]
     for one in found:
-        for children in Path(f"/proc/{one}/task").glob("*/children"):
-            try:
-                found += map(int, children.read_text().split())
-            except OSError:
-                continue  # the process has ended
+        found += children_of(one)
     return found
 
 

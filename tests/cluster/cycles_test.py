@@ -17,7 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
 
 from master_api import MasterApi, compile_idl  # noqa: E402
-from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
+from private_cluster import PrivateCluster, children_of, require, wait_for  # noqa: E402
 
 # A short-lived connection or thread may exist while they are counted.
 MORE = {"descriptors": 2, "threads": 2}
@@ -33,12 +33,7 @@ def measure(process):
 
 def host_process(gateway):
     """The only driver host of that gateway: the gateway's child, in a process group of its own."""
-    found = []
-    for file in Path(f"/proc/{gateway}/task").glob("*/children"):
-        try:
-            found += [int(word) for word in file.read_text().split()]
-        except OSError:
-            pass  # the thread has ended since the folder was read; another one has its children
+    found = children_of(gateway)
     return found[0] if len(found) == 1 else None
 
 

@@ -47,6 +47,21 @@ def wait_for(what, condition, limit=60):
     sys.exit(f"not within {limit} s: {what}")
 
 
+def children_of(process):
+    """Ids of the children of a process."""
+    found = []
+    try:
+        threads = os.listdir(f"/proc/{process}/task")
+    except OSError:
+        return []  # it has ended
+    for thread in threads:
+        try:
+            found += map(int, Path(f"/proc/{process}/task/{thread}/children").read_text().split())
+        except OSError:
+            pass  # the thread has ended since it was listed; another one has its children
+    return found
+
+
 def echo_topology(spouts=1, bolts=1, more=""):
     """YAML of a topology that sends back what load generators send. `spouts`, `bolts`: parallelism; `more`: further
     lines."""
@@ -118,8 +133,7 @@ class Children:
         """Ids of the children's processes, their children and so on."""
         found = [child.pid for _, child in self.children]
         for process in found:
-            for children in Path(f"/proc/{process}/task").glob("*/children"):
-                found += map(int, children.read_text().split())
+            found += children_of(process)
         return found
 
     def dead(self):
