@@ -70,8 +70,8 @@ std::shared_ptr<ReadConnection> Connections::roomy(std::uint8_t priority) {
   return links.emplace_back(std::make_shared<ReadConnection>(cluster_, purpose, meters_, clock_, log_));
 }
 
-std::shared_ptr<ChannelReader> Connections::subscribe(const Topic& topic, const SubscriptionOptions& options,
-                                                      Handler handler) {
+std::shared_ptr<QueueReader> Connections::subscribe(const Topic& topic, const SubscriptionOptions& options,
+                                                    Handler handler) {
   const config::MutexLock lock(mutex_);
   return roomy(options.priority)->add(topic, options, std::move(handler));
 }

@@ -21,7 +21,7 @@ void check_name(const std::string& name, const char* what) {
 
 class RabbitMqSubscription final : public Subscription {
  public:
-  explicit RabbitMqSubscription(std::shared_ptr<ChannelReader> reader) : reader_(std::move(reader)) {}
+  explicit RabbitMqSubscription(std::shared_ptr<QueueReader> reader) : reader_(std::move(reader)) {}
   // The reader may move to another connection between home() and the call on that connection, which then returns false:
   // try again.
   ~RabbitMqSubscription() override {
@@ -39,7 +39,7 @@ class RabbitMqSubscription final : public Subscription {
   bool active() const override { return reader_->home()->active(*reader_); }
 
  private:
-  const std::shared_ptr<ChannelReader> reader_;
+  const std::shared_ptr<QueueReader> reader_;
 };
 
 class RabbitMqBroker final : public Broker {

@@ -11,7 +11,7 @@ using discovery::wire::TResponse;
 using discovery::wire::TResponseState;
 
 // Our enumerations go over the wire as their numbers, which must be those of Thrift's enumerations.
-static_assert(static_cast<int>(Outcome::unknown) == wire::TOutcome::UNKNOWN);
+static_assert(static_cast<int>(OrderOutcome::unknown) == wire::TOutcome::UNKNOWN);
 static_assert(static_cast<int>(Refusal::not_allowed) == wire::TRefusal::NOT_ALLOWED);
 static_assert(static_cast<int>(TopologyChange::kill) == wire::TTopologyChange::KILL);
 

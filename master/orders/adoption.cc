@@ -69,25 +69,25 @@ OrderResult Adoptions::adopt_all(const GatewaySelection& selection) {
   OrderResult result;
   ThawWatch watch(desk_.registry);
   for (const auto& id : chosen) {
-    auto& outcome = result.outcomes.emplace_back(InstanceOutcome{id, {}, Outcome::unknown, ""});
+    auto& outcome = result.outcomes.emplace_back(InstanceOutcome{id, {}, OrderOutcome::unknown, ""});
     const std::string mark = discovery::freeze_path(desk_.options.paths, id);
     OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
       const auto node = desk_.registry.get(mark);
-      if (!node) return OutcomeWatch::Verdict{Outcome::done, "it was not frozen"};
+      if (!node) return OutcomeWatch::Verdict{OrderOutcome::done, "it was not frozen"};
       const discovery::Adoption adoption{discovery::decode_freeze(node->data, mark).token, lead.epoch};
       discovery::put(desk_.registry, desk_.options.paths.orders(id), encode(adoption), lead.fence);
-      if (!find(known, id)->alive) return OutcomeWatch::Verdict{Outcome::pending, lost_text};
+      if (!find(known, id)->alive) return OutcomeWatch::Verdict{OrderOutcome::pending, lost_text};
       watch.expect(id, mark);
       return std::nullopt;
     }));
   }
   const auto frozen = watch.wait(desk_.limit(selection.wait), desk_.leadership.closing());
   for (auto& outcome : result.outcomes) {
-    if (outcome.outcome != Outcome::unknown) continue;
+    if (outcome.outcome != OrderOutcome::unknown) continue;
     if (frozen.contains(outcome.gateway)) {
       outcome.reason = "it has not said yet that it follows the orders; it may still do so";
     } else {
-      outcome.outcome = Outcome::done;
+      outcome.outcome = OrderOutcome::done;
     }
   }
   desk_.tell(result, "adopt");

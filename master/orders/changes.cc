@@ -52,7 +52,7 @@ OrderResult Changes::change_selected(const InstanceSelection& selection, Change 
         }));
         continue;
       }
-      InstanceOutcome outcome{where.gateway, where.instance, Outcome::unknown, ""};
+      InstanceOutcome outcome{where.gateway, where.instance, OrderOutcome::unknown, ""};
       OrderDesk::set_verdict(outcome, gateway ? order(where, *gateway, change, watch) : clear_away(where, change));
       result.outcomes.push_back(std::move(outcome));
     }
@@ -63,7 +63,7 @@ OrderResult Changes::change_selected(const InstanceSelection& selection, Change 
 
 MaybeVerdict Changes::order(const Located& where, const GatewayStatus& gateway, Change change, OutcomeWatch& watch) {
   if (!gateway.alive && (!desk_.options.record_for_lost_gateways || desk_.is_direct(where.gateway)))
-    return Verdict{Outcome::failed, lost_and_not_recorded_text};
+    return Verdict{OrderOutcome::failed, lost_and_not_recorded_text};
   return desk_.leadership.written([&](const Lead& lead) -> MaybeVerdict {
     const bool later = gateway.draining && change == Change::start;
     auto verdict = change == Change::undeploy ? desk_.book.remove(where, lead)
@@ -73,7 +73,7 @@ MaybeVerdict Changes::order(const Located& where, const GatewayStatus& gateway, 
                                                 });
     if (verdict) return verdict;
     if (later)
-      return Verdict{Outcome::pending,
+      return Verdict{OrderOutcome::pending,
                      fmt::format("gateway is draining; it starts after that (iotcloud undrain {})", where.gateway)};
     if (auto postponed = waiting(gateway)) return postponed;
     watch.expect(where.instance, where.driver, where.record);
@@ -84,10 +84,10 @@ MaybeVerdict Changes::order(const Located& where, const GatewayStatus& gateway, 
 /// Handles an instance whose gateway is not registered any more and cannot follow an order: the master itself removes
 /// the record that the gateway left.
 MaybeVerdict Changes::clear_away(const Located& where, Change change) {
-  if (change != Change::undeploy) return Verdict{Outcome::failed, "its gateway is not registered any more"};
+  if (change != Change::undeploy) return Verdict{OrderOutcome::failed, "its gateway is not registered any more"};
   return desk_.leadership.written([&](const Lead& lead) -> MaybeVerdict {
     discovery::remove_tree(desk_.registry, desk_.options.paths.instance(where.driver, where.instance), lead.fence);
-    return Verdict{Outcome::done, "its gateway is not registered any more; its record is removed"};
+    return Verdict{OrderOutcome::done, "its gateway is not registered any more; its record is removed"};
   });
 }
 
@@ -147,7 +147,7 @@ OrderResult Changes::change_deployment(const DeploymentChange& change) {
       if (change.properties) order.properties = *change.properties;
       if (change.manager) order.manager = *change.manager;
       if (made_anew) return std::nullopt;
-      return Verdict{Outcome::done, ""};
+      return Verdict{OrderOutcome::done, ""};
     };
     return rewrite({change.instances, {}, change.wait}, watch, "its gateway is of the original system: deploy it again",
                    alter, "change");
@@ -161,18 +161,18 @@ OrderResult restart(Changes& changes, const InstanceSelection& selection) {
   OrderResult result = changes.change(selection, Change::stop);
   InstanceSelection stopped{{}, {}, selection.wait};
   for (const auto& outcome : result.outcomes) {
-    if (outcome.outcome == Outcome::done) stopped.instances.push_back(outcome.instance);
+    if (outcome.outcome == OrderOutcome::done) stopped.instances.push_back(outcome.instance);
   }
   if (stopped.instances.empty()) return result;
   const OrderResult started = changes.change(stopped, Change::start);
   for (auto& outcome : result.outcomes) {
-    if (outcome.outcome != Outcome::done) continue;
+    if (outcome.outcome != OrderOutcome::done) continue;
     const auto found = std::find_if(started.outcomes.begin(), started.outcomes.end(),
                                     [&](const auto& other) { return other.instance == outcome.instance; });
     if (found != started.outcomes.end()) {
       outcome = *found;
     } else {
-      outcome.outcome = Outcome::failed;
+      outcome.outcome = OrderOutcome::failed;
       outcome.reason = "it is stopped, and the order to start it was refused: " + started.text;
     }
   }

@@ -93,13 +93,13 @@ OrderResult Deployments::place(const DeployRequest& request) {
       const auto& id = gateway->record.id;
       if (desk_.is_direct(id) && !request.sha256.empty()) {
         result.outcomes.push_back(
-            {id, {}, Outcome::failed, "its gateway is of the original system, which takes no plugin file"});
+            {id, {}, OrderOutcome::failed, "its gateway is of the original system, which takes no plugin file"});
       } else if (!desk_.is_direct(id) || !gateway->alive) {
         order_on(*gateway, request, result, watch);
       } else if (!request.name.empty()) {
         result.outcomes.push_back({id,
                                    {},
-                                   Outcome::failed,
+                                   OrderOutcome::failed,
                                    "its gateway is of the original system, which knows no names: deploy without one"});
       } else {
         for (int i = 0; i < request.count; ++i)
@@ -120,7 +120,7 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
   if (request.name.empty()) {
     for (int i = 0; i < request.count; ++i) {
       order.instance = discovery::new_instance_id();
-      InstanceOutcome outcome{id, order.instance, Outcome::unknown, ""};
+      InstanceOutcome outcome{id, order.instance, OrderOutcome::unknown, ""};
       OrderDesk::set_verdict(outcome, this->order(gateway, order, watch));
       result.outcomes.push_back(std::move(outcome));
     }
@@ -134,12 +134,12 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
   for (const int index : indexes) {
     order.index = index;
     order.instance = named_instance_id(id, request.name, index);
-    InstanceOutcome outcome{id, order.instance, Outcome::failed, ""};
+    InstanceOutcome outcome{id, order.instance, OrderOutcome::failed, ""};
     const bool runs = there.contains(order.instance);
     const bool ordered = runs && desk_.book.get(id, order.instance);
     // What a frozen gateway runs without an order gets its order again, and goes on when the registry is adopted.
     if (!runs || (!ordered && !gateway.frozen.empty())) {
-      outcome.outcome = Outcome::unknown;
+      outcome.outcome = OrderOutcome::unknown;
       OrderDesk::set_verdict(outcome, this->order(gateway, order, watch));
     } else if (ordered) {
       outcome.reason = fmt::format(
@@ -155,7 +155,7 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
 
 MaybeVerdict Deployments::order(const GatewayStatus& gateway, OrderRecord order, OutcomeWatch& watch) {
   if (!gateway.alive && (!desk_.options.record_for_lost_gateways || desk_.is_direct(gateway.record.id)))
-    return OutcomeWatch::Verdict{Outcome::failed, lost_and_not_recorded_text};
+    return OutcomeWatch::Verdict{OrderOutcome::failed, lost_and_not_recorded_text};
   return desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
     order.epoch = lead.epoch;
     desk_.book.create(gateway.record.id, order, lead);

@@ -48,11 +48,11 @@ OrderResult Leadership::refusal_for(const RegistryError& error) const {
 OutcomeWatch::Verdict Leadership::verdict_on(const RegistryError& error) {
   switch (error.code()) {
     case RegistryErrorCode::fenced:
-      return {Outcome::failed, lost_lead_text};
+      return {OrderOutcome::failed, lost_lead_text};
     case RegistryErrorCode::away:
-      return {Outcome::unknown, fmt::format("whether the order was recorded is not known: {}", error.what())};
+      return {OrderOutcome::unknown, fmt::format("whether the order was recorded is not known: {}", error.what())};
     default:
-      return {Outcome::failed, error.what()};
+      return {OrderOutcome::failed, error.what()};
   }
 }
 

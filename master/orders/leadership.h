@@ -66,7 +66,7 @@ class Leadership {
   template <typename Write>
   MaybeVerdict written(Write&& write) {
     const auto own = lead();
-    if (!own) return OutcomeWatch::Verdict{Outcome::failed, lost_lead_text};
+    if (!own) return OutcomeWatch::Verdict{OrderOutcome::failed, lost_lead_text};
     try {
       return write(*own);
     } catch (const discovery::RegistryError& e) {

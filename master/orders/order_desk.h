@@ -43,7 +43,7 @@ struct OrderDesk {
   static void order_each(const std::vector<Located>& instances, OrderResult& result, Give&& give) {
     for (const auto& where : instances) {
       auto& outcome =
-          result.outcomes.emplace_back(InstanceOutcome{where.gateway, where.instance, Outcome::unknown, ""});
+          result.outcomes.emplace_back(InstanceOutcome{where.gateway, where.instance, OrderOutcome::unknown, ""});
       set_verdict(outcome, give(where));
     }
   }
@@ -61,8 +61,8 @@ struct OrderDesk {
 
 /// The outcome of an order that the gateway follows later; nullopt: it follows orders now.
 inline MaybeVerdict waiting(const discovery::GatewayStatus& gateway) {
-  if (!gateway.alive) return OutcomeWatch::Verdict{Outcome::pending, lost_text};
-  if (!gateway.frozen.empty()) return OutcomeWatch::Verdict{Outcome::pending, frozen_text};
+  if (!gateway.alive) return OutcomeWatch::Verdict{OrderOutcome::pending, lost_text};
+  if (!gateway.frozen.empty()) return OutcomeWatch::Verdict{OrderOutcome::pending, frozen_text};
   return std::nullopt;
 }
 

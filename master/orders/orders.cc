@@ -7,15 +7,15 @@
 
 namespace iotcloud::master {
 
-std::string to_string(Outcome outcome) {
+std::string to_string(OrderOutcome outcome) {
   switch (outcome) {
-    case Outcome::done:
+    case OrderOutcome::done:
       return "done";
-    case Outcome::failed:
+    case OrderOutcome::failed:
       return "failed";
-    case Outcome::pending:
+    case OrderOutcome::pending:
       return "pending";
-    case Outcome::unknown:
+    case OrderOutcome::unknown:
       return "unknown";
   }
   return "unknown";
@@ -35,19 +35,19 @@ std::string to_string(Change change) {
 
 bool OrderResult::all_done() const {
   return refusal == Refusal::none &&
-         std::all_of(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == Outcome::done; });
+         std::all_of(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == OrderOutcome::done; });
 }
 
 std::string OrderResult::summary() const {
   if (refusal != Refusal::none) return text;
   const auto done =
-      std::count_if(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == Outcome::done; });
+      std::count_if(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == OrderOutcome::done; });
   auto line = fmt::format("{} of {} done", done, outcomes.size());
   // The text is for people, who need the first failures and not ten thousand of them.
   constexpr int shown_at_most = 5;
   int shown = 0;
   for (const auto& o : outcomes) {
-    if (o.outcome == Outcome::done) continue;
+    if (o.outcome == OrderOutcome::done) continue;
     if (shown++ == shown_at_most) return line + "; ...";
     line += fmt::format("; {} on {}: {}: {}", o.instance, o.gateway, to_string(o.outcome), o.reason);
   }

@@ -12,14 +12,14 @@
 namespace iotcloud::master {
 
 /// What became of an order for one instance on one gateway. Numbers are those of TOutcome.
-enum class Outcome {
+enum class OrderOutcome {
   done,     ///< the gateway reported the wanted state
   failed,   ///< the gateway reported a failure, or the order could not be written
   pending,  ///< recorded; the gateway is lost and will do it when it comes back
   unknown,  ///< no report came in time: the change may still happen
 };
-std::string to_string(Outcome outcome);
-inline std::string json_value(Outcome outcome) {
+std::string to_string(OrderOutcome outcome);
+inline std::string json_value(OrderOutcome outcome) {
   return to_string(outcome);
 }
 
@@ -27,7 +27,7 @@ inline std::string json_value(Outcome outcome) {
 struct InstanceOutcome {
   discovery::GatewayId gateway;
   discovery::InstanceId instance;
-  Outcome outcome = Outcome::unknown;
+  OrderOutcome outcome = OrderOutcome::unknown;
   std::string reason;  ///< why, for people; may be empty for `done`
   static constexpr const char* what = "an outcome";
   static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(instance, usual), IOTCLOUD_FIELD(gateway, usual),

@@ -93,7 +93,7 @@ void OutcomeWatch::on_record(const std::string& path, const InstanceId& instance
 
 std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, const std::string& path,
                                                          const std::optional<Node>& node) const {
-  const Verdict done{Outcome::done, ""};
+  const Verdict done{OrderOutcome::done, ""};
   if (!node || node->data.empty()) {
     // An instance being deployed has no record under this driver's name, or has none yet.
     return wanted_ == Wanted::gone ? std::optional(done) : std::nullopt;
@@ -128,10 +128,10 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, con
                  : std::nullopt;
     case DriverState::undeployed:
       if (wanted_ == Wanted::gone) return done;
-      return Verdict{Outcome::failed, "it was undeployed meanwhile"};
+      return Verdict{OrderOutcome::failed, "it was undeployed meanwhile"};
     case DriverState::failed:
       if (expected.before == std::pair(node->created, node->version)) return std::nullopt;
-      return Verdict{Outcome::failed, record.reason.empty() ? "the gateway gave no reason" : record.reason};
+      return Verdict{OrderOutcome::failed, record.reason.empty() ? "the gateway gave no reason" : record.reason};
     case DriverState::deployed:
     case DriverState::starting:
     case DriverState::stopping:
@@ -151,7 +151,7 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge_metadata(Expected& expe
             : fmt::format("its record says {}={}; what the driver itself reports takes precedence", key, found->second);
     return std::nullopt;
   }
-  return Verdict{Outcome::done, ""};
+  return Verdict{OrderOutcome::done, ""};
 }
 
 std::string OutcomeWatch::silence(const Expected& expected, std::chrono::milliseconds limit, bool stopped) const {
@@ -170,8 +170,9 @@ std::map<InstanceId, OutcomeWatch::Verdict> OutcomeWatch::wait(std::chrono::mill
   changed_.wait_for(mutex_, stop, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return open_ == 0; });
   std::map<InstanceId, Verdict> verdicts;
   for (const auto& [instance, expected] : expected_) {
-    verdicts[instance] = expected.verdict ? *expected.verdict
-                                          : Verdict{Outcome::unknown, silence(expected, limit, stop.stop_requested())};
+    verdicts[instance] = expected.verdict
+                             ? *expected.verdict
+                             : Verdict{OrderOutcome::unknown, silence(expected, limit, stop.stop_requested())};
   }
   return verdicts;
 }

@@ -48,7 +48,7 @@ class OutcomeWatch {
               const std::optional<discovery::Node>& before, AwaitedVersion version = {});
 
   struct Verdict {
-    Outcome outcome = Outcome::unknown;
+    OrderOutcome outcome = OrderOutcome::unknown;
     std::string reason;
   };
   /// Returns when all outcomes are known, after `limit`, or when `stop` is requested; by instance id.

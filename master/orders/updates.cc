@@ -120,14 +120,14 @@ std::optional<OrderResult> RollingUpdate::prepare() {
                    [](const auto& a, const auto& b) { return a.gateway < b.gateway; });
   for (auto& where : instances) {
     Step step;
-    step.outcome = {where.gateway, where.instance, Outcome::unknown, ""};
+    step.outcome = {where.gateway, where.instance, OrderOutcome::unknown, ""};
     step.where = std::move(where);
     steps_.push_back(std::move(step));
   }
   for (auto& step : steps_) {
     const std::string reason = obstacle(step, known);
     if (reason.empty()) continue;
-    step.outcome.outcome = Outcome::failed;
+    step.outcome.outcome = OrderOutcome::failed;
     step.outcome.reason = reason;
     if (failure_.empty()) failure_ = fmt::format("{} on {}: {}", step.where.instance, step.where.gateway, reason);
   }
@@ -166,7 +166,7 @@ bool RollingUpdate::advance(const Range& range) {
   for (auto step = range.first; step != range.second; ++step) {
     if (const auto found = verdicts.find(step->where.instance); found != verdicts.end())
       OrderDesk::set_verdict(step->outcome, found->second);
-    if (step->outcome.outcome == Outcome::done) continue;
+    if (step->outcome.outcome == OrderOutcome::done) continue;
     good = false;
     if (failure_.empty())
       failure_ = fmt::format("{} on {}: {}", step->where.instance, step->where.gateway, step->outcome.reason);
@@ -206,7 +206,7 @@ bool RollingUpdate::stays_up(const Range& range) {
                       (record.state == DriverState::active && (record.since_ms == since || record.reason.empty()));
       if (up) continue;
       auto& outcome = watched[i]->outcome;
-      outcome.outcome = Outcome::failed;
+      outcome.outcome = OrderOutcome::failed;
       outcome.reason = fmt::format("it came up and did not stay so: {}{}{}", to_string(record.state),
                                    record.reason.empty() ? "" : ", ", record.reason);
       failure_ = fmt::format("{} on {}: {}", outcome.instance, outcome.gateway, outcome.reason);
@@ -223,7 +223,7 @@ MaybeVerdict RollingUpdate::begin(Step& step, OutcomeWatch& watch) {
     if (const auto order = desk_.book.get(step.where.gateway, step.where.instance)) {
       const auto state = order->active ? DriverState::active : DriverState::inactive;
       if (order->version() == wanted_ && step.record.state == state)
-        return Verdict{Outcome::done, "it runs this version already"};
+        return Verdict{OrderOutcome::done, "it runs this version already"};
     }
     step.ordered = true;  // set before the write, because its answer may be lost
     auto verdict = desk_.book.rewrite(step.where, lead, [&](OrderRecord& order) {
@@ -257,9 +257,9 @@ void RollingUpdate::go_back(Steps::iterator end) {
     const auto found = verdicts.find(step->where.instance);
     if (found == verdicts.end()) continue;
     auto& outcome = step->outcome;
-    const std::string why = outcome.outcome == Outcome::done ? "the update failed, " + failure_ : outcome.reason;
-    outcome.outcome = Outcome::failed;
-    outcome.reason = found->second.outcome == Outcome::done
+    const std::string why = outcome.outcome == OrderOutcome::done ? "the update failed, " + failure_ : outcome.reason;
+    outcome.outcome = OrderOutcome::failed;
+    outcome.reason = found->second.outcome == OrderOutcome::done
                          ? fmt::format("back on {}: {}", name_of(step->before), why)
                          : fmt::format("{}; going back to {}: {}: {}", why, name_of(step->before),
                                        to_string(found->second.outcome), found->second.reason);
@@ -278,7 +278,7 @@ MaybeVerdict RollingUpdate::begin_to_go_back(Step& step, OutcomeWatch& watch) {
       order.previous.reset();
     });
     if (verdict) return verdict;
-    if (!ours) return Verdict{Outcome::failed, "another order was given for it meanwhile, which stands"};
+    if (!ours) return Verdict{OrderOutcome::failed, "another order was given for it meanwhile, which stands"};
     const bool known = !step.record.sha256.empty() && step.record.plugin == step.before.file;
     watch.expect(step.where.instance, step.where.driver, std::nullopt,
                  {step.before.file, known ? step.record.sha256 : step.before.sha256, wanted_.sha256, step.active});
@@ -301,8 +301,8 @@ void RollingUpdate::confirm() {
 
 void RollingUpdate::leave_out(Steps::iterator from, const std::string& why) {
   for (auto step = from; step != steps_.end(); ++step) {
-    if (step->outcome.outcome != Outcome::unknown) continue;
-    step->outcome.outcome = Outcome::failed;
+    if (step->outcome.outcome != OrderOutcome::unknown) continue;
+    step->outcome.outcome = OrderOutcome::failed;
     step->outcome.reason = fmt::format("{}: {}", why, failure_);
   }
 }

@@ -192,7 +192,7 @@ void OriginalGateways::Impl::beat(const std::stop_token& stop, Tended& one) {
         const config::MutexLock lock(one.mutex);
         return one.alive != nullptr;
       }();
-      if (answer.outcome == Outcome::done) {
+      if (answer.outcome == OrderOutcome::done) {
         misses = 0;
         if (alive) continue;
         come_alive(one);
@@ -312,7 +312,7 @@ bool OriginalGateways::has(const GatewayId& gateway) const {
 }
 
 InstanceOutcome OriginalGateways::deploy(const GatewayId& gateway, const DeployRequest& request, milliseconds limit) {
-  InstanceOutcome outcome{gateway, {}, Outcome::failed, "the gateway is not registered any more"};
+  InstanceOutcome outcome{gateway, {}, OrderOutcome::failed, "the gateway is not registered any more"};
   const auto tended = impl_->find(gateway);
   if (!tended) return outcome;
   const auto deadline = std::chrono::steady_clock::now() + limit;
@@ -324,7 +324,7 @@ InstanceOutcome OriginalGateways::deploy(const GatewayId& gateway, const DeployR
   const auto answer = site_deploy(tended->site, request, limit);
   outcome.outcome = answer.outcome;
   outcome.reason = answer.text;
-  if (answer.outcome != Outcome::done) return outcome;
+  if (answer.outcome != OrderOutcome::done) return outcome;
   // The original's gateway answers before it deploys, so the instance's registration decides the outcome.
   const config::MutexLock lock(tended->mutex);
   const auto is_new = [&] {
@@ -336,7 +336,7 @@ InstanceOutcome OriginalGateways::deploy(const GatewayId& gateway, const DeployR
   if (tended->registered.wait_until(tended->mutex, deadline, is_new)) {
     outcome.reason.clear();
   } else {
-    outcome.outcome = Outcome::unknown;
+    outcome.outcome = OrderOutcome::unknown;
     outcome.reason = "the gateway took the order, but has registered no new driver yet";
   }
   return outcome;
@@ -344,13 +344,13 @@ InstanceOutcome OriginalGateways::deploy(const GatewayId& gateway, const DeployR
 
 InstanceOutcome OriginalGateways::change(const GatewayId& gateway, const InstanceId& instance, Change change,
                                          milliseconds limit) {
-  InstanceOutcome outcome{gateway, instance, Outcome::failed, "the gateway is not registered any more"};
+  InstanceOutcome outcome{gateway, instance, OrderOutcome::failed, "the gateway is not registered any more"};
   const auto tended = impl_->find(gateway);
   if (!tended) return outcome;
   const auto answer = site_change(tended->site, instance, change, limit);
   outcome.outcome = answer.outcome;
-  outcome.reason = answer.outcome == Outcome::done ? "" : answer.text;
-  if (answer.outcome != Outcome::done) return outcome;
+  outcome.reason = answer.outcome == OrderOutcome::done ? "" : answer.text;
+  if (answer.outcome != OrderOutcome::done) return outcome;
   try {
     if (change == Change::undeploy) {
       impl_->remove_record(gateway, instance);  // the gateway may have removed it already

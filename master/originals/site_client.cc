@@ -82,10 +82,11 @@ SiteAnswer ask(const SiteAddress& site, std::chrono::milliseconds limit, Call&& 
     connected = true;
     TResponse response;
     call(client, response);
-    return {response.state == TResponseState::SUCCESS ? Outcome::done : Outcome::failed, response.statusMessage};
+    return {response.state == TResponseState::SUCCESS ? OrderOutcome::done : OrderOutcome::failed,
+            response.statusMessage};
   } catch (const std::exception& e) {
     // Once connected, the gateway may have received the call although no answer came.
-    return {connected ? Outcome::unknown : Outcome::failed,
+    return {connected ? OrderOutcome::unknown : OrderOutcome::failed,
             fmt::format("{}:{} does not answer: {}", site.host, site.port, e.what())};
   }
 }

@@ -20,8 +20,8 @@ struct SiteAddress {
 
 /// A gateway's answer to a call.
 struct SiteAnswer {
-  Outcome outcome = Outcome::unknown;  ///< done: it answered SUCCESS; unknown: no answer came in time
-  std::string text;                    ///< the gateway's own words, or what went wrong
+  OrderOutcome outcome = OrderOutcome::unknown;  ///< done: it answered SUCCESS; unknown: no answer came in time
+  std::string text;                              ///< the gateway's own words, or what went wrong
 };
 
 /// Call TSensorSiteService, each time on a new connection. Thread safe; they do not throw.

@@ -22,16 +22,16 @@ std::string to_string(TopologyChange change) {
 
 bool TopologyResult::all_done() const {
   return refusal == Refusal::none &&
-         std::all_of(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == Outcome::done; });
+         std::all_of(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == OrderOutcome::done; });
 }
 
 std::string TopologyResult::summary() const {
   if (refusal != Refusal::none) return text;
   const auto done =
-      std::count_if(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == Outcome::done; });
+      std::count_if(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == OrderOutcome::done; });
   std::string line = fmt::format("{} of {} workers done", done, outcomes.size());
   for (const auto& o : outcomes) {
-    if (o.outcome != Outcome::done) line += fmt::format("; {}: {}: {}", o.worker, to_string(o.outcome), o.reason);
+    if (o.outcome != OrderOutcome::done) line += fmt::format("; {}: {}: {}", o.worker, to_string(o.outcome), o.reason);
   }
   return text.empty() ? line : line + "; " + text;
 }

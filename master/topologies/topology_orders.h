@@ -30,7 +30,7 @@ struct TopologyRequest {
 struct WorkerOutcome {
   std::string worker;
   std::string host;
-  Outcome outcome = Outcome::unknown;
+  OrderOutcome outcome = OrderOutcome::unknown;
   std::string reason;  ///< why, for people; may be empty for `done`
   static constexpr const char* what = "an outcome";
   static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(worker, usual), IOTCLOUD_FIELD(host, usual),

@@ -204,7 +204,7 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
 void TopologyService::clear_killed(const discovery::TopologyName& topology, const discovery::Lead& lead,
                                    TopologyResult& result) {
   if (std::any_of(result.outcomes.begin(), result.outcomes.end(),
-                  [](const auto& o) { return o.outcome == Outcome::unknown; }))
+                  [](const auto& o) { return o.outcome == OrderOutcome::unknown; }))
     return;
   try {
     if (discovery::remove_topology(desk_.registry, desk_.options.paths, topology, lead.fence)) return;

@@ -39,18 +39,19 @@ void TopologyWatch::on_worker(const std::string& worker, const std::optional<Nod
     }
     expected.last_state = fmt::format("last state: {}, order {}", record.state, record.revision);
     if (!kill_ && record.revision >= revision_) {
-      expected.verdict = record.error.empty() ? Verdict{Outcome::done, ""} : Verdict{Outcome::failed, record.error};
+      expected.verdict =
+          record.error.empty() ? Verdict{OrderOutcome::done, ""} : Verdict{OrderOutcome::failed, record.error};
     }
   }
   changed_.notify_all();
 }
 
 TopologyWatch::Verdict TopologyWatch::of_gone(const std::string& worker) {
-  if (!kill_) return {Outcome::failed, "it ended, or the registry lost it, before it reported"};
+  if (!kill_) return {OrderOutcome::failed, "it ended, or the registry lost it, before it reported"};
   const auto end = registry_.get(paths_.ended_workers(topology_) + "/" + worker);
-  if (!end) return {Outcome::failed, "it is gone without a word whether it drained: it crashed, or was killed"};
-  if (end->data.empty()) return {Outcome::done, ""};
-  return {Outcome::failed, "it ended, but " + end->data};
+  if (!end) return {OrderOutcome::failed, "it is gone without a word whether it drained: it crashed, or was killed"};
+  if (end->data.empty()) return {OrderOutcome::done, ""};
+  return {OrderOutcome::failed, "it ended, but " + end->data};
 }
 
 std::map<std::string, TopologyWatch::Verdict> TopologyWatch::wait(std::chrono::milliseconds limit,
@@ -71,14 +72,14 @@ std::map<std::string, TopologyWatch::Verdict> TopologyWatch::wait(std::chrono::m
     } else if (expected.gone) {
       verdicts[worker] = of_gone(worker);
     } else if (stop.stop_requested()) {
-      verdicts[worker] = {Outcome::unknown, "this master is stopping; the order stands"};
+      verdicts[worker] = {OrderOutcome::unknown, "this master is stopping; the order stands"};
     } else {
       std::string text =
           registry_.session() == discovery::SessionState::connected
               ? fmt::format("not known after {} s, it may still happen", static_cast<double>(limit.count()) / 1000)
               : "the registry is away, so nothing can be heard; the order stands";
       if (!expected.last_state.empty()) text += "; " + expected.last_state;
-      verdicts[worker] = {Outcome::unknown, text};
+      verdicts[worker] = {OrderOutcome::unknown, text};
     }
   }
   return verdicts;

@@ -30,7 +30,7 @@ class TopologyWatch {
   void expect(const std::string& worker);
 
   struct Verdict {
-    Outcome outcome = Outcome::unknown;
+    OrderOutcome outcome = OrderOutcome::unknown;
     std::string reason;
   };
   /// Returns the outcomes by worker when all are known, after `limit`, or when `stop` is requested.

@@ -94,7 +94,7 @@ TEST_F(MasterAdopt, OrdersForAFrozenGatewayArePendingAlsoThoseOfWhatItRuns) {
   registry->remove(paths.order("lab1"_gateway, instance));
   discovery::put(*registry, paths.instance(runs.name, instance), encode(runs));
   const auto again = master->deploy(request).outcomes.at(0);
-  EXPECT_EQ(again.outcome, Outcome::pending) << again.reason;
+  EXPECT_EQ(again.outcome, OrderOutcome::pending) << again.reason;
   EXPECT_THAT(again.reason, HasSubstr("frozen"));
   EXPECT_EQ(again.instance, instance);
 }
@@ -103,7 +103,7 @@ TEST_F(MasterAdopt, AGatewayThatIsSilentIsUnknown) {
   FakeGateway gateway(url, "lab1");
   freeze("lab1");
   const auto result = master->give("adopt", R"({"gateways":["lab1"],"wait_ms":1})").result;
-  EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::unknown);
+  EXPECT_EQ(result.outcomes.at(0).outcome, OrderOutcome::unknown);
 }
 
 }  // namespace

@@ -63,9 +63,9 @@ TEST_F(MasterDeployments, WhatIsThereIsNotDeployedTwice) {
   ASSERT_TRUE(master->deploy(meter()).all_done());
   const auto again = master->deploy(meter({"lab1"}, 2));
   ASSERT_THAT(again.outcomes, SizeIs(2));
-  EXPECT_EQ(again.outcomes[0].outcome, Outcome::failed);
+  EXPECT_EQ(again.outcomes[0].outcome, OrderOutcome::failed);
   EXPECT_THAT(again.outcomes[0].reason, AllOf(HasSubstr("meter 1"), HasSubstr("already")));
-  EXPECT_EQ(again.outcomes[1].outcome, Outcome::done);
+  EXPECT_EQ(again.outcomes[1].outcome, OrderOutcome::done);
   EXPECT_THAT(gateway.orders(), SizeIs(2));
 }
 
@@ -75,7 +75,7 @@ TEST_F(MasterDeployments, AnInstanceThatIsNotGoneYetIsNotDeployedAgain) {
   gateway.behave(FakeGateway::say_nothing());
   master->undeploy({instances(deployed), {}, std::chrono::milliseconds(1)});
   const auto again = master->deploy(meter());
-  EXPECT_EQ(again.outcomes.at(0).outcome, Outcome::failed);
+  EXPECT_EQ(again.outcomes.at(0).outcome, OrderOutcome::failed);
   EXPECT_THAT(again.outcomes.at(0).reason, HasSubstr("still being undeployed"));
   EXPECT_THAT(master->orders(), IsEmpty());
 }
@@ -123,7 +123,7 @@ TEST_F(MasterDeployments, AChangeIsNotDoneBeforeTheInstanceWasMadeAnew) {
   const auto ids = instances(master->deploy(meter()));
   gateway.behave(FakeGateway::say_nothing());
   const auto result = master->change_deployment({ids, Texts{{"rate", "9"}}, {}, std::chrono::milliseconds(50)});
-  EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::unknown) << "the record still says active, of the life before";
+  EXPECT_EQ(result.outcomes.at(0).outcome, OrderOutcome::unknown) << "the record still says active, of the life before";
 }
 
 TEST_F(MasterDeployments, AnInstanceThatDoesNotComeUpWithItsNewPropertiesHasFailed) {
@@ -131,7 +131,7 @@ TEST_F(MasterDeployments, AnInstanceThatDoesNotComeUpWithItsNewPropertiesHasFail
   const auto ids = instances(master->deploy(meter()));
   gateway.behave(FakeGateway::fail("rate is no number"));
   const auto result = master->change_deployment({ids, Texts{{"rate", "x"}}, {}, {}});
-  EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::failed);
+  EXPECT_EQ(result.outcomes.at(0).outcome, OrderOutcome::failed);
   EXPECT_EQ(result.outcomes.at(0).reason, "rate is no number");
 }
 

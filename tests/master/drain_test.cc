@@ -81,7 +81,7 @@ TEST_F(MasterDrain, WhatIsStartedMeanwhileStartsAfterwardsAndWhatIsStoppedDoesNo
   ASSERT_TRUE(master->stop(only(one)).all_done());
   ASSERT_TRUE(master->drain(lab1()).all_done());
   const auto later = master->start(only(one));
-  EXPECT_EQ(later.outcomes.at(0).outcome, Outcome::pending);
+  EXPECT_EQ(later.outcomes.at(0).outcome, OrderOutcome::pending);
   EXPECT_THAT(later.outcomes.at(0).reason, HasSubstr("iotcloud undrain lab1"));
   EXPECT_EQ(state(one), DriverState::inactive);
   ASSERT_TRUE(master->stop(only(two)).all_done());
@@ -115,7 +115,7 @@ TEST_F(MasterDrain, MayBeRepeatedAndFinishesWhatWasBegun) {
   const auto instance = deploy("lab1");
   gateway.behave(FakeGateway::say_nothing());
   const auto begun = master->drain({{"lab1"_gateway}, std::chrono::milliseconds(1)});
-  EXPECT_EQ(begun.outcomes.at(0).outcome, Outcome::unknown);
+  EXPECT_EQ(begun.outcomes.at(0).outcome, OrderOutcome::unknown);
   ASSERT_TRUE(test::eventually([&] { return gateway.orders_seen() == 2; }));  // or it would obey this one too
   gateway.behave(FakeGateway::obey);
   EXPECT_THAT(master->drain(lab1()).outcomes, IsEmpty()) << "it is ordered already";
@@ -131,7 +131,7 @@ TEST_F(MasterDrain, AnInstanceThatHadFailedIsNotWaitedFor) {
   gateway.behave(FakeGateway::say_nothing());
   gateway.report(instance, DriverState::failed, "no");
   const auto drained = master->drain(lab1());
-  EXPECT_EQ(drained.outcomes.at(0).outcome, Outcome::done);
+  EXPECT_EQ(drained.outcomes.at(0).outcome, OrderOutcome::done);
   EXPECT_THAT(drained.outcomes.at(0).reason, HasSubstr("failed before"));
 }
 
@@ -142,7 +142,7 @@ TEST_F(MasterDrain, ALostGatewayDrainsWhenItComesBack) {
     instance = deploy("lab1");
   }
   ASSERT_TRUE(test::eventually([&] { return !master->gateways().at(0).alive; }));
-  EXPECT_EQ(master->drain(lab1()).outcomes.at(0).outcome, Outcome::pending);
+  EXPECT_EQ(master->drain(lab1()).outcomes.at(0).outcome, OrderOutcome::pending);
   FakeGateway gateway(url, "lab1");
   EXPECT_TRUE(test::eventually([&] { return state(instance) == DriverState::inactive; }));
 }

@@ -49,7 +49,7 @@ class FormerLeader : public testing::Test {
   }
   static void expect_lost_lead(const OrderResult& result) {
     ASSERT_EQ(result.outcomes.size(), 1U) << result.summary();
-    EXPECT_EQ(result.outcomes[0].outcome, Outcome::failed);
+    EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::failed);
     EXPECT_THAT(result.outcomes[0].reason, HasSubstr("lost its lead"));
   }
 

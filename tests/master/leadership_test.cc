@@ -74,7 +74,7 @@ TEST_F(Masters, AnOrderOfALaterLeaderIsNotChangedByAnEarlierOne) {
   discovery::put(first.registry(), paths.order("lab1"_gateway, id), encode(order));
 
   for (const auto& result : {first->stop({{id}, {}, {}}), first->undeploy({{id}, {}, {}})}) {
-    EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::failed);
+    EXPECT_EQ(result.outcomes.at(0).outcome, OrderOutcome::failed);
     EXPECT_THAT(result.outcomes.at(0).reason, HasSubstr("later master"));
   }
   EXPECT_TRUE(first.registry().get(paths.order("lab1"_gateway, id)));

@@ -57,7 +57,7 @@ TEST_F(MasterMetadata, IsUnknownWhileTheRecordDoesNotShowIt) {
   gateway.behave(FakeGateway::say_nothing());
   const auto result = master->update_metadata(only(id, std::chrono::milliseconds(50)), {{"site", "roof"}});
   ASSERT_THAT(result.outcomes, SizeIs(1));
-  EXPECT_EQ(result.outcomes[0].outcome, Outcome::unknown);
+  EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::unknown);
 }
 
 TEST_F(MasterMetadata, WaitsForAGatewayThatIsLost) {
@@ -69,7 +69,7 @@ TEST_F(MasterMetadata, WaitsForAGatewayThatIsLost) {
   ASSERT_TRUE(test::eventually([&] { return !master->gateways().at(0).alive; }));
   const auto result = master->update_metadata(only(id), {{"site", "roof"}});
   ASSERT_THAT(result.outcomes, SizeIs(1));
-  EXPECT_EQ(result.outcomes[0].outcome, Outcome::pending);
+  EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::pending);
   FakeGateway again(url, "lab1");
   EXPECT_TRUE(test::eventually([&] { return master->drivers().at(0).metadata.contains("site"); }));
 }
@@ -82,7 +82,7 @@ TEST_F(MasterMetadata, RefusesNothingAndKeysThatAreNone) {
   EXPECT_EQ(master->update_metadata(only("nobody"), {{"a", "1"}}).refusal, Refusal::unknown_instance);
   const auto huge = master->update_metadata(only(id), {{"a", std::string(600'000, 'x')}});
   ASSERT_THAT(huge.outcomes, SizeIs(1));
-  EXPECT_EQ(huge.outcomes[0].outcome, Outcome::failed);
+  EXPECT_EQ(huge.outcomes[0].outcome, OrderOutcome::failed);
   EXPECT_THAT(huge.outcomes[0].reason, HasSubstr("more than 524288"));
 }
 

@@ -72,7 +72,7 @@ TEST_F(MasterOrders, DeployFailsWithTheGatewaysReason) {
   const auto result = master->deploy(turtle({"lab1"}));
   EXPECT_FALSE(result.all_done());
   ASSERT_THAT(result.outcomes, SizeIs(1));
-  EXPECT_EQ(result.outcomes[0].outcome, Outcome::failed);
+  EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::failed);
   EXPECT_EQ(result.outcomes[0].reason, "turtle.so: no such file in /plugins");
   EXPECT_THAT(result.summary(), HasSubstr("no such file"));
 }
@@ -86,7 +86,7 @@ TEST_F(MasterOrders, ASilentGatewayMakesTheOutcomeUnknownAndTheOrderStands) {
     request.wait = milliseconds(50);
     const auto result = master->deploy(request);
     ASSERT_THAT(result.outcomes, SizeIs(1));
-    EXPECT_EQ(result.outcomes[0].outcome, Outcome::unknown);
+    EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::unknown);
     EXPECT_THAT(result.outcomes[0].reason, HasSubstr("may still happen"));
     EXPECT_TRUE(gateway.wait_for_orders(++orders));
   }
@@ -122,8 +122,8 @@ TEST_F(MasterOrders, EachGatewayHasItsOwnOutcome) {
   request.wait = milliseconds(500);
   const auto result = master->deploy(request);
   ASSERT_THAT(result.outcomes, SizeIs(3));
-  EXPECT_EQ(result.outcomes[1].outcome, Outcome::failed);
-  EXPECT_EQ(result.outcomes[2].outcome, Outcome::unknown);
+  EXPECT_EQ(result.outcomes[1].outcome, OrderOutcome::failed);
+  EXPECT_EQ(result.outcomes[2].outcome, OrderOutcome::unknown);
   EXPECT_FALSE(result.all_done());
 }
 
@@ -149,7 +149,7 @@ TEST_F(MasterOrders, AnOrderForALostGatewayIsPendingAndIsFollowedWhenItComesBack
   ASSERT_TRUE(test::eventually([&] { return !master->gateways().at(0).alive; }));
   const auto result = master->deploy(turtle({"lab1"}));
   ASSERT_THAT(result.outcomes, SizeIs(1));
-  EXPECT_EQ(result.outcomes[0].outcome, Outcome::pending);
+  EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::pending);
   EXPECT_THAT(result.outcomes[0].reason, HasSubstr("gateway is lost"));
   EXPECT_FALSE(result.all_done());
 
@@ -166,7 +166,7 @@ TEST_F(MasterOrders, AMasterToldSoRecordsNothingForALostGateway) {
   { FakeGateway gone(url, "lab1"); }
   ASSERT_TRUE(test::eventually([&] { return !strict->gateways().at(0).alive; }));
   const auto result = strict->deploy(turtle({"lab1"}));
-  EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::failed);
+  EXPECT_EQ(result.outcomes.at(0).outcome, OrderOutcome::failed);
   EXPECT_FALSE(strict.registry().get(paths.order("lab1"_gateway, result.outcomes[0].instance)));
 }
 
@@ -230,7 +230,7 @@ TEST_F(MasterOrders, UndeployIsUnknownWhileTheRecordStays) {
   gateway.behave(FakeGateway::say_nothing());
   auto selection = only(id);
   selection.wait = milliseconds(50);
-  EXPECT_EQ(master->undeploy(selection).outcomes.at(0).outcome, Outcome::unknown);
+  EXPECT_EQ(master->undeploy(selection).outcomes.at(0).outcome, OrderOutcome::unknown);
 }
 
 TEST_F(MasterOrders, AnUnknownInstanceIsRefusedAndNoneIsChanged) {
@@ -270,7 +270,7 @@ TEST_F(MasterOrders, UndeployClearsWhatAGatewayThatIsNotRegisteredAnyMoreLeft) {
   }
   discovery::remove_tree(master.registry(), paths.gateway("lab1"_gateway));
   ASSERT_TRUE(test::eventually([&] { return master->gateways().empty(); }));
-  EXPECT_EQ(master->stop(only(id)).outcomes.at(0).outcome, Outcome::failed);
+  EXPECT_EQ(master->stop(only(id)).outcomes.at(0).outcome, OrderOutcome::failed);
   EXPECT_TRUE(master->undeploy(only(id)).all_done());
   EXPECT_THAT(master->drivers(), SizeIs(0));
 }
@@ -280,7 +280,7 @@ TEST_F(MasterOrders, ClosingAnswersOrdersUnderWayAsUnknown) {
   auto result = std::async(std::launch::async, [&] { return master->deploy(turtle({"lab1"})); });
   ASSERT_TRUE(silent.wait_for_orders(1));
   master->close();
-  EXPECT_EQ(result.get().outcomes.at(0).outcome, Outcome::unknown);
+  EXPECT_EQ(result.get().outcomes.at(0).outcome, OrderOutcome::unknown);
 }
 
 TEST_F(MasterOrders, ARecordThatCannotBeReadIsNoAnswer) {

@@ -127,10 +127,10 @@ TEST_F(TopologyOrders, TellWhichWorkerFailedAndWhichIsSilent) {
   const auto result = give(TopologyChange::deactivate, {}, std::chrono::milliseconds(300));
   EXPECT_FALSE(result.all_done());
   ASSERT_THAT(result.outcomes, SizeIs(3));
-  EXPECT_EQ(result.outcomes[0].outcome, Outcome::done);
-  EXPECT_EQ(result.outcomes[1].outcome, Outcome::failed);
+  EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::done);
+  EXPECT_EQ(result.outcomes[1].outcome, OrderOutcome::failed);
   EXPECT_EQ(result.outcomes[1].reason, "cannot");
-  EXPECT_EQ(result.outcomes[2].outcome, Outcome::unknown);
+  EXPECT_EQ(result.outcomes[2].outcome, OrderOutcome::unknown);
   EXPECT_THAT(result.outcomes[2].reason, AllOf(HasSubstr("0.3 s"), HasSubstr("last state: active, order 0")));
 }
 
@@ -176,9 +176,9 @@ TEST_F(TopologyOrders, AKillTellsWhoDidNotDrainAndWhoCrashed) {
   FakeWorker crash(url, "w2", [](const TopologyOrder&, WorkerRecord&) { return "crash"; });
   const auto result = give(TopologyChange::kill);
   ASSERT_THAT(result.outcomes, SizeIs(2));
-  EXPECT_EQ(result.outcomes[0].outcome, Outcome::failed);
+  EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::failed);
   EXPECT_THAT(result.outcomes[0].reason, HasSubstr("3 tuples were under way"));
-  EXPECT_EQ(result.outcomes[1].outcome, Outcome::failed);
+  EXPECT_EQ(result.outcomes[1].outcome, OrderOutcome::failed);
   EXPECT_THAT(result.outcomes[1].reason, HasSubstr("crashed"));
   EXPECT_FALSE(master.registry().get(paths.topology("t"_topology)));
 }
@@ -186,7 +186,7 @@ TEST_F(TopologyOrders, AKillTellsWhoDidNotDrainAndWhoCrashed) {
 TEST_F(TopologyOrders, WhileAKillIsUnderWayNothingElseIsTaken) {
   FakeWorker silent(url, "w1", FakeWorker::say_nothing());
   const auto result = give(TopologyChange::kill, {}, std::chrono::milliseconds(50));
-  EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::unknown);
+  EXPECT_EQ(result.outcomes.at(0).outcome, OrderOutcome::unknown);
   ASSERT_TRUE(standing()) << "the order stands";
   EXPECT_THAT(standing()->kill->workers, ElementsAre("w1"));
   EXPECT_THAT(give(TopologyChange::activate).text, HasSubstr("is being killed"));

@@ -128,7 +128,7 @@ TEST_F(Update, WhenOneFailsAllGoBackAndTheOutcomesSaySo) {
   EXPECT_EQ(result.refusal, Refusal::none);
   EXPECT_FALSE(result.all_done());
   ASSERT_THAT(result.outcomes, SizeIs(3));
-  EXPECT_THAT(result.outcomes, Each(testing::Field(&InstanceOutcome::outcome, Outcome::failed)));
+  EXPECT_THAT(result.outcomes, Each(testing::Field(&InstanceOutcome::outcome, OrderOutcome::failed)));
   EXPECT_THAT(result.outcomes[0].reason, AllOf(HasSubstr("back on turtle.so (111111111111)"), HasSubstr("lab2"),
                                                HasSubstr("its plugin is broken")));
   EXPECT_THAT(result.outcomes[1].reason, AllOf(HasSubstr("back on turtle.so"), HasSubstr("its plugin is broken")));
@@ -241,7 +241,7 @@ TEST_F(Update, AFailedInstanceIsMendedByAnUpdate) {
   request.plugin = "turtle.so";
   request.sha256 = v1;
   const auto broken = master->deploy(request).outcomes.at(0);
-  ASSERT_EQ(broken.outcome, Outcome::failed);
+  ASSERT_EQ(broken.outcome, OrderOutcome::failed);
   const auto result = update({broken.instance});
   EXPECT_TRUE(result.all_done()) << result.summary();
 }
@@ -254,8 +254,8 @@ TEST_F(Update, AMasterThatEndsInTheMiddleLeavesOrdersThatSayWhatRuns) {
   ASSERT_TRUE(test::eventually([&] { return order(lab1, ids[0]).sha256 == v2; }));
   master->close();
   const auto result = running.get();
-  EXPECT_EQ(result.outcomes[0].outcome, Outcome::unknown);
-  EXPECT_EQ(result.outcomes[1].outcome, Outcome::failed);
+  EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::unknown);
+  EXPECT_EQ(result.outcomes[1].outcome, OrderOutcome::failed);
   EXPECT_EQ(order(lab1, ids[0]).version(), (discovery::PluginVersion{"turtle-2.so", v2}));
   EXPECT_EQ(order(lab1, ids[0]).previous, (discovery::PluginVersion{"turtle.so", v1}));
   EXPECT_EQ(order(lab2, ids[1]).version(), (discovery::PluginVersion{"turtle.so", v1}));

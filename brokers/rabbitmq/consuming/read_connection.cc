@@ -67,9 +67,9 @@ void ReadConnection::close() {
   forget_connection();
 }
 
-std::shared_ptr<ChannelReader> ReadConnection::add(const Topic& topic, const SubscriptionOptions& options,
-                                                   Handler handler) {
-  auto reader = std::make_shared<ChannelReader>(shared_from_this(), topic, options, std::move(handler));
+std::shared_ptr<QueueReader> ReadConnection::add(const Topic& topic, const SubscriptionOptions& options,
+                                                 Handler handler) {
+  auto reader = std::make_shared<QueueReader>(shared_from_this(), topic, options, std::move(handler));
   const config::MutexLock lock(core_.mutex);
   readers_.push_back(reader);
   set_timer(*reader, clock_.now());
@@ -101,8 +101,8 @@ void ReadConnection::share(ReadConnection& other) {
   const config::MutexLock others(other.core_.mutex);
   for (auto i = readers_.size(); i-- > 0 && readers_.size() > channel_limit_;) {
     if (other.readers_.size() >= other.channel_limit_) break;
-    const std::shared_ptr<ChannelReader> reader = readers_[i];
-    if (reader->phase != ChannelReader::Phase::idle || reader->Subscriber::running) continue;
+    const std::shared_ptr<QueueReader> reader = readers_[i];
+    if (reader->phase != QueueReader::Phase::idle || reader->Subscriber::running) continue;
     readers_.erase(readers_.begin() + static_cast<std::ptrdiff_t>(i));
     core_.forget(*reader);
     other.set_timer(*reader, clock_.now());
@@ -123,12 +123,12 @@ void ReadConnection::preferred_answered(bool answers) {
   if (servers_.must_move_back(clock_.now())) wake();
 }
 
-bool ReadConnection::remove(const std::shared_ptr<ChannelReader>& reader) {
+bool ReadConnection::remove(const std::shared_ptr<QueueReader>& reader) {
   const config::MutexLock lock(core_.mutex);
   if (!at_home(*reader)) return false;
   core_.end(*reader);
   std::erase(readers_, reader);
-  if (reader->phase != ChannelReader::Phase::idle) {
+  if (reader->phase != QueueReader::Phase::idle) {
     leaving_.push_back(reader);
     say_or_leave();
   }
@@ -136,23 +136,23 @@ bool ReadConnection::remove(const std::shared_ptr<ChannelReader>& reader) {
   return true;
 }
 
-bool ReadConnection::pause(ChannelReader& reader) {
+bool ReadConnection::pause(QueueReader& reader) {
   const config::MutexLock lock(core_.mutex);
   if (!at_home(reader)) return false;
   core_.pause(reader);
   return true;
 }
 
-bool ReadConnection::resume(ChannelReader& reader) {
+bool ReadConnection::resume(QueueReader& reader) {
   const config::MutexLock lock(core_.mutex);
   if (!at_home(reader)) return false;
   core_.resume(reader);
   return true;
 }
 
-bool ReadConnection::active(const ChannelReader& reader) const {
+bool ReadConnection::active(const QueueReader& reader) const {
   const config::MutexLock lock(core_.mutex);
-  return at_home(reader) && reader.phase == ChannelReader::Phase::active;
+  return at_home(reader) && reader.phase == QueueReader::Phase::active;
 }
 
 ConnectionState ReadConnection::state() const {
@@ -161,7 +161,7 @@ ConnectionState ReadConnection::state() const {
   return !started_ || wire_ ? ConnectionState::connected : ConnectionState::connecting;
 }
 
-void ReadConnection::settle(ChannelReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept {
+void ReadConnection::settle(QueueReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept {
   const config::MutexLock lock(core_.mutex);
   // Otherwise the reader has moved, and the settlement is late.
   if (at_home(reader)) core_.settle(reader, public_tag, settlement);
@@ -362,7 +362,7 @@ void ReadConnection::hand_on() {
   {
     ReadCore::Turn turn(core_);
     for (std::size_t i = 0; i < batch; ++i) {
-      auto* const reader = static_cast<ChannelReader*>(core_.take(turn));
+      auto* const reader = static_cast<QueueReader*>(core_.take(turn));
       if (reader == nullptr) break;
       burst->before_handler(core_.has_ready() && i + 1 < batch, reader->quick);
       core_.run(turn);
@@ -418,7 +418,7 @@ void ReadConnection::on_frame(const amqp_frame_t& frame) {
   }
   const auto found = channels_.find(frame.channel);
   if (found == channels_.end() || !found->second) return;
-  ChannelReader& reader = *found->second;
+  QueueReader& reader = *found->second;
   std::optional<Arrived> complete;
   if (frame.frame_type == AMQP_FRAME_HEADER) {
     complete = reader.assembly.header(frame, reader.resent);
@@ -428,7 +428,7 @@ void ReadConnection::on_frame(const amqp_frame_t& frame) {
   if (complete) on_arrived(reader, std::move(*complete));
 }
 
-void ReadConnection::on_arrived(ChannelReader& reader, Arrived arrived) {
+void ReadConnection::on_arrived(QueueReader& reader, Arrived arrived) {
   const bool hostile = reader.assembly.hostile();
   const config::MutexLock lock(core_.mutex);
   // Its channel is about to be closed, and the server delivers its messages to another reader.
@@ -452,7 +452,7 @@ void ReadConnection::on_method(const amqp_method_t& method, amqp_channel_t chann
   }
   const auto found = channels_.find(channel);
   if (found == channels_.end()) return;
-  ChannelReader* const reader = found->second.get();  // null: this client has requested the channel's end
+  QueueReader* const reader = found->second.get();  // null: this client has requested the channel's end
   if (method.id == AMQP_BASIC_DELIVER_METHOD) {
     if (reader != nullptr) reader->assembly.begin(*static_cast<const amqp_basic_deliver_t*>(method.decoded));
     return;
@@ -481,7 +481,7 @@ void ReadConnection::on_method(const amqp_method_t& method, amqp_channel_t chann
   }
 }
 
-void ReadConnection::on_channel_closed(ChannelReader* reader, const amqp_channel_close_t& why, amqp_channel_t channel) {
+void ReadConnection::on_channel_closed(QueueReader* reader, const amqp_channel_close_t& why, amqp_channel_t channel) {
   // After the server's channel.close only close-ok may be sent on the channel.
   std::erase_if(outgoing_, [&](const Outgoing& one) { return one.channel == channel; });
   outgoing_.push_back({Outgoing::Kind::close_ok, channel, 0, false, nullptr});
@@ -499,11 +499,11 @@ void ReadConnection::answered() {
   if (std::exchange(openers_wait_, false)) next_timer_ = clock_.now();
 }
 
-void ReadConnection::retry_later(ChannelReader& reader) {
+void ReadConnection::retry_later(QueueReader& reader) {
   set_timer(reader, clock_.now() + reader.backoff.next());
 }
 
-void ReadConnection::close_channel(ChannelReader& reader) {
+void ReadConnection::close_channel(QueueReader& reader) {
   outgoing_.push_back({Outgoing::Kind::close, reader.channel, 0, false, nullptr});
   channels_[reader.channel] = nullptr;
   reader.forget_channel();
@@ -519,20 +519,20 @@ amqp_channel_t ReadConnection::free_channel() const {
   return lowest;
 }
 
-void ReadConnection::open(const std::shared_ptr<ChannelReader>& reader) {
+void ReadConnection::open(const std::shared_ptr<QueueReader>& reader) {
   const auto limit = static_cast<amqp_channel_t>(wire_->channel_limit());
   if (channels_.size() >= limit) {
     retry_later(*reader);  // until a closing channel becomes free, or the keeper finds another connection
     return;
   }
   reader->channel = free_channel();
-  reader->phase = ChannelReader::Phase::opening;
+  reader->phase = QueueReader::Phase::opening;
   set_timer(*reader, clock_.now() + cluster_.rpc_timeout());
   channels_[reader->channel] = reader;
   outgoing_.push_back({Outgoing::Kind::request, reader->channel, 0, false, reader});
 }
 
-void ReadConnection::set_timer(ChannelReader& reader, Instant at) {
+void ReadConnection::set_timer(QueueReader& reader, Instant at) {
   reader.retry_at = at;
   if (!next_timer_ || at < *next_timer_) next_timer_ = at;
 }
@@ -544,7 +544,7 @@ void ReadConnection::check_timers() {
   next_timer_.reset();
   std::size_t opening =
       static_cast<std::size_t>(std::count_if(readers_.begin(), readers_.end(), [](const auto& reader) {
-        return reader->phase == ChannelReader::Phase::opening;
+        return reader->phase == QueueReader::Phase::opening;
       }));
   for (const auto& reader : readers_) {
     if (!reader->retry_at) continue;
@@ -553,20 +553,20 @@ void ReadConnection::check_timers() {
       set_timer(*reader, at);
       continue;
     }
-    if (reader->phase == ChannelReader::Phase::opening)
+    if (reader->phase == QueueReader::Phase::opening)
       throw LinkError("no answer to the request to read " + reader->queue);
-    if (reader->phase == ChannelReader::Phase::idle && opening >= most_opening) {
+    if (reader->phase == QueueReader::Phase::idle && opening >= most_opening) {
       openers_wait_ = true;
       continue;
     }
     reader->retry_at.reset();
-    if (reader->phase != ChannelReader::Phase::idle) continue;
+    if (reader->phase != QueueReader::Phase::idle) continue;
     open(reader);
-    if (reader->phase == ChannelReader::Phase::opening) ++opening;
+    if (reader->phase == QueueReader::Phase::opening) ++opening;
   }
 }
 
-void ReadConnection::tell(ChannelReader& reader, std::size_t patience) {
+void ReadConnection::tell(QueueReader& reader, std::size_t patience) {
   using Kind = client::AckWindow::Kind;
   for (const client::AckWindow::Action& action : reader.window.take(patience)) {
     const auto kind = action.kind == Kind::acknowledge ? Outgoing::Kind::acknowledge : Outgoing::Kind::reject;
@@ -576,7 +576,7 @@ void ReadConnection::tell(ChannelReader& reader, std::size_t patience) {
 
 void ReadConnection::gather() {
   for (const auto& inbox : core_.take_dirty()) {
-    auto& reader = static_cast<ChannelReader&>(*inbox);
+    auto& reader = static_cast<QueueReader&>(*inbox);
     if (!reader.closed && reader.channel != 0) tell(reader, reader.patience());
   }
   for (const auto& reader : std::exchange(leaving_, {})) {

@@ -14,7 +14,7 @@
 #include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
-#include "iotcloud/brokers/rabbitmq/consuming/channel_reader.h"
+#include "iotcloud/brokers/rabbitmq/consuming/queue_reader.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
 #include <iotcloud/config/mutex.h>
@@ -50,15 +50,15 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   void close();
 
   /// Adds a subscription. The first one starts the thread, which connects.
-  std::shared_ptr<ChannelReader> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
+  std::shared_ptr<QueueReader> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
   /// Ends a subscription; returns when its handler has returned, unless called from it.
   /// This and the next three functions do nothing and return false if the subscription has moved to another connection:
   /// ask its home().
-  bool remove(const std::shared_ptr<ChannelReader>& reader);
-  bool pause(ChannelReader& reader);
-  bool resume(ChannelReader& reader);
-  bool active(const ChannelReader& reader) const;
-  void settle(ChannelReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept;
+  bool remove(const std::shared_ptr<QueueReader>& reader);
+  bool pause(QueueReader& reader);
+  bool resume(QueueReader& reader);
+  bool active(const QueueReader& reader) const;
+  void settle(QueueReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept;
   ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection
   /// The keeper calls this periodically: while a handler runs long, reads on and sends settlements.
   void attend();
@@ -82,7 +82,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
     amqp_channel_t channel = 0;
     std::uint64_t tag = 0;  ///< for an acknowledgement or a rejection
     bool multiple = false;
-    std::shared_ptr<const ChannelReader> reader;  ///< of a request
+    std::shared_ptr<const QueueReader> reader;  ///< of a request
   };
 
   /// Exclusive use of the wire as long as the object lives, even while the mutex is released. Construct and destroy it
@@ -103,7 +103,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   void settled(client::Inbox& inbox, bool first) noexcept override IOTCLOUD_REQUIRES(core_.mutex);
   void wake() noexcept override IOTCLOUD_REQUIRES(core_.mutex);
 
-  bool at_home(const ChannelReader& reader) const { return reader.home().get() == this; }
+  bool at_home(const QueueReader& reader) const { return reader.home().get() == this; }
 
   // Run on the connection's thread.
   void start() IOTCLOUD_REQUIRES(core_.mutex);
@@ -125,15 +125,15 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   void on_frame(const amqp_frame_t& frame) IOTCLOUD_EXCLUDES(core_.mutex) IOTCLOUD_REQUIRES(wire_role_);
   void on_method(const amqp_method_t& method, amqp_channel_t channel) IOTCLOUD_EXCLUDES(core_.mutex)
       IOTCLOUD_REQUIRES(wire_role_);
-  void on_arrived(ChannelReader& reader, Arrived arrived) IOTCLOUD_EXCLUDES(core_.mutex) IOTCLOUD_REQUIRES(wire_role_);
-  void on_channel_closed(ChannelReader* reader, const amqp_channel_close_t& why, amqp_channel_t channel)
+  void on_arrived(QueueReader& reader, Arrived arrived) IOTCLOUD_EXCLUDES(core_.mutex) IOTCLOUD_REQUIRES(wire_role_);
+  void on_channel_closed(QueueReader* reader, const amqp_channel_close_t& why, amqp_channel_t channel)
       IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   bool handlers_wait() const IOTCLOUD_EXCLUDES(core_.mutex);
-  void open(const std::shared_ptr<ChannelReader>& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void open(const std::shared_ptr<QueueReader>& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   amqp_channel_t free_channel() const IOTCLOUD_REQUIRES(wire_role_);
   void check_timers() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  void close_channel(ChannelReader& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  void tell(ChannelReader& reader, std::size_t patience) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void close_channel(QueueReader& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void tell(QueueReader& reader, std::size_t patience) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Turns settlements and ended subscriptions into outgoing methods.
   void gather() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Writes outgoing methods, with the mutex released, as far as the socket takes them at once.
@@ -146,8 +146,8 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
 
   /// say_all() on a user's thread if no other thread has the WireTurn; otherwise that thread does it.
   void say_or_leave() noexcept IOTCLOUD_REQUIRES(core_.mutex);
-  void set_timer(ChannelReader& reader, Instant at) IOTCLOUD_REQUIRES(core_.mutex);
-  void retry_later(ChannelReader& reader) IOTCLOUD_REQUIRES(core_.mutex);
+  void set_timer(QueueReader& reader, Instant at) IOTCLOUD_REQUIRES(core_.mutex);
+  void retry_later(QueueReader& reader) IOTCLOUD_REQUIRES(core_.mutex);
   /// The server has answered a request, so a waiting subscription may be requested.
   void answered() IOTCLOUD_REQUIRES(core_.mutex);
 
@@ -163,7 +163,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   std::unique_ptr<AmqpLink> wire_;
   config::ThreadRole wire_role_;  ///< the thread that has the WireTurn
   /// Null: this client has requested the channel's end, and the answer is still to come.
-  std::map<amqp_channel_t, std::shared_ptr<ChannelReader>> channels_ IOTCLOUD_GUARDED_BY(wire_role_);
+  std::map<amqp_channel_t, std::shared_ptr<QueueReader>> channels_ IOTCLOUD_GUARDED_BY(wire_role_);
   std::vector<Outgoing> outgoing_ IOTCLOUD_GUARDED_BY(wire_role_);
   /// Poll reported room, so one method can be written without asking again.
   bool writable_ IOTCLOUD_GUARDED_BY(wire_role_) = false;
@@ -183,9 +183,9 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   bool closing_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   bool broken_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;    ///< another thread found the connection broken
   bool sleeping_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;  ///< the connection's thread sleeps
-  std::vector<std::shared_ptr<ChannelReader>> readers_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  std::vector<std::shared_ptr<QueueReader>> readers_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Removed subscriptions whose channels are not closed yet.
-  std::vector<std::shared_ptr<ChannelReader>> leaving_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  std::vector<std::shared_ptr<QueueReader>> leaving_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// No reader's retry_at is earlier, except those of readers for which openers_wait_ is set.
   std::optional<Instant> next_timer_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Some subscriptions are due, but wait until the server has answered earlier requests.

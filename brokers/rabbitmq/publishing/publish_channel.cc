@@ -141,17 +141,17 @@ void PublishChannel::give_tag(UnderWay& message) {
 void PublishChannel::put(const UnderWay& message, Instant now) {
   const Outbox& outbox = *message.outbox;
   const client::AcceptedMessage& accepted = message.accepted;
-  MessageProperties::Delivery delivery;
-  delivery.durable = outbox.topic.durable;
-  delivery.resent = accepted.resent || accepted.old;
-  delivery.priority = outbox.options.priority;
-  delivery.origin = {outbox.id, accepted.number};
+  MessageProperties::SendOptions options;
+  options.durable = outbox.topic.durable;
+  options.resent = accepted.resent || accepted.old;
+  options.priority = outbox.options.priority;
+  options.origin = {outbox.id, accepted.number};
   if (outbox.options.deadline.count() > 0) {
     const auto left = accepted.accepted_at + outbox.options.deadline - now;
-    delivery.expires_in = std::max(std::chrono::milliseconds(1), std::chrono::ceil<std::chrono::milliseconds>(left));
+    options.expires_in = std::max(std::chrono::milliseconds(1), std::chrono::ceil<std::chrono::milliseconds>(left));
   }
   wire_->publish(publish_channel, exchange_of(outbox.topic), outbox.topic.name,
-                 properties_.encode(accepted.message, delivery), accepted.message.payload.bytes());
+                 properties_.encode(accepted.message, options), accepted.message.payload.bytes());
 }
 
 // For a failed send, or if memory ran out in the middle of a frame.

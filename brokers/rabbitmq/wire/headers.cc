@@ -91,29 +91,29 @@ void MessageProperties::add(amqp_bytes_t name, amqp_bytes_t value) {
   entries_.push_back(entry);
 }
 
-const amqp_basic_properties_t& MessageProperties::encode(const Message& message, const Delivery& delivery) {
+const amqp_basic_properties_t& MessageProperties::encode(const Message& message, const SendOptions& options) {
   properties_ = {};
   entries_.clear();
   entries_.reserve(message.properties.size() + 4);
   add(view(driver_header), view(message.driver_id));
   if (!message.gateway_id.empty()) add(view(gateway_header), view(message.gateway_id));
   add(view(time_header), time_.of(message.time_ms));
-  if (delivery.resent) add(view(resent_header), view(std::string_view("1")));
+  if (options.resent) add(view(resent_header), view(std::string_view("1")));
   for (const auto& [name, value] : message.properties) {
     if (!reserved(name)) add(view(name), view(value));
   }
   properties_.headers = {static_cast<int>(entries_.size()), entries_.data()};
-  properties_.delivery_mode = delivery.durable ? AMQP_DELIVERY_PERSISTENT : AMQP_DELIVERY_NONPERSISTENT;
+  properties_.delivery_mode = options.durable ? AMQP_DELIVERY_PERSISTENT : AMQP_DELIVERY_NONPERSISTENT;
   const char* const end =
-      fmt::format_to(message_id_.data(), "{:016x}-{}", delivery.origin.publisher, delivery.origin.number);
+      fmt::format_to(message_id_.data(), "{:016x}-{}", options.origin.publisher, options.origin.number);
   properties_.message_id = {static_cast<std::size_t>(end - message_id_.data()), message_id_.data()};
   properties_._flags = AMQP_BASIC_HEADERS_FLAG | AMQP_BASIC_DELIVERY_MODE_FLAG | AMQP_BASIC_MESSAGE_ID_FLAG;
-  if (delivery.priority != normal_priority) {
-    properties_.priority = delivery.priority;
+  if (options.priority != normal_priority) {
+    properties_.priority = options.priority;
     properties_._flags |= AMQP_BASIC_PRIORITY_FLAG;
   }
-  if (delivery.expires_in.count() > 0) {
-    properties_.expiration = expiration_.of(delivery.expires_in.count());
+  if (options.expires_in.count() > 0) {
+    properties_.expiration = expiration_.of(options.expires_in.count());
     properties_._flags |= AMQP_BASIC_EXPIRATION_FLAG;
   }
   return properties_;

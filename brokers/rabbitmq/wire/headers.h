@@ -25,14 +25,14 @@ struct Origin {
 /// messages.
 class MessageProperties {
  public:
-  struct Delivery {
+  struct SendOptions {
     bool durable = false;
     bool resent = false;                      ///< sent before on a connection that was lost, so possibly a duplicate
     std::chrono::milliseconds expires_in{0};  ///< 0: never
     std::uint8_t priority = normal_priority;
     Origin origin;
   };
-  const amqp_basic_properties_t& encode(const Message& message, const Delivery& delivery);
+  const amqp_basic_properties_t& encode(const Message& message, const SendOptions& options);
 
  private:
   /// A number in decimal digits.

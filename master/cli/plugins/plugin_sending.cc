@@ -49,7 +49,7 @@ UploadResult accepted(UploadResult answer) {
 InstanceOutcome failure_of(const UploadTarget& target) {
   return {target.gateway,
           {},
-          Outcome::failed,
+          OrderOutcome::failed,
           target.problem.empty() ? "it did not say that it has the plugin" : target.problem};
 }
 

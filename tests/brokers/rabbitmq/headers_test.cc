@@ -84,12 +84,12 @@ TEST(RabbitMqHeadersTest, AreNamedAsInTheOriginal) {
 
 TEST(RabbitMqHeadersTest, CarryDurabilityExpiryOriginAndResentMark) {
   MessageProperties encoder;
-  MessageProperties::Delivery delivery;
-  delivery.durable = true;
-  delivery.resent = true;
-  delivery.expires_in = std::chrono::milliseconds(250);
-  delivery.origin = {0x00ab, 77};
-  const amqp_basic_properties_t& properties = encoder.encode(Message{}, delivery);
+  MessageProperties::SendOptions options;
+  options.durable = true;
+  options.resent = true;
+  options.expires_in = std::chrono::milliseconds(250);
+  options.origin = {0x00ab, 77};
+  const amqp_basic_properties_t& properties = encoder.encode(Message{}, options);
   EXPECT_EQ(properties.delivery_mode, AMQP_DELIVERY_PERSISTENT);
   EXPECT_EQ(std::string(static_cast<const char*>(properties.expiration.bytes), properties.expiration.len), "250");
   EXPECT_EQ(std::string(static_cast<const char*>(properties.message_id.bytes), properties.message_id.len),
@@ -166,9 +166,9 @@ TEST(RabbitMqHeadersTest, NoHeadersAtAllAreFine) {
 TEST(RabbitMqHeadersTest, TheLargestOriginFits) {
   constexpr auto largest = std::numeric_limits<std::uint64_t>::max();
   MessageProperties encoder;
-  MessageProperties::Delivery delivery;
-  delivery.origin = {largest, largest};
-  EXPECT_EQ(origin_of(encoder.encode(Message{}, delivery)), (Origin{largest, largest}));
+  MessageProperties::SendOptions options;
+  options.origin = {largest, largest};
+  EXPECT_EQ(origin_of(encoder.encode(Message{}, options)), (Origin{largest, largest}));
 }
 
 TEST(RabbitMqHeadersTest, AMessageIdThatIsNotOursIsNoOrigin) {

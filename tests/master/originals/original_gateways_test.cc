@@ -228,14 +228,14 @@ TEST_F(OriginalGatewayTest, DeployIsUnknownWhenItSaysSuccessAndRegistersNothing)
   gateway->silent = true;
   auto request = jar();
   request.wait = milliseconds(100);
-  EXPECT_EQ((*master)->deploy(request).outcomes.at(0).outcome, Outcome::unknown);
+  EXPECT_EQ((*master)->deploy(request).outcomes.at(0).outcome, OrderOutcome::unknown);
 }
 
 TEST_F(OriginalGatewayTest, DeployFailsWithItsWords) {
   register_site(site());
   gateway->refuse = true;
   const auto result = (*master)->deploy(jar());
-  EXPECT_EQ(result.outcomes.at(0).outcome, Outcome::failed);
+  EXPECT_EQ(result.outcomes.at(0).outcome, OrderOutcome::failed);
   EXPECT_THAT(result.outcomes.at(0).reason, HasSubstr("no such jar"));
 }
 

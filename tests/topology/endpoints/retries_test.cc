@@ -4,8 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
 #include <iotcloud/topology/endpoints/receiving/retries.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
 namespace iotcloud::topology {
 namespace {

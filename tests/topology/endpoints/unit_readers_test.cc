@@ -34,10 +34,10 @@ class UnitReadersTest : public testing::Test {
     return wanted;
   }
   UnitReaders::Open open() {
-    return [this](const discovery::ChannelRecord&, const UnitReaders::Key& at) -> std::shared_ptr<ChannelReader> {
+    return [this](const discovery::ChannelRecord&, const UnitReaders::Key& at) -> std::shared_ptr<TopicReader> {
       ++opened_;
       if (at.second.name == "broken") return nullptr;
-      return ChannelReader::open(broker_, at.first, at.second, {}, "driver"_instance, queue_, fence_);
+      return TopicReader::open(broker_, at.first, at.second, {}, "driver"_instance, queue_, fence_);
     };
   }
   void send(const std::string& topic) {

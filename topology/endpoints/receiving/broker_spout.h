@@ -57,7 +57,7 @@ class BrokerSpout final : public Spout {
   Retries retries_;
   std::optional<SharedFilter> filter_;  ///< only with `where`
   std::uint64_t last_sequence_ = 0;
-  std::uint64_t fence_count_ = 0;  ///< ChannelReader::fence_count() of the message before; see is_first_after_fence()
+  std::uint64_t fence_count_ = 0;  ///< TopicReader::fence_count() of the message before; see is_first_after_fence()
   std::optional<ChannelMessage> next_;  ///< left to the next call of next_tuple(), see is_first_after_fence()
   config::Counter* received_ = nullptr;
   config::Counter* retried_ = nullptr;

@@ -1,6 +1,6 @@
 #include <iotcloud/brokers/letter_box.h>
-#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
 #include <iotcloud/topology/endpoints/receiving/dead_letter_sender.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
 namespace iotcloud::topology {
 

@@ -1,7 +1,7 @@
 #include <algorithm>
 
-#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
 #include <iotcloud/topology/endpoints/receiving/retries.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
 namespace iotcloud::topology {
 

@@ -1,7 +1,7 @@
 #include <utility>
 
-#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
 #include <iotcloud/topology/endpoints/receiving/shared_filter.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
 namespace iotcloud::topology {
 

@@ -307,8 +307,8 @@ void SpoutPlacement::read(Unit& unit) {
   });
 }
 
-std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::ChannelRecord& channel,
-                                                           const UnitReaders::Key& key, int task) {
+std::shared_ptr<TopicReader> SpoutPlacement::open_reader(const discovery::ChannelRecord& channel,
+                                                         const UnitReaders::Key& key, int task) {
   brokers::SubscriptionOptions options;
   options.group = group_of(endpoint_, *services_);
   options.automatic_ack = endpoint_.reading.automatic_ack;
@@ -316,9 +316,9 @@ std::shared_ptr<ChannelReader> SpoutPlacement::open_reader(const discovery::Chan
   options.keep_last = static_cast<std::size_t>(endpoint_.reading.keep_last);
   options.priority = priority_of(channel);
   try {
-    return ChannelReader::open(broker_at(key.first, *services_), key.first, key.second, options,
-                               channel.shared ? discovery::InstanceId() : channel.instance, queue_of(task),
-                               services_->fence);
+    return TopicReader::open(broker_at(key.first, *services_), key.first, key.second, options,
+                             channel.shared ? discovery::InstanceId() : channel.instance, queue_of(task),
+                             services_->fence);
   } catch (const config::Error& error) {
     if (complained_.insert(key.first.urls.front()).second) {
       endpoints_logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());

@@ -13,7 +13,7 @@
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/placement/reading_group.h>
 #include <iotcloud/topology/endpoints/placement/task_loads.h>
-#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 #include <iotcloud/topology/endpoints/receiving/unit_readers.h>
 #include <iotcloud/topology/endpoints/receiving/verdicts.h>
 #include <iotcloud/topology/endpoints/services.h>
@@ -117,8 +117,8 @@ class SpoutPlacement {
   void stop_reading(const std::string& name, Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void read(Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void balance() IOTCLOUD_REQUIRES(dispatcher_);
-  std::shared_ptr<ChannelReader> open_reader(const discovery::ChannelRecord& channel, const UnitReaders::Key& key,
-                                             int task) IOTCLOUD_REQUIRES(dispatcher_);
+  std::shared_ptr<TopicReader> open_reader(const discovery::ChannelRecord& channel, const UnitReaders::Key& key,
+                                           int task) IOTCLOUD_REQUIRES(dispatcher_);
   void report() IOTCLOUD_REQUIRES(dispatcher_);
   void tell_soon() IOTCLOUD_REQUIRES(dispatcher_);
   bool alone() const IOTCLOUD_REQUIRES(dispatcher_) {

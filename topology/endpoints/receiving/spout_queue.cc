@@ -1,11 +1,11 @@
 #include <algorithm>
 
-#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
 #include <iotcloud/topology/endpoints/receiving/spout_queue.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
 namespace iotcloud::topology {
 
-HeldReader::HeldReader(std::shared_ptr<ChannelReader> reader) : reader_(std::move(reader)) {
+HeldReader::HeldReader(std::shared_ptr<TopicReader> reader) : reader_(std::move(reader)) {
   if (reader_) reader_->take_in_hand();
 }
 
@@ -43,7 +43,7 @@ SpoutQueue::Taken SpoutQueue::pop() {
   return taken;
 }
 
-void SpoutQueue::forget(const ChannelReader& reader) {
+void SpoutQueue::forget(const TopicReader& reader) {
   std::deque<ChannelMessage> dropped;  // its destructor gives the messages back, after the lock is released
   const config::MutexLock lock(mutex_);
   std::deque<ChannelMessage> kept;
@@ -56,7 +56,7 @@ void SpoutQueue::forget(const ChannelReader& reader) {
 
 void SpoutQueue::close() {
   std::deque<ChannelMessage> dropped;
-  std::vector<std::shared_ptr<ChannelReader>> paused;
+  std::vector<std::shared_ptr<TopicReader>> paused;
   const config::MutexLock lock(mutex_);
   closed_ = true;
   dropped.swap(waiting_);

@@ -14,28 +14,28 @@
 
 namespace iotcloud::topology {
 
-class ChannelReader;
+class TopicReader;
 
 /// The help text of iotcloud_spout_rejected_total, a counter that two classes use.
 inline constexpr const char* rejected_help = "Messages given up after their last try, and rejected";
 
-/// Counts a message as in its reader's hand (ChannelReader::has_in_hand()) as long as it lives. Movable.
+/// Counts a message as in its reader's hand (TopicReader::has_in_hand()) as long as it lives. Movable.
 class HeldReader {
  public:
-  explicit HeldReader(std::shared_ptr<ChannelReader> reader);
+  explicit HeldReader(std::shared_ptr<TopicReader> reader);
   ~HeldReader();
   HeldReader(HeldReader&&) noexcept = default;
   HeldReader& operator=(HeldReader&& other) noexcept;
-  ChannelReader* operator->() const { return reader_.get(); }
-  const std::shared_ptr<ChannelReader>& shared() const { return reader_; }
+  TopicReader* operator->() const { return reader_.get(); }
+  const std::shared_ptr<TopicReader>& shared() const { return reader_; }
 
  private:
-  std::shared_ptr<ChannelReader> reader_;  ///< null in a moved-from object
+  std::shared_ptr<TopicReader> reader_;  ///< null in a moved-from object
 };
 
 /// A message on its way from a channel into the topology.
 struct ChannelMessage {
-  ChannelMessage(brokers::Delivery received, std::shared_ptr<ChannelReader> from)
+  ChannelMessage(brokers::Delivery received, std::shared_ptr<TopicReader> from)
       : reader(std::move(from)), delivery(std::move(received)) {}
 
   HeldReader reader;
@@ -65,7 +65,7 @@ class SpoutQueue {
   Taken pop();
   /// Drops the messages of a reader that was closed, which go back to its broker, and resumes other readers when there
   /// is room.
-  void forget(const ChannelReader& reader);
+  void forget(const TopicReader& reader);
   /// Gives the messages that wait, and those that come from now on, back to the broker.
   void close();
   std::size_t size() const;
@@ -78,7 +78,7 @@ class SpoutQueue {
   mutable config::Mutex mutex_;
   bool closed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::deque<ChannelMessage> waiting_ IOTCLOUD_GUARDED_BY(mutex_);
-  std::vector<std::shared_ptr<ChannelReader>> paused_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::vector<std::shared_ptr<TopicReader>> paused_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace iotcloud::topology

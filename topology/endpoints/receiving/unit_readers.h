@@ -7,7 +7,7 @@
 #include <utility>
 
 #include <iotcloud/discovery/records.h>
-#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
 namespace iotcloud::topology {
 
@@ -18,7 +18,7 @@ class UnitReaders {
   /// The topics that are to be read, each with one of the channels that use it.
   using Wanted = std::map<Key, const discovery::ChannelRecord*>;
   /// Opens a reader; returns null if it cannot be opened now.
-  using Open = std::function<std::shared_ptr<ChannelReader>(const discovery::ChannelRecord&, const Key&)>;
+  using Open = std::function<std::shared_ptr<TopicReader>(const discovery::ChannelRecord&, const Key&)>;
 
   /// \param total number of readers of all units, which this object keeps up to date; must outlive this object.
   explicit UnitReaders(std::size_t& total) : total_(total) {}
@@ -27,19 +27,19 @@ class UnitReaders {
   void keep_only(const Wanted& wanted);
   /// Opens the readers that are in `wanted` and missing.
   void open_missing(const Wanted& wanted, const Open& open);
-  /// Drains all readers (ChannelReader::drain()).
+  /// Drains all readers (TopicReader::drain()).
   void drain();
   /// Whether a message of one of the readers is not settled.
   bool have_in_hand() const;
   /// How many messages the readers have brought.
   std::size_t taken() const;
-  /// Whether the broker does not deliver to one of the readers (ChannelReader::active()).
+  /// Whether the broker does not deliver to one of the readers (TopicReader::active()).
   bool cut_off() const;
   void close();
 
  private:
   std::size_t& total_;
-  std::map<Key, std::shared_ptr<ChannelReader>> readers_;
+  std::map<Key, std::shared_ptr<TopicReader>> readers_;
 };
 
 }  // namespace iotcloud::topology

@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/rabbitmq/consuming/channel_reader.h"
+#include "iotcloud/brokers/rabbitmq/consuming/queue_reader.h"
 
 #include <algorithm>
 #include <cstring>
@@ -63,26 +63,26 @@ std::optional<Arrived> Assembly::finish() {
   return done;
 }
 
-ChannelReader::ChannelReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what)
+QueueReader::QueueReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what)
     : OwnInbox(std::move(to), std::move(how), std::move(what)),
       queue(options.group.empty() ? topic.name : topic.name + "." + options.group),
       home_(std::move(link)) {}
 
-void ChannelReader::settle(std::uint64_t tag, Settlement settlement) noexcept {
+void QueueReader::settle(std::uint64_t tag, Settlement settlement) noexcept {
   home()->settle(*this, tag, settlement);
 }
 
-std::shared_ptr<ReadConnection> ChannelReader::home() const {
+std::shared_ptr<ReadConnection> QueueReader::home() const {
   const config::MutexLock lock(home_mutex_);
   return home_;
 }
 
-void ChannelReader::move_to(std::shared_ptr<ReadConnection> link) {
+void QueueReader::move_to(std::shared_ptr<ReadConnection> link) {
   const config::MutexLock lock(home_mutex_);
   home_ = std::move(link);
 }
 
-void ChannelReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type) const {
+void QueueReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type) const {
   wire.send(on, AMQP_CHANNEL_OPEN_METHOD, amqp_channel_open_t{});
   const std::string& exchange = exchange_of(topic);
   if (must_declare(topic)) {
@@ -114,7 +114,7 @@ void ChannelReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type) c
   wire.send(on, AMQP_BASIC_CONSUME_METHOD, consume);
 }
 
-void ChannelReader::begins() {
+void QueueReader::begins() {
   phase = Phase::active;
   read_before = true;
   retry_at.reset();
@@ -122,7 +122,7 @@ void ChannelReader::begins() {
   complaint.clear();
 }
 
-void ChannelReader::refused(const amqp_channel_close_t& answer) {
+void QueueReader::refused(const amqp_channel_close_t& answer) {
   const bool was_active = phase == Phase::active;
   forget_channel();
   const std::string why = describe(answer);
@@ -151,7 +151,7 @@ void ChannelReader::refused(const amqp_channel_close_t& answer) {
   if (std::exchange(complaint, now) != now) logger.warn("queue {} {}", queue, now);
 }
 
-void ChannelReader::forget_channel() {
+void QueueReader::forget_channel() {
   phase = Phase::idle;
   channel = 0;
   begin_anew();

@@ -14,14 +14,14 @@
 namespace iotcloud::topology {
 
 /// Reads one topic into a SpoutQueue. Its owner must call close(). Thread safe.
-class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
+class TopicReader : public std::enable_shared_from_this<TopicReader> {
  public:
   /// Subscribes to the topic. \param driver_id the sender of messages that do not name one; empty for a shared channel.
-  static std::shared_ptr<ChannelReader> open(std::shared_ptr<brokers::Broker> broker,
-                                             const brokers::BrokerAddress& address, const brokers::Topic& topic,
-                                             const brokers::SubscriptionOptions& options,
-                                             discovery::InstanceId driver_id, std::shared_ptr<SpoutQueue> queue,
-                                             std::shared_ptr<const StandstillFence> fence);
+  static std::shared_ptr<TopicReader> open(std::shared_ptr<brokers::Broker> broker,
+                                           const brokers::BrokerAddress& address, const brokers::Topic& topic,
+                                           const brokers::SubscriptionOptions& options, discovery::InstanceId driver_id,
+                                           std::shared_ptr<SpoutQueue> queue,
+                                           std::shared_ptr<const StandstillFence> fence);
 
   void pause();
   void resume();
@@ -47,8 +47,8 @@ class ChannelReader : public std::enable_shared_from_this<ChannelReader> {
   const brokers::BrokerAddress& address() const { return address_; }
 
  private:
-  ChannelReader(brokers::Topic topic, brokers::BrokerAddress address, discovery::InstanceId driver_id,
-                std::shared_ptr<SpoutQueue> queue, std::shared_ptr<const StandstillFence> fence)
+  TopicReader(brokers::Topic topic, brokers::BrokerAddress address, discovery::InstanceId driver_id,
+              std::shared_ptr<SpoutQueue> queue, std::shared_ptr<const StandstillFence> fence)
       : topic_(std::move(topic)),
         address_(std::move(address)),
         driver_id_(std::move(driver_id)),

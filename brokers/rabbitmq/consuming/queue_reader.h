@@ -50,7 +50,7 @@ class Assembly {
 /// One subscription as its connection sees it. Guarded by the mutex of its home, except for the constants. The members
 /// of its channel are changed only by the thread that holds that mutex and has the WireTurn of the home, so a thread
 /// with the WireTurn may read them without the mutex.
-class ChannelReader final : public client::OwnInbox {
+class QueueReader final : public client::OwnInbox {
  public:
   enum class Phase {
     idle,     ///< no channel: not connected, or waiting for `retry_at`
@@ -58,7 +58,7 @@ class ChannelReader final : public client::OwnInbox {
     active,   ///< reads
   };
 
-  ChannelReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what);
+  QueueReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what);
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
   /// The connection through which it reads. It moves to another one if the server has no channel left for it. Thread
   /// safe.

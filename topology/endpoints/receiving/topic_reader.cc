@@ -1,15 +1,15 @@
 #include <iotcloud/topology/endpoints/logger.h>
-#include <iotcloud/topology/endpoints/receiving/channel_reader.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
 namespace iotcloud::topology {
 
-std::shared_ptr<ChannelReader> ChannelReader::open(std::shared_ptr<brokers::Broker> broker,
-                                                   const brokers::BrokerAddress& address, const brokers::Topic& topic,
-                                                   const brokers::SubscriptionOptions& options,
-                                                   discovery::InstanceId driver_id, std::shared_ptr<SpoutQueue> queue,
-                                                   std::shared_ptr<const StandstillFence> fence) {
-  std::shared_ptr<ChannelReader> reader(
-      new ChannelReader(topic, address, std::move(driver_id), std::move(queue), std::move(fence)));
+std::shared_ptr<TopicReader> TopicReader::open(std::shared_ptr<brokers::Broker> broker,
+                                               const brokers::BrokerAddress& address, const brokers::Topic& topic,
+                                               const brokers::SubscriptionOptions& options,
+                                               discovery::InstanceId driver_id, std::shared_ptr<SpoutQueue> queue,
+                                               std::shared_ptr<const StandstillFence> fence) {
+  std::shared_ptr<TopicReader> reader(
+      new TopicReader(topic, address, std::move(driver_id), std::move(queue), std::move(fence)));
   const auto handler = [weak = std::weak_ptr(reader)](brokers::Delivery delivery) {
     if (const auto self = weak.lock()) self->take(std::move(delivery));
   };
@@ -22,7 +22,7 @@ std::shared_ptr<ChannelReader> ChannelReader::open(std::shared_ptr<brokers::Brok
   return reader;
 }
 
-void ChannelReader::take(brokers::Delivery delivery) {
+void TopicReader::take(brokers::Delivery delivery) {
   if (is_void()) {  // kept until close(): if it were returned now, the broker would deliver it again at once
     const config::MutexLock lock(mutex_);
     if (!closed_) withheld_.push_back(std::move(delivery));
@@ -35,25 +35,25 @@ void ChannelReader::take(brokers::Delivery delivery) {
   queue_->push(ChannelMessage(std::move(delivery), shared_from_this()));
 }
 
-void ChannelReader::pause() {
+void TopicReader::pause() {
   const config::MutexLock lock(mutex_);
   paused_ = true;
   if (subscription_) subscription_->pause();
 }
 
-void ChannelReader::resume() {
+void TopicReader::resume() {
   const config::MutexLock lock(mutex_);
   paused_ = false;
   if (subscription_ && !draining_) subscription_->resume();
 }
 
-void ChannelReader::drain() {
+void TopicReader::drain() {
   const config::MutexLock lock(mutex_);
   draining_ = true;
   if (subscription_) subscription_->pause();
 }
 
-void ChannelReader::close() {
+void TopicReader::close() {
   std::shared_ptr<brokers::Broker> broker;
   std::unique_ptr<brokers::Subscription> subscription;
   {
@@ -71,12 +71,12 @@ void ChannelReader::close() {
   queue_->forget(*this);
 }
 
-bool ChannelReader::closed() const {
+bool TopicReader::closed() const {
   const config::MutexLock lock(mutex_);
   return closed_;
 }
 
-bool ChannelReader::active() const {
+bool TopicReader::active() const {
   const config::MutexLock lock(mutex_);
   return subscription_ && subscription_->active();
 }
