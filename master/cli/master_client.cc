@@ -28,7 +28,8 @@ namespace {
 
 constexpr milliseconds connect_limit{3'000};
 constexpr milliseconds read_limit{30'000};
-/// Time limit of the first answer on a connection: a master that waits for its registry takes three seconds.
+/// Time limit of the first answer on a connection when there is another master to ask. A master that waits for its
+/// registry takes three seconds.
 constexpr milliseconds first_answer_limit{5'000};
 /// How much longer than the requested wait a master may take to answer an order.
 constexpr milliseconds order_margin{30'000};
@@ -77,7 +78,7 @@ struct MasterClient::Impl {
     options.port = port;
     options.tls = access.tls;
     options.connect_limit = connect_limit;
-    options.answer_limit = first_answer_limit;
+    options.answer_limit = addresses.size() > 1 ? first_answer_limit : read_limit;
     auto fresh = std::make_unique<rpc::ThriftClient>(options);
     auto asking = std::make_unique<Client>(fresh->protocol());
     open(*asking, to);
