@@ -78,7 +78,7 @@ std::string part(const std::string& bytes) {
 std::string amqp_properties(int number) {
   const brokers::Message message = sample(number);
   brokers::rabbitmq::MessageProperties encoder;
-  brokers::rabbitmq::MessageProperties::Delivery delivery;
+  brokers::rabbitmq::MessageProperties::SendOptions delivery;
   delivery.resent = number % 2 == 1;
   delivery.expires_in = std::chrono::milliseconds(number);
   amqp_basic_properties_t properties = encoder.encode(message, delivery);
