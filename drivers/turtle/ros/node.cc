@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <exception>
@@ -33,6 +34,7 @@ namespace {
 constexpr std::chrono::milliseconds call_limit{1000};
 constexpr std::chrono::milliseconds tend_period{1000};
 constexpr std::chrono::milliseconds silence{2000};  // of a camera, until the state says so
+constexpr std::chrono::milliseconds renewal{5000};  // of the subscription to a topic that is silent
 constexpr std::chrono::milliseconds flush_time{50};
 constexpr double wait_s = 0.1;                          // for messages; the node's end is noticed within this time
 constexpr const char* nowhere = "http://127.0.0.1:1/";  // refuses connections at once
@@ -84,6 +86,31 @@ class RosNode::Impl {
   void publish(double linear, double angular);
 
  private:
+  /// A topic that the node reads. Used on the node's thread only.
+  struct ReadTopic {
+    ::ros::Subscriber subscriber;
+    steady_clock::time_point heard;       ///< the newest message, or the first subscription
+    steady_clock::time_point subscribed;  ///< the newest subscription
+
+    bool has_publishers() const { return subscriber.getNumPublishers() > 0; }
+    void set(::ros::Subscriber now) {
+      subscriber = std::move(now);
+      subscribed = steady_clock::now();
+      if (heard == steady_clock::time_point{}) heard = subscribed;
+    }
+    /// Ends the subscription when roscpp believes in a publisher from which nothing comes. roscpp asks a publisher only
+    /// once where its messages come from: one that was killed and started again with the same address of its node, but
+    /// another port for its messages, would never be heard again.
+    /// \return whether it ended, so that announce() is to subscribe again.
+    bool end_if_silent() {
+      const auto now = steady_clock::now();
+      if (!subscriber || !has_publishers() || now - std::max(heard, subscribed) < renewal) return false;
+      subscriber.shutdown();
+      subscriber = {};
+      return true;
+    }
+  };
+
   void run();
   /// Does what needs the master, once a second. \return the state to report.
   std::string tend();
@@ -98,8 +125,7 @@ class RosNode::Impl {
   const NodeEvents events_;
   ::ros::CallbackQueue queue_;
   std::unique_ptr<::ros::NodeHandle> handle_;  ///< exists once a master has answered
-  ::ros::Subscriber images_, odometry_;
-  steady_clock::time_point last_image_;
+  ReadTopic images_, odometry_;
   bool announced_ = false;  ///< the master knows all topics of this node
   std::mutex mutex_;
   ::ros::Publisher velocity_;                ///< guarded by mutex_; changed by thread_ only
@@ -185,6 +211,9 @@ std::string RosNode::Impl::tend() {
   if (!handle_) join_graph();
   const std::string& name = ::ros::this_node::getName();
   if (announced_) announced_ = master_.knows(name) == Master::Known::yes && hears_all();
+  const bool images_ended = images_.end_if_silent();
+  const bool odometry_ended = odometry_.end_if_silent();
+  if (images_ended || odometry_ended) announced_ = false;
   if (!announced_) announced_ = announce();
   if (!announced_) return name + " is not yet registered with" + at;
   return name + " is registered with" + at + who_is_missing();
@@ -205,29 +234,34 @@ void RosNode::Impl::join_graph() {
 /// that the node reads, because the answer lists the publishers.
 bool RosNode::Impl::announce() {
   const auto hints = ::ros::TransportHints().tcpNoDelay();
-  if (!images_ && !topics_.depth.empty()) {
-    last_image_ = steady_clock::now();
-    images_ = handle_->subscribe<sensor_msgs::Image>(
+  if (!images_.subscriber && !topics_.depth.empty()) {
+    images_.set(handle_->subscribe<sensor_msgs::Image>(
         topics_.depth, 1,
         [this](const sensor_msgs::ImageConstPtr& image) {
-          last_image_ = steady_clock::now();
+          images_.heard = steady_clock::now();
           events_.on_image(plain(*image));
         },
-        {}, hints);
+        {}, hints));
   }
-  if (!odometry_ && !topics_.odometry.empty()) {
-    odometry_ = handle_->subscribe<nav_msgs::Odometry>(
-        topics_.odometry, 10, [this](const nav_msgs::OdometryConstPtr& where) { events_.on_odometry(plain(*where)); },
-        {}, hints);
+  if (!odometry_.subscriber && !topics_.odometry.empty()) {
+    odometry_.set(handle_->subscribe<nav_msgs::Odometry>(
+        topics_.odometry, 10,
+        [this](const nav_msgs::OdometryConstPtr& where) {
+          odometry_.heard = steady_clock::now();
+          events_.on_odometry(plain(*where));
+        },
+        {}, hints));
   }
   const std::string& name = ::ros::this_node::getName();
   const std::string uri = ::ros::XMLRPCManager::instance()->getServerURI();
-  const auto read = [&](const ::ros::Subscriber& subscriber, const TopicRecord& topic) {
-    return subscriber && master_.register_subscriber(name, topic, uri);
+  const auto read = [&](const ReadTopic& read_topic, const TopicRecord& topic) {
+    return read_topic.subscriber && master_.register_subscriber(name, topic, uri);
   };
   bool done = true;
-  if (!topics_.depth.empty()) done &= read(images_, record_of<sensor_msgs::Image>(images_.getTopic()));
-  if (!topics_.odometry.empty()) done &= read(odometry_, record_of<nav_msgs::Odometry>(odometry_.getTopic()));
+  if (!topics_.depth.empty()) done &= read(images_, record_of<sensor_msgs::Image>(images_.subscriber.getTopic()));
+  if (!topics_.odometry.empty()) {
+    done &= read(odometry_, record_of<nav_msgs::Odometry>(odometry_.subscriber.getTopic()));
+  }
   if (!topics_.velocity.empty()) {
     done &= master_.register_publisher(name, record_of<geometry_msgs::Twist>(velocity_.getTopic()), uri);
   }
@@ -235,21 +269,22 @@ bool RosNode::Impl::announce() {
 }
 
 bool RosNode::Impl::hears_all() const {
-  const auto hears = [](const ::ros::Subscriber& subscriber) {
-    return !subscriber || subscriber.getNumPublishers() > 0;
-  };
+  const auto hears = [](const ReadTopic& topic) { return !topic.subscriber || topic.has_publishers(); };
   return hears(images_) && hears(odometry_);
 }
 
 std::string RosNode::Impl::who_is_missing() const {
   std::string missing;
   const auto nobody = [&](const char* what, const std::string& topic) { missing += "; " + (what + topic); };
-  if (images_ && images_.getNumPublishers() == 0) {
-    nobody("nobody publishes ", images_.getTopic());
-  } else if (images_ && steady_clock::now() - last_image_ > silence) {
-    nobody("no image comes on ", images_.getTopic());  // roscpp keeps looking for a publisher that was killed
+  if (images_.subscriber && !images_.has_publishers()) {
+    nobody("nobody publishes ", images_.subscriber.getTopic());
+  } else if (images_.subscriber && steady_clock::now() - images_.heard > silence) {
+    // roscpp goes on looking for a publisher that was killed.
+    nobody("no image comes on ", images_.subscriber.getTopic());
   }
-  if (odometry_ && odometry_.getNumPublishers() == 0) nobody("nobody publishes ", odometry_.getTopic());
+  if (odometry_.subscriber && !odometry_.has_publishers()) {
+    nobody("nobody publishes ", odometry_.subscriber.getTopic());
+  }
   if (velocity_ && velocity_.getNumSubscribers() == 0) nobody("nobody reads ", velocity_.getTopic());
   return missing;
 }

@@ -203,6 +203,17 @@ TEST_F(RosTurtle, waits_for_its_master_and_outlives_it) {
   expect_following(30);
 }
 
+TEST_F(RosTurtle, hears_a_camera_that_was_started_again_at_the_same_address) {
+  PrivateServer camera("ros_camera.py", {"--master", master.url()});
+  deploy();
+  const std::string heard = "; nobody reads /cmd_vel_mux/input/navi";
+  ASSERT_TRUE(see("ros", "is registered with the ROS master at " + master.url() + heard));
+  camera.kill();
+  ASSERT_TRUE(see("ros", "no image comes on /camera/depth/image_raw"));
+  camera.start();
+  EXPECT_TRUE(see("ros", "is registered with the ROS master at " + master.url() + heard));
+}
+
 TEST_F(RosTurtle, refuses_images_that_show_no_depth) {
   start_robot();
   deploy({{"depth_topic", "/camera/rgb/image_raw"}});
