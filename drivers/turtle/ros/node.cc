@@ -93,8 +93,8 @@ class RosNode::Impl {
     steady_clock::time_point subscribed;  ///< the newest subscription
 
     bool has_publishers() const { return subscriber.getNumPublishers() > 0; }
-    void set(::ros::Subscriber now) {
-      subscriber = std::move(now);
+    void set(const ::ros::Subscriber& now) {
+      subscriber = now;
       subscribed = steady_clock::now();
       if (heard == steady_clock::time_point{}) heard = subscribed;
     }
