@@ -26,8 +26,8 @@ class PropertyReader {
   std::string choice(const std::string& name, const std::string& fallback, const std::vector<std::string>& choices);
 
   /// \throws std::invalid_argument for a property that the driver did not ask for; the message lists the known ones.
-  /// Properties that begin with "channel." belong to the driver host and pass, as do `thread`, `hang_limit` and
-  /// `isolation`.
+  /// Properties that begin with "channel." belong to the driver host and pass, as do `thread`, `hang_limit`,
+  /// `isolation`, `on_partition` and `lease`.
   void finish() const;
 
  private:

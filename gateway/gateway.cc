@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <future>
+#include <optional>
 #include <set>
 
 #include <fmt/format.h>
@@ -49,13 +50,16 @@ struct Gateway::Impl {
         loop("gateway"),
         feed(*options.registry, options.paths, options.id, loop, clock, listener()),
         instances({options.id, options.registry, options.paths, options.launcher.get(), options.brokers,
-                   options.restart, &clock, options.history_file},
+                   options.restart, &clock, options.history_file, options.session_timeout},
                   loop) {}
 
   OrderFeed::Listener listener() {
     OrderFeed::Listener to;
     to.on_first = [this](const auto& names) { instances.ordered_at_first(names); };
-    to.on_order = [this](const auto& order, std::int64_t version) { instances.follow(order, version); };
+    to.on_order = [this](const auto& order, std::int64_t version) {
+      if (order.properties.contains("lease")) renew_leases();
+      instances.follow(order, version);
+    };
     to.on_gone = [this](const auto& instance) { instances.forget(instance); };
     to.present = [this] { return instances.present(); };
     to.without_record = [this](const auto& of) { return instances.without_record(of); };
@@ -71,6 +75,7 @@ struct Gateway::Impl {
   void join(const std::shared_ptr<std::promise<std::string>>& first);
   void joined();
   void write_records();
+  void renew_leases();
   void alive_changed(const std::optional<discovery::Node>& node);
   void await_return();
   void end_replaced(const std::function<void(const std::string& why)>& then);
@@ -83,8 +88,9 @@ struct Gateway::Impl {
   bool told_away = false;
   bool stopping = false;
   bool awaits_return = false;
-  bool knows_registry = false;  ///< the feed has looked at it since the last connection
-  bool restore_due = false;     ///< the registry may have lost records of this gateway
+  std::optional<config::Clock::Instant> confirmed;  ///< when the registry was asked that last confirmed the place
+  bool knows_registry = false;                      ///< the feed has looked at it since the last connection
+  bool restore_due = false;                         ///< the registry may have lost records of this gateway
   discovery::GuardPtr session_listener, alive_watch;
 
   config::Mutex mutex;
@@ -144,8 +150,10 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first
       if (!stopping) join(waiting);
     });
   };
+  const auto asked = clock.now();
   switch (membership.join()) {
     case Membership::Result::joined:
+      confirmed = asked;
       joined();
       if (first) first->set_value("");
       return;
@@ -188,7 +196,11 @@ void Gateway::Impl::joined() {
   alive_watch = options.registry->watch_node(
       options.paths.gateway_alive(options.id),
       [this](const std::optional<discovery::Node>& node) { loop.post([this, node] { alive_changed(node); }); });
-  loop.start_timer(options.retry_pause, options.retry_pause, [this] { write_records(); });
+  loop.start_timer(options.retry_pause, options.retry_pause, [this] {
+    write_records();
+    if (instances.leased()) renew_leases();
+  });
+  if (confirmed) instances.renew(*confirmed);
   if (options.plugins) {
     loop.start_timer(cleaning_pause, cleaning_pause, [this] {
       if (const auto named = instances.plugins_named()) options.plugins->clean(*named);
@@ -211,6 +223,23 @@ void Gateway::Impl::write_records() {
   } catch (const discovery::RegistryError& e) {
     logger.debug("the records are restored when the registry answers: {}", e.what());
   }
+}
+
+/// Asks whether this gateway still has its place. Only a confirmation moves the leases on, and only to the time before
+/// the question, so that a late answer renews nothing. The hosts are told in any case: those inside this process look
+/// at their leases then.
+void Gateway::Impl::renew_leases() {
+  if (stopping) return;
+  const auto asked = clock.now();
+  try {
+    if (options.registry->session() == discovery::SessionState::connected &&
+        membership.holder(options.registry->get(options.paths.gateway_alive(options.id))) == Membership::Holder::self) {
+      confirmed = asked;
+    }
+  } catch (const discovery::RegistryError& e) {
+    logger.debug("the leases are not renewed: {}", e.what());
+  }
+  if (confirmed) instances.renew(*confirmed);
 }
 
 void Gateway::Impl::alive_changed(const std::optional<discovery::Node>& node) {

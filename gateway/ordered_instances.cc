@@ -1,6 +1,9 @@
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/gateway/host/lease.h>
 #include <iotcloud/gateway/host/plugin.h>
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/gateway/ordered_instances.h>
@@ -119,12 +122,19 @@ void OrderedInstances::create(const OrderRecord& order, std::int64_t version) {
     if (!order.driver.empty()) check_name("driver name", order.driver);
     if (!order.sha256.empty() && !security::is_sha256(order.sha256))
       throw config::Error("its order names a plugin by \"" + order.sha256 + "\", which is no SHA-256");
+    check_lease(order.properties, options_.session_timeout);
   } catch (const config::Error& e) {
     refuse(entry, e.what());
     return;
   }
   entry.in_fleet = true;
   fleet_.create(order);
+}
+
+bool OrderedInstances::leased() const {
+  return std::any_of(entries_.begin(), entries_.end(), [](const auto& entry) {
+    return entry.second.in_fleet && entry.second.order.properties.contains("lease");
+  });
 }
 
 /// Rejects an invalid order: the instance's record says `failed` with the reason, and no host is involved.

@@ -30,8 +30,9 @@ class OrderedInstances {
     HostLauncher* launcher;  ///< not null
     std::vector<brokers::BrokerSetting> brokers;
     RestartPolicy restart;
-    const config::Clock* clock;  ///< not null
-    std::string history_file;    ///< see ChangeLog
+    const config::Clock* clock;                        ///< not null
+    std::string history_file;                          ///< see ChangeLog
+    std::chrono::milliseconds session_timeout{10000};  ///< the shortest lease that an order may name
   };
   OrderedInstances(Options options, EventLoop& loop);
 
@@ -44,6 +45,10 @@ class OrderedInstances {
   void follow(const discovery::OrderRecord& order, std::int64_t version);
   /// The order was removed: removes the instance and its record.
   void forget(const discovery::InstanceId& instance);
+  /// The registry last confirmed the gateway's place at that time; instances with a lease run on it.
+  void renew(config::Clock::Instant confirmed) { fleet_.renew(confirmed); }
+  /// Whether an instance has a lease.
+  bool leased() const;
   /// Writes no record until resume_records(): the connection is lost, and the next one may lead to another state of the
   /// registry.
   void pause_records() { records_.pause(); }

@@ -89,6 +89,7 @@ std::vector<HostedInstance> HostFleet::adopt() {
     logger.info("adopted the driver host {} of {} with {} instance(s)", running.name, running.order.plugin,
                 host->instances.size());
     host->link = launcher_.adopt(running, events_of(host));
+    if (confirmed_) host->link->renew(*confirmed_);
     if (host->instances.empty() || !hosts_.emplace(host->key, host).second) retire(host, retire_limit);
   }
   return adopted;
@@ -180,6 +181,14 @@ void HostFleet::launch(const std::shared_ptr<Host>& host) {
   host->started = options_.clock->now();
   host->link = launcher_.launch(host->order, events_of(host));
   host->order.identity = host->link->plugin();
+  if (confirmed_) host->link->renew(*confirmed_);
+}
+
+void HostFleet::renew(config::Clock::Instant confirmed) {
+  confirmed_ = confirmed;
+  for (const auto& [key, host] : hosts_) {
+    if (host->link) host->link->renew(confirmed);
+  }
 }
 
 void HostFleet::create(const discovery::OrderRecord& order) {

@@ -4,6 +4,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -50,6 +51,8 @@ class HostFleet {
   void deactivate(const discovery::InstanceId& instance);
   /// Begins to remove the instance. on_status reports `undeployed` when it has ended; then the id may be used again.
   void remove(const discovery::InstanceId& instance);
+  /// Tells all hosts, and those that are started later, when the registry last confirmed the gateway's place.
+  void renew(config::Clock::Instant confirmed);
   /// Ends all hosts; `done` is called once when they have ended. Instances are reported as `undeployed`. A second call
   /// waits for the same end, and its `done` is called after the first one's.
   void shutdown(std::chrono::milliseconds limit, std::function<void()> done);
@@ -107,6 +110,7 @@ class HostFleet {
   std::set<std::shared_ptr<Host>> retired_;             ///< the hosts that are shutting down
   std::map<std::int64_t, UnderWay> passed_;             ///< messages passed to a host that has not answered
   std::int64_t last_passed_ = 0;                        ///< the greatest number in passed_ so far
+  std::optional<config::Clock::Instant> confirmed_;     ///< see renew()
   bool shutting_down_ = false;
   std::vector<std::function<void()>> on_all_ended_;
 };

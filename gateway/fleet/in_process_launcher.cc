@@ -75,6 +75,10 @@ class InProcessLink final : public HostLink {
   void remove(const discovery::InstanceId& instance) override { host_.remove(instance); }
   void deliver(const PassedMessage& passed) override { host_.deliver(passed); }
   void answer(std::int64_t number, PassAnswer answer) override { host_.answered(number, answer); }
+  void renew(config::Clock::Instant confirmed) override {
+    host_.renew(confirmed);
+    host_.enforce_leases();
+  }
   void shutdown(std::chrono::milliseconds limit) override {
     if (stopper_.joinable()) return;
     stopper_ = std::jthread([this, limit] {

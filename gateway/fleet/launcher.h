@@ -53,6 +53,9 @@ class HostLink {
     static_cast<void>(number);
     static_cast<void>(answer);
   }
+  /// The registry confirmed the gateway's place at that time (DriverHost::renew()); an older confirmation may be told
+  /// again.
+  virtual void renew(config::Clock::Instant confirmed) { static_cast<void>(confirmed); }
   /// Removes all instances and ends the host, by force when `limit` has passed. Then calls on_ended.
   virtual void shutdown(std::chrono::milliseconds limit) = 0;
 };

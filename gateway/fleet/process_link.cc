@@ -100,6 +100,11 @@ void ProcessLink::answer(std::int64_t number, PassAnswer answer) {
   send(command);
 }
 
+void ProcessLink::renew(config::Clock::Instant confirmed) {
+  const auto at = std::chrono::duration_cast<std::chrono::nanoseconds>(confirmed.time_since_epoch());
+  send({HostCommand::Kind::renew, {}, {}, at.count()});
+}
+
 void ProcessLink::shutdown(milliseconds limit) {
   send({HostCommand::Kind::shutdown, {}, {}, std::max<std::int64_t>(1, limit.count())});
   const config::MutexLock lock(mutex_);

@@ -35,6 +35,7 @@ class ProcessLink final : public HostLink {
   void remove(const discovery::InstanceId& instance) override;
   void deliver(const PassedMessage& passed) override;
   void answer(std::int64_t number, PassAnswer answer) override;
+  void renew(config::Clock::Instant confirmed) override;
   void shutdown(std::chrono::milliseconds limit) override;
 
  private:

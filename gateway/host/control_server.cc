@@ -223,6 +223,9 @@ void ControlServer::Impl::obey(const HostCommand& command) {
     case HostCommand::Kind::answer:
       host->answered(command.number, command.answer);
       break;
+    case HostCommand::Kind::renew:
+      host->renew(config::Clock::Instant(std::chrono::nanoseconds(command.number)));
+      break;
     case HostCommand::Kind::shutdown:
     case HostCommand::Kind::ping:
     case HostCommand::Kind::metrics:
@@ -244,7 +247,10 @@ int ControlServer::run(int signals) {
                               {self.waker.get(), POLLIN, 0},
                               {signals, POLLIN, 0},
                               {self.gateway.get(), POLLIN, 0}}};  // poll() ignores descriptor -1
-    poll(on.data(), on.size(), static_cast<int>(std::min(self.options.orphan_limit, log_pause).count()));
+    auto pause = std::min(self.options.orphan_limit, log_pause);
+    const auto lease = self.host ? self.host->enforce_leases() : std::nullopt;
+    if (lease) pause = std::min(pause, *lease);
+    poll(on.data(), on.size(), static_cast<int>(pause.count()));
     self.log_file.look();
     if (on[2].revents != 0) self.shutdown_limit = stop_limit;
     if (on[1].revents != 0) self.send_waiting();

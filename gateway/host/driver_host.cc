@@ -1,19 +1,31 @@
+#include <algorithm>
 #include <future>
 #include <map>
 #include <utility>
 #include <vector>
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/host/driver_host.h>
 #include <iotcloud/gateway/host/driver_instance.h>
 #include <iotcloud/gateway/host/event_loop.h>
+#include <iotcloud/gateway/host/lease.h>
 #include <iotcloud/gateway/host/logger.h>
 
 namespace iotcloud::gateway {
 
 namespace {
+
+/// The instance's lease; nullopt also for an invalid one, which a gateway refuses before it gets here.
+std::optional<std::chrono::milliseconds> valid_lease(const InstanceSpec& spec) {
+  try {
+    return lease_of(spec.order.properties);
+  } catch (const config::Error&) {
+    return std::nullopt;
+  }
+}
 
 bool wants_own_thread(const Plugin& plugin, const InstanceSpec& spec) {
   const auto property = spec.order.properties.find("thread");
@@ -22,7 +34,7 @@ bool wants_own_thread(const Plugin& plugin, const InstanceSpec& spec) {
 
 }  // namespace
 
-struct DriverHost::Impl {
+struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   Impl(const Options& options, std::shared_ptr<const Plugin> plugin, Listener host_listener)
       : listener(std::move(host_listener)), environment(std::make_shared<HostEnvironment>()) {
     environment->gateway = options.gateway;
@@ -39,8 +51,7 @@ struct DriverHost::Impl {
     shared_loop = std::make_shared<EventLoop>(environment->plugin->name());
   }
 
-  std::shared_ptr<DriverInstance> find(const discovery::InstanceId& id) {
-    const config::MutexLock lock(mutex);
+  std::shared_ptr<DriverInstance> find(const discovery::InstanceId& id) IOTCLOUD_REQUIRES(mutex) {
     const auto found = instances.find(id);
     return found == instances.end() ? nullptr : found->second;
   }
@@ -60,6 +71,9 @@ struct DriverHost::Impl {
           gone = std::move(found->second);
           instances.erase(found);
         }
+        suspended.erase(status.instance);
+      } else if (status.state == discovery::DriverState::failed) {
+        suspended.erase(status.instance);
       }
     }
     listener(status);
@@ -67,6 +81,10 @@ struct DriverHost::Impl {
   }
 
   void leave_behind() IOTCLOUD_REQUIRES(mutex);
+  std::shared_ptr<EventLoop> loop_for(const InstanceSpec& spec) const;
+  bool lease_runs(const InstanceSpec& spec) const IOTCLOUD_REQUIRES(mutex);
+  void suspend(const std::shared_ptr<DriverInstance>& instance, const std::string& reason);
+  void start_suspended();
 
   const Listener listener;
   std::shared_ptr<HostEnvironment> environment;
@@ -74,6 +92,9 @@ struct DriverHost::Impl {
   mutable config::Mutex mutex;
   config::ConditionVariable changed;
   std::map<discovery::InstanceId, std::shared_ptr<DriverInstance>> instances IOTCLOUD_GUARDED_BY(mutex);
+  /// The instances that have no lease, and whether each has closed: only then may its successor open its channels.
+  std::map<discovery::InstanceId, bool> suspended IOTCLOUD_GUARDED_BY(mutex);
+  Confirmation confirmation IOTCLOUD_GUARDED_BY(mutex);
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
 };
 
@@ -103,6 +124,7 @@ void DriverHost::create(const InstanceSpec& spec) {
   std::shared_ptr<DriverInstance> instance;
   std::shared_ptr<DriverInstance>
       failed;  // destroyed without the lock: it may end its event loop, whose thread may lock it
+  bool runs = true;
   {
     const config::MutexLock lock(impl_->mutex);
     if (impl_->stopped) return;
@@ -111,27 +133,122 @@ void DriverHost::create(const InstanceSpec& spec) {
       host_logger.warn("instance {} runs already; the order to create it is ignored", spec.order.instance);
       return;
     }
-    const auto& plugin = *impl_->environment->plugin;
-    auto loop = wants_own_thread(plugin, spec) ? std::make_shared<EventLoop>(plugin.name()) : impl_->shared_loop;
-    instance = std::make_shared<DriverInstance>(impl_->environment, spec, std::move(loop));
+    instance = std::make_shared<DriverInstance>(impl_->environment, spec, impl_->loop_for(spec));
     failed = std::exchange(slot, instance);
+    runs = impl_->lease_runs(spec);
+    if (!runs) impl_->suspended[spec.order.instance] = false;
+  }
+  if (!runs) {
+    impl_->suspend(instance, "not started: its gateway has no lease");
+    return;
   }
   impl_->environment->shared_channels->expect(spec.order.instance);
   instance->open();
 }
 
+std::shared_ptr<EventLoop> DriverHost::Impl::loop_for(const InstanceSpec& spec) const {
+  const Plugin& plugin = *environment->plugin;
+  return wants_own_thread(plugin, spec) ? std::make_shared<EventLoop>(plugin.name()) : shared_loop;
+}
+
+bool DriverHost::Impl::lease_runs(const InstanceSpec& spec) const {
+  const auto lease = valid_lease(spec);
+  return !lease || confirmation.left(*lease, environment->clock->now()).count() > 0;
+}
+
+/// Closes an instance that is in `suspended`, which start_suspended() may create anew afterwards.
+void DriverHost::Impl::suspend(const std::shared_ptr<DriverInstance>& instance, const std::string& reason) {
+  instance->suspend(reason, [weak = weak_from_this(), id = instance->spec().order.instance] {
+    const auto self = weak.lock();
+    if (!self) return;
+    {
+      const config::MutexLock lock(self->mutex);
+      const auto found = self->suspended.find(id);
+      if (found == self->suspended.end()) return;  // it was removed meanwhile
+      found->second = true;
+    }
+    self->start_suspended();
+  });
+}
+
+/// Creates anew the instances that have closed and whose lease runs again.
+void DriverHost::Impl::start_suspended() {
+  std::vector<std::shared_ptr<DriverInstance>> fresh, former;  // the former ones are destroyed without the lock
+  {
+    const config::MutexLock lock(mutex);
+    if (stopped) return;
+    for (auto entry = suspended.begin(); entry != suspended.end();) {
+      auto& slot = instances.at(entry->first);
+      const auto spec = slot->spec();
+      if (!entry->second || !lease_runs(spec)) {
+        ++entry;
+        continue;
+      }
+      fresh.push_back(std::make_shared<DriverInstance>(environment, spec, loop_for(spec)));
+      former.push_back(std::exchange(slot, fresh.back()));
+      entry = suspended.erase(entry);
+    }
+  }
+  for (const auto& instance : fresh) {
+    environment->shared_channels->expect(instance->spec().order.instance);
+    instance->open();
+  }
+}
+
+void DriverHost::renew(config::Clock::Instant confirmed) {
+  {
+    const config::MutexLock lock(impl_->mutex);
+    impl_->confirmation.renew(confirmed);
+  }
+  impl_->start_suspended();
+}
+
+std::optional<std::chrono::milliseconds> DriverHost::enforce_leases() {
+  std::optional<std::chrono::milliseconds> next;
+  const auto now = impl_->environment->clock->now();
+  const config::MutexLock lock(impl_->mutex);
+  for (const auto& [id, instance] : impl_->instances) {
+    const auto lease = valid_lease(instance->spec());
+    if (!lease || impl_->suspended.contains(id) || instance->status().state == discovery::DriverState::failed) continue;
+    const auto left = impl_->confirmation.left(*lease, now);
+    if (left.count() > 0) {
+      const auto rounded = std::chrono::ceil<std::chrono::milliseconds>(left);
+      next = next ? std::min(*next, rounded) : rounded;
+      continue;
+    }
+    impl_->suspended[id] = false;
+    const auto latest = impl_->confirmation.latest();
+    const auto since = impl_->environment->clock->wall_ms() -
+                       (latest ? std::chrono::duration_cast<std::chrono::milliseconds>(now - *latest).count() : 0);
+    impl_->environment->metrics
+        ->counter("iotcloud_driver_lease_stops_total", "Instances stopped because their lease ran out",
+                  {{"plugin", impl_->environment->plugin->name()}})
+        .add();
+    impl_->suspend(instance, fmt::format("stopped: no lease since {:%FT%TZ}", fmt::gmtime(since / 1000)));
+  }
+  return next;
+}
+
+// These commands hold the mutex, so that start_suspended() does not replace the instance meanwhile.
+
 void DriverHost::activate(const discovery::InstanceId& instance) {
+  const config::MutexLock lock(impl_->mutex);
   if (const auto found = impl_->find(instance)) found->activate();
 }
 
 void DriverHost::deactivate(const discovery::InstanceId& instance) {
+  const config::MutexLock lock(impl_->mutex);
   if (const auto found = impl_->find(instance)) found->deactivate();
 }
 
 void DriverHost::remove(const discovery::InstanceId& instance) {
-  if (const auto found = impl_->find(instance)) {
-    found->remove();
-    return;
+  {
+    const config::MutexLock lock(impl_->mutex);
+    impl_->suspended.erase(instance);
+    if (const auto found = impl_->find(instance)) {
+      found->remove();
+      return;
+    }
   }
   InstanceStatus status;
   status.instance = instance;

@@ -3,6 +3,7 @@
 #include <chrono>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -53,6 +54,13 @@ class DriverHost {
   void answered(std::int64_t number, PassAnswer answer);
   /// The gateway is gone: messages that were passed and not answered wait here again.
   void nobody_answers();
+
+  /// The registry confirmed the gateway's place when the gateway asked at `confirmed` (this machine's monotonic clock).
+  /// Instances that stopped for the lack of it start again.
+  void renew(config::Clock::Instant confirmed);
+  /// Stops the instances whose lease (`gateway/host/lease.h`) has run out. Call it regularly, and when the time that it
+  /// returns has passed. \return until the next lease runs out; nullopt: none does.
+  std::optional<std::chrono::milliseconds> enforce_leases();
 
   std::vector<HostedInstance> list() const;
   const Plugin& plugin() const;

@@ -127,6 +127,13 @@ void DriverInstance::remove() {
   loop_->post([self = shared_from_this()] { self->close_now(DriverState::undeployed, ""); });
 }
 
+void DriverInstance::suspend(const std::string& reason, std::function<void()> closed) {
+  loop_->post([self = shared_from_this(), reason, closed = std::move(closed)]() mutable {
+    if (self->closed_ || self->failing_) return;
+    self->close_now(DriverState::inactive, reason, std::move(closed));
+  });
+}
+
 void DriverInstance::open_now() {
   report(DriverState::starting, "");
   try {
@@ -243,7 +250,7 @@ void DriverInstance::deactivate_now() {
   if (call("deactivate", [&](std::string& error) { shell_->deactivate(error); })) report(DriverState::inactive, "");
 }
 
-void DriverInstance::close_now(DriverState final_state, const std::string& reason) {
+void DriverInstance::close_now(DriverState final_state, const std::string& reason, std::function<void()> closed) {
   // Already closed: a failure during closing changes nothing.
   if (std::exchange(closed_, true) && final_state == DriverState::failed) return;
   if (final_state == DriverState::undeployed && status().state != DriverState::failed) {
@@ -258,7 +265,7 @@ void DriverInstance::close_now(DriverState final_state, const std::string& reaso
   for (const auto id : handlers) loop_->stop_handler(id);
   close_incoming();
   close_driver();
-  drain_then_report(final_state, reason);
+  drain_then_report(final_state, reason, std::move(closed));
 }
 
 /// What the driver has not seen goes back to the broker, or waits for the instance's return on a shared channel.
@@ -284,7 +291,8 @@ void DriverInstance::close_driver() {
   shell_ = nullptr;
 }
 
-void DriverInstance::drain_then_report(DriverState final_state, const std::string& reason) {
+void DriverInstance::drain_then_report(DriverState final_state, const std::string& reason,
+                                       std::function<void()> closed) {
   auto closing = std::make_shared<OutgoingChannels>();
   {
     const config::WriteLock lock(channels_mutex_);  // waits for running publish() calls
@@ -301,7 +309,8 @@ void DriverInstance::drain_then_report(DriverState final_state, const std::strin
     report(final_state, reason);
   }
   const auto deadline = environment_->clock->now() + environment_->drain_limit;
-  environment_->closing->post([self = shared_from_this(), closing, deadline, failed, final_state, reason] {
+  environment_->closing->post([self = shared_from_this(), closing, deadline, failed, final_state, reason,
+                               closed = std::move(closed)] {
     for (auto& [name, channel] : *closing) {
       const auto left = std::max(deadline - self->environment_->clock->now(), config::Clock::Instant::duration::zero());
       channel->drain(std::chrono::duration_cast<std::chrono::milliseconds>(left));
@@ -309,6 +318,7 @@ void DriverInstance::drain_then_report(DriverState final_state, const std::strin
     }
     closing->clear();
     if (!failed) self->report(final_state, reason);
+    if (closed) closed();
   });
 }
 

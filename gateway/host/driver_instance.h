@@ -33,6 +33,10 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   /// Closes for good; Reports `undeployed` when every accepted message has an outcome or the drain limit has passed.
   void remove();
 
+  /// Closes, or is not opened at all, because its lease has run out. When it has closed it reports `inactive` with the
+  /// reason, and then calls `closed`, on another thread. A failed or removed instance does neither.
+  void suspend(const std::string& reason, std::function<void()> closed);
+
   InstanceSpec spec() const;
   InstanceStatus status() const;
   const std::shared_ptr<EventLoop>& loop() const { return loop_; }
@@ -69,10 +73,10 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   void open_incoming(const PlannedChannel& channel);
   void activate_now();
   void deactivate_now();
-  void close_now(discovery::DriverState final_state, const std::string& reason);
+  void close_now(discovery::DriverState final_state, const std::string& reason, std::function<void()> closed = {});
   void close_driver();
   void close_incoming();
-  void drain_then_report(discovery::DriverState final_state, const std::string& reason);
+  void drain_then_report(discovery::DriverState final_state, const std::string& reason, std::function<void()> closed);
   ChannelQueue::Handled deliver(const Incoming& incoming, drivers::Message&& message);
   /// Calls the driver; an error makes the instance `failed`. \return whether the call succeeded.
   bool call(const char* what, const std::function<void(std::string&)>& driver_call);

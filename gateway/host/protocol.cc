@@ -19,7 +19,7 @@ using nlohmann::json;
 namespace {
 
 constexpr std::array command_names = {"create", "activate", "deactivate", "remove", "shutdown",
-                                      "ping",   "metrics",  "deliver",    "answer"};
+                                      "ping",   "metrics",  "deliver",    "answer", "renew"};
 constexpr std::array report_names = {"hello", "refused", "status", "pong", "metrics", "pass", "answer"};
 constexpr std::array answer_names = {"handled", "failed", "comes", "nowhere"};
 

@@ -16,17 +16,19 @@
 namespace iotcloud::gateway::protocol {
 
 /// Increased with every incompatible change. A gateway ends a host that has another version instead of adopting it.
-inline constexpr int version = 3;
+inline constexpr int version = 4;
 
 /// A message from the gateway.
 struct HostCommand {
-  enum class Kind { create, activate, deactivate, remove, shutdown, ping, metrics, deliver, answer };
+  enum class Kind { create, activate, deactivate, remove, shutdown, ping, metrics, deliver, answer, renew };
   Kind kind = Kind::ping;
   discovery::InstanceId instance;    ///< activate, deactivate, remove
   std::optional<InstanceSpec> spec;  ///< create
-  std::int64_t number = 0;  ///< shutdown: the limit in milliseconds; ping: repeated in the pong; answer: see there
-  PassedMessage passed{};   ///< deliver: a message that another host read
-  PassAnswer answer{};      ///< answer: to the message that the host has passed under that number
+  /// shutdown: the limit in milliseconds; ping: repeated in the pong; answer: see there; renew: when the registry
+  /// confirmed the gateway's place, in nanoseconds of this machine's monotonic clock.
+  std::int64_t number = 0;
+  PassedMessage passed{};  ///< deliver: a message that another host read
+  PassAnswer answer{};     ///< answer: to the message that the host has passed under that number
 };
 
 /// A message from the host.

@@ -63,6 +63,12 @@ class Deploy final : public Verb {
               "CHANNEL.OPTION=VALUE");
     add_words(options, "-m,--metadata", metadata_, "what others see in the driver's record; may be repeated",
               "NAME=VALUE");
+    options
+        .add_option("--on-partition", on_partition_,
+                    "what the instances do when the registry has not confirmed their gateway for the time of --lease")
+        ->check(CLI::IsMember({"stop", "continue"}))
+        ->type_name("stop|continue");
+    options.add_option("--lease", lease_, "that time, for --on-partition stop, such as 30s")->type_name("TIME");
     options.add_option("-n,--count", request_.count, "instances on each gateway")
         ->check(CLI::Range(1, DeployRequest::max_count))
         ->type_name("N");
@@ -73,6 +79,7 @@ class Deploy final : public Verb {
     if (request_.gateways.empty() && !all_) throw CLI::RequiredError("--gateway GATEWAY or --all");
     request_.properties = pairs(properties_, "--property");
     add_channels(pairs(channels_, "--channel"));
+    add_lease();
     request_.metadata = pairs(metadata_, "--metadata");
     if (request_.plugin.empty()) throw CLI::RequiredError("--plugin");
   }
@@ -94,6 +101,16 @@ class Deploy final : public Verb {
   static void add_words(CLI::App& options, const char* name, std::vector<std::string>& words, const std::string& what,
                         const char* type) {
     options.add_option(name, words, what)->allow_extra_args(false)->type_name(type);
+  }
+
+  /// Turns the choice for partitions into properties. \throws CLI::ValidationError
+  void add_lease() {
+    if ((on_partition_ == "stop") == lease_.empty())
+      throw CLI::ValidationError("--lease", "goes with --on-partition stop, and only with it");
+    for (const auto& [property, value] : {std::pair("on_partition", on_partition_), std::pair("lease", lease_)}) {
+      if (!value.empty() && !request_.properties.emplace(property, value).second)
+        throw CLI::ValidationError("--property", std::string(property) + " is given by an option too");
+    }
   }
 
   /// Turns the options of channels into properties. \throws CLI::ValidationError
@@ -132,6 +149,7 @@ class Deploy final : public Verb {
   DeployRequest request_;
   bool all_ = false;
   std::vector<std::string> properties_, channels_, metadata_;
+  std::string on_partition_, lease_;
 };
 
 /// A verb that orders something of deployed instances.

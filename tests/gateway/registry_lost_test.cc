@@ -171,6 +171,33 @@ TEST_F(RegistryLost, AMarkOfLifeThatSomebodyRemovesComesBackAlsoAfterALossOfTheC
   EXPECT_TRUE(eventually([&] { return is_there(paths_.gateway_alive("gw"_gateway)); }));
 }
 
+TEST_F(RegistryLost, AnInstanceWithALeaseStopsWhileTheRegistryIsAwayAndStartsAgain) {
+  start_with("a");
+  give(order("leased", {{"on_partition", "stop"}, {"lease", "100ms"}}));
+  ASSERT_TRUE(comes_to("leased", DriverState::active));
+  const auto here = [this](const std::string& instance, DriverState state, const std::string& reason) {
+    for (const auto& record : gateway_->instances()) {
+      if (record.instance == discovery::InstanceId(instance))
+        return record.state == state && record.reason.find(reason) == 0;
+    }
+    return false;
+  };
+  server_->stop();
+  EXPECT_TRUE(eventually([&] { return here("leased", DriverState::inactive, "stopped: no lease since"); }));
+  EXPECT_TRUE(here("a", DriverState::active, ""));
+  server_->start();
+  EXPECT_TRUE(eventually([&] { return here("leased", DriverState::active, ""); }));
+}
+
+TEST_F(RegistryLost, ALeaseShorterThanTheSessionIsRefused) {
+  start();
+  auto wanted = order("a", {{"on_partition", "stop"}, {"lease", "50ms"}});
+  wanted.driver = "probe"_driver;  // the record of a refused order is found by it
+  give(wanted);
+  EXPECT_TRUE(comes_to("a", DriverState::failed));
+  EXPECT_THAT(record("a")->reason, HasSubstr("give at least that"));
+}
+
 TEST_F(RegistryLost, ARegistryThatIsAwayEndsNothing) {
   start_with("a");
   server_->stop();

@@ -239,6 +239,46 @@ TEST_F(ProcessTest, AHostOutlivesItsLinkAndIsAdoptedWithItsInstances) {
   EXPECT_EQ(end->how, HostEnd::How::stopped);
 }
 
+TEST_F(ProcessTest, AHostStopsAnInstanceWhoseLeaseNobodyRenewsAlsoWithoutAGateway) {
+  // Renews the lease until the instance has become active, for the given time in all.
+  const auto renew = [](HostLink& link, const StatusLog& log, std::ptrdiff_t times) {
+    return eventually([&] {
+      link.renew(config::system_clock().now());
+      const auto states = log.states("a");
+      return std::count(states.begin(), states.end(), DriverState::active) == times;
+    });
+  };
+  StatusLog first_life, second_life;
+  {
+    const auto launcher = new_launcher();
+    auto link = launcher->launch({"probe.so", "gw"_gateway, false},
+                                 {[&](const auto& s) { first_life.add(s); }, [](const auto&) {}});
+    InstanceSpec spec;
+    spec.order = quiet("a", "probe.so", {{"on_partition", "stop"}, {"lease", "1s"}});
+    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
+    link->create(spec);
+    const auto waits = first_life.wait_for("a", DriverState::inactive);
+    ASSERT_TRUE(waits);
+    EXPECT_THAT(waits->reason, HasSubstr("not started: its gateway has no lease"));
+    ASSERT_TRUE(renew(*link, first_life, 1));
+    const auto stopped = first_life.wait_for("a", DriverState::inactive);
+    ASSERT_TRUE(stopped);
+    EXPECT_THAT(stopped->reason, HasSubstr("stopped: no lease since"));
+    ASSERT_TRUE(renew(*link, first_life, 2));
+  }
+  const auto launcher = new_launcher();
+  EXPECT_TRUE(eventually([&] {
+    const auto running = launcher->running("gw"_gateway);
+    return running.size() == 1 && running[0].instances.at(0).status.state == DriverState::inactive;
+  }));
+  const auto running = launcher->running("gw"_gateway);
+  ASSERT_EQ(running.size(), 1U);
+  auto link = launcher->adopt(running[0], {[&](const auto& s) { second_life.add(s); }, [](const auto&) {}});
+  EXPECT_TRUE(renew(*link, second_life, 1));
+  link->shutdown(20s);
+  EXPECT_TRUE(second_life.wait_for("a", DriverState::undeployed));
+}
+
 TEST_F(ProcessTest, AHostThatStandsStillForLessThanTheHangLimitIsAdoptedAndNotKilled) {
   StatusLog first_life;
   {

@@ -101,6 +101,63 @@ TEST_F(DriverHostTest, AnInstanceLivesThroughItsStatesAndSaysSo) {
                           DriverState::starting, DriverState::active, DriverState::stopping, DriverState::undeployed));
 }
 
+TEST_F(DriverHostTest, AnInstanceStopsWhenItsLeaseRunsOutAndStartsAgainWithTheNext) {
+  start_host(probe_, &clock_);
+  host_->renew(clock_.now());
+  host_->create(spec("a", {{"on_partition", "stop"}, {"lease", "30s"}}));
+  host_->create(spec("b"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  ASSERT_TRUE(log_.wait_for("b", DriverState::active));
+  clock_.advance(29s);
+  EXPECT_EQ(host_->enforce_leases(), 1s);
+  clock_.advance(1s);
+  EXPECT_EQ(host_->enforce_leases(), std::nullopt);
+  const auto stopped = log_.wait_for("a", DriverState::inactive);
+  ASSERT_TRUE(stopped);
+  EXPECT_THAT(stopped->reason, HasSubstr("stopped: no lease since 2020-01-01T"));
+  host_->renew(clock_.now() - 31s);  // what it knew already
+  EXPECT_EQ(host_->list().at(0).status.state, DriverState::inactive);
+  host_->renew(clock_.now());
+  EXPECT_TRUE(tests::eventually([&] { return host_->list().at(0).status.state == DriverState::active; }));
+  EXPECT_EQ(host_->list().at(1).status.state, DriverState::active);
+  EXPECT_THAT(log_.states("b"), ElementsAre(DriverState::starting, DriverState::active)) << "it has no lease";
+  EXPECT_EQ(count("iotcloud_driver_lease_stops_total"), 1U);
+}
+
+TEST_F(DriverHostTest, AnInstanceWithALeaseWaitsForItsFirst) {
+  start_host(probe_, &clock_);
+  host_->create(spec("a", {{"on_partition", "stop"}, {"lease", "30s"}}));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::inactive));
+  host_->renew(clock_.now());
+  EXPECT_TRUE(log_.wait_for("a", DriverState::active));
+}
+
+TEST_F(DriverHostTest, AnOrderedStopUnderWayIsNotTakenForTheEndByTheLease) {
+  start_host(probe_, &clock_);
+  host_->renew(clock_.now());
+  host_->create(spec("a", {{"on_partition", "stop"}, {"lease", "30s"}}));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  clock_.advance(30s);
+  host_->deactivate("a"_instance);
+  host_->enforce_leases();
+  host_->renew(clock_.now());
+  // It starts again when it has closed, and not when it is inactive, and as its last order says.
+  const std::vector wanted{DriverState::starting, DriverState::active,   DriverState::stopping, DriverState::inactive,
+                           DriverState::inactive, DriverState::starting, DriverState::inactive};
+  EXPECT_TRUE(tests::eventually([&] { return log_.states("a") == wanted; }));
+}
+
+TEST_F(DriverHostTest, AnInstanceThatIsRemovedWhileItHasNoLeaseDoesNotComeBack) {
+  start_host(probe_, &clock_);
+  host_->create(spec("a", {{"on_partition", "stop"}, {"lease", "30s"}}));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::inactive));
+  host_->remove("a"_instance);
+  host_->renew(clock_.now());
+  ASSERT_TRUE(log_.wait_for("a", DriverState::undeployed));
+  EXPECT_TRUE(host_->list().empty());
+  EXPECT_THAT(log_.states("a"), ElementsAre(DriverState::inactive, DriverState::stopping, DriverState::undeployed));
+}
+
 TEST_F(DriverHostTest, AnInstanceThatIsOrderedInactiveIsOpenedOnly) {
   start_host(probe_);
   auto inactive = spec("a");

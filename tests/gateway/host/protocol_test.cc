@@ -1,3 +1,5 @@
+#include <chrono>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -103,6 +105,13 @@ TEST(HostProtocol, CarriesEveryAnswer) {
     EXPECT_EQ(commanded.answer, answer);
     EXPECT_EQ(commanded.number, 7);
   }
+}
+
+TEST(HostProtocol, CarriesTheTimeOfAConfirmation) {
+  const std::int64_t a_year = std::chrono::nanoseconds(std::chrono::hours(24 * 365)).count();
+  const auto renewed = decode_command(body_of(encode({HostCommand::Kind::renew, {}, {}, a_year})));
+  EXPECT_EQ(renewed.kind, HostCommand::Kind::renew);
+  EXPECT_EQ(renewed.number, a_year);
 }
 
 TEST(HostProtocol, RefusesAPassedMessageThatCannotBe) {

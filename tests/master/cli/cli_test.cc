@@ -38,9 +38,27 @@ using testing::StartsWith;
 
 TEST_F(Cli, DeploysAndListsAsJson) {
   FakeGateway gateway(url, "lab1");
-  const auto answer = run_json({"deploy", "turtle.so", "--gateway", "lab1", "--driver", "robot", "--name", "rover",
-                                "--property=map=a=b", "-c", "kinect.deadline_ms=100", "-p", "speed=1", "-m", "room=12",
-                                "--count", "2"});
+  const auto answer = run_json({"deploy",
+                                "turtle.so",
+                                "--gateway",
+                                "lab1",
+                                "--driver",
+                                "robot",
+                                "--name",
+                                "rover",
+                                "--property=map=a=b",
+                                "-c",
+                                "kinect.deadline_ms=100",
+                                "-p",
+                                "speed=1",
+                                "-m",
+                                "room=12",
+                                "--count",
+                                "2",
+                                "--on-partition",
+                                "stop",
+                                "--lease",
+                                "30s"});
   EXPECT_EQ(answer["ok"], true);
   ASSERT_THAT(answer["outcomes"], SizeIs(2));
   EXPECT_EQ(answer["outcomes"][0]["outcome"], "done");
@@ -48,6 +66,8 @@ TEST_F(Cli, DeploysAndListsAsJson) {
   EXPECT_EQ(gateway.orders().at(0).properties.at("speed"), "1");
 
   EXPECT_EQ(gateway.orders().at(0).properties.at("channel.kinect.deadline_ms"), "100");
+  EXPECT_EQ(gateway.orders().at(0).properties.at("on_partition"), "stop");
+  EXPECT_EQ(gateway.orders().at(0).properties.at("lease"), "30s");
 
   const auto drivers = run_json({"drivers"});
   ASSERT_THAT(drivers, SizeIs(2));
@@ -335,6 +355,10 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
         {"deploy", "turtle.so", "--all", "-c", "priority=1"},
         {"deploy", "turtle.so", "--all", "-c", "a.priority=1", "-p", "channel.a.priority=1"},
         {"deploy", "turtle.so", "--all", "-c", "a.spool_full=block", "-c", "a.when_full=block"},
+        {"deploy", "turtle.so", "--all", "--lease", "30s"},
+        {"deploy", "turtle.so", "--all", "--on-partition", "stop"},
+        {"deploy", "turtle.so", "--all", "--on-partition", "halt", "--lease", "30s"},
+        {"deploy", "turtle.so", "--all", "--on-partition", "stop", "--lease", "30s", "-p", "lease=20s"},
         {"drain"},
         {"registry", "adopt"},
         {"registry", "adopt", "lab1", "--all"},
