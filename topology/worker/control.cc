@@ -138,6 +138,10 @@ void WorkerControl::follow(const std::optional<Node>& node, const std::stop_toke
       return;
     }
   }
+  if (const auto followed = record().revision; order.revision < followed) {
+    return stay(node ? fmt::format("the registry was put back to order {}", order.revision)
+                     : "the registry was emptied: there is no order");
+  }
   if (!order.kill) return follow(order);
   if (names(*order.kill, record().name)) return be_killed(order, stop);
   // The kill order is for workers that ran before this one, so this worker has no order.
@@ -185,6 +189,16 @@ void WorkerControl::follow(const TopologyOrder& order) {
     const auto now = after.parallelism.find(component);
     if (now != after.parallelism.end()) shape.parallelism = now->second;
   }
+}
+
+/// The registry lost the order that this worker follows. What that order said still holds: a topology that a person
+/// stopped does not start by itself.
+void WorkerControl::stay(const std::string& why) {
+  const config::MutexLock lock(mutex_);
+  if (killed_by_) return;
+  record_.error = fmt::format("{}; this worker stays {}, as order {} said: give that again, or another", why,
+                              record_.state, record_.revision);
+  control_logger.warn("topology {}: {}", options_.topology.name, record_.error);
 }
 
 void WorkerControl::be_killed(const TopologyOrder& order, const std::stop_token& stop) {

@@ -48,6 +48,7 @@ class WorkerControl {
   void run(const std::stop_token& stop);
   void follow(const std::optional<discovery::Node>& node, const std::stop_token& stop);
   void follow(const discovery::TopologyOrder& order);
+  void stay(const std::string& why);
   void be_killed(const discovery::TopologyOrder& order, const std::stop_token& stop);
   std::string drain(std::chrono::milliseconds limit, const std::stop_token& stop);
   void forget_old_kill(const discovery::TopologyOrder& order, std::int64_t version);

@@ -165,7 +165,7 @@ TEST_F(WorkerControlTest, StartsInactiveWhenThatIsOrderedAndGoesOnAtTheNextOrder
   EXPECT_TRUE(eventually([&] { return source_->acked().size() == 1; }));
 }
 
-TEST_F(WorkerControlTest, ChangesTheParallelismAndGoesBackToTheDeclaredOneWithoutTheOrder) {
+TEST_F(WorkerControlTest, ChangesTheParallelism) {
   start();
   auto wanted = numbered(1);
   wanted.parallelism = {{"work", 1}};
@@ -173,9 +173,30 @@ TEST_F(WorkerControlTest, ChangesTheParallelismAndGoesBackToTheDeclaredOneWithou
   ASSERT_TRUE(says("active", 1));
   EXPECT_EQ(runtime_->snapshot().parallelism.at("work"), 1);
   EXPECT_EQ(told().components.at("work").parallelism, 1);
+  order(numbered(2));
+  ASSERT_TRUE(says("active", 2));
+  EXPECT_EQ(runtime_->snapshot().parallelism.at("work"), 2) << "no order changes what was declared";
+}
+
+TEST_F(WorkerControlTest, StaysAsItIsWhenTheRegistryWasEmptiedOrPutBack) {
+  start();
+  auto wanted = numbered(3, false);
+  wanted.parallelism = {{"work", 1}};
+  order(wanted);
+  ASSERT_TRUE(says("inactive", 3));
+  const auto tells = [&](const std::string& text) {
+    return eventually([&] { return told().error.find(text) != std::string::npos; });
+  };
   watcher_->remove(paths_.topology_order("t"_topology));
-  ASSERT_TRUE(says("active", 0));
-  EXPECT_EQ(runtime_->snapshot().parallelism.at("work"), 2);
+  EXPECT_TRUE(tells("the registry was emptied: there is no order; this worker stays inactive, as order 3 said"));
+  order(numbered(2));
+  EXPECT_TRUE(tells("the registry was put back to order 2"));
+  EXPECT_EQ(told().state, "inactive");
+  EXPECT_FALSE(runtime_->snapshot().active);
+  EXPECT_EQ(runtime_->snapshot().parallelism.at("work"), 1);
+  order(numbered(4));
+  ASSERT_TRUE(says("active", 4));
+  EXPECT_EQ(told().error, "");
 }
 
 TEST_F(WorkerControlTest, ReportsWhatItCannotDoAndDoesTheRest) {
