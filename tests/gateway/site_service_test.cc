@@ -59,6 +59,12 @@ class SiteServiceTest : public GatewayFixture {
     return answer;
   }
 
+  /// A gateway that has just started has not made the node of its orders yet.
+  bool nothing_is_ordered() {
+    const auto orders = registry_->children(paths_.orders("gw"_gateway));
+    return !orders || orders->empty();
+  }
+
   std::optional<SiteService> service_;
   std::shared_ptr<apache::thrift::transport::TFramedTransport> transport_;
   std::optional<wire::TSensorSiteServiceClient> client_;
@@ -107,7 +113,7 @@ TEST_F(SiteServiceTest, ADeploymentThatFailsSaysWhyAndIsTakenBack) {
   const auto answer = deploy({{"throw_in", "open"}});
   EXPECT_EQ(answer.state, TResponseState::FAILURE);
   EXPECT_THAT(answer.statusMessage, HasSubstr("told to throw in open"));
-  EXPECT_TRUE(eventually([&] { return registry_->children(paths_.orders("gw"_gateway))->empty(); }));
+  EXPECT_TRUE(eventually([&] { return nothing_is_ordered(); }));
   EXPECT_TRUE(eventually([&] { return !registry_->get(paths_.driver("probe"_driver)); }));
 }
 
@@ -115,7 +121,7 @@ TEST_F(SiteServiceTest, AFileOutsideThePluginFolderIsRefusedWithoutAnOrder) {
   const auto answer = deploy({}, "../probe.so");
   EXPECT_EQ(answer.state, TResponseState::FAILURE);
   EXPECT_THAT(answer.statusMessage, HasSubstr("not a plain file name"));
-  EXPECT_TRUE(registry_->children(paths_.orders("gw"_gateway))->empty());
+  EXPECT_TRUE(nothing_is_ordered());
 }
 
 TEST_F(SiteServiceTest, AnUnknownInstanceIsAFailureThatNamesIt) {
@@ -196,7 +202,7 @@ TEST_F(SiteServiceTest, WithTlsAndTokensAViewerReadsAndDeploysNothing) {
   std::string upload;
   EXPECT_THROW(client_->offerPlugin(upload, {}), wire::TSiteError);
   EXPECT_THROW(client_->sendPlugin("x", 0, "bytes"), wire::TSiteError);
-  EXPECT_TRUE(registry_->children(paths_.orders("gw"_gateway))->empty());
+  EXPECT_TRUE(nothing_is_ordered());
 }
 
 TEST_F(SiteServiceTest, AnAddressThatOthersReachIsRefusedWithoutTlsAndTokens) {

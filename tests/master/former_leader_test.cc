@@ -31,7 +31,13 @@ DeployRequest one_turtle() {
 class FormerLeader : public testing::Test {
  protected:
   FormerLeader() {
-    EXPECT_TRUE(test::eventually([&] { return second_registry->children(paths.masters())->size() == 2; }));
+    EXPECT_TRUE(test::eventually([&] { return both_stand(); }));
+  }
+
+  /// Whether both masters have their nodes in the election.
+  bool both_stand() {
+    const auto members = second_registry->children(paths.masters());
+    return members && members->size() == 2;
   }
 
   /// The first master's next write is held up until the second one leads and has done `then`.
@@ -41,7 +47,7 @@ class FormerLeader : public testing::Test {
       ASSERT_TRUE(test::eventually([&] { return second.status().leading; }));
       then();
       // It is back under another session, and stands behind the second one.
-      ASSERT_TRUE(test::eventually([&] { return second_registry->children(paths.masters())->size() == 2; }));
+      ASSERT_TRUE(test::eventually([&] { return both_stand(); }));
     });
   }
   std::optional<discovery::Node> order_node(const discovery::InstanceId& id) {
