@@ -95,6 +95,7 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   /// The instances that have no lease, and whether each has closed: only then may its successor open its channels.
   std::map<discovery::InstanceId, bool> suspended IOTCLOUD_GUARDED_BY(mutex);
   Confirmation confirmation IOTCLOUD_GUARDED_BY(mutex);
+  std::int64_t confirmed_ms IOTCLOUD_GUARDED_BY(mutex) = 0;  ///< wall time at which the latest confirmation came
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
 };
 
@@ -198,7 +199,7 @@ void DriverHost::Impl::start_suspended() {
 void DriverHost::renew(config::Clock::Instant confirmed) {
   {
     const config::MutexLock lock(impl_->mutex);
-    impl_->confirmation.renew(confirmed);
+    if (impl_->confirmation.renew(confirmed)) impl_->confirmed_ms = impl_->environment->clock->wall_ms();
   }
   impl_->start_suspended();
 }
@@ -217,14 +218,11 @@ std::optional<std::chrono::milliseconds> DriverHost::enforce_leases() {
       continue;
     }
     impl_->suspended[id] = false;
-    const auto latest = impl_->confirmation.latest();
-    const auto since = impl_->environment->clock->wall_ms() -
-                       (latest ? std::chrono::duration_cast<std::chrono::milliseconds>(now - *latest).count() : 0);
     impl_->environment->metrics
         ->counter("iotcloud_driver_lease_stops_total", "Instances stopped because their lease ran out",
                   {{"plugin", impl_->environment->plugin->name()}})
         .add();
-    impl_->suspend(instance, fmt::format("stopped: no lease since {:%FT%TZ}", fmt::gmtime(since / 1000)));
+    impl_->suspend(instance, fmt::format("stopped: no lease since {:%FT%TZ}", fmt::gmtime(impl_->confirmed_ms / 1000)));
   }
   return next;
 }

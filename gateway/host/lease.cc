@@ -39,8 +39,10 @@ void check_lease(const std::map<std::string, std::string>& properties, milliseco
                   lease->count(), session_timeout.count()));
 }
 
-void Confirmation::renew(config::Clock::Instant at) {
-  if (!latest_ || at > *latest_) latest_ = at;
+bool Confirmation::renew(config::Clock::Instant at) {
+  if (latest_ && at <= *latest_) return false;
+  latest_ = at;
+  return true;
 }
 
 std::chrono::nanoseconds Confirmation::left(milliseconds lease, config::Clock::Instant now) const {

@@ -22,12 +22,10 @@ void check_lease(const std::map<std::string, std::string>& properties, std::chro
 /// When the registry last confirmed a gateway's place. Not thread safe.
 class Confirmation {
  public:
-  /// \param at when the gateway asked. An earlier one than before changes nothing.
-  void renew(config::Clock::Instant at);
+  /// \param at when the gateway asked. An earlier one than before changes nothing. \return whether it is later.
+  bool renew(config::Clock::Instant at);
   /// How much of the lease is left; zero: it has run out, or nothing was confirmed yet.
   std::chrono::nanoseconds left(std::chrono::milliseconds lease, config::Clock::Instant now) const;
-  /// The latest one; nullopt: none yet.
-  std::optional<config::Clock::Instant> latest() const { return latest_; }
 
  private:
   std::optional<config::Clock::Instant> latest_;
