@@ -15,10 +15,10 @@ std::string as_text(const Record& record) {
 
 }  // namespace
 
-nlohmann::json parse_json(const std::string& text, const std::string& path) {
-  if (text.size() > max_node_size) {
-    throw config::Error(path + ": " + std::to_string(text.size()) + " bytes are more than a node takes (" +
-                        std::to_string(max_node_size) + ")");
+nlohmann::json parse_json(const std::string& text, const std::string& path, std::size_t longest) {
+  if (text.size() > longest) {
+    throw config::Error(path + ": " + std::to_string(text.size()) + " bytes are more than it may have (" +
+                        std::to_string(longest) + ")");
   }
   const auto not_too_deep = [&](int depth, nlohmann::json::parse_event_t, const nlohmann::json&) {
     if (depth <= most_json_levels) return true;
@@ -30,6 +30,10 @@ nlohmann::json parse_json(const std::string& text, const std::string& path) {
   } catch (const nlohmann::json::exception& error) {
     throw config::Error(path + " in JSON: " + error.what());
   }
+}
+
+nlohmann::json parse_json(const std::string& text, const std::string& path) {
+  return parse_json(text, path, max_node_size);
 }
 
 std::string encode(const OrderRecord& record) {

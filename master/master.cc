@@ -76,6 +76,10 @@ std::vector<discovery::PlacedOrder> Master::orders() const {
   return discovery::list_orders(impl_->desk.registry, impl_->desk.options.paths, {});
 }
 
+Backup Master::backup() const {
+  return impl_->backups.make();
+}
+
 std::vector<discovery::TopologyStatus> Master::topologies() const {
   return discovery::list_topologies(impl_->desk.registry, impl_->desk.options.paths);
 }

@@ -10,6 +10,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/master/api/answers.h>
 #include <iotcloud/master/master_options.h>
+#include <iotcloud/master/orders/backup_file.h>
 #include <iotcloud/master/orders/order_kinds.h>
 #include <iotcloud/master/topologies/topology_orders.h>
 
@@ -63,6 +64,8 @@ class Master {
   std::vector<discovery::TopologyStatus> topologies() const;
   /// The orders of all instances; gateways of the original system have none.
   std::vector<discovery::PlacedOrder> orders() const;
+  /// Everything that is ordered, for the order "import".
+  Backup backup() const;
   MasterStatus status() const;  ///< does not throw
 
   /// Ends all waiting, so that the master can stop quickly: orders under way answer `unknown` at once, and so do later

@@ -319,6 +319,8 @@ service TMasterAPIService {
   TOrderResponse changeDeployment(1: TDeploymentChange change)
   // The orders for all instances, except those on gateways of the original system.
   list<TOrder> listOrders() throws (1: TMasterError error)
+  // Everything that is ordered, with secrets: JSON, for the order "import" (orders/backup_file.h).
+  string exportOrders() throws (1: TMasterError error)
   // While a gateway drains, nothing is deployed on it and its instances are stopped; undrain() starts them again.
   TOrderResponse drain(1: TGatewaySelection selection)
   TOrderResponse undrain(1: TGatewaySelection selection)

@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <concepts>
+#include <cstddef>
 #include <map>
 #include <optional>
 #include <stdexcept>
@@ -216,7 +217,9 @@ inline constexpr int most_json_levels = 64;
 /// Parses text from outside: every text that a process reads from the registry as JSON goes through this function. The
 /// parser itself is not recursive, but what it returns is destroyed recursively, so deep nesting would end the process.
 /// \param path says in messages where the text came from. \throws config::Error when the text is no JSON, is longer
-/// than a node may be (max_node_size), or has more than most_json_levels levels.
+/// than `longest` bytes (without the parameter: than a node may be, max_node_size), or has more than most_json_levels
+/// levels.
+nlohmann::json parse_json(const std::string& text, const std::string& path, std::size_t longest);
 nlohmann::json parse_json(const std::string& text, const std::string& path);
 
 /// Like from_json(), for text that is still to be parsed: parse_json().

@@ -165,6 +165,13 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
       for (const auto& placed : master_.orders()) out.push_back(to_wire(placed, with_secrets));
     });
   }
+  void exportOrders(std::string& out) override {
+    read([&] {
+      const auto backup = master_.backup();
+      session_->note("all orders", words(backup));
+      out = encode(backup);
+    });
+  }
   void drain(wire::TOrderResponse& out, const wire::TGatewaySelection& selection) override {
     order<GatewaySelection>(out, selection, &Master::drain);
   }

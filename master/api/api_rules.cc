@@ -26,6 +26,7 @@ const MethodRules& api_rules() {
         // This also shows the properties that drivers were deployed with; only an admin sees the values of those that
         // look like secrets (listing/secret_properties.h).
         {"listOrders", {Role::operating, RefusalForm::error, false}},
+        {"exportOrders", {Role::admin, RefusalForm::error}},
         // change how deployed instances run
         {"startSensor", {Role::operating, RefusalForm::response}},
         {"startAllSensor", {Role::operating, RefusalForm::response}},

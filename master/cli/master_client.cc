@@ -242,6 +242,10 @@ std::vector<ListedOrder> MasterClient::orders() {
   return orders;
 }
 
+std::string MasterClient::backup() {
+  return impl_->ask(&Client::exportOrders);
+}
+
 DriverHistory MasterClient::history(const std::vector<std::string>& instances,
                                     const std::vector<discovery::GatewayId>& gateways, std::int32_t most) {
   return as_own<DriverHistory>(impl_->ask(&Client::getHistory, instances, texts(gateways), most));

@@ -46,6 +46,8 @@ class MasterClient {
   std::vector<discovery::DriverRecord> drivers();
   std::vector<discovery::TopologyStatus> topologies();
   std::vector<ListedOrder> orders();
+  /// Everything that is ordered, as JSON (orders/backup_file.h).
+  std::string backup();
   /// \param instances ids, or how they begin
   DriverHistory history(const std::vector<std::string>& instances, const std::vector<discovery::GatewayId>& gateways,
                         std::int32_t most);

@@ -1,10 +1,16 @@
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <tuple>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <iotcloud/config/error.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/output.h>
 
@@ -160,6 +166,14 @@ std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
 
 discovery::InstanceId full_id(const std::string& beginning, MasterClient& master) {
   return completed(beginning, sorted_drivers(master));
+}
+
+std::string bytes_of(const std::string& path) {
+  if (std::filesystem::is_directory(path)) throw config::Error(fmt::format("{} is a folder, not a file", path));
+  std::ifstream in(path, std::ios::binary);
+  std::string bytes(std::istreambuf_iterator<char>(in), {});
+  if (!in) throw config::Error(fmt::format("{} cannot be read: {}", path, std::strerror(errno)));
+  return bytes;
 }
 
 }  // namespace iotcloud::master::cli

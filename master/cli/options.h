@@ -35,6 +35,9 @@ void add_wait(CLI::App& options, WaitLimit& wait, const char* name = "--wait",
 void add_settle(CLI::App& options, std::chrono::milliseconds& settle);
 CLI::Option& add_plugin(CLI::App& options, std::string& plugin);
 
+/// The bytes of a file that the command line names. \throws config::Error when it cannot be read.
+std::string bytes_of(const std::string& path);
+
 /// Which driver instances a verb is for: those with some ids, or those that meet all conditions that are given.
 struct Choice {
   std::vector<std::string> instances;          ///< ids, or beginnings of ids

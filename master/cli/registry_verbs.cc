@@ -1,10 +1,17 @@
-// registry adopt
-#include <CLI/CLI.hpp>
+// registry adopt, export, import
+#include <iterator>
+#include <ostream>
 
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <sys/stat.h>
+
+#include <iotcloud/config/durable_write.h>
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/order_verbs.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/master/orders/backup_file.h>
 
 namespace iotcloud::master::cli {
 
@@ -15,8 +22,7 @@ class Adopt final : public Verb {
   Adopt()
       : Verb({"adopt",
               "Say that the registry's orders are meant as they stand, to gateways that are frozen because it was "
-              "emptied "
-              "or put back to an earlier state: they undeploy what is not ordered, and follow orders again",
+              "emptied or put back to an earlier state: they undeploy what is not ordered, and follow orders again",
               "iotcloud registry adopt lab1\n  iotcloud registry adopt --all", security::Role::admin}) {}
 
   void declare(CLI::App& options) override {
@@ -38,10 +44,83 @@ class Adopt final : public Verb {
   bool all_ = false;
 };
 
+class Export final : public Verb {
+ public:
+  Export()
+      : Verb({"export",
+              "Write a backup of everything that is ordered, secrets included, as JSON: the deployments of all "
+              "gateways, which of them drain, and the orders to topologies",
+              "iotcloud registry export backup.json", security::Role::admin, false}) {}
+
+  void declare(CLI::App& options) override {
+    options
+        .add_option("FILE", file_,
+                    "where to; only its owner may read it, and a file that is there is replaced. Without it: to the "
+                    "standard output")
+        ->type_name("FILE");
+  }
+  int run(Call& call) override {
+    const std::string text = call.connect()->backup();
+    if (file_.empty()) {
+      call.out << text;
+      return exit_ok;
+    }
+    config::replace_file(file_, text, S_IRUSR | S_IWUSR);
+    call.out << fmt::format("{}: {}\n", file_, words(decode_backup(text, file_)));
+    return exit_ok;
+  }
+
+ private:
+  std::string file_;
+};
+
+class Import final : public Verb {
+ public:
+  Import()
+      : Verb({"import",
+              "Write the orders of a backup into the registry; what else it has is left alone. Gateways that are "
+              "frozen follow them after `iotcloud registry adopt`",
+              "iotcloud registry import backup.json", security::Role::admin}) {}
+
+  void declare(CLI::App& options) override {
+    options.add_option("FILE", file_, "what `iotcloud registry export` wrote")->required()->type_name("FILE");
+    options.add_flag("--replace", replace_, "orders of the backup take the place of others that stand there");
+  }
+  int run(Call& call) override {
+    const Backup backup = decode_backup(bytes_of(file_), file_);
+    const auto master = call.connect();
+    OrderResult all;
+    for (const auto& piece : pieces_of(backup, piece_bytes)) {
+      const std::string order =
+          discovery::to_text(discovery::to_json<nlohmann::ordered_json>(ImportRequest{piece, replace_}));
+      auto result = master->give("import", order, {});
+      if (result.refusal != Refusal::none) {
+        if (!all.outcomes.empty())
+          result.text +=
+              fmt::format("; {} orders before that: {}. Import it once more", all.outcomes.size(), all.summary());
+        return show_order(call, result);
+      }
+      all.outcomes.insert(all.outcomes.end(), std::make_move_iterator(result.outcomes.begin()),
+                          std::make_move_iterator(result.outcomes.end()));
+    }
+    return show_order(call, all);
+  }
+
+ private:
+  /// A master takes orders of up to discovery::max_node_size, and one deployment may take half of that.
+  static constexpr std::size_t piece_bytes = 250'000;
+
+  std::string file_;
+  bool replace_ = false;
+};
+
 }  // namespace
 
 void add_registry_verbs(Verbs& verbs) {
-  verbs.group("registry", "The registry after an accident").add<Adopt>();
+  auto& group = verbs.group("registry", "The registry: a backup, and what to do after an accident");
+  group.add<Adopt>();
+  group.add<Export>();
+  group.add<Import>();
 }
 
 }  // namespace iotcloud::master::cli

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include <iotcloud/master/orders/adoption.h>
+#include <iotcloud/master/orders/backups.h>
 #include <iotcloud/master/orders/changes.h>
 #include <iotcloud/master/orders/deployments.h>
 #include <iotcloud/master/orders/draining.h>
@@ -19,6 +20,7 @@ struct OrderServices {
   Changes changes{desk};
   Draining draining{desk};
   Adoptions adoptions{desk};
+  Backups backups{desk};
   Updates updates{desk};
 };
 

@@ -86,6 +86,7 @@ SeedsOfTarget api_seeds() {
     client.send_listGateways();
     client.send_listDrivers();
     client.send_listOrders();
+    client.send_exportOrders();
     client.send_listTopologies();
     client.send_getHistory({"0a"}, {"lab1"}, 5);
     client.send_readLog("lab1", "0a1b", "", 100);

@@ -233,13 +233,15 @@ TEST_F(Access, AViewerReadsAndChangesNothing) {
   EXPECT_EQ(changed.refusal, wire::TRefusal::NOT_ALLOWED);
   std::vector<wire::TOrder> orders;  // with what drivers were deployed with, secrets too
   EXPECT_THROW(client.listOrders(orders), wire::TMasterError);
+  std::string backup;
+  EXPECT_THROW(client.exportOrders(backup), wire::TMasterError);
   TResponse answer;
   client.unDeployAllSensor(answer, "x");
   EXPECT_EQ(answer.state, TResponseState::FAILURE);
   EXPECT_EQ(gateway_.orders_seen(), 0);
-  EXPECT_EQ(refused("role"), before + 8);
+  EXPECT_EQ(refused("role"), before + 9);
   const auto lines = audit();
-  ASSERT_THAT(lines, SizeIs(8));
+  ASSERT_THAT(lines, SizeIs(9));
   EXPECT_EQ(lines[0]["who"], "vera");
   EXPECT_EQ(lines[0]["order"], "deploy");
 }
@@ -265,6 +267,12 @@ TEST_F(Access, AnOperatorStopsWhatRunsAndDeploysNothing) {
   std::vector<wire::TOrder> orders;
   client.listOrders(orders);
   EXPECT_THAT(orders, SizeIs(1));
+  std::string backup;
+  EXPECT_THROW(client.exportOrders(backup), wire::TMasterError);
+  admin.exportOrders(backup);
+  EXPECT_THAT(backup, HasSubstr(selection.instances.at(0)));
+  const auto lines = audit();
+  EXPECT_EQ(lines.back()["order"], "exportOrders");
 }
 
 TEST_F(Access, OnlyAnAdminIsToldSecretsThatDriversWereDeployedWith) {

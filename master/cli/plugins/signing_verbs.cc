@@ -1,9 +1,5 @@
 // keys new, sign: no master is asked
-#include <cerrno>
-#include <cstring>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <ostream>
 #include <string>
 
@@ -15,6 +11,7 @@
 
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/security/ed25519.h>
 #include <iotcloud/security/sha256.h>
@@ -32,14 +29,6 @@ void write_key(const std::string& path, const std::string& text, mode_t rights) 
 } catch (const config::Error& e) {
   if (!std::filesystem::exists(path)) throw;
   throw config::Error(fmt::format("{}; a key is never overwritten: give another name, or move it away", e.what()));
-}
-
-std::string bytes_of(const std::string& path) {
-  if (std::filesystem::is_directory(path)) throw config::Error(fmt::format("{} is a folder, not a file", path));
-  std::ifstream in(path, std::ios::binary);
-  std::string bytes(std::istreambuf_iterator<char>(in), {});
-  if (!in) throw config::Error(fmt::format("{} cannot be read: {}", path, std::strerror(errno)));
-  return bytes;
 }
 
 class NewKeys final : public Verb {

@@ -8,6 +8,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/freeze.h>
@@ -334,6 +336,37 @@ TEST_F(Cli, AMasterThatWantsATokenGetsItFromAFile) {
   std::remove(tokens.c_str());
 }
 
+TEST_F(Cli, ABackupGoesIntoAFileAndFromItIntoTheRegistry) {
+  const std::string file = testing::TempDir() + "iotcloud-backup-" + std::to_string(getpid()) + ".json";
+  std::string id;
+  {
+    FakeGateway gateway(url, "lab1");
+    id = deploy("lab1");
+  }
+  const auto written = run({"registry", "export", file});
+  EXPECT_EQ(written.status, 0) << written.err;
+  EXPECT_THAT(written.out, HasSubstr(file + ": 1 orders of 1 gateways, 0 of topologies"));
+  struct stat status {};
+  ASSERT_EQ(stat(file.c_str(), &status), 0);
+  EXPECT_EQ(status.st_mode & 0777, 0600U) << "it has secrets";
+  EXPECT_EQ(json::parse(run({"registry", "export"}).out)["gateways"][0]["orders"][0]["instance"], id);
+
+  EXPECT_EQ(run_json({"registry", "import", file})["outcomes"][0]["reason"],
+            "it stood there already; gateway is lost; it will follow the order when it comes back");
+  discovery::remove_tree(master->registry(), discovery::Paths().orders("lab1"_gateway));
+  const auto back = run({"registry", "import", file});
+  EXPECT_EQ(back.status, 0) << back.err;
+  EXPECT_THAT(back.out, AllOf(HasSubstr(id), HasSubstr("done")));
+  EXPECT_EQ((*master)->orders().at(0).order.instance, id);
+
+  std::ofstream(file) << "no backup";
+  const auto wrong = run({"registry", "import", file});
+  EXPECT_EQ(wrong.status, 1);
+  EXPECT_THAT(wrong.err, AllOf(HasSubstr(file), HasSubstr("JSON")));
+  std::remove(file.c_str());
+  EXPECT_THAT(run({"registry", "import", file}).err, HasSubstr("cannot be read"));
+}
+
 TEST_F(Cli, WrongUsageHasExitStatusTwo) {
   for (const std::vector<std::string>& words :
        {std::vector<std::string>{},
@@ -362,6 +395,7 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
         {"drain"},
         {"registry", "adopt"},
         {"registry", "adopt", "lab1", "--all"},
+        {"registry", "import"},
         {"diff"},
         {"apply"},
         {"diff", "-f", "/nonexistent/fleet.yaml"},

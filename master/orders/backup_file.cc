@@ -1,0 +1,79 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/discovery/description/json.h>
+#include <iotcloud/master/orders/backup_file.h>
+#include <iotcloud/master/orders/node_name.h>
+
+namespace iotcloud::master {
+
+namespace {
+
+constexpr std::size_t largest_file = 256'000'000;  // bytes
+
+void check_name(const std::string& path, const char* what, const std::string& name) {
+  if (!is_node_name(name))
+    throw config::Error(fmt::format("{}: \"{}\" cannot be the {}: no '/' and no control characters", path, name, what));
+}
+
+}  // namespace
+
+std::string words(const Backup& backup) {
+  std::size_t orders = 0;
+  for (const auto& gateway : backup.gateways) orders += gateway.orders.size();
+  return fmt::format("{} orders of {} gateways, {} of topologies", orders, backup.gateways.size(),
+                     backup.topologies.size());
+}
+
+std::string encode(const Backup& backup) {
+  using Json = nlohmann::ordered_json;
+  return discovery::to_json<Json>(backup).dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+void check(const Backup& backup, const std::string& path) {
+  if (backup.format != Backup::current_format)
+    throw config::Error(fmt::format("{}: its format is {}, and this program reads {}: use the version that wrote it",
+                                    path, backup.format, Backup::current_format));
+  for (const auto& gateway : backup.gateways) {
+    check_name(path, "id of a gateway", gateway.gateway);
+    for (const auto& order : gateway.orders) check_name(path, "id of an instance", order.instance);
+  }
+  for (const auto& topology : backup.topologies) check_name(path, "name of a topology", topology.topology);
+}
+
+Backup decode_backup(const std::string& text, const std::string& path) {
+  auto backup = discovery::from_json<Backup>(discovery::parse_json(text, path, largest_file), path);
+  check(backup, path);
+  return backup;
+}
+
+std::vector<Backup> pieces_of(const Backup& backup, std::size_t bytes) {
+  std::vector<Backup> pieces;
+  std::size_t room = 0;
+  const auto make_room = [&](std::size_t size) {
+    if (!pieces.empty() && size <= room) {
+      room -= size;
+      return false;
+    }
+    pieces.push_back({backup.format, backup.made_ms, {}, {}});
+    room = bytes - std::min(bytes, size);
+    return true;
+  };
+  for (const auto& gateway : backup.gateways) {
+    make_room(gateway.gateway.str().size());
+    pieces.back().gateways.push_back({gateway.gateway, gateway.draining, {}});
+    for (const auto& order : gateway.orders) {
+      if (make_room(encode(order).size())) pieces.back().gateways.push_back({gateway.gateway, gateway.draining, {}});
+      pieces.back().gateways.back().orders.push_back(order);
+    }
+  }
+  for (const auto& topology : backup.topologies) {
+    make_room(encode(topology.order).size());
+    pieces.back().topologies.push_back(topology);
+  }
+  return pieces;
+}
+
+}  // namespace iotcloud::master

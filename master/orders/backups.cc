@@ -1,0 +1,150 @@
+#include <algorithm>
+#include <map>
+#include <tuple>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/clock.h>
+#include <iotcloud/master/orders/backups.h>
+#include <iotcloud/master/orders/order_kind.h>
+
+namespace iotcloud::master {
+
+using discovery::GatewayId;
+using discovery::OrderRecord;
+using discovery::TopologyName;
+using discovery::TopologyOrder;
+
+namespace {
+
+using Verdict = OutcomeWatch::Verdict;
+
+const Verdict another{OrderOutcome::failed, "another order stands there; --replace puts this one in its place"};
+const Verdict unchanged{OrderOutcome::done, "it stood there already"};
+
+}  // namespace
+
+Backup Backups::make() const {
+  auto& registry = desk_.registry;
+  const auto& paths = desk_.options.paths;
+  std::map<GatewayId, GatewayBackup> gateways;
+  for (auto& [gateway, order] : discovery::list_orders(registry, paths, {}))
+    gateways[gateway].orders.push_back(std::move(order));
+  for (const auto& gateway : desk_.gateways()) {
+    if (gateway.draining) gateways[gateway.record.id].draining = true;
+  }
+  Backup backup;
+  backup.made_ms = config::system_clock().wall_ms();
+  for (auto& [id, gateway] : gateways) {
+    gateway.gateway = id;
+    std::sort(gateway.orders.begin(), gateway.orders.end(), [](const OrderRecord& a, const OrderRecord& b) {
+      return std::tie(a.name, a.index, a.instance) < std::tie(b.name, b.index, b.instance);
+    });
+    backup.gateways.push_back(std::move(gateway));
+  }
+  for (const auto& name : registry.children(paths.topologies).value_or(std::vector<std::string>())) {
+    const TopologyName topology(name);
+    const auto path = paths.topology_order(topology);
+    const auto node = registry.get(path);
+    if (!node) continue;
+    auto order = discovery::decode_topology_order(node->data, path);
+    if (!order.kill) backup.topologies.push_back({topology, std::move(order)});
+  }
+  return backup;
+}
+
+OrderResult Backups::import(const ImportRequest& request) {
+  return desk_.leadership.guarded([&] { return import_all(request); });
+}
+
+OrderResult Backups::import_all(const ImportRequest& request) {
+  check(request, "the order to import");
+  OrderResult result;
+  const config::ReadLock lock(desk_.placing);
+  const auto known = desk_.gateways();
+  for (const auto& part : request.gateways) {
+    if (part.draining) {
+      const auto lead = desk_.leadership.lead();
+      if (!lead) return refuse(Refusal::not_leading, lost_lead_text);
+      mark_draining(part.gateway, *lead);
+    }
+    const auto* gateway = find(known, part.gateway);
+    const auto waits = gateway != nullptr ? waiting(*gateway)
+                                          : Verdict{OrderOutcome::pending,
+                                                    "gateway is not registered; it follows the order when it is"};
+    for (const auto& order : part.orders) {
+      auto& outcome =
+          result.outcomes.emplace_back(InstanceOutcome{part.gateway, order.instance, OrderOutcome::unknown, ""});
+      OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
+        auto verdict = place(part.gateway, order, request.replace, lead);
+        if (verdict.outcome == OrderOutcome::done && waits) {
+          verdict.reason += (verdict.reason.empty() ? "" : "; ") + waits->reason;
+        }
+        return verdict;
+      }));
+    }
+  }
+  for (const auto& topology : request.topologies) {
+    auto& outcome = result.outcomes.emplace_back(
+        InstanceOutcome{{}, discovery::InstanceId("topologies/" + topology.topology.str()), OrderOutcome::unknown, ""});
+    OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
+      return place(topology, request.replace, lead);
+    }));
+  }
+  desk_.tell(result, "import");
+  return result;
+}
+
+void Backups::mark_draining(const GatewayId& gateway, const discovery::Lead& lead) {
+  const auto path = desk_.options.paths.gateway_draining(gateway);
+  if (desk_.registry.get(path)) return;
+  desk_.registry.create(path, encode(discovery::DrainRecord{config::system_clock().wall_ms(), lead.epoch}), true,
+                        lead.fence);
+}
+
+Verdict Backups::place(const GatewayId& gateway, OrderRecord order, bool replace, const discovery::Lead& lead) {
+  const auto there = desk_.book.get(gateway, order.instance);
+  if (!there) {
+    order.epoch = lead.epoch;
+    desk_.book.create(gateway, order, lead);
+    return {OrderOutcome::done, ""};
+  }
+  order.epoch = there->epoch;
+  if (order == *there) return unchanged;
+  if (!replace) return another;
+  const Located where{order.instance, gateway, {}, std::nullopt};
+  const auto verdict = desk_.book.rewrite(where, lead, [&](OrderRecord& present) { present = order; });
+  return verdict.value_or(Verdict{OrderOutcome::done, "it took another order's place"});
+}
+
+Verdict Backups::place(const TopologyBackup& topology, bool replace, const discovery::Lead& lead) {
+  const auto path = desk_.options.paths.topology_order(topology.topology);
+  TopologyOrder order = topology.order;
+  const auto node = desk_.registry.get(path);
+  if (node) {
+    const auto there = discovery::decode_topology_order(node->data, path);
+    if (order.active == there.active && order.parallelism == there.parallelism && !there.kill) return unchanged;
+    if (!replace) return another;
+    order.revision = std::max(order.revision, there.revision);
+  }
+  // Workers follow an order that is newer than theirs only.
+  for (const auto& worker : discovery::list_workers(desk_.registry, desk_.options.paths, topology.topology))
+    order.revision = std::max(order.revision, worker.revision);
+  ++order.revision;
+  order.epoch = lead.epoch;
+  order.kill.reset();
+  if (!node) {
+    desk_.registry.create(path, encode(order), true, lead.fence);
+    return {OrderOutcome::done, ""};
+  }
+  desk_.registry.set(path, encode(order), node->version, lead.fence);
+  return {OrderOutcome::done, "it took another order's place"};
+}
+
+std::vector<OrderKind> backup_orders() {
+  return {order_kind<ImportRequest>("import", security::Role::admin, [](auto& services, const auto& request) {
+    return services.backups.import(request);
+  })};
+}
+
+}  // namespace iotcloud::master

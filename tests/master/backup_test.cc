@@ -1,0 +1,218 @@
+// Backups of what is ordered: taken out of the registry, and put into one that lost it.
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/discovery/description/json.h>
+#include <iotcloud/master/orders/backup_file.h>
+#include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/master/fleet.h>
+
+namespace iotcloud::master {
+namespace {
+
+using discovery::OrderRecord;
+using discovery::TopologyOrder;
+using test::FakeGateway;
+using test::TestMaster;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+class MasterBackup : public testing::Test {
+ protected:
+  MasterBackup() { EXPECT_TRUE(master.leads()); }
+  void deploy(const char* gateway, const char* name, int count = 1) {
+    DeployRequest request;
+    request.plugin = "turtle.so";
+    request.name = name;
+    request.count = count;
+    request.gateways = {discovery::GatewayId(gateway)};
+    request.properties = {{"password", "sesame"}};
+    const auto result = master->deploy(request);
+    ASSERT_TRUE(result.all_done()) << result.summary();
+  }
+  OrderResult import(const Backup& backup, bool replace = false) {
+    return master->give("import", discovery::to_json<nlohmann::json>(ImportRequest{backup, replace}).dump()).result;
+  }
+  void order_topology(std::int64_t revision, bool active) {
+    TopologyOrder order;
+    order.revision = revision;
+    order.active = active;
+    discovery::put(*registry, paths.topology_order("t"_topology), encode(order));
+  }
+  TopologyOrder topology_order() const {
+    const auto path = paths.topology_order("t"_topology);
+    return discovery::decode_topology_order(registry->get(path).value().data, path);
+  }
+  void wipe() {
+    discovery::remove_tree(*registry, paths.gateways);
+    discovery::remove_tree(*registry, paths.topologies);
+  }
+  /// What stands in the registry now, without what differs between masters and times.
+  Backup standing() {
+    auto backup = master->backup();
+    backup.made_ms = 0;
+    for (auto& gateway : backup.gateways) {
+      for (auto& order : gateway.orders) order.epoch = 0;
+    }
+    for (auto& topology : backup.topologies)
+      topology.order = {0, 0, topology.order.active, topology.order.parallelism, {}};
+    return backup;
+  }
+
+  const std::string url = test::fresh_registry_url();
+  const std::unique_ptr<discovery::Registry> registry = test::open_registry(url);
+  const discovery::Paths paths;
+  TestMaster master{url};
+};
+
+TEST_F(MasterBackup, HasWhatIsOrderedAndIsReadAgain) {
+  FakeGateway one(url, "lab1"), two(url, "lab2");
+  deploy("lab1", "robot", 2);
+  deploy("lab2", "meter");
+  GatewaySelection drained;
+  drained.gateways = {"lab2"_gateway};
+  ASSERT_TRUE(master->drain(drained).all_done());
+  order_topology(3, false);
+  const auto backup = master->backup();
+  ASSERT_THAT(backup.gateways, SizeIs(2));
+  ASSERT_THAT(backup.gateways[0].orders, SizeIs(2));
+  EXPECT_FALSE(backup.gateways[0].draining);
+  EXPECT_EQ(backup.gateways[0].orders[1].index, 2);
+  EXPECT_EQ(backup.gateways[0].orders[1].properties.at("password"), "sesame");
+  EXPECT_TRUE(backup.gateways[1].draining);
+  ASSERT_THAT(backup.topologies, SizeIs(1));
+  EXPECT_FALSE(backup.topologies[0].order.active);
+  EXPECT_GT(backup.made_ms, 0);
+  EXPECT_EQ(decode_backup(encode(backup), "b"), backup);
+  EXPECT_EQ(words(backup), "3 orders of 2 gateways, 1 of topologies");
+}
+
+TEST_F(MasterBackup, GivesAnEmptiedRegistryItsOrdersBack) {
+  order_topology(3, false);
+  {
+    FakeGateway gateway(url, "lab1");
+    deploy("lab1", "robot", 2);
+    GatewaySelection drained;
+    drained.gateways = {"lab1"_gateway};
+    ASSERT_TRUE(master->drain(drained).all_done());
+  }
+  const auto before = standing();
+  const auto backup = master->backup();
+  wipe();
+  ASSERT_THAT(standing().gateways, IsEmpty());
+  const auto result = import(backup);
+  EXPECT_TRUE(result.all_done()) << result.summary();
+  ASSERT_THAT(result.outcomes, SizeIs(3));
+  EXPECT_THAT(result.outcomes[0].reason, HasSubstr("not registered"));
+  EXPECT_EQ(result.outcomes[2].instance, "topologies/t");
+  EXPECT_EQ(master->orders().at(0).order.epoch, master->status().epoch);
+  FakeGateway again(url, "lab1");
+  EXPECT_EQ(standing(), before);
+  EXPECT_TRUE(again.wait_for_orders(2));
+}
+
+TEST_F(MasterBackup, LeavesWhatStandsThereUnlessItIsToReplaceIt) {
+  FakeGateway gateway(url, "lab1");
+  deploy("lab1", "robot");
+  order_topology(3, false);
+  const auto backup = master->backup();
+  for (const auto& outcome : import(backup).outcomes) EXPECT_EQ(outcome.reason, "it stood there already");
+  DeploymentChange change;
+  change.instances = {backup.gateways.at(0).orders.at(0).instance};
+  change.properties = std::map<std::string, std::string>{{"password", "other"}};
+  ASSERT_TRUE(master->change_deployment(change).all_done());
+  deploy("lab1", "meter");
+  order_topology(4, true);
+
+  const auto left = import(backup);
+  for (const auto& outcome : left.outcomes) {
+    EXPECT_EQ(outcome.outcome, OrderOutcome::failed);
+    EXPECT_THAT(outcome.reason, HasSubstr("--replace"));
+  }
+  EXPECT_EQ(gateway.orders().size(), 2U);
+  EXPECT_TRUE(topology_order().active);
+
+  const auto replaced = import(backup, true);
+  EXPECT_TRUE(replaced.all_done()) << replaced.summary();
+  EXPECT_EQ(standing().gateways.at(0).orders.size(), 2U) << "what the backup does not have stays";
+  EXPECT_EQ(standing().gateways.at(0).orders.at(1).properties.at("password"), "sesame");
+  EXPECT_FALSE(topology_order().active);
+  EXPECT_EQ(topology_order().revision, 5) << "workers follow newer orders only";
+}
+
+TEST_F(MasterBackup, AnOrderOfATopologyIsNewerThanWhatItsWorkersFollow) {
+  order_topology(3, false);
+  const auto backup = master->backup();
+  wipe();
+  discovery::WorkerRecord worker;
+  worker.name = "w1";
+  worker.revision = 7;
+  const auto lives = registry->hold(paths.workers("t"_topology) + "/w1", encode(worker));
+  EXPECT_TRUE(import(backup).all_done());
+  EXPECT_EQ(topology_order().revision, 8);
+}
+
+TEST_F(MasterBackup, DoesNotBringAKilledTopologyBack) {
+  TopologyOrder order;
+  order.revision = 2;
+  order.kill = discovery::TopologyKill{{"w1"}, 1, 1};
+  discovery::put(*registry, paths.topology_order("t"_topology), encode(order));
+  EXPECT_THAT(master->backup().topologies, IsEmpty());
+}
+
+TEST_F(MasterBackup, WhatCannotBeReadIsRefusedAndNothingIsWritten) {
+  Backup backup;
+  OrderRecord order;
+  order.plugin = "turtle.so";
+  order.instance = "a"_instance;
+  backup.gateways = {{"lab1"_gateway, false, {order}}, {"../masters"_gateway, true, {order}}};
+  auto refused = import(backup);
+  EXPECT_EQ(refused.refusal, Refusal::bad_request);
+  EXPECT_THAT(refused.text, HasSubstr("\"../masters\" cannot be the id of a gateway"));
+  backup.gateways.pop_back();
+  backup.format = 2;
+  refused = import(backup);
+  EXPECT_THAT(refused.text, HasSubstr("its format is 2"));
+  EXPECT_THAT(master->orders(), IsEmpty());
+  EXPECT_THROW(decode_backup("{", "b"), config::Error);
+  EXPECT_THROW(decode_backup("{}", "b"), config::Error) << "it says no format";
+}
+
+TEST(BackupFile, IsCutIntoPiecesThatHaveAllOfIt) {
+  Backup backup;
+  OrderRecord order;
+  order.plugin = "turtle.so";
+  order.metadata["text"] = std::string(1000, 'x');
+  for (int i = 0; i < 5; ++i) {
+    order.instance = discovery::InstanceId(std::to_string(i));
+    const auto gateway = i < 3 ? "lab1"_gateway : "lab2"_gateway;
+    if (backup.gateways.empty() || backup.gateways.back().gateway != gateway)
+      backup.gateways.push_back({gateway, i == 3, {}});
+    backup.gateways.back().orders.push_back(order);
+  }
+  backup.topologies.push_back({"t"_topology, {}});
+  const auto pieces = pieces_of(backup, 2500);
+  std::vector<std::string> found;
+  for (const auto& piece : pieces) {
+    std::size_t size = 0;
+    for (const auto& gateway : piece.gateways) {
+      EXPECT_EQ(gateway.draining, gateway.gateway == "lab2"_gateway);
+      for (const auto& each : gateway.orders) {
+        found.push_back(gateway.gateway + "/" + each.instance);
+        size += encode(each).size();
+      }
+    }
+    EXPECT_LE(size, 2500U);
+  }
+  EXPECT_THAT(found, ElementsAre("lab1/0", "lab1/1", "lab1/2", "lab2/3", "lab2/4"));
+  EXPECT_THAT(pieces, SizeIs(3));
+  EXPECT_THAT(pieces.back().topologies, SizeIs(1));
+  EXPECT_THAT(pieces_of(backup, 1), SizeIs(8)) << "one order each, and one of each gateway's mark";
+  EXPECT_THAT(pieces_of({}, 2500), IsEmpty());
+}
+
+}  // namespace
+}  // namespace iotcloud::master
