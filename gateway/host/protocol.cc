@@ -170,11 +170,12 @@ std::string frame(const json& body) {
   return processes::frame(body.dump(-1, ' ', false, json::error_handler_t::replace));
 }
 
-/// Turns exceptions of the JSON library into config::Error.
+/// Turns exceptions of the JSON library into config::Error. A host with a broken plugin may send anything: the
+/// levels of lists and objects within each other are limited, as in what comes from the registry.
 template <typename Decode>
 auto decoded(const std::string& body, Decode&& decode) {
   try {
-    return decode(json::parse(body));
+    return decode(discovery::parse_json(body, std::string("a message ") + between, processes::max_frame));
   } catch (const json::exception& e) {
     throw config::Error(fmt::format("a message between gateway and driver host cannot be read: {}", e.what()));
   }

@@ -114,6 +114,15 @@ TEST(HostProtocol, CarriesTheTimeOfAConfirmation) {
   EXPECT_EQ(renewed.number, a_year);
 }
 
+TEST(HostProtocol, RefusesAMessageThatIsNestedDeeply) {
+  const auto pong = [](std::size_t levels) {
+    return R"({"kind":"pong","number":1,"stalls":[],"more":)" + std::string(levels, '[') + std::string(levels, ']') +
+           "}";
+  };
+  EXPECT_EQ(decode_report(pong(10)).number, 1);
+  EXPECT_THROW(decode_report(pong(1'000'000)), config::Error);
+}
+
 TEST(HostProtocol, RefusesAPassedMessageThatCannotBe) {
   EXPECT_THROW(decode_report(R"({"kind":"answer","number":7,"answer":"perhaps"})"), config::Error);
   EXPECT_THROW(decode_report(R"({"kind":"pass","passed":{"number":7}})"), config::Error);
