@@ -48,7 +48,7 @@ class SiteServiceTest : public GatewayFixture {
     client_.emplace(std::make_shared<thrift::protocol::TBinaryProtocol>(transport_));
   }
 
-  TResponse deploy(std::map<std::string, std::string> properties = {}, const std::string& file = "probe.so",
+  TResponse deploy(const std::map<std::string, std::string>& properties = {}, const std::string& file = "probe.so",
                    const std::string& name = "") {
     discovery::wire::TSensorDeployDescriptor descriptor;
     descriptor.__set_filename(file);
