@@ -117,7 +117,7 @@ void read(const Json& json, Value& value, const std::string& path) {
   } else if constexpr (Map<Value>) {
     for (const auto& [key, item] : json.template get_ref<const typename Json::object_t&>()) {
       read(item, value[typename Value::key_type(key)],
-           Described<typename Value::mapped_type> ? path + ", " + key : path);
+           Described<typename Value::mapped_type> ? std::string(path).append(", ").append(key) : path);
     }
   } else if constexpr (List<Value>) {
     value.clear();

@@ -9,6 +9,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/gateway/host/protocol.h>
+#include <iotcloud/processes/frames.h>
 
 namespace iotcloud::gateway::protocol {
 

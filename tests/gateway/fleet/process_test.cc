@@ -16,6 +16,7 @@
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/gateway/fleet/process_link.h>
 #include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/fleet/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
@@ -70,7 +71,7 @@ TEST_F(ProcessTest, ACrashIsToldAndTheInstancesRunAgainWhileOtherPluginsNoticeNo
         {"a"_instance, record.name, record.state, record.reason, record.since_ms, record.channels, record.metadata});
   });
   ASSERT_TRUE(told.wait_for("a", DriverState::active));
-  std::ofstream{crash_file};
+  tests::write_file(crash_file, "");
   EXPECT_TRUE(eventually([&] { return !fs::exists(crash_file); }));
   EXPECT_TRUE(told.wait_for("a", DriverState::active));
   EXPECT_EQ(record("b", "other"), untouched);
@@ -90,7 +91,7 @@ TEST_F(ProcessTest, WhatAHostHadSpooledWhenItCrashedIsThereForTheNext) {
   };
   // Nobody reads what the driver says when it is activated.
   ASSERT_TRUE(eventually([&] { return segments() == 1; }));
-  std::ofstream{crash_file};
+  tests::write_file(crash_file, "");
   EXPECT_TRUE(eventually([&] { return segments() == 2; })) << "one of each life";
   take_back("a");
   EXPECT_TRUE(eventually([&] { return !record("a"); }));
@@ -105,7 +106,7 @@ TEST_F(ProcessTest, AHostThatCrashesAtOnceAgainIsToldWithItsSignal) {
   const std::string crash_file = folder_ / "crash";
   give(quiet("a", "probe.so", {{"crash_file", crash_file}}));
   ASSERT_TRUE(comes_to("a", DriverState::active));
-  std::ofstream{crash_file};
+  tests::write_file(crash_file, "");
   ASSERT_TRUE(comes_to("a", DriverState::starting));
   EXPECT_THAT(record("a")->reason, AllOf(HasSubstr("signal 11"), HasSubstr("started again in 3600000 ms")));
   take_back("a");

@@ -2,6 +2,7 @@
 #include <fstream>
 
 #include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/fleet/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
@@ -38,7 +39,7 @@ class SelfHealing : public ProcessTest {
   /// is seen by those only who look in time.
   std::string falls_ill_and_runs_again() {
     if (!told_.wait_for("ill", DriverState::active)) return "it never ran";
-    std::ofstream{trigger_};
+    tests::write_file(trigger_, "");
     while (const auto again = told_.wait_for("ill", DriverState::active)) {
       if (again->reason.starts_with("again, after its driver host ")) return again->reason;
     }

@@ -5,6 +5,7 @@
 #include <fstream>
 #include <iostream>
 
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/fleet/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
@@ -70,7 +71,7 @@ TEST_F(SickFleet, EachIsToldApartAndRunsAgainAndTheHealthyOneMissesNothing) {
   }
 
   const auto begin = std::chrono::steady_clock::now();
-  for (const auto& [name, reason] : illnesses) std::ofstream{trigger(name)};
+  for (const auto& [name, reason] : illnesses) tests::write_file(trigger(name), "");
   for (const auto& [name, reason] : illnesses) {
     const auto hurt = told_.wait_for(name, DriverState::starting);
     ASSERT_TRUE(hurt) << name;
