@@ -119,7 +119,7 @@ class SourceSpout : public Spout {
   SpoutOutputCollector* collector_ = nullptr;
 };
 
-inline SpoutFactory source_spout(std::shared_ptr<Source> source, Fields fields = {"value"}) {
+inline SpoutFactory source_spout(const std::shared_ptr<Source>& source, const Fields& fields = {"value"}) {
   return [source, fields] { return std::make_unique<SourceSpout>(source, fields); };
 }
 
@@ -144,7 +144,7 @@ class FunctionBolt : public Bolt {
   OutputCollector* collector_ = nullptr;
 };
 
-inline BoltFactory bolt(FunctionBolt::Execute execute, Fields fields = {}) {
+inline BoltFactory bolt(const FunctionBolt::Execute& execute, const Fields& fields = {}) {
   return [execute, fields] { return std::make_unique<FunctionBolt>(execute, fields); };
 }
 
@@ -174,7 +174,7 @@ struct Sink {
   std::vector<Item> items;
 };
 
-inline BoltFactory sink_bolt(std::shared_ptr<Sink> sink) {
+inline BoltFactory sink_bolt(const std::shared_ptr<Sink>& sink) {
   return bolt([sink](const Tuple& tuple, OutputCollector& collector, const TopologyContext& context) {
     sink->add(tuple, context.task_index);
     collector.ack(tuple);
@@ -182,7 +182,7 @@ inline BoltFactory sink_bolt(std::shared_ptr<Sink> sink) {
 }
 
 /// Passes tuples on unchanged, anchored.
-inline BoltFactory pass_bolt(Fields fields = {"value"}) {
+inline BoltFactory pass_bolt(const Fields& fields = {"value"}) {
   return bolt(
       [](const Tuple& tuple, OutputCollector& collector, const TopologyContext&) {
         Values values;

@@ -25,15 +25,12 @@
 namespace iotcloud::master {
 namespace {
 
-using discovery::DriverState;
 using nlohmann::json;
 using test::Cli;
 using test::FakeGateway;
-using test::Finished;
 using test::TestMaster;
 using testing::AllOf;
 using testing::HasSubstr;
-using testing::MatchesRegex;
 using testing::Not;
 using testing::SizeIs;
 using testing::StartsWith;
