@@ -124,7 +124,10 @@ void DriverInstance::deactivate() {
 }
 
 void DriverInstance::remove() {
-  loop_->post([self = shared_from_this()] { self->close_now(DriverState::undeployed, ""); });
+  loop_->post([self = shared_from_this()] {
+    // A host that ends removes what is being removed, too. The first removal's report is the instance's last.
+    if (!std::exchange(self->removed_, true)) self->close_now(DriverState::undeployed, "");
+  });
 }
 
 void DriverInstance::suspend(const std::string& reason, std::function<void()> closed) {

@@ -106,6 +106,7 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
 
   // Used on the event thread only.
   bool closed_ = false;
+  bool removed_ = false;
   std::optional<config::Clock::Instant> metadata_told_;
   drivers::DriverShell* shell_ = nullptr;
   std::vector<std::unique_ptr<Incoming>> incoming_;

@@ -485,6 +485,17 @@ TEST_F(SpooledChannelTest, WhatNobodyHasReadWhenAnInstanceEndsIsSentByItsNextLif
   EXPECT_FALSE(std::filesystem::exists(state_folder_ + "/spool/a")) << "nothing is left when all was sent";
 }
 
+TEST_F(SpooledChannelTest, AnInstanceThatIsRemovedTwiceEndsOnce) {
+  start_host(probe_);
+  host_->create(spooled("a"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  host_->remove("a"_instance);
+  host_->remove("a"_instance);  // its spool is still being closed
+  host_.reset();
+  const auto states = log_.states("a");
+  EXPECT_EQ(std::count(states.begin(), states.end(), DriverState::stopping), 1);
+}
+
 TEST_F(SpooledChannelTest, AnInstanceThatFailedGoesOnWithItsSpoolAtOnce) {
   start_host(probe_);
   host_->create(spooled("a", {{"throw_in", "message"}}));
