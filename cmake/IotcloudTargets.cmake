@@ -16,6 +16,15 @@ function(_iotcloud_hot target)
   target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-O3>)
 endfunction()
 
+# A few sources that compute over whole frames: at -O0 tests would spend minutes in them. Headers precompiled at -O0 do not
+# serve them.
+function(_iotcloud_computes target)
+  if(IOTCLOUD_SANITIZE)
+    target_compile_options(${target} PRIVATE -O2)
+    set_target_properties(${target} PROPERTIES DISABLE_PRECOMPILE_HEADERS ON)
+  endif()
+endfunction()
+
 function(_iotcloud_setup target)
   cmake_parse_arguments(arg "" "" "USES;LIBRARIES;PRIVATE_LIBRARIES" ${ARGN})
   list(TRANSFORM arg_USES PREPEND iotcloud_)
@@ -26,10 +35,12 @@ function(_iotcloud_setup target)
 endfunction()
 
 # A room, or a part of one: a static library `iotcloud_<name>`, exported as `iotcloud::<name>`.
-#   iotcloud_room(NAME brokers [HOT] SOURCES a.cc HEADERS a.h USES config LIBRARIES ... PRIVATE_LIBRARIES ... [INSTALL])
+#   iotcloud_room(NAME brokers [HOT] [COMPUTES] SOURCES a.cc HEADERS a.h USES config LIBRARIES ... PRIVATE_LIBRARIES ...
+#                 [INSTALL])
 # HEADERS are the public headers. INSTALL: authors of drivers, spouts and bolts link it. HOT: messages pass through it.
+# COMPUTES: sanitized builds optimize it too.
 function(iotcloud_room)
-  cmake_parse_arguments(arg "HOT;INSTALL" "NAME" "SOURCES;HEADERS;USES;LIBRARIES;PRIVATE_LIBRARIES" ${ARGN})
+  cmake_parse_arguments(arg "HOT;COMPUTES;INSTALL" "NAME" "SOURCES;HEADERS;USES;LIBRARIES;PRIVATE_LIBRARIES" ${ARGN})
   set(target iotcloud_${arg_NAME})
   if(arg_SOURCES)
     add_library(${target} STATIC ${arg_SOURCES})
@@ -38,6 +49,9 @@ function(iotcloud_room)
     _iotcloud_unity(${target} 12)
     if(arg_HOT)
       _iotcloud_hot(${target})
+    endif()
+    if(arg_COMPUTES)
+      _iotcloud_computes(${target})
     endif()
     set(scope PUBLIC)
   else()
