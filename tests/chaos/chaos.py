@@ -24,7 +24,7 @@ import ledger  # noqa: E402
 import schedule  # noqa: E402
 from cluster import ChaosCluster  # noqa: E402
 from faults import Faults  # noqa: E402
-from orders import Orders  # noqa: E402
+from orders import Orders, Person  # noqa: E402
 from private_cluster import StartError, Unavailable  # noqa: E402
 from shrink import shrink  # noqa: E402
 
@@ -74,13 +74,18 @@ class Run:
         cluster.pause(1)
         before = checks.all_figures(cluster)
 
-        faults = Faults(cluster, [action for action in self.actions if not action.is_order], log)
+        person = Person(cluster, log)
+        person.keep_backup()
+        faults = Faults(cluster, [action for action in self.actions if not action.is_order], log, orders.registry_wiped,
+                        person.put_right)
         faults.start()
         orders.start()
         while not (faults.over and cluster.idle):
             faults.step()
             orders.step()
+            person.step()
             cluster.pause(0.02)
+        self.wait_for_person(cluster, person, orders)
         healed = time.monotonic()
         log(f"{faults.passed():7.2f} s  all faults are over")
 
@@ -96,6 +101,16 @@ class Run:
         self.messages = sum(len(run.sent) for account in accounts for run in account.runs)
         self.duplicates = sum(ledger.duplicates(account.came) for account in accounts)
         self.violations += self.told(lambda: self.undeploy(cluster))
+
+    def wait_for_person(self, cluster, person, orders):
+        """A registry that was wiped last of all is to be put right."""
+        deadline = time.monotonic() + self.patience_s
+        while not person.idle:
+            person.step()
+            orders.step()
+            cluster.pause(0.02)
+            if time.monotonic() > deadline:
+                raise StartError(f"not within {self.patience_s} s: the registry is put right after it was wiped")
 
     def converge(self, cluster, instances, orders, deadline):
         """Waits until the cluster is as it is to be; returns what is not so in the end."""

@@ -9,10 +9,11 @@ FILL = "full.of.nothing"  # the file that fills a disk
 
 
 class Faults:
-    """`actions`: a schedule's, without its orders. step() has to be called often, on the main thread."""
+    """`actions`: a schedule's, without its orders. step() has to be called often, on the main thread. `on_wiped` is called
+    when the registry has lost its data, `on_empty` when it serves again."""
 
-    def __init__(self, cluster, actions, told=print):
-        self.cluster, self.told = cluster, told
+    def __init__(self, cluster, actions, told=print, on_wiped=lambda: None, on_empty=lambda: None):
+        self.cluster, self.told, self.on_wiped, self.on_empty = cluster, told, on_wiped, on_empty
         self.moments = sorted([(action.begin, 1, number, action) for number, action in enumerate(actions)] +
                               [(action.end, 2, number, action) for number, action in enumerate(actions)])
         self.began = None
@@ -43,6 +44,8 @@ class Faults:
                 cluster.scripts[target].say(lambda: cluster.emptied.append(time.monotonic()))
             if kind != "kill":
                 cluster.scripts[target].say(lambda: cluster.clear_data(target))
+            if kind == "wipe":
+                cluster.scripts[target].say(self.on_wiped)
         elif kind == "kill" and target.startswith("host:"):
             cluster.kill_hosts(target.removeprefix("host:"))
         elif kind == "kill":
@@ -64,6 +67,8 @@ class Faults:
         cluster, kind, target = self.cluster, action.kind, action.target
         if kind in ("kill", "empty", "wipe") and target in SERVERS:
             cluster.scripts[target].say("start")
+            if kind == "wipe":
+                cluster.scripts[target].say(self.on_empty)
         elif kind == "kill" and target.startswith("host:"):
             pass  # its gateway starts it again
         elif kind == "kill":

@@ -23,11 +23,66 @@ class UntrueAnswer(Exception):
     """The text says what the command line answered, and what is so."""
 
 
+class Person:
+    """Who operates the cluster: has a backup of what is ordered, and puts the registry right when it was wiped, because the
+    gateways are frozen until somebody does. Tries again until all gateways are ready."""
+
+    AGAIN_S = 1.0  # until a command that failed is tried again
+
+    def __init__(self, cluster, told=print):
+        self.cluster, self.told = cluster, told
+        self.backup = cluster.out / "backup.json"
+        self.to_do = []
+        self.running = None  # (the command's words, its process, the file with what it prints)
+        self.not_before = 0.0
+
+    def keep_backup(self):
+        self.cluster.cli("registry", "export", self.backup)
+
+    def put_right(self):
+        """The registry was wiped, and is there again."""
+        self.to_do = [("registry", "import", self.backup), ("registry", "adopt", "--all"), ("gateways", "-o", "json")]
+
+    @property
+    def idle(self):
+        return not self.to_do and not self.running
+
+    def step(self):
+        if self.running:
+            words, process, out = self.running
+            if process.poll() is None:
+                return
+            out.seek(0)
+            printed = out.read()
+            out.close()
+            self.running = None
+            self.learn(words, process.returncode, printed)
+        if self.to_do and time.monotonic() >= self.not_before:
+            out = open(self.cluster.out / "person.txt", "w+", encoding="utf-8")
+            self.running = (self.to_do[0], subprocess.Popen(self.cluster.command(*self.to_do[0]), stdin=subprocess.DEVNULL,
+                                                            stdout=out, stderr=subprocess.STDOUT), out)
+
+    def learn(self, words, status, printed):
+        if not self.to_do or words != self.to_do[0]:
+            return  # the registry was wiped once more meanwhile
+        if words[0] == "gateways":
+            if status == 0 and all(gateway["state"] == "ready" for gateway in json.loads(printed)):
+                self.to_do = []
+            else:
+                self.to_do = [("registry", "adopt", "--all"), words]
+        elif words[1] == "adopt" or status == 0:
+            self.to_do = self.to_do[1:]
+        if words[0] == "registry":
+            self.told(f"          iotcloud {words[0]} {words[1]}: status {status}: {' '.join(printed.split())[:150]}")
+        self.not_before = time.monotonic() + self.AGAIN_S
+
+
 class Guest:
     def __init__(self, name, gateway, plugins):
         self.name, self.gateway, self.plugins = name, gateway, plugins
         self.possible = {ABSENT}
         self.updates = 0
+        self.void = False  # what the order under way says is worth nothing: the registry was wiped since it was given
         self.under_way = None  # (the action, the command line's process, when it began)
 
     def words(self, cluster, kind):
@@ -48,7 +103,7 @@ class Guest:
                                f"{' or '.join(sorted(self.possible))}")
         outcomes = [each["outcome"] for each in answer.get("outcomes", [])] if isinstance(answer, dict) else []
         said = outcomes[0] if len(outcomes) == 1 else f"status {status}"
-        if kind == "update":
+        if kind == "update" or self.void:
             return said
         goal = TARGET[kind]
         if said in ("done", "pending"):
@@ -89,7 +144,14 @@ class Orders:
             if guest.under_way is None:
                 self.give(guest, action)
 
+    def registry_wiped(self):
+        """The orders until now are gone."""
+        for guest in self.guests.values():
+            guest.possible = {ABSENT, ACTIVE, INACTIVE, FAILED}
+            guest.void = guest.under_way is not None
+
     def give(self, guest, action):
+        guest.void = False
         command = self.cluster.command(*guest.words(self.cluster, action.kind), "-o", "json")
         self.given += 1
         out = open(self.cluster.out / f"order-{self.given}.json", "w+", encoding="utf-8")

@@ -1,9 +1,10 @@
 #!/usr/bin/python3
 """What is known of a guest after the command line has answered, and answers that are not true."""
 import unittest
+from pathlib import Path
 from types import SimpleNamespace
 
-from orders import ABSENT, ACTIVE, FAILED, INACTIVE, NOT_THERE, Guest, Orders, UntrueAnswer
+from orders import ABSENT, ACTIVE, FAILED, INACTIVE, NOT_THERE, Guest, Orders, Person, UntrueAnswer
 
 
 def answer(outcome):
@@ -47,6 +48,46 @@ class OrdersTest(unittest.TestCase):
         guest(("deploy", "unknown")).learn("stop", 1, None, printed)
         with self.assertRaisesRegex(UntrueAnswer, "iotcloud stop --name guest-1 found no such instance; it is active"):
             guest(("deploy", "done")).learn("stop", 1, None, printed)
+
+    def test_a_wiped_registry_makes_every_state_possible_and_the_order_under_way_void(self):
+        orders = Orders(SimpleNamespace(), [], ("one.so", "two.so"))
+        asked, idle = orders.guests["guest-1"], orders.guests["guest-2"]
+        asked.under_way = ("deploy",)
+        orders.registry_wiped()
+        asked.learn("deploy", 0, answer("done"))
+        idle.learn("deploy", 0, answer("done"))
+        self.assertEqual(asked.possible, {ABSENT, ACTIVE, INACTIVE, FAILED})
+        self.assertEqual(idle.possible, {ACTIVE})
+
+
+class PersonTest(unittest.TestCase):
+    def setUp(self):
+        self.person = Person(SimpleNamespace(out=Path("/nowhere")), lambda text: None)
+
+    def learn(self, status, printed=""):
+        """The next command ends so; returns its first two words."""
+        words = self.person.to_do[0]
+        self.person.learn(words, status, printed)
+        return words[:2]
+
+    def test_imports_and_adopts_until_all_gateways_are_ready(self):
+        self.assertTrue(self.person.idle)
+        self.person.put_right()
+        self.assertEqual(self.learn(1, "no master"), ("registry", "import"))
+        self.assertEqual(self.learn(0), ("registry", "import"))
+        self.assertEqual(self.learn(0), ("registry", "adopt"))
+        self.assertEqual(self.learn(0, '[{"state": "ready"}, {"state": "frozen"}]'), ("gateways", "-o"))
+        self.assertEqual(self.learn(0), ("registry", "adopt"))
+        self.assertFalse(self.person.idle)
+        self.learn(0, '[{"state": "ready"}, {"state": "ready"}]')
+        self.assertTrue(self.person.idle)
+
+    def test_begins_again_when_the_registry_is_wiped_once_more(self):
+        self.person.put_right()
+        self.learn(0)
+        self.person.put_right()
+        self.person.learn(("registry", "adopt", "--all"), 0, "")  # of the time before
+        self.assertEqual(self.learn(0), ("registry", "import"))
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ class ScheduleTest(unittest.TestCase):
             generate(1, 60, kinds=("kil",))
 
     def test_what_a_broker_cannot_do_is_left_out(self):
-        self.assertNotIn("forbid", {action.kind for seed in range(50) for action in generate(seed, 300, "kafka")})
+        self.assertNotIn("forbid", {action.kind for seed in range(50) for action in generate(seed, 300, "activemq")})
 
     def test_text_that_is_no_schedule_is_refused_with_its_line(self):
         self.assertEqual(parse("# nothing\n\n 1.5 kill worker-1 2 # why\n"), [Action(1.5, "kill", "worker-1", 2.0)])

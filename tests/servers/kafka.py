@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private Kafka for tests and benchmarks, on loopback only, that leaves nothing behind.
 
-    kafka.py --dir DIR [--port N] [--partitions N] [--tls] [--throughput] [--listener PORT:ADVERTISED]...
+    kafka.py --dir DIR [--port N] [--partitions N] [--tls] [--throughput] [--acls] [--listener PORT:ADVERTISED]...
 
 Runs one node (KRaft: broker and controller in one JVM) with its data and log below DIR, on free ports. Its jars come
 from Maven Central (maven_jars.py). Topics are made when they are first used, with --partitions partitions (default 4).
@@ -18,6 +18,11 @@ each line of stdin and answers with one line on stdout:
     resume  SIGCONT                                RESUMED
     stop    ends everything                        STOPPED
 
+With --acls there are also
+
+    forbid  nobody may write to any topic          FORBIDDEN
+    permit  everybody may again                    PERMITTED
+
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
 Data of an earlier run in DIR are kept. What was confirmed survives `kill`: the log's pages are the kernel's by then.
 
@@ -29,20 +34,27 @@ certificates.py; the files are in DIR).
 import os
 import struct
 import subprocess
+import time
 
 import certificates
 import maven_jars
 import private_server
 
-METADATA, SASL_HANDSHAKE, SASL_AUTHENTICATE = 3, 17, 36  # requests of Kafka's protocol
+# Requests of Kafka's protocol.
+METADATA, SASL_HANDSHAKE, DESCRIBE_ACLS, CREATE_ACLS, DELETE_ACLS, SASL_AUTHENTICATE = 3, 17, 29, 30, 31, 36
+# Words of its access rules.
+ANY, TOPIC, LITERAL = 1, 2, 3
+ALL, WRITE = 2, 4
+DENY, ALLOW = 2, 3
 
 
 class Kafka(private_server.Server):
     name = "Kafka"
 
-    def __init__(self, folder, port, partitions, tls, jvm=private_server.QUICK_START, listeners=()):
-        """`listeners`: (port, advertised port) of those beside the clients' own."""
+    def __init__(self, folder, port, partitions, tls, jvm=private_server.QUICK_START, listeners=(), acls=False):
+        """`listeners`: (port, advertised port) of those beside the clients' own. `acls`: forbid() and permit() work."""
         super().__init__(folder)
+        self.acls = acls
         self.jvm = jvm
         self.listeners = listeners
         self.class_path = maven_jars.fetch("kafka")
@@ -89,7 +101,9 @@ class Kafka(private_server.Server):
             "log.retention.bytes=2147483648", "log.retention.check.interval.ms=2000",
             "log.segment.delete.delay.ms=1000", "log.initial.task.delay.ms=2000",
             "log.segment.bytes=67108864", "log.index.size.max.bytes=1048576", "auto.include.jmx.reporter=false",
-            "metadata.max.idle.interval.ms=0"] + (self.security() if self.certificates else []))
+            "metadata.max.idle.interval.ms=0"] + (self.security() if self.certificates else []) + (
+                ["authorizer.class.name=org.apache.kafka.metadata.authorizer.StandardAuthorizer",
+                 "allow.everyone.if.no.acl.found=true"] if self.acls else []))
 
     def security(self):
         user = {"user": certificates.USER, "password": certificates.PASSWORD}
@@ -158,6 +172,52 @@ class Kafka(private_server.Server):
                 answer.skip(4 * answer.number("i"))
         return 0
 
+    def forbid(self):
+        """Takes from everybody the permission to write to topics; all else stays permitted."""
+        rules = [(ALL, ALLOW), (WRITE, DENY)]
+        body = struct.pack(">i", len(rules)) + b"".join(
+            struct.pack(">b", TOPIC) + text("*") + struct.pack(">b", LITERAL) + text("User:*") + text("*") +
+            struct.pack(">bb", *rule) for rule in rules)
+        self.administer(CREATE_ACLS, body)
+        self.wait_for_rules(True)
+        return "FORBIDDEN"
+
+    def permit(self):
+        self.administer(DELETE_ACLS, struct.pack(">i", 1) + ALL_TOPIC_RULES)
+        self.wait_for_rules(False)
+        return "PERMITTED"
+
+    def administer(self, request, body):
+        """A request that changes rules; raises RuntimeError when one of them is refused."""
+        with self.connect(self.port) as probe:
+            probe.settimeout(10)
+            answer = Answer(self.ask(probe, request, 1, body))
+        answer.number("i")  # throttled so long
+        for _ in range(answer.number("i")):
+            error, why = answer.number("h"), answer.text()
+            if error:
+                raise RuntimeError("Kafka refuses to change its rules: error %d, %s" % (error, why))
+            if request == DELETE_ACLS:
+                return  # what follows are the rules that were deleted
+
+    def wait_for_rules(self, wanted):
+        """Waits until the node obeys rules about topics, or none."""
+        limit = time.monotonic() + 30
+        while True:
+            with self.connect(self.port) as probe:
+                probe.settimeout(10)
+                answer = Answer(self.ask(probe, DESCRIBE_ACLS, 1, ALL_TOPIC_RULES))
+            answer.number("i"), answer.number("h"), answer.text()
+            if (answer.number("i") > 0) == wanted:
+                return
+            if time.monotonic() > limit:
+                raise RuntimeError("Kafka does not take its rules over")
+            time.sleep(0.01)
+
+    def commands(self):
+        more = {"forbid": self.forbid, "permit": self.permit} if self.acls else {}
+        return {**super().commands(), **more}
+
     @staticmethod
     def ask(connection, request, version, body):
         """One request of Kafka's protocol, and the body of its answer."""
@@ -198,6 +258,10 @@ def text(value):
     return struct.pack(">h", len(value)) + value.encode()
 
 
+NO_TEXT = struct.pack(">h", -1)
+ALL_TOPIC_RULES = struct.pack(">b", TOPIC) + NO_TEXT + struct.pack(">b", ANY) + NO_TEXT + NO_TEXT + struct.pack(">bb", ANY, ANY)
+
+
 def main():
     parser = private_server.options("A private Kafka")
     private_server.add_client_options(parser)
@@ -205,8 +269,10 @@ def main():
     parser.add_argument("--partitions", type=int, default=4, help="of a topic that is made by its first use")
     parser.add_argument("--listener", action="append", default=[], metavar="PORT:ADVERTISED",
                         type=lambda word: tuple(map(int, word.split(":"))), help="another listener, for a proxy")
+    parser.add_argument("--acls", action="store_true", help="permission to write can be taken away: forbid, permit")
     given = parser.parse_args()
-    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions, given.tls, given.jvm, given.listener))
+    private_server.run(lambda: Kafka(given.dir, given.port, given.partitions, given.tls, given.jvm, given.listener,
+                                     given.acls))
 
 
 if __name__ == "__main__":
