@@ -8,6 +8,7 @@ from pathlib import Path
 
 import schedule
 from cluster import processes, signal_all
+from orders import not_at_work
 from private_cluster import StartError
 
 SPIN = 0.5  # of a processor, of a process that has nothing to do but its timers
@@ -20,9 +21,8 @@ def not_converged(cluster, instances, orders):
     """Why the cluster is not as it is to be yet; empty when it is. `instances`: ids of those that are never undeployed."""
     why = []
     try:
-        ready = [gateway["gateway"] for gateway in cluster.json("gateways") if gateway["state"] == "ready"]
-        if len(ready) != len(schedule.GATEWAYS):
-            why.append(f"ready are only the gateways {ready}")
+        if idle := not_at_work(cluster.json("gateways")):
+            why.append(f"not ready, or frozen: {', '.join(idle)}")
         listed = cluster.json("topologies")
         workers = len(listed[0]["workers"]) if listed else 0
         if workers != len(schedule.WORKERS):

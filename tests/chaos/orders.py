@@ -23,6 +23,12 @@ class UntrueAnswer(Exception):
     """The text says what the command line answered, and what is so."""
 
 
+def not_at_work(listed):
+    """The gateways of the cluster that are not there, not ready, or frozen. `listed`: by the command line."""
+    at_work = {gateway["gateway"] for gateway in listed if gateway["state"] == "ready" and not gateway["frozen"]}
+    return [gateway for gateway in schedule.GATEWAYS if gateway not in at_work]
+
+
 class Person:
     """Who operates the cluster: has a backup of what is ordered, and puts the registry right when it was wiped, because the
     gateways are frozen until somebody does. Tries again until all gateways are ready."""
@@ -66,7 +72,7 @@ class Person:
         if not self.to_do or words != self.to_do[0]:
             return  # the registry was wiped once more meanwhile
         if words[0] == "gateways":
-            if status == 0 and all(gateway["state"] == "ready" for gateway in json.loads(printed)):
+            if status == 0 and not not_at_work(json.loads(printed)):
                 self.to_do = []
             else:
                 self.to_do = [("registry", "adopt", "--all"), words]

@@ -1,5 +1,6 @@
 #!/usr/bin/python3
 """What is known of a guest after the command line has answered, and answers that are not true."""
+import json
 import unittest
 from pathlib import Path
 from types import SimpleNamespace
@@ -60,6 +61,12 @@ class OrdersTest(unittest.TestCase):
         self.assertEqual(idle.possible, {ACTIVE})
 
 
+def gateways(*states, frozen=""):
+    """What the command line lists."""
+    return json.dumps([{"gateway": f"gateway-{number}", "state": state, "frozen": frozen}
+                       for number, state in enumerate(states, 1)])
+
+
 class PersonTest(unittest.TestCase):
     def setUp(self):
         self.person = Person(SimpleNamespace(out=Path("/nowhere")), lambda text: None)
@@ -76,10 +83,10 @@ class PersonTest(unittest.TestCase):
         self.assertEqual(self.learn(1, "no master"), ("registry", "import"))
         self.assertEqual(self.learn(0), ("registry", "import"))
         self.assertEqual(self.learn(0), ("registry", "adopt"))
-        self.assertEqual(self.learn(0, '[{"state": "ready"}, {"state": "frozen"}]'), ("gateways", "-o"))
-        self.assertEqual(self.learn(0), ("registry", "adopt"))
-        self.assertFalse(self.person.idle)
-        self.learn(0, '[{"state": "ready"}, {"state": "ready"}]')
+        for left in (gateways(), gateways("lost"), gateways("ready"), gateways("ready", "ready", frozen="wiped")):
+            self.assertEqual(self.learn(0, left), ("gateways", "-o"), left)
+            self.assertEqual(self.learn(0), ("registry", "adopt"))
+        self.learn(0, gateways("ready", "ready"))
         self.assertTrue(self.person.idle)
 
     def test_begins_again_when_the_registry_is_wiped_once_more(self):
