@@ -117,6 +117,10 @@ void ClientState::on_connected(std::int64_t session, milliseconds timeout) {
   renewed_in_vain_ = false;
   connection_->ask_no_more();
   logger.info("connected to the registry {}", options_.url);
+  {
+    const config::MutexLock lock(mutex_);
+    why_away_.clear();
+  }
   enter(SessionState::connected);
   holds_.connected(session);
   watches_.connected();
@@ -136,7 +140,12 @@ void ClientState::on_disconnected(Clock::time_point when) {
     logger.warn("the session with the registry {} may be over: no contact for too long", options_.url);
     enter(SessionState::expired);
   });
-  worker_.post_at(when + timeout_, [this, change] { ask_for_new(change); });
+  worker_.post_at(when + moment(), [this, change] { ask_for_new(change); });
+}
+
+/// A part of the session's time-out: long enough for what takes no time when all is well.
+milliseconds ClientState::moment() const {
+  return timeout_ / 6;
 }
 
 void ClientState::ask_for_new(std::uint64_t change) {
@@ -145,11 +154,21 @@ void ClientState::ask_for_new(std::uint64_t change) {
   if (!asked) worker_.post_at(Clock::now() + renew_pause, [this, change] { ask_for_new(change); });
 }
 
-/// A server takes new sessions, but this client is still without a connection. A server that goes on from where it was
-/// takes the old session back within its time-out, or lets it expire. One that does neither has an earlier state than
-/// this client has seen, and will never answer this session.
+/// A server takes new sessions, but this client is still without a connection. Beginning a session was a write, so this
+/// server has all that this client ever saw, unless its state was emptied or put back. It takes the old session back,
+/// or lets it expire, at the next attempt. One that does neither has an earlier state, and will never answer this
+/// session.
 void ClientState::on_serving(std::uint64_t change) {
-  worker_.post_at(Clock::now() + timeout_, [this, change] {
+  if (link_changes_ != change) return;
+  const auto wait = connection_->longest_attempt(timeout_) + moment();
+  {
+    const config::MutexLock lock(mutex_);
+    why_away_ =
+        "it runs and does not take this session back: it was emptied or put back to an earlier state, or was not "
+        "ready. A new session begins within " +
+        std::to_string(wait.count()) + " ms";
+  }
+  worker_.post_at(Clock::now() + wait, [this, change] {
     if (link_changes_ != change) return;
     logger.warn("the registry {} serves others and not this session: it was emptied, or put back to an earlier state",
                 options_.url);
@@ -162,6 +181,10 @@ void ClientState::on_expired() {
   metrics().expiries.add();
   connection_->ask_no_more();
   ++link_changes_;
+  {
+    const config::MutexLock lock(mutex_);
+    why_away_.clear();
+  }
   logger.warn("the registry {} has dropped the session; starting a new one", options_.url);
   holds_.disconnected();
   watches_.disconnected();
@@ -193,8 +216,10 @@ Reply ClientState::call(const std::string& what, const std::function<void(Regist
   config::UniqueLock lock(mutex_);
   const auto give_up = [&](const std::string& problem) {
     const std::string seconds = std::to_string(options_.operation_timeout.count()) + " ms";
+    mutex_.assert_held();
     return RegistryError(RegistryErrorCode::away, what + ": " + problem + " within " + seconds + " from the registry " +
-                                                      options_.url + "; is it running?");
+                                                      options_.url + "; " +
+                                                      (why_away_.empty() ? std::string("is it running?") : why_away_));
   };
   const auto wait_until = [&](Clock::time_point limit, const auto& condition) {
     mutex_.assert_held();

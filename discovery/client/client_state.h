@@ -68,6 +68,7 @@ class ClientState : public std::enable_shared_from_this<ClientState> {
   void on_disconnected(std::chrono::steady_clock::time_point when);
   void on_expired();
   void ask_for_new(std::uint64_t change);
+  std::chrono::milliseconds moment() const;
   void on_serving(std::uint64_t change);
   void renew_later();
   void enter(SessionState state);
@@ -80,6 +81,7 @@ class ClientState : public std::enable_shared_from_this<ClientState> {
   mutable config::Mutex mutex_;
   config::ConditionVariable changed_;  ///< notified of changes to all that mutex_ guards
   SessionState state_ IOTCLOUD_GUARDED_BY(mutex_) = SessionState::connecting;  ///< written by the worker only
+  std::string why_away_ IOTCLOUD_GUARDED_BY(mutex_);  ///< for those who wait for a connection; empty: not known
   bool closed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
 
   SerialThread dispatcher_;

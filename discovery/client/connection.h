@@ -65,6 +65,9 @@ class RegistryConnection {
   virtual void ask_no_more() = 0;
   /// How long after `disconnected` the session certainly still lives, if the server hears nothing.
   virtual std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const = 0;
+  /// How long an attempt to come back may take at a server that accepts it and says nothing (it was just starting,
+  /// say).
+  virtual std::chrono::milliseconds longest_attempt(std::chrono::milliseconds timeout) const = 0;
 
   virtual void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential,
                       const Fence& fence, Done done) = 0;

@@ -35,6 +35,10 @@ class EmbeddedConnection : public RegistryConnection {
   std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const override {
     return timeout;  // a partition is noticed at once
   }
+  /// As ZooKeeper's, so that a partition which is shorter than the time-out costs no session.
+  std::chrono::milliseconds longest_attempt(std::chrono::milliseconds timeout) const override {
+    return timeout * 2 / 3;
+  }
 
   void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, const Fence& fence,
               Done done) override {

@@ -65,6 +65,10 @@ class ZooKeeperConnection : public RegistryConnection {
     return timeout / 3;
   }
 
+  std::chrono::milliseconds longest_attempt(std::chrono::milliseconds timeout) const override {
+    return timeout * 2 / 3;
+  }
+
   void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, const Fence& fence,
               Done done) override {
     const int mode = ephemeral ? (sequential ? ZOO_EPHEMERAL_SEQUENTIAL : ZOO_EPHEMERAL)

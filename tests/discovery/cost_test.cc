@@ -25,6 +25,9 @@ class CountingConnection : public RegistryConnection {
   std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const override {
     return below_->certain_after_disconnect(timeout);
   }
+  std::chrono::milliseconds longest_attempt(std::chrono::milliseconds timeout) const override {
+    return below_->longest_attempt(timeout);
+  }
   void create(const std::string& path, const std::string& data, bool ephemeral, bool sequential, const Fence& fence,
               Done done) override {
     asked_.add("create " + path);

@@ -15,10 +15,11 @@ using tests::Seen;
 
 class PutBack : public testing::Test {
  protected:
-  std::unique_ptr<Registry> client() const {
+  static std::unique_ptr<Registry> client(std::chrono::milliseconds timeout = std::chrono::milliseconds(50)) {
     RegistryOptions options;
     options.url = "embedded://put-back";
-    options.session_timeout = std::chrono::milliseconds(50);
+    options.session_timeout = timeout;
+    options.operation_timeout = std::chrono::milliseconds(1200);
     return make_registry(options);
   }
   const std::shared_ptr<embedded::RegistryServer> server_ = embedded::RegistryServer::named("put-back");
@@ -38,13 +39,33 @@ TEST_F(PutBack, AClientOfAnEmptiedServerComesBackWithANewSession) {
   EXPECT_EQ(registry->get("/a/held")->data, "mine");
 }
 
+TEST_F(PutBack, AClientOfAnEmptiedServerIsBackAfterItsTimeOutAndSaysMeanwhileWhatItWaitsFor) {
+  const std::chrono::seconds timeout(6);
+  const auto registry = client(timeout);
+  registry->create("/kept", "data");
+  const auto emptied = std::chrono::steady_clock::now();
+  server_->put_back(nullptr);
+  std::string said;
+  ASSERT_TRUE(eventually([&] {
+    try {
+      return !registry->get("/kept");
+    } catch (const RegistryError& e) {
+      said = e.what();
+      return false;
+    }
+  }));
+  EXPECT_LT(std::chrono::steady_clock::now() - emptied, timeout + timeout / 2)
+      << "it waits for one time-out, not for two";
+  EXPECT_THAT(said, testing::HasSubstr("A new session begins within 5000 ms"));
+}
+
 TEST_F(PutBack, AServerThatIsOnlyAwayCostsNoSession) {
   const auto registry = client();
   const auto held = registry->hold("/held", "");
   const auto session = registry->get("/held")->owner_session;
   for (int round = 0; round < 3; ++round) {
     server_->stop();
-    // Longer than the time-out, after which the client asks whether a server takes new sessions: none answers.
+    // Meanwhile the client asks whether a server takes new sessions: none answers.
     ASSERT_TRUE(eventually([&] { return registry->session() == SessionState::expired; }));
     ASSERT_TRUE(eventually([&] { return server_->is_asked(); }));
     server_->start();
