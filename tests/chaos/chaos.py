@@ -34,7 +34,7 @@ PLUGIN, NEXT_PLUGIN = "chaos_ledger_driver.so", "chaos_ledger_driver-2.so"
 SKIPPED = 77
 SPACES = "IOTCLOUD_CHAOS_HAS_ITS_SPACES"
 COLUMNS = ("seed", "broker", "minutes", "faults", "result", "actions", "messages", "duplicates", "converged_s", "took_s",
-           "commit", "when", "first violation")
+           "commit", "when", "first violation", "commands")
 
 
 def log(text):
@@ -47,7 +47,7 @@ class Run:
     def __init__(self, build, out, broker, actions, patience_s=60):
         self.build, self.out, self.broker, self.actions = Path(build), Path(out), broker, actions
         self.patience_s = patience_s  # until all must be well after the faults
-        self.violations, self.messages, self.duplicates, self.converged_s = [], 0, 0, None
+        self.violations, self.messages, self.commands, self.duplicates, self.converged_s = [], 0, 0, 0, None
 
     def run(self):
         shutil.rmtree(self.out, ignore_errors=True)
@@ -70,7 +70,8 @@ class Run:
         orders = Orders(cluster, [action for action in self.actions if action.is_order], (PLUGIN, NEXT_PLUGIN), log)
         self.load(cluster, True)
         self.wait("every instance's messages come", cluster, lambda: all(
-            ledger.lines(cluster.books / f"{instance}.{end}") for instance in instances for end in ("came", "read")), self.patience_s)
+            ledger.lines(cluster.books / f"{instance}.{end}") for instance in instances
+            for end in ("came", "read", "heard")), self.patience_s)
         cluster.pause(1)
         before = checks.all_figures(cluster)
 
@@ -99,6 +100,7 @@ class Run:
         self.violations += checks.grown(before, after) + checks.spinning(cluster, self.patience_s)
         self.violations += checks.uncounted(cluster, accounts, self.patience_s)
         self.messages = sum(len(run.sent) for account in accounts for run in account.runs)
+        self.commands = sum(len(ledger.commands(account).runs[0].sent) for account in accounts if account.heard is not None)
         self.duplicates = sum(ledger.duplicates(account.came) for account in accounts)
         self.violations += self.told(lambda: self.undeploy(cluster))
 
@@ -240,8 +242,9 @@ def one(given, seed, actions, name):
             log(f"  {text}")
         log(f"its schedule, which --schedule takes:\n{schedule.text(actions)}")
     else:
-        log(f"seed {seed}, {given.broker}: {len(actions)} faults and orders; {run.messages} messages accepted, none lost, "
-            f"{run.duplicates} came twice; all was well {run.converged_s:.1f} s after the faults; {run.took_s:.0f} s in all")
+        log(f"seed {seed}, {given.broker}: {len(actions)} faults and orders; {run.messages} messages accepted and "
+            f"{run.commands} commands sent back, none lost, {run.duplicates} messages came twice; all was well "
+            f"{run.converged_s:.1f} s after the faults; {run.took_s:.0f} s in all")
     return run
 
 
@@ -298,7 +301,7 @@ def main():
             sys.exit(SKIPPED)
         results.add(seed=seed, broker=given.broker, minutes=f"{given.minutes:g}",
                     faults=f"schedule {given.schedule}" if given.schedule else given.faults, result="violated" if run.violations else "well", actions=len(actions), messages=run.messages,
-                    duplicates=run.duplicates, converged_s=f"{run.converged_s or 0:.1f}", took_s=f"{run.took_s:.0f}",
+                    duplicates=run.duplicates, commands=run.commands, converged_s=f"{run.converged_s or 0:.1f}", took_s=f"{run.took_s:.0f}",
                     commit=commit(), when=datetime.datetime.now().isoformat(timespec="seconds"),
                     **{"first violation": run.violations[0] if run.violations else ""})
         if run.violations:

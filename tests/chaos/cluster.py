@@ -42,7 +42,30 @@ bolts:
     parallelism: 2
     inputs:
 {inputs}
+  command:
+    broker: main
+    driver: ledger
+    channel: command
+    fields: [data, driverID, time]
+    parallelism: 2
+    inputs: [{{from: enter, grouping: fields, fields: [driverID]}}]
 """
+
+
+def ledger_topology(kinds=("spooled", "blocked"), **values):
+    """YAML of the topology that enters what the ledger driver's channels send, and sends commands back. `values`: registry,
+    metrics (a port), library, url (the broker's), books."""
+    spouts = "\n".join(f"  {kind}: {{broker: main, driver: ledger, channel: {kind}, fields: [data, driverID, time], "
+                       "parallelism: 2}" for kind in kinds)
+    inputs = "\n".join(f"      - {{from: {kind}, grouping: fields, fields: [driverID]}}" for kind in kinds)
+    return TOPOLOGY.format(session=SESSION_S, heartbeat=HEARTBEAT_S, spouts=spouts, inputs=inputs, **values)
+
+
+def copy_plugins(build, folder):
+    """The ledger's plugins, and another version of the driver that does the same: bytes behind a library are never read."""
+    shutil.copytree(build / "chaos/plugins", folder)
+    first = folder / "chaos_ledger_driver.so"
+    (folder / "chaos_ledger_driver-2.so").write_bytes(first.read_bytes() + b"2")
 
 
 class Answers:
@@ -85,10 +108,7 @@ class ChaosCluster(PrivateCluster):
         self.broker = broker
         # Kafka carries shared channels only.
         self.shared = "true" if broker == "kafka" else "false"
-        shutil.copytree(self.build / "chaos/plugins", self.plugins)
-        # Another version that does the same: bytes behind a library are never read.
-        first = self.plugins / "chaos_ledger_driver.so"
-        (self.plugins / "chaos_ledger_driver-2.so").write_bytes(first.read_bytes() + b"2")
+        copy_plugins(self.build, self.plugins)
         self.books = self.out / "books"
         self.books.mkdir()
         self.scripts, self.metrics = {}, {}
@@ -176,14 +196,9 @@ brokers:
         self.gateways = len(schedule.GATEWAYS)
         for name in schedule.WORKERS:
             self.workers += 1
-            spouts = "\n".join(f'  {kind}: {{broker: main, driver: ledger, channel: {kind}, fields: [data, driverID, time], '
-                               "parallelism: 2}" for kind in ("spooled", "blocked"))
-            inputs = "\n".join(f"      - {{from: {kind}, grouping: fields, fields: [driverID]}}"
-                               for kind in ("spooled", "blocked"))
-            self.daemon("iotcloud-topology", name, TOPOLOGY.format(
-                registry=self.url(name, schedule.ZOOKEEPER), session=SESSION_S, metrics=self.metrics[name],
-                library=self.plugins / "chaos_ledger_bolt.so", url=self.url(name, schedule.BROKER),
-                heartbeat=HEARTBEAT_S, books=self.books, spouts=spouts, inputs=inputs))
+            self.daemon("iotcloud-topology", name, ledger_topology(
+                registry=self.url(name, schedule.ZOOKEEPER), metrics=self.metrics[name],
+                library=self.plugins / "chaos_ledger_bolt.so", url=self.url(name, schedule.BROKER), books=self.books))
 
     def daemon(self, program, name, configuration, enter=(), options=()):
         if self.deceived:

@@ -36,8 +36,10 @@ class Fleet(PrivateCluster):
         self.instances = []
 
     def begin(self):
-        self.start(gateways=1, more="host_restart: {first: 200ms, longest: 1s, give_up_after: 0}\n"
-                                    f"metrics: {{address: \"127.0.0.1:{self.pages['gateway-1']}\"}}")
+        self.rabbitmq = self.server("rabbitmq")
+        self.start(gateways=1, brokers=[f'main: {{type: rabbitmq, urls: ["{self.rabbitmq}"]}}'], more=
+                   "host_restart: {first: 200ms, longest: 1s, give_up_after: 0}\n"
+                   f"metrics: {{address: \"127.0.0.1:{self.pages['gateway-1']}\"}}")
         self.topology("worker", ledger_topology(
             ("blocked",), registry=self.zookeeper, metrics=self.pages["worker"], url=self.rabbitmq, books=self.books,
             library=self.plugins / "chaos_ledger_bolt.so"))

@@ -1,14 +1,17 @@
 """What the channels accepted, and what came of it: the books of ledger_driver.cc, ledger_bolt.cc and ledger_reader.cc,
 and the judgement over them.
 
+The topology sends a command back for each message that its bolt had. Commands are durable, and none may be missing: they
+wait for an instance that is restarted or moves to another host.
+
 What may be missing follows from what each channel promises:
 - `spooled`: nothing, whatever dies.
 - `blocked`: nothing, unless the run of the instance ended before its last messages were confirmed (its host was killed,
   or the instance was closed while the broker was away). Then the end of that run may be missing: all messages from some
   number on, and no others.
-- both: what a broker had confirmed and nobody had read when the broker lost its data (`emptied`): of each instance only
-  messages that were accepted before that moment and come after all those that had been read by then. The readers' queues
-  are gone, too. A reader may lack what was accepted until it has declared its queue again, because a broker that has the
+- both, and commands: what a broker had confirmed and nobody had read when the broker lost its data (`emptied`): of each
+  instance only messages that were accepted before that moment and come after all those that had been read by then. The
+  readers' queues are gone, too. A reader may lack what was accepted until it has declared its queue again, because a broker that has the
   other reader's queue confirms.
 """
 
@@ -45,6 +48,7 @@ class Account:
     runs: list  # in order of their begin
     came: list  # copies that the topology's bolt had, in the order of their coming
     read: list = None  # those that the second reader had, which sees marks; None: it does not read this instance
+    heard: list = None  # commands that the driver got; None: somebody may stop the instance, and they are not judged
 
 
 def lines(file):
@@ -79,10 +83,13 @@ def read_read(file):
     return [Copy(run, int(number), float(moment), marked == "1") for run, number, marked, moment in lines(file)]
 
 
-def account(folder, instance, kind, second_reader):
+def account(folder, instance, kind, stays, second_reader=True):
+    """`stays`: nobody stops or undeploys the instance. `second_reader`: there is one, which reads the instances that
+    stay."""
     folder = Path(folder)
     return Account(instance, kind, read_sent(folder / f"{instance}.sent"), read_came(folder / f"{instance}.came"),
-                   read_read(folder / f"{instance}.read") if second_reader else None)
+                   read_read(folder / f"{instance}.read") if stays and second_reader else None,
+                   read_came(folder / f"{instance}.heard") if stays else None)
 
 
 def check(accounts, emptied=()):
@@ -98,7 +105,29 @@ def check(accounts, emptied=()):
             if where == "the second reader":
                 found += unmarked(copies)
             wrong += [f"{who}, {where}: {text}" for text in found]
+        wrong += [f"{who}, commands: {text}" for text in of_commands(one, emptied)]
     return wrong
+
+
+def commands(one):
+    """The commands that the topology sent to the instance, as one run that accepted them when its bolt had the message for
+    the first time, and the copies that came back to the driver."""
+    numbers, sent = {}, []
+    for copy in one.came:
+        if (copy.run, copy.number) not in numbers:
+            sent.append(copy.time)
+            numbers[copy.run, copy.number] = len(sent)
+    heard = [Copy("1", numbers.get((copy.run, copy.number), 0), copy.time) for copy in one.heard]
+    return Account(one.instance, SPOOLED, [Run("1", 0.0, sent=sent)], heard)
+
+
+def of_commands(one, emptied):
+    if one.heard is None:
+        return []
+    sent = commands(one)
+    found = missing(sent, sent.came, lost_spans(sent, sent.came, emptied))
+    return [text.replace("accepted messages of run 1", "commands") for text in found] + foreign(sent, sent.came) + \
+        out_of_order(sent, sent.came)
 
 
 def overlapping(runs):

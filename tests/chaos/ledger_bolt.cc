@@ -1,5 +1,6 @@
 // A bolt that enters each message of the ledger driver in its instance's book, FOLDER/INSTANCE.came: a line
-// "RUN NUMBER PROCESS TIME", where PROCESS is the worker's. Its configuration names the folder: `books`.
+// "RUN NUMBER PROCESS TIME", where PROCESS is the worker's. It emits the message as a command for that instance. Its
+// configuration names the folder: `books`.
 #include <filesystem>
 #include <map>
 #include <string>
@@ -14,13 +15,16 @@ using namespace iotcloud::topology;
 
 class LedgerBolt final : public BasicBolt {
  public:
-  void declare_output_fields(OutputFieldsDeclarer&) const override {}
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"data", "driverID", "time"});
+  }
   void prepare(const Config& config, const TopologyContext&) override { folder_ = config.at("books"); }
-  void execute(const Tuple& tuple, BasicOutputCollector&) override {
+  void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
     const Entry entry = Entry::parse(tuple.get<Payload>("data").text());
     auto book = books_.find(entry.instance);
     if (book == books_.end()) book = books_.emplace(entry.instance, Book(folder_ / (entry.instance + ".came"))).first;
     book->second.write(entry.run_and_number + ' ' + std::to_string(::getpid()));
+    collector.emit(Values(tuple.get<Payload>("data"), tuple.at("driverID"), tuple.at("time")));
   }
 
  private:

@@ -3,9 +3,11 @@
 //   run RUN TIME        the instance was opened
 //   sent RUN NUMBER TIME   publish() returned `accepted` for this message
 //   end RUN TIME        the instance was closed; a run without this line was killed
-// where RUN is "PROCESS.MICROSECONDS", so that no two are alike. Properties: `folder`; `rate`, messages a second;
-// `kind`: `spooled` or `blocked`, which is the channel's name, too; `shared`: one topic for all instances on the
-// gateway. It sends while the file FOLDER/go exists.
+// where RUN is "PROCESS.MICROSECONDS", so that no two are alike. FOLDER/INSTANCE.heard has a line for each command that
+// came back on the channel `command`, which all instances of the gateway share: "RUN NUMBER LIFE TIME", where RUN and
+// NUMBER are those of the message that the command answers, and LIFE is the run that got it. Properties: `folder`;
+// `rate`, messages a second; `kind`: `spooled` or `blocked`, which is the channel's name, too; `shared`: one topic for
+// all instances on the gateway. It sends while the file FOLDER/go exists.
 #include <algorithm>
 #include <chrono>
 #include <filesystem>
@@ -34,7 +36,12 @@ class Ledger final : public drivers::Driver {
     data.durable = true;
     data.shared = shared;
     data.when_full = kind_ == "spooled" ? drivers::WhenFull::spool : drivers::WhenFull::block;
-    return {data};
+    drivers::ChannelSpec command;
+    command.name = "command";
+    command.direction = drivers::Direction::in;
+    command.durable = true;
+    command.shared = true;
+    return {data, command};
   }
 
   void open(drivers::DriverContext& context) override {
@@ -43,12 +50,17 @@ class Ledger final : public drivers::Driver {
            std::to_string(std::chrono::steady_clock::now().time_since_epoch() / std::chrono::microseconds(1));
     book_ = Book(folder_ / (context.instance_id() + ".sent"));
     book_.write("run " + run_);
+    heard_ = Book(folder_ / (context.instance_id() + ".heard"));
   }
   void activate() override {
     timer_ = context_->every(std::chrono::microseconds(1'000'000 / rate_), [this] { send(); });
   }
   void deactivate() override { context_->stop(timer_); }
   void close() override { book_.write("end " + run_); }
+  // NOLINTNEXTLINE(performance-unnecessary-value-param): the SDK's signature
+  void on_message(std::string_view /*channel*/, drivers::Message message) override {
+    heard_.write(Entry::parse(message.payload.text()).run_and_number + ' ' + run_);
+  }
 
  private:
   void send() {
@@ -69,7 +81,7 @@ class Ledger final : public drivers::Driver {
   std::string kind_, run_;
   std::int64_t rate_ = 1;
   std::uint64_t next_ = 1;
-  Book book_;
+  Book book_, heard_;
 };
 
 }  // namespace

@@ -21,8 +21,8 @@ def copies(*numbers, name="1.1", begin=0.0, marked=False):
     return [Copy(name, number, begin + number + 0.5, marked) for number in numbers]
 
 
-def account(kind, runs, came, read=None):
-    return Account(ID, kind, runs, came, read)
+def account(kind, runs, came, read=None, heard=None):
+    return Account(ID, kind, runs, came, read, heard)
 
 
 class LedgerTest(unittest.TestCase):
@@ -123,6 +123,7 @@ class LedgerTest(unittest.TestCase):
             Path(folder, f"{ID}.sent").write_text("run 7.1 1.0\nsent 7.1 1 1.5\nsent 7.1 2 2.5\nend 7.1 3.0\nrun 8.1 4.0\n"
                                                   "sent 8.1 1 4.5\nsent 8.1 2 5")  # the last line is not whole
             Path(folder, f"{ID}.came").write_text("7.1 1 99 1.6\n7.1 2 99 2.6\n8.1 1 99 4.6\n")
+            Path(folder, f"{ID}.heard").write_text("7.1 1 7.1 1.7\n7.1 2 8.1 2.7\n8.1 1 8.1 4.7\n")
             Path(folder, f"{ID}.read").write_text("7.1 1 0 1.6\n7.1 1 1 1.7\n7.1 2 0 2.6\n8.1 1 0 4.6\n")
             one = ledger.account(folder, ID, SPOOLED, True)
             self.assertEqual([(each.name, each.sent, each.end) for each in one.runs],
@@ -134,6 +135,23 @@ class LedgerTest(unittest.TestCase):
             Path(folder, f"{ID}.sent").write_text("run 7.1 1.0\nsent 7.1 1 1.5\nsent 7.1 3 2.5\n")
             with self.assertRaisesRegex(ValueError, "sent 7.1 3"):
                 ledger.account(folder, ID, SPOOLED, False)
+
+    def test_commands_that_were_lost_overtaken_or_never_sent_are_found(self):
+        def heard(*numbers):
+            return account(BLOCKED, [run(end=9.0)], copies(1, 2, 3, 2), heard=copies(*numbers, begin=0.2))
+
+        self.assertEqual(check([heard(1, 2, 3)]), [])
+        self.assertEqual(check([heard(1, 2, 1, 3, 2)]), [])  # they may come twice
+        self.assert_wrong(check([heard(1, 2)]), "commands: 1 of 3 commands never came: 3;")
+        self.assert_wrong(check([heard()]), "commands: 3 of 3 commands")
+        self.assert_wrong(check([heard(1, 3, 2)]), "commands: 1 messages were overtaken")
+        self.assert_wrong(check([heard(1, 2, 3, 4)]), "commands: 1 messages came that were never sent",
+                          "commands: 1 messages were overtaken")
+
+    def test_a_broker_that_lost_its_data_excuses_commands_that_no_driver_had(self):
+        one = account(SPOOLED, [run()], copies(1, 2, 3, 4, 5), heard=copies(1, 2, 5, begin=0.2))
+        self.assert_wrong(check([one]), "2 of 5 commands never came: 3-4")
+        self.assertEqual(check([one], emptied=[4.4]), [])
 
     def test_numbers_are_told_shortly(self):
         self.assertEqual(ledger.ranges([1, 2, 3, 7, 9, 10]), "1-3, 7, 9-10")
