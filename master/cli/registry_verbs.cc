@@ -1,6 +1,10 @@
 // registry adopt, export, import
+#include <algorithm>
 #include <iterator>
 #include <ostream>
+#include <set>
+#include <stdexcept>
+#include <utility>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -10,8 +14,12 @@
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/order_verbs.h>
+#include <iotcloud/master/cli/output.h>
+#include <iotcloud/master/cli/plugins/plugin_file.h>
+#include <iotcloud/master/cli/plugins/plugin_sending.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/master/orders/backup_file.h>
+#include <iotcloud/security/sha256.h>
 
 namespace iotcloud::master::cli {
 
@@ -49,7 +57,8 @@ class Export final : public Verb {
   Export()
       : Verb({"export",
               "Write a backup of everything that is ordered, secrets included, as JSON: the deployments of all "
-              "gateways, which of them drain, and the orders to topologies",
+              "gateways, which of them drain, and the orders to topologies. Plugins that were sent are not in it; the "
+              "command names those that are needed too",
               "iotcloud registry export backup.json", security::Role::admin, false}) {}
 
   void declare(CLI::App& options) override {
@@ -61,12 +70,16 @@ class Export final : public Verb {
   }
   int run(Call& call) override {
     const std::string text = call.connect()->backup();
+    const Backup backup = decode_backup(text, file_);
     if (file_.empty()) {
       call.out << text;
-      return exit_ok;
+    } else {
+      config::replace_file(file_, text, S_IRUSR | S_IWUSR);
+      call.out << fmt::format("{}: {}\n", file_, words(backup));
     }
-    config::replace_file(file_, text, S_IRUSR | S_IWUSR);
-    call.out << fmt::format("{}: {}\n", file_, words(decode_backup(text, file_)));
+    for (const auto& plugin : backup.missing_plugins) {
+      call.err << fmt::format("not in it, keep the file: {}\n", printable(words(plugin)));
+    }
     return exit_ok;
   }
 
@@ -80,16 +93,31 @@ class Import final : public Verb {
       : Verb({"import",
               "Write the orders of a backup into the registry; what else it has is left alone. Gateways that are "
               "frozen follow them after `iotcloud registry adopt`",
-              "iotcloud registry import backup.json", security::Role::admin}) {}
+              "iotcloud registry import backup.json\n  iotcloud registry import backup.json --plugin ./turtle.so",
+              security::Role::admin}) {}
 
   void declare(CLI::App& options) override {
     options.add_option("FILE", file_, "what `iotcloud registry export` wrote")->required()->type_name("FILE");
     options.add_flag("--replace", replace_, "orders of the backup take the place of others that stand there");
+    options
+        .add_option("--plugin", plugins_,
+                    "a plugin that had been sent: it is sent to the gateways whose orders name it, if they do not have "
+                    "it; may be given several times")
+        ->type_name("FILE");
   }
   int run(Call& call) override {
     const Backup backup = decode_backup(bytes_of(file_), file_);
+    auto missing = sent_plugins(backup.gateways);
+    const auto given = plugins_among(missing);
     const auto master = call.connect();
     OrderResult all;
+    for (const auto& [path, plugin] : given) send(path, plugin, *master, call, all);
+    for (const auto& plugin : missing) {
+      call.err << fmt::format(
+          "{} was sent, and is not in the backup: on a gateway that lost it too, its instances fail until it is sent: "
+          "iotcloud registry import {} --plugin FILE\n",
+          printable(words(plugin)), printable(file_));
+    }
     for (const auto& piece : pieces_of(backup, piece_bytes)) {
       const std::string order =
           discovery::to_text(discovery::to_json<nlohmann::ordered_json>(ImportRequest{piece, replace_}));
@@ -110,8 +138,51 @@ class Import final : public Verb {
   /// A master takes orders of up to discovery::max_node_size, and one deployment may take half of that.
   static constexpr std::size_t piece_bytes = 250'000;
 
+  /// The given files, with what the backup says of them, which it takes out of `missing`.
+  /// \throws std::invalid_argument for a file that no order of the backup names.
+  std::vector<std::pair<std::string, SentPluginBackup>> plugins_among(std::vector<SentPluginBackup>& missing) const {
+    std::vector<std::pair<std::string, SentPluginBackup>> found;
+    for (const auto& name : plugins_) {
+      const std::string path = is_local_plugin(name) ? name : "./" + name;
+      const auto sha256 = security::sha256_hex(plugin_bytes(path));
+      const auto named =
+          std::find_if(missing.begin(), missing.end(), [&](const auto& one) { return one.sha256 == sha256; });
+      if (named == missing.end())
+        throw std::invalid_argument(fmt::format(
+            "{}: no order of {} names a plugin that was sent with these bytes (SHA-256 {})", name, file_, sha256));
+      found.emplace_back(path, *named);
+      missing.erase(named);
+    }
+    return found;
+  }
+
+  /// Sends a plugin to those of its gateways that are registered, and adds a failure for each that did not take it.
+  static void send(const std::string& path, const SentPluginBackup& plugin, MasterClient& master, Call& call,
+                   OrderResult& all) {
+    std::set<discovery::GatewayId> known;
+    for (const auto& gateway : master.gateways()) known.insert(gateway.record.id);
+    std::vector<discovery::GatewayId> receivers;
+    for (const auto& gateway : plugin.gateways) {
+      if (known.contains(gateway)) {
+        receivers.push_back(gateway);
+      } else {
+        all.outcomes.push_back(
+            {gateway,
+             {},
+             OrderOutcome::failed,
+             fmt::format("{} is not sent: the gateway is not registered; import it once more when it is",
+                         plugin.plugin)});
+      }
+    }
+    if (receivers.empty()) return;
+    auto sent = send_plugin(path, receivers, master, call.progress ? &call.err : nullptr);
+    for (auto& failure : sent.failures) failure.reason = fmt::format("{}: {}", plugin.plugin, failure.reason);
+    all.outcomes.insert(all.outcomes.end(), sent.failures.begin(), sent.failures.end());
+  }
+
   std::string file_;
   bool replace_ = false;
+  std::vector<std::string> plugins_;
 };
 
 }  // namespace

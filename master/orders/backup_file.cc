@@ -1,6 +1,7 @@
 #include <algorithm>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/description/json.h>
@@ -12,6 +13,7 @@ namespace iotcloud::master {
 namespace {
 
 constexpr std::size_t largest_file = 256'000'000;  // bytes
+constexpr std::size_t shown_digits = 12;           // of a SHA-256
 
 void check_name(const std::string& path, const char* what, const std::string& name) {
   if (!is_node_name(name))
@@ -19,6 +21,25 @@ void check_name(const std::string& path, const char* what, const std::string& na
 }
 
 }  // namespace
+
+std::vector<SentPluginBackup> sent_plugins(const std::vector<GatewayBackup>& gateways) {
+  std::vector<SentPluginBackup> sent;
+  for (const auto& gateway : gateways) {
+    for (const auto& order : gateway.orders) {
+      if (order.sha256.empty()) continue;
+      auto known = std::find_if(sent.begin(), sent.end(), [&](const auto& one) { return one.sha256 == order.sha256; });
+      if (known == sent.end()) known = sent.insert(sent.end(), SentPluginBackup{order.plugin, order.sha256, {}});
+      if (known->gateways.empty() || known->gateways.back() != gateway.gateway)
+        known->gateways.push_back(gateway.gateway);
+    }
+  }
+  return sent;
+}
+
+std::string words(const SentPluginBackup& plugin) {
+  return fmt::format("{} (SHA-256 {}..., gateways {})", plugin.plugin, plugin.sha256.substr(0, shown_digits),
+                     fmt::join(plugin.gateways, ", "));
+}
 
 std::string words(const Backup& backup) {
   std::size_t orders = 0;
@@ -57,7 +78,7 @@ std::vector<Backup> pieces_of(const Backup& backup, std::size_t bytes) {
       room -= size;
       return false;
     }
-    pieces.push_back({backup.format, backup.made_ms, {}, {}});
+    pieces.push_back({backup.format, backup.made_ms, {}, {}, {}});
     room = bytes - std::min(bytes, size);
     return true;
   };

@@ -29,6 +29,17 @@ struct TopologyBackup {
   friend bool operator==(const TopologyBackup&, const TopologyBackup&) = default;
 };
 
+/// A plugin that was sent to gateways and that orders name.
+struct SentPluginBackup {
+  std::string plugin;  ///< plain file name
+  std::string sha256;
+  std::vector<discovery::GatewayId> gateways;  ///< whose orders name it
+  static constexpr const char* what = "a plugin in a backup";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(plugin, required), IOTCLOUD_FIELD(sha256, required), IOTCLOUD_FIELD(gateways, usual)};
+  friend bool operator==(const SentPluginBackup&, const SentPluginBackup&) = default;
+};
+
 /// Everything that people ordered and the registry keeps; what gateways and workers report is not in it, because they
 /// write that again by themselves. JSON, for people too. It has the properties of deployments, hence their secrets.
 struct Backup {
@@ -37,9 +48,11 @@ struct Backup {
   std::int64_t made_ms = 0;  ///< Unix time
   std::vector<GatewayBackup> gateways;
   std::vector<TopologyBackup> topologies;
+  std::vector<SentPluginBackup> missing_plugins;  ///< needed too: the backup has their names, and not their bytes
   static constexpr const char* what = "a backup of the registry";
-  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(format, required), IOTCLOUD_FIELD(made_ms, usual),
-                                            IOTCLOUD_FIELD(gateways, usual), IOTCLOUD_FIELD(topologies, usual)};
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(format, required), IOTCLOUD_FIELD(made_ms, usual), IOTCLOUD_FIELD(gateways, usual),
+                 IOTCLOUD_FIELD(topologies, usual), IOTCLOUD_FIELD(missing_plugins, rare)};
   friend bool operator==(const Backup&, const Backup&) = default;
 };
 
@@ -50,6 +63,10 @@ struct ImportRequest : Backup {
   static constexpr auto fields = std::tuple_cat(Backup::fields, std::tuple{IOTCLOUD_FIELD(replace, usual)});
 };
 
+/// The plugins that were sent and that the orders name, by name and content.
+std::vector<SentPluginBackup> sent_plugins(const std::vector<GatewayBackup>& gateways);
+/// "turtle.so (SHA-256 0123456789ab..., gateways lab1, lab2)"
+std::string words(const SentPluginBackup& plugin);
 /// "3 orders of 2 gateways, 1 of topologies"
 std::string words(const Backup& backup);
 /// JSON, indented.

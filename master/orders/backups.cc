@@ -42,6 +42,7 @@ Backup Backups::make() const {
     });
     backup.gateways.push_back(std::move(gateway));
   }
+  backup.missing_plugins = sent_plugins(backup.gateways);
   for (const auto& name : registry.children(paths.topologies).value_or(std::vector<std::string>())) {
     const TopologyName topology(name);
     const auto path = paths.topology_order(topology);

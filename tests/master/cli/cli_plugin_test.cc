@@ -56,6 +56,34 @@ TEST_F(CliPlugin, AFileIsSentInPiecesToEveryGatewayAndDeployedByItsContent) {
   EXPECT_EQ(lab1_.site->received(), "") << "it has the plugin already";
 }
 
+TEST_F(CliPlugin, ABackupNamesWhatWasSentAndImportSendsItToGatewaysThatLostIt) {
+  const auto path = write("turtle.so", "turtle");
+  ASSERT_EQ(run({"deploy", "--plugin", path, "--all"}).status, 0);
+  const auto backup = (folder_ / "backup.json").string();
+  const auto named = AllOf(HasSubstr("turtle.so (SHA-256 " + security::sha256_hex("turtle").substr(0, 12)),
+                           HasSubstr("gateways lab1, lab2)"));
+  const auto written = run({"registry", "export", backup});
+  EXPECT_THAT(written.err, named);
+  EXPECT_THAT(read_file(backup), HasSubstr("missing_plugins"));
+
+  EXPECT_THAT(run({"registry", "import", backup}).err, AllOf(named, HasSubstr("--plugin FILE")));
+  lab2_.site->forget();
+  const auto sent = run({"registry", "import", backup, "--plugin", path});
+  EXPECT_EQ(sent.status, 0) << sent.err;
+  EXPECT_EQ(sent.err, "");
+  EXPECT_EQ(lab1_.site->received(), "") << "it has the plugin already";
+  EXPECT_EQ(lab2_.site->received(), "turtle");
+
+  lab2_.site->forget();
+  lab2_.site->refuse_with("the disk is full");
+  const auto refused = run({"registry", "import", backup, "--plugin", path});
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_THAT(refused.out, HasSubstr("turtle.so: the disk is full"));
+  const auto other = run({"registry", "import", backup, "--plugin", write("meter.so", "meter")});
+  EXPECT_EQ(other.status, 2);
+  EXPECT_THAT(other.err, HasSubstr("no order of " + backup + " names a plugin"));
+}
+
 TEST_F(CliPlugin, APlainNameIsAFileOfTheGatewaysWhateverFilesAreHere) {
   const auto done = run({"deploy", "turtle.so", "--gateway", "lab1"});
   EXPECT_EQ(done.status, 0) << done.err;

@@ -46,6 +46,11 @@ class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
     finished_ = offers_.back().sha256;
   }
 
+  /// It has no plugin any more.
+  void forget() {
+    const std::lock_guard lock(mutex_);
+    finished_.clear();
+  }
   void refuse_with(const std::string& reason) {
     const std::lock_guard lock(mutex_);
     refusal_ = reason;

@@ -1,0 +1,103 @@
+#!/usr/bin/python3
+"""ZooKeeper loses all its data under a fleet. Nothing is undeployed: driver hosts go on, and gateways are frozen. A backup
+is imported, the gateways adopt it, and then everything is as ordered before: instances that run, that are stopped, that run
+a plugin which was sent, a gateway that drains, a topology that is deactivated. Masters answer again within the session's
+time-out, and say meanwhile what they wait for.
+
+usage: wiped_registry_test.py BUILD_DIR
+"""
+
+import shutil
+import sys
+import time
+from pathlib import Path
+
+from fault_cluster import FaultCluster
+from private_cluster import StartError, require, wait_for
+
+TIMEOUT_S = 10
+# What a wait takes on a busy machine beside the session's time-out; without the mend it was twice the time-out.
+PATIENCE_S = 6
+
+
+class Fleet(FaultCluster):
+    def begin(self):
+        session = f"registry.session_timeout: {TIMEOUT_S}s"
+        self.start(gateways=3, more=session, masters=2, of_masters=session)
+        self.worker()
+        self.wait_until_ready()
+        # Other bytes than those in the gateways' folders: nobody reads what is behind a library.
+        sent = self.work / "loadgen-sent.so"
+        sent.write_bytes((self.plugins / "loadgen.so").read_bytes() + b"sent")
+        for words in (("deploy", "loadgen.so", "--gateway", "gateway-1", "--name", "meter", "--count", "2", "--metadata",
+                       "site=lab"),
+                      ("deploy", "--plugin", sent, "--gateway", "gateway-2", "--name", "sent"),
+                      ("deploy", "loadgen.so", "--gateway", "gateway-2", "--name", "stopped"),
+                      ("deploy", "loadgen.so", "--gateway", "gateway-3", "--name", "drained"),
+                      ("stop", "--name", "stopped"), ("drain", "gateway-3"), ("topology", "deactivate", "echo")):
+            self.cli(*words)
+
+    def ordered(self):
+        """What people ordered, as the command line shows it."""
+        drivers = {driver["instance"]: {key: driver.get(key) for key in ("gateway", "name", "index", "state", "metadata", "plugin")}
+                   for driver in self.json("drivers")}
+        drains = {gateway["gateway"]: gateway.get("draining", False) for gateway in self.json("gateways")}
+        return drivers, drains, [topology["state"] for topology in self.json("topologies")]
+
+    def hosts(self):
+        return sorted(host for number in (1, 2, 3) for host in self.hosts_of(f"gateway-{number}"))
+
+    def wipe(self):
+        self.order("kill")
+        shutil.rmtree(self.work / "zookeeper/data")
+        (self.work / "zookeeper/data").mkdir()
+        self.order("start")
+
+    def frozen(self):
+        """How many gateways live and do not follow the registry's orders."""
+        return sum(gateway["state"] == "ready" and bool(gateway["frozen"]) for gateway in self.json("gateways"))
+
+
+def main():
+    with Fleet(sys.argv[1], "wiped") as fleet:
+        fleet.begin()
+        before, hosts = fleet.ordered(), fleet.hosts()
+        require(len(before[0]) == 5 and list(before[1].values()).count(True) == 1 and before[2] == ["inactive"], f"at first: {before}")
+        require(len(hosts) >= 3, f"the hosts are {hosts}")
+        backup = fleet.work / "backup.json"
+        print(fleet.cli("registry", "export", backup).strip())
+
+        fleet.wipe()
+        began, said = time.monotonic(), set()
+
+        def answers():
+            try:
+                fleet.json("gateways")
+                return any(fleet.json("status")["master"][key] for key in ("leading", "leader"))
+            except StartError as error:
+                said.add(str(error))
+                raise
+
+        wait_for("a master leads again", answers)
+        took = time.monotonic() - began
+        require(took < TIMEOUT_S + PATIENCE_S, f"no master answered for {took:.1f} s; the session's time-out is {TIMEOUT_S} s")
+        require(any("A new session begins within" in text for text in said), f"nobody said what they wait for: {said}")
+        # A gateway without instances, and one whose instances are stopped, are as frozen as the others.
+        wait_for("all gateways are frozen", lambda: fleet.frozen() == 3)
+        require(fleet.hosts() == hosts, f"the hosts were {hosts} and are {fleet.hosts()}")
+
+        print(fleet.cli("registry", "import", backup).strip())
+        require(fleet.frozen() == 3, "gateways follow orders that nobody has adopted")
+        print(fleet.cli("registry", "adopt", "--all").strip())
+        wait_for("all is as ordered", lambda: fleet.ordered() == before)
+        require(fleet.hosts() == hosts, f"the hosts were {hosts} and are {fleet.hosts()}: something was undeployed meanwhile")
+        fleet.cli("topology", "activate", "echo")
+        fleet.cli("start", "--name", "stopped")
+        fleet.cli("undrain", "gateway-3")
+        wait_for("all instances run", lambda: {driver["state"] for driver in fleet.json("drivers")} == {"active"})
+        fleet.require_alive()
+    print(f"a master led again {took:.1f} s after ZooKeeper had lost its data; {len(before[0])} instances as ordered")
+
+
+if __name__ == "__main__":
+    main()
