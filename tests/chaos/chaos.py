@@ -90,7 +90,7 @@ class Run:
         healed = time.monotonic()
         log(f"{faults.passed():7.2f} s  all faults are over")
 
-        self.violations += self.converge(cluster, instances, orders, healed + self.patience_s)
+        self.violations += self.converge(cluster, instances, orders, healed)
         after = checks.all_figures(cluster)
         self.load(cluster, False)
         self.violations += orders.violations + self.told(orders.start_stopped)
@@ -114,12 +114,16 @@ class Run:
             if time.monotonic() > deadline:
                 raise StartError(f"not within {self.patience_s} s: the registry is put right after it was wiped")
 
-    def converge(self, cluster, instances, orders, deadline):
-        """Waits until the cluster is as it is to be; returns what is not so in the end."""
+    def converge(self, cluster, instances, orders, healed):
+        """Waits until the cluster is as it is to be, and new messages come everywhere: a broker that lost its data before has
+        every reader's queue again. Returns what is not so in the end."""
+        deadline = healed + self.patience_s
         while True:
             cluster.pause(0.2)
             orders.step()
             why = checks.not_converged(cluster, instances, orders) if orders.over else ["an order is not answered"]
+            if not why:
+                why = ledger.silent(accounts_of(cluster, instances), healed)
             if not why:
                 return []
             if time.monotonic() > deadline:
@@ -179,11 +183,16 @@ class Run:
         while True:
             cluster.pause(0.5)
             guests = sorted({book.stem for book in cluster.books.glob("*.sent")} - set(instances))
-            accounts = [ledger.account(cluster.books, instance, kind, True) for instance, kind in instances.items()]
+            accounts = accounts_of(cluster, instances)
             accounts += [ledger.account(cluster.books, instance, ledger.BLOCKED, False) for instance in guests]
             wrong = ledger.check(accounts, cluster.emptied)
             if not wrong or time.monotonic() > deadline:
                 return accounts, wrong
+
+
+def accounts_of(cluster, instances):
+    """Of the instances that stay, which both readers read."""
+    return [ledger.account(cluster.books, instance, kind, True) for instance, kind in instances.items()]
 
 
 def commit(root=ROOT):

@@ -130,6 +130,18 @@ def of_commands(one, emptied):
         out_of_order(sent, sent.came)
 
 
+def silent(accounts, since):
+    """Sentences about readers to which no message came that was accepted after this moment."""
+    wrong = []
+    for one in accounts:
+        sent = {run.name: run.sent for run in one.runs}
+        for where, copies in (("the topology", one.came), ("the second reader", one.read), ("the driver", one.heard)):
+            if copies is not None and not any(copy.run in sent and copy.number <= len(sent[copy.run]) and
+                                              sent[copy.run][copy.number - 1] > since for copy in reversed(copies)):
+                wrong.append(f"{one.kind} {one.instance[:8]}, {where}: no new message came")
+    return wrong
+
+
 def overlapping(runs):
     """An instance of which two ran at the same time: an earlier run wrote a line after a later one had begun."""
     return [f"run {earlier.name} went on for {earlier.last - later.begin:.2f} s after run {later.name} had begun"

@@ -43,6 +43,12 @@ class LedgerTest(unittest.TestCase):
                                   f"1 of 5 accepted messages of run 1.1 never came: {lost};")
                 self.assert_wrong(check([account(kind, [run()], copies(1, 2, 3, 4, 5), came)]), "the second reader: 1 of 5")
 
+    def test_a_reader_is_silent_until_a_message_comes_that_was_accepted_later(self):
+        one = account(SPOOLED, [run()], copies(1, 2, 3, 4, 5), copies(1, 2, 3))
+        self.assertEqual(ledger.silent([one], 2.5), [])
+        self.assert_wrong(ledger.silent([one], 3.0), "the second reader: no new message came")
+        self.assertEqual(len(ledger.silent([one], 5.0)), 2)
+
     def test_a_ledger_without_any_message_that_came_is_wrong(self):
         self.assert_wrong(check([account(SPOOLED, [run()], [])]), "5 of 5 accepted messages")
 
