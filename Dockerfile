@@ -12,8 +12,8 @@ FROM ${BASE} AS build
 RUN apt-get update && apt-get install -y --no-install-recommends \
       g++ lld cmake ninja-build pkg-config \
       librabbitmq-dev librdkafka-dev libqpid-proton-cpp12-dev libzookeeper-mt-dev libthrift-dev thrift-compiler \
-      libyaml-cpp-dev libsnappy-dev libboost-dev librocksdb-dev libspdlog-dev libfmt-dev libcli11-dev prometheus-cpp-dev \
-      nlohmann-json3-dev libssl-dev zlib1g-dev libfreenect-dev libpng-dev libsystemd-dev libseccomp-dev
+      libyaml-cpp-dev libsnappy-dev libboost-dev librocksdb-dev libhiredis-dev libspdlog-dev libfmt-dev libcli11-dev \
+      prometheus-cpp-dev nlohmann-json3-dev libssl-dev zlib1g-dev libfreenect-dev libpng-dev libsystemd-dev libseccomp-dev
 WORKDIR /source
 COPY . .
 # The number of compilers at a time: each takes up to 1 GB. Empty: one for each core.

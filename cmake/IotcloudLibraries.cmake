@@ -45,6 +45,9 @@ find_library(QPID_PROTON_CPP_LIBRARY qpid-proton-cpp REQUIRED)
 find_path(ROCKSDB_INCLUDE_DIR rocksdb/db.h REQUIRED)
 find_library(ROCKSDB_LIBRARY rocksdb REQUIRED)
 
+find_path(HIREDIS_INCLUDE_DIR hiredis/hiredis.h REQUIRED)
+find_library(HIREDIS_LIBRARY hiredis REQUIRED)
+
 # Optional: what needs a library that is not here is left out, and everything else is built.
 pkg_check_modules(ros QUIET IMPORTED_TARGET roscpp geometry_msgs nav_msgs sensor_msgs)
 if(NOT ros_FOUND)

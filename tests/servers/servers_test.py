@@ -116,6 +116,12 @@ class ServersTest(unittest.TestCase):
 
 
 class EveryKindTest(ServersTest):
+    def test_redis(self):
+        self.obeys("redis.py")
+
+    def test_redis_with_tls(self):
+        self.obeys("redis.py", "--tls")
+
     def test_rabbitmq_with_tls(self):
         self.obeys("rabbitmq.py", "--tls")
 

@@ -1,4 +1,5 @@
 #include <charconv>
+#include <random>
 #include <stdexcept>
 #include <vector>
 
@@ -6,10 +7,31 @@
 
 namespace iotcloud::topology {
 
+namespace {
+
+/// 128 random bits as text.
+std::string new_session() {
+  std::random_device random;
+  std::string text;
+  for (int i = 0; i < 4; ++i) text += std::to_string(random()) + (i < 3 ? "-" : "");
+  return text;
+}
+
+StateOwner with_session(StateOwner owner) {
+  if (owner.session.empty()) owner.session = new_session();
+  return owner;
+}
+
+}  // namespace
+
 KeyValueState::KeyValueState(std::shared_ptr<StateStore> store, StateOwner owner)
-    : store_(std::move(store)), owner_(std::move(owner)), state_(store_->load(owner_)) {}
+    : store_(std::move(store)),
+      owner_(with_session(std::move(owner))),
+      shared_(store_->shared()),
+      state_(store_->load(owner_)) {}
 
 const std::string* KeyValueState::find(std::string_view key) const {
+  if (shared_) claim(key);
   const auto found = state_.entries.find(key);
   return found == state_.entries.end() ? nullptr : &found->second;
 }
@@ -17,6 +39,22 @@ const std::string* KeyValueState::find(std::string_view key) const {
 std::string KeyValueState::get(std::string_view key, std::string_view otherwise) const {
   const std::string* value = find(key);
   return value != nullptr ? *value : std::string(otherwise);
+}
+
+/// Claims and reads the key, unless that was done since the last checkpoint.
+void KeyValueState::claim(std::string_view key) const {
+  if (claims_.find(key) != claims_.end()) return;
+  std::string name(key);
+  ClaimedValue claimed = store_->claim(owner_, name);
+  if (const auto own = written_.find(name); own != written_.end() && own->second > claimed.changes) {
+    losses_.push_back("the store has lost " + std::to_string(own->second - claimed.changes) +
+                      " checkpoints of the key \"" + name + "\" of component \"" + owner_.component +
+                      "\": it is as it was before them, and their messages were acknowledged. Did Redis fail over to a "
+                      "replica, or start without its data?");
+    written_.erase(own);
+  }
+  if (claimed.value) state_.entries.insert_or_assign(name, std::move(*claimed.value));
+  claims_.emplace(std::move(name), claimed.changes);
 }
 
 void KeyValueState::put(std::string_view key, std::string value) {
@@ -30,6 +68,7 @@ void KeyValueState::put(std::string_view key, std::string value) {
 }
 
 bool KeyValueState::erase(std::string_view key) {
+  if (shared_) claim(key);
   const auto found = state_.entries.find(key);
   if (found == state_.entries.end()) return false;
   remember(key);
@@ -49,12 +88,62 @@ std::int64_t KeyValueState::get_int(std::string_view key, std::int64_t otherwise
 }
 
 void KeyValueState::remember(std::string_view key) {
-  if (before_.find(key) != before_.end()) return;
   const std::string* value = find(key);
-  before_.emplace(key, value != nullptr ? std::optional(*value) : std::nullopt);
+  const auto add_to = [&](Values& values) {
+    if (values.find(key) != values.end()) return;
+    values.emplace(key, value != nullptr ? std::optional(*value) : std::nullopt);
+  };
+  add_to(before_);
+  if (shared_) add_to(before_call_);
+}
+
+void KeyValueState::commit_claimed() {
+  std::vector<Checkpoint::Claim> claimed;
+  for (const auto& [key, changes] : claims_) claimed.push_back({key, changes});
+  std::vector<Checkpoint::Change> changes;
+  for (const auto& [key, value] : before_) {
+    const auto now = state_.entries.find(key);
+    changes.push_back({key, now == state_.entries.end() ? std::nullopt : std::optional(now->second)});
+  }
+  try {
+    store_->commit(owner_, Checkpoint{state_.version + 1, state_.entries.size(), changes, claimed});
+  } catch (const StateUnavailable&) {
+    throw;
+  } catch (...) {
+    forget_claims();
+    throw;
+  }
+  ++state_.version;
+  for (const auto& [key, value] : changes) written_.insert_or_assign(key, claims_.at(key) + 1);
+}
+
+/// From here on each key is claimed and read again: another task or worker may use it meanwhile.
+void KeyValueState::forget_claims() {
+  claims_.clear();
+  state_.entries.clear();
+  before_.clear();
+  before_call_.clear();
+}
+
+void KeyValueState::undo_call() {
+  restore(std::exchange(before_call_, {}));
+}
+
+void KeyValueState::restore(const Values& values) {
+  for (const auto& [key, value] : values) {
+    if (value) {
+      state_.entries[key] = *value;
+    } else {
+      state_.entries.erase(key);
+    }
+  }
 }
 
 void KeyValueState::checkpoint() {
+  if (shared_) {
+    if (changed()) commit_claimed();
+    return forget_claims();
+  }
   if (!changed()) return;
   std::set<std::string> keys = unsure_;
   for (const auto& [key, value] : before_) keys.insert(key);
@@ -76,14 +165,8 @@ void KeyValueState::checkpoint() {
 }
 
 void KeyValueState::roll_back() {
-  for (auto& [key, value] : before_) {
-    if (value) {
-      state_.entries[key] = std::move(*value);
-    } else {
-      state_.entries.erase(key);
-    }
-  }
-  before_.clear();
+  if (shared_) return forget_claims();
+  restore(std::exchange(before_, {}));
 }
 
 }  // namespace iotcloud::topology

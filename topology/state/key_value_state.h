@@ -7,6 +7,8 @@
 #include <set>
 #include <string>
 #include <string_view>
+#include <utility>
+#include <vector>
 
 #include <iotcloud/topology/state/state_store.h>
 
@@ -14,9 +16,14 @@ namespace iotcloud::topology {
 
 /// The state of one task: keys and values of any bytes. All of it is in memory; the store has the last checkpoint. Only
 /// the task's own calls may use it. References and views are valid until their key changes.
+///
+/// With a shared store (StateStore::shared()) the keys belong to all tasks of the component in all workers. Memory has
+/// those that this task has used since its last checkpoint: the first use of a key claims and reads it. find(), get(),
+/// put() and erase() then throw StateUnavailable while the store is away, and change nothing. Views are valid until the
+/// next checkpoint, which forgets all keys.
 class KeyValueState {
  public:
-  /// Loads the store's last checkpoint. \throws StateError.
+  /// Loads the store's last checkpoint. \throws StateError; StateUnavailable.
   KeyValueState(std::shared_ptr<StateStore> store, StateOwner owner);
 
   /// The value of a key; nullptr if the key does not exist.
@@ -25,6 +32,7 @@ class KeyValueState {
   void put(std::string_view key, std::string value);
   /// \return false if the key did not exist.
   bool erase(std::string_view key);
+  /// With a shared store only the keys that this task has used since its last checkpoint; size() counts these.
   const std::map<std::string, std::string, std::less<>>& entries() const { return state_.entries; }
   std::size_t size() const { return state_.entries.size(); }
 
@@ -32,26 +40,49 @@ class KeyValueState {
   std::int64_t get_int(std::string_view key, std::int64_t otherwise = 0) const;
   void put_int(std::string_view key, std::int64_t value) { put(key, std::to_string(value)); }
 
-  /// How many checkpoints were written since this state was made, by earlier processes too.
+  /// How many checkpoints were written since this state was made, by earlier processes too (not with a shared store).
   std::uint64_t version() const { return state_.version; }
   /// Whether checkpoint() has something to write.
   bool changed() const { return !before_.empty() || !unsure_.empty(); }
 
   /// Writes the changes since the last checkpoint; without changes it does nothing.
-  /// \throws StateError; the state is then rolled back to the last checkpoint.
+  /// \throws StateError; the state is then rolled back to the last checkpoint. StateUnavailable: the changes are still
+  /// there, for the next attempt.
   void checkpoint();
   /// Undoes the changes since the last checkpoint.
   void roll_back();
 
+  /// With a shared store: the changes from here on can be undone by undo_call().
+  void begin_call() { before_call_.clear(); }
+  /// Undoes the changes since begin_call().
+  void undo_call();
+  /// Sentences about keys of which the store has lost checkpoints (a failover of Redis), since the last call.
+  std::vector<std::string> take_losses() { return std::exchange(losses_, {}); }
+
  private:
+  using Values = std::map<std::string, std::optional<std::string>, std::less<>>;
+
+  void claim(std::string_view key) const;
   void remember(std::string_view key);
+  void restore(const Values& values);
+  void commit_claimed();
+  void forget_claims();
 
   const std::shared_ptr<StateStore> store_;
   const StateOwner owner_;
-  StoredState state_;
+  const bool shared_;
+  mutable StoredState state_;  ///< find() adds what it has claimed
   /// Values of changed keys at the last checkpoint; nullopt: the key did not exist.
-  std::map<std::string, std::optional<std::string>, std::less<>> before_;
+  Values before_;
   std::set<std::string> unsure_;  ///< keys of a failed checkpoint, which the store may have written or not
+
+  // With a shared store:
+  /// Keys that were claimed since the last checkpoint, with ClaimedValue::changes.
+  mutable std::map<std::string, std::uint64_t, std::less<>> claims_;
+  /// ClaimedValue::changes of each key that this task has written, as of then: a claim that brings less shows a loss.
+  mutable std::map<std::string, std::uint64_t, std::less<>> written_;
+  mutable std::vector<std::string> losses_;
+  Values before_call_;  ///< as before_, since begin_call()
 };
 
 }  // namespace iotcloud::topology

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/topology/state/redis/redis_store.h>
 #include <iotcloud/topology/state/rocksdb/rocksdb_store.h>
 #include <iotcloud/topology/state/state_store.h>
 
@@ -57,9 +58,12 @@ class OpenStores {
       store = kept_.emplace_back(std::make_shared<MemoryStore>());
     } else if (url.starts_with(rocksdb) && url.size() > rocksdb.size() + 1 && url[rocksdb.size()] == '/') {
       store = internal::open_rocksdb(url.substr(rocksdb.size()));
+    } else if (url.starts_with("redis://") || url.starts_with("rediss://")) {
+      store = internal::open_redis(url);
     } else {
       used_.erase(url);
-      throw StateError("\"" + url + "\" is no state store; write memory://NAME or rocksdb:///absolute/path");
+      throw StateError("\"" + url +
+                       "\" is no state store; write memory://NAME, rocksdb:///absolute/path or redis://HOST:PORT");
     }
     used_[url] = store;
     return store;

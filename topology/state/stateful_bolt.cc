@@ -1,3 +1,4 @@
+#include <deque>
 #include <optional>
 #include <stdexcept>
 #include <vector>
@@ -23,7 +24,7 @@ StateOptions configured(StateOptions options, const Config& config) {
   if (options.store.empty()) {
     throw std::invalid_argument(
         "a stateful bolt needs a store (StateOptions::store, or conf state.store): "
-        "memory://NAME or rocksdb:///path");
+        "memory://NAME, rocksdb:///path or redis://HOST:PORT");
   }
   if (options.checkpoint.count() <= 0) throw std::invalid_argument("the period of checkpoints must be more than zero");
   return options;
@@ -44,6 +45,16 @@ class HoldingCollector final : public OutputCollector {
   std::vector<Tuple> take() {
     const config::MutexLock lock(mutex_);
     return std::exchange(held_, {});
+  }
+  /// Holds these again.
+  void put_back(const std::vector<Tuple>& tuples) {
+    const config::MutexLock lock(mutex_);
+    held_.insert(held_.begin(), tuples.begin(), tuples.end());
+  }
+  /// Takes an ack back.
+  void forget(const Tuple& tuple) {
+    const config::MutexLock lock(mutex_);
+    std::erase_if(held_, [&](const Tuple& held) { return held.data() == tuple.data(); });
   }
 
  protected:
@@ -78,6 +89,8 @@ class StatefulBoltExecutor final : public Bolt {
         {"topology", context.topology}, {"component", context.component}, {"task", std::to_string(context.task)}};
     checkpoints_ = &context.metrics->counter("iotcloud_task_checkpoints_total", "Checkpoints made durable", labels);
     failures_ = &context.metrics->counter("iotcloud_task_checkpoint_failures_total", "Checkpoints that failed", labels);
+    losses_ = &context.metrics->counter("iotcloud_task_state_losses_total",
+                                        "Keys of which the state store has lost checkpoints", labels);
     collector_ = &collector;
     holding_.emplace(collector);
     state_.emplace(make_state_store(options.store),
@@ -89,8 +102,9 @@ class StatefulBoltExecutor final : public Bolt {
   void execute(const Tuple& tuple) override {
     if (tuple.is_tick()) {
       checkpoint();
-    } else {
-      bolt_->execute(tuple);
+      execute_waiting();
+    } else if (!waiting_.empty() || !execute_now(tuple)) {
+      waiting_.push_back(tuple);
     }
   }
 
@@ -106,6 +120,12 @@ class StatefulBoltExecutor final : public Bolt {
       const bool changed = state_->changed();
       state_->checkpoint();
       if (changed) checkpoints_->add();
+      tell_losses();
+    } catch (const StateUnavailable& e) {
+      tell_unavailable(e);
+      holding_->put_back(held);
+      for (const Tuple& tuple : held) collector_->reset_timeout(tuple);
+      return;
     } catch (const std::exception& e) {
       give_up(held, e.what());
       return;
@@ -114,6 +134,40 @@ class StatefulBoltExecutor final : public Bolt {
       return;
     }
     for (const Tuple& tuple : held) collector_->ack(tuple);
+  }
+
+  /// \return false if the store is away: the tuple has changed nothing, and must wait
+  bool execute_now(const Tuple& tuple) {
+    state_->begin_call();
+    try {
+      bolt_->execute(tuple);
+    } catch (const StateUnavailable& e) {
+      state_->undo_call();
+      holding_->forget(tuple);
+      tell_unavailable(e);
+      return false;
+    }
+    said_unavailable_ = false;
+    tell_losses();
+    return true;
+  }
+
+  /// Executes the tuples that wait for the store, in order, as long as it is there.
+  void execute_waiting() {
+    while (!waiting_.empty() && execute_now(waiting_.front())) waiting_.pop_front();
+    for (const Tuple& tuple : waiting_) collector_->reset_timeout(tuple);
+  }
+
+  void tell_unavailable(const StateUnavailable& why) {
+    if (std::exchange(said_unavailable_, true)) return;
+    collector_->report_error("tuples wait for the state store, and nothing is acked: " + std::string(why.what()));
+  }
+
+  void tell_losses() {
+    for (const std::string& loss : state_->take_losses()) {
+      losses_->add();
+      collector_->report_error(loss);
+    }
   }
 
   void give_up(const std::vector<Tuple>& held, const std::string& why) {
@@ -131,6 +185,9 @@ class StatefulBoltExecutor final : public Bolt {
   std::optional<KeyValueState> state_;
   config::Counter* checkpoints_ = nullptr;
   config::Counter* failures_ = nullptr;
+  config::Counter* losses_ = nullptr;
+  std::deque<Tuple> waiting_;      ///< for a store that is away
+  bool said_unavailable_ = false;  ///< since the store went away
 };
 
 }  // namespace

@@ -23,6 +23,9 @@ class StatefulBolt {
   /// Called after prepare() with the state of the last checkpoint, perhaps of an earlier process. `state` lives until
   /// after cleanup().
   virtual void init_state(KeyValueState& state) = 0;
+  /// With a shared store (Redis) the state's functions throw StateUnavailable while the store is away. Let it pass: the
+  /// state is put back as it was before this call, and the tuple is executed again, and not acked or failed before. So
+  /// use the state before you ack the tuple.
   virtual void execute(const Tuple& tuple) = 0;
   /// Called before a checkpoint: the last moment to put data into the state that the bolt keeps outside of it.
   virtual void pre_checkpoint() {}
@@ -41,7 +44,7 @@ struct StateOptions {
 /// Wraps a stateful bolt as a Bolt.
 std::unique_ptr<Bolt> run_stateful(std::unique_ptr<StatefulBolt> bolt, StateOptions options);
 
-/// For TopologyBuilder::set_bolt. The configuration's `state.store` ("rocksdb:///var/lib/counts") and
+/// For TopologyBuilder::set_bolt. The configuration's `state.store` ("rocksdb:///var/lib/counts", "redis://...") and
 /// `state.checkpoint` ("500ms") override the options. TopologyBuilder::build() refuses unusable options.
 template <typename T, typename... Args>
 BoltFactory make_stateful_bolt(StateOptions options = {}, Args... args) {

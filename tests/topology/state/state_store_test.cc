@@ -100,7 +100,7 @@ TEST_P(StateStores, AnotherNumberOfTasksIsRefused) {
 }
 
 TEST(StateStore, OtherUrlsAreRefusedWithWhatWouldBeRight) {
-  for (const char* url : {"", "memory://", "rocksdb://", "rocksdb://relative", "redis://host", "/path"}) {
+  for (const char* url : {"", "memory://", "rocksdb://", "rocksdb://relative", "mysql://host", "/path"}) {
     EXPECT_THAT(problem_of([url] { make_state_store(url); }), HasSubstr("rocksdb:///absolute/path")) << url;
   }
 }

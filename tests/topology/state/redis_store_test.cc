@@ -1,0 +1,247 @@
+// State in Redis: who may write it, and what becomes of it when a server dies, fails over or could forget.
+#include <cstdlib>
+#include <fstream>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/tests/servers/private_server.h>
+#include <iotcloud/tests/topology/state/counting.h>
+#include <iotcloud/tests/topology/state/state_fixture.h>
+#include <iotcloud/topology/state/key_value_state.h>
+#include <iotcloud/topology/state/state_store.h>
+
+namespace iotcloud::topology::workshop {
+namespace {
+
+using testing::AllOf;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+/// A server for all tests of this process; each test has a topology of its own in it.
+tests::PrivateServer& redis() {
+  static tests::PrivateServer server("redis.py");
+  return server;
+}
+
+class RedisState : public testing::Test {
+ protected:
+  /// One task, as in another process.
+  KeyValueState task(int index = 0, int count = 2) const {
+    return {make_state_store(redis().url()), StateOwner{topology_, "count", index, count}};
+  }
+
+ private:
+  const std::string topology_ = testing::UnitTest::GetInstance()->current_test_info()->name();
+};
+
+TEST_F(RedisState, ACheckpointOfOneTaskIsWhatTheNextTaskFindsWhateverTheNumberOfTasks) {
+  const std::string key("\0\xff k:\0", 6), value("\0+\0\xfe", 4);
+  KeyValueState first = task(0, 2);
+  first.put(key, value);
+  first.put("", "the empty key");
+  first.put("erased", "1");
+  first.checkpoint();
+  first.erase("erased");
+  first.put_int("number", -7);
+  first.checkpoint();
+  first.put("forgotten", "2");
+  EXPECT_TRUE(first.changed());
+
+  KeyValueState second = task(4, 5);
+  ASSERT_NE(second.find(key), nullptr);
+  EXPECT_EQ(*second.find(key), value);
+  EXPECT_EQ(second.get(""), "the empty key");
+  EXPECT_EQ(second.get_int("number"), -7);
+  EXPECT_EQ(second.find("erased"), nullptr);
+  EXPECT_EQ(second.find("forgotten"), nullptr) << "no checkpoint wrote it";
+}
+
+TEST_F(RedisState, AnotherComponentOrTopologyHasOtherKeysAlsoWithAColonInItsName) {
+  const auto store = make_state_store(redis().url());
+  KeyValueState one(store, {"a:b", "c", 0, 1}), other(store, {"a", "b:c", 0, 1});
+  one.put("key", "1");
+  one.checkpoint();
+  EXPECT_EQ(other.find("key"), nullptr);
+}
+
+TEST_F(RedisState, ATaskWhoseKeyAnotherOneHasClaimedWritesNothing) {
+  KeyValueState lost = task(), next = task();
+  lost.put("driver", "1");
+  lost.checkpoint();
+  lost.put("driver", "2");
+  lost.put("other", "2");
+  EXPECT_EQ(next.get("driver"), "1") << "it claims the key";
+  EXPECT_THROW(lost.checkpoint(), StateClaimed);
+  EXPECT_FALSE(lost.changed()) << "what it had is void";
+  next.put("driver", "3");
+  next.checkpoint();
+  EXPECT_EQ(lost.get("driver"), "3") << "it reads the key again, and so it has it again";
+  EXPECT_EQ(lost.find("other"), nullptr) << "a checkpoint is written whole or not at all";
+}
+
+TEST_F(RedisState, ATaskThatHasReadAKeyReadsItAgainAfterEachCheckpoint) {
+  KeyValueState here = task(), there = task();
+  EXPECT_EQ(here.get_int("driver"), 0);
+  here.checkpoint();
+  there.put_int("driver", 5);
+  there.checkpoint();
+  EXPECT_EQ(here.get_int("driver"), 5);
+}
+
+TEST_F(RedisState, ACallThatFailedIsUndoneAndNotWhatCameBeforeIt) {
+  KeyValueState state = task();
+  state.put("a", "1");
+  state.begin_call();
+  state.put("a", "2");
+  state.put("b", "2");
+  state.erase("a");
+  state.undo_call();
+  state.checkpoint();
+  KeyValueState next = task();
+  EXPECT_EQ(next.get("a"), "1");
+  EXPECT_EQ(next.find("b"), nullptr);
+}
+
+TEST_F(RedisState, ACheckpointWithoutAnAnswerIsMadeAgainAndCountsOnce) {
+  KeyValueState state = task();
+  state.put_int("a", state.get_int("a") + 1);
+  state.put("erased", "1");
+  state.checkpoint();
+  state.put_int("a", state.get_int("a") + 1);
+  state.erase("erased");
+  redis().pause();
+  EXPECT_THROW(state.checkpoint(), StateUnavailable);
+  redis().resume();
+  EXPECT_TRUE(eventually([&] {
+    try {
+      state.checkpoint();
+      return true;
+    } catch (const StateUnavailable&) {
+      return false;
+    }
+  }));
+  EXPECT_EQ(task().get_int("a"), 2);
+  EXPECT_EQ(task().find("erased"), nullptr);
+}
+
+/// A topology that counts in a server.
+BoltFactory counting_in(const std::string& url) {
+  return make_stateful_bolt<Count>({.store = url, .checkpoint = 100ms});
+}
+
+TEST(StateWithoutItsRedis, TuplesWaitAndNothingIsAckedUntilItIsBack) {
+  tests::PrivateServer server("redis.py");
+  Counting counting(counting_in(server.url()));
+  counting.put("a");
+  counting.pass(100ms);
+  EXPECT_THAT(counting.source->acked(), ElementsAre(1));
+  counting.put("a");
+  server.kill();
+  for (const char* word : {"a", "b", "a"}) counting.put(word);
+  // Longer than the time-out of a message: those that wait are not emitted again.
+  for (int i = 0; i < 400; ++i) counting.pass(100ms);
+  EXPECT_THAT(counting.source->acked(), ElementsAre(1));
+  EXPECT_THAT(counting.source->failed(), IsEmpty());
+  EXPECT_THAT(counting.runtime->snapshot().component("count").last_error,
+              AllOf(HasSubstr("tuples wait"), HasSubstr("cannot be reached")));
+  server.start();
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    return counting.source->acked().size() == 5;
+  }));
+  EXPECT_THAT(counting.source->failed(), IsEmpty());
+  EXPECT_THAT(counting.seen(), testing::UnorderedElementsAre("a=1", "a=2", "a=3", "a=4", "b=1"));
+  EXPECT_EQ(KeyValueState(make_state_store(server.url()), {"t", "count", 0, 1}).get_int("a"), 4);
+}
+
+TEST(StateWithoutItsRedis, ATopologyStartsAndItsTuplesWait) {
+  tests::PrivateServer server("redis.py");
+  server.kill();
+  Counting counting(counting_in(server.url()));
+  counting.put("a");
+  counting.pass(100ms);
+  EXPECT_THAT(counting.seen(), IsEmpty());
+  server.start();
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    return counting.source->acked().size() == 1;
+  }));
+  EXPECT_THAT(counting.seen(), ElementsAre("a=1"));
+}
+
+TEST(ARedisThatFailsOver, LosesItsLastWritesAndThatIsFoundAndSaid) {
+  tests::PrivateServer first("redis.py"), second("redis.py");
+  const auto port_of = [](const std::string& url) { return url.substr(url.rfind(':') + 1); };
+  Counting counting(counting_in(first.url() + ",127.0.0.1:" + port_of(second.url())));
+  counting.put("a");
+  counting.pass(100ms);
+  second.command("follow " + port_of(first.url()), "FOLLOWING");
+  second.command("lead", "LEADS");  // as if its link had been slow since
+  for (const char* word : {"a", "a"}) {
+    counting.put(word);
+    counting.pass(100ms);
+  }
+  ASSERT_THAT(counting.source->acked(), SizeIs(3));
+  first.kill();
+  counting.put("a");
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    return counting.source->acked().size() == 4;
+  }));
+  EXPECT_THAT(counting.seen().back(), "a=2") << "two acked words are lost";
+  EXPECT_THAT(counting.runtime->snapshot().component("count").last_error,
+              HasSubstr("lost 2 checkpoints of the key \"a\" of component \"count\""));
+  double losses = 0;
+  for (const auto& sample : counting.bench.metrics.collect()) {
+    if (sample.name == "iotcloud_task_state_losses_total") losses += sample.value;
+  }
+  EXPECT_EQ(losses, 1);
+}
+
+TEST(ARedisThatMayForget, IsRefusedAtTheStartWithWhatToSet) {
+  tests::PrivateServer server("redis.py");
+  server.command("policy allkeys-lru", "POLICY");
+  EXPECT_THAT(problem_of([&] { const Counting counting(counting_in(server.url())); }),
+              AllOf(HasSubstr("maxmemory-policy allkeys-lru"), HasSubstr("set maxmemory-policy noeviction")));
+}
+
+TEST(ARedisOnAnotherMachine, IsRefusedWithoutTlsOrWithoutAUserAndPassword) {
+  const auto refusal = [](const std::string& url) { return problem_of([&] { make_state_store(url); }); };
+  EXPECT_THAT(refusal("redis://10.0.0.7:6379"), AllOf(HasSubstr("10.0.0.7 is another machine"), HasSubstr("TLS")));
+  EXPECT_THAT(refusal("redis://127.0.0.1,redis.lab"), HasSubstr("redis.lab is another machine"));
+  EXPECT_THAT(refusal("rediss://redis.lab:6380"), HasSubstr("ACL user"));
+  EXPECT_THAT(refusal("rediss://iotcloud@redis.lab:6380"), HasSubstr("ACL user"));
+  EXPECT_EQ(refusal("rediss://iotcloud@redis.lab:6380?password_file=/etc/iotcloud/redis"), "");
+  EXPECT_EQ(refusal("redis://[::1]:7000"), "");
+  EXPECT_THAT(refusal("redis://me:secret@127.0.0.1"),
+              AllOf(HasSubstr("must not be in it"), testing::Not(HasSubstr("secret"))));
+  EXPECT_THAT(refusal("redis://127.0.0.1:none"), HasSubstr("no HOST:PORT"));
+  EXPECT_THAT(refusal("redis://127.0.0.1?user=x"), HasSubstr("no option \"user\""));
+}
+
+TEST(ARedisWithTls, LetsInWhoKnowsThePasswordAndIsBelievedOnlyWithItsAuthority) {
+  tests::PrivateServer server("redis.py", {"--tls"});
+  const std::string folder = server.folder().string();
+  std::ofstream(folder + "/right") << tests::server_password << "\n";
+  std::ofstream(folder + "/wrong") << "guessed\n";
+  const std::string own = "&certificate_file=" + folder + "/client.pem&key_file=" + folder + "/client.key";
+  const std::string trusted = "&ca_file=" + folder + "/ca.pem";
+  const auto state = [&](const std::string& password, const std::string& options) {
+    return KeyValueState(make_state_store(server.url() + "?password_file=" + folder + password + options),
+                         {"t", "count", 0, 1});
+  };
+  KeyValueState first = state("/right", own + trusted);
+  first.put("big", std::string(200'000, 'x'));
+  first.checkpoint();
+  EXPECT_THAT(state("/right", own + trusted).get("big"), SizeIs(200'000));
+  EXPECT_THAT(problem_of([&] { state("/wrong", own + trusted); }), HasSubstr("WRONGPASS"));
+  EXPECT_THAT(problem_of([&] { state("/right", own); }), HasSubstr("certificate"));
+  EXPECT_THAT(problem_of([&] { state("/absent", own + trusted); }), HasSubstr("cannot be read"));
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::workshop
