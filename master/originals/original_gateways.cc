@@ -12,7 +12,7 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/master/orders/node_name.h>
 #include <iotcloud/master/originals/original_gateways.h>
-#include <iotcloud/master/originals/site_client.h>
+#include <iotcloud/master/gateways/site_client.h>
 
 namespace iotcloud::master {
 

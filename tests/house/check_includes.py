@@ -33,8 +33,6 @@ OUTSIDE = ("examples", "tests", "bench")  # users of the rooms
 FOLDERS = {
     "topology/runtime/scheduling": [],
 }
-# Of two folders of these rooms that lie beside each other one at most uses the other.
-ONE_WAY = ("processes", "discovery", "gateway", "topology")
 # Only these may name an implementation: its own folder, the factory, and who starts the in-process servers.
 IMPLEMENTATIONS = {
     "brokers/embedded": ["brokers/make_broker.cc", "topology/local/"],
@@ -106,11 +104,11 @@ def includes_of(root, file):
 
 
 def check_folders(root, files):
-    """Folders of one room that use each other, neither within the other."""
+    """Folders of one room that use each other, neither within the other: of two one at most may use the other."""
     uses = {}
     for file in files:
         folder = posixpath.dirname(file)
-        if folder.split("/")[0] not in ONE_WAY:
+        if folder.split("/")[0] not in ROOMS:
             continue
         for number, text, target in includes_of(root, file):
             other = posixpath.dirname(target)
