@@ -10,9 +10,9 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/master/gateways/site_client.h>
 #include <iotcloud/master/orders/node_name.h>
 #include <iotcloud/master/originals/original_gateways.h>
-#include <iotcloud/master/gateways/site_client.h>
 
 namespace iotcloud::master {
 
