@@ -87,7 +87,7 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
     if (over) return;
     watch_own_node();
     if (in_line) {
-      look();
+      find_place();
     } else {
       first = true;
     }
@@ -122,7 +122,7 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
 
   /// Finds the member's place in line. It reads the list of members once; after that a watch of the predecessor's node
   /// suffices.
-  void look() IOTCLOUD_REQUIRES(turn) {
+  void find_place() IOTCLOUD_REQUIRES(turn) {
     list_watch = registry.watch_children(path, guarded([](Impl& self, const std::optional<Names>& names) {
                                            self.turn.assert_held();
                                            self.on_members(members_in_order(names.value_or(Names())));
@@ -137,7 +137,7 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
       predecessor_watch =
           registry.watch_node(path + "/" + *std::prev(own), guarded([](Impl& self, const std::optional<Node>& node) {
                                 self.turn.assert_held();
-                                if (!node) self.look();
+                                if (!node) self.find_place();
                               }));
       return;
     }

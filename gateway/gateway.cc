@@ -64,7 +64,7 @@ struct Gateway::Impl {
     to.present = [this] { return instances.present(); };
     to.without_record = [this](const auto& of) { return instances.without_record(of); };
     to.on_frozen = [this] { instances.publish_adopted(); };
-    to.on_looked = [this] {
+    to.on_orders_read = [this] {
       knows_registry = true;
       write_records();
     };
@@ -89,7 +89,7 @@ struct Gateway::Impl {
   bool stopping = false;
   bool awaits_return = false;
   std::optional<config::Clock::Instant> confirmed;  ///< when the registry was asked that last confirmed the place
-  bool knows_registry = false;                      ///< the feed has looked at it since the last connection
+  bool knows_registry = false;                      ///< the feed has read the orders since the last connection
   bool restore_due = false;                         ///< the registry may have lost records of this gateway
   discovery::GuardPtr session_listener, alive_watch;
 
@@ -166,7 +166,7 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first
     case Membership::Result::taken:
       break;
   }
-  if (membership.hopeless()) {
+  if (membership.must_be_another()) {
     end_replaced([this, first](const std::string& why) {
       if (first) {
         first->set_value(why);
@@ -256,7 +256,7 @@ void Gateway::Impl::alive_changed(const std::optional<discovery::Node>& node) {
     case Membership::Holder::self:
       break;
   }
-  if (restore_due) feed.look();
+  if (restore_due) feed.read_orders();
 }
 
 /// After the end of a session the node returns by itself. When somebody removed it, it does not.
@@ -284,7 +284,7 @@ void Gateway::Impl::await_return() {
 void Gateway::Impl::end_replaced(const std::function<void(const std::string& why)>& then) {
   const std::string why =
       fmt::format("another gateway with the id \"{}\" is alive ({}); give this one an id of its own, or stop the other",
-                  options.id, membership.incumbent());
+                  options.id, membership.holder_address());
   logger.error("{}; this gateway ends, and its driver hosts with it", why);
   stop_orders();
   instances.abandon(fencing_limit, [then, why] { then(why); });

@@ -42,7 +42,7 @@ Membership::Result Membership::join() {
   }
 }
 
-bool Membership::hopeless() const {
+bool Membership::must_be_another() const {
   return options_.clock->now() - first_try_ > options_.session_timeout + options_.session_timeout / 2;
 }
 
@@ -52,17 +52,17 @@ void Membership::write_record() {
 
 /// Whether a dead run of this gateway wrote the node: the state folder, which this run has locked, is the same.
 bool Membership::is_own_predecessor(const discovery::Node& alive) {
-  return life_of(alive).state == options_.state_id && !options_.state_id.empty();
+  return read_holder(alive).state == options_.state_id && !options_.state_id.empty();
 }
 
 /// Also remembers who it is, for messages.
-discovery::GatewayLife Membership::life_of(const discovery::Node& alive) {
+discovery::GatewayLife Membership::read_holder(const discovery::Node& alive) {
   try {
     auto life = discovery::decode_life(alive.data, paths_.gateway_alive(options_.record.id));
-    incumbent_ = fmt::format("{}:{}", life.host, life.port);
+    holder_address_ = fmt::format("{}:{}", life.host, life.port);
     return life;
   } catch (const config::Error& e) {
-    incumbent_ = "it does not say where";
+    holder_address_ = "it does not say where";
     logger.warn("{}", e.what());
     return {};
   }

@@ -39,7 +39,7 @@ class Membership {
     /// The node was removed, or its session has expired and this process's node is not there again yet. Or it is that
     /// of a dead run of this gateway, which came back with a backup of the registry and goes when its session expires.
     nobody,
-    another,  ///< another process: incumbent()
+    another,  ///< another process: holder_address()
   };
 
   Result join();
@@ -51,15 +51,15 @@ class Membership {
   void restore_record();
   /// After `taken`: join() has been tried for so long that a dead gateway's session must have expired, so another
   /// gateway is alive.
-  bool hopeless() const;
+  bool must_be_another() const;
   /// Describes who holds the id, for the error message.
-  const std::string& incumbent() const { return incumbent_; }
+  const std::string& holder_address() const { return holder_address_; }
   void leave() { alive_.reset(); }
 
  private:
   void write_record();
   bool is_own_predecessor(const discovery::Node& alive);
-  discovery::GatewayLife life_of(const discovery::Node& alive);
+  discovery::GatewayLife read_holder(const discovery::Node& alive);
 
   discovery::Registry& registry_;
   const discovery::Paths paths_;
@@ -67,7 +67,7 @@ class Membership {
   const std::string identity_;  ///< data of the ephemeral node, JSON
   config::Clock::Instant first_try_{};
   bool tried_ = false;
-  std::string incumbent_;
+  std::string holder_address_;
   discovery::GuardPtr alive_;
 };
 

@@ -50,11 +50,11 @@ void OrderFeed::start() {
   });
   node_watch_ = registry_.watch_node(list, [this](const std::optional<discovery::Node>& node) {
     loop_.post([this, created = node ? std::optional(node->created) : std::nullopt] {
-      if (created != followed_ || !frozen().empty()) look();
+      if (created != followed_ || !frozen().empty()) read_orders();
     });
   });
   session_listener_ = registry_.on_session([this](discovery::SessionState state) {
-    if (state == discovery::SessionState::connected) loop_.post([this] { look(); });
+    if (state == discovery::SessionState::connected) loop_.post([this] { read_orders(); });
   });
 }
 
@@ -76,7 +76,7 @@ std::optional<discovery::FreezeRecord> OrderFeed::freeze_record() const {
   return freeze_;
 }
 
-void OrderFeed::look(Reading reading) {
+void OrderFeed::read_orders(Reading reading) {
   if (stopped_) return;
   try {
     const Found found = read_registry(frozen().empty() ? reading : Reading::all);
@@ -86,7 +86,7 @@ void OrderFeed::look(Reading reading) {
     } else {
       follow_all(found);
     }
-    listener_.on_looked();
+    listener_.on_orders_read();
     return;
   } catch (const discovery::RegistryError& e) {
     logger.debug("the orders are read when the registry answers: {}", e.what());
@@ -95,7 +95,7 @@ void OrderFeed::look(Reading reading) {
   if (registry_.session() != discovery::SessionState::connected || std::exchange(retrying_, true)) return;
   loop_.start_timer(look_pause, std::chrono::microseconds{0}, [this] {
     retrying_ = false;
-    look();
+    read_orders();
   });
 }
 
@@ -113,7 +113,7 @@ void OrderFeed::follow_all(const Found& found) {
   Instances names = found.names();
   if (!adopted) names.merge(just_gone(names));
   follow_names(names);
-  if (!gone_.empty()) look_again_soon();
+  if (!gone_.empty()) read_again_soon();
   for (const auto& [name, node] : found.orders) {
     if (!node || is_handled(name, *node)) continue;
     initial_.insert(name);
@@ -136,12 +136,12 @@ OrderFeed::Instances OrderFeed::just_gone(const Instances& names) {
   return young;
 }
 
-void OrderFeed::look_again_soon() {
-  if (std::exchange(looks_again_, true)) return;
+void OrderFeed::read_again_soon() {
+  if (std::exchange(reads_again_, true)) return;
   const auto left = std::chrono::ceil<std::chrono::milliseconds>(last_gone_ + vanish_pause - clock_.now());
   loop_.start_timer(std::max(left, std::chrono::milliseconds{1}), std::chrono::microseconds{0}, [this] {
-    looks_again_ = false;
-    look(Reading::names);
+    reads_again_ = false;
+    read_orders(Reading::names);
   });
 }
 
@@ -291,7 +291,7 @@ void OrderFeed::names_changed(const std::optional<std::vector<std::string>>& nam
   if (frozen().empty() && !order_watches_.empty() && std::all_of(order_watches_.begin(), order_watches_.end(), stays)) {
     follow_names(now);
   } else {
-    look(told_first_ && !order_watches_.empty() ? Reading::names : Reading::all);
+    read_orders(told_first_ && !order_watches_.empty() ? Reading::names : Reading::all);
   }
 }
 
@@ -327,7 +327,7 @@ void OrderFeed::order_changed(const discovery::InstanceId& instance, const std::
   const bool same = node && (handled == handled_.end() ||
                              (handled->second.first == node->created && handled->second.second <= node->version));
   if (!same) {
-    look(node ? Reading::all : Reading::names);
+    read_orders(node ? Reading::all : Reading::names);
   } else if (!is_handled(instance, *node)) {
     take(instance, *node);
   }

@@ -47,7 +47,7 @@ class OrderFeed {
     /// The feed has just been frozen.
     std::function<void()> on_frozen;
     /// The orders have been read, and are followed or not: from now on the gateway may write its records.
-    std::function<void()> on_looked;
+    std::function<void()> on_orders_read;
   };
 
   OrderFeed(discovery::Registry& registry, discovery::Paths paths, discovery::GatewayId gateway, EventLoop& loop,
@@ -56,9 +56,9 @@ class OrderFeed {
   void start();
   /// Afterwards the listener is not called any more.
   void stop();
-  /// Looks whether the registry still has this gateway's orders, and reads them; the listener's on_looked tells when
-  /// that is done, which may be later, when the registry answers.
-  void look() { look(Reading::all); }
+  /// Looks whether the registry still has this gateway's orders, and reads them; the listener's on_orders_read tells
+  /// when that is done, which may be later, when the registry answers.
+  void read_orders() { read_orders(Reading::all); }
   /// The highest epoch of the orders seen. Thread safe.
   std::int64_t epoch() const { return epoch_; }
   /// Why no orders are followed now; empty: they are followed. Thread safe.
@@ -72,7 +72,7 @@ class OrderFeed {
     std::string reason;
     bool lasting = false;  ///< see FreezeRecord
   };
-  void look(Reading reading);
+  void read_orders(Reading reading);
   Found read_registry(Reading reading);
   bool nothing_to_lose() const;
   std::optional<Objection> objection(const Found& found) const;
@@ -82,7 +82,7 @@ class OrderFeed {
   void follow_all(const Found& found);
   bool thaw();
   Instances just_gone(const Instances& names);
-  void look_again_soon();
+  void read_again_soon();
   std::optional<discovery::FreezeRecord> freeze_record() const;
   void names_changed(const std::optional<std::vector<std::string>>& names);
   void follow_names(const Instances& names);
@@ -105,7 +105,7 @@ class OrderFeed {
   std::optional<std::int64_t> followed_;  ///< creation id of the node whose orders are followed; nullopt: none yet
   std::map<discovery::InstanceId, config::Clock::Instant> gone_;  ///< the orders that are just_gone(), and since when
   config::Clock::Instant last_gone_{};                            ///< when the last one of them went
-  bool looks_again_ = false;                                      ///< a timer is set
+  bool reads_again_ = false;                                      ///< a timer is set
   bool told_first_ = false;
   bool stopped_ = false;
   bool retrying_ = false;

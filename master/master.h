@@ -8,8 +8,8 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/api/answers.h>
 #include <iotcloud/master/master_options.h>
+#include <iotcloud/master/orders/answers.h>
 #include <iotcloud/master/orders/backup_file.h>
 #include <iotcloud/master/orders/order_kinds.h>
 #include <iotcloud/master/topologies/topology_orders.h>

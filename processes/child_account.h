@@ -19,7 +19,7 @@ class ChildAccount {
 
   /// Makes the log file, which the account may write to but not rename. \throws config::Error if it cannot.
   void make_log(const std::string& file) const;
-  /// Rotates the log as LogFile::look() does, on behalf of the account, which may not rename files.
+  /// Rotates the log as LogFile::rotate_if_too_long() does, on behalf of the account, which may not rename files.
   void keep_within_bounds(const LogFile::Options& log) const;
   /// Whether that process runs under this account; true for a process that does not exist.
   bool runs(int process) const;

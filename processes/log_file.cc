@@ -19,7 +19,7 @@ bool is_the_same(const struct stat& a, const struct stat& b) {
 
 }  // namespace
 
-void LogFile::look() const {
+void LogFile::rotate_if_too_long() const {
   if (options_.path.empty()) return;
   struct stat written {};
   struct stat named {};

@@ -11,7 +11,7 @@ namespace iotcloud::processes {
 class LogFile {
  public:
   struct Options {
-    std::string path;  ///< empty: there is no log, and look() does nothing
+    std::string path;  ///< empty: there is no log, and rotate_if_too_long() does nothing
     std::uint64_t most_bytes = std::uint64_t{10} << 20;
     int kept = 3;  ///< number of older files that are kept besides the current one
   };
@@ -19,7 +19,7 @@ class LogFile {
 
   /// Rotates the file if it is too long, or switches to the new file if another process rotated it. Call it every few
   /// seconds.
-  void look() const;
+  void rotate_if_too_long() const;
 
  private:
   void follow() const;

@@ -11,19 +11,19 @@ class Silence {
  public:
   using Instant = std::chrono::steady_clock::time_point;
 
-  /// \param longest_pause the longest time between two calls of look(); longer pauses count as this long.
-  Silence(Instant now, std::chrono::milliseconds longest_pause) : longest_pause_(longest_pause), last_look_(now) {}
+  /// \param longest_pause the longest time between two calls of measure(); longer pauses count as this long.
+  Silence(Instant now, std::chrono::milliseconds longest_pause) : longest_pause_(longest_pause), last_measured_(now) {}
 
   void heard() { so_far_ = {}; }
-  std::chrono::nanoseconds look(Instant now) {
-    so_far_ += std::min<std::chrono::nanoseconds>(now - last_look_, longest_pause_);
-    last_look_ = now;
+  std::chrono::nanoseconds measure(Instant now) {
+    so_far_ += std::min<std::chrono::nanoseconds>(now - last_measured_, longest_pause_);
+    last_measured_ = now;
     return so_far_;
   }
 
  private:
   const std::chrono::nanoseconds longest_pause_;
-  Instant last_look_;
+  Instant last_measured_;
   std::chrono::nanoseconds so_far_{0};
 };
 

@@ -68,7 +68,7 @@ class PublishTransport {
   }
   /// Sends what send() has gathered.
   virtual void send_gathered() {}
-  /// The connection failed while sending.
+  /// The connection failed while sending. Called while the exception is handled.
   virtual void broke(const char* why) noexcept = 0;
 
   /// A message waits although its publisher may send it: there was no room, or others wait before it.

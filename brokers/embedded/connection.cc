@@ -25,7 +25,7 @@ void Reader::settle(std::uint64_t tag, Settlement settlement) noexcept {
   if (found == unsettled.end()) return;  // the server was stopped meanwhile, or the subscription was closed
   if (settlement == Settlement::retry && queue) queue->put_back(std::move(found->second));
   unsettled.erase(found);
-  if (queue) server_->poke(*queue, wake);
+  if (queue) server_->make_ready(*queue, wake);
 }
 
 Connection::Connection(std::shared_ptr<ServerState> of, const config::Clock& time, Meters counters)
@@ -126,7 +126,7 @@ bool Connection::deliver_next() {
   if (!reader->options.automatic_ack) reader->unsettled.emplace(tag, *stored);
   {
     WakeList unneeded;
-    server->poke(reader, unneeded);  // puts it behind this connection's other consumers in `ready`
+    server->make_ready(reader, unneeded);  // puts it behind this connection's other consumers in `ready`
   }
   reader->running = true;
   {

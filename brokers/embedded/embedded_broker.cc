@@ -158,7 +158,7 @@ class EmbeddedSubscription final : public Subscription {
     WakeList wake;
     const config::MutexLock lock(server_.mutex);
     reader_->paused = false;
-    server_.poke(reader_, wake);
+    server_.make_ready(reader_, wake);
   }
 
   bool active() const override {

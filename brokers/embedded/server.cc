@@ -104,7 +104,7 @@ bool ServerState::deliver(Route& route, Producer::Waiting& waiting, const Publis
   for (std::size_t i = 0; i + 1 < route.queues.size(); ++i)
     route.queues[i]->push(waiting.message, expires, waiting.old);
   route.queues.back()->push(std::move(waiting.message), expires, waiting.old);
-  for (const auto& queue : route.queues) poke(*queue, wake);
+  for (const auto& queue : route.queues) make_ready(*queue, wake);
   return true;
 }
 
@@ -187,7 +187,7 @@ void ServerState::attach(const std::shared_ptr<Consumer>& consumer, Instant now,
   sweep(now);
   consumer->queue = bound_queue(queue_name(consumer->topic.name, consumer->options.group), consumer->topic, now);
   consumer->queue->attach(consumer);
-  poke(consumer, wake);
+  make_ready(consumer, wake);
   flush_waiting(*route(consumer->topic.name), now, wake);
 }
 
@@ -195,7 +195,7 @@ void ServerState::detach(Consumer& consumer, Instant now, WakeList& wake) {
   if (!consumer.queue) return;
   const std::shared_ptr<Queue> queue = std::exchange(consumer.queue, nullptr);
   queue->detach(consumer, now);
-  poke(*queue, wake);
+  make_ready(*queue, wake);
 }
 
 std::optional<Stored> ServerState::take(Consumer& consumer, Instant now, WakeList& wake, std::size_t& conflated) {
@@ -207,11 +207,11 @@ std::optional<Stored> ServerState::take(Consumer& consumer, Instant now, WakeLis
   return taken;
 }
 
-void ServerState::poke(Queue& queue, WakeList& wake) {
-  for (const auto& reader : queue.readers()) poke(reader, wake);
+void ServerState::make_ready(Queue& queue, WakeList& wake) {
+  for (const auto& reader : queue.readers()) make_ready(reader, wake);
 }
 
-void ServerState::poke(const std::shared_ptr<Consumer>& consumer, WakeList& wake) {
+void ServerState::make_ready(const std::shared_ptr<Consumer>& consumer, WakeList& wake) {
   if (consumer->in_ready || !consumer->can_take()) return;
   consumer->in_ready = true;
   consumer->connection->assert_held();

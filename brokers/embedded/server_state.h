@@ -106,8 +106,8 @@ class ServerState {
       IOTCLOUD_REQUIRES(mutex);
   /// Puts the readers of a queue that can take messages on their connections' list `ready`, and wakes those
   /// connections.
-  void poke(Queue& queue, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
-  void poke(const std::shared_ptr<Consumer>& consumer, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  void make_ready(Queue& queue, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  void make_ready(const std::shared_ptr<Consumer>& consumer, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
   const Queue* find(const std::string& queue_name) const IOTCLOUD_REQUIRES(mutex);
   /// Removes idle queues, and topics without queues and publishers; does nothing if it did so within idle_queue_limit.
   void sweep(Instant now) IOTCLOUD_REQUIRES(mutex);

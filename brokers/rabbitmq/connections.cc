@@ -62,7 +62,7 @@ PublishChannel& Connections::publishing(std::uint8_t priority) {
   return *publishing_.back();
 }
 
-std::shared_ptr<ReadConnection> Connections::roomy(std::uint8_t priority) {
+std::shared_ptr<ReadConnection> Connections::with_room(std::uint8_t priority) {
   ReadConnections& links = links_for(priority);
   const auto found = std::find_if(links.begin(), links.end(), [](const auto& link) { return link->has_room(); });
   if (found != links.end()) return *found;
@@ -73,7 +73,7 @@ std::shared_ptr<ReadConnection> Connections::roomy(std::uint8_t priority) {
 std::shared_ptr<QueueReader> Connections::subscribe(const Topic& topic, const SubscriptionOptions& options,
                                                     Handler handler) {
   const config::MutexLock lock(mutex_);
-  return roomy(options.priority)->add(topic, options, std::move(handler));
+  return with_room(options.priority)->add(topic, options, std::move(handler));
 }
 
 ConnectionState Connections::state() const {
@@ -112,13 +112,13 @@ void Connections::look_after(const Links& links) {
   for (PublishChannel* const channel : links.publishing) channel->watch();
   const auto attend = [this](const ReadConnections& reading, std::uint8_t priority) {
     for (const auto& link : reading) {
-      link->attend();
-      if (!link->crowded()) continue;
+      link->read_during_handler();
+      if (!link->over_limit()) continue;
       // One new connection at a time: the server tells it only after connecting how many channels it allows.
       std::shared_ptr<ReadConnection> other;
       {
         const config::MutexLock lock(mutex_);
-        other = roomy(priority);
+        other = with_room(priority);
       }
       link->share(*other);
     }

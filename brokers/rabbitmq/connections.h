@@ -51,7 +51,7 @@ class Connections {
   ReadConnections& links_for(std::uint8_t priority) IOTCLOUD_REQUIRES(mutex_) {
     return priority >= urgent_priority ? urgent_ : consuming_;
   }
-  std::shared_ptr<ReadConnection> roomy(std::uint8_t priority) IOTCLOUD_REQUIRES(mutex_);
+  std::shared_ptr<ReadConnection> with_room(std::uint8_t priority) IOTCLOUD_REQUIRES(mutex_);
 
   const Cluster& cluster_;
   Meters& meters_;

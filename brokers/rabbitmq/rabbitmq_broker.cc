@@ -22,21 +22,21 @@ void check_name(const std::string& name, const char* what) {
 class RabbitMqSubscription final : public Subscription {
  public:
   explicit RabbitMqSubscription(std::shared_ptr<QueueReader> reader) : reader_(std::move(reader)) {}
-  // The reader may move to another connection between home() and the call on that connection, which then returns false:
-  // try again.
+  // The reader may move to another connection between connection() and the call on that connection, which then returns
+  // false: try again.
   ~RabbitMqSubscription() override {
-    while (!reader_->home()->remove(reader_)) {
+    while (!reader_->connection()->remove(reader_)) {
     }
   }
   void pause() override {
-    while (!reader_->home()->pause(*reader_)) {
+    while (!reader_->connection()->pause(*reader_)) {
     }
   }
   void resume() override {
-    while (!reader_->home()->resume(*reader_)) {
+    while (!reader_->connection()->resume(*reader_)) {
     }
   }
-  bool active() const override { return reader_->home()->active(*reader_); }
+  bool active() const override { return reader_->connection()->active(*reader_); }
 
  private:
   const std::shared_ptr<QueueReader> reader_;

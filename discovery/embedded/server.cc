@@ -263,7 +263,7 @@ void RegistryServer::remove(std::int64_t session, const std::string& path, std::
 }
 
 template <typename Fill>
-void RegistryServer::look(std::int64_t session, const std::string& path, Watchers* watchers, const Done& done,
+void RegistryServer::read(std::int64_t session, const std::string& path, Watchers* watchers, const Done& done,
                           Fill&& fill) {
   const config::MutexLock lock(mutex_);
   if (!reachable(session)) {
@@ -278,12 +278,12 @@ void RegistryServer::look(std::int64_t session, const std::string& path, Watcher
 }
 
 void RegistryServer::get(std::int64_t session, const std::string& path, bool watch, const Done& done) {
-  look(session, path, watch ? &node_watchers_ : nullptr, done,
+  read(session, path, watch ? &node_watchers_ : nullptr, done,
        [](Reply& reply, const Entry& entry) { reply.node = entry.node; });
 }
 
 void RegistryServer::children(std::int64_t session, const std::string& path, bool watch, const Done& done) {
-  look(session, path, watch ? &children_watchers_ : nullptr, done,
+  read(session, path, watch ? &children_watchers_ : nullptr, done,
        [](Reply& reply, const Entry& entry) { reply.names.assign(entry.children.begin(), entry.children.end()); });
 }
 

@@ -85,7 +85,7 @@ class RegistryServer : public std::enable_shared_from_this<RegistryServer> {
   /// request sets no watch.
   /// \param fill takes (Reply&, const Entry&), and is called when the node is there.
   template <typename Fill>
-  void look(std::int64_t session, const std::string& path, Watchers* watchers, const Done& done, Fill&& fill)
+  void read(std::int64_t session, const std::string& path, Watchers* watchers, const Done& done, Fill&& fill)
       IOTCLOUD_EXCLUDES(mutex_);
   void cut_off(Session& session) IOTCLOUD_REQUIRES(mutex_);
   void let_in(std::int64_t number) IOTCLOUD_REQUIRES(mutex_);

@@ -38,7 +38,7 @@ std::optional<protocol::HostReport> hello_of(const processes::OwnedDescriptor& s
                                              std::chrono::milliseconds limit) {
   processes::FrameReader frames;
   for (;;) {
-    const bool too_long = silence.look(std::chrono::steady_clock::now()) >= limit;
+    const bool too_long = silence.measure(std::chrono::steady_clock::now()) >= limit;
     if (!processes::wait_readable(socket.get(), too_long ? std::chrono::milliseconds{0} : hello_pause)) {
       if (too_long) return std::nullopt;
       continue;

@@ -137,7 +137,7 @@ bool ProcessLink::connect() {
     if (socket_) return true;
     if (processes::wait_readable(process_.ended(), connect_pause)) return false;  // the host has ended
     if (overdue({})) return false;
-    if (silence.look(Steady::now()) < options_.hang_limit) continue;
+    if (silence.measure(Steady::now()) < options_.hang_limit) continue;
     killed_ = fmt::format("hung: it did not listen within {} ms", options_.hang_limit.count());
     process_.kill();
     return false;
@@ -159,7 +159,7 @@ void ProcessLink::converse() {
     }
     if (on[0].revents == 0 && on[2].revents != 0) return;  // the host has ended and nothing is left to read
     ping();
-    if (overdue(silence.look(Steady::now()))) return;
+    if (overdue(silence.measure(Steady::now()))) return;
   }
 }
 

@@ -251,7 +251,7 @@ int ControlServer::run(int signals) {
     const auto lease = self.host ? self.host->enforce_leases() : std::nullopt;
     if (lease) pause = std::min(pause, *lease);
     poll(on.data(), on.size(), static_cast<int>(pause.count()));
-    self.log_file.look();
+    self.log_file.rotate_if_too_long();
     if (on[2].revents != 0) self.shutdown_limit = stop_limit;
     if (on[1].revents != 0) self.send_waiting();
     if (on[3].revents != 0) self.receive();

@@ -25,22 +25,6 @@ const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>
 
 }  // namespace
 
-SiteAddress address_of(const discovery::GatewayStatus& gateway, const GatewayAccess& access) {
-  if (!gateway.alive) throw config::Error(fmt::format("gateway {} is lost", gateway.record.id));
-  if (gateway.record.port == 0) {
-    throw config::Error(
-        fmt::format("gateway {} has no Thrift service; give it one (thrift: {{port: 12905}})", gateway.record.id));
-  }
-  if (!gateway.record.tls) return {gateway.record.host, gateway.record.port, {}, ""};
-  if (access.tls.empty()) {
-    throw config::Error(
-        fmt::format("gateway {} speaks TLS, and this master has no certificate; give it one "
-                    "(api: {{tls: {{ca, certificate, key}}}})",
-                    gateway.record.id));
-  }
-  return {gateway.record.host, gateway.record.port, access.tls, access.token_file};
-}
-
 DriverHistory read_history(const Master& master, const GatewayAccess& access, const std::vector<std::string>& instances,
                            const std::vector<discovery::GatewayId>& gateways, std::int32_t most) {
   const auto known = master.gateways();

@@ -6,21 +6,12 @@
 #include <vector>
 
 #include <iotcloud/discovery/directory.h>
-#include <iotcloud/master/api/answers.h>
-#include <iotcloud/master/originals/site_client.h>
+#include <iotcloud/master/gateways/gateway_access.h>
+#include <iotcloud/master/orders/answers.h>
 
 namespace iotcloud::master {
 
 class Master;
-
-/// The credentials that this master shows to the gateways' Thrift services.
-struct GatewayAccess {
-  security::TlsFiles tls;  ///< for gateways that speak TLS
-  std::string token_file;  ///< its first line is the token for gateways that speak TLS; empty: none
-};
-
-/// The address of the gateway's Thrift service. \throws config::Error when this master cannot call it, with the reason.
-SiteAddress address_of(const discovery::GatewayStatus& gateway, const GatewayAccess& access);
 
 /// The changes of state that gateways remember of their instances, also from before a restart of the gateway. All
 /// gateways are asked at the same time.

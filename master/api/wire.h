@@ -5,7 +5,7 @@
 #include "iotcloud/master/master_types.h"
 #include <iotcloud/discovery/description/wire.h>
 #include <iotcloud/discovery/wire_records.h>
-#include <iotcloud/master/api/answers.h>
+#include <iotcloud/master/orders/answers.h>
 #include <iotcloud/master/topologies/topology_orders.h>
 
 /// Converts our structs to the API's Thrift structs, and back, where discovery::as_wire() and as_own() are not enough.

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include <iotcloud/master/api/answers.h>
+#include <iotcloud/master/orders/answers.h>
 #include <iotcloud/master/topologies/topology_orders.h>
 #include <iotcloud/security/tls.h>
 

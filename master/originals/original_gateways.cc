@@ -10,9 +10,9 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/master/gateways/site_client.h>
 #include <iotcloud/master/orders/node_name.h>
 #include <iotcloud/master/originals/original_gateways.h>
-#include <iotcloud/master/originals/site_client.h>
 
 namespace iotcloud::master {
 
@@ -55,8 +55,8 @@ struct OriginalGateways::Impl {
   void follow_leadership(const std::stop_token& stop);
   void pick_up();
   void beat(const std::stop_token& stop, Tended& tended);
-  void come_alive(Tended& tended);
-  static void end_life(Tended& tended);
+  void hold_alive_node(Tended& tended);
+  static void remove_alive_node(Tended& tended);
   bool pause(const std::stop_token& stop) const;
   void write_driver(const DriverRecord& record);
   bool remove_record(const GatewayId& gateway, const InstanceId& instance);
@@ -139,7 +139,7 @@ OriginalGateways::Impl::TendedPtr OriginalGateways::Impl::find(const GatewayId& 
 
 void OriginalGateways::Impl::tend(const GatewayRecord& record, bool alive_now) {
   auto one = std::make_shared<Tended>(record);
-  if (alive_now) come_alive(*one);
+  if (alive_now) hold_alive_node(*one);
   one->heart = std::jthread([this, &one = *one](const std::stop_token& stop) { beat(stop, one); });
   const config::MutexLock lock(mutex);
   tended[record.id] = std::move(one);
@@ -155,10 +155,10 @@ void OriginalGateways::Impl::drop(const GatewayId& gateway) {
     tended.erase(at);
   }
   going->heart = {};  // joins the thread without the lock, which the thread may take
-  end_life(*going);
+  remove_alive_node(*going);
 }
 
-void OriginalGateways::Impl::end_life(Tended& one) {
+void OriginalGateways::Impl::remove_alive_node(Tended& one) {
   discovery::GuardPtr going;  // destroyed without the lock, because its destructor calls the registry
   const config::MutexLock lock(one.mutex);
   going.swap(one.alive);
@@ -173,11 +173,11 @@ void OriginalGateways::Impl::drop_all() {
   for (auto& [id, one] : going) one->heart.request_stop();
   for (auto& [id, one] : going) {
     one->heart = {};
-    end_life(*one);
+    remove_alive_node(*one);
   }
 }
 
-void OriginalGateways::Impl::come_alive(Tended& one) {
+void OriginalGateways::Impl::hold_alive_node(Tended& one) {
   auto alive = registry.hold(options.paths.gateway_alive(one.record.id), "");
   const config::MutexLock lock(one.mutex);
   one.alive = std::move(alive);
@@ -195,14 +195,15 @@ void OriginalGateways::Impl::beat(const std::stop_token& stop, Tended& one) {
       if (answer.outcome == OrderOutcome::done) {
         misses = 0;
         if (alive) continue;
-        come_alive(one);
+        hold_alive_node(one);
         originals_logger.info("gateway {} answers", one.record.id);
       } else if (++misses >= options.misses_until_lost && alive) {
         originals_logger.warn("gateway {} is lost: {}", one.record.id, answer.text);
-        end_life(one);
+        remove_alive_node(one);
       }
     } catch (const config::Error& e) {
-      originals_logger.warn("gateway {}: its life cannot be told: {}", one.record.id, e.what());
+      originals_logger.warn("gateway {}: its `alive` node cannot be changed in the registry: {}", one.record.id,
+                            e.what());
     }
   }
 }

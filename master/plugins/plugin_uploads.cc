@@ -11,7 +11,6 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
-#include <iotcloud/master/api/gateway_pages.h>
 #include <iotcloud/master/master.h>
 #include <iotcloud/master/plugins/plugin_uploads.h>
 

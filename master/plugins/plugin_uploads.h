@@ -9,8 +9,8 @@
 #include <vector>
 
 #include <iotcloud/config/clock.h>
-#include <iotcloud/master/api/gateway_pages.h>
-#include <iotcloud/master/originals/site_client.h>
+#include <iotcloud/master/gateways/gateway_access.h>
+#include <iotcloud/master/gateways/site_client.h>
 
 namespace iotcloud::master {
 

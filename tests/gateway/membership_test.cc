@@ -53,7 +53,7 @@ TEST_F(MembershipTest, TheNodeOfAnEarlierRunIsNobodysBecauseThatRunIsDead) {
 
 TEST_F(MembershipTest, TheNodeOfAGatewayWithAnotherFolderIsThatGateways) {
   EXPECT_EQ(membership_.holder(mark("its folder", "its run")), Holder::another);
-  EXPECT_EQ(membership_.incumbent(), "lab1:12905");
+  EXPECT_EQ(membership_.holder_address(), "lab1:12905");
   EXPECT_EQ(membership_.holder(mark("", "its run")), Holder::another);
 }
 

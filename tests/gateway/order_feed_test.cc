@@ -126,7 +126,7 @@ class OrderFeedTest : public testing::Test {
     on_loop([&] {
       clock_.advance(time);
       change();
-      feed_.look();
+      feed_.read_orders();
     });
     return heard();
   }
@@ -237,7 +237,7 @@ TEST_F(FrozenOrderFeed, OrdersWhoseNodeIsGoneAreNoOrderToUndeploy) {
 TEST_F(FrozenOrderFeed, OrdersThatAreRemovedOneByOneBeforeTheirNodeAreNoOrderToUndeploy) {
   on_loop([&] {                        // in one go, so that the feed's timer cannot come in between
     registry_.nodes.erase(path("a"));  // the gateway's record of it stays
-    feed_.look();
+    feed_.read_orders();
     registry_.nodes.clear();
   });
   EXPECT_THAT(heard_soon(), ElementsAre("frozen"));

@@ -33,17 +33,13 @@ OUTSIDE = ("examples", "tests", "bench")  # users of the rooms
 FOLDERS = {
     "topology/runtime/scheduling": [],
 }
-# Of two folders of these rooms that lie beside each other one at most uses the other.
-ONE_WAY = ("processes", "discovery", "gateway", "topology")
-# Only these may name an implementation: its own folder, the factory, and who starts the in-process servers.
-IMPLEMENTATIONS = {
-    "brokers/embedded": ["brokers/make_broker.cc", "topology/local/"],
-    "brokers/rabbitmq": ["brokers/make_broker.cc"],
-    "brokers/kafka": ["brokers/make_broker.cc"],
-    "brokers/activemq": ["brokers/make_broker.cc"],
-    "discovery/embedded": ["discovery/registry.cc", "topology/local/"],
-    "discovery/zookeeper": ["discovery/registry.cc"],
-}
+# Each folder of these rooms is an implementation, which only this factory may name, besides its own folder and tests,
+FACTORIES = {"brokers": "brokers/make_broker.cc", "discovery": "discovery/registry.cc"}
+# but for these folders, which all implementations use.
+NO_IMPLEMENTATIONS = ("brokers/client", "brokers/spool", "discovery/client", "discovery/description",
+                      "discovery/selection")
+# Who may also name the servers that run in this process.
+STARTERS = {"brokers/embedded": "topology/local/", "discovery/embedded": "topology/local/"}
 THRIFT_OF_GATEWAY = re.compile(r"gateway/(\w+_types|T\w+Service)\.h$")
 INCLUDE = re.compile(r'^\s*#\s*include\s*([<"])([^>"]+)[>"]')
 TARGET = re.compile(r"^[ \t]*iotcloud_(room|program|plugin|thrift)\(([^()]*)\)", re.MULTILINE)
@@ -82,10 +78,11 @@ def include_violation(file, included):
         return None
     target = included.removeprefix("iotcloud/")
     room, target_room = file.split("/")[0], target.split("/")[0]
-    for implementation, allowed in IMPLEMENTATIONS.items():
-        if target.startswith(implementation + "/") and not file.startswith((implementation + "/", "tests/")):
-            if not any(file.startswith(place) for place in allowed):
-                return f"only {', '.join(allowed)} may name {implementation}/"
+    implementation = "/".join(target.split("/")[:2]) if target_room in FACTORIES and target.count("/") > 1 else None
+    if implementation and implementation not in NO_IMPLEMENTATIONS:
+        allowed = [FACTORIES[target_room], *([STARTERS[implementation]] if implementation in STARTERS else [])]
+        if not file.startswith((implementation + "/", "tests/", *allowed)):
+            return f"only {', '.join(allowed)} may name {implementation}/"
     reason = room_violation(file, target_room) or folder_violation(file, target)
     if reason:
         return reason
@@ -106,11 +103,11 @@ def includes_of(root, file):
 
 
 def check_folders(root, files):
-    """Folders of one room that use each other, neither within the other."""
+    """Folders of one room that use each other, neither within the other: of two one at most may use the other."""
     uses = {}
     for file in files:
         folder = posixpath.dirname(file)
-        if folder.split("/")[0] not in ONE_WAY:
+        if folder.split("/")[0] not in ROOMS:
             continue
         for number, text, target in includes_of(root, file):
             other = posixpath.dirname(target)

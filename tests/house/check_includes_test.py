@@ -67,6 +67,11 @@ class CheckIncludes(unittest.TestCase):
         self.assertFalse(self.problems("brokers/make_broker.cc", line))
         self.assertTrue(self.problems("brokers/broker.h", line))
         self.assertTrue(self.problems("gateway/a.cc", line))
+        self.assertTrue(self.problems("brokers/client/a.h", line), "what all implementations use knows none of them")
+        self.assertTrue(self.problems("gateway/a.cc", "#include <iotcloud/brokers/a_new_one/broker.h>"))
+        self.assertFalse(self.problems("topology/endpoints/a.cc", "#include <iotcloud/brokers/spool/spooled_publisher.h>"))
+        self.assertFalse(self.problems("topology/local/a.cc", "#include <iotcloud/brokers/embedded/server.h>"))
+        self.assertTrue(self.problems("topology/worker/a.cc", "#include <iotcloud/brokers/embedded/server.h>"))
 
     def test_a_file_named_by_way_of_its_neighbour_is_held_to_the_same_rules(self):
         with tempfile.TemporaryDirectory() as root:

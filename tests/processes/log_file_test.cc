@@ -41,7 +41,7 @@ class LogFileTest : public ::testing::Test {
     for (int i = 0; i < count; ++i) {
       const std::string line = name + " " + std::to_string(i) + "\n";
       if (write(i % 2 == 0 ? STDOUT_FILENO : STDERR_FILENO, line.data(), line.size()) < 0) _exit(1);
-      log.look();
+      log.rotate_if_too_long();
     }
     _exit(0);
   }

@@ -32,8 +32,9 @@ std::optional<Arrived> Assembly::header(const amqp_frame_t& frame, ResentMarks& 
   const std::uint64_t size = frame.payload.properties.body_size;
   if (size > body_limit) throw LinkError("a message of " + std::to_string(size) + " bytes");
   const auto& properties = *static_cast<const amqp_basic_properties_t*>(frame.payload.properties.decoded);
-  hostile_ = (properties._flags & AMQP_BASIC_HEADERS_FLAG) != 0 && properties.headers.num_entries > header_limit;
-  if (!hostile_) {
+  too_many_headers_ =
+      (properties._flags & AMQP_BASIC_HEADERS_FLAG) != 0 && properties.headers.num_entries > header_limit;
+  if (!too_many_headers_) {
     const bool marked = decode_properties(properties, arrived_.message);
     if (resent.may_be_a_copy(origin_of(properties), marked)) arrived_.redelivered = true;
   }
@@ -57,29 +58,29 @@ std::optional<Arrived> Assembly::finish() {
     arrived_.message.payload = Payload::wrap(std::move(bytes_), bytes);
   }
   std::optional<Arrived> done(std::move(arrived_));
-  const bool hostile = hostile_;
+  const bool too_many_headers = too_many_headers_;
   reset();
-  hostile_ = hostile;
+  too_many_headers_ = too_many_headers;
   return done;
 }
 
 QueueReader::QueueReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what)
     : OwnInbox(std::move(to), std::move(how), std::move(what)),
       queue(options.group.empty() ? topic.name : topic.name + "." + options.group),
-      home_(std::move(link)) {}
+      connection_(std::move(link)) {}
 
 void QueueReader::settle(std::uint64_t tag, Settlement settlement) noexcept {
-  home()->settle(*this, tag, settlement);
+  connection()->settle(*this, tag, settlement);
 }
 
-std::shared_ptr<ReadConnection> QueueReader::home() const {
-  const config::MutexLock lock(home_mutex_);
-  return home_;
+std::shared_ptr<ReadConnection> QueueReader::connection() const {
+  const config::MutexLock lock(connection_mutex_);
+  return connection_;
 }
 
 void QueueReader::move_to(std::shared_ptr<ReadConnection> link) {
-  const config::MutexLock lock(home_mutex_);
-  home_ = std::move(link);
+  const config::MutexLock lock(connection_mutex_);
+  connection_ = std::move(link);
 }
 
 void QueueReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type) const {
@@ -114,7 +115,7 @@ void QueueReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type) con
   wire.send(on, AMQP_BASIC_CONSUME_METHOD, consume);
 }
 
-void QueueReader::begins() {
+void QueueReader::reading_began() {
   phase = Phase::active;
   read_before = true;
   retry_at.reset();

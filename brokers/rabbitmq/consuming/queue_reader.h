@@ -33,7 +33,7 @@ class Assembly {
   std::optional<Arrived> body(amqp_bytes_t piece);
   /// Whether the current delivery, or the one returned last, has more headers than allowed. They were not read, and no
   /// handler should get the message.
-  bool hostile() const { return hostile_; }
+  bool too_many_headers() const { return too_many_headers_; }
   void reset() { *this = Assembly(); }
 
  private:
@@ -41,15 +41,15 @@ class Assembly {
 
   Arrived arrived_;
   bool expects_header_ = false;
-  bool hostile_ = false;
+  bool too_many_headers_ = false;
   std::shared_ptr<std::byte[]> bytes_;
   std::size_t size_ = 0;
   std::size_t filled_ = 0;
 };
 
-/// One subscription as its connection sees it. Guarded by the mutex of its home, except for the constants. The members
-/// of its channel are changed only by the thread that holds that mutex and has the WireTurn of the home, so a thread
-/// with the WireTurn may read them without the mutex.
+/// One subscription as its connection sees it. Guarded by the mutex of its connection, except for the constants. The
+/// members of its channel are changed only by the thread that holds that mutex and has the connection's WireTurn, so a
+/// thread with the WireTurn may read them without the mutex.
 class QueueReader final : public client::OwnInbox {
  public:
   enum class Phase {
@@ -62,9 +62,9 @@ class QueueReader final : public client::OwnInbox {
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
   /// The connection through which it reads. It moves to another one if the server has no channel left for it. Thread
   /// safe.
-  std::shared_ptr<ReadConnection> home() const IOTCLOUD_EXCLUDES(home_mutex_);
+  std::shared_ptr<ReadConnection> connection() const IOTCLOUD_EXCLUDES(connection_mutex_);
   /// To be called with the mutexes of both connections held.
-  void move_to(std::shared_ptr<ReadConnection> link) IOTCLOUD_EXCLUDES(home_mutex_);
+  void move_to(std::shared_ptr<ReadConnection> link) IOTCLOUD_EXCLUDES(connection_mutex_);
 
   const std::string queue;
 
@@ -90,14 +90,14 @@ class QueueReader final : public client::OwnInbox {
   /// channel's number. \throws LinkError
   void request(AmqpLink& wire, amqp_channel_t on, QueueType type) const;
   /// The server has answered consume-ok: reading begins.
-  void begins();
+  void reading_began();
   /// The server closed the channel: logs the reason once, and adapts the next request to it.
   void refused(const amqp_channel_close_t& answer);
   void forget_channel();
 
  private:
-  mutable config::Mutex home_mutex_;
-  std::shared_ptr<ReadConnection> home_ IOTCLOUD_GUARDED_BY(home_mutex_);
+  mutable config::Mutex connection_mutex_;
+  std::shared_ptr<ReadConnection> connection_ IOTCLOUD_GUARDED_BY(connection_mutex_);
 };
 
 }  // namespace iotcloud::brokers::rabbitmq

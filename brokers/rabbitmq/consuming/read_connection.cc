@@ -91,7 +91,7 @@ bool ReadConnection::has_room() const {
   return readers_.size() < channel_limit_;
 }
 
-bool ReadConnection::crowded() const {
+bool ReadConnection::over_limit() const {
   const config::MutexLock lock(core_.mutex);
   return readers_.size() > channel_limit_;
 }
@@ -125,12 +125,12 @@ void ReadConnection::preferred_answered(bool answers) {
 
 bool ReadConnection::remove(const std::shared_ptr<QueueReader>& reader) {
   const config::MutexLock lock(core_.mutex);
-  if (!at_home(*reader)) return false;
+  if (!reads_here(*reader)) return false;
   core_.end(*reader);
   std::erase(readers_, reader);
   if (reader->phase != QueueReader::Phase::idle) {
     leaving_.push_back(reader);
-    say_or_leave();
+    write_or_leave();
   }
   core_.await_handler(*reader);
   return true;
@@ -138,21 +138,21 @@ bool ReadConnection::remove(const std::shared_ptr<QueueReader>& reader) {
 
 bool ReadConnection::pause(QueueReader& reader) {
   const config::MutexLock lock(core_.mutex);
-  if (!at_home(reader)) return false;
+  if (!reads_here(reader)) return false;
   core_.pause(reader);
   return true;
 }
 
 bool ReadConnection::resume(QueueReader& reader) {
   const config::MutexLock lock(core_.mutex);
-  if (!at_home(reader)) return false;
+  if (!reads_here(reader)) return false;
   core_.resume(reader);
   return true;
 }
 
 bool ReadConnection::active(const QueueReader& reader) const {
   const config::MutexLock lock(core_.mutex);
-  return at_home(reader) && reader.phase == QueueReader::Phase::active;
+  return reads_here(reader) && reader.phase == QueueReader::Phase::active;
 }
 
 ConnectionState ReadConnection::state() const {
@@ -164,7 +164,7 @@ ConnectionState ReadConnection::state() const {
 void ReadConnection::settle(QueueReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept {
   const config::MutexLock lock(core_.mutex);
   // Otherwise the reader has moved, and the settlement is late.
-  if (at_home(reader)) core_.settle(reader, public_tag, settlement);
+  if (reads_here(reader)) core_.settle(reader, public_tag, settlement);
 }
 
 void ReadConnection::settled(client::Inbox& inbox, bool /*first*/) noexcept {
@@ -173,7 +173,7 @@ void ReadConnection::settled(client::Inbox& inbox, bool /*first*/) noexcept {
   if (core_.hands_on_here() || (!sleeping_ && inbox.window.settled() <= inbox.patience())) return;
   if (!wire_ || broken_) return;
   if (core_.settlements_due()) {
-    say_or_leave();
+    write_or_leave();
   } else {
     sleep_.signal_after(core_.gathered_at() - clock_.now());
   }
@@ -183,18 +183,18 @@ void ReadConnection::wake() noexcept {
   if (std::exchange(sleeping_, false)) sleep_.signal();
 }
 
-void ReadConnection::say_or_leave() noexcept {
+void ReadConnection::write_or_leave() noexcept {
   if (!wire_ || broken_) return;
   left_for_wire_ = true;
   if (wire_taken_) return;
   try {
     const WireTurn turn(*this);
     wire_role_.assert_held();
-    say_all();
-  } catch (const std::exception&) {
-    broken_ = true;
+    write_all();
+  } catch (...) {
+    broken_ = std::current_exception();
   }
-  if (broken_ || unsaid_ || buffered_) wake();
+  if (broken_ || unwritten_ || buffered_) wake();
 }
 
 void ReadConnection::run() {
@@ -204,7 +204,7 @@ void ReadConnection::run() {
       if (!wire_) connect();
       if (wire_) serve();
       hand_on();
-      tell_what_is_due();
+      write_due();
       move_back();
     } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
       lose(error.what());
@@ -214,7 +214,7 @@ void ReadConnection::run() {
   try {
     const WireTurn turn(*this);
     wire_role_.assert_held();
-    if (wire_) say_the_rest();
+    if (wire_) write_the_rest();
     // The connection broke: the server delivers messages with unsent settlements again.
   } catch (const std::exception& error) {
     log_.lost(error.what());
@@ -228,7 +228,7 @@ void ReadConnection::run() {
 void ReadConnection::serve() {
   const WireTurn turn(*this);
   wire_role_.assert_held();
-  if (broken_) throw LinkError("it broke");
+  if (broken_) std::rethrow_exception(broken_);
   writable_ = woken_to_write_;
   check_timers();
   write();
@@ -237,15 +237,15 @@ void ReadConnection::serve() {
     read_frames();
   }
   write();
-  if (left_for_wire_) say_all();
+  if (left_for_wire_) write_all();
 }
 
-void ReadConnection::tell_what_is_due() {
+void ReadConnection::write_due() {
   if (!wire_ || broken_) return;
-  if (!unsaid_ && !left_for_wire_ && leaving_.empty() && !core_.settlements_due()) return;
+  if (!unwritten_ && !left_for_wire_ && leaving_.empty() && !core_.settlements_due()) return;
   const WireTurn turn(*this);
   wire_role_.assert_held();
-  say_all();
+  write_all();
 }
 
 void ReadConnection::sleep() {
@@ -254,7 +254,7 @@ void ReadConnection::sleep() {
   if (wire_ && !broken_ && buffered_) return;  // frames are buffered: read them without polling the socket
   const bool more = (core_.has_ready() && !moving_since_) || broken_ || left_for_wire_;
   const std::chrono::milliseconds limit = more ? std::chrono::milliseconds(0) : time_to_sleep();
-  sleep_.watch(wire_ ? wire_->descriptor() : -1, unsaid_);
+  sleep_.watch(wire_ ? wire_->descriptor() : -1, unwritten_);
   sleeping_ = !more;
   LinkSleep::Result woken;
   {
@@ -292,7 +292,7 @@ void ReadConnection::connect() {
       log_.failed(cluster_.name(*server), error.what());
     }
   }
-  broken_ = false;
+  broken_ = nullptr;
   wire_ = std::move(wire);
   if (!wire_) {
     servers_.failed(*server, clock_.now());
@@ -318,7 +318,8 @@ void ReadConnection::lose(const std::string& reason) {
 }
 
 void ReadConnection::forget_connection() {
-  broken_ = left_for_wire_ = unsaid_ = openers_wait_ = writable_ = false;
+  broken_ = nullptr;
+  left_for_wire_ = unwritten_ = openers_wait_ = writable_ = false;
   moving_since_.reset();
   channels_.clear();
   outgoing_.clear();
@@ -345,9 +346,9 @@ void ReadConnection::move_back() {
     const WireTurn turn(*this);
     wire_role_.assert_held();
     for (const auto& reader : readers_) {
-      if (reader->channel != 0) tell(*reader, 0);
+      if (reader->channel != 0) gather_settlements(*reader, 0);
     }
-    say_the_rest();
+    write_the_rest();
     wire = std::move(wire_);
     servers_.left();
     forget_connection();
@@ -374,7 +375,7 @@ void ReadConnection::hand_on() {
   burst.reset();
 }
 
-void ReadConnection::attend() {
+void ReadConnection::read_during_handler() {
   const config::MutexLock lock(core_.mutex);
   // A user's thread that has the WireTurn needs it only for a moment.
   if (!core_.hands_on() || !wire_ || broken_ || wire_taken_) return;
@@ -386,9 +387,9 @@ void ReadConnection::attend() {
       const config::Unlocked unlocked(core_.mutex);
       read_frames();
     }
-    say_all();
-  } catch (const std::exception&) {
-    broken_ = true;
+    write_all();
+  } catch (...) {
+    broken_ = std::current_exception();
   }
   wake();  // the connection's thread may sleep by now, and there may be messages to hand on
 }
@@ -429,7 +430,7 @@ void ReadConnection::on_frame(const amqp_frame_t& frame) {
 }
 
 void ReadConnection::on_arrived(QueueReader& reader, Arrived arrived) {
-  const bool hostile = reader.assembly.hostile();
+  const bool too_many_headers = reader.assembly.too_many_headers();
   const config::MutexLock lock(core_.mutex);
   // Its channel is about to be closed, and the server delivers its messages to another reader.
   if (reader.closed) return;
@@ -437,7 +438,7 @@ void ReadConnection::on_arrived(QueueReader& reader, Arrived arrived) {
     --reader.doubtful;
     arrived.redelivered = true;
   }
-  if (hostile) {
+  if (too_many_headers) {
     logger.warn("queue {} held a message with too many headers; it is skipped", reader.queue);
     meters_.skipped(reason::undecodable);
     core_.skipped(reader);
@@ -465,7 +466,7 @@ void ReadConnection::on_method(const amqp_method_t& method, amqp_channel_t chann
       }
       return;
     case AMQP_BASIC_CONSUME_OK_METHOD:
-      if (reader != nullptr) reader->begins();
+      if (reader != nullptr) reader->reading_began();
       return answered();
     case AMQP_CHANNEL_CLOSE_METHOD:
       return on_channel_closed(reader, *static_cast<const amqp_channel_close_t*>(method.decoded), channel);
@@ -566,7 +567,7 @@ void ReadConnection::check_timers() {
   }
 }
 
-void ReadConnection::tell(QueueReader& reader, std::size_t patience) {
+void ReadConnection::gather_settlements(QueueReader& reader, std::size_t patience) {
   using Kind = client::AckWindow::Kind;
   for (const client::AckWindow::Action& action : reader.window.take(patience)) {
     const auto kind = action.kind == Kind::acknowledge ? Outgoing::Kind::acknowledge : Outgoing::Kind::reject;
@@ -577,18 +578,18 @@ void ReadConnection::tell(QueueReader& reader, std::size_t patience) {
 void ReadConnection::gather() {
   for (const auto& inbox : core_.take_dirty()) {
     auto& reader = static_cast<QueueReader&>(*inbox);
-    if (!reader.closed && reader.channel != 0) tell(reader, reader.patience());
+    if (!reader.closed && reader.channel != 0) gather_settlements(reader, reader.patience());
   }
   for (const auto& reader : std::exchange(leaving_, {})) {
     if (reader->channel == 0) continue;  // the server has closed its channel
-    tell(*reader, 0);
+    gather_settlements(*reader, 0);
     close_channel(*reader);
   }
 }
 
 void ReadConnection::write() {
   if (outgoing_.empty()) {
-    unsaid_ = false;
+    unwritten_ = false;
     return;
   }
   {
@@ -596,14 +597,14 @@ void ReadConnection::write() {
     auto next = outgoing_.begin();
     for (; next != outgoing_.end(); ++next) {
       if (!std::exchange(writable_, false) && !wire_->room_for(0)) break;
-      say(*next);
+      write_method(*next);
     }
     outgoing_.erase(outgoing_.begin(), next);
   }
-  unsaid_ = !outgoing_.empty();
+  unwritten_ = !outgoing_.empty();
 }
 
-void ReadConnection::say(const Outgoing& what) {
+void ReadConnection::write_method(const Outgoing& what) {
   switch (what.kind) {
     case Outgoing::Kind::request:
       return what.reader->request(*wire_, what.channel, cluster_.queue_type());
@@ -629,19 +630,19 @@ void ReadConnection::say(const Outgoing& what) {
   }
 }
 
-void ReadConnection::say_all() {
+void ReadConnection::write_all() {
   do {
     left_for_wire_ = false;
     gather();
     write();
-  } while (left_for_wire_ && !unsaid_);
+  } while (left_for_wire_ && !unwritten_);
   left_for_wire_ = false;  // the rest is written when the socket is writable
 }
 
-void ReadConnection::say_the_rest() {
+void ReadConnection::write_the_rest() {
   gather();
   const config::Unlocked unlocked(core_.mutex);
-  for (const Outgoing& what : outgoing_) say(what);
+  for (const Outgoing& what : outgoing_) write_method(what);
   outgoing_.clear();
 }
 

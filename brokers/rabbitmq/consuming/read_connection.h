@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <exception>
 #include <map>
 #include <memory>
 #include <optional>
@@ -37,7 +38,7 @@ using client::ReadCore;
 /// socket writable. So a user's thread that settles or ends a subscription waits neither for the network nor for a
 /// thread that does. If no other thread has the WireTurn, it writes itself, which saves waking the connection's thread
 /// for each acknowledgement; otherwise the thread that has the WireTurn writes. While a handler runs long the broker's
-/// keeper reads on (attend()), up to the prefetch, answers heartbeats, and sends settlements.
+/// keeper reads on (read_during_handler()), up to the prefetch, answers heartbeats, and sends settlements.
 class ReadConnection final : client::ReadTransport, public std::enable_shared_from_this<ReadConnection> {
  public:
   /// \param purpose shown by RabbitMQ's tools. The other arguments outlive close().
@@ -53,7 +54,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   std::shared_ptr<QueueReader> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
   /// Ends a subscription; returns when its handler has returned, unless called from it.
   /// This and the next three functions do nothing and return false if the subscription has moved to another connection:
-  /// ask its home().
+  /// ask its connection().
   bool remove(const std::shared_ptr<QueueReader>& reader);
   bool pause(QueueReader& reader);
   bool resume(QueueReader& reader);
@@ -61,9 +62,9 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   void settle(QueueReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept;
   ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection
   /// The keeper calls this periodically: while a handler runs long, reads on and sends settlements.
-  void attend();
-  bool has_room() const;  ///< for one more subscription
-  bool crowded() const;   ///< it has more subscriptions than its server allows channels
+  void read_during_handler();
+  bool has_room() const;    ///< for one more subscription
+  bool over_limit() const;  ///< it has more subscriptions than its server allows channels
   /// Moves subscriptions for which it has no channel to another connection, as many as that one takes. Only the keeper
   /// calls it, so that no other thread holds the mutexes of two connections.
   void share(ReadConnection& other);
@@ -103,7 +104,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   void settled(client::Inbox& inbox, bool first) noexcept override IOTCLOUD_REQUIRES(core_.mutex);
   void wake() noexcept override IOTCLOUD_REQUIRES(core_.mutex);
 
-  bool at_home(const QueueReader& reader) const { return reader.home().get() == this; }
+  bool reads_here(const QueueReader& reader) const { return reader.connection().get() == this; }
 
   // Run on the connection's thread.
   void start() IOTCLOUD_REQUIRES(core_.mutex);
@@ -111,7 +112,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   void connect() IOTCLOUD_REQUIRES(core_.mutex);
   void serve() IOTCLOUD_REQUIRES(core_.mutex);
   void hand_on() IOTCLOUD_REQUIRES(core_.mutex);
-  void tell_what_is_due() IOTCLOUD_REQUIRES(core_.mutex);
+  void write_due() IOTCLOUD_REQUIRES(core_.mutex);
   void sleep() IOTCLOUD_REQUIRES(core_.mutex);
   std::chrono::milliseconds time_to_sleep() const IOTCLOUD_REQUIRES(core_.mutex);
   void lose(const std::string& reason) IOTCLOUD_REQUIRES(core_.mutex);
@@ -133,19 +134,19 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   amqp_channel_t free_channel() const IOTCLOUD_REQUIRES(wire_role_);
   void check_timers() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   void close_channel(QueueReader& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  void tell(QueueReader& reader, std::size_t patience) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void gather_settlements(QueueReader& reader, std::size_t patience) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Turns settlements and ended subscriptions into outgoing methods.
   void gather() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Writes outgoing methods, with the mutex released, as far as the socket takes them at once.
   void write() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  void say(const Outgoing& what) IOTCLOUD_REQUIRES(wire_role_);
+  void write_method(const Outgoing& what) IOTCLOUD_REQUIRES(wire_role_);
   /// gather() and write(), repeated if other threads left something meanwhile.
-  void say_all() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void write_all() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Writes everything before the connection is closed; waits until the socket takes it.
-  void say_the_rest() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void write_the_rest() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
 
-  /// say_all() on a user's thread if no other thread has the WireTurn; otherwise that thread does it.
-  void say_or_leave() noexcept IOTCLOUD_REQUIRES(core_.mutex);
+  /// write_all() on a user's thread if no other thread has the WireTurn; otherwise that thread does it.
+  void write_or_leave() noexcept IOTCLOUD_REQUIRES(core_.mutex);
   void set_timer(QueueReader& reader, Instant at) IOTCLOUD_REQUIRES(core_.mutex);
   void retry_later(QueueReader& reader) IOTCLOUD_REQUIRES(core_.mutex);
   /// The server has answered a request, so a waiting subscription may be requested.
@@ -172,7 +173,8 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   bool wire_taken_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   /// Something is to be written; the thread that has the WireTurn, or the connection's thread, does it.
   bool left_for_wire_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  bool unsaid_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;  ///< the socket took no more; some outgoing methods are left
+  bool unwritten_ IOTCLOUD_GUARDED_BY(core_.mutex) =
+      false;  ///< the socket took no more; some outgoing methods are left
   /// The AmqpLink holds received bytes, which poll() does not show.
   bool buffered_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   bool readable_ IOTCLOUD_GUARDED_BY(core_.mutex) = true;  ///< used by the connection's thread: read the wire
@@ -181,7 +183,8 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
 
   bool started_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   bool closing_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  bool broken_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;    ///< another thread found the connection broken
+  /// Why another thread found the connection broken; null: none did.
+  std::exception_ptr broken_ IOTCLOUD_GUARDED_BY(core_.mutex);
   bool sleeping_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;  ///< the connection's thread sleeps
   std::vector<std::shared_ptr<QueueReader>> readers_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Removed subscriptions whose channels are not closed yet.

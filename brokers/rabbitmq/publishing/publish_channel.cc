@@ -156,7 +156,7 @@ void PublishChannel::put(const UnderWay& message, Instant now) {
 
 // For a failed send, or if memory ran out in the middle of a frame.
 void PublishChannel::broke(const char* /*why*/) noexcept {
-  broken_ = true;
+  broken_ = std::current_exception();
   wake();
 }
 
@@ -265,7 +265,8 @@ void PublishChannel::connect() {
   servers_.connected(*server, clock_.now());
   wire_ = std::move(wire);
   connected_ = true;
-  blocked_ = broken_ = writable_ = reading_return_ = false;
+  blocked_ = writable_ = reading_return_ = false;
+  broken_ = nullptr;
   declared_.clear();
   undeclared_ = core_.outboxes();
 }
@@ -273,7 +274,7 @@ void PublishChannel::connect() {
 void PublishChannel::serve(bool readable, bool writable) {
   const config::MutexLock lock(core_.mutex);
   const PublishCore::Turn turn(core_);
-  if (broken_) throw LinkError("a send failed");
+  if (broken_) std::rethrow_exception(broken_);
   push();
   declare_topics();
   if (readable || wire_->has_buffered()) {
@@ -291,7 +292,8 @@ void PublishChannel::serve(bool readable, bool writable) {
 
 std::unique_ptr<AmqpLink> PublishChannel::give_up_wire() {
   const PublishCore::Turn turn(core_);
-  connected_ = blocked_ = broken_ = held_back_ = false;
+  connected_ = blocked_ = held_back_ = false;
+  broken_ = nullptr;
   return std::move(wire_);
 }
 

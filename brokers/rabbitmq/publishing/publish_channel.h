@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdint>
 #include <deque>
+#include <exception>
 #include <memory>
 #include <optional>
 #include <set>
@@ -123,8 +124,8 @@ class PublishChannel final : client::PublishTransport {
   bool connected_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   /// The server asked us to publish nothing (memory or disk alarm).
   bool blocked_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  /// A caller found the wire broken; the channel's thread cleans up.
-  bool broken_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
+  /// What a caller's send failed with; the channel's thread cleans up. Null: none did.
+  std::exception_ptr broken_ IOTCLOUD_GUARDED_BY(core_.mutex);
   bool sleeping_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   /// Poll reported room, so one message can be sent without asking again.
   bool writable_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;

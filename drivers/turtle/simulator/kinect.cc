@@ -108,7 +108,7 @@ Kinect::Kinect(std::uint64_t seed) : random_(seed) {
   }
 }
 
-void Kinect::look(std::span<const Prism> prisms, const Pose& camera) {
+void Kinect::scan(std::span<const Prism> prisms, const Pose& camera) {
   const double forward_x = std::cos(camera.heading), forward_y = std::sin(camera.heading);
   for (const Prism& prism : prisms) {
     const double dx = prism.pose.x - camera.x, dy = prism.pose.y - camera.y;
@@ -214,8 +214,8 @@ void Kinect::render(const Room& room, std::span<const Prism> body, const Pose& c
   const std::size_t chance_row = random_.next() % (SensorNoise::rows - rows);
 
   seen_.clear();
-  look(room.furniture, camera);
-  look(body, camera);
+  scan(room.furniture, camera);
+  scan(body, camera);
   projector_.fill(1e9f);
   std::array<std::array<std::uint16_t, rows>, tile> measured;
   // From right to left, as the shadows fall.

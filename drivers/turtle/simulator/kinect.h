@@ -53,7 +53,7 @@ class Kinect {
     Surface surface;
   };
 
-  void look(std::span<const Prism> prisms, const Pose& camera);
+  void scan(std::span<const Prism> prisms, const Pose& camera);
   void cast(int column, const Room& room, const Pose& camera, const std::uint8_t* reading_chance);
   void draw(const Seen& prism, float near, float far);
 

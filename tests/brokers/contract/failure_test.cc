@@ -15,7 +15,7 @@
 
 namespace iotcloud::brokers {
 
-INSTANTIATE_TEST_SUITE_P(On, BrokerContract, testing::Values("embedded", "rabbitmq", "kafka", "activemq"),
+INSTANTIATE_TEST_SUITE_P(On, BrokerContract, testing::ValuesIn(broker_kinds()),
                          [](const auto& kind) { return kind.param; });
 
 namespace {

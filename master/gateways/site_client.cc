@@ -7,7 +7,7 @@
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/description/wire.h>
-#include <iotcloud/master/originals/site_client.h>
+#include <iotcloud/master/gateways/site_client.h>
 #include <iotcloud/rpc/thrift_client.h>
 
 namespace iotcloud::master {

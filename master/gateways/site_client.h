@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include <iotcloud/master/api/answers.h>
+#include <iotcloud/master/orders/answers.h>
 #include <iotcloud/security/tls.h>
 
 namespace iotcloud::master {

@@ -1,0 +1,20 @@
+#pragma once
+
+#include <string>
+
+#include <iotcloud/discovery/directory.h>
+#include <iotcloud/master/gateways/site_client.h>
+#include <iotcloud/security/tls.h>
+
+namespace iotcloud::master {
+
+/// The credentials that this master shows to the gateways' Thrift services.
+struct GatewayAccess {
+  security::TlsFiles tls;  ///< for gateways that speak TLS
+  std::string token_file;  ///< its first line is the token for gateways that speak TLS; empty: none
+};
+
+/// The address of the gateway's Thrift service. \throws config::Error when this master cannot call it, with the reason.
+SiteAddress address_of(const discovery::GatewayStatus& gateway, const GatewayAccess& access);
+
+}  // namespace iotcloud::master
