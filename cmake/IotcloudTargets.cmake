@@ -73,6 +73,8 @@ function(iotcloud_room)
   if(arg_INSTALL)
     # Installed headers need C++20, and the default of another project's compiler may be older.
     target_compile_features(${target} ${scope} $<INSTALL_INTERFACE:cxx_std_20>)
+    # A symbol that nothing defines is an error of the linker, not of the gateway that loads the plugin.
+    target_link_options(${target} INTERFACE $<INSTALL_INTERFACE:LINKER:-z,defs>)
     set_property(GLOBAL APPEND PROPERTY IOTCLOUD_SDK_TARGETS ${target})
   endif()
 endfunction()
@@ -94,6 +96,9 @@ function(iotcloud_plugin)
   add_library(${arg_NAME} MODULE ${arg_SOURCES})
   set_target_properties(${arg_NAME} PROPERTIES PREFIX "")
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES})
+  if(NOT IOTCLOUD_SANITIZE)  # a sanitizer's own symbols are in the program
+    target_link_options(${arg_NAME} PRIVATE LINKER:-z,defs)
+  endif()
   _iotcloud_unity(${arg_NAME} 12)
   _iotcloud_hot(${arg_NAME})
   add_dependencies(programs ${arg_NAME})

@@ -10,6 +10,7 @@
 #include <iotcloud/config/yaml/asked_keys.h>
 #include <iotcloud/config/yaml/document.h>
 #include <iotcloud/config/yaml/duration.h>
+#include <iotcloud/config/yaml/errors.h>
 #include <iotcloud/config/yaml/place.h>
 #include <iotcloud/config/yaml/text.h>
 
@@ -357,12 +358,15 @@ Section Section::require_section(const std::string& key) {
 
 void Section::finish() const {
   const std::vector<std::string> known(impl_->asked.begin(), impl_->asked.end());
+  std::vector<ConfigError> errors;
   for (const auto& entry : impl_->node) {
     const std::string& key = entry.first.Scalar();
     if (impl_->asked.contains(key)) continue;
     const std::string guess = nearest(key, known);
-    throw error(key, "unknown key", guess.empty() ? "known are " + list_of(known) : "did you mean \"" + guess + "\"?");
+    errors.push_back(
+        error(key, "unknown key", guess.empty() ? "known are " + list_of(known) : "did you mean \"" + guess + "\"?"));
   }
+  if (!errors.empty()) throw together(errors);
 }
 
 }  // namespace iotcloud::config

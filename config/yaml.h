@@ -58,7 +58,8 @@ class Section {
   std::optional<Section> optional_section(const std::string& key);
   Section require_section(const std::string& key);
 
-  /// \throws ConfigError for the first key that nobody asked for. Call it on every section that was read.
+  /// \throws ConfigError that names every key that nobody asked for, a line for each. Call it on every section that was
+  /// read.
   void finish() const;
 
   /// An error at this key's value (at this section if `key` is empty or missing), for the caller's own checks.

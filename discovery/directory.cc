@@ -121,6 +121,13 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
     instance.active = chosen && record->state == DriverState::active;
     if (record) judge(id, chosen, record->state);
     if (!over) update(instance);
+    if (!over && chosen && record->state == DriverState::active) look_for_wanted(id, record->channels);
+  }
+
+  void look_for_wanted(const InstanceId& id, const std::vector<ChannelRecord>& channels) IOTCLOUD_REQUIRES(turn) {
+    if (wanted.empty() || channels.empty() || !callbacks.on_missing) return;
+    const auto is_wanted = [&](const ChannelRecord& channel) { return channel.name == wanted; };
+    if (std::none_of(channels.begin(), channels.end(), is_wanted)) callbacks.on_missing(id, channels);
   }
 
   void judge(const InstanceId& id, std::optional<bool> chosen, std::optional<DriverState> state)

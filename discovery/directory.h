@@ -25,6 +25,9 @@ class DriverDirectory {
     std::function<void(const InstanceId& instance, std::optional<bool> chosen)> on_verdict{};
     /// The same, with the state that the record says, whether `where` selects the instance or not. May be empty.
     std::function<void(const InstanceId& instance, std::optional<DriverState> state)> on_state{};
+    /// The record of an active, selected instance names its channels, and the wanted one is not among them. May be
+    /// empty.
+    std::function<void(const InstanceId& instance, const std::vector<ChannelRecord>& channels)> on_missing{};
   };
   /// Watches `driver` below `paths.sensors`. The callbacks run on the registry's dispatcher and concern channels named
   /// `channel` only (all channels if it is empty). Existing channels are reported first. The driver need not exist yet.

@@ -77,7 +77,8 @@ struct ChannelSpec {
 enum class PublishStatus {
   accepted,     ///< the host has it, and sends it until the broker has confirmed it
   would_block,  ///< the channel is full; Driver::on_writable follows
-  closed,       ///< the instance is being closed, or there is no such outgoing channel
+  /// The instance is being closed; or channels() did not declare such an outgoing channel, and the instance fails.
+  closed,
 };
 
 /// How important a line of a driver's log is. The host writes those from its own level on.

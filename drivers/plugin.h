@@ -12,7 +12,8 @@
 namespace iotcloud::drivers {
 
 /// Raised with every change of the SDK after which plugins must be compiled again.
-inline constexpr std::uint32_t sdk_version = 5;
+#define IOTCLOUD_DRIVER_SDK_VERSION 5
+inline constexpr std::uint32_t sdk_version = IOTCLOUD_DRIVER_SDK_VERSION;
 
 /// Compiler, C++ library and ABI: a host loads a plugin only if both agree on the layout of C++ types.
 #define IOTCLOUD_STRINGIFY_(x) #x
@@ -51,6 +52,10 @@ struct Descriptor {
   DriverShell* (*create)();  ///< nullptr on failure
   void (*destroy)(DriverShell*);
 };
+
+/// This text, the version and a ';' stand in a plugin's bytes: what it was built with is known also when it cannot be
+/// loaded.
+#define IOTCLOUD_DRIVER_SDK_MARK "iotcloud-plugin: driver-sdk="
 
 inline constexpr const char* descriptor_symbol = "iotcloud_driver_descriptor";
 
@@ -133,12 +138,14 @@ Descriptor describe(const char* name, const char* version, bool own_thread = fal
 
 /// Exports the driver's descriptor. Write it once in a plugin, at file scope: IOTCLOUD_DRIVER(TurtleDriver, "turtle",
 /// "1.0", true). The arguments are those of iotcloud::drivers::describe.
-#define IOTCLOUD_DRIVER(UserDriver, ...)                                                 \
-  extern "C" __attribute__((visibility("default"))) const iotcloud::drivers::Descriptor* \
-  iotcloud_driver_descriptor() {                                                         \
-    static const auto descriptor = iotcloud::drivers::describe<UserDriver>(__VA_ARGS__); \
-    return &descriptor;                                                                  \
-  }
+#define IOTCLOUD_DRIVER(UserDriver, ...)                                                          \
+  extern "C" __attribute__((visibility("default"))) const iotcloud::drivers::Descriptor*          \
+  iotcloud_driver_descriptor() {                                                                  \
+    static const auto descriptor = iotcloud::drivers::describe<UserDriver>(__VA_ARGS__);          \
+    return &descriptor;                                                                           \
+  }                                                                                               \
+  extern "C" __attribute__((visibility("default"), used)) const char iotcloud_driver_sdk_mark[] = \
+      IOTCLOUD_DRIVER_SDK_MARK IOTCLOUD_STRINGIFY(IOTCLOUD_DRIVER_SDK_VERSION) ";";
 
 /// This text stands in a plugin's bytes, so that a gateway finds it without loading the plugin.
 #define IOTCLOUD_DRIVER_ISOLATION_MARK "iotcloud-plugin: isolation=instance"

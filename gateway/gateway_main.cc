@@ -56,10 +56,12 @@ class GatewayDaemon final : public config::Service {
       kill(getpid(), SIGTERM);
     };
     gateway_.emplace(std::move(options));
-    gateway_->start();
+    // Before it registers: a gateway that cannot have its ports leaves nothing in the registry, where it would stay
+    // lost.
     service_.emplace(config_.thrift, *gateway_, *registry_, config_.gateway.paths);
     if (!config_.metrics_address.empty())
       metrics_.emplace(config_.metrics_address, config::process_metrics(), [this] { return trouble(); });
+    gateway_->start();
   }
 
   void reload() override {

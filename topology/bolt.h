@@ -29,6 +29,13 @@ class Bolt {
     (void)config;
     return std::chrono::microseconds{0};
   }
+  /// For how long the bolt keeps a tuple, by design, before it acks it (a window); 0: it does not say. A topology whose
+  /// bolts keep tuples for longer than the message time-out is refused. TopologyBuilder::build() calls it once for each
+  /// component. \param config as in prepare().
+  virtual std::chrono::microseconds holds_tuples_for(const Config& config) const {
+    (void)config;
+    return std::chrono::microseconds{0};
+  }
 };
 
 /// Emits for a BasicBolt, anchored to the tuple that it executes.

@@ -64,7 +64,14 @@ class ComponentRegistry {
 };
 
 /// Raised with every change of the SDK after which component libraries must be compiled again.
-inline constexpr std::uint32_t sdk_version = 3;
+#define IOTCLOUD_TOPOLOGY_SDK_VERSION 4
+inline constexpr std::uint32_t sdk_version = IOTCLOUD_TOPOLOGY_SDK_VERSION;
+
+/// This text, the version and a ';' stand in a library's bytes: what it was built with is known also when it cannot be
+/// loaded.
+#define IOTCLOUD_TOPOLOGY_SDK_MARK "iotcloud-plugin: topology-sdk="
+#define IOTCLOUD_TOPOLOGY_STRINGIFY_(x) #x
+#define IOTCLOUD_TOPOLOGY_STRINGIFY(x) IOTCLOUD_TOPOLOGY_STRINGIFY_(x)
 
 #if defined(__GLIBCXX__) && _GLIBCXX_USE_CXX11_ABI
 inline constexpr const char* cxx_abi = "itanium;libstdc++;cxx11=1";
@@ -97,5 +104,7 @@ inline constexpr const char* library_symbol = "iotcloud_topology_library";
         &iotcloud_fill_registry};                                                                                    \
     return &descriptor;                                                                                              \
   }                                                                                                                  \
+  extern "C" __attribute__((visibility("default"), used)) const char iotcloud_topology_sdk_mark[] =                  \
+      IOTCLOUD_TOPOLOGY_SDK_MARK IOTCLOUD_TOPOLOGY_STRINGIFY(IOTCLOUD_TOPOLOGY_SDK_VERSION) ";";                     \
   static void iotcloud_fill_registry(iotcloud::topology::ComponentRegistry& registry)
 // NOLINTEND(bugprone-macro-parentheses)

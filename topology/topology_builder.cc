@@ -26,7 +26,7 @@ class Declarations final : public OutputFieldsDeclarer {
   std::string component_;
 };
 
-/// Asks a component for its streams, and for its tick period if the topology sets none.
+/// Asks a component for its streams, for how long it keeps tuples, and for its tick period if the topology sets none.
 std::map<std::string, StreamSpec> ask(ComponentSpec& spec, const Config& topology_config) {
   Declarations declarations(spec.id);
   try {
@@ -39,6 +39,7 @@ std::map<std::string, StreamSpec> ask(ComponentSpec& spec, const Config& topolog
       config.insert(topology_config.begin(), topology_config.end());
       const auto wished = bolt->tick_period(config);
       if (spec.tick.count() == 0) spec.tick = wished;
+      spec.holds = bolt->holds_tuples_for(config);
     }
   } catch (const TopologyError&) {
     throw;

@@ -48,7 +48,8 @@ struct ComponentSpec {
   int parallelism = 1;  ///< number of executors: how many tasks may run at the same time; Runtime::rebalance changes it
   int tasks = 1;        ///< number of objects of the user's class; fixed, at least `parallelism`
   Config config;
-  std::chrono::microseconds tick{0};  ///< for bolts: period of tick tuples; 0: none
+  std::chrono::microseconds tick{0};   ///< for bolts: period of tick tuples; 0: none
+  std::chrono::microseconds holds{0};  ///< for bolts: Bolt::holds_tuples_for(); build() sets it
   /// For bolts. A tuple is late when its spout emitted the root of its tree longer ago than this. A task does not
   /// execute a late tuple: it counts it, emits it, anchored, to `late_stream` if that is set, and acks it. 0: no
   /// deadline.

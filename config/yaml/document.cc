@@ -140,6 +140,18 @@ void refuse_duplicates(const YAML::Node& node, const std::string& file, const st
   }
 }
 
+/// What is wrong at a line may be because of a TAB that indents it or the line before: names that TAB.
+void refuse_tab(const std::string& text, const std::string& name, int line) {
+  std::istringstream lines(text);
+  std::string content;
+  for (int number = 1; number <= line && std::getline(lines, content); ++number) {
+    const auto tab = content.find_first_not_of(' ');
+    if (number + 1 < line || tab == std::string::npos || content[tab] != '\t') continue;
+    throw ConfigError({name, number, static_cast<int>(tab) + 1}, "", "a TAB stands in the indentation here",
+                      "YAML is indented by spaces only: set the editor to write spaces for the key TAB");
+  }
+}
+
 }  // namespace
 
 Location location(const std::string& file, const YAML::Mark& mark) {
@@ -156,7 +168,11 @@ YAML::Node read_document(const std::string& text, const std::string& name) {
     while (parser.HandleNextDocument(inspection)) {
     }
     document.reset(YAML::Load(text));
+  } catch (const ConfigError& e) {
+    refuse_tab(text, name, e.where().line);
+    throw;
   } catch (const YAML::Exception& e) {
+    refuse_tab(text, name, location(name, e.mark).line);
     throw ConfigError(location(name, e.mark), "", "this is not YAML: " + e.msg, "");
   }
   refuse_duplicates(document, name, "");

@@ -1,8 +1,10 @@
 #include <algorithm>
+#include <stdexcept>
 #include <utility>
 
 #include <poll.h>
 
+#include <iotcloud/drivers/channel_names.h>
 #include <iotcloud/drivers/testing/mock_host.h>
 
 namespace iotcloud::drivers::testing {
@@ -14,6 +16,12 @@ PublishStatus MockHost::publish(std::string_view channel, Message message) noexc
   if (published.message.time_ms == 0) published.message.time_ms = 1 + now_.count() / 1000;
   {
     const std::lock_guard lock(mutex_);
+    if (channels_) {
+      if (const std::string problem = unknown_channel(channel, Direction::out, *channels_); !problem.empty()) {
+        if (!std::exchange(failed_, true)) failure_ = problem;
+        return PublishStatus::closed;
+      }
+    }
     if (const auto answer = answers_.find(channel); answer != answers_.end()) {
       if (answer->second != PublishStatus::accepted) return answer->second;
     }
@@ -109,6 +117,11 @@ std::size_t MockHost::poll_descriptors(std::chrono::milliseconds limit) {
   return count;
 }
 
+void MockHost::declare_channels(std::vector<ChannelSpec> channels) {
+  const std::lock_guard lock(mutex_);
+  channels_ = std::move(channels);
+}
+
 void MockHost::answer_publish(const std::string& channel, PublishStatus status) {
   const std::lock_guard lock(mutex_);
   answers_[channel] = status;
@@ -198,6 +211,7 @@ bool MockInstance::open() {
   std::string error;
   channels_ = shell_->channels(host_.properties(), error);
   if (!note(error)) return false;
+  host_.declare_channels(channels_);
   opened_ = true;
   shell_->open(host_, error);
   return note(error);
@@ -215,7 +229,14 @@ bool MockInstance::deactivate() {
   return note(error);
 }
 
+void MockInstance::require(std::string_view channel, Direction direction) const {
+  if (!opened_) return;
+  const std::string problem = unknown_channel(channel, direction, channels_);
+  if (!problem.empty()) throw std::invalid_argument(problem);
+}
+
 bool MockInstance::deliver(std::string_view channel, Message message) {
+  require(channel, Direction::in);
   std::string error;
   shell_->on_message(channel, std::move(message), error);
   host_.run_posted();
@@ -223,6 +244,7 @@ bool MockInstance::deliver(std::string_view channel, Message message) {
 }
 
 bool MockInstance::writable(std::string_view channel) {
+  require(channel, Direction::out);
   std::string error;
   shell_->on_writable(channel, error);
   host_.run_posted();
@@ -230,6 +252,7 @@ bool MockInstance::writable(std::string_view channel) {
 }
 
 bool MockInstance::stored(std::string_view channel, std::uint64_t count) {
+  require(channel, Direction::out);
   std::string error;
   shell_->on_stored(channel, count, error);
   host_.run_posted();

@@ -6,6 +6,7 @@
 #include <functional>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -55,6 +56,9 @@ class MockHost final : public HostInterface {
   /// Waits up to `limit` of real time for a watched descriptor and runs the callbacks of those that are ready.
   /// \return how many ran.
   std::size_t poll_descriptors(std::chrono::milliseconds limit);
+  /// The channels that publish() knows: on any other it answers `closed` and fails the instance, as a real host does.
+  /// MockInstance calls it; without a call every channel is known.
+  void declare_channels(std::vector<ChannelSpec> channels);
   /// Sets what publish() answers on a channel from now on. Only accepted messages are recorded.
   void answer_publish(const std::string& channel, PublishStatus status);
   /// Called for each accepted message from inside publish(); to close a loop, post() from it.
@@ -99,6 +103,7 @@ class MockHost final : public HostInterface {
   std::vector<Published> published_;
   std::vector<Logged> logged_;
   std::map<std::string, PublishStatus, std::less<>> answers_;
+  std::optional<std::vector<ChannelSpec>> channels_;  ///< nullopt: nothing was declared
   PropertyMap metadata_;
   std::string failure_;
   bool failed_ = false;
@@ -124,7 +129,8 @@ class MockInstance {
   bool open();  ///< channels and open only
   bool activate();
   bool deactivate();
-  /// Gives the driver a message from an incoming channel, then runs what the driver posted.
+  /// Gives the driver a message from an incoming channel, then runs what the driver posted. These three calls throw
+  /// std::invalid_argument for a channel that the open instance has not declared.
   bool deliver(std::string_view channel, Message message);
   bool writable(std::string_view channel);
   bool stored(std::string_view channel, std::uint64_t count);
@@ -137,6 +143,7 @@ class MockInstance {
 
  private:
   bool note(const std::string& error);
+  void require(std::string_view channel, Direction direction) const;
   Descriptor descriptor_;
   MockHost host_;
   DriverShell* shell_;

@@ -83,7 +83,7 @@ class InProcessLink final : public HostLink {
     if (stopper_.joinable()) return;
     stopper_ = std::jthread([this, limit] {
       HostEnd end;
-      if (!host_.stop(limit)) end.reason = "a driver is stuck in a callback; its thread was left behind";
+      if (!host_.stop(limit)) end.reason = host_.left_behind();
       events_->with([&](const HostEvents& of) {
         of.on_ended(end);
         return true;

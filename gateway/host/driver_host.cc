@@ -81,6 +81,7 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   }
 
   void leave_behind() IOTCLOUD_REQUIRES(mutex);
+  std::string what_is_left(std::chrono::milliseconds limit) const IOTCLOUD_REQUIRES(mutex);
   std::shared_ptr<EventLoop> loop_for(const InstanceSpec& spec) const;
   bool lease_runs(const InstanceSpec& spec) const IOTCLOUD_REQUIRES(mutex);
   void suspend(const std::shared_ptr<DriverInstance>& instance, const std::string& reason);
@@ -97,6 +98,7 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   Confirmation confirmation IOTCLOUD_GUARDED_BY(mutex);
   std::int64_t confirmed_ms IOTCLOUD_GUARDED_BY(mutex) = 0;  ///< wall time at which the latest confirmation came
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
+  std::string left IOTCLOUD_GUARDED_BY(mutex);  ///< why stop() returned false
 };
 
 /// Leaks the instances and what they share, because a stuck thread may use them until the process ends.
@@ -108,6 +110,24 @@ void DriverHost::Impl::leave_behind() {
     kept->push_back(instance);
   }
   static_cast<void>(kept.release());
+}
+
+/// Why instances have not ended within the limit: a driver does not return, or what was published is still being sent.
+std::string DriverHost::Impl::what_is_left(std::chrono::milliseconds limit) const {
+  std::string in_callback;
+  std::size_t sending = 0;
+  for (const auto& [id, instance] : instances) {
+    if (instance->driver_gone()) {
+      ++sending;
+    } else if (instance->loop()->serving() == instance->number()) {
+      in_callback += (in_callback.empty() ? "" : ", ") + id.str();
+    }
+  }
+  std::string text = fmt::format("{} instance(s) did not end within {} ms", instances.size(), limit.count());
+  if (!in_callback.empty())
+    text += fmt::format("; a driver is stuck in a callback, and its thread is left behind: {}", in_callback);
+  if (sending > 0) text += fmt::format("; {} of them have closed, and were sending what they had published", sending);
+  return text;
 }
 
 DriverHost::DriverHost(const Options& options, std::shared_ptr<const Plugin> plugin, Listener listener)
@@ -265,8 +285,8 @@ bool DriverHost::stop(std::chrono::milliseconds limit) {
     return impl.instances.empty();
   });
   if (!done) {
-    host_logger.error("{}: {} instance(s) did not close within {} ms; a driver is stuck in a callback",
-                      impl_->environment->plugin->name(), impl_->instances.size(), limit.count());
+    impl_->left = impl_->what_is_left(limit);
+    host_logger.error("{}: {}", impl_->environment->plugin->name(), impl_->left);
     impl_->leave_behind();
     return false;
   }
@@ -274,7 +294,15 @@ bool DriverHost::stop(std::chrono::milliseconds limit) {
   // This runs after the last report and after the drains of failed instances.
   auto over = std::make_shared<std::promise<void>>();
   impl_->environment->closing->post([over] { over->set_value(); });
-  return over->get_future().wait_for(limit) == std::future_status::ready;
+  if (over->get_future().wait_for(limit) == std::future_status::ready) return true;
+  lock.lock();
+  impl_->left = fmt::format("messages of failed instances were not sent within {} ms", limit.count());
+  return false;
+}
+
+std::string DriverHost::left_behind() const {
+  const config::MutexLock lock(impl_->mutex);
+  return impl_->left;
 }
 
 void DriverHost::deliver(PassedMessage passed) {

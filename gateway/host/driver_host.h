@@ -44,8 +44,10 @@ class DriverHost {
   void deactivate(const discovery::InstanceId& instance);
   /// Begins to remove the instance; the listener gets `undeployed` when it has ended, and at once for an unknown id.
   void remove(const discovery::InstanceId& instance);
-  /// Removes all instances. \return false when one did not close within the limit: its thread is left behind.
+  /// Removes all instances. \return false when one did not end within the limit: left_behind() says why. The thread of
+  /// a driver that is stuck in a callback is left behind.
   bool stop(std::chrono::milliseconds limit);
+  std::string left_behind() const;
 
   /// Hands a message that another host has passed to its instance. Passing::answer says later, on any thread, what
   /// became of it.

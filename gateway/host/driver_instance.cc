@@ -6,6 +6,7 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/drivers/channel_names.h>
 #include <iotcloud/gateway/host/driver_instance.h>
 #include <iotcloud/gateway/host/logger.h>
 
@@ -285,13 +286,17 @@ void DriverInstance::close_incoming() {
 }
 
 void DriverInstance::close_driver() {
-  if (shell_ == nullptr) return;
+  if (shell_ == nullptr) {
+    driver_gone_ = true;
+    return;
+  }
   std::string error;
   const EventLoop::Serving serving(*loop_, number_);
   shell_->close(error);
   if (!error.empty()) host_logger.warn("{}: close: {}", id_, error);
   environment_->plugin->descriptor().destroy(shell_);
   shell_ = nullptr;
+  driver_gone_ = true;
 }
 
 void DriverInstance::drain_then_report(DriverState final_state, const std::string& reason,
@@ -342,7 +347,13 @@ drivers::PublishStatus DriverInstance::publish(std::string_view channel, drivers
   if (!running()) return drivers::PublishStatus::closed;
   const config::ReadLock lock(channels_mutex_);
   const auto found = outgoing_.find(channel);
-  if (found == outgoing_.end()) return drivers::PublishStatus::closed;
+  if (found == outgoing_.end()) {
+    if (!running()) return drivers::PublishStatus::closed;  // close_now() has just taken the channels away
+    std::vector<drivers::ChannelSpec> declared;
+    for (const auto& [name, outgoing] : outgoing_) declared.emplace_back().name = name;
+    fail(fmt::format("publish: {}", drivers::unknown_channel(channel, drivers::Direction::out, declared)));
+    return drivers::PublishStatus::closed;
+  }
   message.driver_id = id_;
   message.gateway_id = environment_->gateway;
   if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();

@@ -42,6 +42,8 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   const std::shared_ptr<EventLoop>& loop() const { return loop_; }
   /// The value of EventLoop::serving() while a callback of this instance runs: unique in the process, never 0.
   std::uint64_t number() const { return number_; }
+  /// Whether the driver is closed; what it published may still be on its way.
+  bool driver_gone() const { return driver_gone_; }
   /// The value of the property `hang_limit`; see Stall::limit.
   std::optional<std::chrono::milliseconds> hang_limit() const { return hang_limit_; }
 
@@ -85,6 +87,7 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   void set_active(bool active);
   bool running() const { return open_ && !failing_; }
 
+  std::atomic<bool> driver_gone_{false};
   const std::shared_ptr<HostEnvironment> environment_;
   const discovery::InstanceId id_;
   const drivers::PropertyMap properties_;

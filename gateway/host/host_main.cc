@@ -1,9 +1,11 @@
 // iotcloud-driver-host: a process that runs all instances of one driver plugin. Started by a gateway.
 #include <cstdio>
 #include <cstdlib>
+#include <string_view>
 
 #include <CLI/CLI.hpp>
 #include <fcntl.h>
+#include <nlohmann/json.hpp>
 #include <signal.h>
 #include <sys/signalfd.h>
 #include <unistd.h>
@@ -12,6 +14,7 @@
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/memory.h>
 #include <iotcloud/gateway/host/control_server.h>
+#include <iotcloud/gateway/host/plugin.h>
 
 namespace {
 
@@ -26,13 +29,37 @@ int signal_descriptor() {
   return signalfd(-1, &ending, SFD_CLOEXEC);
 }
 
+/// Loads a plugin as a host does, and prints what it is, or why it cannot be loaded, as the last line: a JSON object.
+/// \return the exit status.
+int check_plugin(const char* file) {
+  nlohmann::ordered_json answer;
+  int status = 0;
+  try {
+    const auto plugin = iotcloud::gateway::Plugin::load(file);
+    const auto& descriptor = plugin->descriptor();
+    answer = {{"driver", descriptor.name},
+              {"version", descriptor.version == nullptr ? "" : descriptor.version},
+              {"sdk_version", descriptor.sdk_version},
+              {"cxx_abi", descriptor.cxx_abi},
+              {"own_thread", descriptor.own_thread}};
+  } catch (const std::exception& e) {
+    answer = {{"error", e.what()}};
+    status = 1;
+  }
+  std::printf("\n%s\n", answer.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace).c_str());
+  return status;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
+  if (argc == 3 && std::string_view(argv[1]) == "--check") return check_plugin(argv[2]);
   iotcloud::config::keep_freed_memory();
   iotcloud::gateway::ControlServer::Options options;
-  CLI::App app{"Runs the instances of one driver plugin for an IoTCloud gateway, which starts it.",
-               "iotcloud-driver-host"};
+  CLI::App app{
+      "Runs the instances of one driver plugin for an IoTCloud gateway, which starts it. `iotcloud-driver-host "
+      "--check FILE` only loads a plugin and says what it is.",
+      "iotcloud-driver-host"};
   app.add_option("--plugin", options.plugin_path, "the driver's shared library")->required();
   app.add_option("--name", options.order.plugin, "how orders name the plugin; its file's name when it is not given");
   app.add_option("--ordered", options.order.sha256, "the SHA-256 by which orders name it");

@@ -9,6 +9,7 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include <iotcloud/config/shared_library.h>
 #include <iotcloud/gateway/host/plugin.h>
 #include <iotcloud/processes/descriptor.h>
 #include <iotcloud/processes/plugin_store.h>
@@ -99,12 +100,8 @@ std::shared_ptr<const Plugin> Plugin::load_exactly(const std::string& path, cons
 
 std::shared_ptr<const Plugin> Plugin::open(const std::string& path, const std::string& origin) {
   // RTLD_LOCAL keeps classes with the same name in two plugins apart.
-  void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
-  if (library == nullptr) {
-    const std::string reason = dlerror();
-    throw config::Error(
-        fmt::format("the driver plugin {}cannot be loaded: {}", path == origin ? "" : origin + " ", reason));
-  }
+  constexpr config::SdkMark mark{"driver SDK", IOTCLOUD_DRIVER_SDK_MARK, drivers::sdk_version};
+  void* const library = config::open_library(path, "the driver plugin " + origin, mark, RTLD_NOW | RTLD_LOCAL);
   auto* const symbol = dlsym(library, drivers::descriptor_symbol);
   if (symbol == nullptr) {
     dlclose(library);

@@ -25,7 +25,7 @@ class Drivers final : public Verb {
               "iotcloud drivers --where 'site == \"lab\" and battery > 20'", security::Role::viewer}) {}
 
   void declare(CLI::App& options) override {
-    choice_.add_ids(options, "ids, or how they begin");
+    choice_.add_ids(options, "ids, or how they begin, or names (meter/2)");
     choice_.add_what_they_are(options, "only on these gateways");
   }
 

@@ -76,7 +76,9 @@ class OfOne : public Verb {
  public:
   using Verb::Verb;
   void declare(CLI::App& options) override {
-    options.add_option("ID", ids_, "the id of an instance, or its beginning")->required()->expected(1);
+    options.add_option("ID", ids_, "the id of an instance, its beginning, or its name (meter/2)")
+        ->required()
+        ->expected(1);
   }
 
  protected:
@@ -136,13 +138,14 @@ class History final : public Verb {
               "iotcloud history --gateway lab1", Role::viewer}) {}
 
   void declare(CLI::App& options) override {
-    options.add_option("ID", instances_, "only of these instances: ids, or beginnings of ids");
+    options.add_option("ID", instances_, "only of these instances: ids, beginnings of ids, or names (meter/2)");
     add_gateways(options, gateways_, "only on these gateways");
     add_lines(options, lines_, 1, "at most this many of the latest");
   }
 
   int run(Call& call) override {
-    const auto history = call.connect()->history(instances_, gateways_, lines_);
+    const auto master = call.connect();
+    const auto history = master->history(ids_of_names(instances_, *master), gateways_, lines_);
     if (history.changes.empty() && history.silent.empty() && !instances_.empty()) {
       throw Failed(
           fmt::format("no gateway remembers a change of state of \"{}\"; they remember the latest since they "

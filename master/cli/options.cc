@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <set>
 #include <tuple>
 
 #include <CLI/CLI.hpp>
@@ -11,6 +12,7 @@
 #include <fmt/ranges.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/master/cli/driver_verbs.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/output.h>
 
@@ -46,19 +48,39 @@ std::vector<DriverRecord> sorted_drivers(MasterClient& master) {
   return drivers;
 }
 
-discovery::InstanceId completed(const std::string& beginning, const std::vector<DriverRecord>& drivers) {
-  std::vector<discovery::InstanceId> ids;
-  std::vector<std::string> lines;
+/// Whether the word is the instance's name as `iotcloud drivers` shows it ("meter/2"), or that of its deployment
+/// ("meter").
+bool is_named(const DriverRecord& driver, const std::string& word) {
+  return !driver.deployment.empty() && (word == driver.deployment || word == full_name(driver));
+}
+
+/// The instances that a word means: that with this id, or those with this name, or those whose ids begin with it.
+std::vector<const DriverRecord*> meant(const std::string& word, const std::vector<DriverRecord>& drivers) {
+  std::vector<const DriverRecord*> named, beginning;
   for (const auto& driver : drivers) {
-    if (driver.instance == beginning) return driver.instance;
-    if (!driver.instance.str().starts_with(beginning)) continue;
-    ids.push_back(driver.instance);
-    lines.push_back(fmt::format("{} ({} on {})", driver.instance, printable(driver.name), printable(driver.gateway)));
+    if (driver.instance == word) return {&driver};
+    if (is_named(driver, word)) named.push_back(&driver);
+    if (driver.instance.str().starts_with(word)) beginning.push_back(&driver);
   }
-  if (ids.size() > 1)
-    throw Ambiguous(
-        fmt::format("\"{}\" begins {} ids; give more of it:\n  {}", beginning, ids.size(), fmt::join(lines, "\n  ")));
-  return ids.empty() ? discovery::InstanceId(beginning) : ids.front();
+  return named.empty() ? beginning : named;
+}
+
+discovery::InstanceId completed(const std::string& word, const std::vector<DriverRecord>& drivers) {
+  const auto found = meant(word, drivers);
+  if (found.empty()) return discovery::InstanceId(word);
+  if (found.size() == 1) return found.front()->instance;
+  std::vector<std::string> lines;
+  for (const auto* driver : found) {
+    lines.push_back(fmt::format("{} ({}{} on {})", driver->instance, printable(driver->name),
+                                driver->deployment.empty() ? "" : " " + printable(full_name(*driver)),
+                                printable(driver->gateway)));
+  }
+  if (is_named(*found.front(), word)) {
+    throw Ambiguous(fmt::format("\"{}\" is the name of {} instances; give an id, or say --name for all of them:\n  {}",
+                                word, found.size(), fmt::join(lines, "\n  ")));
+  }
+  throw Ambiguous(
+      fmt::format("\"{}\" begins {} ids; give more of it:\n  {}", word, found.size(), fmt::join(lines, "\n  ")));
 }
 
 }  // namespace
@@ -142,9 +164,12 @@ void Choice::check_order() const {
 std::vector<DriverRecord> Choice::drivers(MasterClient& master) const {
   const auto selection = selection_of(where);
   auto drivers = sorted_drivers(master);
+  std::set<discovery::InstanceId> chosen;
+  for (const auto& word : instances) {
+    for (const auto* one : meant(word, drivers)) chosen.insert(one->instance);
+  }
   std::erase_if(drivers, [&](const DriverRecord& one) {
-    const auto begins = [&](const std::string& id) { return one.instance.str().starts_with(id); };
-    return (!instances.empty() && std::none_of(instances.begin(), instances.end(), begins)) ||
+    return (!instances.empty() && !chosen.contains(one.instance)) ||
            (!gateways.empty() && !among(gateways, one.gateway)) || (!driver.empty() && driver != one.name) ||
            (!name.empty() && name != one.deployment) || (!state.empty() && state != to_string(one.state)) ||
            !selection.matches(one);
@@ -164,8 +189,23 @@ std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
   return ids;
 }
 
-discovery::InstanceId full_id(const std::string& beginning, MasterClient& master) {
-  return completed(beginning, sorted_drivers(master));
+discovery::InstanceId full_id(const std::string& word, MasterClient& master) {
+  return completed(word, sorted_drivers(master));
+}
+
+std::vector<std::string> ids_of_names(const std::vector<std::string>& words, MasterClient& master) {
+  if (words.empty()) return {};
+  const auto drivers = sorted_drivers(master);
+  std::vector<std::string> ids;
+  for (const auto& word : words) {
+    const auto found = meant(word, drivers);
+    if (found.empty() || !is_named(*found.front(), word)) {
+      ids.push_back(word);
+      continue;
+    }
+    for (const auto* one : found) ids.push_back(one->instance.str());
+  }
+  return ids;
 }
 
 std::string bytes_of(const std::string& path) {

@@ -157,7 +157,7 @@ class ForInstances : public Verb {
  public:
   using Verb::Verb;
   void declare(CLI::App& options) override {
-    choice_.add_ids(options, "ids of instances, or how they begin");
+    choice_.add_ids(options, "ids of instances, or how they begin, or names (meter/2)");
     add_choice(options);
   }
   void check() override { choice_.check_order(); }
@@ -362,7 +362,34 @@ void add_order_verbs(Verbs& verbs) {
       &MasterClient::stop);
 }
 
+namespace {
+
+class ForgetGateway final : public Verb {
+ public:
+  ForgetGateway()
+      : Verb({"forget",
+              "Remove lost gateways that do not come back from the registry, with the orders and records of their "
+              "driver "
+              "instances",
+              "iotcloud gateway forget lab1", Role::admin}) {}
+
+  void declare(CLI::App& options) override {
+    options.add_option("GATEWAY", selection_.gateways, "ids of gateways")->required();
+  }
+  int run(Call& call) override {
+    const auto master = call.connect();
+    const std::string order = discovery::to_json<nlohmann::ordered_json>(selection_).dump();
+    return show_order(call, master->give("forgetGateway", order, selection_.wait));
+  }
+
+ private:
+  GatewaySelection selection_;
+};
+
+}  // namespace
+
 void add_drain_verbs(Verbs& verbs) {
+  verbs.group("gateway", "Gateways that are gone for good").add<ForgetGateway>();
   verbs.add<Drain>(false);
   verbs.add<Drain>(true);
 }

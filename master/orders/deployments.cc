@@ -1,5 +1,6 @@
 #include <set>
 
+#include <iotcloud/discovery/directory.h>
 #include <iotcloud/master/orders/deployments.h>
 #include <iotcloud/master/orders/direct_gateways.h>
 #include <iotcloud/master/orders/instance_id.h>
@@ -72,6 +73,14 @@ std::optional<OrderResult> find_targets(const DeployRequest& request, const std:
   return std::nullopt;
 }
 
+/// Whether an instance runs as an order wants it that was given before, in all but its epoch.
+bool is_as_wanted(const Located& where, const OrderRecord& before, const OrderRecord& wanted) {
+  const discovery::Deployment &now = before, &then = wanted;
+  if (!(now == then) || !where.record) return false;
+  const auto record = discovery::driver_of(where.record, where.instance.str());
+  return record && record->state == (wanted.active ? discovery::DriverState::active : discovery::DriverState::inactive);
+}
+
 }  // namespace
 
 OrderResult Deployments::deploy(const DeployRequest& request) {
@@ -136,14 +145,19 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
     order.instance = named_instance_id(id, request.name, index);
     InstanceOutcome outcome{id, order.instance, OrderOutcome::failed, ""};
     const bool runs = there.contains(order.instance);
-    const bool ordered = runs && desk_.book.get(id, order.instance);
+    const auto before = runs ? desk_.book.get(id, order.instance) : std::nullopt;
+    const bool ordered = before.has_value();
     // What a frozen gateway runs without an order gets its order again, and goes on when the registry is adopted.
     if (!runs || (!ordered && !gateway.frozen.empty())) {
       outcome.outcome = OrderOutcome::unknown;
       OrderDesk::set_verdict(outcome, this->order(gateway, order, watch));
+    } else if (ordered && is_as_wanted(there.at(order.instance), *before, order)) {
+      outcome.outcome = OrderOutcome::done;
+      outcome.reason = "unchanged: it is deployed so already";
     } else if (ordered) {
       outcome.reason = fmt::format(
-          "{} {} is deployed there already; `iotcloud apply` changes it, `iotcloud undeploy` "
+          "{} {} is deployed there already, and differs or is not in its state; `iotcloud apply` changes it, `iotcloud "
+          "undeploy` "
           "takes it away",
           request.name, index);
     } else {

@@ -37,6 +37,7 @@ std::vector<OrderKind> deployment_orders();
 std::vector<OrderKind> change_orders();
 std::vector<OrderKind> draining_orders();
 std::vector<OrderKind> adoption_orders();
+std::vector<OrderKind> forgetting_orders();
 std::vector<OrderKind> backup_orders();
 std::vector<OrderKind> update_orders();
 

@@ -7,6 +7,7 @@
 #include <iotcloud/master/orders/changes.h>
 #include <iotcloud/master/orders/deployments.h>
 #include <iotcloud/master/orders/draining.h>
+#include <iotcloud/master/orders/forgetting.h>
 #include <iotcloud/master/orders/updates.h>
 
 namespace iotcloud::master {
@@ -20,6 +21,7 @@ struct OrderServices {
   Changes changes{desk};
   Draining draining{desk};
   Adoptions adoptions{desk};
+  Forgetting forgetting{desk};
   Backups backups{desk};
   Updates updates{desk};
 };

@@ -72,6 +72,24 @@ TEST(Yaml, lists_the_known_keys_when_none_is_near) {
   EXPECT_THAT(message_of([&] { top.finish(); }), HasSubstr("known are \"name\""));
 }
 
+TEST(Yaml, names_all_unknown_keys_of_a_section_at_once) {
+  auto top = Section::parse("name: a\nnam: b\nzone: c\n", "test.yaml");
+  static_cast<void>(top.string_or("name", ""));
+  EXPECT_EQ(message_of([&] { top.finish(); }),
+            "test.yaml:2:1: nam: unknown key; did you mean \"name\"?\n"
+            "test.yaml:3:1: zone: unknown key; known are \"name\"");
+}
+
+TEST(Yaml, names_a_tab_in_the_indentation_as_such) {
+  EXPECT_EQ(
+      message_of([] { Section::parse("spouts:\n  in:\n\tbroker: a\n", "test.yaml"); }),
+      "test.yaml:3:1: a TAB stands in the indentation here; YAML is indented by spaces only: set the editor to write "
+      "spaces for the key TAB");
+  EXPECT_THAT(message_of([] { Section::parse("spouts:\n  in: a\n  \tbroker: a\n", "test.yaml"); }),
+              HasSubstr("test.yaml:3:3: a TAB stands"));
+  EXPECT_EQ(message_of([] { Section::parse("a: b\tc\n", "test.yaml"); }), "no error");
+}
+
 TEST(Yaml, refuses_values_of_the_wrong_type_with_their_place) {
   auto top = yaml("count: many\nname: [a]\nlist: {a: 1}\nmap: text\nnested: {deep: {er: [1]}}");
   EXPECT_THAT(message_of([&] { top.int_or("count", 0, 0, 9); }),

@@ -22,7 +22,11 @@ struct ToyDriver : Driver {
     if (properties.contains("bad")) throw std::invalid_argument("bad property");
     ChannelSpec spec;
     spec.name = "out";
-    return {spec};
+    ChannelSpec other = spec, in = spec;
+    other.name = "other";
+    in.name = "in";
+    in.direction = Direction::in;
+    return {spec, other, in};
   }
   void open(DriverContext& given) override {
     context = &given;
@@ -120,6 +124,25 @@ TEST_F(MockHostTest, hands_messages_over_and_keeps_the_first_exception) {
   EXPECT_EQ(instance.error(), "cannot do that");
   instance.close();
   EXPECT_TRUE(ToyDriver::closed);
+}
+
+TEST_F(MockHostTest, fails_an_instance_that_publishes_on_a_channel_that_it_has_not_declared) {
+  MockInstance instance(toy);
+  ASSERT_TRUE(instance.start());
+  EXPECT_EQ(ToyDriver::context->publish("uot", Payload::copy("a")), PublishStatus::closed);
+  EXPECT_TRUE(instance.host().failed());
+  EXPECT_EQ(instance.host().failure(), "there is no outgoing channel \"uot\"; channels() declares \"out\", \"other\"");
+  EXPECT_TRUE(instance.host().published().empty());
+}
+
+TEST_F(MockHostTest, delivers_on_declared_channels_only) {
+  MockInstance instance(toy);
+  ASSERT_TRUE(instance.start());
+  EXPECT_THROW(instance.deliver("on", text("hello")), std::invalid_argument);
+  EXPECT_THROW(instance.deliver("out", text("hello")), std::invalid_argument);
+  EXPECT_THROW(instance.writable("in"), std::invalid_argument);
+  EXPECT_THROW(instance.stored("oute", 1), std::invalid_argument);
+  EXPECT_EQ(ToyDriver::last, "");
 }
 
 TEST_F(MockHostTest, does_not_open_what_refuses_its_properties) {

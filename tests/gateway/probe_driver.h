@@ -14,6 +14,7 @@ namespace iotcloud::gateway {
 /// throw_in: the call that throws: channels, open, activate, timer or message
 ///   crash_file: when this file appears it is removed and the process dies of SIGSEGV
 ///   shared: "true" makes both channels shared; channels: "none" leaves them out
+///   publishes_on: publishes on this channel when it is activated, too
 ///   says: "KEY=VALUE", metadata that it has from the beginning; a message "say KEY=VALUE" changes it
 /// It publishes one message ("up") when it is activated, and answers each message on `control` with its echo. Its
 /// metadata `stored` has what on_stored reported.
@@ -50,7 +51,10 @@ class ProbeDriver : public drivers::Driver {
 
   void activate() override {
     throw_if("activate");
+    if (value(context_->properties(), "channels") == "none") return;
     context_->publish("readings", drivers::Payload::copy("up"));
+    const std::string other = value(context_->properties(), "publishes_on");
+    if (!other.empty()) context_->publish(other, drivers::Payload::copy("up"));
   }
 
   void on_message(std::string_view, drivers::Message message) override {

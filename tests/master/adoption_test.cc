@@ -87,7 +87,7 @@ TEST_F(MasterAdopt, OrdersForAFrozenGatewayArePendingAlsoThoseOfWhatItRuns) {
   const auto deployed = master->deploy(request);
   ASSERT_TRUE(deployed.all_done()) << deployed.summary();
   const auto instance = deployed.outcomes.at(0).instance;
-  EXPECT_THAT(master->deploy(request).outcomes.at(0).reason, HasSubstr("deployed there already"));
+  EXPECT_THAT(master->deploy(request).outcomes.at(0).reason, HasSubstr("deployed so already"));
   gateway.behave(FakeGateway::say_nothing());
   freeze("lab1");
   discovery::DriverRecord runs = master->drivers().at(0);

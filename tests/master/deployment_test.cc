@@ -63,10 +63,21 @@ TEST_F(MasterDeployments, WhatIsThereIsNotDeployedTwice) {
   ASSERT_TRUE(master->deploy(meter()).all_done());
   const auto again = master->deploy(meter({"lab1"}, 2));
   ASSERT_THAT(again.outcomes, SizeIs(2));
-  EXPECT_EQ(again.outcomes[0].outcome, OrderOutcome::failed);
-  EXPECT_THAT(again.outcomes[0].reason, AllOf(HasSubstr("meter 1"), HasSubstr("already")));
-  EXPECT_EQ(again.outcomes[1].outcome, OrderOutcome::done);
+  EXPECT_TRUE(again.all_done()) << again.summary();
+  EXPECT_EQ(again.outcomes[0].reason, "unchanged: it is deployed so already");
   EXPECT_THAT(gateway.orders(), SizeIs(2));
+}
+
+TEST_F(MasterDeployments, WhatIsThereAndDiffersOrHasFailedIsNotCalledUnchanged) {
+  FakeGateway gateway(url, "lab1");
+  ASSERT_TRUE(master->deploy(meter()).all_done());
+  auto other = meter();
+  other.properties["rate"] = "4711";
+  const auto differs = master->deploy(other);
+  EXPECT_EQ(differs.outcomes.at(0).outcome, OrderOutcome::failed);
+  EXPECT_THAT(differs.outcomes[0].reason, AllOf(HasSubstr("meter 1"), HasSubstr("already, and differs")));
+  gateway.report(differs.outcomes[0].instance.str(), discovery::DriverState::failed, "no device");
+  EXPECT_EQ(master->deploy(meter()).outcomes.at(0).outcome, OrderOutcome::failed);
 }
 
 TEST_F(MasterDeployments, AnInstanceThatIsNotGoneYetIsNotDeployedAgain) {

@@ -1,5 +1,7 @@
 #include <algorithm>
+#include <map>
 
+#include <iotcloud/config/yaml/errors.h>
 #include <iotcloud/topology/definition/assemble.h>
 #include <iotcloud/topology/definition/describe.h>
 
@@ -139,20 +141,69 @@ void check_shared_spouts(const TopologyDefinition& definition, const Topology& t
                               "\"topology.scope: worker\"); otherwise use a key with driverID, or no group");
 }
 
+/// A time as the file writes it: "10s", "250ms".
+std::string as_text(std::chrono::microseconds time) {
+  const auto ms = std::chrono::ceil<std::chrono::milliseconds>(time).count();
+  return ms % 1000 == 0 ? std::to_string(ms / 1000) + "s" : std::to_string(ms) + "ms";
+}
+
+/// Refuses bolts that keep tuples for longer than the message time-out allows: every one of them would fail. Only on
+/// the way from spouts of this file that track their tuples, because a class may emit tuples that nothing tracks.
+void check_holds(const TopologyDefinition& definition, const Topology& topology) {
+  if (!definition.runtime.acking) return;
+  struct Way {
+    std::chrono::microseconds held{0};
+    std::string bolts;  ///< those that hold, with their times
+  };
+  std::map<std::string, Way> longest;  // by component that tracked tuples reach
+  for (const auto& spout : definition.spouts) {
+    if (spout.endpoint && !spout.endpoint->reading.automatic_ack) longest[spout.id];
+  }
+  for (const auto& component : topology.components) {
+    for (const auto& input : component.inputs) {
+      const auto before = longest.find(input.from);
+      if (before == longest.end()) continue;
+      Way way = before->second;
+      if (component.holds.count() > 0) {
+        way.held += component.holds;
+        way.bolts += (way.bolts.empty() ? "" : ", then ") + component.id + " " + as_text(component.holds);
+      }
+      if (component.holds.count() > 0 && way.held >= definition.runtime.message_timeout) {
+        throw TopologyError(
+            component.id, "tuples are kept for longer than the message time-out, so each of them would fail (" +
+                              way.bolts + "; runtime.message_timeout is " +
+                              as_text(definition.runtime.message_timeout) + "); set runtime.message_timeout to twice " +
+                              as_text(way.held) + ", or make the window shorter");
+      }
+      if (auto& place = longest[component.id]; place.held <= way.held) place = std::move(way);
+    }
+  }
+}
+
 }  // namespace
 
 Topology assemble(const TopologyDefinition& definition, const ComponentRegistry& components,
                   const EndpointFactories& endpoints) {
   TopologyBuilder builder;
   try {
-    for (const auto& spout : definition.spouts) add_spout(builder, spout, components, endpoints);
-    for (const auto& bolt : definition.bolts) add_bolt(builder, bolt, components, endpoints);
+    std::vector<config::ConfigError> errors;
+    const auto add = [&](auto&& component) {
+      try {
+        component();
+      } catch (const config::ConfigError& error) {
+        errors.push_back(error);
+      }
+    };
+    for (const auto& spout : definition.spouts) add([&] { add_spout(builder, spout, components, endpoints); });
+    for (const auto& bolt : definition.bolts) add([&] { add_bolt(builder, bolt, components, endpoints); });
+    if (!errors.empty()) throw config::together(errors);
     if (components.application()) apply(components.application(), builder, definition);
     for (const auto& bolt : definition.bolts) connect_inputs(builder, bolt, components);
     if (const auto* input = unknown_input(definition, builder)) refuse_unknown_source(definition, *input);
     auto topology = builder.build(definition.name, definition.conf);
     check_sent_fields(definition, topology);
     check_shared_spouts(definition, topology);
+    check_holds(definition, topology);
     return topology;
   } catch (const TopologyError& error) {
     throw at_its_place(definition, error);

@@ -4,6 +4,7 @@
 
 #include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/log_settings.h>
+#include <iotcloud/config/yaml/errors.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/definition/read_endpoint.h>
@@ -231,6 +232,35 @@ void refuse_double_readers(const std::vector<ComponentDefinition>& spouts) {
   }
 }
 
+/// Reads the parts of a file one after the other, and throws their errors together: a person sees at once all that is
+/// to be mended.
+class Parts {
+ public:
+  template <typename Read>
+  bool read(Read&& part) {
+    try {
+      part();
+      return true;
+    } catch (const config::ConfigError& error) {
+      errors_.push_back(error);
+      return false;
+    }
+  }
+  /// The same for keys at the top. When one fails, others may not have been asked for.
+  template <typename Read>
+  void read_top(Read&& part) {
+    if (!read(part)) top_is_read_ = false;
+  }
+  bool top_is_read() const { return top_is_read_; }
+  void refuse() const {
+    if (!errors_.empty()) throw config::together(errors_);
+  }
+
+ private:
+  std::vector<config::ConfigError> errors_;
+  bool top_is_read_ = true;
+};
+
 TopologyDefinition read(Section root, const std::string& file) {
   TopologyDefinition definition{.file = file,
                                 .name = {},
@@ -245,27 +275,40 @@ TopologyDefinition read(Section root, const std::string& file) {
                                 .spouts = {},
                                 .bolts = {},
                                 .root = root};
-  definition.name = discovery::TopologyName(require_name(root, "topology.name"));
-  definition.registry = discovery::read_registry_options(root);
-  definition.registry.url = read_registry_url(root);
-  definition.zk_root = root.string_or("zk.root", "/iot/sensors");
-  if (definition.zk_root.size() < 2 || definition.zk_root.front() != '/' || definition.zk_root.back() == '/') {
-    throw root.error("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
-  }
-  definition.worker_scope = root.choice_or("topology.scope", "", {"worker"}) == "worker";
-  definition.libraries = root.strings_or("topology.library", {});
-  definition.brokers = read_brokers(root, definition.registry.session_timeout);
-  definition.conf = root.string_map("conf");
-  definition.runtime = read_runtime(root);
-  if (auto metrics = root.optional_section("metrics")) {
+  Parts parts;
+  parts.read_top([&] { definition.name = discovery::TopologyName(require_name(root, "topology.name")); });
+  parts.read_top([&] {
+    definition.registry = discovery::read_registry_options(root);
+    definition.registry.url = read_registry_url(root);
+    definition.zk_root = root.string_or("zk.root", "/iot/sensors");
+    if (definition.zk_root.size() < 2 || definition.zk_root.front() != '/' || definition.zk_root.back() == '/') {
+      throw root.error("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
+    }
+  });
+  parts.read_top([&] { definition.worker_scope = root.choice_or("topology.scope", "", {"worker"}) == "worker"; });
+  parts.read_top([&] { definition.libraries = root.strings_or("topology.library", {}); });
+  parts.read([&] { definition.brokers = read_brokers(root, definition.registry.session_timeout); });
+  parts.read_top([&] { definition.conf = root.string_map("conf"); });
+  parts.read([&] { definition.runtime = read_runtime(root); });
+  parts.read([&] {
+    auto metrics = root.optional_section("metrics");
+    if (!metrics) return;
     definition.metrics_address = metrics->require_string("address");
     metrics->finish();
-  }
-  config::read_log_settings(root);  // the daemons' frame applies them
+  });
+  parts.read_top([&] { config::read_log_settings(root); });  // the daemons' frame applies them
   const auto names = broker_names(definition.brokers);
-  for (auto& [id, section] : root.sections("spouts")) definition.spouts.push_back(read_spout(id, section, names));
-  for (auto& [id, section] : root.sections("bolts")) definition.bolts.push_back(read_bolt(id, section, names));
-  root.finish();
+  const auto read_components = [&](const char* group, auto read_one, std::vector<ComponentDefinition>& components) {
+    parts.read([&] {
+      for (auto& [id, section] : root.sections(group)) {
+        parts.read([&, &name = id, &of = section] { components.push_back(read_one(name, of, names)); });
+      }
+    });
+  };
+  read_components("spouts", read_spout, definition.spouts);
+  read_components("bolts", read_bolt, definition.bolts);
+  if (parts.top_is_read()) parts.read([&] { root.finish(); });
+  parts.refuse();
   refuse_double_readers(definition.spouts);
   return definition;
 }

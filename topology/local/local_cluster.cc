@@ -12,6 +12,7 @@ namespace iotcloud::local {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+constexpr std::chrono::milliseconds for_gateways{2000};  ///< of the time to stop, what workers leave them
 const config::Logger logger{"local"};
 
 std::unique_ptr<discovery::Registry> connect(const LocalOptions& options) {
@@ -117,16 +118,17 @@ struct LocalCluster::Impl {
       return std::max(std::chrono::duration_cast<std::chrono::milliseconds>(deadline - Clock::now()),
                       std::chrono::milliseconds(100));
     };
-    const auto part = [&](const char* what, config::Service& service) {
+    const auto part = [&](const char* what, config::Service& service, std::chrono::milliseconds kept) {
       try {
-        service.stop(left());
+        service.stop(std::max(left() - kept, std::chrono::milliseconds(100)));
       } catch (const std::exception& error) {
         logger.error("a {} did not stop in order: {}", what, error.what());
         in_time = false;
       }
     };
-    for (auto& worker : workers) part("worker", *worker);
-    for (auto& gateway : gateways) part("gateway", *gateway);
+    // Windows keep tuples for as long as they may; the drivers need time to send what they have published, too.
+    for (auto& worker : workers) part("worker", *worker, std::min(limit / 2, for_gateways));
+    for (auto& gateway : gateways) part("gateway", *gateway, std::chrono::milliseconds(0));
     master->close();
     in_time = in_time && Clock::now() <= deadline;
     return in_time;

@@ -4,17 +4,15 @@
 #include <dlfcn.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/shared_library.h>
 #include <iotcloud/topology/runtime/component_library.h>
 
 namespace iotcloud::topology {
 
 ComponentLibrary::ComponentLibrary(std::string path) : path_(std::move(path)) {
-  void* handle = dlopen(path_.c_str(), RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE);
-  if (handle == nullptr) {
-    const char* reason = dlerror();
-    throw config::Error("cannot load component library " + path_ + ": " + (reason != nullptr ? reason : "no reason") +
-                        "; check the path, and that it was linked with -fPIC as a shared library");
-  }
+  constexpr config::SdkMark mark{"topology SDK", IOTCLOUD_TOPOLOGY_SDK_MARK, sdk_version};
+  void* const handle =
+      config::open_library(path_, "the component library " + path_, mark, RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE);
   using Describe = const LibraryDescriptor* (*)();
   const auto describe = reinterpret_cast<Describe>(dlsym(handle, library_symbol));
   if (describe == nullptr) {

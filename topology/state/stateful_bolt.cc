@@ -5,6 +5,7 @@
 
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/state/stateful_bolt.h>
 
 namespace iotcloud::topology {
@@ -12,6 +13,7 @@ namespace iotcloud::topology {
 namespace {
 
 StateOptions configured(StateOptions options, const Config& config) {
+  refuse_unknown_keys(config, "state.", {"state.store", "state.checkpoint"});
   if (const auto store = config.find("state.store"); store != config.end()) options.store = store->second;
   if (const auto period = config.find("state.checkpoint"); period != config.end()) {
     const auto duration = config::parse_duration(period->second);
@@ -82,6 +84,7 @@ class StatefulBoltExecutor final : public Bolt {
   std::chrono::microseconds tick_period(const Config& config) const override {
     return configured(options_, config).checkpoint;
   }
+  std::chrono::microseconds holds_tuples_for(const Config& config) const override { return tick_period(config); }
 
   void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) override {
     const StateOptions options = configured(options_, config);

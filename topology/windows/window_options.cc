@@ -1,8 +1,10 @@
+#include <algorithm>
 #include <charconv>
 #include <optional>
 #include <stdexcept>
 
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/windows/window_options.h>
 
 namespace iotcloud::topology {
@@ -45,6 +47,9 @@ void read_extent(const Config& config, const std::string& key, WindowExtent& val
 }  // namespace
 
 WindowOptions configured(WindowOptions options, const Config& config) {
+  refuse_unknown_keys(config, "window.",
+                      {"window.length", "window.slide", "window.lag", "window.watermark_interval", "window.idle_source",
+                       "window.timestamp_field"});
   read_extent(config, "window.length", options.length);
   read_extent(config, "window.slide", options.slide);
   read_duration(config, "window.lag", options.lag);
@@ -75,6 +80,12 @@ WindowOptions configured(WindowOptions options, const Config& config) {
         "(WindowOptions::timestamp_field, or conf window.timestamp_field)");
   }
   return options;
+}
+
+std::chrono::milliseconds longest_hold(const WindowOptions& options) {
+  const auto border = std::max(options.length.duration, options.slide.duration);
+  if (border.count() == 0 || !options.event_time()) return border;
+  return border + options.lag + options.watermark_interval;
 }
 
 }  // namespace iotcloud::topology

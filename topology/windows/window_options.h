@@ -54,7 +54,12 @@ struct WindowOptions {
 
 /// Overrides options by the component's configuration: `window.length` and `window.slide` ("100" tuples or "10s"),
 /// `window.timestamp_field`, `window.lag`, `window.watermark_interval`, `window.idle_source`.
-/// \throws std::invalid_argument if a value cannot be read, or the result makes no windows.
+/// \throws std::invalid_argument if there is another key that begins with `window.`, a value cannot be read, or the
+/// result makes no windows.
 WindowOptions configured(WindowOptions options, const Config& config);
+
+/// For how long a window may keep a tuple: until the end of the last window that may contain it. Windows by count alone
+/// last as long as tuples take to come: 0.
+std::chrono::milliseconds longest_hold(const WindowOptions& options);
 
 }  // namespace iotcloud::topology

@@ -34,6 +34,10 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
     return options.watermark_interval.count() > 0 ? options.watermark_interval : options.idle_source;
   }
 
+  std::chrono::microseconds holds_tuples_for(const Config& config) const override {
+    return longest_hold(configured(options_, config));
+  }
+
   void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) override {
     options_ = configured(std::move(options_), config);
     collector_ = &collector;

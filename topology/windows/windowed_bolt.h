@@ -45,8 +45,8 @@ class WindowOutputCollector {
 
 /// A bolt that works on windows of tuples instead of single ones (Storm's BaseWindowedBolt). It does not ack: a tuple
 /// is acked when no later window can contain it. If execute() throws, all tuples of the window fail, and no later
-/// window contains them. So tuples stay unacked for as long as length and slide together: keep the message time-out
-/// well above that. If the process ends, spouts emit the tuples of its windows again.
+/// window contains them. So tuples stay unacked for longest_hold(): keep the message time-out well above
+/// that (a topology file that does not is refused). If the process ends, spouts emit the tuples of its windows again.
 class WindowedBolt {
  public:
   virtual ~WindowedBolt() = default;

@@ -1,5 +1,7 @@
 #include <filesystem>
 
+#include <nlohmann/json.hpp>
+
 #include <iotcloud/topology/definition/describe.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
 #include <iotcloud/topology/runtime/component_library.h>
@@ -48,6 +50,23 @@ std::string check_topology(const std::string& file, const std::vector<std::strin
   services->clock = &config::system_clock();
   services->metrics = &unused;
   return describe(definition, assemble(definition, components, endpoint_factories(services)));
+}
+
+std::string check_library(const std::string& file) {
+  nlohmann::ordered_json answer;
+  try {
+    ComponentRegistry components;
+    load_components(file, components);
+    answer = {{"spouts", components.spout_names()},
+              {"bolts", components.bolt_names()},
+              {"groupings", components.grouping_names()},
+              {"application", static_cast<bool>(components.application())},
+              {"sdk_version", sdk_version},
+              {"cxx_abi", cxx_abi}};
+  } catch (const std::exception& error) {
+    answer = {{"error", error.what()}};
+  }
+  return answer.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
 }  // namespace iotcloud::topology

@@ -21,4 +21,8 @@ void load_libraries(const TopologyDefinition& definition, const std::vector<std:
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
                            ComponentRegistry components = {});
 
+/// Loads a component library as a worker does. \return a JSON object of one line: what it registers, or `error`: why it
+/// cannot be loaded.
+std::string check_library(const std::string& file);
+
 }  // namespace iotcloud::topology

@@ -6,6 +6,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/topology/worker/control.h>
+#include <iotcloud/topology/worker/left_behind.h>
 
 namespace iotcloud::topology {
 
@@ -233,14 +234,11 @@ std::string WorkerControl::drain(milliseconds limit, const std::stop_token& stop
   const auto deadline = std::chrono::steady_clock::now() + limit;
   while (true) {
     const bool quiet = runtime.idle();
-    std::size_t left = 0;
-    for (const TaskSnapshot& task : runtime.snapshot().tasks) left += task.pending + task.queue_depth;
-    if (quiet && left == 0) return "";
-    if (stop.stop_requested()) {
-      return fmt::format("its process was told to stop while {} tuples were under way", left);
-    }
+    const std::string left = left_behind(runtime.topology(), runtime.snapshot());
+    if (quiet && left.empty()) return "";
+    if (stop.stop_requested()) return "its process was told to stop before it was done; " + left;
     if (std::chrono::steady_clock::now() >= deadline) {
-      return fmt::format("after {} ms {} tuples were still under way", limit.count(), left);
+      return fmt::format("it was not done after {} ms; {}", limit.count(), left);
     }
     const config::MutexLock lock(mutex_);
     changed_.wait_for(mutex_, stop, drain_pause, [] { return false; });

@@ -108,15 +108,25 @@ int check(const char* file) {
   }
 }
 
+/// Runs `--check-library FILE`: the answer is the last line. \return the exit status.
+int check_library(const char* file) {
+  const std::string answer = topology::check_library(file);
+  std::printf("\n%s\n", answer.c_str());
+  return answer.starts_with("{\"error\"") ? 1 : 0;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   if (argc == 3 && std::string_view(argv[1]) == "--check") return check(argv[2]);
+  if (argc == 3 && std::string_view(argv[1]) == "--check-library") return check_library(argv[2]);
   return config::run_daemon(
       argc, argv,
       {.name = "iotcloud-topology",
-       .description = "Runs one worker of a topology; start it again, on any machine, to scale out. "
-                      "`iotcloud-topology --check FILE` only checks a topology and prints its "
-                      "graph, without contacting registry or broker.",
+       .description =
+           "Runs one worker of a topology; start it again, on any machine, to scale out. "
+           "`iotcloud-topology --check FILE` only checks a topology and prints its "
+           "graph, without contacting registry or broker; `--check-library FILE` loads a component library and "
+           "says what it registers.",
        .build = build});
 }

@@ -13,6 +13,7 @@
 #include <iotcloud/topology/endpoints/endpoints.h>
 #include <iotcloud/topology/worker/check.h>
 #include <iotcloud/topology/worker/control.h>
+#include <iotcloud/topology/worker/left_behind.h>
 #include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {
@@ -180,8 +181,8 @@ struct Worker::Impl {
     for (const auto& prepare : services->before_stop) prepare();
     const auto drain = std::max(limit - reserve, limit / 2);
     if (!runtime->stop(drain))
-      worker_logger.warn("topology {}: tuples were left when the {} ms to finish them were over", topology.name,
-                         drain.count());
+      worker_logger.warn("topology {}: the {} ms to finish what was under way are over; {}", topology.name,
+                         drain.count(), left_behind(topology, runtime->snapshot()));
     alone.reset();
     if (control) control->leave();
     for (const auto& clear_up : services->after_stop) clear_up();

@@ -299,8 +299,8 @@ std::string topology_state(const TopologyStatus& topology) {
   for (const auto& worker : topology.workers) states.insert(worker.state);
   if (states.size() > 1) return "mixed";
   if (!states.empty()) return printable(*states.begin());
-  if (!topology.order) return "active";
-  return topology.order->kill ? "killed" : topology.order->active ? "active" : "inactive";
+  if (topology.order && topology.order->kill) return "killed";
+  return topology.order && !topology.order->active ? "inactive" : "no worker";
 }
 
 std::int64_t revision_of(const TopologyStatus& topology) {

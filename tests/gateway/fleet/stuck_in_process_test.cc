@@ -9,12 +9,14 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/gateway/fleet/in_process_launcher.h>
+#include <iotcloud/gateway/host/driver_host.h>
 #include <iotcloud/gateway/host/shared_channels.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/gateway/message_log.h>
+#include <iotcloud/tests/gateway/probe_driver.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
 namespace iotcloud::gateway {
@@ -84,6 +86,37 @@ TEST(StuckInProcess, NoEventFunctionIsCalledWhenTheLinkIsGoneAlthoughTheHostLive
     return passed > 0 || said.contains("dropped; the last for \"b\"");
   })) << said.text();
   EXPECT_EQ(passed, 0);
+}
+
+/// Publishes something that nobody reads, and says when it is closed.
+class ClosedDriver : public ProbeDriver {
+ public:
+  void close() override { closed = true; }
+  static inline std::atomic<bool> closed{false};
+};
+
+TEST(StuckInProcess, AStopThatIsTooShortToSendWhatWasPublishedBlamesNoDriver) {
+  auto& metrics = *new config::Metrics;  // what is left behind uses it
+  DriverHost::Options options;
+  options.gateway = "gw"_gateway;
+  options.metrics = &metrics;
+  options.drain_limit = std::chrono::hours(1);  // nobody reads what this driver sends
+  StatusLog log;
+  const auto& probe = *new drivers::Descriptor(drivers::describe<ClosedDriver>("probe", "1"));
+  DriverHost host(options, Plugin::wrap(probe, "linked in"), [&](const InstanceStatus& status) { log.add(status); });
+  InstanceSpec spec;
+  spec.order.instance = "a"_instance;
+  spec.order.plugin = "probe.so";
+  const std::string url = "embedded://too-short-a-stop";
+  spec.brokers = {{"local", "embedded", {}, {url}, {url}}};
+  host.create(spec);
+  ASSERT_TRUE(log.wait_for("a", discovery::DriverState::active));
+  host.remove("a"_instance);
+  ASSERT_TRUE(tests::eventually([] { return ClosedDriver::closed.load(); }));
+  EXPECT_FALSE(host.stop(1s));
+  EXPECT_EQ(
+      host.left_behind(),
+      "1 instance(s) did not end within 1000 ms; 1 of them have closed, and were sending what they had published");
 }
 
 }  // namespace

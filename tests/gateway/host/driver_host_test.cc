@@ -570,6 +570,14 @@ TEST_P(AThrow, CostsItsInstanceAndNoOther) {
 
 INSTANTIATE_TEST_SUITE_P(Everywhere, AThrow, ::testing::Values("channels", "open", "activate", "timer", "message"));
 
+TEST_F(DriverHostTest, PublishingOnAChannelThatWasNotDeclaredFailsTheInstanceAndNamesTheChannels) {
+  start_host(probe_);
+  host_->create(spec("a", {{"publishes_on", "reading"}}));
+  const auto failed = log_.wait_for("a", DriverState::failed);
+  ASSERT_TRUE(failed);
+  EXPECT_EQ(failed->reason, "publish: there is no outgoing channel \"reading\"; channels() declares \"readings\"");
+}
+
 TEST_F(DriverHostTest, APropertyThatCannotBeFailsTheInstanceNamingIt) {
   start_host(probe_);
   host_->create(spec("a", {{"channel.readings.capacity", "many"}}));

@@ -4,6 +4,8 @@
 
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/security/sha256.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/probe_driver.h>
 
 namespace iotcloud::gateway {
@@ -11,6 +13,7 @@ namespace {
 
 using ::testing::AllOf;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 std::string error_of(const std::function<void()>& call) {
   try {
@@ -52,6 +55,16 @@ TEST(Plugin, ADescriptorOfAnotherSizeIsRefused) {
 
 TEST(Plugin, ALibraryThatIsNoDriverIsRefused) {
   EXPECT_THAT(load_error("no_driver.so"), HasSubstr("IOTCLOUD_DRIVER"));
+}
+
+TEST(Plugin, ASymbolThatNothingDefinesIsNamedAsInTheSourceWithTheFileAndBothSdks) {
+  const std::string file = std::string(TEST_PLUGINS) + "/dangling.so";
+  const auto bytes = tests::read_file(file);
+  const std::string error = error_of([&] { Plugin::load_exactly(file, security::sha256_hex(bytes), "station.so"); });
+  EXPECT_THAT(error,
+              AllOf(HasSubstr("station.so (" + file + ")"), HasSubstr("nothing defines weather::calibrated(double);"),
+                    HasSubstr("built with driver SDK version " + std::to_string(drivers::sdk_version)),
+                    Not(HasSubstr("/proc/self/fd"))));
 }
 
 TEST(Plugin, AFileThatIsNotThereIsNamed) {

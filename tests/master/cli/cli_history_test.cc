@@ -7,6 +7,7 @@
 
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include "iotcloud/master/TMasterAPIService.h"
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 #include <iotcloud/tests/security/certificates.h>
 
@@ -117,6 +118,34 @@ TEST_F(CliHistory, DescribeShowsTheRecordTheChannelsAndEveryChangeWithTimeAndRea
   ASSERT_EQ(json["history"].size(), 1u);
   EXPECT_EQ(json["history"][0]["state"], "starting");
   EXPECT_THAT(json.dump(), AllOf(HasSubstr("amqp://robot:***@"), Not(HasSubstr("secret"))));
+}
+
+TEST_F(CliHistory, AnInstanceMayBeNamedInPlaceOfItsId) {
+  DeployRequest request;
+  request.plugin = "turtle.so";
+  request.name = "meter";
+  request.count = 2;
+  request.gateways = {"lab1"_gateway};
+  const auto deployed = (*master)->deploy(request);
+  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
+  const auto json = run_json({"describe", "meter/2"});
+  EXPECT_EQ(json["index"], 2);
+  const std::string second = json["instance"];
+  site_->remember(second, "active", 1000);
+  site_->remember("another", "active", 2000);
+  EXPECT_EQ(run_json({"history", "meter/2"}).size(), 1U);
+  EXPECT_EQ(run_json({"drivers", "meter"}).size(), 2U);
+  EXPECT_EQ(run_json({"drivers", "meter/1"}).size(), 1U);
+  const auto logs = run({"logs", "meter/2"});
+  EXPECT_THAT(logs.out, HasSubstr(second)) << logs.err;
+
+  const auto both = run({"stop", "meter"});
+  EXPECT_EQ(both.status, 2);
+  EXPECT_THAT(both.err,
+              AllOf(HasSubstr("\"meter\" is the name of 2 instances; give an id, or say --name for all of them"),
+                    HasSubstr("meter/1 on lab1")));
+  EXPECT_EQ(run({"stop", "meter/1"}).status, 0);
+  EXPECT_EQ(run_json({"drivers", "--state", "inactive"}).at(0)["index"], 1);
 }
 
 TEST_F(CliHistory, HistoryHasThoseThatAreGoneAndIsInTheOrderOfTime) {

@@ -200,7 +200,7 @@ TEST_F(CliVerbs, WhenNoMasterAnswersNothingIsCompletedAndNothingIsSaid) {
 
 TEST_F(CliVerbs, BashCompletesWithThePrintedScript) {
   FakeGateway gateway(url, "lab1");
-  EXPECT_THAT(in_bash("iotcloud gat"), ElementsAre("gateways"));
+  EXPECT_THAT(in_bash("iotcloud gat"), ElementsAre("gateway", "gateways"));
   EXPECT_THAT(in_bash("iotcloud drain "), ElementsAre("lab1"));
   EXPECT_THAT(in_bash("iotcloud topology "), Contains("metrics"));
   EXPECT_THAT(in_bash("iotcloud --master 127.0.0.1:1 drain "), ElementsAre(""));
@@ -209,7 +209,7 @@ TEST_F(CliVerbs, BashCompletesWithThePrintedScript) {
 TEST_F(CliVerbs, ZshCompletesWithThePrintedScript) {
   if (access("/usr/bin/zsh", X_OK) != 0) GTEST_SKIP() << "there is no zsh; Debian's package is of that name";
   FakeGateway gateway(url, "lab1");
-  EXPECT_THAT(in_zsh("iotcloud gat"), ElementsAre("gateways"));
+  EXPECT_THAT(in_zsh("iotcloud gat"), ElementsAre("gateway", "gateways"));
   EXPECT_THAT(in_zsh("iotcloud drain "), ElementsAre("lab1"));
   EXPECT_THAT(in_zsh("iotcloud topology "), Contains("metrics"));
   EXPECT_THAT(in_zsh("iotcloud drivers --state=f"), ElementsAre("--state=failed"));

@@ -33,6 +33,14 @@ class PassBolt final : public BasicBolt {
   void execute(const Tuple& tuple, BasicOutputCollector& collector) override { collector.emit(Values(tuple.at(0))); }
 };
 
+class TenSeconds final : public Bolt {
+ public:
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare(Fields{"f"}); }
+  void prepare(const Config&, const TopologyContext&, OutputCollector&) override {}
+  void execute(const Tuple&) override {}
+  std::chrono::microseconds holds_tuples_for(const Config&) const override { return std::chrono::seconds(10); }
+};
+
 class FirstTask final : public Grouping {
  public:
   void prepare(const TopologyContext&, const Fields&, std::span<const int> targets) override {
@@ -105,6 +113,31 @@ TEST_F(Assemble, HandsEveryKeyOnToTheGraph) {
   EXPECT_EQ(bolt.inputs.at(1).deadline.count(), 0);
   EXPECT_NE(dynamic_cast<FirstTask*>(bolt.inputs.at(1).factory().get()), nullptr);
   EXPECT_EQ(topology.components[2].inputs.at(0).stream, "late");
+}
+
+TEST_F(Assemble, RefusesBoltsThatKeepTuplesForAsLongAsTheMessageTimeout) {
+  components.add_bolt<TenSeconds>("test.TenSeconds");
+  const auto bolts = [](const std::string& runtime) {
+    return with_bolt(
+               "    class: test.TenSeconds\n    inputs: {from: s}\n"
+               "  second:\n    class: test.TenSeconds\n    inputs: {from: b}\n") +
+           "runtime: " + runtime + "\n";
+  };
+  EXPECT_EQ(refusal(bolts("{message_timeout: 21s}")), "");
+  EXPECT_EQ(refusal(bolts("{message_timeout: 10s, acking: false}")), "");
+  EXPECT_THAT(refusal(bolts("{message_timeout: 10s}")),
+              AllOf(StartsWith("t.yaml:10:3: bolts.b: "), HasSubstr("(b 10s; runtime.message_timeout is 10s)"),
+                    HasSubstr("to twice 10s")));
+  EXPECT_THAT(refusal(bolts("{message_timeout: 15s}")),
+              AllOf(StartsWith("t.yaml:13:3: bolts.second: "), HasSubstr("(b 10s, then second 10s; ")));
+}
+
+TEST_F(Assemble, DoesNotRefuseWindowsBehindASpoutThatTracksNothing) {
+  components.add_bolt<TenSeconds>("test.TenSeconds");
+  EXPECT_EQ(refusal(with_spout(good_spout + "    properties: {ackMode: auto}\n") +
+                    "bolts:\n  b:\n    class: test.TenSeconds\n    inputs: {from: s}\n"
+                    "runtime: {message_timeout: 10s}\n"),
+            "");
 }
 
 TEST_F(Assemble, RefusesAnUnknownGroupingClassAtItsInput) {

@@ -1,3 +1,5 @@
+#include <sstream>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -26,6 +28,22 @@ std::string error_of(const std::string& text) {
     return e.what();
   }
   return "";
+}
+
+TEST(TopologyDefinition, NamesTheErrorsOfAllComponentsAndSectionsAtOnce) {
+  const std::string text = with_spout(good_spout + "    prefech: 3\n") +
+                           "bolts:\n  b: {class: x, inputs: {from: s, deadline: 5}}\n  c: {class: x, parallelism: no}\n"
+                           "runtime: {message_timeout: 30}\nmetrisc: {}\n";
+  std::vector<std::string> lines;
+  std::istringstream errors(error_of(text));
+  for (std::string line; std::getline(errors, line);) lines.push_back(line);
+  EXPECT_THAT(
+      lines, testing::UnorderedElementsAre(
+                 StartsWith("t.yaml:9:5: spouts.s.prefech: unknown key"),
+                 AllOf(HasSubstr("bolts.b.inputs.deadline"), HasSubstr("is not a duration; write a number and a unit")),
+                 HasSubstr("bolts.c.parallelism: \"no\" does not fit"),
+                 AllOf(HasSubstr("runtime.message_timeout"), HasSubstr("\"30\" is not a duration")),
+                 AllOf(HasSubstr("metrisc: unknown key"), HasSubstr("did you mean \"metrics\"?"))));
 }
 
 TEST(TopologyDefinition, ReadsThePapersExampleWordForWord) {

@@ -84,6 +84,42 @@ TEST_F(Endpoints, FinishWhatIsUnderWayWhenTheWorkerStops) {
   EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 0U);
 }
 
+TEST_F(Endpoints, SayWhichChannelsThereAreWhenNoInstanceHasTheOneThatASpoutNames) {
+  testing::internal::CaptureStderr();
+  ComponentRegistry components;
+  components.add_bolt<GateBolt>("Gate");
+  run_yaml(
+      "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: temprature, fields: [text, driverID, "
+      "time]}\n"
+      "bolts:\n  gate: {class: Gate, inputs: {from: in}}\n",
+      std::move(components));
+  discovery::DriverRecord driver;
+  driver.name = "d"_driver;
+  driver.instance = "one"_instance;
+  driver.gateway = "g"_gateway;
+  driver.state = discovery::DriverState::active;
+  for (const auto& [name, direction] :
+       {std::pair("wind", discovery::Direction::out), std::pair("temperature", discovery::Direction::out),
+        std::pair("control", discovery::Direction::in)}) {
+    discovery::ChannelRecord channel;
+    channel.name = name;
+    channel.direction = direction;
+    driver.channels.push_back(channel);
+  }
+  discovery::put(*registry_, paths_.instance("d"_driver, "one"_instance), discovery::encode(driver));
+  std::string log;
+  EXPECT_TRUE(eventually([&] {
+    log += testing::internal::GetCapturedStderr();
+    testing::internal::CaptureStderr();
+    return log.find("did you mean") != std::string::npos;
+  }));
+  log += testing::internal::GetCapturedStderr();
+  EXPECT_THAT(log,
+              testing::HasSubstr("in: waits for the channel \"temprature\", which no active instance of the driver d "
+                                 "has; their outgoing channels are \"temperature\", \"wind\"; did you mean "
+                                 "\"temperature\"?"));
+}
+
 TEST_F(Endpoints, CountTuplesForDriversThatAreNotThereAndGoOn) {
   Mailbox mailbox(*broker_, topic("one", "down"));
   run();

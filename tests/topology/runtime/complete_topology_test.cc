@@ -143,6 +143,48 @@ TEST(SimulatedTopology, FailsTreesThatTakeTooLong) {
   EXPECT_EQ(simulated.snapshot().component("words").timed_out, 1U);
 }
 
+TEST(SimulatedTopology, LogsFailedTuplesByCauseOnceAMinuteAtMost) {
+  struct Faulty : Bolt {
+    void prepare(const Config&, const TopologyContext&, OutputCollector& collector) override {
+      collector_ = &collector;
+    }
+    void execute(const Tuple& tuple) override {
+      const auto& word = tuple.get<std::string>("word");
+      if (word == "keep") kept_.push_back(tuple);
+      if (word == "fail") collector_->fail(tuple);
+    }
+    void cleanup() override { kept_.clear(); }
+    OutputCollector* collector_ = nullptr;
+    std::vector<Tuple> kept_;
+  };
+  TopologyBuilder builder;
+  builder.set_spout("words", source_spout(std::make_shared<Source>(), {"word"}));
+  builder.set_bolt<Faulty>("faulty").shuffle_grouping("words");
+  testing::internal::CaptureStderr();
+  {
+    SimulatedTopology simulated(builder.build("t"), {.inputs = {"words"}, .message_timeout = 10s, .step = 100ms});
+    simulated.put("words", Values("fail"));
+    simulated.advance(2s);
+    simulated.put("words", {Values("keep"), Values("keep"), Values("drop"), Values("fail")});
+    simulated.advance(70s);
+    simulated.put("words", Values("fail"));  // told when the topology ends
+  }
+  std::istringstream log(testing::internal::GetCapturedStderr());
+  std::vector<std::string> lines;
+  for (std::string line; std::getline(log, line);) {
+    if (line.find("tuples failed") != std::string::npos)
+      lines.push_back(line.substr(line.find("t: component words, task 1: ")));
+  }
+  ASSERT_EQ(lines.size(), 3U);
+  EXPECT_THAT(lines[0], testing::HasSubstr("1 tuples failed: 1 failed by a bolt, which threw or called fail()"));
+  EXPECT_THAT(
+      lines[1],
+      testing::HasSubstr("4 tuples failed: 2 not done within the message time-out of 10000 ms (a bolt keeps them for "
+                         "longer, or they wait in full mailboxes), 1 failed by a bolt, which threw or called fail(), 1 "
+                         "dropped by a bolt without ack or fail"));
+  EXPECT_THAT(lines[2], testing::HasSubstr("1 tuples failed: "));
+}
+
 TEST(CompleteTopology, RefusesInputForWhatIsNoSpout) {
   TopologyBuilder builder;
   builder.set_spout("lines", source_spout(std::make_shared<Source>(), {"line"}));

@@ -38,7 +38,7 @@ TEST(ComponentLibrary, RefusesALibraryOfAnotherSdk) {
 }
 
 TEST(ComponentLibrary, SaysWhyAFileCannotBeLoaded) {
-  EXPECT_THAT(error_of("/nowhere/at-all.so"), HasSubstr("cannot load component library /nowhere/at-all.so"));
+  EXPECT_THAT(error_of("/nowhere/at-all.so"), HasSubstr("the component library /nowhere/at-all.so cannot be loaded: "));
   EXPECT_THAT(error_of("libm.so.6"), HasSubstr("is no component library"));
 }
 

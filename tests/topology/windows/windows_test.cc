@@ -158,10 +158,38 @@ TEST(Windows, AWindowThatThrowsFailsItsTuplesAndTheNextGoesOn) {
 
 // Configuration.
 
+TEST(Windows, SayForHowLongTheyKeepATuple) {
+  using namespace std::chrono_literals;
+  const auto hold = [](const WindowOptions& options, const Config& config = {}) {
+    return make_windowed_bolt<Show>(options)()->holds_tuples_for(config);
+  };
+  EXPECT_EQ(hold({.length = 10s}), 10s);
+  EXPECT_EQ(hold({.length = 10s, .slide = 2s}), 10s);
+  EXPECT_EQ(hold({.length = 2s, .slide = 10s}), 10s) << "a tuple between two windows";
+  EXPECT_EQ(hold({.length = 10s}, {{"window.length", "1m"}}), 60s);
+  EXPECT_EQ(hold({.length = 100}), 0s) << "as long as tuples take to come";
+  EXPECT_EQ(hold({.length = 10s, .timestamp_field = "time", .lag = 500ms, .watermark_interval = 1s}), 11500ms);
+}
+
 TEST(Windows, TheConfigurationOverridesTheOptions) {
   Windows windows({.length = 100}, {{"window.length", "2"}, {"window.slide", "1"}});
   for (int n = 1; n <= 3; ++n) windows.put(n);
   EXPECT_THAT(windows.tuples, ElementsAre("1", "1 2", "2 3"));
+}
+
+TEST(Windows, AMisspeltKeyOfTheConfigurationIsRefused) {
+  const auto refusal = [](const Config& config) -> std::string {
+    try {
+      static_cast<void>(configured({.length = 1}, config));
+    } catch (const std::invalid_argument& e) {
+      return e.what();
+    }
+    return "";
+  };
+  EXPECT_EQ(refusal({{"window.lenght", "2"}}), "conf: window.lenght: unknown key; did you mean \"window.length\"?");
+  EXPECT_THAT(refusal({{"window.colour", "2"}}), HasSubstr("known are window.length, window.slide"));
+  EXPECT_THAT(refusal({{"window.lag", "2"}}), HasSubstr("write a number and a unit"));
+  EXPECT_EQ(refusal({{"colour", "blue"}}), "");
 }
 
 TEST(Windows, ATimeFromTheConfigurationTicksToo) {

@@ -1,5 +1,8 @@
 #include <algorithm>
 
+#include <fmt/format.h>
+
+#include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/endpoints/logger.h>
 #include <iotcloud/topology/endpoints/placement/fair_shares.h>
 #include <iotcloud/topology/endpoints/receiving/spout_placement.h>
@@ -97,6 +100,12 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
       on_channel_gone(channel);
     });
   };
+  callbacks.on_missing = [this](const discovery::InstanceId&, const std::vector<discovery::ChannelRecord>& channels) {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      on_missing(channels);
+    });
+  };
   if (!endpoint_.where.everything()) {
     callbacks.on_verdict = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
       verdicts_->told(instance, chosen);
@@ -109,7 +118,7 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
 
 void SpoutPlacement::leave() {
   std::map<std::string, Unit> units;
-  discovery::GuardPtr sharing, telling, anew, looking;
+  discovery::GuardPtr sharing, telling, anew, looking, missing;
   {
     const config::MutexLock lock(mutex_);
     if (std::exchange(over_, true)) return;
@@ -123,11 +132,13 @@ void SpoutPlacement::leave() {
   sharing.swap(sharing_);
   telling.swap(telling_);
   looking.swap(looking_);
+  missing.swap(missing_);
   search_.reset();
   sharing.reset();
   anew.reset();
   telling.reset();
   looking.reset();
+  missing.reset();
   for (auto& [name, unit] : units) {
     unit.readers.close();
     unit.election.reset();
@@ -173,6 +184,8 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
     on_channel_gone(channel);
     return;
   }
+  warned_of_missing_ = false;
+  others_.clear();
   const std::string name = unit_of(channel);
   begin_again(name);
   const auto [place, fresh] = units_.try_emplace(name, reader_count_);
@@ -204,6 +217,36 @@ void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
   }
   share_out_soon();
   report();
+}
+
+void SpoutPlacement::on_missing(const std::vector<discovery::ChannelRecord>& channels) {
+  if (!units_.empty()) return;
+  for (const auto& channel : channels) {
+    if (channel.direction == discovery::Direction::out) others_.insert(channel.name);
+  }
+  if (std::exchange(warned_of_missing_, true)) return;
+  // Not at once: another instance, whose record was not read yet, may have the channel.
+  missing_ = services_->registry->after(gathering_for_the_log, [this] {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      warn_of_missing();
+    });
+  });
+}
+
+void SpoutPlacement::warn_of_missing() {
+  if (!units_.empty()) {
+    warned_of_missing_ = false;
+    return;
+  }
+  const std::vector<std::string> names(others_.begin(), others_.end());
+  std::string list;
+  for (const auto& name : names) list += (list.empty() ? "\"" : ", \"") + name + "\"";
+  const std::string guess = config::nearest(endpoint_.channel, names);
+  endpoints_logger.warn("{}: waits for the channel \"{}\", which no active instance of the driver {} has; {}{}",
+                        component_, endpoint_.channel, endpoint_.driver,
+                        names.empty() ? "they have no outgoing channel" : "their outgoing channels are " + list,
+                        guess.empty() ? "" : fmt::format("; did you mean \"{}\"?", guess));
 }
 
 void SpoutPlacement::on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) {

@@ -98,6 +98,8 @@ class SpoutPlacement {
   // These functions run on the registry's dispatcher.
   void on_channel(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
   void on_channel_gone(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void on_missing(const std::vector<discovery::ChannelRecord>& channels) IOTCLOUD_REQUIRES(dispatcher_);
+  void warn_of_missing() IOTCLOUD_REQUIRES(dispatcher_);
   void on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) IOTCLOUD_REQUIRES(dispatcher_);
   void on_elected(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void on_lost(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
@@ -158,8 +160,12 @@ class SpoutPlacement {
   std::size_t given_up_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;  ///< number of units given up since then
   bool telling_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;    ///< a line in the log is planned
   discovery::GuardPtr telling_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< timer that writes that line
-  std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);          ///< why this worker has no share
-  std::unique_ptr<Search> search_;  ///< set by the last join(), taken by the first leave()
+  /// Outgoing channels of instances that do not have the wanted one; a timer calls warn_of_missing().
+  std::set<std::string> others_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  bool warned_of_missing_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;  ///< or the call is planned
+  discovery::GuardPtr missing_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< why this worker has no share
+  std::unique_ptr<Search> search_;                        ///< set by the last join(), taken by the first leave()
 };
 
 }  // namespace iotcloud::topology

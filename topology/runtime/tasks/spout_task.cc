@@ -1,6 +1,9 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include <fmt/format.h>
+
+#include <iotcloud/topology/runtime/logger.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
 #include <iotcloud/topology/runtime/scheduling/timers.h>
@@ -12,6 +15,10 @@ namespace iotcloud::topology::internal {
 namespace {
 /// A spout whose next_tuple() threw is asked again after this pause.
 constexpr std::chrono::milliseconds pause_after_throw{100};
+
+/// One line of the log names all trees that failed in this time, and another one follows not before `between_lines`.
+constexpr std::chrono::nanoseconds gathering_failures = std::chrono::seconds(1);
+constexpr std::chrono::nanoseconds between_lines = std::chrono::seconds(60);
 }  // namespace
 
 void WakeGate::wake() noexcept {
@@ -53,6 +60,7 @@ void SpoutTask::open(const Config& config, EmittingLane& lane) {
 
 void SpoutTask::close() {
   if (!std::exchange(opened_, false)) return;
+  tell_failures();
   if (std::exchange(active_, false)) guarded("deactivate()", [this] { spout_->deactivate(); });
   guarded("close()", [this] { spout_->close(); });
 }
@@ -87,6 +95,7 @@ bool SpoutTask::slice(Lane& given) {
   const std::uint32_t signals = take_signals();
   if ((signals & activity_due) != 0) switch_activity();
   if ((signals & poll_due) != 0) poll_armed_ = false;
+  if ((signals & failures_due) != 0) tell_failures();
   if (wheel_armed_) turn_wheel();
   take_posted();
   const bool more = ask(lane);
@@ -233,6 +242,7 @@ void SpoutTask::finish(Tree& tree, bool acked, bool timed_out) {
   } else {
     bump(counts_.failed);
     if (timed_out) bump(counts_.timed_out);
+    note_failure(timed_out, tree.abandoned);
   }
   tree.let_go();
   if (acked) {
@@ -240,6 +250,32 @@ void SpoutTask::finish(Tree& tree, bool acked, bool timed_out) {
   } else {
     guarded("fail()", [&] { spout_->fail(id); });
   }
+}
+
+void SpoutTask::note_failure(bool timed_out, bool dropped) {
+  ++(dropped ? failures_.dropped : timed_out ? failures_.timed_out : failures_.by_bolt);
+  if (std::exchange(failures_armed_, true)) return;
+  const std::int64_t due = std::max(now_ns_ + gathering_failures.count(), next_failures_ns_);
+  environment_.timers->add(config::Clock::Instant(std::chrono::nanoseconds(due)), *this, failures_due);
+}
+
+void SpoutTask::tell_failures() {
+  failures_armed_ = false;
+  next_failures_ns_ = now_ns_ + between_lines.count();
+  const Failures failed = std::exchange(failures_, {});
+  const auto total = failed.by_bolt + failed.timed_out + failed.dropped;
+  if (total == 0) return;
+  std::string causes;
+  const auto add = [&](std::uint64_t count, const std::string& cause) {
+    if (count > 0) causes += fmt::format("{}{} {}", causes.empty() ? "" : ", ", count, cause);
+  };
+  add(failed.timed_out, fmt::format("not done within the message time-out of {} ms (a bolt keeps them for longer, or "
+                                    "they wait in full mailboxes)",
+                                    environment_.options->message_timeout.count()));
+  add(failed.by_bolt, "failed by a bolt, which threw or called fail()");
+  add(failed.dropped, "dropped by a bolt without ack or fail");
+  logger.warn("{}: component {}, task {}: {} tuples failed: {}", context_.topology, context_.component, context_.task,
+              total, causes);
 }
 
 void SpoutTask::track(Tree& tree) {

@@ -69,6 +69,8 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   void take_posted();
   void take_acked_at_once();
   void finish(Tree& tree, bool acked, bool timed_out);
+  void note_failure(bool timed_out, bool dropped);
+  void tell_failures();
   void track(Tree& tree);
   void link(Tree& tree, std::size_t slot);
   void unlink(Tree& tree);
@@ -106,6 +108,16 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   std::int64_t slot_ends_ns_ = 0;         ///< when the wheel turns to the next slot, by the topology's clock
   bool wheel_armed_ = false;
   bool poll_armed_ = false;
+
+  /// Trees that failed since the last line of the log about them, by cause.
+  struct Failures {
+    std::uint64_t by_bolt = 0;  ///< a bolt failed a tuple, or threw
+    std::uint64_t timed_out = 0;
+    std::uint64_t dropped = 0;  ///< a bolt destroyed a tuple without ack or fail
+  };
+  Failures failures_;
+  bool failures_armed_ = false;        ///< a line is planned
+  std::int64_t next_failures_ns_ = 0;  ///< the earliest time of the next line, by the topology's clock
 };
 
 }  // namespace iotcloud::topology::internal

@@ -54,7 +54,7 @@ class Task : public Runnable {
   virtual void fill(TaskSnapshot& snapshot) const = 0;
 
   // Signals: any thread sets them, the next slice acts on them.
-  static constexpr std::uint32_t tick_due = 1, wheel_due = 2, poll_due = 4, activity_due = 8;
+  static constexpr std::uint32_t tick_due = 1, wheel_due = 2, poll_due = 4, activity_due = 8, failures_due = 16;
   /// Sets signals and schedules the task. The slice acts on them before it takes tuples from the mailbox.
   void signal(std::uint32_t bits) final;
   void hangs(std::int64_t for_ns) final;

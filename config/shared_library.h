@@ -1,0 +1,29 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+namespace iotcloud::config {
+
+/// How plugins of one SDK say in their bytes with which version of it they were built, so that this can be read of a
+/// plugin that cannot be loaded.
+struct SdkMark {
+  std::string_view sdk;    ///< for messages: "driver SDK"
+  std::string_view text;   ///< what stands before the number in the plugin's bytes, which a ';' follows
+  std::uint32_t expected;  ///< the version of the program that loads it
+};
+
+/// The version that stands in the file. \return 0: the file has no such mark, or cannot be read.
+std::uint32_t marked_sdk_version(const std::string& path, const SdkMark& mark);
+
+/// Loads a shared library with dlopen(). \param name of the library, for messages: `path` may be a copy that nobody
+/// knows. \param flags of dlopen(). \throws Error that says which symbol or library is missing (C++ names as in the
+/// source), and the SDK versions of both sides.
+void* open_library(const std::string& path, const std::string& name, const SdkMark& mark, int flags);
+
+/// The text of open_library()'s error. \param reason as dlerror() gives it.
+std::string why_not_loaded(const std::string& path, const std::string& name, const SdkMark& mark,
+                           std::string_view reason);
+
+}  // namespace iotcloud::config
