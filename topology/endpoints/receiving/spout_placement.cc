@@ -360,8 +360,8 @@ std::shared_ptr<TopicReader> SpoutPlacement::open_reader(const discovery::Channe
   options.priority = priority_of(channel);
   try {
     return TopicReader::open(broker_at(key.first, *services_), key.first, key.second, options,
-                             channel.shared ? discovery::InstanceId() : channel.instance, queue_of(task),
-                             services_->fence);
+                             {channel.gateway, channel.shared ? discovery::InstanceId() : channel.instance},
+                             queue_of(task), services_->fence);
   } catch (const config::Error& error) {
     if (complained_.insert(key.first.urls.front()).second) {
       endpoints_logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());
