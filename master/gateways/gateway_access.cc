@@ -1,3 +1,5 @@
+#include <string_view>
+
 #include <fmt/format.h>
 
 #include <iotcloud/config/error.h>
@@ -18,7 +20,11 @@ SiteAddress address_of(const discovery::GatewayStatus& gateway, const GatewayAcc
                     "(api: {{tls: {{ca, certificate, key}}}})",
                     gateway.record.id));
   }
-  return {gateway.record.host, gateway.record.port, access.tls, access.token_file};
+  constexpr std::string_view id = "{gateway}";
+  std::string token_file = access.token_file;
+  if (const auto at = token_file.find(id); at != std::string::npos)
+    token_file.replace(at, id.size(), gateway.record.id.str());
+  return {gateway.record.host, gateway.record.port, access.tls, token_file};
 }
 
 }  // namespace iotcloud::master
