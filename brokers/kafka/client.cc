@@ -3,7 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
+#include <future>
 #include <string_view>
+#include <thread>
+#include <utility>
 
 #include <fmt/core.h>
 
@@ -15,6 +18,8 @@ namespace iotcloud::brokers::kafka {
 namespace {
 
 constexpr int default_port = 9092;
+// How long a client's user waits for its end.
+constexpr std::chrono::seconds longest_end{2};
 // How often user and password are read again while the servers refuse them.
 constexpr std::chrono::milliseconds refresh_period{500};
 
@@ -133,9 +138,23 @@ Client::Client(rd_kafka_type_t type, const KafkaOptions& options, const Settings
   static_cast<void>(conf.release());  // the handle owns it now
 }
 
+// The library ends the client on a thread of its own, because librdkafka 2.0.2 may wait for ever for a consumer that
+// had a partition of a topic that is gone (mended in 2.1.0). All topics are gone from a server that has lost its data.
 Client::~Client() {
-  // Without closing the consumer: Group has done that, unless it must vanish without leaving the group.
-  rd_kafka_destroy_flags(handle_, RD_KAFKA_DESTROY_F_NO_CONSUMER_CLOSE);
+  std::promise<void> ended;
+  auto end = ended.get_future();
+  std::thread thread([handle = handle_, ended = std::move(ended)]() mutable {
+    // Without closing the consumer: Group has done that, unless it must vanish without leaving the group.
+    rd_kafka_destroy_flags(handle, RD_KAFKA_DESTROY_F_NO_CONSUMER_CLOSE);
+    ended.set_value();
+  });
+  if (end.wait_for(longest_end) == std::future_status::ready) {
+    thread.join();
+  } else {
+    logger.warn("librdkafka {} does not end a client within {} s; it goes on in the background", rd_kafka_version_str(),
+                longest_end.count());
+    thread.detach();
+  }
 }
 
 bool Client::connected() const {

@@ -45,8 +45,8 @@ inline constexpr std::chrono::milliseconds look_again{50};
 inline constexpr std::chrono::milliseconds longest_doubt{1000};
 
 /// One client of librdkafka: a producer, or a consumer in a group. Every received message holds a reference to its
-/// client, because messages must be destroyed before it. So the destructor, which waits for the library's threads, may
-/// run on any thread.
+/// client, because messages must be destroyed before it. So the destructor may run on any thread. It waits for the
+/// library's threads, but not longer than two seconds; afterwards they end in the background.
 class Client {
  public:
   /// Connects in the background. \param events which events to deliver (RD_KAFKA_EVENT_*).

@@ -38,6 +38,35 @@ bool is_missing_topic(rd_kafka_resp_err_t error) {
          error == RD_KAFKA_RESP_ERR_UNKNOWN_TOPIC_OR_PART;
 }
 
+/// Whether the same message would get this error again whenever it is sent.
+bool is_refusal_for_good(rd_kafka_resp_err_t error) {
+  switch (error) {
+    case RD_KAFKA_RESP_ERR_MSG_SIZE_TOO_LARGE:
+    case RD_KAFKA_RESP_ERR_RECORD_LIST_TOO_LARGE:
+    case RD_KAFKA_RESP_ERR_INVALID_MSG_SIZE:
+    case RD_KAFKA_RESP_ERR_INVALID_RECORD:
+    case RD_KAFKA_RESP_ERR_TOPIC_EXCEPTION:
+    case RD_KAFKA_RESP_ERR__INVALID_ARG:
+      return true;
+    default:
+      return false;
+  }
+}
+
+/// Whether the servers refuse this publisher's messages for a reason that may pass: a permission that is missing, a
+/// policy, clocks that do not agree. What concerns the connection or the whole cluster is none of these.
+bool is_refusal_for_now(rd_kafka_resp_err_t error) {
+  switch (error) {
+    case RD_KAFKA_RESP_ERR_TOPIC_AUTHORIZATION_FAILED:
+    case RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED:
+    case RD_KAFKA_RESP_ERR_POLICY_VIOLATION:
+    case RD_KAFKA_RESP_ERR_INVALID_TIMESTAMP:
+      return true;
+    default:
+      return false;
+  }
+}
+
 TopicLane& lane_of(const Outbox& outbox) {
   return static_cast<TopicLane&>(*outbox.lane);
 }
@@ -169,7 +198,7 @@ Producer::Failed Producer::hand_over_all(const std::vector<UnderWay*>& wave, rd_
   for (UnderWay* const message : wave) {
     // Later messages of the same publisher must not overtake a failed one, which has to wait.
     const auto before = std::find_if(failed.begin(), failed.end(), [&](const auto& other) {
-      return other.first->outbox == message->outbox && !is_refusal(other.second);
+      return other.first->outbox == message->outbox && !is_refusal_for_good(other.second);
     });
     const auto error = before != failed.end() ? before->second : hand_over(*message, producer, topic, now);
     if (error != RD_KAFKA_RESP_ERR_NO_ERROR) failed.emplace_back(message, error);
@@ -205,12 +234,16 @@ void Producer::settle(UnderWay& message, rd_kafka_resp_err_t error) {
   lane.answered(clock_.now());
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
     send_backoff_.reset();
+    client_backoff_.reset();
+    complaint_.clear();
     core_.confirmed(message);
   } else if (outbox->closed) {
     core_.lost(message);
-  } else if (is_refusal(error)) {
+  } else if (is_refusal_for_good(error)) {
     logger.error("a message for topic {} was refused: {}", outbox->topic.name, rd_kafka_err2str(error));
     core_.refused(message, rd_kafka_err2name(error));
+  } else if (is_refusal_for_now(error)) {
+    core_.refused_for_now(message, rd_kafka_err2str(error));
   } else if (error == RD_KAFKA_RESP_ERR__QUEUE_FULL) {
     full_ = true;
     core_.lost(message);
@@ -226,25 +259,6 @@ void Producer::settle(UnderWay& message, rd_kafka_resp_err_t error) {
   }
 }
 
-bool Producer::is_refusal(rd_kafka_resp_err_t error) {
-  switch (error) {
-    case RD_KAFKA_RESP_ERR_MSG_SIZE_TOO_LARGE:
-    case RD_KAFKA_RESP_ERR_RECORD_LIST_TOO_LARGE:
-    case RD_KAFKA_RESP_ERR_INVALID_MSG:
-    case RD_KAFKA_RESP_ERR_INVALID_MSG_SIZE:
-    case RD_KAFKA_RESP_ERR_INVALID_RECORD:
-    case RD_KAFKA_RESP_ERR_INVALID_TIMESTAMP:
-    case RD_KAFKA_RESP_ERR_POLICY_VIOLATION:
-    case RD_KAFKA_RESP_ERR_TOPIC_EXCEPTION:
-    case RD_KAFKA_RESP_ERR_TOPIC_AUTHORIZATION_FAILED:
-    case RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED:
-    case RD_KAFKA_RESP_ERR__INVALID_ARG:
-      return true;
-    default:
-      return false;
-  }
-}
-
 void Producer::run() {
   const config::MutexLock lock(core_.mutex);
   while (!closing_) {
@@ -253,7 +267,7 @@ void Producer::run() {
     // loss of the new one.
     serve_events();
     if (client_) look_for_servers();
-    if (broken_) end_client(last_error_);
+    if (client_ && broken_) end_client(last_error_);
     const Instant now = clock_.now();
     if (send_again_at_ != Instant{} && send_again_at_ <= now) send_again_at_ = {};
     if (connected_) topics_.ask(*client_, events_.get(), options_, now);
@@ -287,7 +301,7 @@ void Producer::start_client() {
     rd_kafka_queue_io_event_enable(events.get(), wake_event_.descriptor(), &one, sizeof(one));
   } catch (const std::exception& error) {  // ClientError, config::Error: try to make the client later
     log_.failed(error.what());
-    next_attempt_ = clock_.now() + std::chrono::seconds(1);
+    next_attempt_ = clock_.now() + client_backoff_.next();
     return;
   }
   client_ = std::move(made);
@@ -297,7 +311,9 @@ void Producer::start_client() {
 }
 
 void Producer::end_client(const std::string& reason) {
-  if (!reason.empty()) logger.error("the Kafka producer cannot go on: {}; starting another", reason);
+  if (!reason.empty() && std::exchange(complaint_, reason) != reason) {
+    logger.error("the Kafka producer cannot go on: {}; starting another, until one can", reason);
+  }
   connected_ = false;
   // After the purge every message in the library gets a delivery report with an error.
   {
@@ -321,7 +337,7 @@ void Producer::end_client(const std::string& reason) {
     events_.reset();
     gone = std::move(client_);
   }
-  next_attempt_ = clock_.now();
+  next_attempt_ = clock_.now() + client_backoff_.next();
   {
     const config::Unlocked unlocked(core_.mutex);
     gone.reset();

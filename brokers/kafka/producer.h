@@ -87,8 +87,6 @@ class Producer final : client::PublishTransport {
 
   /// Handles the library's report of a message's outcome.
   void settle(UnderWay& message, rd_kafka_resp_err_t error) IOTCLOUD_REQUIRES(core_.mutex);
-  /// Whether the same message would get this error again whenever it is sent.
-  static bool is_refusal(rd_kafka_resp_err_t error);
   bool may_send() const IOTCLOUD_REQUIRES(core_.mutex);
   void send_waiting() IOTCLOUD_REQUIRES(core_.mutex);
   void end_gathering() IOTCLOUD_EXCLUDES(core_.mutex);
@@ -126,8 +124,12 @@ class Producer final : client::PublishTransport {
   Backoff send_backoff_ IOTCLOUD_GUARDED_BY(core_.mutex){std::chrono::milliseconds(20),
                                                          std::chrono::milliseconds(1000)};
   std::string last_error_ IOTCLOUD_GUARDED_BY(core_.mutex);  ///< the library's last error about its connections
+  /// When the next client may be started, after one that could not be made or could not go on.
   Instant next_attempt_ IOTCLOUD_GUARDED_BY(core_.mutex){};
+  Backoff client_backoff_ IOTCLOUD_GUARDED_BY(core_.mutex){std::chrono::milliseconds(20),
+                                                           std::chrono::milliseconds(5000)};
 
+  std::string complaint_ IOTCLOUD_GUARDED_BY(core_.mutex);  ///< why the last client could not go on, if it was logged
   const std::shared_ptr<Gathering::Target> gathering_target_;
   std::thread thread_;
 };

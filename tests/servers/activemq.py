@@ -46,7 +46,7 @@ CONFIGURATION = """\
     <destinationPolicy>
       <policyMap>
         <policyEntries>
-          <policyEntry queue=">" producerFlowControl={flow_control}/>
+          <policyEntry queue=">" producerFlowControl={flow_control} strictOrderDispatch="true"/>
         </policyEntries>
       </policyMap>
     </destinationPolicy>

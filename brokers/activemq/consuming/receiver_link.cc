@@ -176,8 +176,12 @@ void ReceiverLink::down() {
 void ReceiverLink::work() {
   if (!connected()) return;
   send_all_settlements();
+  const bool some_leave = !leaving_.empty();
   for (const auto& reader : std::exchange(leaving_, {})) leave(*reader);
   ask_for_places();
+  // Proton writes the beginnings of sessions before the ends of others, and a server that has the next reader of a
+  // queue before the last one has left may change the order of what that one had. So the ends are written first.
+  if (some_leave) return wake();
   if (now() >= next_try_) open_due();
   arm(next_try_);
 }
@@ -194,13 +198,24 @@ void ReceiverLink::open_due() {
     if (!reader->retry_at) continue;
     if (*reader->retry_at > now()) {
       next_try_ = std::min(next_try_, *reader->retry_at);
-    } else if (reader->phase == SessionReader::Phase::opening) {
+    } else if (reader->phase != SessionReader::Phase::idle) {
       return abandon("no answer to the request to read " + reader->queue);
     } else if (opening_ < opened_at_once) {
-      open(reader);
+      if (reader->stands_by) {
+        ask_first(reader);
+      } else {
+        open(reader);
+      }
       next_try_ = std::min(next_try_, *reader->retry_at);
     }  // otherwise activate() or leave() sets next_try_
   }
+}
+
+void ReceiverLink::ask_first(const std::shared_ptr<SessionReader>& reader) {
+  reader->phase = SessionReader::Phase::asking;
+  ++opening_;
+  reader->retry_at = now() + options_.rpc_timeout;
+  to_ask_.push_back(reader);
 }
 
 void ReceiverLink::open(const std::shared_ptr<SessionReader>& reader) {
@@ -246,11 +261,18 @@ void ReceiverLink::ask_for_places() {
 
 void ReceiverLink::on_place(const std::shared_ptr<SessionReader>& reader, std::uint64_t generation,
                             const QueueFacts& facts) {
-  if (reader->generation != generation || reader->phase != SessionReader::Phase::opening || reader->closed) return;
+  if (reader->generation != generation || reader->closed) return;
+  if (reader->phase == SessionReader::Phase::asking) {
+    leave(*reader);
+    reader->stands_by = facts.readers > 0;
+    if (reader->stands_by) return retry_later(*reader);
+    return try_at(*reader, now());
+  }
+  if (reader->phase != SessionReader::Phase::opening) return;
   if (reader->options.exclusive && facts.readers > 1) {  // another reader has the queue: stand by
     leave(*reader);
-    retry_later(*reader);
-    return;
+    reader->stands_by = true;
+    return retry_later(*reader);
   }
   if (reader->read_before) reader->doubtful = facts.messages;
   activate(*reader);
@@ -298,6 +320,7 @@ void ReceiverLink::refused(SessionReader* known, const std::string& why) {
 
 void ReceiverLink::leave(SessionReader& reader) {
   if (reader.phase == SessionReader::Phase::idle) return;
+  if (reader.phase == SessionReader::Phase::asking) return forget_session(reader);
   send_settlements(reader);
   pn_link_set_context(reader.receiver, nullptr);
   pn_session_set_context(reader.session, nullptr);
@@ -309,7 +332,7 @@ void ReceiverLink::leave(SessionReader& reader) {
 }
 
 void ReceiverLink::forget_session(SessionReader& reader) {
-  if (reader.phase == SessionReader::Phase::opening) {
+  if (reader.phase != SessionReader::Phase::active) {
     --opening_;
     next_try_ = Instant::min();
   }

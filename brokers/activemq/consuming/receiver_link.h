@@ -28,7 +28,9 @@ struct ReceiverCore {
 /// Each subscription has a session of its own: when a session ends, the server marks the messages that were delivered
 /// on it and not settled as redelivered, which it does not do when only a link ends. The server gives an exclusive
 /// queue to the first reader that opens it, but does not tell the others that they get nothing. So an exclusive reader
-/// opens its link, then asks how many readers the queue has; if it is not alone, it leaves and tries again later.
+/// opens its link, then asks how many readers the queue has; if it is not alone, it leaves, and opens it again only
+/// when the queue has no reader. For a server that has another reader when one leaves does not put the messages that
+/// this one had in front of those that others left before.
 class ReceiverLink final : client::ReadTransport,
                            ReceiverCore,
                            public ServerLink,
@@ -75,6 +77,7 @@ class ReceiverLink final : client::ReadTransport,
   void on_message(pn_delivery_t* delivery, const WireBytes& message) override IOTCLOUD_REQUIRES(mutex_);
   void open_due() IOTCLOUD_REQUIRES(mutex_);
   void ask_for_places() IOTCLOUD_REQUIRES(mutex_);
+  void ask_first(const std::shared_ptr<SessionReader>& reader) IOTCLOUD_REQUIRES(mutex_);
   void open(const std::shared_ptr<SessionReader>& reader) IOTCLOUD_REQUIRES(mutex_);
   void on_place(const std::shared_ptr<SessionReader>& reader, std::uint64_t generation, const QueueFacts& facts)
       IOTCLOUD_REQUIRES(mutex_);
@@ -94,7 +97,7 @@ class ReceiverLink final : client::ReadTransport,
   SessionReaders readers_ IOTCLOUD_GUARDED_BY(mutex_);
   SessionReaders leaving_ IOTCLOUD_GUARDED_BY(mutex_);  ///< removed subscriptions whose sessions are still open
   SessionReaders to_ask_
-      IOTCLOUD_GUARDED_BY(mutex_);  ///< open readers whose queues' number of readers is to be asked, in one question
+      IOTCLOUD_GUARDED_BY(mutex_);  ///< readers whose queues' number of readers is to be asked, in one question
   std::size_t opening_ IOTCLOUD_GUARDED_BY(mutex_) = 0;  ///< how many subscriptions wait for the server's answer
   /// No subscription has anything to do before this time.
   Instant next_try_ IOTCLOUD_GUARDED_BY(mutex_) = Instant::max();

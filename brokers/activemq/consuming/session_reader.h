@@ -22,6 +22,7 @@ class SessionReader final : public client::OwnInbox {
  public:
   enum class Phase {
     idle,     ///< no session: not connected, or waiting for `retry_at`
+    asking,   ///< no session: it has asked whether another reader has the queue; the answer must come by `retry_at`
     opening,  ///< requested; the answer must come by `retry_at`
     active,   ///< reads
   };
@@ -39,6 +40,7 @@ class SessionReader final : public client::OwnInbox {
   std::string complaint;     ///< the last logged complaint, so that it is not logged again
   bool odd_logged = false;   ///< an undecodable message was logged
   bool read_before = false;  ///< it has been active before, on any session
+  bool stands_by = false;    ///< another reader had the queue when it last looked
   /// How many of the next messages may have been handed on before although the server does not mark them: a killed
   /// server forgets what it had delivered. After a reconnection, all messages that wait in the queue count as such.
   std::uint64_t doubtful = 0;

@@ -37,6 +37,33 @@ TEST_P(BrokerContract, UnsettledMessagesOfASubscriptionThatEndsGoToTheNextOne) {
   EXPECT_EQ(inbox.bodies().back(), "5");
 }
 
+TEST_P(BrokerContract, WhatSeveralReadersLeftOneAfterTheOtherComesInOrder) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  SubscriptionOptions options;
+  options.prefetch = 60;
+  Holder first;
+  auto subscription = broker->subscribe(topic, options, first.handler());
+  await_active(*subscription);
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 60)) publisher->publish(text_message(body));
+  ASSERT_TRUE(first.wait_for(60));
+  subscription.reset();
+  first.drop_all();
+  // It takes a part of them, and leaves.
+  options.prefetch = 20;
+  Holder second;
+  subscription = broker->subscribe(topic, options, second.handler());
+  ASSERT_TRUE(second.wait_for(20));
+  subscription.reset();
+  second.drop_all();
+  Inbox third;
+  subscription = broker->subscribe(topic, options, third.handler());
+  for (const auto& body : numbered(61, 70)) publisher->publish(text_message(body));
+  ASSERT_TRUE(third.wait_for(70));
+  EXPECT_EQ(third.bodies(), numbered(1, 70));
+}
+
 TEST_P(BrokerContract, EveryGroupGetsEverything) {
   const auto broker = this->broker();
   const Topic topic = this->topic();

@@ -8,8 +8,10 @@ namespace {
 
 TEST(KafkaAssignment, IsCooperativeOnlyWithALibraryThatSurvivesIt) {
   EXPECT_STREQ(assignment_strategy(0x020002ff), "roundrobin") << "2.0.2, of Debian 12";
-  EXPECT_STREQ(assignment_strategy(0x020102ff), "roundrobin") << "2.1.2, the last one that aborts";
-  EXPECT_STREQ(assignment_strategy(0x020200ff), "cooperative-sticky") << "2.2.0";
+  EXPECT_STREQ(assignment_strategy(0x020200ff), "roundrobin") << "2.2.0, the last one that aborts";
+  EXPECT_STREQ(assignment_strategy(0x020503ff), "roundrobin")
+      << "2.5.3, the last one whose leader may compute for ever";
+  EXPECT_STREQ(assignment_strategy(0x020600ff), "cooperative-sticky") << "2.6.0";
   EXPECT_STREQ(assignment_strategy(0x030000ff), "cooperative-sticky");
 }
 

@@ -102,7 +102,7 @@ TEST_F(KafkaFault, WhatTheServerRefusesIsReportedAndTheRestGoesOn) {
   const auto publisher = broker->publisher(topic(), options);
   publisher->publish(text_message("good"));
   ASSERT_TRUE(publisher->drain(patience));
-  fail_next(produce_request, {RD_KAFKA_RESP_ERR_POLICY_VIOLATION});
+  fail_next(produce_request, {RD_KAFKA_RESP_ERR_INVALID_RECORD});
   publisher->publish(text_message("bad"));
   ASSERT_TRUE(publisher->drain(patience));
   publisher->publish(text_message("good again"));
@@ -112,8 +112,25 @@ TEST_F(KafkaFault, WhatTheServerRefusesIsReportedAndTheRestGoesOn) {
   EXPECT_EQ(outcomes.of(3), Outcome::confirmed);
 }
 
+TEST_F(KafkaFault, WhatIsRefusedForAReasonThatMayPassIsKeptAndTriedAgain) {
+  const auto broker = this->broker();
+  PublisherOptions options;
+  Outcomes outcomes;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic(), options);
+  publisher->publish(text_message("good"));
+  ASSERT_TRUE(publisher->drain(patience));
+  fail_next(produce_request,
+            {RD_KAFKA_RESP_ERR_TOPIC_AUTHORIZATION_FAILED, RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED,
+             RD_KAFKA_RESP_ERR_POLICY_VIOLATION, RD_KAFKA_RESP_ERR_INVALID_TIMESTAMP, RD_KAFKA_RESP_ERR_INVALID_MSG});
+  publisher->publish(text_message("refused five times"));
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.of(2), Outcome::confirmed);
+}
+
 TEST_F(KafkaFault, AProducerThatCannotGoOnIsReplacedAndNothingIsLost) {
-  fail_next(producer_id_request, {RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED});  // fatal to the library
+  // Fatal to the library, several times.
+  fail_next(producer_id_request, std::vector(5, RD_KAFKA_RESP_ERR_CLUSTER_AUTHORIZATION_FAILED));
   const auto broker = this->broker();
   PublisherOptions options;
   Outcomes outcomes;

@@ -46,6 +46,22 @@ class KafkaGroup : public testing::Test {
     return message;
   }
 
+  static void delete_topic(const std::string& name) {
+    rd_kafka_conf_t* conf = rd_kafka_conf_new();
+    const std::string address = server_->url().substr(std::string("kafka://").size());
+    rd_kafka_conf_set(conf, "bootstrap.servers", address.c_str(), nullptr, 0);
+    rd_kafka_t* const operating = rd_kafka_new(RD_KAFKA_PRODUCER, conf, nullptr, 0);
+    rd_kafka_queue_t* const answers = rd_kafka_queue_new(operating);
+    rd_kafka_DeleteTopic_t* topic = rd_kafka_DeleteTopic_new(name.c_str());
+    rd_kafka_DeleteTopics(operating, &topic, 1, nullptr, answers);
+    rd_kafka_event_t* const answer = rd_kafka_queue_poll(answers, static_cast<int>(patience.count()));
+    EXPECT_EQ(rd_kafka_event_error(answer), RD_KAFKA_RESP_ERR_NO_ERROR);
+    rd_kafka_event_destroy(answer);
+    rd_kafka_DeleteTopic_destroy(topic);
+    rd_kafka_queue_destroy(answers);
+    rd_kafka_destroy(operating);
+  }
+
   static tests::PrivateServer* server_;
 };
 
@@ -184,6 +200,36 @@ TEST_F(KafkaGroup, AMemberHasAllPartitionsOfATopicThatItAloneReadsWhateverItsGro
   for (int driver = 0; driver < 40; ++driver) publisher->publish(from(driver, 1));
   ASSERT_TRUE(inbox.wait_for(40));
   EXPECT_EQ(others.size(), 0U);
+}
+
+TEST_F(KafkaGroup, LetsAMemberGoWhoseTopicIsDeleted) {
+  for (int round = 0; round < 3; ++round) {
+    Topic another = topic();
+    another.name += std::to_string(round);
+    const auto other = this->broker();
+    Inbox others;
+    const auto stays = other->subscribe(topic(), readers(), others.handler());
+    auto goes = this->broker();
+    Inbox inbox;
+    auto subscription = goes->subscribe(another, readers(), inbox.handler());
+    ASSERT_TRUE(becomes_active(*stays));
+    ASSERT_TRUE(becomes_active(*subscription));
+    delete_topic(another.name);
+    // Its partition is lost; the topic is made again, and read again.
+    const auto publisher = other->publisher(another, {});
+    ASSERT_TRUE(eventually(
+        [&] {
+          publisher->publish(text_message("x"));
+          return publisher->drain(patience) && inbox.size() > 0;
+        },
+        patience));
+    delete_topic(another.name);
+    const auto gone = std::async(std::launch::async, [&] {
+      subscription.reset();
+      goes.reset();
+    });
+    ASSERT_EQ(gone.wait_for(patience), std::future_status::ready) << "it does not come back from its group";
+  }
 }
 
 TEST_F(KafkaGroup, AfterAnOrderlyEndNothingIsDoubted) {
