@@ -4,7 +4,9 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <set>
 #include <tuple>
+#include <utility>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -44,6 +46,25 @@ std::vector<DriverRecord> sorted_drivers(MasterClient& master) {
     return std::tie(a.name, a.gateway, a.instance) < std::tie(b.name, b.gateway, b.instance);
   });
   return drivers;
+}
+
+/// Adds what is ordered and has no record, because its gateway has not followed the order yet: it is lost or frozen,
+/// say.
+void add_not_taken_up(std::vector<DriverRecord>& drivers, const std::vector<ListedOrder>& orders) {
+  std::set<discovery::InstanceId> known;
+  for (const auto& driver : drivers) known.insert(driver.instance);
+  for (const auto& placed : orders) {
+    if (known.contains(placed.order.instance)) continue;
+    DriverRecord record;
+    record.name = placed.order.driver;
+    record.instance = placed.order.instance;
+    record.gateway = placed.gateway;
+    record.deployment = placed.order.name;
+    record.index = placed.order.index;
+    record.state = discovery::DriverState::deployed;
+    record.metadata = placed.order.metadata;
+    drivers.push_back(std::move(record));
+  }
 }
 
 discovery::InstanceId completed(const std::string& beginning, const std::vector<DriverRecord>& drivers) {
@@ -141,7 +162,11 @@ void Choice::check_order() const {
 
 std::vector<DriverRecord> Choice::drivers(MasterClient& master) const {
   const auto selection = selection_of(where);
-  auto drivers = sorted_drivers(master);
+  return chosen(sorted_drivers(master), selection);
+}
+
+std::vector<DriverRecord> Choice::chosen(std::vector<DriverRecord> drivers,
+                                         const discovery::Selection& selection) const {
   std::erase_if(drivers, [&](const DriverRecord& one) {
     const auto begins = [&](const std::string& id) { return one.instance.str().starts_with(id); };
     return (!instances.empty() && std::none_of(instances.begin(), instances.end(), begins)) ||
@@ -159,7 +184,10 @@ std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
     for (const auto& beginning : instances) ids.push_back(completed(beginning, all_drivers));
     return ids;
   }
-  for (const auto& one : drivers(master)) ids.push_back(one.instance);
+  const auto selection = selection_of(where);
+  auto drivers = sorted_drivers(master);
+  add_not_taken_up(drivers, master.orders());
+  for (const auto& one : chosen(std::move(drivers), selection)) ids.push_back(one.instance);
   if (ids.empty()) throw Failed("no driver instance is chosen by these options; `iotcloud drivers` takes them too");
   return ids;
 }
