@@ -6,6 +6,7 @@
 #include <iterator>
 #include <set>
 #include <tuple>
+#include <utility>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -46,6 +47,25 @@ std::vector<DriverRecord> sorted_drivers(MasterClient& master) {
     return std::tie(a.name, a.gateway, a.instance) < std::tie(b.name, b.gateway, b.instance);
   });
   return drivers;
+}
+
+/// Adds what is ordered and has no record, because its gateway has not followed the order yet: it is lost or frozen,
+/// say.
+void add_not_taken_up(std::vector<DriverRecord>& drivers, const std::vector<ListedOrder>& orders) {
+  std::set<discovery::InstanceId> known;
+  for (const auto& driver : drivers) known.insert(driver.instance);
+  for (const auto& placed : orders) {
+    if (known.contains(placed.order.instance)) continue;
+    DriverRecord record;
+    record.name = placed.order.driver;
+    record.instance = placed.order.instance;
+    record.gateway = placed.gateway;
+    record.deployment = placed.order.name;
+    record.index = placed.order.index;
+    record.state = discovery::DriverState::deployed;
+    record.metadata = placed.order.metadata;
+    drivers.push_back(std::move(record));
+  }
 }
 
 /// Whether the word is the instance's name as `iotcloud drivers` shows it ("meter/2"), or that of its deployment
@@ -163,13 +183,17 @@ void Choice::check_order() const {
 
 std::vector<DriverRecord> Choice::drivers(MasterClient& master) const {
   const auto selection = selection_of(where);
-  auto drivers = sorted_drivers(master);
-  std::set<discovery::InstanceId> chosen;
+  return chosen(sorted_drivers(master), selection);
+}
+
+std::vector<DriverRecord> Choice::chosen(std::vector<DriverRecord> drivers,
+                                         const discovery::Selection& selection) const {
+  std::set<discovery::InstanceId> wanted;
   for (const auto& word : instances) {
-    for (const auto* one : meant(word, drivers)) chosen.insert(one->instance);
+    for (const auto* one : meant(word, drivers)) wanted.insert(one->instance);
   }
   std::erase_if(drivers, [&](const DriverRecord& one) {
-    return (!instances.empty() && !chosen.contains(one.instance)) ||
+    return (!instances.empty() && !wanted.contains(one.instance)) ||
            (!gateways.empty() && !among(gateways, one.gateway)) || (!driver.empty() && driver != one.name) ||
            (!name.empty() && name != one.deployment) || (!state.empty() && state != to_string(one.state)) ||
            !selection.matches(one);
@@ -184,7 +208,10 @@ std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
     for (const auto& beginning : instances) ids.push_back(completed(beginning, all_drivers));
     return ids;
   }
-  for (const auto& one : drivers(master)) ids.push_back(one.instance);
+  const auto selection = selection_of(where);
+  auto drivers = sorted_drivers(master);
+  add_not_taken_up(drivers, master.orders());
+  for (const auto& one : chosen(std::move(drivers), selection)) ids.push_back(one.instance);
   if (ids.empty()) throw Failed("no driver instance is chosen by these options; `iotcloud drivers` takes them too");
   return ids;
 }

@@ -56,10 +56,15 @@ struct Choice {
   /// The records of the chosen instances, sorted by driver, gateway and id.
   /// \throws std::invalid_argument for a wrong `where`, before a master is asked; Unreachable, Failed
   std::vector<discovery::DriverRecord> drivers(MasterClient& master) const;
-  /// The full ids of the chosen instances. An id that no record begins with is kept as it is, because its gateway may
+  /// The full ids of the chosen instances, with those that are ordered and that their gateways have not taken up yet
+  /// (their state is `deployed`). An id that no record begins with is kept as it is, because its gateway may
   /// not have followed its order yet.
   /// \throws Ambiguous; Failed, also when no instance fits; and what drivers() throws
   std::vector<discovery::InstanceId> ids(MasterClient& master) const;
+
+ private:
+  std::vector<discovery::DriverRecord> chosen(std::vector<discovery::DriverRecord> drivers,
+                                              const discovery::Selection& selection) const;
 };
 
 /// The id of the instance with this name ("meter/2", or "meter" if it is the only one), or the full id that begins with

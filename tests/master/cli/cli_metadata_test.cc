@@ -87,6 +87,20 @@ TEST_F(CliMetadata, OrdersAreForWhatTheOptionsChooseAndForNothingElse) {
   EXPECT_THAT(run_json({"drivers"}), SizeIs(1));
 }
 
+TEST_F(CliMetadata, WhatItsGatewayHasNotTakenUpIsChosenToo) {
+  { const FakeGateway gone(url, "lab2"); }
+  const auto deployed = run_json({"deploy", "turtle.so", "-g", "lab2", "--name", "meter", "--metadata", "site=lab"});
+  ASSERT_EQ(deployed["outcomes"][0]["outcome"], "pending");
+  EXPECT_THAT(run_json({"drivers"}), SizeIs(0)) << "it has no record yet";
+  EXPECT_EQ(run_json({"stop", "--where", "site == 'lab'"})["outcomes"][0]["outcome"], "pending");
+  EXPECT_EQ(run({"stop", "--name", "meter", "--state", "active"}).status, 1);
+  const auto taken = run_json({"undeploy", "--name", "meter"})["outcomes"];
+  ASSERT_THAT(taken, SizeIs(1));
+  EXPECT_EQ(taken[0]["instance"], deployed["outcomes"][0]["instance"]);
+  EXPECT_EQ(taken[0]["outcome"], "done");
+  EXPECT_EQ(run({"undeploy", "--name", "meter"}).status, 1) << "it is gone";
+}
+
 TEST_F(CliMetadata, AllOfOneGatewayCanBeTakenAwayAndThereIsNoneToTakeThen) {
   const FakeGateway second(url, "lab2");
   deploy_with({});
