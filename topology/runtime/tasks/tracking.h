@@ -76,12 +76,12 @@ struct alignas(64) TupleCell final : public detail::TupleData {
     if (trees.size() > 1) make_more().trees.assign(trees.begin() + 1, trees.end());
   }
   void add_delivery(const Task* receiver, std::uint64_t id) {
-    const TrackedDelivery delivery{receiver, id, 0, false};
-    if (first.receiver == nullptr) {
-      first = delivery;
-    } else {
-      make_more().deliveries.push_back(delivery);
-    }
+    // Member by member: a copy reads 16 bytes that were written in parts just before, for which the processor waits.
+    TrackedDelivery& delivery = first.receiver == nullptr ? first : make_more().deliveries.emplace_back();
+    delivery.receiver = receiver;
+    delivery.change = id;
+    delivery.executed_ns = 0;
+    delivery.settled = false;
   }
   /// \return the first delivery to this receiver that is not settled, or nullptr.
   TrackedDelivery* open_delivery(const Task* receiver);
