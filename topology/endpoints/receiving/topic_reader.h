@@ -47,9 +47,10 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   const brokers::BrokerAddress& address() const { return address_; }
 
  private:
-  TopicReader(brokers::Topic topic, brokers::BrokerAddress address, discovery::InstanceId driver_id,
+  TopicReader(brokers::Topic topic, std::string name, brokers::BrokerAddress address, discovery::InstanceId driver_id,
               std::shared_ptr<SpoutQueue> queue, std::shared_ptr<const StandstillFence> fence)
       : topic_(std::move(topic)),
+        name_(std::move(name)),
         address_(std::move(address)),
         driver_id_(std::move(driver_id)),
         queue_(std::move(queue)),
@@ -61,6 +62,7 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   void take(brokers::Delivery delivery);
 
   const brokers::Topic topic_;
+  const std::string name_;  ///< for the log: the topic's, and "#" with the partition if it is not the first
   const brokers::BrokerAddress address_;
   const discovery::InstanceId driver_id_;
   const std::shared_ptr<SpoutQueue> queue_;
