@@ -69,6 +69,10 @@ struct PublisherOptions {
   /// Also makes the topic's own queue `<topic>`, where what is sent waits for a reader that may come much later (dead
   /// letters). Without a reader the queue of a topic that is not durable is gone after a minute.
   bool own_queue = false;
+  /// RabbitMQ: the name of the own queue where programs of the original system read it: declared as they do, not
+  /// durable, automatically deleted, without arguments. Empty: the topic's name, and declared for readers of this
+  /// project.
+  std::string original_queue;
   std::uint8_t priority = normal_priority;  ///< 0 to 9, see normal_priority
   /// What was accepted before this instant of the broker's clock, and is still to be sent or to be sent again, is
   /// dropped
@@ -163,9 +167,11 @@ using Handler = std::function<void(Delivery)>;
 
 /// How one subscription reads its topic. Copied when the subscription is made.
 struct SubscriptionOptions {
-  std::string group;      ///< who reads: the topology's name. Each group has its own queue `<topic>.<group>`.
-                          ///< Empty: the topic's own queue `<topic>` (a driver's inbound channel, the original's way).
-  bool exclusive = true;  ///< a second reader of the same queue gets nothing until this one is gone
+  std::string group;  ///< who reads: the topology's name. Each group has its own queue `<topic>.<group>`.
+                      ///< Empty: the topic's own queue `<topic>` (a driver's inbound channel, the original's way).
+  /// RabbitMQ, with an empty group: as PublisherOptions::original_queue.
+  std::string original_queue;
+  bool exclusive = true;         ///< a second reader of the same queue gets nothing until this one is gone
   bool automatic_ack = false;    ///< a delivery counts as accepted when it is handed on; there is nothing to settle
   std::uint16_t prefetch = 100;  ///< unsettled deliveries under way at most
   std::size_t keep_last = 0;     ///< conflate: of what waits only the newest N are handed on. 0 = keep all

@@ -42,7 +42,7 @@ struct ChannelRecord {
   std::string name;
   std::string transport;  ///< the gateway's logical broker name ("rabbitmq")
   Direction direction = Direction::out;
-  std::map<std::string, std::string> properties;  ///< exchange, routingKey, queueName (wire names), topic, durable
+  std::map<std::string, std::string> properties;  ///< raw, see channel_names.h
   std::string broker_url;                         ///< the broker that this channel's group was placed on
   GatewayId gateway;                              ///< TChannel.site
   DriverName driver;                              ///< TChannel.sensor

@@ -72,8 +72,7 @@ discovery::ChannelRecord Fleet::channel(int instance, const std::string& name, d
   record.name = name;
   record.transport = "broker";
   record.direction = direction;
-  const std::string wire = wire_name(instance, name);
-  record.properties = {{"exchange", "bench"}, {"routingKey", wire}, {"queueName", wire}};
+  record.properties = {{"exchange", "bench"}, {"routingKey", name}, {"queueName", name}};
   record.broker_url = options_.broker;
   record.gateway = gateway(instance);
   record.driver = discovery::DriverName(driver);

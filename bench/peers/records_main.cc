@@ -14,19 +14,18 @@ namespace {
 
 using Words = std::map<std::string, std::string>;
 
-/// A channel of the driver with this number, on the exchange and queues that those devices use.
+/// A channel of the driver with this number. Its exchange and topic are those of devices with the name "bench.NAME".
 discovery::ChannelRecord channel(const Words& words, const std::string& number, const std::string& name,
                                  discovery::Direction direction) {
-  const std::string& exchange = words.at("--name");
-  const std::string queue = exchange + "." + number + "." + name;
+  const std::string& driver = words.at("--name");
   discovery::ChannelRecord record;
   record.name = name;
   record.transport = "rabbitmq";
   record.direction = direction;
-  record.properties = {{"exchange", exchange}, {"routingKey", queue}, {"queueName", queue}};
+  record.properties = {{"exchange", "bench." + driver}, {"routingKey", name}, {"queueName", name}};
   record.broker_url = words.at("--broker");
   record.gateway = discovery::GatewayId("bench");
-  record.driver = discovery::DriverName(exchange);
+  record.driver = discovery::DriverName(driver);
   record.instance = discovery::InstanceId(number);
   return record;
 }

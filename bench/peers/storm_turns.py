@@ -88,7 +88,7 @@ class Turns:
     def echo(self, tracked, setting, warm_up_s):
         """Starts our worker and Storm's topology and warms both up; Storm is then stopped (SIGSTOP)."""
         kind = "tracked" if tracked else "untracked"
-        self.ends[OURS] = (f"ours-{kind}", self.worker(f"ours-{kind}", tracked))
+        self.ends[OURS] = (f"bench.ours-{kind}", self.worker(f"ours-{kind}", tracked))
         options = [("--url", self.cluster.rabbitmq.rstrip("/")), ("--name", f"storm-{kind}"), ("--drivers", DRIVERS)]
         with self.start("echo", tracked, setting, options) as self.storm:
             self.ends[STORM] = (f"storm-{kind}", self.storm.pid)

@@ -8,6 +8,7 @@
 #include <fmt/ranges.h>
 
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/discovery/channel_names.h>
 #include <iotcloud/gateway/host/channel_plan.h>
 #include <iotcloud/gateway/host/plugin.h>
 
@@ -146,6 +147,33 @@ const BrokerPlan& broker_of(const ChannelSpec& spec, const std::vector<BrokerPla
                                   fmt::join(names, ", ")));
 }
 
+/// Refuses names that readers would take for whole wire names, as older gateways wrote them.
+void check_raw(const discovery::ChannelRecord& record) {
+  const std::string beginning = discovery::wire_prefix(record);
+  for (const char* property : {"routingKey", "queueName", "topic"}) {
+    const auto found = record.properties.find(property);
+    if (found == record.properties.end() || !found->second.starts_with(beginning)) continue;
+    throw config::Error(fmt::format(
+        "the channel's property \"{}\" is \"{}\"; readers put \"{}\" before it themselves, so leave that out", property,
+        found->second, beginning));
+  }
+}
+
+/// With `interop: java` the channel has the one queue that the original's programs read and declare.
+void make_room_for_the_original(PlannedChannel& channel, const BrokerPlan& broker) {
+  const auto interop = channel.spec.properties.find("interop");
+  channel.own_queue = interop != channel.spec.properties.end() && interop->second == "java";
+  if (!channel.own_queue || broker.type != "rabbitmq") return;
+  if (channel.spec.durable) {
+    throw config::Error(
+        fmt::format("channel \"{}\" is durable and has \"interop\" java, but programs of the original declare an "
+                    "exchange and a queue "
+                    "that are not durable, which RabbitMQ would refuse them; leave one of the two out",
+                    channel.spec.name));
+  }
+  channel.original_queue = discovery::original_queue(channel.record);
+}
+
 PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::DriverName& driver,
                     const InstanceSpec& instance, const ChannelSpec& spec) {
   check_name("channel name", spec.name);
@@ -160,25 +188,26 @@ PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::Driver
     const auto found = spec.properties.find(key);
     return found == spec.properties.end() || found->second.empty() ? fallback : found->second;
   };
-  const std::string group = spec.shared ? fmt::format("{}.{}.", gateway, driver)
-                                        : fmt::format("{}.{}.{}.", gateway, driver, instance.order.instance);
-
   PlannedChannel channel;
   channel.spec = spec;
-  channel.topic.durable = spec.durable;
   auto& record = channel.record;
+  record.gateway = gateway;
+  record.driver = driver;
+  record.instance = instance.order.instance;
+  record.shared = spec.shared;
+  record.properties["durable"] = spec.durable ? "true" : "false";
   if (broker.type == "kafka") {
-    channel.topic.name = group + given("topic", spec.name);
-    record.properties["topic"] = channel.topic.name;
+    record.properties["topic"] = given("topic", spec.name);
   } else {
     channel.topic.exchange = given("exchange", spec.durable ? driver + ".durable" : driver.str());
-    channel.topic.name = group + given("routingKey", given("queueName", spec.name));
     record.properties["exchange"] = channel.topic.exchange;
-    record.properties["routingKey"] = channel.topic.name;
-    record.properties["queueName"] = group + given("queueName", given("routingKey", spec.name));
+    record.properties["routingKey"] = given("routingKey", given("queueName", spec.name));
+    record.properties["queueName"] = given("queueName", given("routingKey", spec.name));
   }
-  channel.own_queue = given("interop", "") == "java";
-  record.properties["durable"] = spec.durable ? "true" : "false";
+  check_raw(record);
+  channel.topic.name = discovery::wire_name(record);
+  channel.topic.durable = spec.durable;
+  make_room_for_the_original(channel, broker);
   record.name = spec.name;
   record.transport = broker.name;
   record.direction = spec.direction == drivers::Direction::in ? discovery::Direction::in : discovery::Direction::out;
@@ -189,10 +218,6 @@ PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::Driver
   record.broker_url = urls.front();
   if (urls.size() > 1) record.properties["urls"] = fmt::format("{}", fmt::join(urls, " "));
   if (spec.priority != brokers::normal_priority) record.properties["priority"] = std::to_string(spec.priority);
-  record.gateway = gateway;
-  record.driver = driver;
-  record.instance = instance.order.instance;
-  record.shared = spec.shared;
   return channel;
 }
 

@@ -17,13 +17,15 @@ struct PlannedChannel {
   brokers::BrokerAddress address;
   /// Outgoing channels: publish to the topic's own queue too, which topologies of the original system read.
   bool own_queue = false;
+  /// With `interop: java` on RabbitMQ: the queue that the original's programs declare too, see brokers/broker.h.
+  std::string original_queue;
   brokers::BrokerOptions broker;    ///< how to connect to the broker
   discovery::ChannelRecord record;  ///< the channel's record in the registry
 };
 
 /// Makes the plan of the channels that a driver asked for: applies "channel.<name>.<option>" properties of the
-/// deployment, picks the broker, and makes the wire names of docs/wire.md#topics (`gateway.driver.instance.queue`,
-/// shared: `gateway.driver.queue`). The exchange defaults to the driver's name; a durable channel's to
+/// deployment, picks the broker, and fills the channel's record, from which the wire name comes
+/// (discovery/channel_names.h). The exchange defaults to the driver's name; a durable channel's to
 /// `<driver>.durable`, because one exchange cannot be both.
 /// \throws config::Error that names the invalid channel or property.
 std::vector<PlannedChannel> plan_channels(const discovery::GatewayId& gateway, const discovery::DriverName& driver,

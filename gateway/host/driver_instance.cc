@@ -235,6 +235,7 @@ void DriverInstance::open_incoming(const PlannedChannel& channel) {
   brokers::SubscriptionOptions options;
   options.priority = channel.spec.priority;
   options.keep_last = channel.spec.keep_last;
+  options.original_queue = channel.original_queue;
   kept.subscription =
       kept.broker->subscribe(channel.topic, options,
                              // After close() the delivery is dropped, and goes back to the broker.

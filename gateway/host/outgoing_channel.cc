@@ -98,6 +98,7 @@ OutgoingChannel::OutgoingChannel(const HostEnvironment& environment, discovery::
   options.deadline = channel.spec.deadline;
   options.priority = channel.spec.priority;
   options.own_queue = channel.own_queue;
+  options.original_queue = channel.original_queue;
   options.on_outcome = [counters = counters_](std::uint64_t, brokers::Outcome outcome, const std::string& reason) {
     counters->count(outcome, reason);
   };

@@ -452,6 +452,7 @@ void SharedChannels::join(const PlannedChannel& channel, const std::shared_ptr<b
       // applies keep_last to its own messages.
       brokers::SubscriptionOptions options;
       options.priority = channel.spec.priority;
+      options.original_queue = channel.original_queue;
       hub->subscription = broker->subscribe(channel.topic, options,
                                             [hub = hub.get()](brokers::Delivery d) { hub->dispatch(std::move(d)); });
     }

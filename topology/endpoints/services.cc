@@ -1,5 +1,6 @@
 #include <sstream>
 
+#include <iotcloud/discovery/channel_names.h>
 #include <iotcloud/topology/endpoints/services.h>
 
 namespace iotcloud::topology {
@@ -11,12 +12,16 @@ std::string property(const discovery::ChannelRecord& channel, const char* key) {
   return found == channel.properties.end() ? std::string() : found->second;
 }
 
+/// The original's gateways write Kafka's servers without a scheme.
+std::string url_of(const discovery::ChannelRecord& channel) {
+  const bool bare = channel.broker_url.find("://") == std::string::npos;
+  return bare && channel.properties.contains("topic") ? "kafka://" + channel.broker_url : channel.broker_url;
+}
+
 }  // namespace
 
 brokers::Topic topic_of(const discovery::ChannelRecord& channel) {
-  std::string name = property(channel, "routingKey");
-  if (name.empty()) name = property(channel, "topic");
-  return {property(channel, "exchange"), std::move(name), property(channel, "durable") == "true"};
+  return {property(channel, "exchange"), discovery::wire_name(channel), property(channel, "durable") == "true"};
 }
 
 std::string misfit(const discovery::ChannelRecord& channel, discovery::Direction wanted, const std::string& broker) {
@@ -37,7 +42,7 @@ brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const
   if (!address.urls.empty()) return address;
   std::istringstream urls(property(channel, "urls"));
   for (std::string url; urls >> url;) address.urls.push_back(url);
-  if (address.urls.empty()) address.urls.push_back(channel.broker_url);
+  if (address.urls.empty()) address.urls.push_back(url_of(channel));
   return address;
 }
 

@@ -63,9 +63,18 @@ std::optional<Arrived> Assembly::finish() {
   return done;
 }
 
+namespace {
+
+std::string queue_of(const Topic& topic, const SubscriptionOptions& options) {
+  if (!options.group.empty()) return topic.name + "." + options.group;
+  return options.original_queue.empty() ? topic.name : options.original_queue;
+}
+
+}  // namespace
+
 QueueReader::QueueReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what)
     : OwnInbox(std::move(to), std::move(how), std::move(what)),
-      queue(options.group.empty() ? topic.name : topic.name + "." + options.group),
+      queue(queue_of(topic, options)),
       home_(std::move(link)) {}
 
 void QueueReader::settle(std::uint64_t tag, Settlement settlement) noexcept {
@@ -93,10 +102,12 @@ void QueueReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type) con
     declare.passive = passive_exchange ? 1 : 0;
     wire.send(on, AMQP_EXCHANGE_DECLARE_METHOD, declare);
   }
-  QueueArguments arguments(topic, type, options.exclusive);
+  const bool original = options.group.empty() && !options.original_queue.empty();
+  QueueArguments arguments(topic, original, type, options.exclusive);
   amqp_queue_declare_t declare{};
   declare.queue = to_bytes(queue);
   declare.durable = topic.durable ? 1 : 0;
+  declare.auto_delete = original ? 1 : 0;
   declare.passive = passive_queue ? 1 : 0;
   declare.arguments = arguments.table();
   wire.send(on, AMQP_QUEUE_DECLARE_METHOD, declare);

@@ -361,7 +361,8 @@ void PublishChannel::declare_topics() {
     }
     if (outbox->options.own_queue) {
       const config::Unlocked unlocked(core_.mutex);
-      const std::string why = wire_->declare_queue(declare_channel, outbox->topic, cluster_.queue_type());
+      const std::string why =
+          wire_->declare_queue(declare_channel, outbox->topic, outbox->options.original_queue, cluster_.queue_type());
       if (!why.empty()) {
         logger.error("cannot make the queue {} ({}): {}; what is sent waits here until it is there", outbox->topic.name,
                      outbox->topic.durable ? "durable" : "not durable", why);

@@ -229,14 +229,18 @@ std::string AmqpLink::declare_exchange(amqp_channel_t channel, const std::string
   return why;
 }
 
-std::string AmqpLink::declare_queue(amqp_channel_t channel, const Topic& topic, QueueType type) {
+std::string AmqpLink::declare_queue(amqp_channel_t channel, const Topic& topic, const std::string& original,
+                                    QueueType type) {
   open_channel(channel);
-  QueueArguments arguments(topic, type, true);
-  amqp_queue_declare(state_.get(), channel, to_bytes(topic.name), 0, topic.durable ? 1 : 0, 0, 0, arguments.table());
+  const bool automatic = !original.empty();
+  const std::string& queue = automatic ? original : topic.name;
+  QueueArguments arguments(topic, automatic, type, true);
+  amqp_queue_declare(state_.get(), channel, to_bytes(queue), 0, topic.durable ? 1 : 0, 0, automatic ? 1 : 0,
+                     arguments.table());
   std::string why = refusal_of(channel, "declare a queue");
   // The queue may exist with other properties; a refusal has closed the channel.
   if (!why.empty()) open_channel(channel);
-  amqp_queue_bind(state_.get(), channel, to_bytes(topic.name), to_bytes(exchange_of(topic)), to_bytes(topic.name),
+  amqp_queue_bind(state_.get(), channel, to_bytes(queue), to_bytes(exchange_of(topic)), to_bytes(topic.name),
                   amqp_empty_table);
   if (const std::string unbound = refusal_of(channel, "bind a queue"); !unbound.empty()) {
     return why.empty() ? unbound : why;

@@ -80,8 +80,8 @@ class AmqpLink {
   /// Declares a direct exchange on a channel that is opened for it. \return empty, or why the server refused.
   std::string declare_exchange(amqp_channel_t channel, const std::string& exchange, bool durable);
   /// Declares the topic's own queue, bound to its exchange; an existing one with other properties is used as it is.
-  /// \return empty, or why the server refused.
-  std::string declare_queue(amqp_channel_t channel, const Topic& topic, QueueType type);
+  /// \param original see PublisherOptions::original_queue. \return empty, or why the server refused.
+  std::string declare_queue(amqp_channel_t channel, const Topic& topic, const std::string& original, QueueType type);
   /// Closes channel and connection in order, so that the server keeps all that was sent. Waits at most the time-out.
   void close(amqp_channel_t channel) noexcept;
 

@@ -35,8 +35,10 @@ inline bool one_reader_by_queue(const Topic& topic, QueueType type) {
 /// The arguments of a topic's queue declaration. Must live until the request with table() is sent.
 class QueueArguments {
  public:
+  /// \param original a queue of the original system's programs, which has no arguments
   /// \param exclusive one reader at a time
-  QueueArguments(const Topic& topic, QueueType type, bool exclusive) {
+  QueueArguments(const Topic& topic, bool original, QueueType type, bool exclusive) {
+    if (original) return;
     if (!topic.durable) {
       amqp_table_entry_t& expires = add("x-expires", AMQP_FIELD_KIND_I32);
       expires.value.value.i32 = idle_ms;

@@ -262,6 +262,38 @@ TEST_P(RabbitMqServer, ATopicsOwnQueueThatIsDeletedIsMadeAgain) {
   EXPECT_THAT(inbox.bodies(), testing::ElementsAre("4", "5", "6"));
 }
 
+TEST_P(RabbitMqServer, AQueueForTheOriginalIsDeclaredAsItsProgramsDeclareIt) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  const auto can_be_declared = [&](const std::string& queue) {
+    const auto link = operator_link();
+    amqp_queue_declare_t request{};
+    request.queue = rabbitmq::to_bytes(queue);
+    request.auto_delete = 1;
+    link->send(1, AMQP_QUEUE_DECLARE_METHOD, request);
+    std::optional<amqp_frame_t> answer;
+    EXPECT_TRUE(eventually([&] { return (answer = link->next_frame()).has_value(); }));
+    return answer && answer->payload.method.id == AMQP_QUEUE_DECLARE_OK_METHOD;
+  };
+  PublisherOptions to;
+  to.own_queue = true;
+  to.original_queue = topic.name + ".out";
+  const auto publisher = broker->publisher(topic, to);
+  publish_numbers(*publisher, 1, 3);
+  ASSERT_TRUE(publisher->drain(patience)) << "nobody reads, and nothing keeps it";
+  EXPECT_TRUE(can_be_declared(to.original_queue));
+
+  SubscriptionOptions from;
+  from.original_queue = topic.name + ".in";
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic, from, inbox.handler());
+  await_active(*subscription);
+  EXPECT_TRUE(can_be_declared(from.original_queue));
+  publish_numbers(*publisher, 4, 6);
+  ASSERT_TRUE(inbox.wait_for(3));
+  EXPECT_THAT(inbox.bodies(), testing::ElementsAre("4", "5", "6"));
+}
+
 TEST_P(RabbitMqServer, AMessageWithMoreHeadersThanAnyHonestOneIsSkippedAndCounted) {
   config::Metrics& metrics = config::process_metrics();
   const auto skipped = [&] {

@@ -50,10 +50,9 @@ std::string error_of(const InstanceSpec& spec, const std::vector<drivers::Channe
 TEST(ChannelPlan, AnExclusiveChannelIsNamedAfterGatewayDriverAndInstance) {
   const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, instance(), {channel("kinect")}).at(0);
   EXPECT_EQ(planned.topic, (brokers::Topic{"turtle", "gw1.turtle.0a1b.kinect", false}));
-  EXPECT_EQ(planned.record.properties, (std::map<std::string, std::string>{{"exchange", "turtle"},
-                                                                           {"routingKey", "gw1.turtle.0a1b.kinect"},
-                                                                           {"queueName", "gw1.turtle.0a1b.kinect"},
-                                                                           {"durable", "false"}}));
+  EXPECT_EQ(planned.record.properties,
+            (std::map<std::string, std::string>{
+                {"exchange", "turtle"}, {"routingKey", "kinect"}, {"queueName", "kinect"}, {"durable", "false"}}));
   EXPECT_EQ(planned.record.broker_url, "amqp://own");
   EXPECT_EQ(planned.record.transport, "rabbitmq");
   EXPECT_EQ(planned.record.gateway, "gw1");
@@ -82,10 +81,14 @@ TEST(ChannelPlan, TheOtherServersOfAClusterStandInTheRecordToo) {
 
 TEST(ChannelPlan, ForTopologiesOfTheOriginalTheTopicHasAQueueOfItsOwn) {
   EXPECT_FALSE(plan_channels("gw1"_gateway, "turtle"_driver, instance(), {channel("kinect")}).at(0).own_queue);
-  EXPECT_TRUE(
-      plan_channels("gw1"_gateway, "turtle"_driver, instance({{"channel.kinect.interop", "java"}}), {channel("kinect")})
-          .at(0)
-          .own_queue);
+  auto wanted = channel("kinect");
+  wanted.properties = {{"routingKey", "depth"}, {"queueName", "frames"}};
+  const auto planned =
+      plan_channels("gw1"_gateway, "turtle"_driver, instance({{"channel.kinect.interop", "java"}}), {wanted}).at(0);
+  EXPECT_TRUE(planned.own_queue);
+  EXPECT_EQ(planned.original_queue, "gw1.turtle.0a1b.frames");
+  EXPECT_THAT(error_of(instance({{"channel.kinect.interop", "java"}, {"channel.kinect.durable", "true"}}), {wanted}),
+              HasSubstr("leave one of the two out"));
   EXPECT_THAT(error_of(instance({{"channel.kinect.interop", "go"}}), {channel("kinect")}), HasSubstr("it can be java"));
 }
 
@@ -103,7 +106,15 @@ TEST(ChannelPlan, NamesThatTheDriverGivesFollowThePrefix) {
   wanted.properties = {{"exchange", "sensors"}, {"routingKey", "depth"}, {"queueName", "frames"}};
   const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, instance(), {wanted}).at(0);
   EXPECT_EQ(planned.topic, (brokers::Topic{"sensors", "gw1.turtle.0a1b.depth", false}));
-  EXPECT_EQ(planned.record.properties.at("queueName"), "gw1.turtle.0a1b.frames");
+  EXPECT_EQ(planned.record.properties.at("routingKey"), "depth");
+  EXPECT_EQ(planned.record.properties.at("queueName"), "frames");
+}
+
+TEST(ChannelPlan, ANameThatReadersWouldTakeForAWholeWireNameIsRefused) {
+  auto wanted = channel("kinect");
+  wanted.properties = {{"routingKey", "gw1.turtle.0a1b.kinect"}};
+  EXPECT_THAT(error_of(instance(), {wanted}),
+              AllOf(HasSubstr("\"routingKey\" is \"gw1.turtle.0a1b.kinect\""), HasSubstr("leave that out")));
 }
 
 TEST(ChannelPlan, ADurableChannelHasAnExchangeOfItsOwn) {
@@ -130,7 +141,8 @@ TEST(ChannelPlan, TheDeploymentOverridesTheQualityOfService) {
   EXPECT_EQ(planned.spec.deadline, std::chrono::milliseconds(150));
   EXPECT_EQ(planned.spec.keep_last, 1u);
   EXPECT_EQ(planned.record.transport, "kafka");
-  EXPECT_EQ(planned.record.properties.at("topic"), "gw1.turtle.kinect");
+  EXPECT_EQ(planned.record.properties.at("topic"), "kinect");
+  EXPECT_EQ(planned.topic.name, "gw1.turtle.kinect");
 }
 
 TEST(ChannelPlan, AnOverrideThatCannotBeIsNamedWithWhatWouldBeRight) {

@@ -88,7 +88,7 @@ TEST_F(DriverHostTest, AnInstanceLivesThroughItsStatesAndSaysSo) {
   ASSERT_TRUE(active);
   EXPECT_EQ(active->driver, "probe");
   ASSERT_EQ(active->channels.size(), 2u);
-  EXPECT_EQ(active->channels[0].properties.at("routingKey"), "gw.probe.a.readings");
+  EXPECT_EQ(active->channels[0].properties.at("routingKey"), "readings");
   host_->deactivate("a"_instance);
   host_->activate("a"_instance);
   host_->remove("a"_instance);

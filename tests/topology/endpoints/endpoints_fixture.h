@@ -149,7 +149,7 @@ class Endpoints : public ::testing::Test {
       channel.name = name;
       channel.transport = transport;
       channel.direction = name == "up" ? discovery::Direction::out : discovery::Direction::in;
-      channel.properties = {{"routingKey", topic(instance, name)}};
+      channel.properties = {{"routingKey", name}};
       channel.broker_url = broker_url_;
       channel.gateway = "g"_gateway;
       channel.driver = "d"_driver;

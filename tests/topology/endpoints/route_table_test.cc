@@ -81,7 +81,7 @@ class Routes : public ::testing::Test {
     brokers::BrokerOptions broker;
     broker.urls = {url_};
     broker_ = brokers::make_broker(broker);
-    subscription_ = broker_->subscribe({"", "down", false}, {}, [this](brokers::Delivery delivery) {
+    subscription_ = broker_->subscribe({"", "g.d.down", false}, {}, [this](brokers::Delivery delivery) {
       const std::lock_guard lock(mutex_);
       received_.emplace_back(delivery.message.payload.text());
       delivery.settle(brokers::Settlement::accept);
@@ -121,6 +121,7 @@ class Routes : public ::testing::Test {
     channel.gateway = "g"_gateway;
     channel.driver = "d"_driver;
     channel.instance = instance;
+    channel.shared = true;
     discovery::put(*registry_, paths_.channel("d"_driver, instance, "control"), discovery::encode(channel));
   }
   void show_record(const std::string& id, DriverState state) {

@@ -104,16 +104,16 @@ class Sharing : public Endpoints {
   void show_gateways() {
     for (std::size_t i = 0; i < gateways; ++i) show_gateway(i);
   }
-  std::string up(std::size_t gateway) const {
-    return "g" + std::to_string(gateway) + ".d.up" + url_.substr(url_.rfind('-'));
-  }
+  /// The channel's name in its record; up() is the topic's.
+  std::string raw() const { return "up" + url_.substr(url_.rfind('-')); }
+  std::string up(std::size_t gateway) const { return "g" + std::to_string(gateway) + ".d." + raw(); }
   void show_gateway(std::size_t number) {
     const std::string instance = "i" + std::to_string(number);
     discovery::ChannelRecord channel;
     channel.name = "up";
     channel.transport = kind_;
     channel.direction = discovery::Direction::out;
-    channel.properties = {{"routingKey", up(number)}, {"topic", up(number)}};
+    channel.properties = {{"routingKey", raw()}, {"topic", raw()}};
     channel.broker_url = broker_url_;
     channel.gateway = discovery::GatewayId("g" + std::to_string(number));
     channel.driver = "d"_driver;

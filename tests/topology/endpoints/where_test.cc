@@ -23,7 +23,7 @@ class Where : public Endpoints {
     channel.name = name;
     channel.transport = "rabbitmq";
     channel.direction = name == "up" ? discovery::Direction::out : discovery::Direction::in;
-    channel.properties = {{"routingKey", shared ? "g.d." + name : topic(instance, name)}};
+    channel.properties = {{"routingKey", name}};
     channel.broker_url = url;
     channel.gateway = "g"_gateway;
     channel.driver = "d"_driver;

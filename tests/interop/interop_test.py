@@ -1,0 +1,157 @@
+#!/usr/bin/python3
+"""Programs of the original system on the data plane, with ours: a Java topology reads our drivers and answers them, and
+our topology reads the drivers of a Java gateway and answers them, on RabbitMQ and Kafka. The Java programs
+(tests/interop/java) know nothing of ours: they find channels in ZooKeeper by the original's rules. Prints how many
+messages were sent, received and lost, and how many had wrong headers.
+
+usage: interop_test.py BUILD_DIR
+Exit status 77: skipped, because a server or a library cannot be had.
+"""
+
+import shutil
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+import private_server  # noqa: E402
+from java_programs import build  # noqa: E402
+from private_cluster import PrivateCluster, Unavailable, free_port, require, result_of, wait_for  # noqa: E402
+
+COUNT = 300
+SKIPPED = 77
+RABBITMQ, KAFKA = "RabbitMQ", "Kafka"
+
+# Our drivers, which a Java topology reads and answers: name, broker, how the channels are, properties. Java writers
+# declare the queue that they send to, so a RabbitMQ driver's incoming channel has it as they declare it.
+DRIVERS = (
+    ("exclusive", RABBITMQ, "exclusive", {"channel.control.interop": "java"}),
+    ("shared", RABBITMQ, "shared", {"channel.control.interop": "java", "channel.data.shared": "true",
+                                    "channel.control.shared": "true"}),
+    ("single", RABBITMQ, "single queue, own names", {"own_names": "true", "channel.data.interop": "java",
+                                                     "channel.control.interop": "java"}),
+    ("over_kafka", KAFKA, "shared", {"channel.data.broker": "kafka", "channel.control.broker": "kafka",
+                                     "channel.data.shared": "true", "channel.control.shared": "true",
+                                     "own_names": "true"}),
+)
+# Drivers of a Java gateway, which our topology reads and answers: name, broker, how the channels are, instances.
+JAVA_DRIVERS = (("java_exclusive", RABBITMQ, "exclusive", 2), ("java_shared", RABBITMQ, "shared", 2),
+                ("java_kafka", KAFKA, "shared", 2))
+
+
+def topology_yaml(page):
+    lines = ['zk.servers: ["{zookeeper}"]', "topology.name: answers", f'metrics: {{address: "{page}"}}']
+    spouts, bolts = [], []
+    for name, broker, _, _ in JAVA_DRIVERS:
+        spouts.append(f"  from_{name}: {{broker: {broker.lower()}, driver: {name}, channel: data, "
+                      "fields: [data, driverID, time, gatewayID, {property: battery}]}")
+        bolts.append(f"  to_{name}: {{broker: {broker.lower()}, driver: {name}, channel: control, "
+                     "fields: [data, driverID, time, {property: battery}, {property: seen, as: gatewayID}], "
+                     f"inputs: {{from: from_{name}}}}}")
+    return "\n".join([*lines, "spouts:", *spouts, "bolts:", *bolts, ""])
+
+
+class JavaPrograms:
+    """One JVM that plays the original's programs, one after the other."""
+
+    def __init__(self, cluster, class_path):
+        self.process = cluster.spawn("java", ["java", "-Xmx256m", "-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1",
+                                              "-Dorg.slf4j.simpleLogger.defaultLogLevel=warn", "-cp", class_path,
+                                              "interop.Main"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.log = cluster.log("java")
+
+    def say(self, *words):
+        self.process.stdin.write(" ".join(map(str, words)) + "\n")
+        self.process.stdin.flush()
+
+    def hear(self):
+        return self.process.stdout.readline().strip()
+
+    def figures(self):
+        answer = self.hear()
+        require(answer.startswith("sent "), f"the Java program said: {answer or 'nothing'}; see {self.log}")
+        words = answer.split()
+        return {word: int(number) for word, number in zip(words[::2], words[1::2])}
+
+
+def read_channels(page):
+    """How many channels the worker reads."""
+    try:
+        text = urllib.request.urlopen(f"http://{page}/metrics", timeout=5).read().decode()
+    except OSError:
+        return 0
+    return sum(float(line.rsplit(" ", 1)[1]) for line in text.splitlines() if line.startswith("iotcloud_spout_channels{"))
+
+
+def with_java_topology(cluster, java, servers, row):
+    """A driver of ours and a Java topology: yields both directions' figures."""
+    name, broker, kind, properties = row
+    report = cluster.out / f"{name}.json"
+    report.unlink(missing_ok=True)
+    cluster.cli("deploy", "courier.so", "--driver", name, "--gateway", "gateway-1",
+                *(f"--property={key}={value}" for key, value in
+                  {"count": COUNT, "report": report, **properties}.items()))
+    java.say("topology", *servers[broker], name, COUNT)
+    read = java.figures()
+    yield "our driver -> Java topology", broker, kind, COUNT, read
+    wait_for(f"the driver {name} has every answer", lambda: result_of(report), 30)
+    yield "Java topology -> our driver", broker, kind, read["sent"], result_of(report)
+
+
+def with_java_gateway(java, servers, row, page):
+    """Drivers of a Java gateway and our topology."""
+    name, broker, kind, instances = row
+    grouped = kind == "shared"
+    java.say("gateway", *servers[broker], name, COUNT, instances, str(grouped).lower())
+    require(java.hear() == "ready", f"the Java gateway is not ready; see {java.log}")
+    # A topology of ours has a queue of its own: what is sent before it is there is in the original's single queue.
+    wait_for(f"our topology reads {name}", lambda: read_channels(page) >= (1 if grouped else instances))
+    java.say("go")
+    figures = java.figures()
+    wait_for(f"our topology has left {name}", lambda: read_channels(page) == 0)
+    return "Java gateway -> our topology -> Java gateway", broker, kind, figures["sent"], figures
+
+
+def run(work, build_dir, plugins, class_path):
+    with PrivateCluster(work, build_dir / "bin", plugins) as cluster:
+        # RabbitMQ's Java client takes a slash at the end for a virtual host without a name.
+        kafka, rabbitmq = cluster.server("kafka"), cluster.server("rabbitmq").rstrip("/")
+        cluster.start(gateways=1, brokers=[f'rabbitmq: {{type: rabbitmq, urls: ["{rabbitmq}"]}}',
+                                           f'kafka: {{type: kafka, urls: ["{kafka}"]}}'])
+        page = f"127.0.0.1:{free_port()}"
+        cluster.topology("answers", topology_yaml(page))
+        java = JavaPrograms(cluster, class_path)
+        zookeeper = cluster.zookeeper.removeprefix("zookeeper://")
+        servers = {RABBITMQ: (zookeeper, "rabbitmq", rabbitmq), KAFKA: (zookeeper, "kafka", kafka)}
+        cluster.wait_until_ready()
+        rows = [row for driver in DRIVERS for row in with_java_topology(cluster, java, servers, driver)]
+        rows += [with_java_gateway(java, servers, driver, page) for driver in JAVA_DRIVERS]
+        cluster.require_alive()
+    return rows
+
+
+def main():
+    build_dir = Path(sys.argv[1]).resolve()
+    try:
+        class_path = build()
+        work = build_dir / "interop"
+        shutil.rmtree(work, ignore_errors=True)
+        rows = run(work, build_dir, build_dir / "tests" / "interop" / "plugins", class_path)
+    except (Unavailable, private_server.Unavailable) as error:
+        print(f"skipped: {error}")
+        return SKIPPED
+    print(f"{'messages':<46} {'broker':<9} {'channels':<24} {'sent':>5} {'received':>9} {'lost':>5} {'twice':>6} "
+          f"{'wrong headers':>14}")
+    for way, broker, kind, sent, got in rows:
+        print(f"{way:<46} {broker:<9} {kind:<24} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
+              f"{got['twice']:>6} {got['wrong']:>14}")
+    bad = [row for row in rows if row[3] == 0 or row[3] != row[4]["received"] or row[4]["twice"] or row[4]["wrong"]]
+    require(not bad, f"messages were lost, came twice or had wrong headers: {bad}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+package interop;
+
+import java.util.HashSet;
+import java.util.Set;
+import java.util.concurrent.CountDownLatch;
+import java.util.concurrent.TimeUnit;
+
+/** Counts messages that are awaited once each. Thread safe. */
+final class Tally {
+    private static final int LIMIT_S = 30;
+    private final Set<String> seen = new HashSet<>();
+    private final CountDownLatch missing;
+    private int twice = 0;
+    private int wrong = 0;
+
+    Tally(int awaited) {
+        missing = new CountDownLatch(awaited);
+    }
+
+    /** Returns whether this is the first message of that name; done() follows when it is dealt with. */
+    synchronized boolean isFirst(String name, boolean right) {
+        if (!right) wrong++;
+        if (seen.add(name)) return true;
+        twice++;
+        return false;
+    }
+
+    void done() {
+        missing.countDown();
+    }
+
+    void await() throws InterruptedException {
+        missing.await(LIMIT_S, TimeUnit.SECONDS);
+    }
+
+    synchronized String answer(int sent) {
+        return "sent " + sent + " received " + seen.size() + " twice " + twice + " wrong " + wrong;
+    }
+}
