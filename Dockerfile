@@ -5,20 +5,24 @@
 #   bench    `runtime` with Python and the clients that `./dev cluster bench` runs
 
 ARG BASE=debian:bookworm-slim
+# Where the stage `build` compiles: a Debian 12, too.
+ARG BUILD_BASE=${BASE}
 # The source of the binaries: the stage below, or another image with the same folder /out.
 ARG BINARIES=build
 
-FROM ${BASE} AS build
+FROM ${BUILD_BASE} AS build
 RUN apt-get update && apt-get install -y --no-install-recommends \
       g++ lld cmake ninja-build pkg-config \
       librabbitmq-dev librdkafka-dev libqpid-proton-cpp12-dev libzookeeper-mt-dev libthrift-dev thrift-compiler \
       libyaml-cpp-dev libsnappy-dev libboost-dev librocksdb-dev libhiredis-dev libspdlog-dev libfmt-dev libcli11-dev \
-      prometheus-cpp-dev nlohmann-json3-dev libssl-dev zlib1g-dev libfreenect-dev libpng-dev libsystemd-dev libseccomp-dev
+      prometheus-cpp-dev nlohmann-json3-dev libssl-dev zlib1g-dev libfreenect-dev libpng-dev libsystemd-dev libseccomp-dev \
+      libroscpp-dev libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev
 WORKDIR /source
 COPY . .
 # The number of compilers at a time: each takes up to 1 GB. Empty: one for each core.
 ARG JOBS
-ARG PROGRAMS="iotcloud iotcloud-master iotcloud-gateway iotcloud-driver-host iotcloud-topology loadgen turtle turtlebot_follower"
+ARG PROGRAMS="iotcloud iotcloud-master iotcloud-gateway iotcloud-driver-host iotcloud-topology iotcloud-robot \
+  iotcloud-record loadgen turtle turtle_ros turtlebot_follower"
 ARG CLIENTS="bench_brokers_iotcloud bench_brokers_rabbitmq bench_brokers_kafka"
 RUN cmake --preset release -DBUILD_TESTING=OFF -DIOTCLOUD_BENCHMARKS=ON -DIOTCLOUD_PRECOMPILE= \
  && ninja -C build/release ${JOBS:+-j ${JOBS}} ${PROGRAMS} ${CLIENTS} \
@@ -33,9 +37,9 @@ FROM ${BINARIES} AS binaries
 FROM ${BASE} AS libraries
 RUN find /usr/lib/*-linux-gnu -maxdepth 1 -name '*.so*' | sort >/before
 RUN apt-get update && apt-get install -y --no-install-recommends \
-      libfmt9 libfreenect0.5 libprometheus-cpp-core1.0 libqpid-proton11 librabbitmq4 librdkafka1 libsasl2-modules \
-      libseccomp2 libsnappy1v5 libspdlog1.10 libssl3 libstdc++6 libsystemd0 libthrift-0.17.0 libyaml-cpp0.7 \
-      libzookeeper-mt2 zlib1g
+      libfmt9 libfreenect0.5 libpng16-16 libprometheus-cpp-core1.0 libqpid-proton11 librabbitmq4 librdkafka1 \
+      librosconsole3d libroscpp4d libroscpp-serialization0d librostime1d libsasl2-modules libseccomp2 libsnappy1v5 \
+      libspdlog1.10 libssl3 libstdc++6 libsystemd0 libthrift-0.17.0 libyaml-cpp0.7 libzookeeper-mt2 zlib1g
 COPY --from=binaries /out /out
 RUN mkdir /needed \
  && ldd /out/bin/* /out/lib/iotcloud/*/* | awk '/=> \// {sub("^/lib", "/usr/lib", $3); print $3}' | sort -u \

@@ -1,8 +1,8 @@
 #!/usr/bin/python3
 """The cluster in containers, for real: on a Docker daemon of its own, with ./dev cluster up, bench and down. A master, a
-gateway, a worker and the broker are killed one by one; each heals by itself, and no message is lost.
+gateway, a worker, ZooKeeper and the brokers are killed one by one; each heals by itself, and no message is lost.
 
-usage: cluster_test.py BUILD_DIR [--small]        (./dev cluster test builds what this needs; as root)
+usage: cluster_test.py BUILD_DIR [--small] [--full]        (./dev cluster test builds what this needs; as root)
 """
 
 import argparse
@@ -34,8 +34,9 @@ HEAL_LIMIT_S = 120
 class Cluster:
     """The test's actions from outside, as a person does them: ./dev cluster, and docker to check."""
 
-    def __init__(self, docker, told, work):
+    def __init__(self, docker, told, work, kafka):
         self.docker, self.work = docker, work
+        self.ledgers = ["rabbitmq", *(["kafka"] if kafka else [])]  # one on each gateway, by its broker
         docker.environment.update(told, COMPOSE_PROJECT_NAME=PROJECT)
 
     def dev(self, *words, quiet=False):
@@ -72,16 +73,16 @@ class Cluster:
         os.kill(state["State"]["Pid"], signal.SIGKILL)
         return state["RestartCount"]
 
-    def book(self, gateway, name):
-        """The numbers in one of the ledger's files."""
-        text = self.docker.docker("exec", self.container(gateway), "cat", f"{BOOKS}/{name}")
+    def book(self, gateway, ledger, name):
+        """The numbers in one of a ledger's files."""
+        text = self.docker.docker("exec", self.container(gateway), "cat", f"{BOOKS}/{ledger}/{name}")
         return [int(line) for line in text.split()]
 
 
-def settled(cluster, gateway, upto):
+def settled(cluster, gateway, ledger, upto):
     """Whether all earlier messages came back, and newer ones, too."""
     try:
-        received = set(cluster.book(gateway, "received"))
+        received = set(cluster.book(gateway, ledger, "received"))
     except Failed:  # the container does not exist at this moment
         return False
     return received.issuperset(range(1, upto + 1)) and max(received) >= upto + NEWER
@@ -123,11 +124,28 @@ def check_confined(cluster):
     print("no process of the cluster's own is root's; no password stands in a container's configuration", flush=True)
 
 
+def check_programs(cluster):
+    """The image has the robot's programs and the driver for ROS, and they find their libraries."""
+    image = json.loads(cluster.docker.docker("inspect", cluster.container("gateway-1")))[0]["Config"]["Image"]
+    for program in ("iotcloud-robot", "iotcloud-record"):
+        cluster.docker.docker("run", "--rm", image, program, "--help")
+    cluster.docker.docker("run", "--rm", image, "test", "-r", "/usr/lib/iotcloud/plugins/turtle_ros.so")
+
+
 def deploy_ledgers(cluster, build):
     plugin = Path(build / "ledger_driver.so").relative_to(ROOT)
-    cluster.cli("deploy", "--plugin", f"./{plugin}", "--all", "--name", "ledger", "--property", f"folder={BOOKS}")
-    for gateway in GATEWAYS:
-        wait_for(f"{gateway}'s ledger gets answers", lambda gateway=gateway: settled(cluster, gateway, 0))
+    over_kafka = [f"--property=channel.{channel}.{option}" for channel in ("data", "echo")
+                  for option in ("broker=kafka", "shared=true")]
+    for ledger in cluster.ledgers:
+        other = ["--driver", "loadgen-kafka", *over_kafka] if ledger == "kafka" else []
+        cluster.cli("deploy", "--plugin", f"./{plugin}", "--all", "--name", f"ledger-{ledger}", *other, "--property",
+                    f"folder={BOOKS}/{ledger}")
+    wait_until_settled(cluster, {(gateway, ledger): 0 for gateway in GATEWAYS for ledger in cluster.ledgers}, "the start")
+
+
+def sent_so_far(cluster):
+    return {(gateway, ledger): max(cluster.book(gateway, ledger, "sent"))
+            for gateway in GATEWAYS for ledger in cluster.ledgers}
 
 
 def leader(cluster):
@@ -138,7 +156,7 @@ def leader(cluster):
 
 def kill_and_heal(cluster, service):
     """Kills a container; it is there again, healthy, and both drivers have all back that they had sent until then."""
-    sent = {gateway: max(cluster.book(gateway, "sent")) for gateway in GATEWAYS}
+    sent = sent_so_far(cluster)
     begin = time.monotonic()
     kill_and_wait(cluster, service)
     healthy = time.monotonic() - begin
@@ -154,9 +172,9 @@ def kill_and_wait(cluster, service):
 
 
 def wait_until_settled(cluster, sent, what):
-    for gateway, upto in sent.items():
-        wait_for(f"{gateway}'s ledger has everything back after {what}",
-                 lambda gateway=gateway, upto=upto: settled(cluster, gateway, upto), HEAL_LIMIT_S)
+    for (gateway, ledger), upto in sent.items():
+        wait_for(f"{gateway}'s ledger over {ledger} has everything back after {what}",
+                 lambda gateway=gateway, ledger=ledger, upto=upto: settled(cluster, gateway, ledger, upto), HEAL_LIMIT_S)
 
 
 def kill_the_broker_that_holds_messages(cluster):
@@ -164,10 +182,10 @@ def kill_the_broker_that_holds_messages(cluster):
     workers = [cluster.container(f"topology-{number}") for number in (1, 2)]
     cluster.docker.docker("pause", *workers)
     for gateway in GATEWAYS:
-        back = max(cluster.book(gateway, "received"))
+        back = max(cluster.book(gateway, "rabbitmq", "received"))
         wait_for(f"messages of {gateway} wait", lambda gateway=gateway, back=back:
-                 max(cluster.book(gateway, "sent")) > back + 2 * NEWER)
-    sent = {gateway: max(cluster.book(gateway, "sent")) for gateway in GATEWAYS}
+                 max(cluster.book(gateway, "rabbitmq", "sent")) > back + 2 * NEWER)
+    sent = sent_so_far(cluster)
     kill_and_wait(cluster, "rabbitmq")
     cluster.docker.docker("unpause", *workers)
     wait_until_settled(cluster, sent, "the broker died with messages that nobody had read")
@@ -178,26 +196,34 @@ def check_faults(cluster):
     first = leader(cluster)
     kill_and_heal(cluster, first)
     wait_for("the masters have a leader that takes orders", lambda: leader(cluster))
-    cluster.cli("metadata", "--name", "ledger", "checked=yes")
+    cluster.cli("metadata", "--name", "ledger-rabbitmq", "checked=yes")
     print(f"the masters' leader was {first} and is {leader(cluster)}; it takes orders", flush=True)
     kill_and_heal(cluster, "topology-1")
     kill_and_heal(cluster, "gateway-1")
     kill_and_heal(cluster, "rabbitmq")
     kill_the_broker_that_holds_messages(cluster)
+    kill_and_heal(cluster, "zookeeper")
+    wait_for("the masters have a leader again", lambda: leader(cluster))
+    cluster.cli("metadata", "--name", "ledger-rabbitmq", "checked=again")
+    if "kafka" in cluster.ledgers:
+        kill_and_heal(cluster, "kafka")
 
 
 def check_books(cluster):
     """No message was lost in the whole test: all came back."""
-    cluster.cli("stop", "--name", "ledger")
-    for gateway in GATEWAYS:
-        sent = cluster.book(gateway, "sent")
-        require(sent == sorted(sent) and set(sent) == set(range(1, max(sent) + 1)), f"{gateway}'s ledger skipped numbers")
-        wait_for(f"all of {gateway}'s {len(sent)} messages are back",
-                 lambda gateway=gateway, sent=sent: set(cluster.book(gateway, "received")).issuperset(sent))
-        received = cluster.book(gateway, "received")
-        print(f"{gateway}: {max(sent)} messages sent, {max(sent) - len(set(received) & set(sent))} lost, "
-              f"{len(received) - len(set(received))} came twice", flush=True)
-    cluster.cli("undeploy", "--name", "ledger")
+    for ledger in cluster.ledgers:
+        cluster.cli("stop", "--name", f"ledger-{ledger}")
+        for gateway in GATEWAYS:
+            sent = cluster.book(gateway, ledger, "sent")
+            require(sent == sorted(sent) and set(sent) == set(range(1, max(sent) + 1)),
+                    f"{gateway}'s ledger over {ledger} skipped numbers")
+            wait_for(f"all of {gateway}'s {len(sent)} messages over {ledger} are back",
+                     lambda gateway=gateway, ledger=ledger, sent=sent:
+                     set(cluster.book(gateway, ledger, "received")).issuperset(sent))
+            received = cluster.book(gateway, ledger, "received")
+            print(f"{gateway}, {ledger}: {max(sent)} messages sent, {max(sent) - len(set(received) & set(sent))} lost, "
+                  f"{len(received) - len(set(received))} came twice", flush=True)
+        cluster.cli("undeploy", "--name", f"ledger-{ledger}")
 
 
 def check_bench(cluster, kafka):
@@ -232,6 +258,8 @@ def main():
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     options.add_argument("build", type=Path)
     options.add_argument("--small", action="store_true", help="without Kafka")
+    options.add_argument("--full", action="store_true",
+                         help="compile in the image, as `./dev cluster up` does elsewhere; half an hour on two cores")
     given = options.parse_args()
     if os.geteuid() != 0:
         sys.exit("this test starts a Docker daemon in a network namespace: run it as root")
@@ -244,7 +272,7 @@ def main():
     require(not (ROOT / "build/cluster/secrets").exists(), "a cluster is up from this folder: ./dev cluster down first")
     with PrivateDocker(work / "dockerd.log") as docker:
         print(f"a Docker daemon of its own, after {time.monotonic() - begin:.0f} s", flush=True)
-        cluster = Cluster(docker, images.load(docker, build, work, kafka), work)
+        cluster = Cluster(docker, images.load(docker, build, work, kafka, given.full), work, kafka)
         print(f"all images it needs, after {time.monotonic() - begin:.0f} s", flush=True)
         docker.docker("volume", "create", "foreign")
         docker.docker("create", "--name", "foreign", images.BASE, "true")
@@ -253,6 +281,7 @@ def main():
             check_up(cluster, kafka)
             print("images: " + ", ".join(f"{tag} {size:.0f} MB" for tag, size in images.sizes(docker).items()), flush=True)
             check_confined(cluster)
+            check_programs(cluster)
             check_round_trip(cluster)
             deploy_ledgers(cluster, build)
             check_faults(cluster)

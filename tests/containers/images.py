@@ -1,5 +1,5 @@
 """The images of a test that can pull none: a base from debootstrap, stand-ins for the servers, and the binaries of a
-build that is there."""
+build that is there, or of the Dockerfile's own."""
 
 import hashlib
 import json
@@ -18,6 +18,7 @@ import maven_jars  # noqa: E402
 from private_docker import Failed, run  # noqa: E402
 
 BASE, SERVERS, BINARIES = "debian:bookworm-slim", "iotcloud-test:servers", "iotcloud-test:binaries"
+BUILD_BASE = "iotcloud-test:build-base"
 STAND_INS = {"RABBITMQ_IMAGE": "rabbitmq", "ZOOKEEPER_IMAGE": "zookeeper", "KAFKA_IMAGE": "kafka"}
 OF_SERVERS = ["rabbitmq-server", "zookeeper", "libslf4j-java", "libsnappy-java", "openjdk-17-jre-headless", "procps"]
 
@@ -28,10 +29,10 @@ def words_of(pattern):
     return [word for found in re.findall(pattern, text) for word in found.split()]
 
 
-def installed():
-    """The packages that the later stages install: the base has them, so that a container needs no network."""
-    stages = words_of(r"(?s)FROM \$\{BINARIES\}.*")
-    text = " ".join(stages)
+def installed(stages):
+    """The packages that these stages of the Dockerfile (a pattern) install: the base has them, so that a container needs
+    no network."""
+    text = " ".join(words_of(stages))
     return sorted({word for found in re.findall(r"--no-install-recommends((?: [a-z0-9.+-]+)+)", text)
                    for word in found.split()})
 
@@ -75,14 +76,18 @@ def debian(packages, work):
     return archive
 
 
-def load(docker, build, work, kafka):
-    """Loads all images into the daemon. Returns the variables of docker-compose.yml."""
-    base = installed()
+def load(docker, build, work, kafka, full):
+    """Loads all images into the daemon. Returns the variables of docker-compose.yml. `full`: the Dockerfile's stage `build`
+    makes the binaries, in a Debian with the compilers and headers that it names."""
+    base = installed(r"(?s)FROM \$\{BINARIES\}.*")
     docker.import_image(BASE, debian(base, work))
     docker.import_image(SERVERS, debian(sorted({*base, *OF_SERVERS}), work))
     stand_ins(docker, work, kafka)
-    binaries(docker, build, work)
     told = {variable: f"iotcloud-test:{name}" for variable, name in STAND_INS.items() if kafka or name != "kafka"}
+    if full:
+        docker.import_image(BUILD_BASE, debian(sorted({*base, *installed(r"(?s)AS build\n.*?WORKDIR")}), work))
+        return {**told, "BUILD_BASE_IMAGE": BUILD_BASE}
+    binaries(docker, build, work)
     return {**told, "BINARIES": BINARIES}
 
 

@@ -31,7 +31,8 @@ class Units(unittest.TestCase):
 
     def test_there_is_one_for_each_daemon(self):
         self.assertEqual([unit.name for unit in self.units],
-                         ["iotcloud-gateway.service", "iotcloud-master.service", "iotcloud-topology@follower.service"])
+                         ["iotcloud-gateway.service", "iotcloud-master.service", "iotcloud-robot.service",
+                          "iotcloud-topology@follower.service"])
 
     def test_systemd_understands_all_that_they_say(self):
         for unit in self.units:

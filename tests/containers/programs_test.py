@@ -1,0 +1,43 @@
+#!/usr/bin/python3
+"""The container image has every program and plugin that an installation has, and its stage `build` installs what `./dev`
+installs to compile them.
+
+usage: programs_test.py
+"""
+
+import re
+import sys
+import unittest
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+NOT_IN_IMAGE = {"turtlebot-demo"}  # ./dev demo
+NOT_IN_STAGE = {"git", "ccache", "python3"}  # for people who change the sources
+SOURCES = ("bench", "brokers", "config", "discovery", "drivers", "examples", "gateway", "master", "processes", "rpc",
+           "security", "topology")
+
+
+def words_of(text, pattern):
+    found = re.search(pattern, text, re.DOTALL)
+    return set(found[1].replace("\\\n", " ").split())
+
+
+class Image(unittest.TestCase):
+    def setUp(self):
+        self.dockerfile = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+        self.dev = (ROOT / "dev").read_text(encoding="utf-8")
+
+    def test_has_every_program_and_plugin(self):
+        installed = {name for folder in SOURCES for file in (ROOT / folder).rglob("CMakeLists.txt")
+                     for name in re.findall(r"iotcloud_(?:program|plugin)\(\s*NAME ([\w-]+)", file.read_text(encoding="utf-8"))}
+        self.assertIn("iotcloud", installed)
+        self.assertEqual(words_of(self.dockerfile, r'ARG PROGRAMS="([^"]*)"'), installed - NOT_IN_IMAGE)
+
+    def test_compiles_with_the_packages_of_dev(self):
+        stage = words_of(self.dockerfile, r"AS build\n.*?--no-install-recommends((?:[^\n]*\\\n)*[^\n]*)\n")
+        needed = words_of(self.dev, r"\nbuild_packages=\(([^)]*)\)") | words_of(self.dev, r"\nros_packages=\(([^)]*)\)")
+        self.assertEqual(stage, needed - NOT_IN_STAGE - {"python3-rosmaster", "libsasl2-modules"})
+
+
+if __name__ == "__main__":
+    unittest.main(argv=sys.argv[:1])
