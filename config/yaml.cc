@@ -274,6 +274,32 @@ std::vector<std::string> Section::require_strings(const std::string& key) {
   return strings;
 }
 
+std::vector<Section::Item> Section::require_items(const std::string& key) {
+  impl_->note_required(key, "list of texts and mappings");
+  const YAML::Node value = lookup(impl_->node, key);
+  if (!value.IsDefined()) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ": [...]\"");
+  std::vector<Item> items;
+  if (value.IsScalar()) return {Item{value.Scalar(), std::nullopt}};
+  if (!value.IsSequence()) {
+    throw error(key, std::string("a sequence is expected here, not ") + kind_of(value), "[a, b]");
+  }
+  const std::string path = join(impl_->path, key);
+  for (std::size_t i = 0; i < value.size(); ++i) {
+    const YAML::Node item = value[i];
+    const std::string item_path = path + "[" + std::to_string(i) + "]";
+    if (item.IsScalar()) {
+      items.push_back({item.Scalar(), std::nullopt});
+    } else if (item.IsMap()) {
+      items.push_back({"", Section(impl_->inner(item, item_path, join(impl_->pattern, key) + "[]"))});
+    } else {
+      throw ConfigError(location(impl_->file, item.Mark()), item_path,
+                        std::string("a single value or a mapping is expected here, not ") + kind_of(item), "");
+    }
+  }
+  if (items.empty()) throw error(key, "this must not be empty", "");
+  return items;
+}
+
 std::map<std::string, std::string> Section::string_map(const std::string& key) {
   impl_->note(key, "mapping of texts");
   const YAML::Node value = lookup(impl_->node, key);

@@ -45,6 +45,9 @@ class Section {
   /// A sequence of strings; a single string counts as a sequence of one.
   std::vector<std::string> strings_or(const std::string& key, const std::vector<std::string>& fallback);
   std::vector<std::string> require_strings(const std::string& key);
+  struct Item;
+  /// A sequence of texts and mappings, not empty; a single text counts as a sequence of one.
+  std::vector<Item> require_items(const std::string& key);
   /// A mapping of any keys to scalar values.
   std::map<std::string, std::string> string_map(const std::string& key);
   /// The names in this mapping, in file order.
@@ -73,6 +76,12 @@ class Section {
   struct Impl;
   explicit Section(std::shared_ptr<Impl> impl) : impl_(std::move(impl)) {}
   std::shared_ptr<Impl> impl_;
+};
+
+/// One item of a sequence: a text, or a mapping.
+struct Section::Item {
+  std::string text;                ///< empty if it is a mapping
+  std::optional<Section> mapping;  ///< its finish() is the caller's to call
 };
 
 /// "250ms", "2s", "5m", "1h", "10us"; nullopt for anything else.

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/topology/message_builder.h>
 #include <iotcloud/topology/topology_builder.h>
 
 namespace iotcloud::topology {
@@ -33,16 +34,23 @@ class ComponentRegistry {
   void add_grouping(const std::string& name) {
     groupings_[name] = [] { return std::make_unique<T>(); };
   }
+  /// Adds a MessageBuilder, which YAML names as `builder: NAME`.
+  template <typename T>
+  void add_builder(const std::string& name) {
+    builders_[name] = [] { return std::make_unique<T>(); };
+  }
   void set_application(Application application) { application_ = std::move(application); }
 
   /// \return nullptr if nothing of this kind is registered under the name.
   const SpoutFactory* spout(const std::string& name) const { return find(spouts_, name); }
   const BoltFactory* bolt(const std::string& name) const { return find(bolts_, name); }
   const GroupingFactory* grouping(const std::string& name) const { return find(groupings_, name); }
+  const MessageBuilderFactory* builder(const std::string& name) const { return find(builders_, name); }
   const Application& application() const { return application_; }
   std::vector<std::string> spout_names() const { return names(spouts_); }
   std::vector<std::string> bolt_names() const { return names(bolts_); }
   std::vector<std::string> grouping_names() const { return names(groupings_); }
+  std::vector<std::string> builder_names() const { return names(builders_); }
 
  private:
   template <typename Factory>
@@ -60,11 +68,12 @@ class ComponentRegistry {
   std::map<std::string, SpoutFactory> spouts_;
   std::map<std::string, BoltFactory> bolts_;
   std::map<std::string, GroupingFactory> groupings_;
+  std::map<std::string, MessageBuilderFactory> builders_;
   Application application_;
 };
 
 /// Raised with every change of the SDK after which component libraries must be compiled again.
-inline constexpr std::uint32_t sdk_version = 3;
+inline constexpr std::uint32_t sdk_version = 4;
 
 #if defined(__GLIBCXX__) && _GLIBCXX_USE_CXX11_ABI
 inline constexpr const char* cxx_abi = "itanium;libstdc++;cxx11=1";

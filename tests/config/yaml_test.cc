@@ -144,6 +144,21 @@ TEST(Yaml, keeps_sections_in_file_order_and_reads_a_single_mapping_as_a_list_of_
   EXPECT_EQ(top.section_list("more").at(1).path(), "more[1]");
 }
 
+TEST(Yaml, reads_texts_and_mappings_of_one_sequence) {
+  auto section = yaml("fields: [a, {property: b}]\nsingle: c\nempty: []\ndeep: [[d]]\n");
+  auto items = section.require_items("fields");
+  ASSERT_EQ(items.size(), 2U);
+  EXPECT_EQ(items[0].text, "a");
+  EXPECT_FALSE(items[0].mapping);
+  ASSERT_TRUE(items[1].mapping);
+  EXPECT_EQ(items[1].mapping->path(), "fields[1]");
+  EXPECT_THAT(message_of([&] { items[1].mapping->finish(); }), HasSubstr("fields[1].property"));
+  EXPECT_EQ(section.require_items("single").at(0).text, "c");
+  EXPECT_THAT(message_of([&] { static_cast<void>(section.require_items("empty")); }), HasSubstr("must not be empty"));
+  EXPECT_THAT(message_of([&] { static_cast<void>(section.require_items("deep")); }), HasSubstr("deep[0]"));
+  EXPECT_THAT(message_of([&] { static_cast<void>(section.require_items("none")); }), HasSubstr("\"none\" is missing"));
+}
+
 TEST(Yaml, finds_a_character_of_a_value_in_the_file_however_it_is_written) {
   const auto place = [](const std::string& text) {
     const auto section = Section::parse(text, "t.yaml");

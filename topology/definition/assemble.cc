@@ -33,6 +33,26 @@ config::ConfigError at_its_place(const TopologyDefinition& definition, const Top
   return definition.root.error(application ? "topology.library" : "", error.what());
 }
 
+/// The component with its endpoint's builder, if that is a class of a component library.
+ComponentDefinition with_builder(const ComponentDefinition& component, const ComponentRegistry& components) {
+  ComponentDefinition made = component;
+  const std::string& name = made.endpoint->builder;
+  std::vector<std::string> known = built_in_builders();
+  if (std::find(known.begin(), known.end(), name) != known.end()) return made;
+  if (const MessageBuilderFactory* found = components.builder(name)) {
+    made.endpoint->make_builder = *found;
+    return made;
+  }
+  for (const std::string& other : components.builder_names()) known.push_back(other);
+  std::string list;
+  for (const auto& other : known) list += (list.empty() ? "\"" : ", \"") + other + "\"";
+  const std::string guess = config::nearest(name, known);
+  throw component.section.error("builder", "there is no builder \"" + name + "\"",
+                                guess.empty()
+                                    ? "there are " + list + "; a library of \"topology.library\" may register others"
+                                    : "did you mean \"" + guess + "\"?");
+}
+
 void connect_inputs(TopologyBuilder& builder, const ComponentDefinition& bolt, const ComponentRegistry& components) {
   auto declarer = builder.bolt(bolt.id);
   for (const auto& input : bolt.inputs) {
@@ -51,7 +71,7 @@ void connect_inputs(TopologyBuilder& builder, const ComponentDefinition& bolt, c
 
 void add_spout(TopologyBuilder& builder, const ComponentDefinition& spout, const ComponentRegistry& components,
                const EndpointFactories& endpoints) {
-  auto factory = spout.endpoint ? endpoints.spout(spout)
+  auto factory = spout.endpoint ? endpoints.spout(with_builder(spout, components))
                                 : find_class(spout.section, spout.class_name, components.spout(spout.class_name),
                                              components.spout_names());
   auto declarer = builder.set_spout(spout.id, std::move(factory), spout.parallelism, spout.conf);
@@ -61,7 +81,7 @@ void add_spout(TopologyBuilder& builder, const ComponentDefinition& spout, const
 
 void add_bolt(TopologyBuilder& builder, const ComponentDefinition& bolt, const ComponentRegistry& components,
               const EndpointFactories& endpoints) {
-  auto factory = bolt.endpoint ? endpoints.bolt(bolt)
+  auto factory = bolt.endpoint ? endpoints.bolt(with_builder(bolt, components))
                                : find_class(bolt.section, bolt.class_name, components.bolt(bolt.class_name),
                                             components.bolt_names());
   auto declarer = builder.set_bolt(bolt.id, std::move(factory), bolt.parallelism, bolt.conf);

@@ -141,6 +141,12 @@ ComponentDefinition read_bolt(const std::string& id, Section section, const std:
     if (!std::count(bolt.endpoint->roles.begin(), bolt.endpoint->roles.end(), FieldRole::driver_id)) {
       throw section.error("fields", "no field says which driver a tuple is for", "add \"driverID\"");
     }
+    for (std::size_t i = 0; i < bolt.endpoint->roles.size(); ++i) {
+      const FieldRole role = bolt.endpoint->roles[i];
+      if (role != FieldRole::gateway_id && role != FieldRole::channel && role != FieldRole::redelivered) continue;
+      throw section.error("fields", "a bolt does not send \"" + bolt.endpoint->fields[i] + "\"",
+                          "remove it: a message gets its gateway and channel from the driver that it goes to");
+    }
     if (section.has("tick")) {
       throw section.error("tick", "a bolt that sends to a broker ticks by itself", "remove \"tick\"");
     }
@@ -271,6 +277,19 @@ TopologyDefinition read(Section root, const std::string& file) {
 }
 
 }  // namespace
+
+Fields payload_fields(const EndpointDefinition& endpoint) {
+  std::vector<std::string> names;
+  for (std::size_t i = 0; i < endpoint.roles.size(); ++i) {
+    if (endpoint.roles[i] == FieldRole::payload) names.push_back(endpoint.fields[i]);
+  }
+  return Fields(std::move(names));
+}
+
+const std::vector<std::string>& built_in_builders() {
+  static const std::vector<std::string> names = {"bytes", "text", "json"};
+  return names;
+}
 
 TopologyDefinition TopologyDefinition::load(const std::string& file) {
   return read(Section::load_file(file), file);

@@ -12,21 +12,27 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/selection/selection.h>
 #include <iotcloud/topology/fields.h>
+#include <iotcloud/topology/message_builder.h>
 #include <iotcloud/topology/topology_context.h>
 
 namespace iotcloud::topology {
 
 /// What a field of a spout or bolt that faces a broker stands for (docs/wire.md#topology-files).
 enum class FieldRole {
-  payload,    ///< the message's bytes
-  driver_id,  ///< "driverID", or the older "sensorID": the driver instance that sent the message or shall get it
-  time,       ///< "time": milliseconds since 1970 UTC, copied from the incoming to the outgoing message
+  payload,      ///< the message's bytes, or what a builder makes of them
+  driver_id,    ///< "driverID", or the older "sensorID": the driver instance that sent the message or shall get it
+  time,         ///< "time": milliseconds since 1970 UTC, copied from the incoming to the outgoing message
+  gateway_id,   ///< "gatewayID", or the older "siteID"; spouts
+  channel,      ///< "channel": the channel's name; spouts
+  redelivered,  ///< "redelivered": a bool, whether somebody may have had the message before; spouts
+  property,     ///< {property: NAME}: a custom property of the message; null if the message has none
 };
 
-/// The payload's type in the tuple (`builder`).
+/// Who turns the payload into fields and back (`builder`).
 enum class PayloadForm {
   bytes,  ///< a spout emits a Payload; a bolt takes a Payload or a string
   text,   ///< a spout emits a string; a bolt writes any value as text
+  built,  ///< a MessageBuilder does: `json`, or a class of a component library
 };
 
 /// Properties of a spout that reads from a broker.
@@ -64,8 +70,11 @@ struct EndpointDefinition {
   std::string channel;
   discovery::Selection where;  ///< selects driver instances, also those that come later
   Fields fields;
-  std::vector<FieldRole> roles;  ///< one for each field; exactly one payload
+  std::vector<FieldRole> roles;  ///< one for each field; exactly one payload, or at least one if the form is `built`
+  std::vector<std::string> properties;  ///< one for each field: the name of the property, empty for other roles
   PayloadForm form = PayloadForm::bytes;
+  std::string builder = "bytes";        ///< as the file has it
+  MessageBuilderFactory make_builder;   ///< of a component library's class; assemble() sets it
   std::string stream = default_stream;  ///< spouts: the stream to which the spout emits
   std::string group;                    ///< spouts: all spouts of this group share the messages; empty: no sharing
   ReadingOptions reading;               ///< spouts
@@ -110,6 +119,11 @@ struct RunSettings {
   int max_spout_pending = 0;  ///< how many tuples each task of a spout may have under way; 0: the runtime's default
   int mailbox_capacity = 0;   ///< how many tuples a task's mailbox holds; 0: the runtime's default
 };
+
+/// The fields that a message's payload gives or takes.
+Fields payload_fields(const EndpointDefinition& endpoint);
+/// The builders that need no component library: "bytes", "text", "json".
+const std::vector<std::string>& built_in_builders();
 
 /// A topology's YAML file, read strictly (docs/wire.md#topology-files; keys in README.md). Only the file itself is
 /// checked here; assemble() checks the graph.

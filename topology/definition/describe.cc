@@ -44,6 +44,7 @@ std::string origin_of(const ComponentDefinition* definition, bool spout) {
   return std::string(spout ? "reads" : "sends to") + " channel \"" + endpoint.channel + "\" of driver \"" +
          endpoint.driver + "\"" + (endpoint.where.everything() ? "" : " where " + on_one_line(endpoint.where.text())) +
          ", broker \"" + endpoint.broker + "\"" +
+         (endpoint.form == PayloadForm::built ? ", builder \"" + endpoint.builder + "\"" : "") +
          (endpoint.group.empty() ? "" : ", shared with all of group \"" + endpoint.group + "\"");
 }
 

@@ -1,5 +1,7 @@
 #include <algorithm>
+#include <map>
 #include <set>
+#include <utility>
 
 #include <iotcloud/topology/definition/read_endpoint.h>
 
@@ -22,27 +24,72 @@ std::string require_driver(Section& section) {
   return require_name(section, "driver");
 }
 
+FieldRole role_of(const std::string& name) {
+  static const std::map<std::string, FieldRole> roles = {
+      {"driverID", FieldRole::driver_id},     {"sensorID", FieldRole::driver_id}, {"time", FieldRole::time},
+      {"gatewayID", FieldRole::gateway_id},   {"siteID", FieldRole::gateway_id},  {"channel", FieldRole::channel},
+      {"redelivered", FieldRole::redelivered}};
+  const auto found = roles.find(name);
+  return found == roles.end() ? FieldRole::payload : found->second;
+}
+
+/// Refuses names under which messages carry other metadata (docs/wire.md#message-metadata).
+void check_property(const Section& mapping, const std::string& property) {
+  for (const char* own : {"sensorID", "siteID", "time"}) {
+    if (property != own) continue;
+    throw mapping.error("property", "\"" + property + "\" is no custom property but metadata of every message",
+                        "use the field driverID, gatewayID or time");
+  }
+  if (property.starts_with("x-iotcloud-") || property.starts_with("iotcloud_")) {
+    throw mapping.error("property", "names that begin with \"x-iotcloud-\" or \"iotcloud_\" are the system's own");
+  }
+}
+
+/// One item of `fields`.
+struct Field {
+  std::string name;
+  FieldRole role;
+  std::string property;
+};
+
+Field read_field(Section::Item& item) {
+  if (!item.mapping) return {item.text, role_of(item.text), ""};
+  Section& mapping = *item.mapping;
+  const std::string property = mapping.require_string("property");
+  check_property(mapping, property);
+  std::string name = mapping.string_or("as", property);
+  mapping.finish();
+  if (role_of(name) == FieldRole::driver_id || role_of(name) == FieldRole::time) {
+    throw mapping.error("as", "\"" + name + "\" is a field of another meaning", "choose another name for this one");
+  }
+  return {std::move(name), FieldRole::property, property};
+}
+
+constexpr const char* field_words =
+    "driverID, time, gatewayID, channel, redelivered and {property: NAME} are metadata, any other name is the payload: "
+    "[payload, driverID, time]";
+
 void read_fields(Section& section, EndpointDefinition& endpoint) {
-  const auto names = section.require_strings("fields");
-  std::set<std::string> seen;
+  std::vector<std::string> names;
   std::set<FieldRole> roles;
-  for (const auto& name : names) {
-    const FieldRole role = name == "driverID" || name == "sensorID" ? FieldRole::driver_id
-                           : name == "time"                         ? FieldRole::time
-                                                                    : FieldRole::payload;
-    if (!seen.insert(name).second) throw section.error("fields", "the field \"" + name + "\" is named twice");
-    if (!roles.insert(role).second) {
-      throw section.error("fields", "\"" + name + "\" is a second field of the same meaning",
-                          "one field takes the message's payload, driverID and time its metadata: "
-                          "[payload, driverID, time]");
+  for (auto& item : section.require_items("fields")) {
+    const auto [name, role, property] = read_field(item);
+    if (std::find(names.begin(), names.end(), name) != names.end()) {
+      throw section.error("fields", "the field \"" + name + "\" is named twice");
     }
+    const bool several =
+        role == FieldRole::property || (role == FieldRole::payload && endpoint.form == PayloadForm::built);
+    if (!roles.insert(role).second && !several) {
+      throw section.error("fields", "\"" + name + "\" is a second field of the same meaning", field_words);
+    }
+    names.push_back(name);
     endpoint.roles.push_back(role);
+    endpoint.properties.push_back(property);
   }
   if (!roles.contains(FieldRole::payload)) {
-    throw section.error("fields", "no field takes the message's payload",
-                        "add one of any other name than driverID and time");
+    throw section.error("fields", "no field takes the message's payload", field_words);
   }
-  endpoint.fields = Fields(names);
+  endpoint.fields = Fields(std::move(names));
 }
 
 /// Reads the expression that selects driver instances.
@@ -105,8 +152,10 @@ EndpointDefinition read_endpoint(Section& section, const std::vector<std::string
   endpoint.driver = discovery::DriverName(require_driver(section));
   endpoint.channel = require_name(section, "channel");
   endpoint.where = read_where(section);
-  endpoint.form =
-      section.choice_or("builder", "bytes", {"bytes", "text"}) == "text" ? PayloadForm::text : PayloadForm::bytes;
+  endpoint.builder = section.string_or("builder", endpoint.builder);
+  endpoint.form = endpoint.builder == "bytes"  ? PayloadForm::bytes
+                  : endpoint.builder == "text" ? PayloadForm::text
+                                               : PayloadForm::built;
   read_fields(section, endpoint);
   return endpoint;
 }

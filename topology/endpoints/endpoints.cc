@@ -1,8 +1,18 @@
 #include <iotcloud/topology/endpoints/endpoints.h>
+#include <iotcloud/topology/endpoints/json_builder.h>
 #include <iotcloud/topology/endpoints/receiving/broker_spout.h>
 #include <iotcloud/topology/endpoints/sending/broker_bolt.h>
 
 namespace iotcloud::topology {
+
+namespace {
+
+EndpointDefinition with_own_builder(EndpointDefinition endpoint) {
+  if (endpoint.builder == "json") endpoint.make_builder = [] { return std::make_unique<JsonBuilder>(); };
+  return endpoint;
+}
+
+}  // namespace
 
 EndpointFactories endpoint_factories(EndpointServicesPtr services) {
   EndpointFactories factories;
@@ -14,7 +24,7 @@ EndpointFactories endpoint_factories(EndpointServicesPtr services) {
     std::shared_ptr<DeadLetterSender> dead_letters;
     const std::string& topic = spout.endpoint->reading.dead_letter;
     if (!topic.empty()) dead_letters = std::make_shared<DeadLetterSender>(services, spout.id, topic);
-    return [services, placement, dead_letters, endpoint = *spout.endpoint] {
+    return [services, placement, dead_letters, endpoint = with_own_builder(*spout.endpoint)] {
       return std::make_unique<BrokerSpout>(services, placement, dead_letters, endpoint);
     };
   };
@@ -23,7 +33,7 @@ EndpointFactories endpoint_factories(EndpointServicesPtr services) {
     services->before_stop.emplace_back([weak = std::weak_ptr(routes)] {
       if (const auto alive = weak.lock()) alive->end_grace();
     });
-    return [services, routes, endpoint = *bolt.endpoint] {
+    return [services, routes, endpoint = with_own_builder(*bolt.endpoint)] {
       return std::make_unique<BrokerBolt>(services, routes, endpoint);
     };
   };

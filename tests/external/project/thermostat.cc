@@ -1,4 +1,7 @@
+#include <charconv>
 #include <chrono>
+#include <cstdint>
+#include <stdexcept>
 #include <string>
 
 #include <iotcloud/topology/plugin.h>
@@ -6,6 +9,18 @@
 #include <iotcloud/topology/windows/windowed_bolt.h>
 
 using namespace iotcloud::topology;
+
+/// Makes a number of a reading's text.
+class Degrees : public MessageBuilder {
+ public:
+  Values read(const iotcloud::brokers::Message& message, const Fields&) override {
+    const std::string_view text = message.payload.text();
+    std::int64_t degrees = 0;
+    const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), degrees);
+    if (status != std::errc{} || end != text.data() + text.size()) throw std::invalid_argument("not a whole number");
+    return Values(degrees);
+  }
+};
 
 /// Orders the heater on below a limit: "17=on".
 class Decide : public BasicBolt {
@@ -15,8 +30,8 @@ class Decide : public BasicBolt {
   }
   void prepare(const Config& config, const TopologyContext&) override { limit_ = std::stoi(config.at("limit")); }
   void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
-    const std::string reading(tuple.get<Payload>("reading").text());
-    const std::string order = reading + "=" + (std::stoi(reading) < limit_ ? "on" : "off");
+    const auto degrees = tuple.get<std::int64_t>("degrees");
+    const std::string order = std::to_string(degrees) + "=" + (degrees < limit_ ? "on" : "off");
     collector.emit(Values(Payload::copy(order), tuple.at("driverID"), tuple.at("time")));
   }
 
@@ -33,7 +48,7 @@ class Mean : public WindowedBolt {
   }
   void execute(const TupleWindow& window) override {
     double sum = 0;
-    for (const Tuple& tuple : window.tuples()) sum += std::stod(std::string(tuple.get<Payload>("reading").text()));
+    for (const Tuple& tuple : window.tuples()) sum += static_cast<double>(tuple.get<std::int64_t>("degrees"));
     collector_->emit(Values(sum / static_cast<double>(window.tuples().size())));
   }
 
@@ -67,6 +82,7 @@ class Switches : public StatefulBolt {
 
 IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
   using namespace std::chrono_literals;
+  registry.add_builder<Degrees>("thermostat.Degrees");
   registry.add_bolt<Decide>("thermostat.Decide");
   registry.add_bolt("thermostat.Mean", make_windowed_bolt<Mean>({.length = 1s}));
   registry.add_bolt("thermostat.Switches", make_stateful_bolt<Switches>({.store = "memory://thermostat"}));

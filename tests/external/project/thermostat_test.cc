@@ -1,7 +1,7 @@
 #include <chrono>
 #include <cstdint>
 #include <optional>
-#include <string>
+#include <stdexcept>
 #include <variant>
 
 #include <gtest/gtest.h>
@@ -18,7 +18,7 @@ extern "C" const LibraryDescriptor* iotcloud_topology_library();  // what IOTCLO
 class Readings : public Spout {
  public:
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
-    declarer.declare(Fields{"reading", "driverID", "time"});
+    declarer.declare(Fields{"degrees", "driverID", "time"});
   }
   void open(const Config&, const TopologyContext&, SpoutOutputCollector&) override {}
   bool next_tuple() override { return false; }
@@ -36,17 +36,15 @@ class Thermostat : public ::testing::Test {
     builder.set_bolt("switches", *components_.bolt("thermostat.Switches")).fields_grouping("decide", {"driverID"});
     topology_.emplace(builder.build("test"), SimulatedTopology::Options{.inputs = {"readings"}});
   }
-  void read(const std::string& reading) {
-    topology_->put("readings", Values(Payload::copy(reading), "meter-1", std::int64_t{0}));
-  }
+  void read(int degrees) { topology_->put("readings", Values(degrees, "meter-1", std::int64_t{0})); }
 
   ComponentRegistry components_;
   std::optional<SimulatedTopology> topology_;
 };
 
 TEST_F(Thermostat, heats_below_the_limit) {
-  read("19");
-  read("20");
+  read(19);
+  read(20);
   const auto orders = topology_->tuples("decide");
   ASSERT_EQ(orders.size(), 2u);
   EXPECT_EQ(std::get<Payload>(orders[0][0]).text(), "19=on");
@@ -54,8 +52,8 @@ TEST_F(Thermostat, heats_below_the_limit) {
 }
 
 TEST_F(Thermostat, tells_the_mean_of_each_second) {
-  read("10");
-  read("20");
+  read(10);
+  read(20);
   topology_->advance(1s);
   const auto means = topology_->tuples("mean");
   ASSERT_EQ(means.size(), 1u);
@@ -63,14 +61,18 @@ TEST_F(Thermostat, tells_the_mean_of_each_second) {
 }
 
 TEST_F(Thermostat, counts_when_a_heater_is_switched_on) {
-  for (const char* reading : {"19", "18", "21", "19"}) read(reading);
+  for (const int degrees : {19, 18, 21, 19}) read(degrees);
   const auto switches = topology_->tuples("switches");
   ASSERT_EQ(switches.size(), 2u);
   // The state is this process's, and other tests switched heaters, too.
   EXPECT_EQ(std::get<std::int64_t>(switches[1][1]) - std::get<std::int64_t>(switches[0][1]), 1);
 }
 
-TEST_F(Thermostat, fails_a_reading_that_is_no_number) {
-  read("warm");
-  EXPECT_EQ(topology_->snapshot().component("decide").failed, 1u);
+TEST_F(Thermostat, refuses_a_reading_that_is_no_number) {
+  const auto builder = (*components_.builder("thermostat.Degrees"))();
+  iotcloud::brokers::Message message;
+  message.payload = Payload::copy("17");
+  EXPECT_EQ(std::get<std::int64_t>(builder->read(message, {"degrees"})[0]), 17);
+  message.payload = Payload::copy("warm");
+  EXPECT_THROW(builder->read(message, {"degrees"}), std::invalid_argument);
 }

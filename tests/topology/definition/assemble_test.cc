@@ -44,9 +44,12 @@ class FirstTask final : public Grouping {
   int first_ = 0;
 };
 
+class NoBuilder final : public MessageBuilder {};
+
 class Assemble : public ::testing::Test {
  protected:
   Assemble() {
+    components.add_builder<NoBuilder>("test.Builder");
     components.add_bolt<PassBolt>("test.Pass");
     components.add_spout<EmptySpout>("test.Empty");
     components.add_grouping<FirstTask>("test.FirstTask");
@@ -67,6 +70,19 @@ class Assemble : public ::testing::Test {
   }
   ComponentRegistry components;
 };
+
+TEST_F(Assemble, FindsTheBuilderOfALibraryAndRefusesOneThatNobodyRegisters) {
+  const auto with_builder = [](const std::string& name) {
+    return with_spout("    broker: rabbitmq\n    driver: d\n    channel: c\n    builder: " + name +
+                      "\n    fields: [f]\n");
+  };
+  EXPECT_EQ(refusal(with_builder("test.Builder")), "");
+  EXPECT_EQ(refusal(with_builder("json")), "");
+  EXPECT_THAT(refusal(with_builder("test.Bilder")),
+              AllOf(StartsWith("t.yaml:8:5: spouts.s.builder"), HasSubstr("did you mean \"test.Builder\"?")));
+  EXPECT_THAT(refusal(with_builder("protobuf")),
+              HasSubstr("there are \"bytes\", \"text\", \"json\", \"test.Builder\""));
+}
 
 TEST_F(Assemble, JoinsTheOuterLayerInYamlWithTheAlgorithmInCpp) {
   components.set_application([](TopologyBuilder& builder, const Config&) {

@@ -56,6 +56,38 @@ TEST(TopologyDefinition, TakesTheOlderWordsSensorAndSensorID) {
   EXPECT_THAT(definition.spouts.at(0).endpoint->roles, ElementsAre(FieldRole::driver_id, FieldRole::payload));
 }
 
+TEST(TopologyDefinition, ReadsFieldsThatAreMetadataAndProperties) {
+  const auto definition = TopologyDefinition::parse(
+      with_spout(
+          "    broker: rabbitmq\n    driver: d\n    channel: c\n    builder: json\n"
+          "    fields: [a, gatewayID, channel, redelivered, {property: battery}, {property: x y, as: other}, b]\n"),
+      "t.yaml");
+  const EndpointDefinition& endpoint = *definition.spouts.at(0).endpoint;
+  EXPECT_EQ(endpoint.form, PayloadForm::built);
+  EXPECT_EQ(endpoint.fields, Fields({"a", "gatewayID", "channel", "redelivered", "battery", "other", "b"}));
+  EXPECT_THAT(endpoint.roles,
+              ElementsAre(FieldRole::payload, FieldRole::gateway_id, FieldRole::channel, FieldRole::redelivered,
+                          FieldRole::property, FieldRole::property, FieldRole::payload));
+  EXPECT_THAT(endpoint.properties, ElementsAre("", "", "", "", "battery", "x y", ""));
+  EXPECT_EQ(payload_fields(endpoint), Fields({"a", "b"}));
+}
+
+TEST(TopologyDefinition, RefusesFieldsThatCannotBe) {
+  const auto spout = [](const std::string& fields) {
+    return error_of(with_spout("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: " + fields + "\n"));
+  };
+  EXPECT_THAT(spout("[a, {property: sensorID}]"), HasSubstr("use the field driverID"));
+  EXPECT_THAT(spout("[a, {property: x-iotcloud-resent}]"), HasSubstr("the system's own"));
+  EXPECT_THAT(spout("[a, {property: b, as: time}]"), HasSubstr("another meaning"));
+  EXPECT_THAT(spout("[a, {property: a}]"), HasSubstr("named twice"));
+  EXPECT_THAT(spout("[a, {propertty: b}]"), HasSubstr("property"));
+  EXPECT_THAT(spout("[a, b]"), HasSubstr("second field of the same meaning"));
+  EXPECT_THAT(spout("[{property: b}, channel]"), HasSubstr("no field takes the message's payload"));
+  EXPECT_THAT(error_of(with_bolt(
+                  "    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f, driverID, gatewayID]\n")),
+              HasSubstr("a bolt does not send \"gatewayID\""));
+}
+
 TEST(TopologyDefinition, ReadsEverythingElse) {
   const auto definition = TopologyDefinition::parse(R"(
 registry: "embedded://here"
@@ -249,8 +281,6 @@ INSTANTIATE_TEST_SUITE_P(
               "t.yaml:8:5: spouts.s.fields", "payload"},
         Wrong{"a field twice", with_spout("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f, f]\n"),
               "t.yaml:8:5: spouts.s.fields", "twice"},
-        Wrong{"unknown builder", with_spout(good_spout + "    builder: json\n"), "t.yaml:9:5: spouts.s.builder",
-              "\"text\""},
         Wrong{"unknown ackMode", with_spout(good_spout + "    properties: {ackMode: never}\n"),
               "t.yaml:9:18: spouts.s.properties.ackMode", "manual"},
         Wrong{"prefetchCount out of range", with_spout(good_spout + "    properties: {prefetchCount: 0}\n"),

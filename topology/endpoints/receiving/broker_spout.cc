@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <stdexcept>
 
 #include <fmt/format.h>
 
@@ -14,6 +15,8 @@ namespace {
 constexpr std::chrono::milliseconds letters_limit{300};
 /// Time between two lines in the log about messages that are given up.
 constexpr std::chrono::seconds quiet_time{10};
+/// Why a message is given up.
+constexpr const char* tuple_failed = "the tuple failed or timed out";
 
 }  // namespace
 
@@ -25,6 +28,9 @@ void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutpu
   retried_ =
       &metrics.counter("iotcloud_spout_retried_total", "Messages whose tuple failed and was tried again", labels);
   rejected_ = &metrics.counter("iotcloud_spout_rejected_total", rejected_help, labels);
+  unreadable_ = &metrics.counter("iotcloud_spout_unreadable_total",
+                                 "Messages given up because their builder refused them", labels);
+  if (endpoint_.make_builder) builder_ = endpoint_.make_builder();
   if (!endpoint_.where.everything()) {
     filter_.emplace(placement_->verdicts(),
                     metrics.counter("iotcloud_spout_unselected_total",
@@ -107,7 +113,16 @@ bool BrokerSpout::bring(ChannelMessage arrival) {
 }
 
 void BrokerSpout::emit(ChannelMessage arrival) {
-  Values values = values_of(arrival);
+  Values values;
+  try {
+    values = values_of(arrival);
+  } catch (const std::exception& error) {
+    unreadable_->add();
+    ++arrival.tries;
+    retries_.done(arrival);
+    give_up(std::move(arrival), fmt::format("the builder {} cannot read it: {}", endpoint_.builder, error.what()));
+    return;
+  }
   if (endpoint_.reading.automatic_ack) {
     collector_->emit_to(endpoint_.stream, std::move(values));
     return;
@@ -154,26 +169,26 @@ void BrokerSpout::fail(MessageId id) {
     retries_.add(std::move(*arrival), services_->clock->now());
   } else {
     retries_.done(*arrival);
-    give_up(std::move(*arrival));
+    give_up(std::move(*arrival), tuple_failed);
   }
   waker_.wake();
 }
 
-void BrokerSpout::give_up(ChannelMessage arrival) {
+void BrokerSpout::give_up(ChannelMessage arrival, const std::string& reason) {
   const auto now = services_->clock->now();
   if (last_complaint_ && now - *last_complaint_ < quiet_time) {
     ++given_up_silently_;
   } else {
     endpoints_logger.warn(
-        "a message of driver {} is given up after {} {} and {}: its tuple failed or timed out{}",
-        arrival.delivery.message.driver_id, arrival.tries, arrival.tries == 1 ? "try" : "tries",
-        dead_letters_ ? "goes to " + endpoint_.reading.dead_letter : "is rejected",
+        "a message of driver {} is given up after {} {} and {}: {}{}", arrival.delivery.message.driver_id,
+        arrival.tries, arrival.tries == 1 ? "try" : "tries",
+        dead_letters_ ? "goes to " + endpoint_.reading.dead_letter : "is rejected", reason,
         given_up_silently_ == 0 ? "" : fmt::format("; {} more since the last such line", given_up_silently_));
     given_up_silently_ = 0;
     last_complaint_ = now;
   }
   if (dead_letters_) {
-    dead_letters_->send(std::move(arrival));
+    dead_letters_->send(std::move(arrival), reason);
     return;
   }
   rejected_->add();
@@ -182,25 +197,50 @@ void BrokerSpout::give_up(ChannelMessage arrival) {
 
 Values BrokerSpout::values_of(const ChannelMessage& arrival) const {
   const brokers::Message& message = arrival.delivery.message;
+  const TopicReader::Sender& sender = arrival.reader->sender();
+  const Values built = builder_ ? built_values_of(arrival) : Values();
+  std::size_t next_built = 0;
   Values values;
-  for (const FieldRole role : endpoint_.roles) {
-    switch (role) {
+  for (std::size_t i = 0; i < endpoint_.roles.size(); ++i) {
+    switch (endpoint_.roles[i]) {
       case FieldRole::payload:
-        if (endpoint_.form == PayloadForm::text) {
+        if (builder_) {
+          values.add(built[next_built++]);
+        } else if (endpoint_.form == PayloadForm::text) {
           values.add(std::string(message.payload.text()));
         } else {
           values.add(message.payload);
         }
         break;
       case FieldRole::driver_id:
-        values.add(message.driver_id.empty() ? arrival.reader->driver_id().str() : message.driver_id);
+        values.add(message.driver_id.empty() ? sender.driver.str() : message.driver_id);
         break;
       case FieldRole::time:
         values.add(message.time_ms);
         break;
+      case FieldRole::gateway_id:
+        values.add(message.gateway_id.empty() ? sender.gateway.str() : message.gateway_id);
+        break;
+      case FieldRole::channel:
+        values.add(endpoint_.channel);
+        break;
+      case FieldRole::redelivered:
+        values.add(arrival.delivery.redelivered || arrival.delivery.tries > 1 || arrival.tries > 0);
+        break;
+      case FieldRole::property: {
+        const std::string* property = message.properties.find(endpoint_.properties[i]);
+        values.add(property == nullptr ? Value() : Value(*property));
+        break;
+      }
     }
   }
   return values;
+}
+
+Values BrokerSpout::built_values_of(const ChannelMessage& arrival) const {
+  Values built = builder_->read(arrival.delivery.message, payload_fields_);
+  if (built.size() == payload_fields_.size()) return built;
+  throw std::length_error(fmt::format("it made {} values for the fields {}", built.size(), payload_fields_.list()));
 }
 
 MessageId BrokerSpout::keep(ChannelMessage arrival) {

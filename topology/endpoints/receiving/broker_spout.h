@@ -25,7 +25,8 @@ class BrokerSpout final : public Spout {
       : services_(std::move(services)),
         placement_(std::move(placement)),
         dead_letters_(std::move(dead_letters)),
-        endpoint_(std::move(endpoint)) {}
+        endpoint_(std::move(endpoint)),
+        payload_fields_(payload_fields(endpoint_)) {}
 
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     declarer.declare_stream(endpoint_.stream, endpoint_.fields);
@@ -42,8 +43,9 @@ class BrokerSpout final : public Spout {
   bool is_first_after_fence(const ChannelMessage& arrival);
   void emit(ChannelMessage arrival);
   static bool comes_again(const ChannelMessage& arrival);
-  void give_up(ChannelMessage arrival);
+  void give_up(ChannelMessage arrival, const std::string& reason);
   Values values_of(const ChannelMessage& arrival) const;
+  Values built_values_of(const ChannelMessage& arrival) const;
   MessageId keep(ChannelMessage arrival);
   std::optional<ChannelMessage> take(MessageId id);
 
@@ -51,6 +53,8 @@ class BrokerSpout final : public Spout {
   const std::shared_ptr<SpoutPlacement> placement_;
   const std::shared_ptr<DeadLetterSender> dead_letters_;
   const EndpointDefinition endpoint_;
+  const Fields payload_fields_;
+  std::unique_ptr<MessageBuilder> builder_;  ///< null for the forms `bytes` and `text`
   SpoutOutputCollector* collector_ = nullptr;
   std::shared_ptr<SpoutQueue> queue_;
   SpoutWaker waker_;
@@ -62,6 +66,7 @@ class BrokerSpout final : public Spout {
   config::Counter* received_ = nullptr;
   config::Counter* retried_ = nullptr;
   config::Counter* rejected_ = nullptr;
+  config::Counter* unreadable_ = nullptr;
   std::size_t given_up_silently_ = 0;                     ///< messages given up since last_complaint_
   std::optional<config::Clock::Instant> last_complaint_;  ///< when the log got a line about messages given up
 

@@ -17,14 +17,14 @@ DeadLetterSender::DeadLetterSender(EndpointServicesPtr services, std::string com
 
 DeadLetterSender::~DeadLetterSender() = default;
 
-void DeadLetterSender::send(ChannelMessage arrival) {
+void DeadLetterSender::send(ChannelMessage arrival, const std::string& reason) {
   brokers::Message letter = arrival.delivery.message;
-  letter.properties.set("dead-letter-reason", "the tuple failed or timed out");
+  letter.properties.set("dead-letter-reason", reason);
   letter.properties.set("dead-letter-tries", std::to_string(arrival.tries));
   letter.properties.set("dead-letter-topic", arrival.reader->topic().name);
   letter.properties.set("dead-letter-topology", services_->topology.str());
   letter.properties.set("dead-letter-component", component_);
-  if (letter.driver_id.empty()) letter.driver_id = arrival.reader->driver_id();
+  if (letter.driver_id.empty()) letter.driver_id = arrival.reader->sender().driver;
   std::shared_ptr<Sender> sender;
   {
     const config::MutexLock lock(mutex_);

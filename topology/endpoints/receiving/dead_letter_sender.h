@@ -21,7 +21,8 @@ class DeadLetterSender {
 
   /// Publishes the message as a dead letter. Settles the message when the broker has answered: accepts it when the
   /// letter is confirmed, rejects it when the broker refuses the letter.
-  void send(ChannelMessage arrival);
+  /// \param reason why the message is given up: a header of the letter.
+  void send(ChannelMessage arrival, const std::string& reason);
   /// Waits until the brokers have answered for all letters, `limit` at most.
   void drain(std::chrono::milliseconds limit);
 

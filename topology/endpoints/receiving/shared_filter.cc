@@ -7,7 +7,7 @@ namespace iotcloud::topology {
 
 std::optional<ChannelMessage> SharedFilter::pass(ChannelMessage arrival, config::Clock::Instant now) {
   // an exclusive channel: it is read only if its instance is chosen
-  if (!arrival.reader->driver_id().empty()) return arrival;
+  if (!arrival.reader->sender().driver.empty()) return arrival;
   const std::string& instance = arrival.delivery.message.driver_id;
   const auto line = waiting_.find(instance);
   if (line == waiting_.end()) {

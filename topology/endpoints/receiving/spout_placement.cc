@@ -440,8 +440,8 @@ std::shared_ptr<TopicReader> SpoutPlacement::open_reader(const discovery::Channe
   options.partition = unit.partition;
   try {
     return TopicReader::open(broker_at(key.first, *services_), key.first, key.second, options,
-                             channel.shared ? discovery::InstanceId() : channel.instance, queue_of(unit.task),
-                             services_->fence);
+                             {channel.gateway, channel.shared ? discovery::InstanceId() : channel.instance},
+                             queue_of(unit.task), services_->fence);
   } catch (const config::Error& error) {
     if (complained_.insert(key.first.urls.front()).second) {
       endpoints_logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());

@@ -5,13 +5,13 @@ namespace iotcloud::topology {
 
 std::shared_ptr<TopicReader> TopicReader::open(std::shared_ptr<brokers::Broker> broker,
                                                const brokers::BrokerAddress& address, const brokers::Topic& topic,
-                                               const brokers::SubscriptionOptions& options,
-                                               discovery::InstanceId driver_id, std::shared_ptr<SpoutQueue> queue,
+                                               const brokers::SubscriptionOptions& options, Sender sender,
+                                               std::shared_ptr<SpoutQueue> queue,
                                                std::shared_ptr<const StandstillFence> fence) {
   const std::int32_t partition = options.partition.value_or(0);
   std::shared_ptr<TopicReader> reader(
       new TopicReader(topic, partition == 0 ? topic.name : topic.name + "#" + std::to_string(partition), address,
-                      std::move(driver_id), std::move(queue), std::move(fence)));
+                      std::move(sender), std::move(queue), std::move(fence)));
   const auto handler = [weak = std::weak_ptr(reader)](brokers::Delivery delivery) {
     if (const auto self = weak.lock()) self->take(std::move(delivery));
   };

@@ -16,10 +16,15 @@ namespace iotcloud::topology {
 /// Reads one topic into a SpoutQueue. Its owner must call close(). Thread safe.
 class TopicReader : public std::enable_shared_from_this<TopicReader> {
  public:
-  /// Subscribes to the topic. \param driver_id the sender of messages that do not name one; empty for a shared channel.
+  /// Who sends the messages that do not name their sender: the driver instance is empty for a shared channel.
+  struct Sender {
+    discovery::GatewayId gateway;
+    discovery::InstanceId driver;
+  };
+  /// Subscribes to the topic.
   static std::shared_ptr<TopicReader> open(std::shared_ptr<brokers::Broker> broker,
                                            const brokers::BrokerAddress& address, const brokers::Topic& topic,
-                                           const brokers::SubscriptionOptions& options, discovery::InstanceId driver_id,
+                                           const brokers::SubscriptionOptions& options, Sender sender,
                                            std::shared_ptr<SpoutQueue> queue,
                                            std::shared_ptr<const StandstillFence> fence);
 
@@ -42,17 +47,17 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   std::uint64_t fence_count() const { return opened_at_; }
   /// Whether the broker delivers to this reader; false while disconnected, or while another reader has the topic.
   bool active() const;
-  const discovery::InstanceId& driver_id() const { return driver_id_; }
+  const Sender& sender() const { return sender_; }
   const brokers::Topic& topic() const { return topic_; }
   const brokers::BrokerAddress& address() const { return address_; }
 
  private:
-  TopicReader(brokers::Topic topic, std::string name, brokers::BrokerAddress address, discovery::InstanceId driver_id,
+  TopicReader(brokers::Topic topic, std::string name, brokers::BrokerAddress address, Sender sender,
               std::shared_ptr<SpoutQueue> queue, std::shared_ptr<const StandstillFence> fence)
       : topic_(std::move(topic)),
         name_(std::move(name)),
         address_(std::move(address)),
-        driver_id_(std::move(driver_id)),
+        sender_(std::move(sender)),
         queue_(std::move(queue)),
         fence_(std::move(fence)),
         opened_at_(fence_->count()) {}
@@ -64,7 +69,7 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   const brokers::Topic topic_;
   const std::string name_;  ///< for the log: the topic's, and "#" with the partition if it is not the first
   const brokers::BrokerAddress address_;
-  const discovery::InstanceId driver_id_;
+  const Sender sender_;
   const std::shared_ptr<SpoutQueue> queue_;
   const std::shared_ptr<const StandstillFence> fence_;
   const std::uint64_t opened_at_;        ///< StandstillFence::count() at open()

@@ -29,6 +29,7 @@ std::string text_of(const Value& value) {
 void BrokerBolt::prepare(const Config&, const TopologyContext& context, OutputCollector& collector) {
   collector_ = &collector;
   first_task_ = context.task_index == 0;
+  if (endpoint_.make_builder) builder_ = endpoint_.make_builder();
   routes_->join();
 }
 
@@ -50,6 +51,7 @@ brokers::Message BrokerBolt::message_of(const Tuple& tuple) const {
     const std::string& field = endpoint_.fields[i];
     switch (endpoint_.roles[i]) {
       case FieldRole::payload: {
+        if (builder_) break;
         const Value& value = tuple.at(field);
         if (const auto* bytes = std::get_if<Payload>(&value)) {
           message.payload = *bytes;
@@ -66,9 +68,19 @@ brokers::Message BrokerBolt::message_of(const Tuple& tuple) const {
       case FieldRole::time:
         message.time_ms = tuple.get<std::int64_t>(field);
         break;
+      case FieldRole::property: {
+        const Value& value = tuple.at(field);
+        if (value.index() != 0) message.properties.set(endpoint_.properties[i], text_of(value));
+        break;
+      }
+      case FieldRole::gateway_id:
+      case FieldRole::channel:
+      case FieldRole::redelivered:
+        break;  // the definition refuses them: a message gets these from the way that it takes
     }
   }
   if (message.time_ms == 0) message.time_ms = services_->clock->wall_ms();
+  if (builder_) builder_->write(tuple, payload_fields_, message);
   return message;
 }
 
