@@ -99,7 +99,9 @@ class KafkaPartitions : public Endpoints {
     workers_.erase(workers_.begin() + place);
     names_.erase(names_.begin() + place);
   }
-  std::string topic_of(const std::string& channel) const { return "g.d." + channel + url_.substr(url_.rfind('-')); }
+  /// The topic's name in the channel's record.
+  std::string raw(const std::string& channel) const { return channel + url_.substr(url_.rfind('-')); }
+  std::string topic_of(const std::string& channel) const { return "g.d." + raw(channel); }
   void show(const std::vector<std::string>& channels = {"up"}) {
     for (int i = 0; i < instances; ++i) {
       for (const auto& name : channels) {
@@ -107,7 +109,7 @@ class KafkaPartitions : public Endpoints {
         channel.name = name;
         channel.transport = "kafka";
         channel.direction = discovery::Direction::out;
-        channel.properties = {{"topic", topic_of(name)}};
+        channel.properties = {{"topic", raw(name)}};
         channel.broker_url = broker_url_;
         channel.gateway = "g"_gateway;
         channel.driver = "d"_driver;
