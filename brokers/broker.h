@@ -5,6 +5,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -181,6 +182,10 @@ struct SubscriptionOptions {
   /// the broker has confirmed the letter. Empty: on Kafka `<topic>.dlq`; others drop what is rejected, unless the queue
   /// has a dead-letter exchange on the server.
   std::string dead_letter;
+  /// Only for brokers that split topics (see Broker::watch_partitions): reads this partition alone, counted from 0, in
+  /// a group of its own, `<group>#<partition>`; that of partition 0 is `<group>`. nullopt: all partitions of the topic
+  /// that this reader gets its share of. Other brokers ignore it.
+  std::optional<std::int32_t> partition{};
 };
 
 /// Reads one topic until destroyed. The destructor returns when no handler runs any more (unless called from the
@@ -193,6 +198,13 @@ class Subscription {
   virtual void resume() = 0;
   /// True while this one is reading; false while disconnected or while another reader holds the queue exclusively.
   virtual bool active() const = 0;
+};
+
+/// Follows the number of a topic's partitions until destroyed. The destructor returns when the callback does not run
+/// any more; not to be called from it.
+class PartitionWatch {
+ public:
+  virtual ~PartitionWatch() = default;
 };
 
 /// How a broker's connection is. `blocked`: connected, but the server takes no messages now (a memory or disk alarm).
@@ -210,6 +222,13 @@ class Broker {
   /// config::Error for a topic or options that this kind of broker cannot have.
   virtual std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
                                                   Handler handler) = 0;
+  /// Follows into how many partitions a topic is split: messages with one driver's id are all in one of them.
+  /// \param told is called on a thread of the broker with the number, at least 1, as soon as the server says that it
+  /// has the topic, and after each change. \return null: this kind of broker does not split topics.
+  virtual std::unique_ptr<PartitionWatch> watch_partitions(const Topic& /*topic*/,
+                                                           std::function<void(int count)> /*told*/) {
+    return nullptr;
+  }
   /// Of the connections together: the worst of them.
   virtual ConnectionState state() const = 0;
   /// The preferred one of its URLs.

@@ -21,7 +21,9 @@ JVM_WARM_UP = ("--drivers", 1000, "--rate", 5)
 DEPLOYED_A_SECOND, UNDEPLOYED_A_SECOND = 150, 300
 FEW, FLAT, FLAT_LIMIT = 4, 1000, 1.5  # target: p99 with FLAT drivers is at most FLAT_LIMIT times that with FEW
 SERVED = 10_000  # target: with so many drivers no message may be lost
-PARTITIONS = 4  # of a Kafka topic, as in the paper
+PARTITIONS = {"shared": 4, "shared, 1 partition": 1, "shared, 8 partitions": 8}  # of a Kafka topic; the paper has 4
+# With other numbers of partitions than the paper's only these steps are measured.
+FEW_STEPS = [(4, 5), (1000, 5), (10_000, 1)]
 
 
 class ByDrivers:
@@ -31,7 +33,8 @@ class ByDrivers:
         self.title = f"round trip by the number of drivers, {KINDS[broker][0]}"
 
     def steps(self, given, layout):
-        return [step for step in STEPS[given.scale] if (layout == "shared" or step[0] <= MOST_EXCLUSIVE)
+        return [step for step in STEPS[given.scale] if (layout != "exclusive" or step[0] <= MOST_EXCLUSIVE)
+                and (PARTITIONS.get(layout, 4) == 4 or step in FEW_STEPS)
                 and asked_for(given, self.title_of(*step, layout))]
 
     def title_of(self, drivers, rate, layout):
@@ -54,25 +57,33 @@ class ByDrivers:
 
     def seconds(self, given):
         warm_up = JVM_WARM_UP_S[given.scale] if self.broker == "kafka" else 0
-        rounds = 0
+        starts, rounds = len(self.runs(given)), 0
         for layout in self.chosen_layouts(given):
             steps = self.steps(given, layout)
             most = steps[-1][0]
             rounds += len(steps) * (self.point_seconds(given) + 2) + self.deploy_seconds(most) + self.undeploy_seconds(most)
-        return START_S[self.broker] + warm_up + (given.rounds or ROUNDS[given.scale]) * rounds
+        return starts * (START_S[self.broker] + warm_up) + (given.rounds or ROUNDS[given.scale]) * rounds
+
+    def runs(self, given):
+        """The layouts that one start of the system serves: all of them, but on Kafka each number of partitions has
+        topics, and so a system, of its own."""
+        layouts = self.chosen_layouts(given)
+        return [[layout] for layout in layouts] if self.broker == "kafka" else [layouts]
 
     def take(self, given, report, progress):
-        more = {}
-        if self.broker == "kafka":
-            more = {"properties": f", properties: {{partitions: {PARTITIONS}}}", "server_options": ["--partitions", PARTITIONS]}
         pairs = {}
-        with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
-            progress.step(f"figure {self.name}: starting {KINDS[self.broker][0]}", START_S[self.broker])
-            with system(self.broker, given.build, folder, **more) as running:
-                running.warm_up(JVM_WARM_UP_S[given.scale], JVM_WARM_UP)
-                for layout in self.chosen_layouts(given):
-                    pairs[layout] = self.progressions(running, given, progress, layout)
-                    self.judge(running, report, layout, pairs[layout])
+        for layouts in self.runs(given):
+            more = {}
+            if self.broker == "kafka":
+                number = PARTITIONS[layouts[0]]
+                more = {"properties": f", properties: {{partitions: {number}}}", "server_options": ["--partitions", number]}
+            with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
+                progress.step(f"figure {self.name}: starting {KINDS[self.broker][0]}", START_S[self.broker])
+                with system(self.broker, given.build, folder, **more) as running:
+                    running.warm_up(JVM_WARM_UP_S[given.scale], JVM_WARM_UP)
+                    for layout in layouts:
+                        pairs[layout] = self.progressions(running, given, progress, layout)
+                        self.judge(running, report, layout, pairs[layout])
         return self.plots(pairs)
 
     def progressions(self, running, given, progress, layout):
@@ -84,13 +95,13 @@ class ByDrivers:
                 step = f"figure {self.name}: {pair.title}, round {round_number + 1}"
                 progress.step(f"{step}, deploying", self.deploy_seconds(drivers - running.drivers))
                 try:
-                    running.deploy(drivers - running.drivers, layout == "shared")
+                    running.deploy(drivers - running.drivers, layout != "exclusive")
                 except StartError as failure:
                     pair.our_problem = str(failure)
                     break  # a system that cannot serve these cannot serve more drivers
                 progress.step(step, self.point_seconds(given))
                 shape = (SIZE, rate, WARM_UP_S[given.scale], WINDOW_S[given.scale])
-                pair.round(lambda: running.measure(*shape), lambda: running.measure_bare(*shape, drivers, layout == "shared"),
+                pair.round(lambda: running.measure(*shape), lambda: running.measure_bare(*shape, drivers, layout != "exclusive"),
                            attempts(given))
             progress.step(f"figure {self.name}: undeploying {running.drivers} drivers", self.undeploy_seconds(running.drivers))
             running.undeploy()
@@ -128,4 +139,4 @@ class ByDrivers:
                  "series": lines} for text, statistic in (("mean round trip", "mean_ms"), ("p99 of the round trip", "p99_ms"))]
 
 
-FIGURES = [ByDrivers("10", "rabbitmq", ("shared", "exclusive")), ByDrivers("11", "kafka", ("shared",))]
+FIGURES = [ByDrivers("10", "rabbitmq", ("shared", "exclusive")), ByDrivers("11", "kafka", tuple(PARTITIONS))]

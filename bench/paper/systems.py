@@ -28,10 +28,12 @@ READY_S = 60
 ORDER_S = 300  # limit for a deployment
 
 
-def topology(broker, registry=""):
-    """The YAML of the paper's topology: 4 spout tasks that read, 4 bolt tasks that send back."""
+def topology(broker, registry="", connection=""):
+    """The YAML of the paper's topology: 4 spout tasks that read, 4 bolt tasks that send back. `connection`: lines that
+    say how it connects to the broker."""
     return f"""{registry}
 topology.name: paper
+{connection}
 spouts:
   receive: {{broker: {broker}, driver: {DRIVER}, channel: data, fields: [data, driverID, time], parallelism: 4}}
 bolts:
@@ -212,7 +214,9 @@ class Cluster(System):
         try:
             self.url = self.cluster.server(self.kind, *self.server_options, *self.more_options)
             self.cluster.start(HOSTS, [f'{self.kind}: {{type: {self.kind}, urls: ["{self.url}"]{self.properties}}}'])
-            self.cluster.topology("worker", topology(self.kind, 'zk.servers: ["{zookeeper}"]'))
+            # Whoever comes first makes a topic, so both sides say into how many partitions.
+            connection = f'brokers: {{{self.kind}: {{urls: ["{self.url}"]{self.properties}}}}}'
+            self.cluster.topology("worker", topology(self.kind, 'zk.servers: ["{zookeeper}"]', connection))
             self.cluster.wait_until_ready()
         except BaseException:
             self.cluster.stop()

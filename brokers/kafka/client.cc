@@ -166,17 +166,17 @@ bool Client::connected() const {
   return error == RD_KAFKA_RESP_ERR_NO_ERROR || error == RD_KAFKA_RESP_ERR__TIMED_OUT;
 }
 
-bool Client::knows(const std::string& topic, std::chrono::milliseconds limit) const {
+int Client::partitions(const std::string& topic, std::chrono::milliseconds limit) const {
   rd_kafka_topic_t* handle = rd_kafka_topic_new(handle_, topic.c_str(), nullptr);
-  if (handle == nullptr) return false;
+  if (handle == nullptr) return 0;
   const rd_kafka_metadata_t* metadata = nullptr;
   const rd_kafka_resp_err_t error = rd_kafka_metadata(handle_, 0, handle, &metadata, static_cast<int>(limit.count()));
   rd_kafka_topic_destroy(handle);
-  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) return false;
-  const bool known = metadata->topic_cnt == 1 && metadata->topics[0].err == RD_KAFKA_RESP_ERR_NO_ERROR &&
-                     metadata->topics[0].partition_cnt > 0;
+  if (error != RD_KAFKA_RESP_ERR_NO_ERROR) return 0;
+  const bool known = metadata->topic_cnt == 1 && metadata->topics[0].err == RD_KAFKA_RESP_ERR_NO_ERROR;
+  const int count = known ? metadata->topics[0].partition_cnt : 0;
   rd_kafka_metadata_destroy(metadata);
-  return known;
+  return count;
 }
 
 void Client::refresh_credentials(const KafkaOptions& options) {

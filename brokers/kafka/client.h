@@ -59,8 +59,9 @@ class Client {
   rd_kafka_t* get() const { return handle_; }
   /// Whether there is an authenticated connection to some server. Does not wait; begins to connect if there is none.
   bool connected() const;
-  /// Whether a server knows this topic; not yet, perhaps, just after it was made. Waits for the answer.
-  bool knows(const std::string& topic, std::chrono::milliseconds limit) const;
+  /// How many partitions of this topic a server knows; 0: none, perhaps not yet, just after the topic was made. Waits
+  /// for the answer.
+  int partitions(const std::string& topic, std::chrono::milliseconds limit) const;
   /// Reads user and password again for the next log-in, unless it did so a moment ago. Not thread safe.
   void refresh_credentials(const KafkaOptions& options);
 

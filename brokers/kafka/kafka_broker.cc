@@ -9,6 +9,7 @@
 #include "iotcloud/brokers/kafka/client.h"
 #include "iotcloud/brokers/kafka/producer.h"
 #include "iotcloud/brokers/kafka/reading/consumer_groups.h"
+#include "iotcloud/brokers/kafka/reading/partition_counts.h"
 #include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"
 #include <iotcloud/config/error.h>
@@ -50,6 +51,17 @@ class KafkaSubscription final : public Subscription {
   const std::function<void()> leave_;
 };
 
+class KafkaPartitionWatch final : public PartitionWatch {
+ public:
+  KafkaPartitionWatch(PartitionCounts& counts, const std::string& topic, std::function<void(int)> told)
+      : counts_(counts), number_(counts.follow(topic, std::move(told))) {}
+  ~KafkaPartitionWatch() override { counts_.ignore(number_); }
+
+ private:
+  PartitionCounts& counts_;
+  const int number_;
+};
+
 class KafkaBroker final : public Broker {
  public:
   KafkaBroker(const BrokerOptions& options, const std::vector<BrokerUrl>& urls)
@@ -58,7 +70,8 @@ class KafkaBroker final : public Broker {
         meters_(options.metrics, "kafka"),
         clock_(options.clock != nullptr ? *options.clock : config::system_clock()),
         log_(printable_url(options.urls.front())),
-        normal_(*this) {}
+        normal_(*this),
+        partition_counts_(options_, clock_) {}
   ~KafkaBroker() override = default;
 
   std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
@@ -83,6 +96,11 @@ class KafkaBroker final : public Broker {
                                                  if (state() == ConnectionState::connected)
                                                    dead_letters_.drain(dead_letter, options_.broker.rpc_timeout);
                                                });
+  }
+
+  std::unique_ptr<PartitionWatch> watch_partitions(const Topic& topic, std::function<void(int)> told) override {
+    check_topic(topic.name);
+    return std::make_unique<KafkaPartitionWatch>(partition_counts_, topic.name, std::move(told));
   }
 
   ConnectionState state() const override {
@@ -115,6 +133,7 @@ class KafkaBroker final : public Broker {
   const config::Clock& clock_;
   ConnectionLog log_;
   Lane normal_;
+  PartitionCounts partition_counts_;
   config::Mutex mutex_;
   std::unique_ptr<Lane> urgent_ IOTCLOUD_GUARDED_BY(mutex_);  ///< for urgent channels; made when first needed
   DeadLetters dead_letters_{*this};  ///< declared last, so that its publishers are destroyed before the connections

@@ -429,7 +429,7 @@ void Producer::look_for_topics() {
     bool known = false;
     {
       const config::Unlocked unlocked(core_.mutex);
-      known = client->knows(name, options_.broker.rpc_timeout);
+      known = client->partitions(name, options_.broker.rpc_timeout) > 0;
     }
     if (!known) return topics_.not_there(name, clock_.now());
     topics_.there(name, *client);

@@ -32,12 +32,12 @@ topology.name: "echo"
 {{library}}
 metrics: {{address: "{{metrics}}"}}
 brokers:
-  rabbitmq: {{heartbeat: {HEARTBEAT_S}s{{urls}}}}
+  {{broker}}: {{heartbeat: {HEARTBEAT_S}s{{urls}}}}
 spouts:
-  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: 2}}
+  receive: {{broker: {{broker}}, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: 2{{spout}}}}
 bolts:{{bolt}}
   send:
-    broker: rabbitmq
+    broker: {{broker}}
     driver: loadgen
     channel: echo
     fields: [data, driverID, time]
@@ -46,12 +46,16 @@ bolts:{{bolt}}
 
 # With a bolt that always holds a tuple (holding_bolt.cc).
 HOLD = """
-  hold: {class: test.Holding, tick: 500ms, inputs: [{from: receive, grouping: fields, fields: [driverID]}]}"""
+  between: {class: test.Holding, tick: 500ms, inputs: [{from: receive, grouping: fields, fields: [driverID]}]}"""
 
 
-Event = collections.namedtuple("Event", "time worker what instance")
-EVENTS = (("leads", re.compile(r" leads \S+/instance-(\w+) \(epoch")),
-          ("reads", re.compile(r"\.(\w+)\.\w+: its first message is here")))
+# `unit`: a driver instance, or on Kafka a gateway, and "#" with the partition if it is not the first
+Event = collections.namedtuple("Event", "time worker what unit")
+EVENTS = {"rabbitmq": (("leads", re.compile(r" leads \S+/instance-(\w+) \(epoch")),
+                       ("reads", re.compile(r"\.(\w+)\.\w+: its first message is here"))),
+          "kafka": (("leads", re.compile(r" leads \S+/gateway-(\S+) \(epoch")),
+                    ("reads", re.compile(r" (gateway-\d+)\.loadgen\.data(#\d+)?: its first message is here")))}
+PARTITIONS = 4  # of each topic on Kafka
 
 
 def ours(line):
@@ -71,13 +75,22 @@ def wait_for(what, condition, limit):
 class FaultCluster(PrivateCluster):
     """Workers and load generators by name, which may be killed, frozen and started again."""
 
-    def __init__(self, build, name, registry="zookeeper", holding=False):
+    def __init__(self, build, name, registry="zookeeper", library=None, bolt="", spout="", broker="rabbitmq"):
+        """`library` and `bolt`: a component library, and the bolt `between` of it, as YAML; `spout`: more properties of
+        the spout. On Kafka the drivers share a topic on each gateway."""
         build = Path(build).resolve()
         self.work = build / "cluster-tests" / name
         shutil.rmtree(self.work, ignore_errors=True)
         super().__init__(self.work, build / "bin", build / "plugins")
-        self.registry_kind, self.holding = registry, holding
+        self.registry_kind, self.library, self.bolt, self.spout = registry, library, bolt, spout
+        self.broker = broker
         self.reports, self.started, self.pages = [], 0, {}
+
+    def start(self, *arguments, **options):
+        if self.broker == "kafka":
+            url = self.server("kafka")
+            options["brokers"] = [f'kafka: {{type: kafka, urls: ["{url}"], properties: {{partitions: {PARTITIONS}}}}}']
+        super().start(*arguments, **options)
 
     def server(self, kind):
         return super().server(self.registry_kind if kind == "zookeeper" else kind)
@@ -103,7 +116,8 @@ class FaultCluster(PrivateCluster):
         """Starts another worker, in the network `isle` if given; returns its name."""
         self.started += 1
         name = f"worker-{self.started}"
-        servers, urls = self.zookeeper.removeprefix("zookeeper://"), ""
+        servers = self.zookeeper.removeprefix("zookeeper://")
+        urls = f", properties: {{partitions: {PARTITIONS}}}" if self.broker == "kafka" else ""
         if isle:
             servers = servers.replace("127.0.0.1", BRIDGE)
             urls = f', urls: ["{self.rabbitmq.replace("127.0.0.1", BRIDGE)}"]'
@@ -111,9 +125,10 @@ class FaultCluster(PrivateCluster):
         self.pages[name] = (address, isle)
         listed = ", ".join(f'"{server}"' for server in servers.split(","))
         configuration = TOPOLOGY
-        library = f'topology.library: "{self.plugins / "holding_bolt.so"}"' if self.holding else ""
+        library = f'topology.library: "{self.plugins / self.library}"' if self.library else ""
         for key, value in (("zookeeper", listed), ("urls", urls), ("metrics", address), ("library", library),
-                           ("bolt", HOLD if self.holding else ""), ("last", "hold" if self.holding else "receive")):
+                           ("broker", self.broker), ("spout", self.spout), ("bolt", self.bolt),
+                           ("last", "between" if self.bolt else "receive")):
             configuration = configuration.replace("{" + key + "}", value)
         self.daemon("iotcloud-topology", name, configuration, isle.enter if isle else (), ("--log-level", "debug"))
         return name
@@ -163,7 +178,8 @@ class FaultCluster(PrivateCluster):
             report = self.work / f"{name}-{len(self.reports)}.json"
             gateway = len(self.reports) % self.gateways + 1
             self.reports.append(report)
-            self.deploy("loadgen.so", f"gateway-{gateway}", {"count": count, "rate": rate, "report": report})
+            layout = {"broker": "kafka", "shared": "true"} if self.broker == "kafka" else {}
+            self.deploy("loadgen.so", f"gateway-{gateway}", {"count": count, "rate": rate, "report": report, **layout})
 
     def readers(self):
         """Names of the units by the worker that leads them, according to the logs."""
@@ -174,9 +190,9 @@ class FaultCluster(PrivateCluster):
         events = []
         for worker in workers or self.pages:
             for line in self.log(worker).read_text(errors="replace").splitlines():
-                for what, pattern in EVENTS:
+                for what, pattern in EVENTS[self.broker]:
                     if found := pattern.search(line):
-                        events.append(Event(ours(line), worker, what, found[1]))
+                        events.append(Event(ours(line), worker, what, "".join(part or "" for part in found.groups())))
         return sorted(events)
 
     def wait_for_workers(self, number, limit=30):

@@ -3,7 +3,7 @@
 the broker cut it off before anybody else read its drivers. What it had in hand (each driver's last message, in a bolt that
 holds it) went to its successor, so it must not be sent when the worker goes on.
 
-usage: freeze_test.py BUILD_DIR [--rounds N]
+usage: freeze_test.py BUILD_DIR [--rounds N] [--broker kafka]
 """
 
 import argparse
@@ -13,13 +13,40 @@ import signal
 import subprocess
 import time
 
-from fault_cluster import LIMIT_S, SESSION_S, FaultCluster, finish, wait_for
+from fault_cluster import HOLD, LIMIT_S, PARTITIONS, SESSION_S, FaultCluster, finish, wait_for
 from private_server import freeze as freeze_process
 
-DRIVERS, RATE = 4, 100
+DRIVERS, RATE = {"rabbitmq": 4, "kafka": 16}, {"rabbitmq": 100, "kafka": 25}
 ROUND_S = 25  # the drivers send for so long in each round, and at least until it is over
 
 CUT = re.compile(r"^(\S+ \S+) \[error\] <\S+> closing AMQP connection <\S+> \(127\.0\.0\.1:(\d+) ")
+OUT_OF_GROUP = re.compile(r"^(\S+ \S+) .*Member \S+ in group (echo\S*) has failed, removing it from the group")
+
+
+def removals(cluster, since):
+    """When Kafka removed a member that gave no sign of life from each consumer group."""
+    times = {}
+    for line in (cluster.work / "kafka/server.log").read_text(errors="replace").splitlines():
+        if found := OUT_OF_GROUP.match(line):
+            moment = datetime.datetime.fromisoformat(found[1]).timestamp()
+            if moment >= since:
+                times.setdefault(found[2], moment)
+    return times
+
+
+def cut_off_late(cluster, connections, frozen, taken_over):
+    """The last time at which the broker cut the frozen worker off. Ends the test if another worker read before."""
+    if cluster.broker == "kafka":
+        cut = removals(cluster, frozen)
+        groups = {unit: "echo" + unit[unit.find("#"):] if "#" in unit else "echo" for unit in taken_over}
+        early = [unit for unit, read in taken_over.items() if cut.get(groups[unit], read) >= read]
+        times = list(cut.values())
+    else:
+        times = cuts(cluster, connections, frozen)
+        early = not times or max(times) > min(taken_over.values())
+    if early:
+        raise SystemExit("a driver of the frozen worker was read before the broker had cut that one off")
+    return max(times)
 
 
 def ports(process):
@@ -50,56 +77,61 @@ def freeze(cluster, victim, other):
     own = {}
     for event in cluster.timeline():
         if event.what == "reads":
-            own[event.instance] = event.worker
-    own = {instance for instance, worker in own.items() if worker == victim}
+            own[event.unit] = event.worker
+    own = {unit for unit, worker in own.items() if worker == victim}
     connections, kept_back = ports(process.pid), kept(cluster, victim)
     freeze_process(process)
     frozen = time.time()
 
     def taken_over():
-        return {event.instance: event.time for event in reversed(cluster.timeline([other]))
-                if event.what == "reads" and event.time > frozen and event.instance in own}
+        return {event.unit: event.time for event in reversed(cluster.timeline([other]))
+                if event.what == "reads" and event.time > frozen and event.unit in own}
 
     wait_for(f"{other} reads the drivers of {victim}", lambda: set(taken_over()) == own, 60)
     first = min(taken_over().values())
-    cut = cuts(cluster, connections, frozen)
-    if not cut or max(cut) > first:
-        raise SystemExit(f"{other} read a driver of {victim} before the broker had cut that one off")
+    cut = cut_off_late(cluster, connections, frozen, taken_over())
     while time.time() < frozen + SESSION_S + 1:  # the successor is far beyond the frozen worker's messages
         time.sleep(0.1)
     process.send_signal(signal.SIGCONT)
     wait_for(f"{victim} keeps back what it has in hand",
              lambda: kept(cluster, victim) >= kept_back + len(own), 30)
     wait_for("the drivers are shared again",
-             lambda: cluster.channels(victim) == cluster.channels(other) == DRIVERS / 2, 30)
+             lambda: cluster.channels(victim) == cluster.channels(other) == units(cluster) / 2, 30)
     for worker in (victim, other):
         before = cluster.received(worker)
-        wait_for(f"{worker} reads its share", lambda: cluster.received(worker) > before + RATE, 30)
+        wait_for(f"{worker} reads its share", lambda: cluster.received(worker) > before + RATE[cluster.broker], 30)
     kept_back = kept(cluster, victim) - kept_back
-    print(f"frozen with {len(own)} drivers: cut off by the broker after {max(cut) - frozen:.2f} s, read elsewhere after "
+    print(f"frozen with {len(own)} units: cut off by the broker after {cut - frozen:.2f} s, read elsewhere after "
           f"{first - frozen:.2f} s; continued: {kept_back:.0f} messages in hand were not sent", flush=True)
+
+
+def units(cluster):
+    return PARTITIONS if cluster.broker == "kafka" else DRIVERS["rabbitmq"]
 
 
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("build")
     parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--broker", choices=("rabbitmq", "kafka"), default="rabbitmq")
     given = parser.parse_args()
-    with FaultCluster(given.build, "freeze", holding=True) as cluster:
+    drivers, rate = DRIVERS[given.broker], RATE[given.broker]
+    name = "freeze-kafka" if given.broker == "kafka" else "freeze"
+    with FaultCluster(given.build, name, library="holding_bolt.so", bolt=HOLD, broker=given.broker) as cluster:
         cluster.start(gateways=1)
         workers = [cluster.worker() for _ in range(2)]
         cluster.wait_until_ready()
         cluster.wait_for_workers(2)
-        cluster.drivers(DRIVERS, given.rounds * ROUND_S * RATE, RATE)
-        wait_for("both read two drivers", lambda: [cluster.channels(each) for each in workers] == [2, 2], 30)
+        cluster.drivers(drivers, given.rounds * ROUND_S * rate, rate)
+        wait_for("both read two units", lambda: [cluster.channels(each) for each in workers] == [2, 2], 30)
         for worker in workers:
-            wait_for(f"{worker} reads", lambda: cluster.received(worker) > RATE, 30)
+            wait_for(f"{worker} reads", lambda: cluster.received(worker) > rate, 30)
         for number in range(given.rounds):
             freeze(cluster, workers[number % 2], workers[1 - number % 2])
         totals = cluster.totals(given.rounds * ROUND_S + 60)
         cluster.require_alive()
     finish("frozen and continued", totals)
-    if totals["furthest_back"] >= RATE * SESSION_S:
+    if totals["furthest_back"] >= rate * SESSION_S:
         raise SystemExit(f"a message came {totals['furthest_back']} numbers late: it was sent by the worker that was frozen")
     if totals["max_s"] > LIMIT_S:
         raise SystemExit(f"a message took {totals['max_s']:.1f} s; {LIMIT_S} s are allowed")

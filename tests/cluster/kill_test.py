@@ -3,7 +3,7 @@
 form), under load. Nothing may be lost, and what a killed worker read is read elsewhere within the session's time-out plus
 two seconds.
 
-usage: kill_test.py BUILD_DIR [--seconds N] [--long] [--seed N]
+usage: kill_test.py BUILD_DIR [--seconds N] [--long] [--seed N] [--broker kafka]
 
 Killing a driver's process ends that driver's run; the new process counts anew, so that what is reported is the last
 run's. Therefore drivers' processes are killed in the first half only.
@@ -31,9 +31,9 @@ def take_overs(events, kills, disturbances):
         reader = {}
         for event in events:
             if event.what == "reads" and event.time < killed:
-                reader[event.instance] = event.worker
-        for instance in (each for each, worker in reader.items() if worker == victim):
-            later = [event for event in events if event.instance == instance and event.time > killed]
+                reader[event.unit] = event.worker
+        for unit in (each for each, worker in reader.items() if worker == victim):
+            later = [event for event in events if event.unit == unit and event.time > killed]
             read = next((event.time for event in later if event.what == "reads"), None)
             if read is None:
                 continue  # the driver was done; finish() checks whether all messages came back
@@ -68,13 +68,15 @@ def main():
     parser.add_argument("--seconds", type=int, default=15)
     parser.add_argument("--long", action="store_true", help="three ZooKeeper servers, of which the leader is killed")
     parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--broker", choices=("rabbitmq", "kafka"), default="rabbitmq")
     given = parser.parse_args()
     choose = random.Random(given.seed)
     print(f"seed {given.seed}", flush=True)
     registry = "zookeeper_cluster" if given.long else "zookeeper"
     killed = {"worker": 0, "driver host": 0, "ZooKeeper": 0}
     kills, disturbances = [], []
-    with FaultCluster(given.build, "kill-long" if given.long else "kill", registry) as cluster:
+    name = ("kill-long" if given.long else "kill") + ("-kafka" if given.broker == "kafka" else "")
+    with FaultCluster(given.build, name, registry, broker=given.broker) as cluster:
         # The test kills hosts more often, and faster, than a gateway by default restarts hosts that fail.
         cluster.start(gateways=2, more="host_restart: {longest: 1s, give_up_after: 0}")
         workers = [cluster.worker() for _ in range(WORKERS)]

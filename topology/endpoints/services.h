@@ -12,6 +12,7 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
+#include <iotcloud/topology/endpoints/placement/partition_agreement.h>
 #include <iotcloud/topology/endpoints/standstill_fence.h>
 
 namespace iotcloud::topology {
@@ -29,7 +30,8 @@ struct EndpointServices {
   std::shared_ptr<brokers::BrokerPool> brokers;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
-  std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();  ///< never null
+  std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();             ///< never null
+  std::shared_ptr<PartitionAgreement> partitions = std::make_shared<PartitionAgreement>();  ///< never null
   std::vector<std::function<void()>> before_stop;  ///< the worker calls these before it stops the topology
   std::vector<std::function<void()>> after_stop;   ///< the worker calls these when it has left the registry
 };

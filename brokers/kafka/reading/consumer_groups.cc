@@ -7,6 +7,16 @@
 
 namespace iotcloud::brokers::kafka {
 
+namespace {
+
+/// The group whose members exclude one another from a partition. Partition 0 keeps the group's own name, so that a
+/// topic which is given more partitions is read on from where it was.
+std::string group_name(const std::string& group, std::optional<std::int32_t> partition) {
+  return partition.value_or(0) == 0 ? group : group + "#" + std::to_string(*partition);
+}
+
+}  // namespace
+
 ConsumerGroups::ConsumerGroups(KafkaOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log)
     : options_(std::move(options)),
       clock_(clock),
@@ -28,9 +38,10 @@ ConsumerGroups::~ConsumerGroups() {
 std::shared_ptr<Subscriber> ConsumerGroups::add(const Topic& topic, const SubscriptionOptions& options,
                                                 Handler handler) {
   const config::MutexLock lock(mutex_);
-  std::shared_ptr<Group>& group = groups_[options.group.empty() ? topic.name : options.group];
+  const std::string& name = options.group.empty() ? topic.name : options.group;
+  std::shared_ptr<Group>& group = groups_[{name, options.partition}];
   if (!group) {
-    auto member = std::make_shared<Member>(options.group.empty() ? topic.name : options.group);
+    auto member = std::make_shared<Member>(group_name(name, options.partition), options.partition);
     group = std::make_shared<Group>(options_, reader_, std::move(member), clock_, log_, wake_event_);
   }
   auto subscriber = std::make_shared<Subscriber>(group->member(), topic, options, std::move(handler));

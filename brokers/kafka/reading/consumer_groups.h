@@ -2,8 +2,10 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "iotcloud/brokers/client/wake_event.h"
@@ -14,7 +16,8 @@
 namespace iotcloud::brokers::kafka {
 
 /// All reading of one broker object: the reader's thread, which runs the handlers, and the thread that serves the
-/// groups. Subscriptions of one group share one consumer. Thread safe.
+/// groups. Subscriptions of one group share one consumer; those to a single partition (SubscriptionOptions::partition)
+/// share one for each number of a partition. Thread safe.
 class ConsumerGroups {
  public:
   ConsumerGroups(KafkaOptions options, Meters& meters, const config::Clock& clock, ConnectionLog& log);
@@ -42,8 +45,9 @@ class ConsumerGroups {
 
   mutable config::Mutex mutex_;
   bool closing_ IOTCLOUD_GUARDED_BY(mutex_) = false;
-  /// By name. Only the groups' thread uses the Group objects.
-  std::map<std::string, std::shared_ptr<Group>> groups_ IOTCLOUD_GUARDED_BY(mutex_);
+  /// By name and partition. Only the groups' thread uses the Group objects.
+  std::map<std::pair<std::string, std::optional<std::int32_t>>, std::shared_ptr<Group>> groups_
+      IOTCLOUD_GUARDED_BY(mutex_);
   config::ThreadRole on_thread_;
   std::vector<std::shared_ptr<Group>> leaving_ IOTCLOUD_GUARDED_BY(on_thread_);
   std::thread thread_ IOTCLOUD_GUARDED_BY(mutex_);

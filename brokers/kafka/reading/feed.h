@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -57,8 +58,13 @@ class Feed final : public FeedProgress, public client::Inbox {
 
 /// This process as a member of one group. Guarded by the reader's mutex, except for the constants.
 struct Member {
-  explicit Member(std::string group) : name(std::move(group)) {}
+  /// \param only the one partition of its topics that this member reads; nullopt: all that the group gives it.
+  explicit Member(std::string group, std::optional<std::int32_t> only = std::nullopt)
+      : name(std::move(group)), partition(only) {}
+  /// Whether it reads this partition if the group gives it.
+  bool wants(std::int32_t number) const { return !partition || *partition == number; }
   const std::string name;
+  const std::optional<std::int32_t> partition;
   bool connected = false;
   /// The first subscription to a topic reads it, the others stand by.
   std::vector<std::shared_ptr<Subscriber>> subscribers;

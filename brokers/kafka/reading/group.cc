@@ -267,8 +267,17 @@ void Group::on_error(rd_kafka_event_t* event) {
   }
 }
 
+/// Those of the partitions that this member reads; it leaves the others of its topics to the groups of their own.
+PartitionList Group::wanted(const rd_kafka_topic_partition_list_t& partitions) const {
+  PartitionList list(rd_kafka_topic_partition_list_new(partitions.cnt));
+  for (const auto& entry : entries_of(partitions)) {
+    if (member_->wants(entry.partition)) rd_kafka_topic_partition_list_add(list.get(), entry.topic, entry.partition);
+  }
+  return list;
+}
+
 void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
-  const PartitionList list(rd_kafka_topic_partition_list_copy(&partitions));
+  const PartitionList list = wanted(partitions);
   const rd_kafka_resp_err_t error =
       rd_kafka_committed(client_->get(), list.get(), static_cast<int>(committed_limit.count()));
   for (rd_kafka_topic_partition_t& entry : std::span(list->elems, static_cast<std::size_t>(list->cnt))) {
@@ -298,8 +307,9 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
 }
 
 void Group::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
+  const PartitionList list = wanted(partitions);
   std::set<PartitionKey> keys;
-  for (const auto& entry : entries_of(partitions)) keys.emplace(entry.topic, entry.partition);
+  for (const auto& entry : entries_of(*list)) keys.emplace(entry.topic, entry.partition);
   stop_reading(keys);
   if (connected_ && rd_kafka_assignment_lost(client_->get()) == 0) warn_of_unsaved(commit_unsaved(keys));
   for (const PartitionKey& key : keys) {
@@ -307,7 +317,7 @@ void Group::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
     unsaved_.erase(key);
   }
   if (cooperative()) {
-    check(rd_kafka_incremental_unassign(client_->get(), &partitions), "give partitions back");
+    check(rd_kafka_incremental_unassign(client_->get(), list.get()), "give partitions back");
   } else {
     rd_kafka_assign(client_->get(), nullptr);
   }
@@ -358,7 +368,7 @@ void Group::follow_subscriptions(Instant now) {
     for (const std::string& topic : made_) {
       if (there_.contains(topic)) continue;
       // Subscribe only to topics that the server knows: otherwise the group checks again only after a long time.
-      if (!client_->knows(topic, options_.broker.rpc_timeout)) {
+      if (client_->partitions(topic, options_.broker.rpc_timeout) == 0) {
         made_ = there_;  // so that the missing topics are asked for again
         ask_topics_at_ = clock_.now() + topic_backoff_.next();
         break;

@@ -63,6 +63,7 @@ class Group {
   std::chrono::milliseconds serve_closing(Instant now);
   void leave_group();
   bool cooperative() const;
+  PartitionList wanted(const rd_kafka_topic_partition_list_t& partitions) const;
 
   const KafkaOptions& options_;
   const std::shared_ptr<Reader> reader_;

@@ -1,4 +1,5 @@
 // Groups, partitions and offsets on a real Kafka.
+#include <array>
 #include <filesystem>
 #include <future>
 #include <map>
@@ -230,6 +231,42 @@ TEST_F(KafkaGroup, LetsAMemberGoWhoseTopicIsDeleted) {
     });
     ASSERT_EQ(gone.wait_for(patience), std::future_status::ready) << "it does not come back from its group";
   }
+}
+
+TEST_F(KafkaGroup, TellsIntoHowManyPartitionsATopicIsSplitAndEachHasOneReaderThatChoseIt) {
+  constexpr int partitions = 3, drivers = 30;
+  const auto one = this->broker(partitions);
+  const auto other = this->broker(partitions);
+  std::promise<int> told;
+  const auto watch = one->watch_partitions(topic(), [&](int count) { told.set_value(count); });
+  ASSERT_NE(watch, nullptr);
+  const auto publisher = one->publisher(topic(), {});
+  for (int driver = 0; driver < drivers; ++driver) publisher->publish(from(driver, 1));
+  ASSERT_TRUE(publisher->drain(patience));
+  auto count = told.get_future();
+  ASSERT_EQ(count.wait_for(patience), std::future_status::ready);
+  EXPECT_EQ(count.get(), partitions);
+
+  std::array<Inbox, partitions> inboxes;
+  std::vector<std::unique_ptr<Subscription>> all;
+  for (int partition = 0; partition < partitions; ++partition) {
+    SubscriptionOptions options = readers();
+    options.partition = partition;
+    Broker& broker = partition == 1 ? *other : *one;
+    all.push_back(broker.subscribe(topic(), options, inboxes.at(static_cast<std::size_t>(partition)).handler()));
+  }
+  const auto sum = [&] { return inboxes[0].size() + inboxes[1].size() + inboxes[2].size(); };
+  ASSERT_TRUE(eventually([&] { return sum() >= drivers; }, patience));
+  EXPECT_EQ(sum(), drivers) << "nothing is read by two";
+  for (const Inbox& inbox : inboxes) EXPECT_GT(inbox.size(), 0U);
+
+  SubscriptionOptions options = readers();
+  options.partition = 1;
+  Inbox late;
+  const auto second = one->subscribe(topic(), options, late.handler());
+  EXPECT_TRUE(eventually([&] { return all[1]->active() != second->active(); }, patience)) << "one of the two has it";
+  all[1].reset();
+  ASSERT_TRUE(becomes_active(*second));
 }
 
 TEST_F(KafkaGroup, AfterAnOrderlyEndNothingIsDoubted) {

@@ -9,7 +9,7 @@ namespace iotcloud::topology {
 
 /// The kinds of units of placement.
 enum class UnitKind : std::size_t {
-  gateway,   ///< a driver on a gateway, with a shared channel
+  gateway,   ///< a driver on a gateway, with a shared channel, or one partition of that
   instance,  ///< a driver instance, with a channel of its own
 };
 inline constexpr std::size_t unit_kinds = 2;

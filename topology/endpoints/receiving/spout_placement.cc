@@ -18,21 +18,27 @@ constexpr std::chrono::milliseconds gathering{5};
 constexpr std::chrono::seconds gathering_for_the_log{1};
 
 /// The name of a channel's unit: for an exclusive channel that of its driver instance, for a shared one that of its
-/// gateway.
-std::string unit_of(const discovery::ChannelRecord& channel) {
-  return channel.shared ? "gateway-" + channel.gateway : "instance-" + channel.instance;
+/// gateway, with the partition's number behind a mark that no id has. The unit of partition 0 has the name of the
+/// whole, so that it stays when the topic is given more partitions.
+std::string unit_of(const discovery::ChannelRecord& channel, int partition = 0) {
+  const std::string whole = channel.shared ? "gateway-" + channel.gateway : "instance-" + channel.instance;
+  return partition == 0 ? whole : whole + "#" + std::to_string(partition);
 }
 
 }  // namespace
 
 struct SpoutPlacement::Search {
-  explicit Search(StandstillFence& f) : fence(f) {}
-  ~Search() { fence.ignore(listener); }
+  Search(StandstillFence& f, PartitionAgreement& p) : fence(f), partitions(p) {}
+  ~Search() {
+    fence.ignore(listener);
+    partitions.ignore(partitions_listener);
+  }
   Search(const Search&) = delete;
   Search& operator=(const Search&) = delete;
 
   StandstillFence& fence;
-  int listener = 0;
+  PartitionAgreement& partitions;
+  int listener = 0, partitions_listener = 0;
   discovery::GuardPtr session;
   std::unique_ptr<ReadingGroup> group;
   std::unique_ptr<discovery::DriverDirectory> directory;
@@ -55,7 +61,12 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
   // Callbacks on the dispatcher take mutex_. So it is not held here, nor in leave() while the watches are destroyed,
   // which waits for callbacks that run.
   auto& registry = *services_->registry;
-  auto search = std::make_unique<Search>(*services_->fence);
+  auto search = std::make_unique<Search>(*services_->fence, *services_->partitions);
+  search->partitions_listener = services_->partitions->listen([this] {
+    const config::MutexLock lock(mutex_);
+    agreement_changed_ = true;
+    partitions_changed_soon();
+  });
   search->listener = services_->fence->listen([this] {
     const config::MutexLock lock(mutex_);
     if (over_ || anew_) return;
@@ -118,12 +129,13 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
 
 void SpoutPlacement::leave() {
   std::map<std::string, Unit> units;
-  discovery::GuardPtr sharing, telling, anew, looking, missing;
+  discovery::GuardPtr sharing, telling, anew, looking, missing, partitions;
   {
     const config::MutexLock lock(mutex_);
     if (std::exchange(over_, true)) return;
     while (in_turn_) turn_over_.wait(mutex_);
     anew.swap(anew_);
+    partitions.swap(partitions_soon_);
     queues_.clear();
   }
   dispatcher_.assert_held();  // no callback begins any more
@@ -136,6 +148,7 @@ void SpoutPlacement::leave() {
   search_.reset();
   sharing.reset();
   anew.reset();
+  partitions.reset();
   telling.reset();
   looking.reset();
   missing.reset();
@@ -143,6 +156,8 @@ void SpoutPlacement::leave() {
     unit.readers.close();
     unit.election.reset();
   }
+  for (const auto& [instance, channel] : channels_) services_->partitions->set(source_of(channel), channel.name, 0);
+  topics_.clear();
 }
 
 bool SpoutPlacement::begin_turn() {
@@ -170,7 +185,8 @@ discovery::GuardPtr SpoutPlacement::take_anew() {
 }
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
-  const std::string problem = misfit(channel, discovery::Direction::out, endpoint_.broker);
+  std::string problem = misfit(channel, discovery::Direction::out, endpoint_.broker);
+  if (problem.empty() && channel.shared) problem = services_->partitions->difference(source_of(channel));
   if (problem.empty()) return true;
   if (complained_.insert(channel.gateway + problem).second) {
     endpoints_logger.warn("{}: channel {} of driver {} on gateway {} is not read: {}", component_, channel.name,
@@ -180,43 +196,149 @@ bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
 }
 
 void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
-  if (!fits(channel)) {
-    on_channel_gone(channel);
-    return;
+  const auto known = channels_.find(channel.instance);
+  if (known != channels_.end() && channel.shared &&
+      !(topic_of(known->second) == topic_of(channel) && known->second.gateway == channel.gateway)) {
+    follow_no_more(known->second);
   }
   warned_of_missing_ = false;
   others_.clear();
-  const std::string name = unit_of(channel);
-  begin_again(name);
-  const auto [place, fresh] = units_.try_emplace(name, reader_count_);
-  Unit& unit = place->second;
-  unit.kind = channel.shared ? UnitKind::gateway : UnitKind::instance;
-  unit.channels[channel.instance] = channel;
-  if (fresh && alone()) stand(name, unit);
-  if (fresh && !alone()) share_out_soon();
-  if (unit.task >= 0) read(unit);
+  channels_.insert_or_assign(channel.instance, channel);
+  place(channel);
   report();
 }
 
 void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
-  const auto found = units_.find(unit_of(channel));
+  channels_.erase(channel.instance);
+  displace(channel, 0, End::when_silent);
+  follow_no_more(channel);
+  report();
+}
+
+/// Puts the channel into its units, one for each partition, unless it cannot be read.
+void SpoutPlacement::place(const discovery::ChannelRecord& channel) {
+  const bool usable = misfit(channel, discovery::Direction::out, endpoint_.broker).empty();
+  const SplitTopic* const topic = channel.shared && usable ? &follow(channel) : nullptr;
+  if (!fits(channel)) return displace(channel, 0, usable ? End::at_once : End::when_silent);
+  if (topic == nullptr || !topic->watch) return add_to_unit(channel, std::nullopt);
+  for (int partition = 0; partition < topic->count; ++partition) add_to_unit(channel, partition);
+  displace(channel, topic->count, End::at_once);
+}
+
+void SpoutPlacement::add_to_unit(const discovery::ChannelRecord& channel, std::optional<std::int32_t> partition) {
+  const std::string name = unit_of(channel, partition.value_or(0));
+  begin_again(name);
+  const auto [place, fresh] = units_.try_emplace(name, reader_count_);
+  Unit& unit = place->second;
+  unit.kind = channel.shared ? UnitKind::gateway : UnitKind::instance;
+  unit.partition = partition;
+  unit.channels[channel.instance] = channel;
+  if (fresh && alone()) stand(name, unit);
+  if (fresh && !alone()) share_out_soon();
+  if (unit.task >= 0) read(unit);
+}
+
+/// Takes the channel out of the units of its partitions from the given one on.
+void SpoutPlacement::displace(const discovery::ChannelRecord& channel, int first_partition, End end) {
+  for (int partition = first_partition;; ++partition) {
+    const std::string name = unit_of(channel, partition);
+    if (!units_.contains(name)) return;
+    remove_from_unit(channel, name, end);
+  }
+}
+
+PartitionAgreement::Source SpoutPlacement::source_of(const discovery::ChannelRecord& channel) const {
+  return {group_of(endpoint_, *services_), channel.driver, channel.gateway};
+}
+
+/// Begins to follow how often the channel's topic is split, unless that is done already.
+SpoutPlacement::SplitTopic& SpoutPlacement::follow(const discovery::ChannelRecord& channel) {
+  const UnitReaders::Key key(address_of(channel, *services_), topic_of(channel));
+  const auto [place, fresh] = topics_.try_emplace(key);
+  SplitTopic& topic = place->second;
+  topic.instances.insert(channel.instance);
+  if (!fresh) return topic;
+  try {
+    topic.broker = broker_at(key.first, *services_);
+    topic.watch = topic.broker->watch_partitions(key.second, [this, key](int count) { on_partitions(key, count); });
+  } catch (const config::Error& error) {  // open_reader() complains of it
+    endpoints_logger.debug("{}: {}", component_, error.what());
+  }
+  return topic;
+}
+
+void SpoutPlacement::follow_no_more(const discovery::ChannelRecord& channel) {
+  if (!channel.shared) return;
+  const auto found = topics_.find({address_of(channel, *services_), topic_of(channel)});
+  if (found == topics_.end()) return;
+  found->second.instances.erase(channel.instance);
+  if (!found->second.instances.empty()) return;
+  topics_.erase(found);
+  services_->partitions->set(source_of(channel), channel.name, 0);
+}
+
+/// The broker calls it on its own thread.
+void SpoutPlacement::on_partitions(const UnitReaders::Key& topic, int count) {
+  const config::MutexLock lock(mutex_);
+  told_partitions_[topic] = count;
+  partitions_changed_soon();
+}
+
+void SpoutPlacement::partitions_changed_soon() {
+  if (over_ || partitions_soon_) return;
+  partitions_soon_ = services_->registry->after(std::chrono::milliseconds(0), [this] {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      take_partitions();
+    });
+  });
+}
+
+/// Places channels anew whose topics are split otherwise than before, and all of them if other spouts' channels agree
+/// with them no longer, or again.
+void SpoutPlacement::take_partitions() {
+  std::map<UnitReaders::Key, int> told;
+  discovery::GuardPtr planned;  // dies here, where nobody waits for it
+  bool all = false;
+  {
+    const config::MutexLock lock(mutex_);
+    told.swap(told_partitions_);
+    planned.swap(partitions_soon_);
+    all = std::exchange(agreement_changed_, false);
+  }
+  std::set<discovery::InstanceId> changed;
+  for (const auto& [key, count] : told) {
+    const auto found = topics_.find(key);
+    if (found == topics_.end()) continue;
+    SplitTopic& topic = found->second;
+    if (std::exchange(topic.count, count) != count) changed.insert(topic.instances.begin(), topic.instances.end());
+    endpoints_logger.debug("{}: topic {} has {} partitions", component_, key.second.name, count);
+    const discovery::ChannelRecord& channel = channels_.at(*topic.instances.begin());
+    services_->partitions->set(source_of(channel), channel.name, count);
+  }
+  for (const auto& [instance, channel] : channels_) {
+    if (channel.shared && (all || changed.contains(instance))) place(channel);
+  }
+  report();
+}
+
+void SpoutPlacement::remove_from_unit(const discovery::ChannelRecord& channel, const std::string& name, End end) {
+  const auto found = units_.find(name);
   if (found == units_.end() || !found->second.channels.contains(channel.instance)) return;
   Unit& unit = found->second;
   if (unit.channels.size() > 1) {
     unit.channels.erase(channel.instance);
     if (unit.task >= 0) read(unit);
-    report();
     return;
   }
   // Messages of an instance that `where` chooses no longer stay at the broker.
-  if (unit.task >= 0 && verdicts_->of(channel.instance.str()).value_or(true)) {
+  if (end == End::when_silent && unit.task >= 0 && verdicts_->of(channel.instance.str()).value_or(true)) {
     read_to_the_end(found->first);
   } else {
     release(found->first, unit);
     units_.erase(found);
   }
   share_out_soon();
-  report();
 }
 
 void SpoutPlacement::on_missing(const std::vector<discovery::ChannelRecord>& channels) {
@@ -346,22 +468,23 @@ void SpoutPlacement::read(Unit& unit) {
   if (unit.move != Move::none) return;  // look_at_moves() opens them when the move is over
   unit.readers.open_missing(wanted, [&](const discovery::ChannelRecord& channel, const UnitReaders::Key& key) {
     dispatcher_.assert_held();
-    return open_reader(channel, key, unit.task);
+    return open_reader(channel, key, unit);
   });
 }
 
 std::shared_ptr<TopicReader> SpoutPlacement::open_reader(const discovery::ChannelRecord& channel,
-                                                         const UnitReaders::Key& key, int task) {
+                                                         const UnitReaders::Key& key, const Unit& unit) {
   brokers::SubscriptionOptions options;
   options.group = group_of(endpoint_, *services_);
   options.automatic_ack = endpoint_.reading.automatic_ack;
   options.prefetch = static_cast<std::uint16_t>(endpoint_.reading.prefetch);
   options.keep_last = static_cast<std::size_t>(endpoint_.reading.keep_last);
   options.priority = priority_of(channel);
+  options.partition = unit.partition;
   try {
     return TopicReader::open(broker_at(key.first, *services_), key.first, key.second, options,
                              {channel.gateway, channel.shared ? discovery::InstanceId() : channel.instance},
-                             queue_of(task), services_->fence);
+                             queue_of(unit.task), services_->fence);
   } catch (const config::Error& error) {
     if (complained_.insert(key.first.urls.front()).second) {
       endpoints_logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());
@@ -562,7 +685,7 @@ void SpoutPlacement::balance() {
 
 void SpoutPlacement::report() {
   services_->metrics
-      ->gauge("iotcloud_spout_channels", "Channels that this worker reads",
+      ->gauge("iotcloud_spout_channels", "Channels that this worker reads; of split topics, partitions",
               {{"topology", services_->topology}, {"component", component_}})
       .set(static_cast<std::int64_t>(reader_count_));
 }

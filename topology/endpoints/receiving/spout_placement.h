@@ -3,6 +3,7 @@
 #include <chrono>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <utility>
@@ -22,7 +23,9 @@ namespace iotcloud::topology {
 
 /// Finds the channels that one spout component reads, and places them on its tasks. A worker has one object for each
 /// such component. The unit of placement is a driver instance (exclusive channels) or a driver on a gateway (shared
-/// channels).
+/// channels); where the broker splits topics (Kafka), it is one partition of the latter. Partitions with the same
+/// number of all channels of a driver on a gateway are one unit for all spouts, so that a driver's messages meet in one
+/// worker; channels that are not split alike are not read (PartitionAgreement).
 ///
 /// The workers of a group (YAML's `group`, or the workers of the topology) share the units: each runs for leader of
 /// those of its fair share, so that the numbers of units of any two tasks differ by one at most, of each kind and in
@@ -55,6 +58,7 @@ class SpoutPlacement {
     explicit Unit(std::size_t& reader_count) : readers(reader_count) {}
 
     UnitKind kind = UnitKind::instance;
+    std::optional<std::int32_t> partition;  ///< of the topics; nullopt: all of it
     std::map<discovery::InstanceId, discovery::ChannelRecord> channels;
     std::unique_ptr<discovery::Election> election;  ///< null: the unit is another worker's share
     bool leads = false;
@@ -67,6 +71,18 @@ class SpoutPlacement {
     int silent_looks = 0;   ///< how often in a row look_at_ends() has seen nothing new
     std::size_t taken = 0;  ///< UnitReaders::taken() at the last look
     UnitReaders readers;
+  };
+  /// When the reading of a unit ends whose last channel is gone.
+  enum class End {
+    when_silent,  ///< see end_silence
+    at_once,      ///< the broker keeps its messages
+  };
+  /// A topic of shared channels at a broker that may split it.
+  struct SplitTopic {
+    std::shared_ptr<brokers::Broker> broker;         ///< must outlive the watch; null: it cannot be used
+    std::unique_ptr<brokers::PartitionWatch> watch;  ///< null: this broker does not split topics
+    int count = 1;                                   ///< number of partitions; 1 until it is known
+    std::set<discovery::InstanceId> instances;       ///< whose channels use it
   };
   struct Search;  ///< the watches of registry and fence
 
@@ -97,6 +113,18 @@ class SpoutPlacement {
 
   // These functions run on the registry's dispatcher.
   void on_channel(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void place(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void add_to_unit(const discovery::ChannelRecord& channel, std::optional<std::int32_t> partition)
+      IOTCLOUD_REQUIRES(dispatcher_);
+  void remove_from_unit(const discovery::ChannelRecord& channel, const std::string& name, End end)
+      IOTCLOUD_REQUIRES(dispatcher_);
+  void displace(const discovery::ChannelRecord& channel, int first_partition, End end) IOTCLOUD_REQUIRES(dispatcher_);
+  SplitTopic& follow(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void follow_no_more(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  PartitionAgreement::Source source_of(const discovery::ChannelRecord& channel) const;
+  void on_partitions(const UnitReaders::Key& topic, int count);
+  void partitions_changed_soon() IOTCLOUD_REQUIRES(mutex_);
+  void take_partitions() IOTCLOUD_REQUIRES(dispatcher_);
   void on_channel_gone(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
   void on_missing(const std::vector<discovery::ChannelRecord>& channels) IOTCLOUD_REQUIRES(dispatcher_);
   void warn_of_missing() IOTCLOUD_REQUIRES(dispatcher_);
@@ -120,7 +148,7 @@ class SpoutPlacement {
   void read(Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void balance() IOTCLOUD_REQUIRES(dispatcher_);
   std::shared_ptr<TopicReader> open_reader(const discovery::ChannelRecord& channel, const UnitReaders::Key& key,
-                                           int task) IOTCLOUD_REQUIRES(dispatcher_);
+                                           const Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void report() IOTCLOUD_REQUIRES(dispatcher_);
   void tell_soon() IOTCLOUD_REQUIRES(dispatcher_);
   bool alone() const IOTCLOUD_REQUIRES(dispatcher_) {
@@ -141,10 +169,18 @@ class SpoutPlacement {
   bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   /// Timer that calls subscribe_anew(); null: no such call is planned.
   discovery::GuardPtr anew_ IOTCLOUD_GUARDED_BY(mutex_);
+  /// Numbers of partitions that brokers have told and take_partitions() has not taken.
+  std::map<UnitReaders::Key, int> told_partitions_ IOTCLOUD_GUARDED_BY(mutex_);
+  bool agreement_changed_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< since the last call of take_partitions()
+  /// Timer that calls take_partitions(); null: no such call is planned.
+  discovery::GuardPtr partitions_soon_ IOTCLOUD_GUARDED_BY(mutex_);
 
   /// The registry's dispatcher, in in_turn(); before it the last join(), after it the first leave().
   config::ThreadRole dispatcher_;
   std::vector<Sharer> sharers_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< empty: not known yet
+  /// Channels that the directory shows, read or not.
+  std::map<discovery::InstanceId, discovery::ChannelRecord> channels_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  std::map<UnitReaders::Key, SplitTopic> topics_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< of shared channels
   std::map<std::string, Unit> units_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::map<std::string, Unit> ending_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< without channels, read to their end
   std::set<std::string> complained_ IOTCLOUD_GUARDED_BY(dispatcher_);

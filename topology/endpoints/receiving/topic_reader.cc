@@ -8,8 +8,10 @@ std::shared_ptr<TopicReader> TopicReader::open(std::shared_ptr<brokers::Broker> 
                                                const brokers::SubscriptionOptions& options, Sender sender,
                                                std::shared_ptr<SpoutQueue> queue,
                                                std::shared_ptr<const StandstillFence> fence) {
+  const std::int32_t partition = options.partition.value_or(0);
   std::shared_ptr<TopicReader> reader(
-      new TopicReader(topic, address, std::move(sender), std::move(queue), std::move(fence)));
+      new TopicReader(topic, partition == 0 ? topic.name : topic.name + "#" + std::to_string(partition), address,
+                      std::move(sender), std::move(queue), std::move(fence)));
   const auto handler = [weak = std::weak_ptr(reader)](brokers::Delivery delivery) {
     if (const auto self = weak.lock()) self->take(std::move(delivery));
   };
@@ -29,7 +31,7 @@ void TopicReader::take(brokers::Delivery delivery) {
     return;
   }
   if (!said_first_.exchange(true, std::memory_order_relaxed)) {
-    endpoints_logger.debug("{}: its first message is here", topic_.name);
+    endpoints_logger.debug("{}: its first message is here", name_);
   }
   ++taken_;
   queue_->push(ChannelMessage(std::move(delivery), shared_from_this()));

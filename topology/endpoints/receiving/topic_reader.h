@@ -52,9 +52,10 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   const brokers::BrokerAddress& address() const { return address_; }
 
  private:
-  TopicReader(brokers::Topic topic, brokers::BrokerAddress address, Sender sender, std::shared_ptr<SpoutQueue> queue,
-              std::shared_ptr<const StandstillFence> fence)
+  TopicReader(brokers::Topic topic, std::string name, brokers::BrokerAddress address, Sender sender,
+              std::shared_ptr<SpoutQueue> queue, std::shared_ptr<const StandstillFence> fence)
       : topic_(std::move(topic)),
+        name_(std::move(name)),
         address_(std::move(address)),
         sender_(std::move(sender)),
         queue_(std::move(queue)),
@@ -66,6 +67,7 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   void take(brokers::Delivery delivery);
 
   const brokers::Topic topic_;
+  const std::string name_;  ///< for the log: the topic's, and "#" with the partition if it is not the first
   const brokers::BrokerAddress address_;
   const Sender sender_;
   const std::shared_ptr<SpoutQueue> queue_;

@@ -9,6 +9,8 @@ import java.util.ArrayList;
 import java.util.HashMap;
 import java.util.List;
 import java.util.Map;
+import java.util.Set;
+import java.util.concurrent.ConcurrentHashMap;
 
 /**
  * A gateway of the original with some instances of one driver: writes their records, sends on their channel `data`, and
@@ -16,10 +18,12 @@ import java.util.Map;
  */
 final class Gateway {
     private static final String SITE = "java-site";
+    private static final int BEFORE = -1;  // the number of messages that do not count
     private final Records records;
     private final Wire wire;
     private final String kind;
     private final String server;
+    private final Set<String> answered = ConcurrentHashMap.newKeySet();  // drivers that a topology has answered
 
     Gateway(Records records, Wire wire, String kind, String server) {
         this.records = records;
@@ -29,7 +33,7 @@ final class Gateway {
     }
 
     /** Message N has the time 1700000000000 + N and the property battery N; the answer also the gateway as `seen`. */
-    String run(String driver, int count, int instances, boolean grouped, Runnable untilRead) throws Exception {
+    String run(String driver, int count, int instances, boolean grouped) throws Exception {
         var tally = new Tally(count * instances);
         List<TSensor> sensors = new ArrayList<>();
         for (int i = 0; i < instances; i++) sensors.add(sensor(driver, "instance" + i, grouped));
@@ -40,13 +44,24 @@ final class Gateway {
             }
             records.write(sensor);
         }
-        untilRead.run();
+        awaitReaders(sensors);
         for (int number = 0; number < count; number++) {
             for (TSensor sensor : sensors) send(sensor, number);
         }
         tally.await();
         for (TSensor sensor : sensors) records.remove(sensor);
         return tally.answer(count * instances);
+    }
+
+    /** Sends messages that do not count until a topology answers each driver: what comes before it reads is not for it. */
+    private void awaitReaders(List<TSensor> sensors) throws Exception {
+        for (int tries = 0; answered.size() < sensors.size(); tries++) {
+            if (tries == 150) throw new IllegalStateException("no topology answers the drivers within 30 s");
+            for (TSensor sensor : sensors) {
+                if (!answered.contains(sensor.getSensorId())) send(sensor, BEFORE);
+            }
+            Thread.sleep(200);
+        }
     }
 
     private void send(TSensor sensor, int number) throws Exception {
@@ -58,8 +73,12 @@ final class Gateway {
                 Long.toString(1_700_000_000_000L + number), "battery", Integer.toString(number));
     }
 
-    private static void take(Message message, Tally tally) {
+    private void take(Message message, Tally tally) {
         String sensor = message.headers().getOrDefault(Message.SENSOR, "nobody");
+        if (message.text().equals(Integer.toString(BEFORE))) {
+            answered.add(sensor);
+            return;
+        }
         Map<String, String> expected = new HashMap<>(expected(sensor, Integer.parseInt(message.text())));
         expected.put("seen", SITE);
         boolean right = sensor.startsWith("instance") && message.says(expected);

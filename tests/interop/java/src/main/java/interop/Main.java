@@ -10,8 +10,7 @@ import java.nio.charset.StandardCharsets;
  *
  * <pre>
  * topology ZOOKEEPER KIND SERVER DRIVER COUNT            reads `data` of a driver of ours and answers on `control`
- * gateway ZOOKEEPER KIND SERVER DRIVER COUNT INSTANCES GROUPED  is a gateway with drivers, which a topology of ours answers;
- *                                                        says "ready" when the records are there, and sends at the next line
+ * gateway ZOOKEEPER KIND SERVER DRIVER COUNT INSTANCES GROUPED  is a gateway with drivers, which a topology of ours answers
  * </pre>
  *
  * KIND: rabbitmq or kafka. The answer: "sent N received N twice N wrong N", or "error: " and what went wrong.
@@ -24,7 +23,7 @@ public final class Main {
         for (String line = lines.readLine(); line != null; line = lines.readLine()) {
             String answer;
             try {
-                answer = play(line.split(" "), lines);
+                answer = play(line.split(" "));
             } catch (Exception error) {
                 error.printStackTrace();
                 answer = "error: " + error;
@@ -33,24 +32,14 @@ public final class Main {
         }
     }
 
-    private static void await(BufferedReader lines) {
-        System.out.println("ready");
-        try {
-            lines.readLine();
-        } catch (java.io.IOException gone) {
-            throw new java.io.UncheckedIOException(gone);
-        }
-    }
-
-    private static String play(String[] words, BufferedReader lines) throws Exception {
+    private static String play(String[] words) throws Exception {
         try (var records = new Records(words[1]); var wire = Wire.of(words[2], words[3])) {
             String driver = words[4];
             int count = Integer.parseInt(words[5]);
             return switch (words[0]) {
                 case "topology" -> new Topology(records, wire).answer(driver, count);
                 case "gateway" -> new Gateway(records, wire, words[2], words[3])
-                        .run(driver, count, Integer.parseInt(words[6]), Boolean.parseBoolean(words[7]),
-                                () -> await(lines));
+                        .run(driver, count, Integer.parseInt(words[6]), Boolean.parseBoolean(words[7]));
                 default -> throw new IllegalArgumentException("no such play: " + words[0]);
             };
         }

@@ -1,0 +1,311 @@
+// Shared channels whose topics a real Kafka splits: which task of which worker reads which driver, and in what order.
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <librdkafka/rdkafka.h>
+
+#include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/servers/private_server.h>
+#include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
+#include <iotcloud/topology/endpoints/placement/partition_agreement.h>
+
+namespace iotcloud::topology {
+namespace {
+
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+constexpr int partitions = 4;
+
+/// Remembers which task of which worker's spout brought which message.
+class WhoReadsBolt final : public BasicBolt {
+ public:
+  struct Read {
+    std::string worker;
+    int task = 0;  ///< of the spout
+    std::string channel, driver;
+    int number = 0;
+  };
+  explicit WhoReadsBolt(std::string worker) : worker_(std::move(worker)) {}
+  static void reset() {
+    const std::lock_guard lock(mutex_);
+    reads_.clear();
+  }
+  static std::vector<Read> reads() {
+    const std::lock_guard lock(mutex_);
+    return reads_;
+  }
+  void declare_output_fields(OutputFieldsDeclarer&) const override {}
+  void execute(const Tuple& tuple, BasicOutputCollector&) override {
+    const std::lock_guard lock(mutex_);
+    reads_.push_back({worker_, tuple.source_task(), tuple.source_component(), tuple.get<std::string>("driverID"),
+                      std::stoi(tuple.get<std::string>("text"))});
+  }
+
+ private:
+  static inline std::mutex mutex_;
+  static inline std::vector<Read> reads_;  ///< guarded by mutex_
+  const std::string worker_;
+};
+
+tests::PrivateServer& kafka() {
+  static tests::PrivateServer server("kafka.py");
+  return server;
+}
+
+/// A driver on one gateway, with many instances that share the channels `up` and `side`.
+class KafkaPartitions : public Endpoints {
+ protected:
+  static constexpr int instances = 48;
+
+  KafkaPartitions() : Endpoints(kafka().url()) { WhoReadsBolt::reset(); }
+
+  /// A client that makes topics with this many partitions.
+  brokers::Broker& broker_with(int number) {
+    brokers::BrokerOptions options;
+    options.urls = {broker_url_};
+    options.properties["partitions"] = std::to_string(number);
+    return *brokers_.emplace_back(brokers::make_broker(options));
+  }
+  /// Starts a worker with this many tasks of each spout.
+  void start(const std::string& name, int tasks, const std::vector<std::string>& channels = {"up"}) {
+    std::string yaml = "topology.name: t\nbrokers:\n  kafka: {heartbeat: 1s, properties: {partitions: \"" +
+                       std::to_string(partitions) + "\"}}\nspouts:\n";
+    std::string inputs;
+    for (const auto& channel : channels) {
+      yaml += "  " + channel + ": {broker: kafka, driver: d, channel: " + channel +
+              ", fields: [text, driverID, time], builder: text, parallelism: " + std::to_string(tasks) + "}\n";
+      inputs += (inputs.empty() ? "{from: " : ", {from: ") + channel + "}";
+    }
+    yaml += "bolts:\n  who: {class: Who, inputs: [" + inputs + "]}\n";
+    ComponentRegistry components;
+    components.add_bolt("Who", [name] { return make_bolt<WhoReadsBolt>(name); });
+    names_.push_back(name);
+    run_yaml(yaml, std::move(components));
+  }
+  void stop(const std::string& name) {
+    const auto place = std::find(names_.begin(), names_.end(), name) - names_.begin();
+    workers_.erase(workers_.begin() + place);
+    names_.erase(names_.begin() + place);
+  }
+  /// The topic's name in the channel's record.
+  std::string raw(const std::string& channel) const { return channel + url_.substr(url_.rfind('-')); }
+  std::string topic_of(const std::string& channel) const { return "g.d." + raw(channel); }
+  void show(const std::vector<std::string>& channels = {"up"}) {
+    for (int i = 0; i < instances; ++i) {
+      for (const auto& name : channels) {
+        discovery::ChannelRecord channel;
+        channel.name = name;
+        channel.transport = "kafka";
+        channel.direction = discovery::Direction::out;
+        channel.properties = {{"topic", raw(name)}};
+        channel.broker_url = broker_url_;
+        channel.gateway = "g"_gateway;
+        channel.driver = "d"_driver;
+        channel.instance = discovery::InstanceId(id(i));
+        channel.shared = true;
+        discovery::put(*registry_, paths_.channel("d"_driver, channel.instance, name), discovery::encode(channel));
+      }
+      discovery::DriverRecord driver;
+      driver.name = "d"_driver;
+      driver.instance = discovery::InstanceId(id(i));
+      driver.gateway = "g"_gateway;
+      driver.state = discovery::DriverState::active;
+      discovery::put(*registry_, paths_.instance("d"_driver, driver.instance), discovery::encode(driver));
+    }
+  }
+  static std::string id(int i) { return "i" + std::to_string(i); }
+  /// One more message of each instance on each channel.
+  void send_round() {
+    for (const auto& [channel, publisher] : publishers_) {
+      for (int i = 0; i < instances; ++i) publisher->publish(message(std::to_string(sent_), id(i)));
+    }
+    ++sent_;
+  }
+  void publish_on(const std::string& channel, brokers::Broker& broker) {
+    publishers_[channel] = broker.publisher({"", topic_of(channel), false}, many());
+  }
+  /// Sends rounds until this many tasks have read something of the last one, and everything of it was read.
+  bool until_tasks_read(std::size_t tasks) {
+    return eventually([&] {
+      const int round = sent_;
+      send_round();
+      const bool all = eventually([&] { return count_of(round) == static_cast<std::size_t>(instances); });
+      return all && readers_of(round).size() == tasks;
+    });
+  }
+  static std::size_t count_of(int number) {
+    std::set<std::string> drivers;
+    for (const auto& read : WhoReadsBolt::reads()) {
+      if (read.number == number) drivers.insert(read.driver);
+    }
+    return drivers.size();
+  }
+  /// The drivers that each task read of the messages with this number.
+  static std::map<std::pair<std::string, int>, std::set<std::string>> readers_of(int number) {
+    std::map<std::pair<std::string, int>, std::set<std::string>> readers;
+    for (const auto& read : WhoReadsBolt::reads()) {
+      if (read.number == number) readers[{read.worker, read.task}].insert(read.driver);
+    }
+    return readers;
+  }
+  /// Whether all messages of each driver came, and their first copies in order.
+  void expect_all_in_order() const {
+    std::map<std::string, std::vector<int>> firsts;
+    std::map<std::string, std::set<int>> seen;
+    for (const auto& read : WhoReadsBolt::reads()) {
+      if (seen[read.driver].insert(read.number).second) firsts[read.driver].push_back(read.number);
+    }
+    ASSERT_EQ(firsts.size(), static_cast<std::size_t>(instances));
+    for (const auto& [driver, numbers] : firsts) {
+      EXPECT_TRUE(std::is_sorted(numbers.begin(), numbers.end())) << driver;
+      EXPECT_EQ(numbers.size(), static_cast<std::size_t>(sent_)) << driver;
+    }
+  }
+  /// Gives a topic more partitions, as kafka-topics.sh does.
+  void add_partitions(const std::string& topic, int number) const {
+    const std::unique_ptr<rd_kafka_conf_t, decltype(&rd_kafka_conf_destroy)> conf(rd_kafka_conf_new(),
+                                                                                  &rd_kafka_conf_destroy);
+    std::array<char, 256> problem{};
+    rd_kafka_conf_set(conf.get(), "bootstrap.servers", broker_url_.substr(8).c_str(), problem.data(), problem.size());
+    const std::unique_ptr<rd_kafka_t, decltype(&rd_kafka_destroy)> client(
+        rd_kafka_new(RD_KAFKA_PRODUCER, rd_kafka_conf_dup(conf.get()), problem.data(), problem.size()),
+        &rd_kafka_destroy);
+    rd_kafka_NewPartitions_t* wanted =
+        rd_kafka_NewPartitions_new(topic.c_str(), static_cast<std::size_t>(number), problem.data(), problem.size());
+    const std::unique_ptr<rd_kafka_queue_t, decltype(&rd_kafka_queue_destroy)> queue(rd_kafka_queue_new(client.get()),
+                                                                                     &rd_kafka_queue_destroy);
+    rd_kafka_CreatePartitions(client.get(), &wanted, 1, nullptr, queue.get());
+    rd_kafka_NewPartitions_destroy(wanted);
+    rd_kafka_event_t* const event = rd_kafka_queue_poll(queue.get(), 20'000);
+    ASSERT_NE(event, nullptr);
+    std::size_t count = 0;
+    const auto* const topics =
+        rd_kafka_CreatePartitions_result_topics(rd_kafka_event_CreatePartitions_result(event), &count);
+    ASSERT_EQ(count, 1U);
+    EXPECT_EQ(rd_kafka_topic_result_error(topics[0]), RD_KAFKA_RESP_ERR_NO_ERROR);
+    rd_kafka_event_destroy(event);
+  }
+
+  std::vector<std::unique_ptr<brokers::Broker>> brokers_;
+  std::map<std::string, std::unique_ptr<brokers::Publisher>> publishers_;  ///< by channel
+  std::vector<std::string> names_;                                         ///< of workers_
+  int sent_ = 0;
+};
+
+TEST_F(KafkaPartitions, OfOneTopicAreReadByAsManyTasksOfOneWorkerAsThereAreAndTheOthersStandBy) {
+  publish_on("up", broker_with(partitions));
+  show();
+  start("one", partitions + 2);
+  ASSERT_TRUE(until_tasks_read(partitions));
+  std::size_t drivers = 0;
+  for (const auto& [task, read] : readers_of(sent_ - 1)) {
+    std::cout << "task " << task.second << " read " << read.size() << " drivers\n";
+    drivers += read.size();
+  }
+  EXPECT_EQ(drivers, static_cast<std::size_t>(instances)) << "each driver was read by one task";
+  EXPECT_EQ(metric("iotcloud_spout_channels"), partitions);
+  expect_all_in_order();
+}
+
+TEST_F(KafkaPartitions, SpreadOverWorkersThatComeAndGoWithEachDriversMessagesInOrder) {
+  publish_on("up", broker_with(partitions));
+  show();
+  start("one", 1);
+  ASSERT_TRUE(until_tasks_read(1));
+  for (const char* name : {"two", "three", "four"}) start(name, 1);
+  ASSERT_TRUE(until_tasks_read(partitions));
+  std::map<std::string, std::size_t> drivers;
+  for (const auto& [task, read] : readers_of(sent_ - 1)) drivers[task.first] += read.size();
+  EXPECT_THAT(drivers, SizeIs(partitions)) << "each worker reads one partition";
+  stop("two");
+  stop("four");
+  ASSERT_TRUE(until_tasks_read(2));
+  expect_all_in_order();
+}
+
+TEST_F(KafkaPartitions, WithOneNumberOfAllChannelsOfADriverAreReadInOneWorker) {
+  publish_on("up", broker_with(partitions));
+  publish_on("side", broker_with(partitions));
+  show({"up", "side"});
+  start("one", 2, {"up", "side"});
+  start("two", 2, {"up", "side"});
+  ASSERT_TRUE(until_tasks_read(2 * partitions));
+  ASSERT_TRUE(eventually([&] {
+    std::set<std::pair<std::string, std::string>> read;
+    for (const auto& each : WhoReadsBolt::reads()) {
+      if (each.number == sent_ - 1) read.emplace(each.channel, each.driver);
+    }
+    return read.size() == 2U * instances;
+  }));
+  std::map<std::string, std::set<std::string>> workers;
+  for (const auto& read : WhoReadsBolt::reads()) {
+    if (read.number == sent_ - 1) workers[read.driver].insert(read.worker);
+  }
+  for (const auto& [driver, names] : workers) EXPECT_THAT(names, SizeIs(1)) << driver;
+}
+
+TEST_F(KafkaPartitions, ThatAreAddedAreReadAndTheOthersAreReadOnFromWhereTheyWere) {
+  publish_on("up", broker_with(1));
+  show();
+  start("one", partitions);
+  ASSERT_TRUE(until_tasks_read(1));
+  for (int round = 0; round < 20; ++round) send_round();
+  ASSERT_TRUE(eventually([&] { return count_of(sent_ - 1) == static_cast<std::size_t>(instances); }));
+  const std::size_t before = WhoReadsBolt::reads().size();
+  add_partitions(topic_of("up"), partitions);
+  publishers_.clear();
+  publish_on("up", broker_with(partitions));  // a client learns of new partitions within minutes, a new one at once
+  ASSERT_TRUE(until_tasks_read(partitions));
+  // At least once: what was not committed when the group settled anew comes again, but not all from the beginning.
+  EXPECT_LT(WhoReadsBolt::reads().size(), static_cast<std::size_t>(sent_ * instances) + before / 2);
+}
+
+TEST_F(KafkaPartitions, OfDifferentNumbersOfADriversChannelsAreRefusedUntilTheyAreTheSame) {
+  publish_on("up", broker_with(partitions));
+  publish_on("side", broker_with(2));
+  send_round();
+  for (const auto& [channel, publisher] : publishers_) ASSERT_TRUE(publisher->drain(std::chrono::seconds(20)));
+  show({"up", "side"});
+  start("one", 1, {"up", "side"});
+  // Until the numbers are known, partition 0 of both is read.
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") > 0; }));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+  add_partitions(topic_of("side"), partitions);
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2 * partitions; }));
+}
+
+TEST(PartitionAgreementTest, NamesTheChannelsThatDifferAndTellsOfEachChange) {
+  PartitionAgreement agreement;
+  const PartitionAgreement::Source source{"t", "d"_driver, "g"_gateway};
+  int changes = 0;
+  const int listener = agreement.listen([&] { ++changes; });
+  agreement.set(source, "up", 4);
+  agreement.set(source, "side", 4);
+  agreement.set({"t", "d"_driver, "other"_gateway}, "side", 2);
+  EXPECT_THAT(agreement.difference(source), IsEmpty());
+  EXPECT_EQ(changes, 0);
+  agreement.set(source, "side", 2);
+  EXPECT_THAT(agreement.difference(source), HasSubstr("\"side\" and \"up\" have 2 and 4 partitions"));
+  EXPECT_EQ(changes, 1);
+  agreement.set(source, "side", 0);
+  EXPECT_THAT(agreement.difference(source), IsEmpty());
+  EXPECT_EQ(changes, 2);
+  agreement.ignore(listener);
+  agreement.set(source, "side", 1);
+  EXPECT_EQ(changes, 2);
+}
+
+}  // namespace
+}  // namespace iotcloud::topology

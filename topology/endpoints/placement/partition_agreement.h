@@ -1,0 +1,48 @@
+#pragma once
+
+#include <functional>
+#include <map>
+#include <string>
+#include <tuple>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/discovery/ids.h>
+
+namespace iotcloud::topology {
+
+/// Whether the channels of a driver on a gateway that a worker reads are split into equally many partitions. If they
+/// are not, a driver instance's messages on two channels are in partitions of different numbers, and would not meet in
+/// one worker. One object for each worker. Thread safe.
+class PartitionAgreement {
+ public:
+  /// A driver on a gateway, as a group of readers sees it.
+  struct Source {
+    std::string group;
+    discovery::DriverName driver;
+    discovery::GatewayId gateway;
+    friend bool operator<(const Source& a, const Source& b) {
+      return std::tie(a.group, a.driver, a.gateway) < std::tie(b.group, b.driver, b.gateway);
+    }
+  };
+
+  /// Says into how many partitions a channel is split; 0: it is not read any more. Calls all listeners if
+  /// difference() changes.
+  void set(const Source& source, const std::string& channel, int count) IOTCLOUD_EXCLUDES(mutex_);
+  /// In what the channels differ, and how to mend it; empty: they agree.
+  std::string difference(const Source& source) const IOTCLOUD_EXCLUDES(mutex_);
+
+  /// Adds a listener, which set() calls with a lock held: it must not call this object. \return a number for ignore()
+  int listen(std::function<void()> on_change) IOTCLOUD_EXCLUDES(mutex_);
+  /// Removes a listener, which does not run any more then.
+  void ignore(int listener) IOTCLOUD_EXCLUDES(mutex_);
+
+ private:
+  std::string difference_of(const Source& source) const IOTCLOUD_REQUIRES(mutex_);
+
+  mutable config::Mutex mutex_;
+  std::map<Source, std::map<std::string, int>> counts_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by source and channel
+  int last_listener_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  std::map<int, std::function<void()>> listeners_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
+}  // namespace iotcloud::topology
