@@ -52,7 +52,7 @@ std::deque<StateChange> ChangeFile::load() {
     const std::string aside = path_ + ".damaged";
     std::error_code error;
     std::filesystem::rename(path_, aside, error);
-    logger.warn("{}, the history of earlier lives, is damaged in line {} ({}); it is {}, and what stood before is kept",
+    logger.warn("{}, the history of earlier runs, is damaged in line {} ({}); it is {}, and what stood before is kept",
                 path_, number, e.what(), error ? "overwritten" : "set aside as " + aside);
   }
   return changes;

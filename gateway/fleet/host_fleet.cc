@@ -175,7 +175,8 @@ void HostFleet::answered(const std::shared_ptr<Host>& by, std::int64_t number, P
   if (from && from->link) from->link->answer(message.number, answer);
 }
 
-/// A host has ended: it answers for no message any more, and gets no answer. Its next life numbers its messages anew.
+/// A host has ended: it answers for no message any more, and gets no answer. A host that is started again numbers its
+/// messages anew.
 void HostFleet::lose_passed(const std::shared_ptr<Host>& host) {
   std::erase_if(passed_, [&](const auto& entry) { return entry.second.from.lock() == host; });
   std::vector<std::int64_t> lost;

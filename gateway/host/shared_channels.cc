@@ -167,7 +167,7 @@ void SharedChannels::Hub::dispatch(brokers::Delivery delivery) {
     const config::MutexLock lock(mutex);
     insert(lines[instance], std::move(*closed));
   }
-  hand_over(instance);  // to its next life, which may have joined by now
+  hand_over(instance);  // to the instance that was opened anew and may have joined by now
 }
 
 void SharedChannels::Hub::take(PassedMessage passed) {

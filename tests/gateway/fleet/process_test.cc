@@ -92,7 +92,7 @@ TEST_F(ProcessTest, WhatAHostHadSpooledWhenItCrashedIsThereForTheNext) {
   // Nobody reads what the driver says when it is activated.
   ASSERT_TRUE(eventually([&] { return segments() == 1; }));
   tests::write_file(crash_file, "");
-  EXPECT_TRUE(eventually([&] { return segments() == 2; })) << "one of each life";
+  EXPECT_TRUE(eventually([&] { return segments() == 2; })) << "one of each run";
   take_back("a");
   EXPECT_TRUE(eventually([&] { return !record("a"); }));
   EXPECT_EQ(segments(), 2u) << "an undeployed instance's messages are not thrown away";

@@ -89,7 +89,7 @@ class SharedChannelsTest : public ::testing::Test {
     if (!std::exchange(timers_run_, true)) go_on_.set_value();
   }
 
-  /// The instance's next life begins.
+  /// The instance is opened again.
   void join(const discovery::InstanceId& instance) {
     queues_[instance] = std::make_shared<ChannelQueue>(
         driver_, 0, metrics_.counter("superseded", "", {}), [this, instance](brokers::Message&& message) {
@@ -105,7 +105,7 @@ class SharedChannelsTest : public ::testing::Test {
     driver_->post([&] { closed.set_value(queues_.at(instance)->close()); });
     return closed.get_future().get();
   }
-  /// The instance's life ends.
+  /// The instance is closed.
   void leave(const discovery::InstanceId& instance) { channels_->leave(channel_, instance, close(instance)); }
 
   /// A message comes from the broker. \return its tag
