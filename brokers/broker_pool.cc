@@ -1,6 +1,25 @@
 #include "iotcloud/brokers/broker_pool.h"
 
+#include <algorithm>
+
+#include "iotcloud/brokers/broker_url.h"
+#include <iotcloud/config/error.h>
+
 namespace iotcloud::brokers {
+
+void BrokerAddress::prefer(const std::string& url) {
+  if (urls.size() < 2) return;
+  try {
+    const BrokerUrl wanted = parse_broker_url(url);
+    const auto found = std::find_if(urls.begin(), urls.end(), [&](const std::string& one) {
+      const BrokerUrl server = parse_broker_url(one);
+      return server.host == wanted.host && (server.port == wanted.port || server.port == 0 || wanted.port == 0);
+    });
+    if (found != urls.end()) std::rotate(urls.begin(), found, urls.end());
+  } catch (const config::Error&) {
+    return;
+  }
+}
 
 std::shared_ptr<Broker> BrokerPool::get(const BrokerAddress& address, const BrokerOptions& how) {
   const config::MutexLock lock(mutex_);

@@ -14,6 +14,9 @@ namespace iotcloud::brokers {
 struct BrokerAddress {
   std::string broker;
   std::vector<std::string> urls;
+  /// Begins with the server that `url` names by host and port, and leaves the round; scheme and credentials stay those
+  /// of `urls`. A server that is not among them, or a malformed URL, changes nothing.
+  void prefer(const std::string& url);
   // NOLINTNEXTLINE(modernize-use-nullptr): clang-tidy 14 sees a comparison with 0 there.
   friend auto operator<=>(const BrokerAddress&, const BrokerAddress&) = default;
 };

@@ -59,6 +59,11 @@ BrokerOptions read_broker_options(config::Section& section, std::chrono::millise
   return options;
 }
 
+bool are_credentials_given(const BrokerOptions& options) {
+  return !options.user.empty() || !options.password_file.empty() || !options.password_variable.empty() ||
+         options.tls != Tls{};
+}
+
 std::chrono::milliseconds usual_heartbeat(std::chrono::milliseconds session_timeout) {
   return std::min<std::chrono::milliseconds>(
       {BrokerOptions{}.heartbeat, session_timeout / 2, (session_timeout + std::chrono::seconds(2)) / 3});

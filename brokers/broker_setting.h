@@ -23,6 +23,10 @@ struct BrokerSetting {
 /// \throws config::ConfigError for impossible values, with file, line and remedy.
 BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout);
 
+/// Whether they hold what only the intended broker may get (a user, where a password is, a client certificate), or an
+/// authority that the server must prove itself by: none of it may follow an address that somebody else names.
+bool are_credentials_given(const BrokerOptions& options);
+
 /// The default heartbeat. A server disconnects a silent client after two to three heartbeats, and a topic's next reader
 /// must start within the session's time-out plus two seconds.
 std::chrono::milliseconds usual_heartbeat(std::chrono::milliseconds session_timeout);

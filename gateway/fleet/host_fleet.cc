@@ -4,6 +4,7 @@
 
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/fleet/host_fleet.h>
+#include <iotcloud/gateway/fleet/report_check.h>
 #include <iotcloud/gateway/logger.h>
 
 namespace iotcloud::gateway {
@@ -49,6 +50,7 @@ struct HostFleet::Host {
   int crashes = 0;                            ///< crashes in a row for which no instance is known to be at fault
   std::map<InstanceId, int> crashes_through;  ///< crashes in a row, by the instance at fault
   std::string last_end;                       ///< how the host last failed
+  std::string untrue;                         ///< what it reported that cannot be; it ends for that
   std::set<InstanceId> reviving;  ///< instances that were created again after that failure and are not active yet
   config::Clock::Instant started;
   HandlerId restart_timer = 0;
@@ -70,6 +72,12 @@ std::vector<HostedInstance> HostFleet::adopt() {
   for (const auto& running : launcher_.running(options_.gateway)) {
     auto host = std::make_shared<Host>();
     host->order = running.order;
+    if (const std::string untrue = contradiction_of(running); !untrue.empty()) {
+      logger.warn("the driver host {} of {} is not adopted, but ended: {}", running.name, running.order.plugin, untrue);
+      host->link = launcher_.adopt(running, events_of(host));
+      retire(host, std::chrono::milliseconds{0});
+      continue;
+    }
     host->started = options_.clock->now();
     host->key =
         key_of(running.order, running.instances.empty() ? InstanceId() : running.instances.front().spec.order.instance);
@@ -236,9 +244,35 @@ void HostFleet::report(Member& member, DriverState state, const std::string& rea
   on_status_(member.status);
 }
 
+std::string HostFleet::contradiction_of(const RunningHost& running) const {
+  for (const auto& instance : running.instances) {
+    if (std::string untrue = contradiction_of(instance); !untrue.empty()) return untrue;
+  }
+  return "";
+}
+
+std::string HostFleet::contradiction_of(const HostedInstance& instance) const {
+  return contradiction(instance.status, instance.spec.order, options_.gateway, placement_.brokers());
+}
+
+/// Ends a host whose report cannot be true: other processes would follow it. Nobody starts it again but a person.
+void HostFleet::end_liar(const std::shared_ptr<Host>& host, const std::string& untrue) {
+  config::process_metrics()
+      .counter("iotcloud_gateway_untrue_reports_total",
+               "Reports of driver hosts that contradict the gateway's configuration; the host is ended",
+               {{"plugin", host->order.plugin}})
+      .add();
+  host->untrue = fmt::format("its driver host reports what cannot be, and was ended: {}", untrue);
+  if (host->link) host->link->shutdown(std::chrono::milliseconds{0});
+}
+
 void HostFleet::heard(const std::shared_ptr<Host>& host, const InstanceStatus& status) {
   const auto found = members_.find(status.instance);
-  if (found == members_.end() || found->second.host != host) return;
+  if (found == members_.end() || found->second.host != host || !host->untrue.empty()) return;
+  if (const std::string untrue = contradiction_of({found->second.spec, status}); !untrue.empty()) {
+    end_liar(host, untrue);
+    return;
+  }
   if (status.state == DriverState::undeployed) {
     // A host that someone else ends reports `undeployed` too, although nobody ordered it. Ignored: ended() handles the
     // end of that host.
@@ -351,6 +385,10 @@ void HostFleet::ended(const std::shared_ptr<Host>& host, const HostEnd& end) {
     if (members_.at(id).removing) finish(id);
   }
   if (host->instances.empty()) return;
+  if (!host->untrue.empty()) {
+    give_up(host, host->untrue);
+    return;
+  }
   if (end.how == HostEnd::How::crashed) {
     crashed(host, end);
     return;

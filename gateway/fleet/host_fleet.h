@@ -42,7 +42,8 @@ class HostFleet {
   HostFleet(EventLoop& loop, HostLauncher& launcher, Placement placement, Options options, OnStatus on_status);
   ~HostFleet();
 
-  /// Adopts the hosts that an earlier run of the gateway left running. \return their instances.
+  /// Adopts the hosts that an earlier run of the gateway left running, and ends those that report what contradicts this
+  /// gateway's configuration, which may have changed. \return the adopted hosts' instances.
   std::vector<HostedInstance> adopt();
 
   /// The id must not be in use, and the caller has checked all names.
@@ -83,6 +84,9 @@ class HostFleet {
   HostEvents events_of(const std::shared_ptr<Host>& host);
   void launch(const std::shared_ptr<Host>& host);
   void heard(const std::shared_ptr<Host>& host, const InstanceStatus& status);
+  std::string contradiction_of(const RunningHost& running) const;
+  std::string contradiction_of(const HostedInstance& instance) const;
+  void end_liar(const std::shared_ptr<Host>& host, const std::string& untrue);
   void driver_failed(const std::shared_ptr<Host>& host, Member& member, const InstanceStatus& status);
   void start_driver_again(const std::shared_ptr<Host>& host, const discovery::InstanceId& instance);
   void leave_alone(Member& member);

@@ -21,6 +21,7 @@ class Placement {
 
   /// Picks servers for a new instance. The shared group of a driver stays where its first instance was placed.
   std::vector<BrokerPlan> place(const discovery::DriverName& driver);
+  const std::vector<brokers::BrokerSetting>& brokers() const { return brokers_; }
   /// Remembers the server of the shared group of an instance that already runs.
   void learn(const discovery::DriverName& driver, const std::vector<BrokerPlan>& plans);
 

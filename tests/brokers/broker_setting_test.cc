@@ -105,6 +105,19 @@ TEST(BrokerPool, SharesOneBrokerForAnAddressAsLongAsItIsUsed) {
   EXPECT_TRUE(watched.expired());
 }
 
+TEST(BrokerAddress, BeginsWithTheServerThatIsPreferredAndTakesNothingElseFromItsUrl) {
+  using Urls = std::vector<std::string>;
+  const auto preferring = [](const std::string& url) {
+    BrokerAddress address{"b", {"amqps://u:p@one:5671/", "amqps://two:5671/", "amqps://three/"}};
+    address.prefer(url);
+    return address.urls;
+  };
+  EXPECT_EQ(preferring("amqp://two:5671/"), (Urls{"amqps://two:5671/", "amqps://three/", "amqps://u:p@one:5671/"}));
+  EXPECT_EQ(preferring("amqp://three:5672/").front(), "amqps://three/");
+  for (const std::string other : {"amqp://thief:5671/", "amqp://two:1/", "nonsense", ""})
+    EXPECT_EQ(preferring(other).front(), "amqps://u:p@one:5671/");
+}
+
 TEST(MakeBroker, RefusesServersOfSeveralKinds) {
   BrokerOptions options;
   EXPECT_THROW(static_cast<void>(make_broker(options)), config::Error);

@@ -64,8 +64,7 @@ def run(work, build):
         brokers = {kind: broker_lines(cluster, kind, password_file) for kind in KINDS}
         cluster.start(gateways=1, brokers=[line for lines in brokers.values() for line in lines])
         for kind, lines in brokers.items():
-            # The worker takes the URL from the channel's record and has its own credentials.
-            own = "\n".join("  " + line for line in lines if "type:" not in line and "urls:" not in line)
+            own = "\n".join("  " + line for line in lines if "type:" not in line)
             cluster.topology(f"worker-{kind}", TOPOLOGY.format(name=f"my_{kind}", brokers=own))
         cluster.wait_until_ready()
         reports = {kind: work / f"report-{kind}.json" for kind in KINDS}

@@ -186,7 +186,18 @@ RunSettings read_runtime(Section& root) {
   return settings;
 }
 
-/// Brokers by logical name: a URL, or a mapping of connection options. Both may leave the URL to the channels' records.
+/// Refuses credentials without URLs: they would go to any address that a channel's record names, without TLS if the
+/// record says so.
+void refuse_aimless_credentials(const Section& broker, const brokers::BrokerOptions& options) {
+  if (!options.urls.empty() || !brokers::are_credentials_given(options)) return;
+  throw broker.error("urls",
+                     "user, password and TLS are given here, but no address: they would go to whatever address a "
+                     "channel's record in the registry names",
+                     "list the broker's own addresses, for example \"urls: [amqps://broker:5671/]\"");
+}
+
+/// Brokers by logical name: a URL, or a mapping of connection options. Without credentials both may leave the URL to
+/// the channels' records.
 std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root, std::chrono::milliseconds session_timeout) {
   std::map<std::string, brokers::BrokerOptions> brokers;
   auto section = root.optional_section("brokers");
@@ -197,6 +208,7 @@ std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root, std::c
       Section broker = section->require_section(name);
       options = brokers::read_broker_options(broker, session_timeout);
       broker.finish();
+      refuse_aimless_credentials(broker, options);
     } else {
       options.heartbeat = brokers::usual_heartbeat(session_timeout);
       if (const std::string url = section->string_or(name, ""); !url.empty()) options.urls = {url};
@@ -241,7 +253,7 @@ TopologyDefinition read(Section root, const std::string& file) {
                                 .brokers = {},
                                 .conf = {},
                                 .runtime = {},
-                                .metrics_address = {},
+                                .pages = {},
                                 .spouts = {},
                                 .bolts = {},
                                 .root = root};
@@ -257,10 +269,7 @@ TopologyDefinition read(Section root, const std::string& file) {
   definition.brokers = read_brokers(root, definition.registry.session_timeout);
   definition.conf = root.string_map("conf");
   definition.runtime = read_runtime(root);
-  if (auto metrics = root.optional_section("metrics")) {
-    definition.metrics_address = metrics->require_string("address");
-    metrics->finish();
-  }
+  definition.pages = rpc::read_page_settings(root);
   config::read_log_settings(root);  // the daemons' frame applies them
   const auto names = broker_names(definition.brokers);
   for (auto& [id, section] : root.sections("spouts")) definition.spouts.push_back(read_spout(id, section, names));

@@ -34,7 +34,10 @@ brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const
   brokers::BrokerAddress address{channel.transport, {}};
   const auto options = services.broker_options.find(channel.transport);
   if (options != services.broker_options.end()) address.urls = options->second.urls;
-  if (!address.urls.empty()) return address;
+  if (!address.urls.empty()) {
+    address.prefer(channel.broker_url);
+    return address;
+  }
   std::istringstream urls(property(channel, "urls"));
   for (std::string url; urls >> url;) address.urls.push_back(url);
   if (address.urls.empty()) address.urls.push_back(channel.broker_url);

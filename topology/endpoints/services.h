@@ -22,7 +22,8 @@ struct EndpointServices {
   std::string worker;                       ///< this worker's name below Paths::workers(topology)
   discovery::Registry* registry = nullptr;  ///< must outlive the topology
   discovery::Paths paths;
-  /// By logical broker name: how to connect. URLs that are set here replace those in the channels' records.
+  /// By logical broker name: how to connect. URLs that are set here replace those in the channels' records; credentials
+  /// come with URLs always (definition.cc).
   std::map<std::string, brokers::BrokerOptions> broker_options;
   brokers::BrokerOptions other_brokers;  ///< for brokers that broker_options does not name
   std::shared_ptr<brokers::BrokerPool> brokers;
@@ -39,7 +40,8 @@ brokers::Topic topic_of(const discovery::ChannelRecord& channel);
 /// Why an endpoint that uses the logical broker `broker` cannot use this channel, as a text for the log; empty: it can.
 /// \param wanted out: the endpoint reads the channel; in: it sends to it.
 std::string misfit(const discovery::ChannelRecord& channel, discovery::Direction wanted, const std::string& broker);
-/// The servers of a channel's broker: those that the topology's file names, or else those of the channel's record.
+/// The servers of a channel's broker: those that the topology's file names, the one first that the channel's record
+/// prefers; or else those of the channel's record.
 brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const EndpointServices& services);
 /// The name of the group whose workers share the channel's messages; the broker gets it as the consumers' group.
 const std::string& group_of(const EndpointDefinition& endpoint, const EndpointServices& services);

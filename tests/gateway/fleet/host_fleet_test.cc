@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/gateway/fleet/host_fleet.h>
+#include <iotcloud/gateway/fleet/report_check.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/eventually.h>
@@ -20,8 +21,10 @@ brokers::BrokerSetting setting(const std::string& name, const std::string& type,
 }
 
 using discovery::DriverState;
+using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::Not;
 using namespace std::chrono_literals;
 
 /// Launches hosts that do nothing but remember; the test plays them.
@@ -104,6 +107,17 @@ class HostFleetTest : public ::testing::Test {
     status.driver = "p"_driver;
     status.state = state;
     return status;
+  }
+  static discovery::ChannelRecord channel_of(const std::string& instance) {
+    discovery::ChannelRecord channel;
+    channel.name = "c";
+    channel.transport = "b";
+    channel.broker_url = "embedded://x";
+    channel.gateway = "gw"_gateway;
+    channel.driver = "p"_driver;
+    channel.instance = discovery::InstanceId(instance);
+    channel.properties = {{"exchange", "p"}, {"routingKey", "gw.p." + instance + ".c"}};
+    return channel;
   }
   std::vector<std::string> commands(std::size_t host) {
     std::vector<std::string> commands;
@@ -364,6 +378,77 @@ TEST_F(HostFleetTest, InstancesOfAHostThatRunsAlreadyAreAdopted) {
     fleet_->deactivate("a"_instance);
   });
   EXPECT_THAT(commands(0), ElementsAre("create b", "deactivate a"));
+}
+
+TEST_F(HostFleetTest, AHostThatNamesAForeignBrokerIsEndedAndOthersDoNotSeeIt) {
+  on_loop([&] { fleet_->create(order("a")); });
+  auto told = status("a", DriverState::active);
+  told.channels = {channel_of("a")};
+  tell(0, told);
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  told.channels.front().broker_url = "amqp://thief:5672/";
+  tell(0, told);
+  EXPECT_THAT(commands(0), ElementsAre("create a", "shutdown"));
+  end(0, HostEnd::How::stopped, "");
+  const auto shown = log_.wait_for("a", DriverState::failed);
+  ASSERT_TRUE(shown);
+  EXPECT_THAT(shown->reason, HasSubstr("amqp://thief:5672/"));
+  EXPECT_TRUE(shown->channels.empty());
+  on_loop([&] { EXPECT_EQ(launcher_.hosts.size(), 1u) << "nobody starts it again by itself"; });
+}
+
+TEST_F(HostFleetTest, AHostWhoseAddressesAreNoLongerInTheConfigurationIsNotAdopted) {
+  RunningHost running;
+  running.name = "h";
+  running.order = {"p.so", "gw"_gateway, false};
+  HostedInstance hosted;
+  hosted.spec.order = order("a");
+  hosted.status = status("a", DriverState::active);
+  hosted.status.channels = {channel_of("a")};
+  hosted.status.channels.front().properties["urls"] = "embedded://x embedded://before";
+  running.instances = {hosted};
+  launcher_.found = {running};
+  on_loop([&] {
+    EXPECT_TRUE(fleet_->adopt().empty());
+    fleet_->create(order("a"));
+  });
+  EXPECT_THAT(commands(0), ElementsAre("shutdown"));
+  EXPECT_THAT(commands(1), ElementsAre("create a"));
+}
+
+TEST_F(HostFleetTest, AReportIsTrueOnlyWithTheInstancesOwnNamesBrokersAndTopics) {
+  const std::vector<brokers::BrokerSetting> known{setting("b", "embedded", {"embedded://x", "embedded://y"})};
+  const auto judge = [&](const std::function<void(InstanceStatus&)>& lie) {
+    auto told = status("a", DriverState::active);
+    told.channels = {channel_of("a")};
+    lie(told);
+    return contradiction(told, order("a"), "gw"_gateway, known);
+  };
+  using discovery::ChannelRecord;
+  const auto channel = [&](const std::function<void(ChannelRecord&)>& lie) {
+    return judge([&](InstanceStatus& told) { lie(told.channels.front()); });
+  };
+  EXPECT_EQ(judge([](auto&) {}), "");
+  EXPECT_EQ(channel([](auto& c) { c.properties["urls"] = "embedded://y embedded://x"; }), "");
+  EXPECT_EQ(channel([](auto& c) {
+              c.shared = true;
+              c.properties["routingKey"] = "gw.p.c";
+            }),
+            "");
+  EXPECT_THAT(channel([](auto& c) { c.properties["urls"] = "embedded://y amqp://u:secret@thief"; }),
+              AllOf(HasSubstr("thief"), Not(HasSubstr("secret"))));
+  EXPECT_THAT(channel([](auto& c) { c.transport = "other"; }), HasSubstr("\"other\""));
+  EXPECT_THAT(channel([](auto& c) { c.properties["routingKey"] = "gw.lamp.a.c"; }), HasSubstr("gw.lamp.a.c"));
+  EXPECT_THAT(channel([](auto& c) { c.properties["topic"] = "gw.p.other.c"; }), HasSubstr("gw.p.other.c"));
+  EXPECT_THAT(channel([](auto& c) { c.properties["queueName"] = "gw2.p.a.c"; }), HasSubstr("gw2.p.a.c"));
+  EXPECT_THAT(channel([](auto& c) { c.gateway = "gw2"_gateway; }), HasSubstr("gw2"));
+  EXPECT_THAT(channel([](auto& c) { c.instance = "other"_instance; }), HasSubstr("other"));
+  EXPECT_THAT(channel([](auto& c) { c.driver = "lamp"_driver; }), HasSubstr("lamp"));
+  EXPECT_NE(channel([](auto& c) { c.name = "../other"; }), "");
+  EXPECT_NE(judge([](auto& told) { told.driver = discovery::DriverName("../lamp"); }), "");
+  auto named = order("a");
+  named.driver = "turtle"_driver;
+  EXPECT_THAT(contradiction(status("a", DriverState::active), named, "gw"_gateway, known), HasSubstr("it says that"));
 }
 
 TEST_F(HostFleetTest, ShuttingDownEndsEveryHost) {

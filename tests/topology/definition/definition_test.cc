@@ -109,7 +109,7 @@ bolts:
   EXPECT_FALSE(definition.runtime.acking);
   EXPECT_EQ(definition.runtime.max_spout_pending, 7);
   EXPECT_EQ(definition.runtime.mailbox_capacity, 9);
-  EXPECT_EQ(definition.metrics_address, "127.0.0.1:9100");
+  EXPECT_EQ(definition.pages.address, "127.0.0.1:9100");
   const auto& spout = definition.spouts.at(0);
   EXPECT_EQ(spout.parallelism, 4);
   EXPECT_EQ(spout.tasks, 6);
@@ -148,6 +148,17 @@ bolts:
   EXPECT_EQ(out.endpoint->sending.unknown_driver, UnknownDriver::fail);
   EXPECT_EQ(out.endpoint->sending.ack_when, AckWhen::accepted);
   EXPECT_EQ(out.inputs.at(0).grouping, "shuffle");
+}
+
+TEST(TopologyDefinition, TakesCredentialsOnlyWithTheAddressesThatTheyAreFor) {
+  const auto with_broker = [](const std::string& options) {
+    return with_spout(good_spout) + "brokers:\n  rabbitmq: {" + options + "}\n";
+  };
+  for (const std::string credentials : {"user: robot", "password_variable: P", "tls: {ca: /dev/null}"}) {
+    EXPECT_THAT(error_of(with_broker(credentials)), AllOf(StartsWith("t.yaml:10:"), HasSubstr("urls")));
+    EXPECT_EQ(error_of(with_broker(credentials + ", urls: [\"amqps://broker/\"]")), "");
+  }
+  EXPECT_EQ(error_of(with_broker("heartbeat: 1s")), "") << "where to connect may be left to the records";
 }
 
 TEST(TopologyDefinition, ReadsAutomaticAcknowledgement) {

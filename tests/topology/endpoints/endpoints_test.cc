@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
+#include <cstdlib>
 #include <mutex>
 #include <regex>
 #include <thread>
@@ -15,6 +16,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
+#include <iotcloud/tests/topology/endpoints/false_broker.h>
 #include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {
@@ -46,6 +48,24 @@ TEST_F(Endpoints, TakeTheDriverFromTheChannelWhenTheMessageDoesNotNameIt) {
   publisher->publish(message("hello", ""));
   ASSERT_TRUE(mailbox.wait_for(1));
   EXPECT_EQ(mailbox.message(0).driver_id, "one");
+}
+
+TEST_F(Endpoints, SendTheirCredentialsToTheAddressesOfTheirOwnFileWhateverARecordSays) {
+  ::setenv("IOTCLOUD_TEST_PASSWORD", "s3cret", 1);
+  const FalseBroker meant;
+  const FalseBroker thief;
+  broker_url_ = thief.url();
+  const auto yaml = [](const std::string& urls) {
+    return "topology.name: t\nbrokers:\n  rabbitmq: {" + urls +
+           "user: robot, password_variable: IOTCLOUD_TEST_PASSWORD}\nspouts:\n  in:\n    broker: rabbitmq\n"
+           "    driver: d\n    channel: up\n    fields: [text, driverID, time]\nbolts:\n  out:\n    broker: rabbitmq\n"
+           "    driver: d\n    channel: down\n    fields: [text, driverID, time]\n    inputs: {from: in}\n";
+  };
+  EXPECT_THROW(run_yaml(yaml(""), {}), config::ConfigError) << "they would go where the record says";
+  run_yaml(yaml("urls: [\"" + meant.url() + "\"], "), {});
+  show_driver("one");
+  EXPECT_TRUE(eventually([&] { return meant.heard().find("s3cret") != std::string::npos; }));
+  EXPECT_EQ(thief.heard(), "");
 }
 
 TEST_F(Endpoints, LeaveWhatASlowTopologyCannotTakeInTheBroker) {
