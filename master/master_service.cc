@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/config/yaml.h>
@@ -20,6 +21,7 @@
 #include <iotcloud/rpc/http/metrics_endpoint.h>
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/security/audit_log.h>
+#include <iotcloud/security/signed_object.h>
 #include <iotcloud/security/tokens.h>
 
 namespace iotcloud::master {
@@ -36,7 +38,7 @@ constexpr milliseconds registry_timeout{3'000};
 void read_original_address(config::Section& section, rpc::ListenSettings& address) {
   address.host = section.string_or("host", address.host);
   address.port = static_cast<int>(section.int_or("port", address.port, 1, 65535));
-  if (rpc::is_loopback(address.host)) return;
+  if (config::is_loopback(address.host)) return;
   throw section.error("host",
                       fmt::format("{} can be reached from other machines, and gateways of the original system speak no "
                                   "TLS: anybody there could register one",
@@ -72,9 +74,11 @@ class MasterService final : public config::Service {
     if (!config_.api.tokens.empty()) tokens_ = std::make_shared<security::TokenKeeper>(config_.api.tokens);
     if (!config_.audit_file.empty()) audit_ = std::make_shared<security::AuditLog>(config_.audit_file);
     registry_ = discovery::make_registry(config_.registry);
-    OriginalGatewaysOptions original_options;
-    original_options.paths = discovery::Paths(config_.sensors_root);
-    original_ = std::make_unique<OriginalGateways>(*registry_, original_options);
+    if (config_.gateways) {
+      OriginalGatewaysOptions original_options;
+      original_options.paths = discovery::Paths(config_.sensors_root);
+      original_ = std::make_unique<OriginalGateways>(*registry_, original_options);
+    }
     MasterOptions options;
     options.id = config_.id;
     options.address = config_.api.advertise;
@@ -82,18 +86,25 @@ class MasterService final : public config::Service {
     options.outcome_timeout = config_.outcome_timeout;
     options.record_for_lost_gateways = config_.record_for_lost_gateways;
     options.direct = original_.get();
+    if (!config_.signing_key.empty()) {
+      options.seal = [key = security::ObjectSigner(config_.signing_key)](const auto& path, const auto& bytes) {
+        return security::sign_object(key, path, bytes);
+      };
+    }
     master_ = std::make_unique<Master>(*registry_, options);
     ApiAccess access;
     access.tokens = tokens_;
     access.audit = audit_;
     access.gateways = {config_.api.tls, config_.gateway_token_file};
     api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));
-    original_->start([this] { return master_->status().leading; });
-    gateways_ =
-        std::make_unique<rpc::ThriftServer>(server_options("gateways", config_.gateways),
-                                            serve_original_gateways(*original_, [this] { return master_->status(); }));
-    if (!config_.metrics_address.empty())
-      metrics_ = std::make_unique<rpc::MetricsEndpoint>(config_.metrics_address, config::process_metrics(),
+    if (original_) {
+      original_->start([this] { return master_->status().leading; });
+      gateways_ = std::make_unique<rpc::ThriftServer>(
+          server_options("gateways", *config_.gateways),
+          serve_original_gateways(*original_, [this] { return master_->status(); }));
+    }
+    if (!config_.pages.address.empty())
+      metrics_ = std::make_unique<rpc::MetricsEndpoint>(config_.pages, config::process_metrics(),
                                                         [this] { return trouble(); });
     logger.info("{}: API on {}:{} {}, registry {}", config_.id, config_.api.host, api_->port(),
                 config_.api.tls.empty() ? "without TLS" : "with TLS", config_.registry.url);
@@ -101,6 +112,7 @@ class MasterService final : public config::Service {
 
   void reload() override {
     api_->reload();
+    if (metrics_) metrics_->reload();
     if (tokens_) tokens_->reload();
     if (audit_) audit_->reopen();
   }
@@ -150,29 +162,31 @@ MasterDaemonConfig load_master_config(const std::string& file) {
     rpc::read_listen_settings(*api, config.api);
     if (!config.api.tokens.empty()) check_key(*api, "tokens", [&] { security::read_tokens(config.api.tokens); });
     config.gateway_token_file = api->string_or("gateway_token_file", "");
-    if (!config.gateway_token_file.empty() && !std::filesystem::exists(config.gateway_token_file))
+    const bool for_each = config.gateway_token_file.find("{gateway}") != std::string::npos;
+    if (!config.gateway_token_file.empty() && !for_each && !std::filesystem::exists(config.gateway_token_file))
       throw api->error("gateway_token_file", "the file \"" + config.gateway_token_file + "\" is not there",
                        "a file whose first line is a token that the gateways know");
     api->finish();
   }
   if (config.api.advertise.empty()) config.api.advertise = fmt::format("{}:{}", config.api.host, config.api.port);
   if (auto gateways = top.optional_section("gateways")) {
-    read_original_address(*gateways, config.gateways);
+    config.gateways = rpc::ListenSettings{"127.0.0.1", 12903, {}, "", ""};
+    read_original_address(*gateways, *config.gateways);
     gateways->finish();
   }
   if (auto audit = top.optional_section("audit")) {
     config.audit_file = audit->require_string("file");
     audit->finish();
   }
-  if (auto metrics = top.optional_section("metrics")) {
-    config.metrics_address = metrics->require_string("address");
-    metrics->finish();
-  }
+  config.pages = rpc::read_page_settings(top);
   if (auto orders = top.optional_section("orders")) {
     config.outcome_timeout =
         std::chrono::duration_cast<milliseconds>(orders->duration_or("wait", config.outcome_timeout));
     config.record_for_lost_gateways =
         orders->choice_or("for_lost_gateways", "record", {"record", "refuse"}) == "record";
+    config.signing_key = orders->string_or("signing_key", "");
+    if (!config.signing_key.empty())
+      check_key(*orders, "signing_key", [&] { security::ObjectSigner{config.signing_key}; });
     orders->finish();
   }
   config::read_log_settings(top);  // only checks these keys: the frame of the daemon (config/) applies them

@@ -2,10 +2,12 @@
 
 #include <chrono>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/rpc/http/page_settings.h>
 #include <iotcloud/rpc/listen_settings.h>
 
 namespace iotcloud::master {
@@ -16,10 +18,12 @@ struct MasterDaemonConfig {
   discovery::RegistryOptions registry;
   std::string sensors_root;  ///< zk.root
   rpc::ListenSettings api{"127.0.0.1", 12904, {}, "", ""};
-  rpc::ListenSettings gateways{"127.0.0.1", 12903, {}, "", ""};  ///< for gateways of the original system; loopback only
-  std::string gateway_token_file;  ///< the token that this master shows to gateways; empty: none
+  /// For gateways of the original system, on loopback only: whoever reaches it may register one. nullopt: off.
+  std::optional<rpc::ListenSettings> gateways;
+  std::string gateway_token_file;  ///< GatewayAccess::token_file
   std::string audit_file;          ///< empty: no audit log
-  std::string metrics_address;     ///< host:port; empty: no metrics over HTTP
+  rpc::PageSettings pages;         ///< /metrics and /healthz
+  std::string signing_key;         ///< file of the private key that signs orders to gateways; empty: unsigned
   std::chrono::milliseconds outcome_timeout{30'000};
   bool record_for_lost_gateways = true;
 };

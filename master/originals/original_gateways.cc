@@ -217,6 +217,8 @@ std::string OriginalGateways::register_gateway(GatewayRecord record) {
   const config::MutexLock one_at_a_time(impl_->registering);
   try {
     const auto node = impl_->registry.get(impl_->options.paths.gateway(record.id));
+    if (node && !impl_->registry.get(impl_->marker(record.id)))
+      return fmt::format("{} is a gateway of this system, also while it is away; give this one another id", record.id);
     if (node && impl_->registry.get(impl_->options.paths.gateway_alive(record.id))) {
       const auto there = discovery::decode_gateway(node->data, impl_->options.paths.gateway(record.id));
       if (!has(record.id) || there.host != record.host || there.port != record.port)
@@ -261,6 +263,10 @@ std::string OriginalGateways::put_driver(const GatewayId& gateway, DriverRecord 
   record.gateway = gateway;
   record.since_ms = config::system_clock().wall_ms();
   try {
+    const std::string path = impl_->options.paths.instance(record.name, record.instance);
+    if (const auto node = impl_->registry.get(path);
+        node && discovery::decode_driver(node->data, path).gateway != gateway)
+      return fmt::format("{} is an instance of another gateway; give this one another id", record.instance);
     impl_->write_driver(record);
   } catch (const config::Error& e) {
     return impl_->registry_problem(e);

@@ -30,15 +30,18 @@ std::string first_line(const std::string& file) {
 }
 
 /// Makes a client on a new connection. \throws TException, config::Error
-TSensorSiteServiceClient connect(const SiteAddress& site, std::chrono::milliseconds limit) {
+/// \param gateway with TLS: the id that the certificate there must name, before it gets the token; empty: none
+TSensorSiteServiceClient connect(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                 std::chrono::milliseconds limit) {
   rpc::ThriftClientOptions options;
   options.host = site.host;
   options.port = site.port;
   options.tls = site.tls;
+  options.gateway = gateway;
   options.answer_limit = std::max(limit, std::chrono::milliseconds{1});
   options.connect_limit = std::min(options.answer_limit, connect_limit);
   TSensorSiteServiceClient client(rpc::ThriftClient(options).protocol());
-  if (site.token_file.empty()) return client;
+  if (site.token_file.empty() || site.tls.empty()) return client;
   TResponse answer;
   client.authenticate(answer, first_line(site.token_file));
   if (answer.state != TResponseState::SUCCESS) throw config::Error(answer.statusMessage);
@@ -50,7 +53,7 @@ template <typename Question>
 void put(const SiteAddress& site, const discovery::GatewayId& gateway, std::chrono::milliseconds limit,
          Question&& question) {
   try {
-    auto client = connect(site, limit);
+    auto client = connect(site, gateway, limit);
     gateway::wire::TPing answer;
     client.ping(answer);
     if (answer.gateway != gateway) {
@@ -78,7 +81,7 @@ template <typename Call>
 SiteAnswer ask(const SiteAddress& site, std::chrono::milliseconds limit, Call&& call) {
   bool connected = false;
   try {
-    auto client = connect(site, limit);
+    auto client = connect(site, {}, limit);
     connected = true;
     TResponse response;
     call(client, response);

@@ -15,7 +15,7 @@ struct SiteAddress {
   std::string host;
   int port = 0;
   security::TlsFiles tls;  ///< empty: it does not speak TLS
-  std::string token_file;  ///< its first line is the token; empty: no token is sent
+  std::string token_file;  ///< its first line is the token, sent with TLS only; empty: no token is sent
 };
 
 /// A gateway's answer to a call.

@@ -42,8 +42,18 @@ std::string error_of(const std::string& text) {
 TEST(MasterConfig, TheShippedFileIsGood) {
   const auto config = load_master_config(IOTCLOUD_SOURCE_DIR "/config/master.yaml");
   EXPECT_EQ(config.api.port, 12904);
-  EXPECT_EQ(config.gateways.port, 12903);
+  EXPECT_FALSE(config.gateways);
   EXPECT_EQ(config.sensors_root, "/iot/sensors");
+}
+
+TEST(MasterConfig, ThePortForGatewaysOfTheOriginalIsOnOnlyIfItsKeyIsThere) {
+  const ConfigFile without("registry: \"embedded://a\"\n");
+  EXPECT_FALSE(load_master_config(without.path()).gateways);
+  const ConfigFile with("registry: \"embedded://a\"\ngateways: {}\n");
+  const auto config = load_master_config(with.path());
+  ASSERT_TRUE(config.gateways);
+  EXPECT_EQ(config.gateways->host, "127.0.0.1");
+  EXPECT_EQ(config.gateways->port, 12903);
 }
 
 TEST(MasterConfig, OnlyTheRegistryIsNeeded) {
@@ -85,7 +95,6 @@ TEST(MasterService, StartsAndStopsAndMayBeStartedAnew) {
   config.registry.url = "embedded://master-service-" + std::to_string(getpid());
   config.sensors_root = "/iot/sensors";
   config.api.port = 0;
-  config.gateways.port = 0;
   for (int i = 0; i < 2; ++i) {
     auto service = make_master_service(config);
     service->start();
@@ -98,7 +107,7 @@ TEST(MasterService, APortInUseStopsTheStartCleanly) {
   config.registry.url = "embedded://master-service-" + std::to_string(getpid());
   config.sensors_root = "/iot/sensors";
   config.api.port = 0;
-  config.gateways.port = test::free_port();
+  config.gateways = rpc::ListenSettings{"127.0.0.1", test::free_port(), {}, "", ""};
   auto first = make_master_service(config);
   first->start();
   auto second = make_master_service(config);

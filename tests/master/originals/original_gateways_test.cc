@@ -262,8 +262,24 @@ TEST_F(OriginalGatewayTest, ASecondGatewayWithTheSameIdIsRefused) {
 }
 
 TEST_F(OriginalGatewayTest, AnIdOfAGatewayOfThisSystemIsRefused) {
-  test::FakeGateway ours(url, "java1");
+  std::optional<test::FakeGateway> ours(std::in_place, url, "java1");
+  const auto order = [&] { return (*master)->deploy(jar()).outcomes; };
+  ASSERT_THAT(order(), SizeIs(1));
+  const std::string id = (*master)->drivers().at(0).instance;
   EXPECT_EQ(register_site(site()).state, TResponseState::FAILURE);
+  ours.reset();
+  ASSERT_TRUE(test::eventually([&] { return !alive(); }));
+  const auto response = register_site(site());
+  EXPECT_EQ(response.state, TResponseState::FAILURE) << "its deployments would go to whoever registers its id";
+  EXPECT_THAT(response.statusMessage, HasSubstr("java1 is a gateway of this system"));
+
+  auto own = site();
+  own.siteId = "java2";
+  ASSERT_EQ(register_site(own).state, TResponseState::SUCCESS);
+  TResponse registered;
+  ToMaster(for_gateways->port())->registerSensor(registered, "java2", turtle(id));
+  EXPECT_THAT(registered.statusMessage, HasSubstr("an instance of another gateway"));
+  EXPECT_EQ((*master)->drivers().at(0).gateway, "java1");
 }
 
 TEST_F(OriginalGatewayTest, NamesThatCannotStandInTheRegistryAreRefused) {
