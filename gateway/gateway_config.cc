@@ -123,6 +123,15 @@ void read_plugins(config::Section& file, GatewayConfig& config) {
   config.hosts.trust = config.trust;
 }
 
+void read_orders(config::Section& file, GatewayConfig& config) {
+  security::TrustedKeys::Options masters;
+  masters.trusted_keys = file.strings_or("orders.trusted_keys", {});
+  if (masters.trusted_keys.empty()) return;
+  masters.require_signature = true;
+  checked(file, "orders.trusted_keys", [&] { config.order_keys = std::make_shared<security::TrustedKeys>(masters); });
+  config.gateway.order_keys = config.order_keys;
+}
+
 void read_hosts(config::Section& file, GatewayConfig& config) {
   const auto time = [](config::Section& section, const std::string& key, milliseconds& value) {
     value = duration_cast<milliseconds>(section.duration_or(key, value));
@@ -167,12 +176,10 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   gateway.brokers = read_brokers(file, gateway.session_timeout);
   read_thrift(file, config);
   read_plugins(file, config);
+  read_orders(file, config);
   config.hosts.state_dir = file.require_string("state");
   read_hosts(file, config);
-  if (auto metrics = file.optional_section("metrics")) {
-    config.metrics_address = metrics->require_string("address");
-    metrics->finish();
-  }
+  config.pages = rpc::read_page_settings(file);
   // run_daemon() applies them; they are read here only so that finish() knows the keys
   config::read_log_settings(file);
   file.finish();

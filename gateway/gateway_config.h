@@ -6,6 +6,7 @@
 #include <iotcloud/gateway/fleet/process_launcher.h>
 #include <iotcloud/gateway/gateway.h>
 #include <iotcloud/gateway/site_service.h>
+#include <iotcloud/rpc/http/page_settings.h>
 
 namespace iotcloud::gateway {
 
@@ -15,9 +16,11 @@ struct GatewayConfig {
   discovery::RegistryOptions registry;
   ProcessLauncher::Options hosts;                ///< `trust` is set, `store` is not
   std::shared_ptr<security::TrustedKeys> trust;  ///< the keys whose signatures on plugins are trusted
-  std::int64_t plugin_upload_limit = 0;          ///< the largest uploaded plugin, in bytes
+  std::shared_ptr<security::TrustedKeys>
+      order_keys;                        ///< the masters' keys, also in `gateway`; null: none are asked for
+  std::int64_t plugin_upload_limit = 0;  ///< the largest uploaded plugin, in bytes
   SiteService::Options thrift;
-  std::string metrics_address;  ///< host:port; empty: no metrics page
+  rpc::PageSettings pages;  ///< /metrics and /healthz
 
   /// \throws config::ConfigError with file, line, key and remedy.
   static GatewayConfig load(const std::string& file);

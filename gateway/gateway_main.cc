@@ -39,7 +39,7 @@ class GatewayDaemon final : public config::Service {
     plugins.most_bytes = config_.plugin_upload_limit;
     plugins.trust = config_.hosts.trust;
     config_.hosts.store = std::make_shared<processes::PluginStore>(plugins);
-    if (!config_.metrics_address.empty()) {
+    if (!config_.pages.address.empty()) {
       config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
       of_hosts_ = config::process_metrics().add_source(
           [hosts = config_.hosts.metrics](std::vector<config::Sample>& samples) { hosts->append(samples); });
@@ -58,13 +58,18 @@ class GatewayDaemon final : public config::Service {
     gateway_.emplace(std::move(options));
     gateway_->start();
     service_.emplace(config_.thrift, *gateway_, *registry_, config_.gateway.paths);
-    if (!config_.metrics_address.empty())
-      metrics_.emplace(config_.metrics_address, config::process_metrics(), [this] { return trouble(); });
+    if (!config_.pages.address.empty())
+      metrics_.emplace(config_.pages, config::process_metrics(), [this] { return trouble(); });
   }
 
   void reload() override {
     config_.trust->reload();
+    if (config_.order_keys) {
+      config_.order_keys->reload();
+      gateway_->reload();
+    }
     service_->reload();
+    if (metrics_) metrics_->reload();
   }
 
   void stop(std::chrono::milliseconds limit) override {

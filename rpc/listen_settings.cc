@@ -1,24 +1,15 @@
 #include <filesystem>
 
-#include <arpa/inet.h>
 #include <fmt/format.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/rpc/listen_settings.h>
 
 namespace iotcloud::rpc {
 
-bool is_loopback(const std::string& host) {
-  if (host == "localhost" || host == "::1") return true;
-  in_addr address{};
-  return inet_pton(AF_INET, host.c_str(), &address) == 1 && (ntohl(address.s_addr) >> 24) == 127;
-}
-
 std::string exposure(const ListenSettings& settings) {
-  if (is_loopback(settings.host) || (!settings.tls.empty() && !settings.tokens.empty())) return "";
-  const char* missing = !settings.tls.empty() ? "tokens" : !settings.tokens.empty() ? "TLS" : "TLS and tokens";
-  return fmt::format("{} can be reached from other machines, and without {} anybody there could give orders",
-                     settings.host, missing);
+  return config::exposure(settings.host, !settings.tls.empty(), !settings.tokens.empty(), "give orders");
 }
 
 HostAndPort split_address(const std::string& address) {

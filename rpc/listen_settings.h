@@ -25,9 +25,6 @@ void read_listen_settings(config::Section& section, ListenSettings& settings, in
 /// other machines can reach needs TLS and tokens.
 std::string exposure(const ListenSettings& settings);
 
-/// True if only this machine can reach the host: 127.0.0.0/8, ::1, localhost.
-bool is_loopback(const std::string& host);
-
 /// An address "host:port"; a host that contains colons is written in brackets.
 struct HostAndPort {
   std::string host;

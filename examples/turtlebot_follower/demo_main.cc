@@ -77,7 +77,8 @@ int main(int argc, char** argv) {
     for (const auto& words : robots) fleet.push_back(parse_robot(words));
     std::unique_ptr<iotcloud::rpc::MetricsEndpoint> metrics;
     if (!metrics_address.empty()) {
-      metrics = std::make_unique<iotcloud::rpc::MetricsEndpoint>(metrics_address, iotcloud::config::process_metrics());
+      metrics = std::make_unique<iotcloud::rpc::MetricsEndpoint>(iotcloud::rpc::PageSettings{metrics_address, {}, ""},
+                                                                 iotcloud::config::process_metrics());
     }
     iotcloud::local::LocalOptions options;
     options.name = "demo";

@@ -1,13 +1,15 @@
-#include <algorithm>
 #include <chrono>
 #include <utility>
 
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/ssl/context.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
+#include <boost/beast/ssl.hpp>
 #include <fmt/format.h>
 
+#include <iotcloud/rpc/http/http_address.h>
 #include <iotcloud/rpc/http/http_client.h>
 
 namespace iotcloud::rpc {
@@ -21,40 +23,76 @@ namespace http = beast::http;
 constexpr std::chrono::seconds patience{5};
 constexpr std::size_t largest_page = 64U << 20U;
 
-/// Runs one asynchronous operation of `stream` until its end or its time-out. \throws boost::system::system_error
-template <typename Begin>
-void complete(asio::io_context& io, beast::tcp_stream& stream, Begin&& begin) {
-  boost::system::error_code result;
-  stream.expires_after(patience);
-  begin([&result](boost::system::error_code error, auto&&...) { result = error; });
-  io.restart();
-  io.run();
-  if (result) throw boost::system::system_error(result);
-}
+/// One connection, whose every step has a time-out.
+class Asking {
+ public:
+  Asking(const std::string& address, const HttpReader& reader) : address_(address), reader_(reader) {}
 
-}  // namespace
+  std::string page(const std::string& target) {
+    const HttpAddress to(address_);
+    if (reader_.tls.empty()) {
+      const auto host = asio::ip::make_address(to.host);
+      if (!host.is_loopback()) throw HttpError(address_ + " is on another machine, and is asked by TLS only");
+      beast::tcp_stream stream(io_);
+      const tcp::endpoint at(host, static_cast<std::uint16_t>(std::stoi(to.port)));
+      complete(stream, [&](auto done) { stream.async_connect(at, done); });
+      return read(stream, target);
+    }
+    const security::TlsContext tls(reader_.tls, security::TlsContext::Side::client);
+    SSL_CTX_up_ref(tls.get());
+    asio::ssl::context context(tls.get());  // owns the reference
+    beast::ssl_stream<beast::tcp_stream> stream(io_, context);
+    security::expect_host(stream.native_handle(), to.host);
+    auto& connection = beast::get_lowest_layer(stream);
+    tcp::resolver resolver(io_);
+    const auto places = resolver.resolve(to.host, to.port, tcp::resolver::numeric_service);
+    complete(connection, [&](auto done) { connection.async_connect(places, done); });
+    complete(connection, [&](auto done) { stream.async_handshake(asio::ssl::stream_base::client, done); });
+    return read(stream, target);
+  }
 
-std::string http_get(const std::string& address, const std::string& target) {
-  const auto colon = std::min(address.rfind(':'), address.size());
-  try {
-    asio::io_context io{1};
-    beast::tcp_stream stream(io);
-    const auto host = asio::ip::make_address(address.substr(0, colon));
-    if (!host.is_loopback()) throw HttpError(address + " is not on this machine");
-    const auto port = static_cast<std::uint16_t>(std::stoi(address.substr(std::min(colon + 1, address.size()))));
-    complete(io, stream, [&](auto done) { stream.async_connect(asio::ip::tcp::endpoint(host, port), done); });
+ private:
+  using tcp = asio::ip::tcp;
+
+  /// Runs one asynchronous operation until its end or its time-out. \throws boost::system::system_error
+  template <typename Begin>
+  void complete(beast::tcp_stream& stream, Begin&& begin) {
+    boost::system::error_code result;
+    stream.expires_after(patience);
+    begin([&result](boost::system::error_code error, auto&&...) { result = error; });
+    io_.restart();
+    io_.run();
+    if (result) throw boost::system::system_error(result);
+  }
+
+  template <typename Stream>
+  std::string read(Stream& stream, const std::string& target) {
+    auto& connection = beast::get_lowest_layer(stream);
     http::request<http::empty_body> request(http::verb::get, target, 11);
-    request.set(http::field::host, address);
+    request.set(http::field::host, address_);
+    if (!reader_.token.empty()) request.set(http::field::authorization, "Bearer " + reader_.token);
     request.keep_alive(false);
-    complete(io, stream, [&](auto done) { http::async_write(stream, request, done); });
+    complete(connection, [&](auto done) { http::async_write(stream, request, done); });
     beast::flat_buffer buffer;
     http::response_parser<http::string_body> response;
     response.body_limit(largest_page);
-    complete(io, stream, [&](auto done) { http::async_read(stream, buffer, response, done); });
+    complete(connection, [&](auto done) { http::async_read(stream, buffer, response, done); });
     if (response.get().result() != http::status::ok) {
-      throw HttpError(fmt::format("{}{}: {}", address, target.substr(0, target.find('?')), response.get().body()));
+      throw HttpError(fmt::format("{}{}: {}", address_, target.substr(0, target.find('?')), response.get().body()));
     }
     return std::move(response.get().body());
+  }
+
+  const std::string& address_;
+  const HttpReader& reader_;
+  asio::io_context io_{1};
+};
+
+}  // namespace
+
+std::string http_get(const std::string& address, const std::string& target, const HttpReader& reader) {
+  try {
+    return Asking(address, reader).page(target);
   } catch (const HttpError&) {
     throw;
   } catch (const std::exception& e) {

@@ -1,20 +1,26 @@
 #include <charconv>
+#include <functional>
 #include <list>
 #include <optional>
 #include <string_view>
 #include <thread>
+#include <type_traits>
 
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/ssl/context.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
+#include <boost/beast/ssl.hpp>
 #include <boost/beast/version.hpp>
 #include <fmt/format.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/rpc/http/http_address.h>
 #include <iotcloud/rpc/http/http_server.h>
+#include <iotcloud/rpc/http/page_guard.h>
 #include <iotcloud/rpc/refusal_log.h>
 
 namespace iotcloud::rpc {
@@ -34,14 +40,6 @@ constexpr std::uint32_t longest_head = 8192;
 constexpr std::chrono::seconds request_limit{15}, answer_limit{15};
 /// How long nothing is accepted when descriptors or memory have run out.
 constexpr std::chrono::milliseconds accept_pause{100};
-
-std::pair<std::string, std::string> split_address(const std::string& address) {
-  const auto colon = address.rfind(':');
-  if (colon == std::string::npos) return {address, ""};
-  std::string host = address.substr(0, colon);
-  if (host.size() > 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
-  return {host, address.substr(colon + 1)};
-}
 
 std::string decode(std::string_view text) {
   std::string out;
@@ -97,36 +95,114 @@ class Connection;
 /// an answer. Used by the server's thread.
 using Connections = std::list<Connection*>;
 
-/// One connection. Lives as long as one of its operations is pending.
-class Connection : public std::enable_shared_from_this<Connection> {
+/// What all connections of a server use.
+struct Shared {
+  const Pages& pages;
+  const PageGuard& guard;
+  Connections connections;
+  std::function<void(const std::string& reason, const std::string& text)> refused;
+};
+
+/// One connection's place among all.
+class Connection {
  public:
-  Connection(tcp::socket socket, const Pages& pages, Connections& all)
-      : stream_(std::move(socket)), pages_(pages), all_(all), place_(all_.insert(all_.end(), this)) {}
-  ~Connection() {
-    if (open_) all_.erase(place_);
+  explicit Connection(Shared& shared)
+      : shared_(shared), place_(shared.connections.insert(shared.connections.end(), this)) {}
+  virtual ~Connection() {
+    if (open_) shared_.connections.erase(place_);
   }
   Connection(const Connection&) = delete;
   Connection& operator=(const Connection&) = delete;
 
   void cut() {
-    all_.erase(place_);
+    shared_.connections.erase(place_);
     open_ = false;
-    stream_.close();
+    close();
   }
+
+ protected:
+  virtual void close() = 0;
+  void begin() { shared_.connections.splice(shared_.connections.end(), shared_.connections, place_); }
+  bool is_open() const { return open_; }  ///< false: it was cut, and ends when its operation has
+
+  Shared& shared_;
+
+ private:
+  const Connections::iterator place_;
+  bool open_ = true;
+};
+
+using PlainStream = beast::tcp_stream;
+using TlsStream = beast::ssl_stream<beast::tcp_stream>;
+
+/// One connection. Lives as long as one of its operations is pending.
+template <typename Stream>
+class ConnectionOver final : public Connection, public std::enable_shared_from_this<ConnectionOver<Stream>> {
+ public:
+  template <typename... Rest>
+  ConnectionOver(Shared& shared, tcp::socket socket, Rest&... rest)
+      : Connection(shared), stream_(std::move(socket), rest...) {}
+
+  void start() {
+    if constexpr (secure) {
+      begin();
+      socket_stream().expires_after(request_limit);
+      stream_.async_handshake(asio::ssl::stream_base::server, [self = this->shared_from_this()](error_code error) {
+        if (!self->is_open()) return;
+        if (!error) return self->read();
+        self->shared_.refused("tls", "a reader cannot be talked to by TLS: " + error.message());
+      });
+    } else {
+      read();
+    }
+  }
+
+ private:
+  static constexpr bool secure = std::is_same_v<Stream, TlsStream>;
+  beast::tcp_stream& socket_stream() { return beast::get_lowest_layer(stream_); }
+  void close() override { socket_stream().close(); }
 
   void read() {
     begin();
     parser_.emplace();
     parser_->header_limit(longest_head);
     parser_->body_limit(0);
-    stream_.expires_after(request_limit);
-    http::async_read(stream_, buffer_, *parser_, [self = shared_from_this()](error_code error, std::size_t) {
-      if (!error && self->open_) self->write();
+    socket_stream().expires_after(request_limit);
+    http::async_read(stream_, buffer_, *parser_, [self = this->shared_from_this()](error_code error, std::size_t) {
+      if (!error && self->is_open()) self->write();
     });
   }
 
- private:
-  void begin() { all_.splice(all_.end(), all_, place_); }
+  /// Whether the request's token allows it. A connection's token is looked at once, because that takes time.
+  bool is_allowed() {
+    if (!shared_.guard.asks_for_token()) return true;
+    const auto header = parser_->get()[http::field::authorization];
+    const std::string shown(header.data(), header.size());
+    if (!reader_ || shown != shown_) {
+      reader_ = shared_.guard.reader(shown, certificate());
+      shown_ = shown;
+    }
+    return reader_ && shared_.guard.still_may(*reader_);
+  }
+
+  std::string certificate() {
+    if constexpr (secure) {
+      return security::peer_subject(stream_.native_handle());
+    } else {
+      return "";
+    }
+  }
+
+  HttpAnswer answer() {
+    if (!is_allowed()) {
+      response_.set(http::field::www_authenticate, "Bearer");
+      response_.keep_alive(false);  // trying tokens costs a handshake each
+      shared_.refused("token", "a reader shows no token, or one that is nobody's");
+      return {401, "text/plain", "these pages ask for a token: send the header Authorization: Bearer TOKEN\n"};
+    }
+    const auto target = parser_->get().target();
+    return answer_to(shared_.pages, {target.data(), target.size()});
+  }
 
   void write() {
     begin();
@@ -137,25 +213,23 @@ class Connection : public std::enable_shared_from_this<Connection> {
     response_.set(http::field::server, "iotcloud");
     const bool head = request.method() == http::verb::head;
     if (head || request.method() == http::verb::get) {
-      const auto target = request.target();
-      HttpAnswer answer = answer_to(pages_, {target.data(), target.size()});
-      response_.result(static_cast<unsigned>(answer.status));
-      response_.set(http::field::content_type, answer.content_type);
-      response_.content_length(answer.body.size());
-      if (!head) response_.body() = std::move(answer.body);
+      HttpAnswer made = answer();
+      response_.result(static_cast<unsigned>(made.status));
+      response_.set(http::field::content_type, made.content_type);
+      response_.content_length(made.body.size());
+      if (!head) response_.body() = std::move(made.body);
     } else {
       response_.result(http::status::method_not_allowed);
       response_.set(http::field::allow, "GET, HEAD");
       response_.prepare_payload();
     }
-    stream_.expires_after(answer_limit);
+    socket_stream().expires_after(answer_limit);
     serializer_.emplace(response_);
     serializer_->split(head);
-    const auto done = [self = shared_from_this()](error_code error, std::size_t) {
-      if (error || !self->open_) return;
+    const auto done = [self = this->shared_from_this()](error_code error, std::size_t) {
+      if (error || !self->is_open()) return;
       if (self->response_.keep_alive()) return self->read();
-      error_code ignored;
-      self->stream_.socket().shutdown(tcp::socket::shutdown_send, ignored);
+      self->end();
     };
     if (head) {
       http::async_write_header(stream_, *serializer_, done);
@@ -164,25 +238,33 @@ class Connection : public std::enable_shared_from_this<Connection> {
     }
   }
 
-  beast::tcp_stream stream_;
+  void end() {
+    if constexpr (secure) {
+      stream_.async_shutdown([self = this->shared_from_this()](error_code) {});
+    } else {
+      error_code ignored;
+      stream_.socket().shutdown(tcp::socket::shutdown_send, ignored);
+    }
+  }
+
+  Stream stream_;
   beast::flat_buffer buffer_;
   std::optional<http::request_parser<http::empty_body>> parser_;
   http::response<http::string_body> response_;
   std::optional<http::response_serializer<http::string_body>> serializer_;
-  const Pages& pages_;
-  Connections& all_;
-  const Connections::iterator place_;
-  bool open_ = true;  ///< it has its place; false: it was cut, and ends when its operation has
+  std::optional<security::TokenEntry> reader_;
+  std::string shown_;  ///< the header by which `reader_` was found
 };
 
 }  // namespace
 
 struct HttpServer::Impl {
-  Impl(const std::string& address, Pages handlers) : pages(std::move(handlers)), acceptor(io) {
-    std::tie(host, std::ignore) = split_address(address);
+  Impl(const PageSettings& settings, Pages handlers)
+      : pages(std::move(handlers)), guard(settings), host(HttpAddress(settings.address).host), acceptor(io) {
+    shared.refused = [this](const auto& reason, const auto& text) { refused(reason, text); };
     tcp::resolver resolver(io);
-    const auto [name, port] = split_address(address);
-    const auto found = resolver.resolve(name, port, tcp::resolver::passive | tcp::resolver::numeric_service);
+    const auto found = resolver.resolve(host, HttpAddress(settings.address).port,
+                                        tcp::resolver::passive | tcp::resolver::numeric_service);
     const tcp::endpoint endpoint = *found.begin();
     acceptor.open(endpoint.protocol());
     acceptor.set_option(asio::socket_base::reuse_address(true));
@@ -202,7 +284,7 @@ struct HttpServer::Impl {
       if (error == asio::error::operation_aborted) return;
       if (!error) {
         make_room();
-        std::make_shared<Connection>(std::move(socket), pages, connections)->read();
+        serve(std::move(socket));
       } else if (error != asio::error::connection_aborted) {
         refused("accept", "a connection cannot be accepted: " + error.message());
         pause.expires_after(accept_pause);
@@ -215,9 +297,18 @@ struct HttpServer::Impl {
     });
   }
 
+  void serve(tcp::socket socket) {
+    const auto tls = guard.tls();
+    if (!tls) return std::make_shared<ConnectionOver<PlainStream>>(shared, std::move(socket))->start();
+    SSL_CTX_up_ref(tls->get());
+    asio::ssl::context context(tls->get());  // owns the reference
+    std::make_shared<ConnectionOver<TlsStream>>(shared, std::move(socket), context)->start();
+  }
+
   /// If there are too many connections, cuts the one that has been the longest at its request, or at taking its answer:
   /// who asks and reads at once, such as a probe of /healthz, is always answered.
   void make_room() {
+    Connections& connections = shared.connections;
     if (connections.size() < most_connections) return;
     refused("connections", fmt::format("there are {} connections already; the one that has been the longest at its "
                                        "request, or at taking its answer, is cut off",
@@ -234,21 +325,22 @@ struct HttpServer::Impl {
   }
 
   const Pages pages;
-  std::string host;
+  PageGuard guard;
+  const std::string host;
   std::uint16_t bound_port = 0;
   RefusalLog log{config::Logger{"http"}};
-  Connections connections;  ///< declared before `io`, whose destructor destroys connections
+  Shared shared{pages, guard, {}, {}};  ///< declared before `io`, whose destructor destroys connections
   asio::io_context io{1};
   tcp::acceptor acceptor;
   asio::steady_timer pause{io};
   std::thread thread;
 };
 
-HttpServer::HttpServer(const std::string& address, std::map<std::string, HttpHandler> pages) {
+HttpServer::HttpServer(const PageSettings& settings, std::map<std::string, HttpHandler> pages) {
   try {
-    impl_ = std::make_unique<Impl>(address, std::move(pages));
+    impl_ = std::make_unique<Impl>(settings, std::move(pages));
   } catch (const std::exception& e) {
-    throw config::Error("pages cannot be served at " + address + " (" + e.what() +
+    throw config::Error("pages cannot be served at " + settings.address + " (" + e.what() +
                         "); is the address of the form host:port, and the port free?");
   }
 }
@@ -260,12 +352,8 @@ std::string HttpServer::address() const {
   return (six ? "[" + impl_->host + "]" : impl_->host) + ":" + std::to_string(impl_->bound_port);
 }
 
-bool is_loopback_address(const std::string& address) {
-  const auto [host, port] = split_address(address);
-  if (host == "localhost") return true;
-  error_code error;
-  const auto parsed = asio::ip::make_address(host, error);
-  return !error && parsed.is_loopback();
+void HttpServer::reload() {
+  impl_->guard.reload();
 }
 
 }  // namespace iotcloud::rpc

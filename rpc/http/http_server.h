@@ -4,6 +4,9 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
+
+#include <iotcloud/rpc/http/page_settings.h>
 
 namespace iotcloud::rpc {
 
@@ -25,25 +28,29 @@ using HttpHandler = std::function<HttpAnswer(const HttpRequest&)>;
 
 /// A small HTTP/1.1 server for a daemon's own pages, from construction to destruction: GET and HEAD, one thread, at
 /// most 64 connections. One more makes the server cut off the connection that has been the longest at sending its
-/// request or taking its answer; so slow clients keep nobody away. Counted: iotcloud_http_refused_total{reason}. No
-/// TLS: the address decides who can reach it. Only daemons link it. Thread safe.
+/// request or taking its answer; so slow clients keep nobody away. Counted: iotcloud_http_refused_total{reason}.
+/// What other machines can reach has TLS 1.2+ and takes a token ("Authorization: Bearer TOKEN"; 401 without), see
+/// page_settings.h. Only daemons link it. Thread safe.
 class HttpServer {
  public:
-  /// \param address "host:port", for example "127.0.0.1:9100"; port 0: any free port.
+  /// \param settings with an address "host:port", for example "127.0.0.1:9100"; port 0: any free port.
   /// \param pages the handler of each path, kept until the destructor ends.
-  /// \throws Error when the address cannot be read or bound.
-  HttpServer(const std::string& address, std::map<std::string, HttpHandler> pages);
+  /// \throws Error when the address cannot be read or bound, or may not be served with these settings.
+  HttpServer(const PageSettings& settings, std::map<std::string, HttpHandler> pages);
+  /// The same without TLS and tokens.
+  HttpServer(const std::string& address, std::map<std::string, HttpHandler> pages)
+      : HttpServer(PageSettings{address, {}, ""}, std::move(pages)) {}
   /// Returns when no handler runs any more.
   ~HttpServer();
 
   std::string address() const;  ///< "host:port" with the real port
+  /// Reads certificates and tokens again: for new connections, and for whose token was taken away. \throws Error; then
+  /// nothing changes.
+  void reload();
 
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
-
-/// Whether only this machine can reach "host:port".
-bool is_loopback_address(const std::string& address);
 
 }  // namespace iotcloud::rpc

@@ -65,8 +65,8 @@ HttpHandler metrics_page(const config::Metrics& metrics) {
   };
 }
 
-MetricsEndpoint::MetricsEndpoint(const std::string& address, const config::Metrics& metrics,
+MetricsEndpoint::MetricsEndpoint(const PageSettings& settings, const config::Metrics& metrics,
                                  std::function<std::string()> trouble)
-    : server_(address, {{"/metrics", metrics_page(metrics)}, {"/healthz", health_page(std::move(trouble))}}) {}
+    : server_(settings, {{"/metrics", metrics_page(metrics)}, {"/healthz", health_page(std::move(trouble))}}) {}
 
 }  // namespace iotcloud::rpc

@@ -17,12 +17,15 @@ HttpHandler metrics_page(const config::Metrics& metrics);
 /// Only daemons link it. Thread safe.
 class MetricsEndpoint {
  public:
-  /// \param address "host:port", for example "127.0.0.1:9100". \throws Error if it cannot be bound.
+  /// \param settings as for HttpServer. \throws Error if it cannot be bound, or may not be served so.
   /// \param metrics must outlive this object.
   /// \param trouble why the daemon is unhealthy; empty if it is healthy. Called on this object's thread.
   MetricsEndpoint(
-      const std::string& address, const config::Metrics& metrics,
+      const PageSettings& settings, const config::Metrics& metrics,
       std::function<std::string()> trouble = [] { return std::string(); });
+
+  /// As HttpServer::reload().
+  void reload() { server_.reload(); }
 
  private:
   HttpServer server_;

@@ -30,7 +30,9 @@ class TinyService : public Service {
   void start() override {
     iotcloud::config::process_metrics().counter("tiny_total", "Tiny things", {{"kind", "a"}}).add(3);
     iotcloud::config::process_metrics().histogram("tiny_seconds", "Tiny times").record_ns(2'000'000);
-    if (metrics_) endpoint_.emplace(*metrics_, iotcloud::config::process_metrics(), [this] { return trouble(); });
+    if (metrics_)
+      endpoint_.emplace(iotcloud::rpc::PageSettings{*metrics_, {}, ""}, iotcloud::config::process_metrics(),
+                        [this] { return trouble(); });
   }
   void stop(std::chrono::milliseconds) override {
     while (stop_ == "hang") std::this_thread::yield();

@@ -11,16 +11,20 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/rpc/http/http_client.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
+#include <iotcloud/security/tokens.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/security/certificates.h>
 
 namespace iotcloud::rpc {
 namespace {
 
 using testing::AllOf;
 using testing::HasSubstr;
+using testing::Not;
 using testing::StartsWith;
 
 /// One connection to the server.
@@ -190,11 +194,97 @@ TEST(HttpServer, RefusesAnAddressThatIsTakenOrNone) {
   EXPECT_THROW(HttpServer("nonsense", {}), config::Error);
 }
 
-TEST(HttpServer, KnowsWhichAddressesOnlyThisMachineReaches) {
-  for (const char* address : {"127.0.0.1:80", "localhost:0", "[::1]:1", "127.8.9.1:5"})
-    EXPECT_TRUE(is_loopback_address(address)) << address;
-  for (const char* address : {"0.0.0.0:80", "10.0.0.1:0", "[::]:1", "example.org:5", ""})
-    EXPECT_FALSE(is_loopback_address(address)) << address;
+/// Pages behind TLS and a token, at an address that other machines can reach.
+class GuardedPages : public testing::Test {
+ protected:
+  GuardedPages()
+      : token_(security::add_token(folder_ / "tokens", "prometheus", security::Role::viewer)),
+        settings_{"0.0.0.0:0", certificates_.of("lab1"), folder_ / "tokens"} {}
+
+  std::string read(const HttpServer& server, const HttpReader& reader) const {
+    const std::string address = server.address();
+    try {
+      return http_get("localhost" + address.substr(address.rfind(':')), "/p", reader);
+    } catch (const HttpError& e) {
+      return e.what();
+    }
+  }
+
+  const security::test::Certificates certificates_;
+  const security::test::Folder folder_;
+  const std::string token_;
+  const PageSettings settings_;
+  const std::map<std::string, HttpHandler> pages_{{"/p", [](const HttpRequest&) {
+                                                     return HttpAnswer{200, "text/plain", "the page"};
+                                                   }}};
+};
+
+TEST_F(GuardedPages, AreReadWithACertificateAndATokenOnly) {
+  const HttpServer server(settings_, pages_);
+  const auto certificate = certificates_.of("operator");
+  EXPECT_EQ(read(server, {certificate, token_}), "the page");
+  EXPECT_THAT(read(server, {certificate, ""}), HasSubstr("Authorization: Bearer"));
+  EXPECT_THAT(read(server, {certificate, token_ + "0"}), HasSubstr("Authorization: Bearer"));
+  EXPECT_THAT(talk(server, "GET /p HTTP/1.1\r\nHost: here\r\nAuthorization: Bearer " + token_ + "\r\n\r\n"),
+              Not(HasSubstr("the page")))
+      << "without TLS";
+  const security::test::Certificates stranger;
+  EXPECT_THAT(
+      read(server, {{certificate.ca, stranger.of("operator").certificate, stranger.of("operator").key}, token_}),
+      HasSubstr("does not answer"));
+}
+
+TEST_F(GuardedPages, AreNotServedToOtherMachinesWithoutTlsAndTokens) {
+  const auto error_of = [&](const PageSettings& settings) -> std::string {
+    try {
+      const HttpServer server(settings, pages_);
+      return "";
+    } catch (const config::Error& e) {
+      return e.what();
+    }
+  };
+  EXPECT_EQ(error_of(settings_), "");
+  EXPECT_EQ(error_of({"127.0.0.1:0", {}, ""}), "");
+  EXPECT_EQ(error_of({"localhost:0", {}, ""}), "");
+  for (const char* everywhere : {"0.0.0.0:0", "[::]:0"}) {
+    EXPECT_THAT(error_of({everywhere, {}, ""}), HasSubstr("without TLS and tokens"));
+    EXPECT_THAT(error_of({everywhere, {}, settings_.tokens}), HasSubstr("without TLS"));
+    EXPECT_THAT(error_of({everywhere, settings_.tls, ""}), HasSubstr("without tokens"));
+  }
+}
+
+TEST_F(GuardedPages, AreClosedAtOnceToWhomATokenIsTakenFrom) {
+  HttpServer server(settings_, pages_);
+  EXPECT_EQ(read(server, {certificates_.of("operator"), token_}), "the page");
+  ASSERT_TRUE(security::remove_token(settings_.tokens, "prometheus"));
+  server.reload();
+  EXPECT_THAT(read(server, {certificates_.of("operator"), token_}), HasSubstr("Authorization: Bearer"));
+}
+
+TEST_F(GuardedPages, AreAskedForByTlsOnlyWhenTheyAreOnAnotherMachine) {
+  EXPECT_THROW(http_get("192.0.2.1:9405", "/p"), HttpError);
+  const HttpServer server(settings_, pages_);
+  const std::string port = server.address().substr(server.address().rfind(':'));
+  EXPECT_THROW(http_get("127.0.0.2" + port, "/p", {certificates_.of("operator"), token_}), HttpError)
+      << "its certificate is not for this address";
+}
+
+TEST(PageSettings, AreReadWithFileLineAndRemedy) {
+  const auto error_of = [](const std::string& text) -> std::string {
+    try {
+      auto section = config::Section::parse(text, "d.yaml");
+      read_page_settings(section);
+      return "";
+    } catch (const config::ConfigError& e) {
+      return e.what();
+    }
+  };
+  EXPECT_EQ(error_of("metrics: {address: \"127.0.0.1:9405\"}"), "");
+  EXPECT_THAT(error_of("\nmetrics: {address: \"0.0.0.0:9405\"}"),
+              AllOf(StartsWith("d.yaml:2:"), HasSubstr("metrics.address"), HasSubstr("TLS and tokens"),
+                    HasSubstr("iotcloud certs init"), HasSubstr("127.0.0.1")));
+  EXPECT_THAT(error_of("metrics: {address: \"127.0.0.1:9405\", tokens: /nonexistent/tokens}"),
+              AllOf(HasSubstr("metrics.tokens"), HasSubstr("iotcloud token add")));
 }
 
 TEST(MetricsPage, HasPrometheusText) {

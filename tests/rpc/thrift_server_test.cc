@@ -8,6 +8,7 @@
 #include <thrift/Thrift.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/rpc/listen_settings.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/eventually.h>
@@ -242,6 +243,7 @@ TEST(ThriftClientTest, AnAnswerThatDoesNotComeIsATimeOut) {
 }
 
 TEST(LoopbackAddresses, AreKnown) {
+  using config::is_loopback;
   for (const char* host : {"127.0.0.1", "127.1.2.3", "::1", "localhost"}) EXPECT_TRUE(is_loopback(host)) << host;
   for (const char* host : {"0.0.0.0", "::", "192.168.1.2", "example.org", "127.0.0.1.example.org", ""})
     EXPECT_FALSE(is_loopback(host)) << host;

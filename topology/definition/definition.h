@@ -11,6 +11,7 @@
 #include <iotcloud/discovery/ids.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/selection/selection.h>
+#include <iotcloud/rpc/http/page_settings.h>
 #include <iotcloud/topology/fields.h>
 #include <iotcloud/topology/topology_context.h>
 
@@ -128,7 +129,7 @@ struct TopologyDefinition {
   std::map<std::string, brokers::BrokerOptions> brokers;  ///< by logical name; URLs here override those of the gateways
   Config conf;
   RunSettings runtime;
-  std::string metrics_address;  ///< host:port of the metrics page; empty: a free port
+  rpc::PageSettings pages;  ///< of the worker; without an address it takes a free port of loopback
   std::vector<ComponentDefinition> spouts;
   std::vector<ComponentDefinition> bolts;
   config::Section root;

@@ -22,33 +22,29 @@ namespace config = iotcloud::config;
 namespace rpc = iotcloud::rpc;
 namespace topology = iotcloud::topology;
 
-/// The address of the pages: on loopback only, because they show the topology's data to everybody who can reach them.
-std::string pages_address(const topology::TopologyDefinition& definition) {
-  const std::string& address = definition.metrics_address;
-  if (address.empty()) return "127.0.0.1:0";
-  if (rpc::is_loopback_address(address)) return address;
-  throw definition.root.error(
-      "metrics",
-      "the address " + address + " can be reached from other machines, where the pages would show the data to anybody",
-      "127.0.0.1:9406; from elsewhere use a tunnel, for example ssh -L 9406:127.0.0.1:9406 HOST");
+rpc::PageSettings pages_of(const topology::TopologyDefinition& definition) {
+  auto pages = definition.pages;
+  if (pages.address.empty()) pages.address = "127.0.0.1:0";
+  return pages;
 }
 
 /// The worker and its pages: /metrics for Prometheus, /healthz, and /topology and /tap for `iotcloud topology`.
 class WorkerService final : public config::Service {
  public:
   explicit WorkerService(topology::WorkerOptions options)
-      : address_(pages_address(options.definition)), worker_(std::move(options)) {}
+      : settings_(pages_of(options.definition)), worker_(std::move(options)) {}
   void start() override {
-    pages_.emplace(address_, std::map<std::string, rpc::HttpHandler>{
-                                 {"/metrics", rpc::metrics_page(config::process_metrics())},
-                                 {"/healthz", rpc::health_page([this] { return trouble(); })},
-                                 {"/topology", [this](const auto&) { return describe(); }},
-                                 {"/tap", [this](const auto& request) { return tap(request); }}});
+    pages_.emplace(settings_, std::map<std::string, rpc::HttpHandler>{
+                                  {"/metrics", rpc::metrics_page(config::process_metrics())},
+                                  {"/healthz", rpc::health_page([this] { return trouble(); })},
+                                  {"/topology", [this](const auto&) { return describe(); }},
+                                  {"/tap", [this](const auto& request) { return tap(request); }}});
     worker_.show_http_address(pages_->address());
     worker_.start();
     started_ = true;
   }
   void stop(std::chrono::milliseconds limit) override { worker_.stop(limit); }
+  void reload() override { pages_->reload(); }
   std::string trouble() const override { return started_ ? worker_.trouble() : "starting"; }
 
  private:
@@ -73,7 +69,7 @@ class WorkerService final : public config::Service {
     }
   }
 
-  const std::string address_;
+  const rpc::PageSettings settings_;
   topology::Worker worker_;
   std::atomic<bool> started_{false};
   std::optional<rpc::HttpServer> pages_;  ///< last, because its pages use the worker

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/rpc/http/page_settings.h>
+#include <iotcloud/security/tokens.h>
+
+namespace iotcloud::rpc {
+
+/// Decides who may read a daemon's pages. Thread safe. Private to the sources of the pages.
+class PageGuard {
+ public:
+  /// \throws config::Error for unusable files, and if exposure() gives a reason.
+  explicit PageGuard(PageSettings settings);
+  /// Reads certificates and tokens again. \throws config::Error; then nothing changes.
+  void reload();
+
+  std::shared_ptr<const security::TlsContext> tls() const;  ///< for new connections; null: no TLS
+  bool asks_for_token() const { return tokens_ != nullptr; }
+  /// Who shows this header "Authorization"; nullopt: nobody who may read. Takes some ten milliseconds.
+  /// \param certificate the subject of the reader's certificate; empty: none
+  std::optional<security::TokenEntry> reader(std::string_view authorization, const std::string& certificate) const;
+  /// Whether the token still counts.
+  bool still_may(const security::TokenEntry& reader) const { return tokens_->role_of(reader).has_value(); }
+
+ private:
+  const PageSettings settings_;
+  std::unique_ptr<security::TokenKeeper> tokens_;  ///< null: readers need no token
+  mutable config::Mutex mutex_;
+  std::shared_ptr<const security::TlsContext> tls_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
+}  // namespace iotcloud::rpc

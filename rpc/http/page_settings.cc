@@ -1,0 +1,38 @@
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/exposure.h>
+#include <iotcloud/rpc/http/http_address.h>
+#include <iotcloud/rpc/http/page_settings.h>
+#include <iotcloud/security/tokens.h>
+
+namespace iotcloud::rpc {
+
+std::string exposure(const PageSettings& settings) {
+  return config::exposure(HttpAddress(settings.address).host, !settings.tls.empty(), !settings.tokens.empty(),
+                          "read the pages");
+}
+
+PageSettings read_page_settings(config::Section& file) {
+  PageSettings settings;
+  auto section = file.optional_section("metrics");
+  if (!section) return settings;
+  settings.address = section->require_string("address");
+  settings.tls = security::read_tls(*section);
+  settings.tokens = section->string_or("tokens", "");
+  if (const std::string problem = exposure(settings); !problem.empty()) {
+    throw section->error(
+        "address", problem,
+        "tls: {ca, certificate, key} (`iotcloud certs init` makes them) and tokens: FILE (`iotcloud token add`), "
+        "or an address on 127.0.0.1");
+  }
+  if (!settings.tokens.empty()) {
+    try {
+      security::read_tokens(settings.tokens);
+    } catch (const config::Error& e) {
+      throw section->error("tokens", e.what(), "`iotcloud token add NAME --role viewer --file FILE` makes one");
+    }
+  }
+  section->finish();
+  return settings;
+}
+
+}  // namespace iotcloud::rpc
