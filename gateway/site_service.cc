@@ -23,9 +23,9 @@ const rpc::MethodRules& SiteService::rules() {
       {"stopSensor", {Role::operating, RefusalForm::response}},
       {"deploySensor", {Role::admin, RefusalForm::response}},
       {"unDeploySensor", {Role::admin, RefusalForm::response}},
-      {"offerPlugin", {Role::admin, RefusalForm::error}},
-      {"sendPlugin", {Role::admin, RefusalForm::error, false}},
-      {"finishPlugin", {Role::admin, RefusalForm::error}},
+      {"offerPlugin", {Role::admin, RefusalForm::error, true, true}},
+      {"sendPlugin", {Role::admin, RefusalForm::error, false, true}},
+      {"finishPlugin", {Role::admin, RefusalForm::error, true, true}},
   };
   return rules;
 }

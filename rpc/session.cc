@@ -31,7 +31,7 @@ security::AuditEntry Session::entry(const std::string& method) const {
 
 std::string Session::authenticate(const std::string& token) {
   if (!options_.tokens) return "";
-  holder_ = options_.tokens->holder(token);
+  holder_ = options_.tokens->holder(token, peer_->certificate());
   if (holder_) {
     peer_->trust();
     security::access_logger.info("{}: {} is {} ({})", options_.service, peer_->address(), holder_->name,
@@ -48,7 +48,8 @@ std::string Session::authenticate(const std::string& token) {
   }
   if (++wrong_tokens_ >= options_.wrong_tokens) peer_->hang_up();
   std::this_thread::sleep_for(options_.wrong_token_pause);
-  return "that is nobody's token here; `iotcloud token list` shows whose there are";
+  return "that is nobody's token here, or it counts only with another certificate; `iotcloud token list` shows whose "
+         "there are, and with which certificate each counts";
 }
 
 void Session::note(std::string what, std::string outcome) {
@@ -64,7 +65,7 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
   }
   const security::Role wanted = rule->second.role;
   const security::Role has = role();
-  if (has >= wanted) return std::nullopt;
+  if (has >= wanted || (has == security::Role::master && rule->second.for_master)) return std::nullopt;
   Refusal refusal;
   refusal.form = rule->second.form;
   const bool stranger = has == security::Role::anyone;

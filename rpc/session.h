@@ -27,6 +27,7 @@ struct MethodRule {
   RefusalForm form = RefusalForm::failure;
   /// Orders (calls that viewers may not make) are in the audit log, except parts of an order, which would fill it.
   bool audited = true;
+  bool for_master = false;  ///< Role::master may call it too, whatever `role` says
 };
 /// The rule of every method of a service by its name. Nobody may call a method without a rule, so a new one must state
 /// its role.

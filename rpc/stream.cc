@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <cstring>
 
-#include <arpa/inet.h>
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <netdb.h>
@@ -13,7 +12,6 @@
 #include <openssl/bio.h>
 #include <openssl/err.h>
 #include <openssl/ssl.h>
-#include <openssl/x509v3.h>
 #include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -66,11 +64,6 @@ BIO_METHOD* bio_method() {
 StreamError error_of(int problem) {
   if (problem == ECONNRESET || problem == EPIPE) return {Kind::ended, "the connection was closed"};
   return {Kind::broken, std::strerror(problem)};
-}
-
-bool is_address(const std::string& host) {
-  std::array<unsigned char, sizeof(in6_addr)> bytes{};
-  return inet_pton(AF_INET, host.c_str(), bytes.data()) == 1 || inet_pton(AF_INET6, host.c_str(), bytes.data()) == 1;
 }
 
 /// Keep-alive: a peer that vanished silently is noticed within two minutes.
@@ -211,13 +204,7 @@ std::unique_ptr<Stream> Stream::connect(const std::string& host, int port, const
     stream->begin_tls(*tls);
     SSL* const ssl = stream->tls_->ssl;
     SSL_set_connect_state(ssl);
-    if (is_address(host)) {
-      X509_VERIFY_PARAM_set1_ip_asc(SSL_get0_param(ssl), host.c_str());
-    } else {
-      SSL_set_hostflags(ssl, X509_CHECK_FLAG_NO_PARTIAL_WILDCARDS);
-      SSL_set1_host(ssl, host.c_str());
-      SSL_ctrl(ssl, SSL_CTRL_SET_TLSEXT_HOSTNAME, TLSEXT_NAMETYPE_host_name, const_cast<char*>(host.c_str()));
-    }
+    security::expect_host(ssl, host);
     stream->shake_hands(deadline);
     return stream;
   }
@@ -289,14 +276,11 @@ std::string Stream::peer_address() const {
 }
 
 std::string Stream::peer_certificate() const {
-  if (!tls_) return "";
-  const std::unique_ptr<X509, decltype(&X509_free)> certificate(SSL_get1_peer_certificate(tls_->ssl), X509_free);
-  if (!certificate) return "";
-  const std::unique_ptr<BIO, decltype(&BIO_free)> text(BIO_new(BIO_s_mem()), BIO_free);
-  X509_NAME_print_ex(text.get(), X509_get_subject_name(certificate.get()), 0, XN_FLAG_RFC2253 & ~ASN1_STRFLGS_ESC_MSB);
-  char* data = nullptr;
-  const auto size = BIO_get_mem_data(text.get(), &data);
-  return {data, static_cast<std::size_t>(size)};
+  return tls_ ? security::peer_subject(tls_->ssl) : "";
+}
+
+bool Stream::is_peer_gateway(const std::string& id) const {
+  return tls_ && security::is_peer_gateway(tls_->ssl, id);
 }
 
 }  // namespace iotcloud::rpc

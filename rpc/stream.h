@@ -61,6 +61,8 @@ class Stream {
   std::string peer_address() const;  ///< "192.0.2.7:40112"
   /// The subject of the other side's certificate, "CN=operator"; empty if it showed none.
   std::string peer_certificate() const;
+  /// security::is_peer_gateway(); false without TLS.
+  bool is_peer_gateway(const std::string& id) const;
 
  private:
   struct Tls;

@@ -51,6 +51,11 @@ class ThriftClient::Transport final : public TVirtualTransport<Transport> {
     } catch (const StreamError& e) {
       throw exception_of(e);
     }
+    if (options.tls.empty() || options.gateway.empty() || stream_->is_peer_gateway(options.gateway)) return;
+    throw TTransportException(
+        TTransportException::NOT_OPEN,
+        "the certificate there is of " + stream_->peer_certificate() + ", not of gateway " + options.gateway +
+            "; make it one with `iotcloud certs add DIR --host HOST --gateway " + options.gateway + "`");
   }
 
   bool isOpen() const override { return stream_ != nullptr; }

@@ -18,6 +18,8 @@ struct ThriftClientOptions {
   int port = 0;
   /// if not empty, the server must prove that it is `host`, and this client shows the certificate
   security::TlsFiles tls;
+  std::string
+      gateway;  ///< with TLS: the server's certificate must also be that of the gateway with this id; empty: any
   std::chrono::milliseconds connect_limit{3'000};  ///< until the connection is open, TLS included
   std::chrono::milliseconds answer_limit{30'000};  ///< from the start of a call to the last byte of its answer
 };

@@ -17,6 +17,7 @@
 
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/security/certificates.h>
 #include <iotcloud/security/private_file.h>
 #include <iotcloud/security/tls.h>
@@ -124,11 +125,6 @@ void check_name(const std::string& name) {
                     name));
 }
 
-bool is_address(const std::string& host) {
-  std::array<unsigned char, sizeof(in6_addr)> bytes{};
-  return inet_pton(AF_INET, host.c_str(), bytes.data()) == 1 || inet_pton(AF_INET6, host.c_str(), bytes.data()) == 1;
-}
-
 /// \param names alternative names of the subject in OpenSSL's notation; empty: none
 void certify(const Authority& authority, const std::string& name, const std::string& usage, const std::string& names) {
   check_name(name);
@@ -166,10 +162,14 @@ void Authority::make() const {
   config::write_new_file(this->certificate("ca"), to_pem(made), for_readers);
 }
 
-void Authority::certify_host(const std::string& host) const {
+void Authority::certify_host(const std::string& host, const std::vector<std::string>& gateways) const {
   check_name(host);
-  const std::string names =
-      fmt::format("{}:{},DNS:localhost,IP:127.0.0.1,IP:::1", is_address(host) ? "IP" : "DNS", host);
+  std::string names =
+      fmt::format("{}:{},DNS:localhost,IP:127.0.0.1,IP:::1", config::is_address(host) ? "IP" : "DNS", host);
+  for (const auto& gateway : gateways) {
+    check_name(gateway);
+    names += ",URI:" + gateway_name(gateway);
+  }
   certify(*this, host, "serverAuth,clientAuth", names);
 }
 

@@ -15,7 +15,9 @@ struct Authority {
   void make() const;
   /// Makes a certificate for the daemons of one machine, valid for two years: they serve under `host` and this
   /// machine's `localhost`, and call others with it. \param host a DNS name or an address, as clients write it.
-  void certify_host(const std::string& host) const;
+  /// \param gateways ids of the gateways on that machine, unless the only one is named as the machine: masters send
+  /// their tokens only to a gateway whose certificate names it.
+  void certify_host(const std::string& host, const std::vector<std::string>& gateways = {}) const;
   /// Makes a certificate for a client, valid for two years. \param name letters, digits, '-', '_' and '.'.
   void certify_caller(const std::string& name) const;
 

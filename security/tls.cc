@@ -3,9 +3,12 @@
 
 #include <fmt/format.h>
 #include <openssl/err.h>
+#include <openssl/pem.h>
 #include <openssl/ssl.h>
+#include <openssl/x509v3.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/security/tls.h>
 
 namespace iotcloud::security {
@@ -18,6 +21,75 @@ std::string tls_error() {
   std::array<char, 256> text{};
   ERR_error_string_n(code, text.data(), text.size());
   return text.data();
+}
+
+void expect_host(ssl_st* ssl, const std::string& host) {
+  if (config::is_address(host)) {
+    X509_VERIFY_PARAM_set1_ip_asc(SSL_get0_param(ssl), host.c_str());
+    return;
+  }
+  SSL_set_hostflags(ssl, X509_CHECK_FLAG_NO_PARTIAL_WILDCARDS);
+  SSL_set1_host(ssl, host.c_str());
+  SSL_ctrl(ssl, SSL_CTRL_SET_TLSEXT_HOSTNAME, TLSEXT_NAMETYPE_host_name, const_cast<char*>(host.c_str()));
+}
+
+namespace {
+
+using HeldCertificate = std::unique_ptr<X509, decltype(&X509_free)>;
+
+std::string subject_of(const X509* certificate) {
+  const std::unique_ptr<BIO, decltype(&BIO_free)> text(BIO_new(BIO_s_mem()), BIO_free);
+  X509_NAME_print_ex(text.get(), X509_get_subject_name(certificate), 0, XN_FLAG_RFC2253 & ~ASN1_STRFLGS_ESC_MSB);
+  char* data = nullptr;
+  const auto size = BIO_get_mem_data(text.get(), &data);
+  return {data, static_cast<std::size_t>(size)};
+}
+
+std::string text_of(const ASN1_STRING* text) {
+  return {reinterpret_cast<const char*>(ASN1_STRING_get0_data(text)),
+          static_cast<std::size_t>(ASN1_STRING_length(text))};
+}
+
+/// Whether the certificate has exactly one common name, and it is this.
+bool is_common_name(const X509* certificate, const std::string& name) {
+  const X509_NAME* const subject = X509_get_subject_name(certificate);
+  const int at = X509_NAME_get_index_by_NID(subject, NID_commonName, -1);
+  if (at < 0 || X509_NAME_get_index_by_NID(subject, NID_commonName, at) >= 0) return false;
+  return text_of(X509_NAME_ENTRY_get_data(X509_NAME_get_entry(subject, at))) == name;
+}
+
+bool has_uri(const X509* certificate, const std::string& uri) {
+  const std::unique_ptr<GENERAL_NAMES, decltype(&GENERAL_NAMES_free)> names(
+      static_cast<GENERAL_NAMES*>(X509_get_ext_d2i(certificate, NID_subject_alt_name, nullptr, nullptr)),
+      GENERAL_NAMES_free);
+  for (int i = 0; names && i < sk_GENERAL_NAME_num(names.get()); ++i) {
+    const GENERAL_NAME* const name = sk_GENERAL_NAME_value(names.get(), i);
+    if (name->type == GEN_URI && text_of(name->d.uniformResourceIdentifier) == uri) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+std::string peer_subject(const ssl_st* ssl) {
+  const HeldCertificate certificate(SSL_get1_peer_certificate(ssl), X509_free);
+  return certificate ? subject_of(certificate.get()) : "";
+}
+
+bool is_peer_gateway(const ssl_st* ssl, const std::string& id) {
+  const HeldCertificate certificate(SSL_get1_peer_certificate(ssl), X509_free);
+  return certificate && (is_common_name(certificate.get(), id) || has_uri(certificate.get(), gateway_name(id)));
+}
+
+std::string gateway_name(const std::string& id) {
+  return "urn:iotcloud:gateway:" + id;
+}
+
+std::string subject_in(const std::string& file) {
+  const std::unique_ptr<BIO, decltype(&BIO_free_all)> in(BIO_new_file(file.c_str(), "r"), BIO_free_all);
+  const HeldCertificate certificate(in ? PEM_read_bio_X509(in.get(), nullptr, nullptr, nullptr) : nullptr, X509_free);
+  if (!certificate) throw config::Error(fmt::format("{} is no certificate that can be read: {}", file, tls_error()));
+  return subject_of(certificate.get());
 }
 
 TlsFiles read_tls(config::Section& section) {

@@ -5,6 +5,7 @@
 #include <iotcloud/config/yaml.h>
 
 struct ssl_ctx_st;  // OpenSSL's SSL_CTX
+struct ssl_st;      // OpenSSL's SSL
 
 namespace iotcloud::security {
 
@@ -40,6 +41,19 @@ class TlsContext {
   ssl_ctx_st* context_;
   const Side side_;
 };
+
+/// Makes the handshake of a client fail unless the server's certificate is for this host: a DNS name or an address.
+void expect_host(ssl_st* ssl, const std::string& host);
+/// The subject of the other side's certificate, "CN=operator"; empty if it showed none.
+std::string peer_subject(const ssl_st* ssl);
+
+/// Whether the other side's certificate is that of this gateway: its common name is the gateway's id, or it has the
+/// alternative name gateway_name(id). False without a certificate.
+bool is_peer_gateway(const ssl_st* ssl, const std::string& id);
+/// The alternative name (URI) in the certificate of a machine on which a gateway of that id runs.
+std::string gateway_name(const std::string& id);
+/// The subject in a file with a certificate, as peer_subject(). \throws Error if there is none.
+std::string subject_in(const std::string& file);
 
 /// Takes OpenSSL's error of this thread, in one line, and clears it; "unknown error" if there is none.
 std::string tls_error();

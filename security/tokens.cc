@@ -109,7 +109,10 @@ bool is_name(std::string_view name) {
 
 void write_tokens(const std::string& file, const std::vector<TokenEntry>& entries) {
   std::string text;
-  for (const auto& entry : entries) text += fmt::format("{}:{}:{}\n", entry.name, to_string(entry.role), entry.hash);
+  for (const auto& entry : entries) {
+    text += fmt::format("{}:{}:{}{}{}\n", entry.name, to_string(entry.role), entry.hash,
+                        entry.certificate.empty() ? "" : ":", entry.certificate);
+  }
   replace_private_file(file, text);
 }
 
@@ -121,6 +124,8 @@ std::string to_string(Role role) {
       return "anyone";
     case Role::viewer:
       return "viewer";
+    case Role::master:
+      return "master";
     case Role::operating:
       return "operator";
     case Role::admin:
@@ -130,10 +135,24 @@ std::string to_string(Role role) {
 }
 
 Role parse_role(const std::string& name) {
-  for (const Role role : {Role::viewer, Role::operating, Role::admin})
+  for (const Role role : {Role::viewer, Role::master, Role::operating, Role::admin})
     if (name == to_string(role)) return role;
-  throw config::Error(fmt::format("\"{}\" is no role: there are viewer, operator and admin", name));
+  throw config::Error(fmt::format("\"{}\" is no role: there are viewer, operator, admin and master", name));
 }
+
+namespace {
+
+/// The role of a daemon counts with that daemon's certificate only. \throws Error
+void check_certificate(const TokenEntry& entry) {
+  const auto plain = [](unsigned char c) { return c >= ' ' && c != 127; };
+  if (!std::all_of(entry.certificate.begin(), entry.certificate.end(), plain))
+    throw config::Error(fmt::format("\"{}\" is no subject of a certificate", entry.certificate));
+  if (entry.role == Role::master && entry.certificate.empty())
+    throw config::Error(fmt::format(
+        "the token of {} has the role master, and no certificate: name the master's (--certificate)", entry.name));
+}
+
+}  // namespace
 
 std::vector<TokenEntry> read_tokens(const std::string& file) {
   struct stat status {};
@@ -147,12 +166,15 @@ std::vector<TokenEntry> read_tokens(const std::string& file) {
   for (int number = 1; std::getline(in, line); ++number) {
     if (line.empty() || line.starts_with('#')) continue;
     const auto parts = split(line, ':');
-    if (parts.size() != 3 || !is_name(parts[0]) || !parse_hash(parts[2]))
-      throw config::Error(
-          fmt::format("{}:{}: not a line NAME:ROLE:HASH; `iotcloud token add` writes them", file, number));
-    TokenEntry entry{std::string(parts[0]), Role::viewer, std::string(parts[2])};
+    if (parts.size() < 3 || !is_name(parts[0]) || !parse_hash(parts[2]))
+      throw config::Error(fmt::format(
+          "{}:{}: not a line NAME:ROLE:HASH or NAME:ROLE:HASH:CERTIFICATE; `iotcloud token add` writes them", file,
+          number));
+    TokenEntry entry{std::string(parts[0]), Role::viewer, std::string(parts[2]), ""};
+    if (parts.size() > 3) entry.certificate = parts[3].data();  // to the end of the line: a subject may have colons
     try {
       entry.role = parse_role(std::string(parts[1]));
+      check_certificate(entry);
     } catch (const config::Error& e) {
       throw config::Error(fmt::format("{}:{}: {}", file, number, e.what()));
     }
@@ -165,9 +187,10 @@ std::vector<TokenEntry> read_tokens(const std::string& file) {
   return entries;
 }
 
-std::string add_token(const std::string& file, const std::string& name, Role role) {
+std::string add_token(const std::string& file, const std::string& name, Role role, const std::string& certificate) {
   if (!is_name(name))
     throw config::Error(fmt::format("\"{}\" cannot be a token's name: 1 to 64 letters, digits, '-' and '_'", name));
+  check_certificate({name, role, "", certificate});
   auto entries = access(file.c_str(), F_OK) == 0 ? read_tokens(file) : std::vector<TokenEntry>{};
   const auto same = [&](const TokenEntry& entry) { return entry.name == name; };
   if (std::any_of(entries.begin(), entries.end(), same))
@@ -179,8 +202,9 @@ std::string add_token(const std::string& file, const std::string& name, Role rol
   const Cost cost;
   const auto hash = scrypt(secret, salt, cost);
   if (!hash) throw config::Error("OpenSSL cannot hash a token with scrypt");
-  entries.push_back(
-      {name, role, fmt::format("scrypt${}${}${}${}${}", cost.n, cost.r, cost.p, to_hex(salt), to_hex(*hash))});
+  entries.push_back({name, role,
+                     fmt::format("scrypt${}${}${}${}${}", cost.n, cost.r, cost.p, to_hex(salt), to_hex(*hash)),
+                     certificate});
   write_tokens(file, entries);
   return name + "." + secret;
 }
@@ -206,7 +230,7 @@ void TokenKeeper::reload() {
   entries_ = std::move(read);
 }
 
-std::optional<TokenEntry> TokenKeeper::holder(const std::string& token) const {
+std::optional<TokenEntry> TokenKeeper::holder(const std::string& token, const std::string& certificate) const {
   const auto dot = token.find('.');
   if (dot == std::string::npos) return std::nullopt;
   TokenEntry entry;
@@ -220,13 +244,20 @@ std::optional<TokenEntry> TokenKeeper::holder(const std::string& token) const {
   const config::MutexLock one_at_a_time(hashing_);
   const auto hash = scrypt(token.substr(dot + 1), wanted->salt, wanted->cost);
   if (!hash || CRYPTO_memcmp(hash->data(), wanted->hash.data(), hash_bytes) != 0) return std::nullopt;
+  if (!entry.certificate.empty() && entry.certificate != certificate) {
+    access_logger.warn("the token of {} counts only with the certificate {}, and comes with {}: it was copied, or {}",
+                       entry.name, entry.certificate, certificate.empty() ? "none" : certificate,
+                       "that daemon has another certificate now");
+    return std::nullopt;
+  }
   return entry;
 }
 
 std::optional<Role> TokenKeeper::role_of(const TokenEntry& entry) const {
   const config::ReadLock lock(mutex_);
   const auto at = entries_.find(entry.name);
-  if (at == entries_.end() || at->second.hash != entry.hash) return std::nullopt;
+  if (at == entries_.end() || at->second.hash != entry.hash || at->second.certificate != entry.certificate)
+    return std::nullopt;
   return at->second.role;
 }
 

@@ -13,19 +13,22 @@ namespace iotcloud::security {
 enum class Role {
   anyone,     ///< not authenticated
   viewer,     ///< reads
+  master,     ///< of a gateway master at a gateway: reads, and passes on plugins that people sent; gives no orders
   operating,  ///< changes how existing programs run: starts, stops, describes, activates. Written "operator"
   admin,      ///< everything; also decides which programs run
 };
-/// "viewer", "operator", "admin"; "anyone".
+/// "viewer", "master", "operator", "admin"; "anyone".
 std::string to_string(Role role);
 /// \throws Error for an unknown name; the message lists the roles.
 Role parse_role(const std::string& name);
 
-/// One line of a token file: "NAME:ROLE:scrypt$N$r$p$SALT$HASH", the last two in hexadecimal.
+/// One line of a token file: "NAME:ROLE:scrypt$N$r$p$SALT$HASH" or "NAME:ROLE:scrypt$N$r$p$SALT$HASH:CERTIFICATE", salt
+/// and hash in hexadecimal.
 struct TokenEntry {
   std::string name;
   Role role = Role::viewer;
-  std::string hash;  ///< everything after the role
+  std::string hash;         ///< everything after the role, up to the certificate
+  std::string certificate;  ///< the subject of the certificate that the token counts with ("CN=lab1"); empty: any
 
   friend bool operator==(const TokenEntry&, const TokenEntry&) = default;
 };
@@ -35,8 +38,10 @@ struct TokenEntry {
 std::vector<TokenEntry> read_tokens(const std::string& file);
 
 /// Makes a token and adds it to the file; makes the file, for its owner only, if it is missing.
+/// \param certificate the subject of the certificate with which alone the token counts; empty: it counts with any. The
+/// role `master` needs one: a daemon's token is of no use to whoever copies it.
 /// \return the token, NAME.SECRET, which nothing stores. \throws Error if the name has a token already or is malformed.
-std::string add_token(const std::string& file, const std::string& name, Role role);
+std::string add_token(const std::string& file, const std::string& name, Role role, const std::string& certificate = "");
 /// \return whether a token of that name was removed. \throws Error
 bool remove_token(const std::string& file, const std::string& name);
 
@@ -47,9 +52,10 @@ class TokenKeeper {
   explicit TokenKeeper(std::string file);
   /// Reads the file again. \throws Error, and then nothing changes.
   void reload();
-  /// Takes some ten milliseconds, one call at a time: call it once for each connection. \return nullopt if nobody has
-  /// this token
-  std::optional<TokenEntry> holder(const std::string& token) const;
+  /// Takes some ten milliseconds, one call at a time: call it once for each connection.
+  /// \param certificate the subject of the certificate that came with the token; empty: none.
+  /// \return nullopt if nobody has this token, or if it counts only with another certificate, which is logged
+  std::optional<TokenEntry> holder(const std::string& token, const std::string& certificate) const;
   /// The current role of this entry's owner; nullopt if the token was removed or replaced.
   std::optional<Role> role_of(const TokenEntry& entry) const;
 

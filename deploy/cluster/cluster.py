@@ -18,7 +18,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "build" / "cluster"
 SECRETS = OUT / "secrets"
-HOSTS = ["master-1", "master-2", "gateway-1", "gateway-2"]  # each gets a certificate
+MASTERS, GATEWAYS = ["master-1", "master-2"], ["gateway-1", "gateway-2"]  # each gets a certificate
 USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never root
 REPORT = "/var/lib/iotcloud-reports/cluster.json"
 EVERYTHING = ["--profile", "whole", "--profile", "bench", "--profile", "tools"]
@@ -163,13 +163,23 @@ def make_secrets(docker):
             raise Refused(f"iotcloud {' '.join(words)}: {done.stderr.strip()}")
         return done.stdout.strip()
 
-    iotcloud("certs", "init", "/secrets", "--host", ",".join(HOSTS))
-    for holder in ("admin", "master"):  # `admin` is a person, `master` authenticates the masters at the gateways
-        write_secret(fresh, f"{holder}.token", iotcloud("token", "add", holder, "--role", "admin", "--file", "/secrets/tokens"))
+    iotcloud("certs", "init", "/secrets", "--host", ",".join(MASTERS + GATEWAYS))
+    write_secret(fresh, "admin.token",  # a person's
+                 iotcloud("token", "add", "admin", "--role", "admin", "--file", "/secrets/masters.tokens"))
+    for master in MASTERS:
+        for gateway in GATEWAYS:
+            write_secret(fresh, f"{master}-{gateway}.token",
+                         iotcloud("token", "add", master, "--role", "master", "--certificate", f"/secrets/{master}.pem",
+                                  "--file", f"/secrets/{gateway}.tokens"))
+    for master in MASTERS:
+        iotcloud("keys", "new", f"/secrets/{master}.orders")  # signs its orders
+    roles = {**dict.fromkeys(MASTERS, "master"), **dict.fromkeys(GATEWAYS, "gateway"), "workers": "worker"}
+    for user, role in roles.items():
+        write_secret(fresh, f"{user}.registry.password",
+                     iotcloud("registry", "user", user, "--role", role, "--file", "/secrets/registry.users"))
     password = secrets.token_hex(24)
     write_secret(fresh, "rabbitmq.password", password)
     write_secret(fresh, "rabbitmq.conf", f"default_user = iotcloud\ndefault_pass = {password}")
-    write_secret(fresh, "registry.password", secrets.token_hex(24))
     fresh.rename(SECRETS)
 
 

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <chrono>
 #include <future>
+#include <string_view>
 #include <utility>
 
 #include <fmt/format.h>
@@ -38,7 +39,11 @@ SiteAddress address_of(const discovery::GatewayStatus& gateway, const GatewayAcc
                     "(api: {{tls: {{ca, certificate, key}}}})",
                     gateway.record.id));
   }
-  return {gateway.record.host, gateway.record.port, access.tls, access.token_file};
+  constexpr std::string_view id = "{gateway}";
+  std::string token_file = access.token_file;
+  if (const auto at = token_file.find(id); at != std::string::npos)
+    token_file.replace(at, id.size(), gateway.record.id.str());
+  return {gateway.record.host, gateway.record.port, access.tls, token_file};
 }
 
 DriverHistory read_history(const Master& master, const GatewayAccess& access, const std::vector<std::string>& instances,

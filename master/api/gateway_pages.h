@@ -16,7 +16,9 @@ class Master;
 /// The credentials that this master shows to the gateways' Thrift services.
 struct GatewayAccess {
   security::TlsFiles tls;  ///< for gateways that speak TLS
-  std::string token_file;  ///< its first line is the token for gateways that speak TLS; empty: none
+  /// Its first line is the token for gateways that speak TLS; empty: none. "{gateway}" in it stands for a gateway's id,
+  /// so that each gateway is shown a token of its own.
+  std::string token_file;
 };
 
 /// The address of the gateway's Thrift service. \throws config::Error when this master cannot call it, with the reason.

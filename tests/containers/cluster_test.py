@@ -111,7 +111,7 @@ def check_confined(cluster):
     """No process of ours is root's, and none can become it; passwords stand in no configuration of a container."""
     secrets = ROOT / "build/cluster/secrets"
     require(secrets.stat().st_mode & 0o777 == 0o700, "the folder of the secrets is open to others")
-    hidden = [(secrets / name).read_text().strip() for name in ("rabbitmq.password", "registry.password", "admin.token")]
+    hidden = [(secrets / name).read_text().strip() for name in ("rabbitmq.password", "gateway-1.registry.password", "admin.token")]
     for file in secrets.iterdir():
         require(file.suffix == ".pem" or file.stat().st_mode & 0o077 == 0, f"{file} is open to others")
     for service in ["master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"]:

@@ -15,6 +15,8 @@ import yaml
 ROOT = Path(__file__).resolve().parents[2]
 SERVICES = {"zookeeper", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
 RUN_ONCE = {"bench", "cli", "secrets"}  # by a person, or by ./dev cluster
+# What gateways may share with others: all but the broker's password is public.
+SHARED = {"ca.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "rabbitmq.password"}
 FORBIDDEN = ["privileged", "pid", "ipc", "userns_mode", "devices", "cgroup_parent", "env_file"]
 SECRET_WORD = re.compile(r"(?i)(password|passwd|pass|token|secret|credential)[a-z_]*$")
 
@@ -27,10 +29,23 @@ def problems_of(file):
         found.append(f"{name} is in one of the file and this test only")
     for name, service in services.items():
         found += [f"{name} {problem}" for problem in problems_of_service(name, service, services, file["secrets"])]
+    found += shared_secrets(services)
     for name, secret in file["secrets"].items():
         if set(secret) != {"file"}:
             found.append(f"secret {name} is not a file")
     return found
+
+
+def secrets_of(service):
+    return {secret if isinstance(secret, str) else secret["source"] for secret in service.get("secrets", [])}
+
+
+def shared_secrets(services):
+    """What the thief of one gateway has is of no use elsewhere: it shares no secret with another service."""
+    for name in sorted(SERVICES & set(services)):
+        for other in sorted(SERVICES & set(services) - {name}) if name.startswith("gateway-") else []:
+            for secret in sorted(secrets_of(services[name]) & secrets_of(services[other]) - SHARED):
+                yield f"{name} shares the secret {secret} with {other}"
 
 
 def problems_of_service(name, service, services, secrets):
@@ -81,6 +96,8 @@ def check_that_it_finds(file):
         "topology-2 publishes": lambda services: services["topology-2"].update(ports=["9406:9406"]),
         "rabbitmq has a secret in its environment":
             lambda services: services["rabbitmq"].update(environment={"RABBITMQ_DEFAULT_PASS": "guest"}),
+        "gateway-1 shares the secret master-1.key with master-1":
+            lambda services: services["gateway-1"]["secrets"].append("master-1.key"),
         "bench has an unknown secret": lambda services: services["bench"].update(secrets=["nobody's"]),
     }
     for expected, break_it in breaks.items():

@@ -27,11 +27,23 @@ def make_secrets(iotcloud, folder, services):
     run(iotcloud, "certs", "init", folder, "--host", ",".join(hosts)).check_returncode()
     for end in ("pem", "key"):
         shutil.copy(folder / f"{hosts[0]}.{end}", folder / f"host.{end}")
-    token = run(iotcloud, "token", "add", "master", "--role", "admin", "--file", folder / "tokens")
-    token.check_returncode()
-    for name, text in {"master.token": token.stdout, "registry.password": "a\n", "rabbitmq.password": "b\n"}.items():
+    for file in ("tokens", "masters.tokens"):
+        run(iotcloud, "token", "add", "anna", "--role", "admin", "--file", folder / file).check_returncode()
+    for user in [*hosts, "workers"]:
+        role = user.split("-")[0] if "-" in user else "worker"
+        run(iotcloud, "registry", "user", user, "--role", role, "--file", folder / "registry.users").check_returncode()
+    for key in ("orders", "master-1.orders", "master-2.orders"):
+        run(iotcloud, "keys", "new", folder / key).check_returncode()
+    for name, text in {"registry.password": "a\n", "rabbitmq.password": "b\n"}.items():
         (folder / name).write_text(text, encoding="utf-8")
         (folder / name).chmod(0o600)
+
+
+def secrets_named(text, services):
+    """The files of /run/secrets that a configuration names; {gateway} stands for each gateway."""
+    gateways = [name for name in services if name.startswith("gateway-")]
+    for word in {word.strip(",}\"]") for word in text.split() if word.startswith("/run/secrets/")}:
+        yield from {word.replace("{gateway}", gateway) for gateway in gateways}
 
 
 def main():
@@ -61,7 +73,7 @@ def main():
             if run(programs / daemon, "--config", file, "--check-config").returncode == 0:
                 sys.exit(f"{daemon} --check-config takes nonsense")
             # The compose file defines where services and secrets are.
-            for secret in {word.strip(",}\"]") for word in original.split() if word.startswith("/run/secrets/")}:
+            for secret in secrets_named(original, services):
                 service = next(service for service in services.values()
                                if service.get("command", [""])[-1] == f"/etc/iotcloud/{name}")
                 given = {each if isinstance(each, str) else each["target"] for each in service["secrets"]}

@@ -205,6 +205,45 @@ TEST_F(SiteServiceTest, WithTlsAndTokensAViewerReadsAndDeploysNothing) {
   EXPECT_TRUE(nothing_is_ordered());
 }
 
+TEST_F(SiteServiceTest, AMastersTokenReadsAndSendsPluginsAndOrdersNothing) {
+  const security::test::Certificates certificates;
+  const security::test::Folder folder;
+  SiteService::Options options;
+  options.listen = {"0.0.0.0", 0, certificates.of("lab1"), folder / "tokens", ""};
+  const auto token = security::add_token(options.listen.tokens, "master", security::Role::master, "CN=lab1");
+  const SiteService guarded(options, *gateway_, *registry_, paths_);
+  const auto call = [&](const std::string& certificate) {
+    rpc::ThriftClientOptions asking;
+    asking.host = "localhost";
+    asking.port = guarded.port();
+    asking.tls = certificates.of(certificate);
+    client_.emplace(rpc::ThriftClient(asking).protocol());
+    TResponse answer;
+    client_->authenticate(answer, token);
+    return answer;
+  };
+  EXPECT_EQ(call("operator").state, TResponseState::FAILURE) << "a stolen token, with the thief's certificate";
+  wire::TPing ping;
+  EXPECT_THROW(client_->ping(ping), apache::thrift::TApplicationException);
+
+  const auto answer = call("lab1");
+  ASSERT_EQ(answer.state, TResponseState::SUCCESS) << answer.statusMessage;
+  client_->ping(ping);
+  EXPECT_EQ(ping.gateway, "gw");
+  EXPECT_THAT(deploy().statusMessage, HasSubstr("master is master"));
+  TResponse stopped;
+  client_->stopSensor(stopped, "x");
+  EXPECT_EQ(stopped.state, TResponseState::FAILURE);
+  EXPECT_TRUE(nothing_is_ordered());
+  std::string upload;
+  try {
+    client_->offerPlugin(upload, {});
+    FAIL() << "this gateway takes no plugins";
+  } catch (const wire::TSiteError& e) {
+    EXPECT_THAT(e.reason, ::testing::Not(HasSubstr("takes admin"))) << "its role does allow it";
+  }
+}
+
 TEST_F(SiteServiceTest, AnAddressThatOthersReachIsRefusedWithoutTlsAndTokens) {
   SiteService::Options options;
   options.listen.host = "0.0.0.0";

@@ -50,6 +50,15 @@ TEST(AuthorityTest, NamesDoNotLeaveTheFolderNorAddToTheCertificate) {
   }
 }
 
+TEST(AuthorityTest, AGatewaysNameDoesNotAddToTheCertificate) {
+  const test::Certificates made;
+  for (const char* gateway : {"", "g,DNS:lab9", "a b", "../g"})
+    EXPECT_THROW(made.authority().certify_host("lab2", {gateway}), config::Error) << gateway;
+  EXPECT_NO_THROW(made.authority().certify_host("lab2", {"g1", "g2"}));
+  EXPECT_EQ(subject_in(made.authority().certificate("lab2")), "CN=lab2");
+  EXPECT_THROW(subject_in(made.authority().key("lab2")), config::Error);
+}
+
 TEST(AuthorityTest, WithoutAnAuthorityTheErrorSaysHowToMakeOne) {
   const test::Folder folder;
   try {

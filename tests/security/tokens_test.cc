@@ -48,10 +48,10 @@ TEST_F(Tokens, AreKnownByTheirHolderAndKeptAsHashes) {
   EXPECT_EQ(status.st_mode & 0777, 0600u);
 
   const TokenKeeper keeper(file_);
-  ASSERT_TRUE(keeper.holder(anna));
-  EXPECT_EQ(keeper.holder(anna)->name, "anna");
-  EXPECT_EQ(keeper.holder(anna)->role, Role::operating);
-  EXPECT_EQ(keeper.holder(bob)->name, "bob");
+  ASSERT_TRUE(keeper.holder(anna, ""));
+  EXPECT_EQ(keeper.holder(anna, "")->name, "anna");
+  EXPECT_EQ(keeper.holder(anna, "")->role, Role::operating);
+  EXPECT_EQ(keeper.holder(bob, "")->name, "bob");
 }
 
 TEST_F(Tokens, WhatIsNobodysIsNobodys) {
@@ -62,7 +62,39 @@ TEST_F(Tokens, WhatIsNobodysIsNobodys) {
        {std::string(), std::string("anna"), std::string("anna."), anna + "0", anna.substr(0, anna.size() - 1),
         anna.substr(5), "bob." + anna.substr(5), "eve." + anna.substr(5), std::string(100'000, 'a'),
         "anna." + read_tokens(file_).at(0).hash})
-    EXPECT_FALSE(keeper.holder(wrong)) << wrong.substr(0, 100);
+    EXPECT_FALSE(keeper.holder(wrong, "")) << wrong.substr(0, 100);
+}
+
+TEST_F(Tokens, OfADaemonCountOnlyWithTheCertificateThatTheyWereMadeFor) {
+  const auto daemon = add_token(file_, "master-1", Role::master, "CN=master-1");
+  const auto person = add_token(file_, "anna", Role::admin);
+  EXPECT_THAT(text(), HasSubstr(":CN=master-1\n"));
+  TokenKeeper keeper(file_);
+  const auto holder = keeper.holder(daemon, "CN=master-1");
+  ASSERT_TRUE(holder);
+  EXPECT_EQ(holder->role, Role::master);
+  for (const char* other : {"", "CN=gateway-1", "CN=master-1,O=x", "CN=master-10"})
+    EXPECT_FALSE(keeper.holder(daemon, other)) << other;
+  EXPECT_TRUE(keeper.holder(person, "CN=laptop")) << "a person's token may come from anywhere";
+
+  ASSERT_TRUE(remove_token(file_, "anna"));
+  EXPECT_THAT(text(), HasSubstr(":CN=master-1\n")) << "another's change keeps it";
+  std::string loosened = text();
+  loosened.replace(loosened.find("CN=master-1"), 11, "CN=gateway-1");
+  write(loosened);
+  keeper.reload();
+  EXPECT_FALSE(keeper.role_of(*holder)) << "an open connection has no rights any more";
+}
+
+TEST_F(Tokens, OfAMasterNeedACertificate) {
+  EXPECT_THROW(add_token(file_, "master-1", Role::master), config::Error);
+  add_token(file_, "master-1", Role::master, "CN=2001:db8::7");
+  EXPECT_EQ(read_tokens(file_).front().certificate, "CN=2001:db8::7");
+  std::string bare = text();
+  bare.erase(bare.find(":CN="));
+  write(bare + "\n");
+  EXPECT_THAT(problem(), HasSubstr("--certificate"));
+  EXPECT_THROW(add_token(file_, "anna", Role::viewer, "CN=a\nanna2:admin:x"), config::Error);
 }
 
 TEST_F(Tokens, TheSameTokenTwiceHasAnotherHash) {
@@ -77,7 +109,7 @@ TEST_F(Tokens, OneThatIsTakenAwayOrMadeAnewIsWorthNothingAfterReloading) {
   const auto anna = add_token(file_, "anna", Role::admin);
   add_token(file_, "bob", Role::viewer);
   TokenKeeper keeper(file_);
-  const auto entry = keeper.holder(anna);
+  const auto entry = keeper.holder(anna, "");
   ASSERT_TRUE(entry);
   EXPECT_EQ(keeper.role_of(*entry), Role::admin);
   EXPECT_TRUE(remove_token(file_, "anna"));
@@ -86,7 +118,7 @@ TEST_F(Tokens, OneThatIsTakenAwayOrMadeAnewIsWorthNothingAfterReloading) {
   add_token(file_, "anna", Role::viewer);
   keeper.reload();
   EXPECT_FALSE(keeper.role_of(*entry));
-  EXPECT_FALSE(keeper.holder(anna));
+  EXPECT_FALSE(keeper.holder(anna, ""));
 }
 
 TEST_F(Tokens, AFileThatIsWrongChangesNothingWhenItIsReadAgain) {
@@ -94,7 +126,7 @@ TEST_F(Tokens, AFileThatIsWrongChangesNothingWhenItIsReadAgain) {
   TokenKeeper keeper(file_);
   write("nonsense\n");
   EXPECT_THROW(keeper.reload(), config::Error);
-  EXPECT_TRUE(keeper.holder(anna));
+  EXPECT_TRUE(keeper.holder(anna, ""));
 }
 
 TEST_F(Tokens, ASecondOneOfTheSameNameIsRefused) {

@@ -22,7 +22,7 @@ from private_cluster import PrivateCluster, StartError, require  # noqa: E402
 
 BOTH = ["gateway-1", "gateway-2"]
 PIECE = 512 * 1024
-HOSTS = {"master": "lab1", "gateway-1": "lab1", "gateway-2": "lab2"}  # whose certificate each daemon has
+HOSTS = {"master": "lab1", "gateway-1": "gateway-1", "gateway-2": "gateway-2"}  # whose certificate each daemon has
 
 
 def readme_lines(file, *beginnings):
@@ -34,16 +34,17 @@ def readme_lines(file, *beginnings):
 
 
 class GuardedCluster(PrivateCluster):
-    """Master and gateways ask for certificates of the authority in out/certs and for tokens of out/tokens."""
+    """Master and gateways ask for certificates of the authority in out/certs and for tokens: the master for those of
+    out/tokens, a gateway for those of out/NAME.tokens."""
 
     def guarded(self, name):
         host = self.out / "certs" / HOSTS[name]
         return (f'tls: {{ca: "{self.out}/certs/ca.pem", certificate: "{host}.pem", key: "{host}.key"}}, '
-                f'tokens: "{self.out}/tokens", ')
+                f'tokens: "{self.out}/{"" if name == "master" else name + "."}tokens", ')
 
     def daemon(self, program, name, configuration, **more):
         if name == "master":
-            token = f'gateway_token_file: "{self.out}/master.token", '
+            token = f'gateway_token_file: "{self.out}/{{gateway}}.token", '
             configuration = configuration.replace("api: {", "api: {" + self.guarded(name) + token)
         else:
             configuration = configuration.replace("thrift: {", "thrift: {" + self.guarded(name))
@@ -88,11 +89,16 @@ def refused(what, text, *expected):
 
 def check_first_steps(cluster):
     """From nothing to a key, certificates and tokens, as the READMEs say."""
-    certificates, first_token = readme_lines("master/README.md", "iotcloud certs init", "iotcloud token add")
+    certificates, first_token, masters_token = readme_lines(
+        "master/README.md", "iotcloud certs init", "iotcloud token add anna", "iotcloud token add master")
     cluster.shell(certificates)
+    cluster.shell("iotcloud certs add certs --host gateway-1,gateway-2")
     cluster.shell(first_token)
-    for who, role in (("otto", "operator"), ("vera", "viewer"), ("master", "admin")):
+    for who, role in (("otto", "operator"), ("vera", "viewer")):
         cluster.shell(f"iotcloud token add {who} --role {role} --file tokens > {who}.token")
+    for gateway in BOTH:  # the same people may call them
+        shutil.copy(cluster.out / "tokens", cluster.out / f"{gateway}.tokens")
+        cluster.shell(masters_token.replace("gateway-1", gateway))
     cluster.plugin("thermometer.so")
     cluster.shell(*readme_lines("README.md", "iotcloud keys new"))
 
@@ -245,6 +251,19 @@ def check_pieces(cluster):
         require(text in log, f"gateway-1's log does not say: {text}")
 
 
+def check_stolen_gateway(cluster):
+    """Whoever has gateway-2, and has heard what a master showed to gateway-1, gets in nowhere with it."""
+    done = cluster.run_as("gateway-1", "drivers")
+    require(done.returncode != 0, done)
+    refused("a master's token for a gateway, at the master", done.stderr, "nobody's token")
+    for gateway in BOTH:
+        with Pieces(cluster, certificate="gateway-2") as client:
+            answer = client.authenticate(cluster.token(gateway))
+            require(answer.state == 1, f"{gateway}'s thief got in")
+            refused(f"what the master shows to {gateway}, with another certificate", answer.statusMessage,
+                    "only with another certificate")
+
+
 def check_audit(cluster):
     """Who did what, and who was not let, with what became of it."""
     lines = [json.loads(line) for line in (cluster.out / "audit.log").read_text().splitlines()]
@@ -289,6 +308,7 @@ def main():
         check_signatures(cluster)
         check_roles(cluster, instances)
         check_pieces(cluster)
+        check_stolen_gateway(cluster)
         states = {driver["instance"]: driver["state"] for driver in cluster.json("drivers")}
         require(states == {instance: "active" for instance in instances}, f"something else runs now: {states}")
         check_audit(cluster)

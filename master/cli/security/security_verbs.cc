@@ -10,6 +10,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/security/certificates.h>
+#include <iotcloud/security/tls.h>
 #include <iotcloud/security/tokens.h>
 
 namespace iotcloud::master::cli {
@@ -51,6 +52,12 @@ class Certs final : public Verb {
     auto& hosts = *options.add_option("--host", hosts_, "machines with daemons, by the names that clients use")
                        ->delimiter(',')
                        ->type_name("HOST");
+    options
+        .add_option("--gateway", gateways_,
+                    "the gateways on that machine, by their ids: a master sends its token only to a gateway that the "
+                    "certificate names. Not needed for one that is named as its machine")
+        ->delimiter(',')
+        ->type_name("ID");
     if (is_new_) {
       hosts.required();
       return;
@@ -69,8 +76,10 @@ class Certs final : public Verb {
     names.insert(names.end(), callers.begin(), callers.end());
     if (is_new_) names.emplace_back("ca");
     check_free(authority, names);
+    if (!gateways_.empty() && hosts_.size() != 1)
+      throw config::Error("--gateway names the gateways of one machine: give one --host, and `certs add` the others");
     if (is_new_) authority.make();
-    for (const auto& host : hosts_) authority.certify_host(host);
+    for (const auto& host : hosts_) authority.certify_host(host, gateways_);
     for (const auto& caller : callers) authority.certify_caller(caller);
 
     const auto& folder = authority.folder;
@@ -105,6 +114,7 @@ class Certs final : public Verb {
   const bool is_new_;
   std::string folder_;
   std::vector<std::string> hosts_;
+  std::vector<std::string> gateways_;
   std::vector<std::string> callers_;  ///< users, whose certificates are for clients only
 };
 
@@ -124,24 +134,40 @@ class OfTokens : public Verb {
 class AddToken final : public OfTokens {
  public:
   AddToken()
-      : OfTokens({"add", "Make a token and print it: it is shown this once, and only its hash is kept",
-                  "iotcloud token add anna --role operator --file tokens > anna.token", std::nullopt, false}) {}
+      : OfTokens(
+            {"add", "Make a token and print it: it is shown this once, and only its hash is kept",
+             "iotcloud token add anna --role operator --file tokens > anna.token\n"
+             "  iotcloud token add master --role master --certificate master.pem --file gateway.tokens > lab1.token",
+             std::nullopt, false}) {}
   void declare(CLI::App& options) override {
     declare_holder(options, "whose: what the audit log calls them");
-    options.add_option("--role", role_, "viewer: reads; operator: also starts, stops and describes; admin: everything")
+    options
+        .add_option("--role", role_,
+                    "viewer: reads; operator: also starts, stops and describes; admin: everything; master: a gateway "
+                    "master at a gateway, with --certificate")
         ->required()
-        ->check(CLI::IsMember({"viewer", "operator", "admin"}))
+        ->check(CLI::IsMember({"viewer", "operator", "admin", "master"}))
         ->type_name("ROLE");
+    options
+        .add_option("--certificate", certificate_,
+                    "the token counts only with this certificate: its file (NAME.pem), or its common name. For "
+                    "daemons; a person's token may come from a browser")
+        ->type_name("CERTIFICATE");
     declare_file(options);
   }
   int run(Call& call) override {
     // The token is alone on its line, so that a script can read it.
-    call.out << security::add_token(file_, holder_, security::parse_role(role_)) << '\n';
+    call.out << security::add_token(file_, holder_, security::parse_role(role_), subject()) << '\n';
     return exit_ok;
   }
 
  private:
+  std::string subject() const {
+    if (certificate_.ends_with(".pem")) return security::subject_in(certificate_);
+    return certificate_.empty() || certificate_.find('=') != std::string::npos ? certificate_ : "CN=" + certificate_;
+  }
   std::string role_;
+  std::string certificate_;
 };
 
 class RemoveToken final : public OfTokens {
@@ -170,10 +196,10 @@ class ListTokens final : public OfTokens {
     std::vector<std::vector<std::string>> rows;
     Json json = Json::array();
     for (const auto& entry : security::read_tokens(file_)) {
-      rows.push_back({entry.name, to_string(entry.role)});
-      json.push_back({{"name", entry.name}, {"role", to_string(entry.role)}});
+      rows.push_back({entry.name, to_string(entry.role), entry.certificate});
+      json.push_back({{"name", entry.name}, {"role", to_string(entry.role)}, {"certificate", entry.certificate}});
     }
-    print(call.out, call.format, {"NAME", "ROLE"}, rows, json);
+    print(call.out, call.format, {"NAME", "ROLE", "CERTIFICATE"}, rows, json);
     return exit_ok;
   }
 };

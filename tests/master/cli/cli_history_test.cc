@@ -239,5 +239,41 @@ TEST_F(CliHistory, AGatewayWithTlsIsAskedWithTheMastersCertificateAndToken) {
   EXPECT_EQ(site->token(), "the master's");
 }
 
+TEST_F(CliHistory, AGatewayThatIsNotTheOneThatIsMeantDoesNotSeeTheMastersToken) {
+  const security::test::Certificates certificates;
+  certificates.authority().certify_host("lab2");
+  certificates.authority().certify_host("shed", {"lab3", "lab1"});
+  const security::test::Folder folder;
+  std::ofstream(folder / "lab1.token") << "for lab1 only\n";
+  rpc::ThriftServerOptions api;
+  api.port = server->port();
+  server.reset();
+  ApiAccess access;
+  access.gateways = {certificates.of("lab1"), folder / "{gateway}.token"};
+  server.emplace(api, serve_api(**master, access));
+  const auto serve_as = [&](const std::string& certificate, const std::shared_ptr<PlayedSite>& site) {
+    rpc::ThriftServerOptions options;
+    options.tls = certificates.of(certificate);
+    auto service = std::make_unique<rpc::ThriftServer>(
+        options, [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(site)](const auto&) { return p; });
+    serve("lab1", service->port(), true);
+    return service;
+  };
+  // A stolen gateway has the certificate of lab2, which is good, and the record of lab1 leads to it.
+  const auto thief = std::make_shared<PlayedSite>();
+  const auto stolen = serve_as("lab2", thief);
+  EXPECT_THAT(run({"history"}).err, AllOf(HasSubstr("CN=lab2, not of gateway lab1"), HasSubstr("--gateway lab1")));
+  EXPECT_EQ(thief->token(), "");
+  // Nor does one without TLS, whatever the record says.
+  serve("lab1", service_->port(), false);
+  run({"history"});
+  EXPECT_EQ(site_->token(), "");
+  // A machine with another name whose certificate names the gateway.
+  const auto site = std::make_shared<PlayedSite>();
+  const auto shed = serve_as("shed", site);
+  EXPECT_EQ(run({"history"}).err, "");
+  EXPECT_EQ(site->token(), "for lab1 only");
+}
+
 }  // namespace
 }  // namespace iotcloud::master::test

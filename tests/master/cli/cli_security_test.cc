@@ -8,7 +8,9 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/discovery/access.h>
 #include <iotcloud/master/master_service.h>
+#include <iotcloud/security/registry_password.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/master/process.h>
 #include <iotcloud/tests/security/certificates.h>
@@ -81,6 +83,42 @@ TEST_F(CliSecurity, ATokenIsPrintedOnceAndListedWithoutIt) {
   EXPECT_EQ(run({"token", "remove", "anna", "--file", folder_ / "tokens"}).status, 1);
 }
 
+TEST_F(CliSecurity, ADaemonsTokenNamesItsCertificate) {
+  const std::string certs = folder_ / "certs";
+  ASSERT_EQ(run({"certs", "init", certs, "--host", "lab1", "--gateway", "g1,g2"}).status, 0);
+  const std::string file = folder_ / "gateway.tokens";
+  const auto add = [&](const std::string& holder, const std::string& certificate) {
+    return run({"token", "add", holder, "--role", "master", "--certificate", certificate, "--file", file}).status;
+  };
+  EXPECT_EQ(add("by-file", certs + "/lab1.pem"), 0);
+  EXPECT_EQ(add("by-name", "lab2"), 0);
+  EXPECT_EQ(add("by-subject", "CN=lab3,O=lab"), 0);
+  EXPECT_EQ(add("nowhere", certs + "/lab9.pem"), 1);
+  EXPECT_EQ(run({"token", "add", "bare", "--role", "master", "--file", file}).status, 1);
+  const auto list = run({"token", "list", "--file", file});
+  EXPECT_THAT(list.out, AllOf(HasSubstr("CN=lab1"), HasSubstr("CN=lab2"), HasSubstr("CN=lab3,O=lab")));
+  EXPECT_EQ(run({"certs", "add", certs, "--host", "a,b", "--gateway", "g3"}).status, 1);
+}
+
+TEST_F(CliSecurity, AUserOfTheRegistryIsAddedAndItsPasswordPrintedOnce) {
+  EXPECT_EQ(security::registry_digest("super", "test"), "D/InIHSb7yEEbrWz8b9l71RjZJU=");
+  const std::string file = folder_ / "registry.users";
+  const auto add = [&](const std::string& name, const std::string& role) {
+    return run({"registry", "user", name, "--role", role, "--file", file});
+  };
+  EXPECT_EQ(add("masters", "master").status, 0);
+  const auto one = add("g1", "gateway");
+  ASSERT_EQ(one.status, 0);
+  const auto users = discovery::read_registry_users(file);
+  ASSERT_EQ(users.size(), 2U);
+  EXPECT_EQ(users[1].name, "g1");
+  EXPECT_EQ(users[1].digest, security::registry_digest("g1", one.out.substr(0, one.out.size() - 1)));
+  EXPECT_EQ(add("g1", "worker").status, 1);
+  EXPECT_EQ(add("a:b", "worker").status, 1);
+  EXPECT_EQ(add("g2", "guest").status, 2);
+  EXPECT_EQ(discovery::read_registry_users(file).size(), 2U);
+}
+
 TEST_F(CliSecurity, AnAddressThatOthersReachTakesTlsAndTokens) {
   ASSERT_EQ(run({"certs", "init", folder_ / "certs", "--host", "lab1"}).status, 0);
   add_token("anna", "admin");
@@ -109,7 +147,6 @@ TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
                 {certs + "/ca.pem", certs + "/lab1.pem", certs + "/lab1.key"},
                 folder_ / "tokens",
                 "localhost:1"};
-  config.gateways.port = 0;
   config.audit_file = folder_ / "audit.log";
   auto service = make_master_service(config);
   service->start();

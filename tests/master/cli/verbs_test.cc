@@ -93,9 +93,9 @@ class CliVerbs : public Cli {
 
 /// Their answers are no records: a script, a token alone on its line, what to do next, a file of its own format, or
 /// what another program says.
-const std::set<Words> without_output = {{"completion"},        {"topology", "check"}, {"certs", "init"},
-                                        {"certs", "add"},      {"token", "add"},      {"token", "remove"},
-                                        {"registry", "export"}};
+const std::set<Words> without_output = {{"completion"},         {"topology", "check"}, {"certs", "init"},
+                                        {"certs", "add"},       {"token", "add"},      {"token", "remove"},
+                                        {"registry", "export"}, {"registry", "user"}};
 
 TEST_F(CliVerbs, EveryOneThatAnswersTakesAFormatAndHasAnExample) {
   const auto all = verbs();
@@ -159,7 +159,7 @@ TEST_F(CliVerbs, AShellCompletesVerbsOptionsAndChoices) {
   EXPECT_THAT(complete({"gateways", "-o", ""}), ElementsAre("json", "table", "yaml"));
   EXPECT_THAT(complete({"completion", ""}), ElementsAre("bash", "zsh"));
   EXPECT_THAT(complete({"apply", "-f", "fl"}), ElementsAre(":files"));
-  EXPECT_THAT(complete({"token", "add", "anna", "--role", ""}), ElementsAre("admin", "operator", "viewer"));
+  EXPECT_THAT(complete({"token", "add", "anna", "--role", ""}), ElementsAre("admin", "master", "operator", "viewer"));
   EXPECT_THAT(complete({"certs", "init", ""}), ElementsAre(":files"));
   EXPECT_THAT(complete({"nothing", "of", "that", ""}), IsEmpty());
   EXPECT_THAT(complete({}), IsEmpty());

@@ -1,0 +1,18 @@
+#pragma once
+
+#include <string>
+
+namespace iotcloud::security {
+
+/// What a user of the registry is known by.
+struct RegistryPassword {
+  std::string password;  ///< 64 hexadecimal digits: nobody finds it by its digest
+  std::string digest;    ///< as ZooKeeper's digest authentication has it: base64 of SHA-1 of "USER:PASSWORD"
+};
+/// \throws config::Error if the system gives no random numbers.
+RegistryPassword new_registry_password(const std::string& user);
+
+/// ZooKeeper's digest of this user's password.
+std::string registry_digest(const std::string& user, const std::string& password);
+
+}  // namespace iotcloud::security
