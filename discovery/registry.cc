@@ -1,12 +1,35 @@
+#include <algorithm>
 #include <utility>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/discovery/client/registry_client.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/zookeeper/connection.h>
 
 namespace iotcloud::discovery {
+
+namespace {
+
+/// Refuses a registry of another machine that does not know who writes to it: whoever reaches it could give orders.
+void refuse_exposed(const zookeeper::Url& url) {
+  for (std::size_t begin = 0; begin < url.hosts.size();) {
+    const std::size_t end = std::min(url.hosts.find(',', begin), url.hosts.size());
+    const std::string server = url.hosts.substr(begin, end - begin);
+    std::string host = server.substr(0, server.rfind(':'));
+    if (host.starts_with('[') && host.ends_with(']')) host = host.substr(1, host.size() - 2);
+    if (!config::is_loopback(host)) {
+      throw config::Error("the registry " + server +
+                          " can be reached from other machines, and without a user anybody there could give orders: "
+                          "give \"registry.user\" and \"registry.password_file\", or tunnel it to an address on "
+                          "127.0.0.1 (discovery/README.md)");
+    }
+    begin = end + 1;
+  }
+}
+
+}  // namespace
 
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
   const std::string embedded_scheme = "embedded://";
@@ -17,8 +40,11 @@ std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
   if (options.url.starts_with("zookeeper://")) {
     zookeeper::Settings settings;
     settings.url = zookeeper::parse_url(options.url);
+    if (options.user.empty()) refuse_exposed(settings.url);
     settings.session_timeout = options.session_timeout;
     if (!options.user.empty()) settings.identity = options.user + ":" + options.password;
+    settings.user = options.user;
+    settings.access = options.access;
     settings.others_may_read = options.others_may_read;
     return make_client(zookeeper::make_connection(std::move(settings)), options);
   }

@@ -121,6 +121,8 @@ class Registry {
   virtual GuardPtr after(std::chrono::milliseconds pause, std::function<void()> callback) = 0;
 };
 
+class RegistryAccess;
+
 /// How to reach the registry, and as which user.
 struct RegistryOptions {
   /// "embedded://NAME" (the in-process registry of that name) or "zookeeper://host:port,host:port[/chroot]".
@@ -128,14 +130,19 @@ struct RegistryOptions {
   std::chrono::milliseconds session_timeout{10000};
   std::chrono::milliseconds operation_timeout{10000};
   /// This process's identity at ZooKeeper (digest authentication): its nodes belong to it, and only clients with the
-  /// same user and password may use them. Empty: everybody may do everything with its nodes.
+  /// same user and password may use them. Empty: everybody may do everything with its nodes, which is refused for
+  /// servers that other machines can reach.
   std::string user{};
   std::string password{};
+  /// What the other users of a fleet may do with the nodes that this process creates; `user` is one of them. Null: only
+  /// clients with the same user and password may use them.
+  std::shared_ptr<const RegistryAccess> access{};
   /// Clients without that password may read this process's nodes.
   bool others_may_read = false;
 };
 
-/// Returns at once and connects in the background, without a limit in time. \throws config::Error for a malformed URL.
+/// Returns at once and connects in the background, without a limit in time. \throws config::Error for a malformed URL,
+/// and for a server of another machine without a user.
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options);
 
 /// Sets a node's data; creates the node and its parents if they are missing.

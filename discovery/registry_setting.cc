@@ -1,6 +1,7 @@
 #include <cstdlib>
 #include <fstream>
 
+#include <iotcloud/discovery/access.h>
 #include <iotcloud/discovery/registry_setting.h>
 
 namespace iotcloud::discovery {
@@ -33,6 +34,19 @@ std::string read_password(config::Section& top) {
   return {};
 }
 
+std::shared_ptr<const RegistryAccess> read_access(config::Section& top, const std::string& file,
+                                                  const std::string& user) {
+  try {
+    auto access = std::make_shared<const RegistryAccess>(read_registry_users(file),
+                                                         Paths(top.string_or("zk.root", "/iot/sensors")));
+    if (access->knows(user)) return access;
+  } catch (const config::Error& e) {
+    throw top.error("registry.users", e.what());
+  }
+  throw top.error("registry.users", "the file \"" + file + "\" has no user \"" + user + "\"",
+                  "make it with `iotcloud registry user`, and name it in \"registry.user\"");
+}
+
 }  // namespace
 
 RegistryOptions read_registry_options(config::Section& top) {
@@ -54,6 +68,7 @@ RegistryOptions read_registry_options(config::Section& top) {
   if (options.user.find(':') != std::string::npos) {
     throw top.error("registry.user", "a user's name cannot have a colon", "choose another name");
   }
+  if (const auto file = top.optional_string("registry.users")) options.access = read_access(top, *file, options.user);
   if (options.others_may_read && options.user.empty()) {
     throw top.error("registry.others_may_read", "without a user everybody may read and write anyway",
                     "add \"registry.user\", or remove this");

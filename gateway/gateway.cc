@@ -48,7 +48,7 @@ struct Gateway::Impl {
         membership(*options.registry, options.paths,
                    {record_of(options), options.state_id, options.session_timeout, &clock}),
         loop("gateway"),
-        feed(*options.registry, options.paths, options.id, loop, clock, listener()),
+        feed(*options.registry, options.paths, options.id, loop, clock, listener(), options.order_keys),
         instances({options.id, options.registry, options.paths, options.launcher.get(), options.brokers,
                    options.restart, &clock, options.history_file, options.session_timeout},
                   loop) {}
@@ -121,7 +121,16 @@ Gateway::~Gateway() {
 
 std::string Gateway::trouble() const {
   const std::string frozen = impl_->feed.frozen();
-  return frozen.empty() ? "" : fmt::format("frozen: {}; `iotcloud registry adopt {}`", frozen, impl_->options.id);
+  if (!frozen.empty()) return fmt::format("frozen: {}; `iotcloud registry adopt {}`", frozen, impl_->options.id);
+  return impl_->feed.refused();
+}
+
+void Gateway::reload() {
+  impl_->loop.post([impl = impl_.get()] { impl->feed.look_at_refused(); });
+}
+
+bool Gateway::follows_signed_orders() const {
+  return impl_->options.order_keys != nullptr;
 }
 
 const discovery::GatewayId& Gateway::id() const {

@@ -16,6 +16,7 @@
 #include <iotcloud/gateway/fleet/placement.h>
 #include <iotcloud/gateway/ordered_instances.h>
 #include <iotcloud/processes/plugin_store.h>
+#include <iotcloud/security/trusted_keys.h>
 
 namespace iotcloud::gateway {
 
@@ -31,6 +32,8 @@ struct GatewayOptions {
   std::shared_ptr<HostLauncher> launcher;  ///< not null
   /// The store of uploaded plugins; null: the gateway takes no uploads.
   std::shared_ptr<processes::PluginStore> plugins;
+  /// The masters whose orders are followed; null: every order that stands in the registry.
+  std::shared_ptr<const security::TrustedKeys> order_keys;
   std::string state_id;      ///< see Membership::Options
   std::string history_file;  ///< keeps changes of state across restarts (ChangeFile); empty: memory only
   std::chrono::milliseconds session_timeout{10000};
@@ -65,7 +68,12 @@ class Gateway final : public config::Service {
   /// Why no orders are followed, in one line; empty: they are, or the registry is away.
   std::string trouble() const override;
 
+  /// The trusted keys of orders were read again: looks at refused orders once more.
+  void reload() override;
+
   const discovery::GatewayId& id() const;
+  /// Whether only orders with a master's signature are followed, so that this gateway can give itself none.
+  bool follows_signed_orders() const;
   /// The store of uploaded plugins; null: the gateway takes no uploads.
   processes::PluginStore* plugins() const;
   /// The highest epoch of all orders so far. An order that this gateway's Thrift service writes must have it.

@@ -3,8 +3,10 @@
 
 #include <fmt/format.h>
 
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/gateway/order_feed.h>
+#include <iotcloud/security/signed_object.h>
 
 namespace iotcloud::gateway {
 
@@ -33,13 +35,15 @@ struct OrderFeed::Found {
 };
 
 OrderFeed::OrderFeed(discovery::Registry& registry, discovery::Paths paths, discovery::GatewayId gateway,
-                     EventLoop& loop, const config::Clock& clock, Listener listener)
+                     EventLoop& loop, const config::Clock& clock, Listener listener,
+                     std::shared_ptr<const security::TrustedKeys> masters)
     : registry_(registry),
       paths_(std::move(paths)),
       gateway_(std::move(gateway)),
       loop_(loop),
       clock_(clock),
-      listener_(std::move(listener)) {}
+      listener_(std::move(listener)),
+      masters_(std::move(masters)) {}
 
 // The registry calls back on its dispatcher thread; the callbacks only post to the loop.
 
@@ -233,7 +237,7 @@ std::optional<OrderFeed::Objection> OrderFeed::objection(const Found& found) con
 /// \return a master's answer to the present freeze; nullopt: there is none yet, or the feed is not frozen.
 std::optional<discovery::Adoption> OrderFeed::adoption(const discovery::Node& list) const {
   const auto freeze = freeze_record();
-  if (!freeze || list.data.empty()) return std::nullopt;
+  if (!freeze || list.data.empty() || !is_signed(paths_.orders(gateway_), list)) return std::nullopt;
   try {
     auto answer = discovery::decode_adoption(list.data, paths_.orders(gateway_));
     if (answer.token == freeze->token) return answer;
@@ -315,6 +319,7 @@ void OrderFeed::follow_names(const Instances& names) {
     const discovery::InstanceId instance = it->first;
     it = order_watches_.erase(it);
     handled_.erase(instance);
+    forget_refusal(instance);
     listener_.on_gone(instance);
   }
 }
@@ -344,6 +349,8 @@ void OrderFeed::take(const discovery::InstanceId& instance, const discovery::Nod
 
 void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Node& node) {
   const std::string path = paths_.order(gateway_, instance);
+  if (!is_signed(path, node)) return refuse(instance);
+  forget_refusal(instance);
   const auto order = discovery::decode_order(node.data, path);
   if (order.instance != instance) {
     throw config::Error(fmt::format("the order at {} is for the instance \"{}\"", path, order.instance));
@@ -356,6 +363,45 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
   }
   epoch_ = std::max(epoch_.load(), order.epoch);
   listener_.on_order(order, node.version);
+}
+
+bool OrderFeed::is_signed(const std::string& path, const discovery::Node& node) const {
+  return !masters_ || !security::signer_of_object(*masters_, path, node.data).empty();
+}
+
+void OrderFeed::refuse(const discovery::InstanceId& instance) {
+  logger.error(
+      "the order for {} is refused: no trusted master has signed it for this place. What runs goes on as it is. If "
+      "this fleet's orders are older than its keys: `iotcloud registry export`, look at them, and `import --replace`",
+      instance);
+  {
+    const config::MutexLock lock(mutex_);
+    refused_.insert(instance);
+  }
+  config::process_metrics()
+      .counter("iotcloud_gateway_orders_refused_total",
+               "Orders that no trusted master has signed, which are not followed")
+      .add();
+}
+
+void OrderFeed::forget_refusal(const discovery::InstanceId& instance) {
+  const config::MutexLock lock(mutex_);
+  refused_.erase(instance);
+}
+
+std::string OrderFeed::refused() const {
+  const config::MutexLock lock(mutex_);
+  if (refused_.empty()) return "";
+  const std::string others = refused_.size() == 1 ? "" : fmt::format(" and {} others", refused_.size() - 1);
+  return fmt::format("refused: the order for {}{}, which no trusted master has signed", *refused_.begin(), others);
+}
+
+void OrderFeed::look_at_refused() {
+  {
+    const config::MutexLock lock(mutex_);
+    for (const auto& instance : refused_) handled_.erase(instance);
+  }
+  look();
 }
 
 }  // namespace iotcloud::gateway

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <set>
 #include <string>
@@ -16,6 +17,7 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/gateway/host/event_loop.h>
+#include <iotcloud/security/trusted_keys.h>
 
 namespace iotcloud::gateway {
 
@@ -28,6 +30,11 @@ namespace iotcloud::gateway {
 /// recorded of their instances, the registry was emptied or put back to an earlier state. Then the feed is frozen: the
 /// listener hears of no order, and the node discovery::freeze_path() says why, also to the gateway's next run. The feed
 /// goes on when a master adopts the registry as it is (discovery::Adoption), or when the orders' own node is back.
+///
+/// With the keys of masters the feed follows only what one of them has signed (security/signed_object.h) for the very
+/// node in which it stands. A refused order changes nothing of what runs: it is logged, counted
+/// (iotcloud_gateway_orders_refused_total) and told by refused().
+///
 /// Used on one event loop, on which the listener is called, unless said otherwise.
 class OrderFeed {
  public:
@@ -51,7 +58,8 @@ class OrderFeed {
   };
 
   OrderFeed(discovery::Registry& registry, discovery::Paths paths, discovery::GatewayId gateway, EventLoop& loop,
-            const config::Clock& clock, Listener listener);
+            const config::Clock& clock, Listener listener,
+            std::shared_ptr<const security::TrustedKeys> masters = nullptr);
 
   void start();
   /// Afterwards the listener is not called any more.
@@ -63,6 +71,10 @@ class OrderFeed {
   std::int64_t epoch() const { return epoch_; }
   /// Why no orders are followed now; empty: they are followed. Thread safe.
   std::string frozen() const;
+  /// Which order is refused, and why, in one line; empty: none is. Thread safe.
+  std::string refused() const;
+  /// Reads refused orders again, because other keys are trusted now.
+  void look_at_refused();
 
  private:
   /// Orders that are gone take a look at their names only, so that one of thousands does not cost a read of all.
@@ -89,6 +101,9 @@ class OrderFeed {
   void order_changed(const discovery::InstanceId& instance, const std::optional<discovery::Node>& node);
   void take(const discovery::InstanceId& instance, const discovery::Node& node);
   void read(const discovery::InstanceId& instance, const discovery::Node& node);
+  bool is_signed(const std::string& path, const discovery::Node& node) const;
+  void refuse(const discovery::InstanceId& instance);
+  void forget_refusal(const discovery::InstanceId& instance);
   bool is_handled(const discovery::InstanceId& instance, const discovery::Node& node) const;
 
   discovery::Registry& registry_;
@@ -97,6 +112,7 @@ class OrderFeed {
   EventLoop& loop_;
   const config::Clock& clock_;
   const Listener listener_;
+  const std::shared_ptr<const security::TrustedKeys> masters_;  ///< null: orders need no signature
   std::atomic<std::int64_t> epoch_{0};
   /// Orders that existed at the start or after a reconnection and are not read yet: they may have any epoch.
   Instances initial_;
@@ -114,6 +130,7 @@ class OrderFeed {
 
   mutable config::Mutex mutex_;
   std::optional<discovery::FreezeRecord> freeze_ IOTCLOUD_GUARDED_BY(mutex_);  ///< written only on the loop
+  Instances refused_ IOTCLOUD_GUARDED_BY(mutex_);                              ///< written only on the loop
 };
 
 }  // namespace iotcloud::gateway

@@ -52,6 +52,14 @@ Gateway::AwaitedRecord SiteHandler::await(Response& answer, const InstanceId& id
   return outcome;
 }
 
+void SiteHandler::check_may_order() const {
+  if (!gateway_.follows_signed_orders()) return;
+  throw config::Error(
+      fmt::format("gateway {} follows only orders that a master has signed (orders.trusted_keys): give this one to a "
+                  "master",
+                  gateway_.id()));
+}
+
 void SiteHandler::hearbeat(discovery::wire::THeartBeatResponse& answer, const discovery::wire::THeartBeatRequest&) {
   const auto all = gateway_.instances();
   const auto responsive = std::count_if(all.begin(), all.end(), [](const auto& record) {
@@ -63,6 +71,7 @@ void SiteHandler::hearbeat(discovery::wire::THeartBeatResponse& answer, const di
 
 void SiteHandler::deploySensor(Response& answer, const discovery::wire::TSensorDeployDescriptor& descriptor) {
   answering(answer, descriptor.filename, [&] {
+    check_may_order();
     check_plugin_file_name(descriptor.filename);
     discovery::OrderRecord order;
     order.instance = discovery::new_instance_id();
@@ -92,6 +101,7 @@ void SiteHandler::deploySensor(Response& answer, const discovery::wire::TSensorD
 void SiteHandler::unDeploySensor(Response& answer, const std::string& text) {
   const InstanceId id(text);
   answering(answer, id, [&] {
+    check_may_order();
     check_name("instance id", id);
     if (!registry_.remove(paths_.order(gateway_.id(), id))) {
       throw config::Error(fmt::format("the gateway {} has no driver instance {}", gateway_.id(), id));
@@ -107,6 +117,7 @@ void SiteHandler::unDeploySensor(Response& answer, const std::string& text) {
 
 void SiteHandler::set_active(Response& answer, const InstanceId& id, bool active) {
   answering(answer, id, [&] {
+    check_may_order();
     check_name("instance id", id);
     const std::string path = paths_.order(gateway_.id(), id);
     const auto node = registry_.get(path);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <functional>
 #include <string>
 
 #include <iotcloud/discovery/records.h>
@@ -21,6 +22,8 @@ struct MasterOptions {
   /// True: an order for a lost gateway is recorded, and its outcome is `pending`. False: it is not recorded, and
   /// `failed`.
   bool record_for_lost_gateways = true;
+  /// Signs what gateways are ordered: gets the path of a node and its JSON, returns what is written. Empty: unsigned.
+  std::function<std::string(const std::string& path, const std::string& bytes)> seal{};
   DirectGateways* direct = nullptr;  ///< gateways that are called, not ordered; outlives the master; null: none
 };
 

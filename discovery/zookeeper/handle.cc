@@ -55,6 +55,32 @@ Status to_status(int code) {
   }
 }
 
+/// The rights on a node that this handle's user creates. With an identity the node belongs to its creator, or to whom
+/// RegistryAccess says, and others may read it or not; without one everybody may use it.
+class Handle::NewNodesRights {
+ public:
+  NewNodesRights(const Settings& settings, const std::string& path) {
+    static char auth[] = "auth", world[] = "world", anyone[] = "anyone", nothing[] = "", digest[] = "digest";
+    if (settings.identity.empty()) return;
+    if (settings.access) {
+      grants_ = settings.access->grants(path, settings.user);
+      for (auto& grant : grants_) rights_.push_back(ACL{grant.rights, ::Id{digest, grant.id.data()}});
+    }
+    if (rights_.empty()) rights_.push_back(ACL{ZOO_PERM_ALL, ::Id{auth, nothing}});
+    if (settings.others_may_read) rights_.push_back(ACL{ZOO_PERM_READ, ::Id{world, anyone}});
+    list_ = {static_cast<int>(rights_.size()), rights_.data()};
+  }
+  NewNodesRights(const NewNodesRights&) = delete;
+  NewNodesRights& operator=(const NewNodesRights&) = delete;
+
+  const ACL_vector* get() const { return rights_.empty() ? &ZOO_OPEN_ACL_UNSAFE : &list_; }
+
+ private:
+  std::vector<RegistryAccess::Grant> grants_;  ///< owns the names in rights_
+  std::vector<ACL> rights_;
+  ACL_vector list_{};
+};
+
 std::shared_ptr<Handle> Handle::open(const Settings& settings, const RegistryConnection::Events& events) {
   static std::once_flag once;
   std::call_once(once, [] { zoo_set_debug_level(ZOO_LOG_LEVEL_WARN); });
@@ -139,15 +165,16 @@ void Handle::start_fenced(const Fence& fence, const zoo_op_t& write, Done done) 
 
 void Handle::create(const std::string& path, const std::string& data, int mode, const Fence& fence, Done done) {
   const std::string place = full(path);
+  const NewNodesRights rights(settings_, path);
   if (!fence.path.empty()) {
     zoo_op_t write{};
-    zoo_create_op_init(&write, place.c_str(), data.data(), static_cast<int>(data.size()), new_nodes_acl(), mode,
-                       nullptr, 0);
+    zoo_create_op_init(&write, place.c_str(), data.data(), static_cast<int>(data.size()), rights.get(), mode, nullptr,
+                       0);
     start_fenced(fence, write, std::move(done));
     return;
   }
   start(std::move(done), [&](zhandle_t* handle, const void* request) {
-    return zoo_acreate(handle, place.c_str(), data.data(), static_cast<int>(data.size()), new_nodes_acl(), mode,
+    return zoo_acreate(handle, place.c_str(), data.data(), static_cast<int>(data.size()), rights.get(), mode,
                        &Handle::on_created, request);
   });
 }
@@ -262,21 +289,12 @@ void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, 
 /// first.
 void Handle::make_chroot(zhandle_t* handle) const {
   const std::string& chroot = settings_.url.chroot;
+  const NewNodesRights rights(settings_, "/");
   const auto ignore = [](int /*code*/, const char* /*path*/, const void* /*request*/) {};
   for (std::size_t end = 1; end < chroot.size();) {
     end = std::min(chroot.find('/', end + 1), chroot.size());
-    zoo_acreate(handle, chroot.substr(0, end).c_str(), "", 0, new_nodes_acl(), ZOO_PERSISTENT, ignore, nullptr);
+    zoo_acreate(handle, chroot.substr(0, end).c_str(), "", 0, rights.get(), ZOO_PERSISTENT, ignore, nullptr);
   }
-}
-
-/// With an identity a node belongs to its creator, and others may read it or not; without one everybody may use it.
-const ACL_vector* Handle::new_nodes_acl() const {
-  static char auth[] = "auth", world[] = "world", anyone[] = "anyone", nothing[] = "";
-  static std::array<ACL, 2> rights{ACL{ZOO_PERM_ALL, Id{auth, nothing}}, ACL{ZOO_PERM_READ, Id{world, anyone}}};
-  static const ACL_vector creators_only{1, rights.data()};
-  static const ACL_vector others_may_read{2, rights.data()};
-  if (settings_.identity.empty()) return &ZOO_OPEN_ACL_UNSAFE;
-  return settings_.others_may_read ? &others_may_read : &creators_only;
 }
 
 std::string Handle::full(const std::string& path) const {

@@ -75,17 +75,23 @@ def furnished(text, folder, binaries):
     def run(*words):
         subprocess.run(list(map(str, words)), check=True, stdout=subprocess.DEVNULL, cwd=folder)
 
-    hosts = sorted({Path(name).stem for name in names if name.endswith(".key")} - {"ca"})
+    hosts = sorted({Path(name).stem for name in names if name.endswith(".key")} - {"ca", "master"})
     if hosts:
         run(binaries / "iotcloud", "certs", "init", folder, "--host", *hosts)
     for name in names:
         file = folder / name
-        if name == "tokens":
+        if name.endswith("tokens"):
             run(binaries / "iotcloud", "token", "add", "somebody", "--role", "viewer", "--file", file)
-        elif name == "plugin-keys":
+        elif name in ("plugin-keys", "order-keys"):
             file.mkdir()
-            run(binaries / "iotcloud", "keys", "new", folder / "lab")
-            shutil.copy(folder / "lab.pub", file)
+            run(binaries / "iotcloud", "keys", "new", folder / f"lab-{name}")
+            shutil.copy(folder / f"lab-{name}.pub", file)
+        elif name == "master.key":
+            file.unlink(missing_ok=True)
+            run(binaries / "iotcloud", "keys", "new", folder / "master")
+        elif name == "registry.users":
+            for user, role in (("master", "master"), ("gateway-1", "gateway"), ("workers", "worker")):
+                run(binaries / "iotcloud", "registry", "user", user, "--role", role, "--file", file)
         elif not file.exists():
             file.write_text("a secret\n")
             file.chmod(0o600)

@@ -1,5 +1,6 @@
-// registry adopt, export, import
+// registry adopt, export, import, user
 #include <algorithm>
+#include <filesystem>
 #include <iterator>
 #include <ostream>
 #include <set>
@@ -11,6 +12,8 @@
 #include <sys/stat.h>
 
 #include <iotcloud/config/durable_write.h>
+#include <iotcloud/config/error.h>
+#include <iotcloud/discovery/access.h>
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/order_verbs.h>
@@ -19,6 +22,7 @@
 #include <iotcloud/master/cli/plugins/plugin_sending.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/master/orders/backup_file.h>
+#include <iotcloud/security/registry_password.h>
 #include <iotcloud/security/sha256.h>
 
 namespace iotcloud::master::cli {
@@ -185,6 +189,47 @@ class Import final : public Verb {
   std::vector<std::string> plugins_;
 };
 
+/// Adds an identity to the fleet's users, and prints its password.
+class AddUser final : public Verb {
+ public:
+  AddUser()
+      : Verb(
+            {"user",
+             "Make an identity at ZooKeeper for a process, and print its password: it is shown this once. The file has "
+             "no secrets; all processes of the fleet get it (registry.users)",
+             "iotcloud registry user gateway-1 --role gateway --file registry.users > gateway-1.password", std::nullopt,
+             false}) {}
+
+  void declare(CLI::App& options) override {
+    options.add_option("USER", name_, "its name; for a gateway its id")->required();
+    options
+        .add_option("--role", role_, "master: writes orders; gateway: writes its own records; worker: of topologies")
+        ->required()
+        ->check(CLI::IsMember({"master", "gateway", "worker"}))
+        ->type_name("ROLE");
+    options.add_option("--file", file_, "the fleet's users; made if it is missing")->required()->type_name("FILE");
+  }
+  int run(Call& call) override {
+    if (name_.find_first_of(": \t\r\n/") != std::string::npos)
+      throw config::Error(fmt::format("\"{}\" cannot be a user's name: no colon, no slash, no space", name_));
+    const auto there =
+        std::filesystem::exists(file_) ? discovery::read_registry_users(file_) : std::vector<discovery::RegistryUser>{};
+    const auto same = [&](const auto& user) { return user.name == name_; };
+    if (std::any_of(there.begin(), there.end(), same))
+      throw config::Error(fmt::format("{} has a user {} already; take its line out first", file_, name_));
+    const auto made = security::new_registry_password(name_);
+    std::string text = there.empty() ? "" : bytes_of(file_);
+    if (!text.empty() && !text.ends_with('\n')) text += '\n';
+    text += fmt::format("{} {}:{}\n", role_, name_, made.digest);
+    config::replace_file(file_, text, S_IRUSR | S_IWUSR | S_IRGRP | S_IROTH);
+    call.out << made.password << '\n';
+    return exit_ok;
+  }
+
+ private:
+  std::string name_, role_, file_;
+};
+
 }  // namespace
 
 void add_registry_verbs(Verbs& verbs) {
@@ -192,6 +237,7 @@ void add_registry_verbs(Verbs& verbs) {
   group.add<Adopt>();
   group.add<Export>();
   group.add<Import>();
+  group.add<AddUser>();
 }
 
 }  // namespace iotcloud::master::cli

@@ -75,7 +75,8 @@ OrderResult Adoptions::adopt_all(const GatewaySelection& selection) {
       const auto node = desk_.registry.get(mark);
       if (!node) return OutcomeWatch::Verdict{OrderOutcome::done, "it was not frozen"};
       const discovery::Adoption adoption{discovery::decode_freeze(node->data, mark).token, lead.epoch};
-      discovery::put(desk_.registry, desk_.options.paths.orders(id), encode(adoption), lead.fence);
+      const auto orders = desk_.options.paths.orders(id);
+      discovery::put(desk_.registry, orders, desk_.book.sealed(orders, encode(adoption)), lead.fence);
       if (!find(known, id)->alive) return OutcomeWatch::Verdict{OrderOutcome::pending, lost_text};
       watch.expect(id, mark);
       return std::nullopt;

@@ -111,7 +111,8 @@ Verdict Backups::place(const GatewayId& gateway, OrderRecord order, bool replace
     return {OrderOutcome::done, ""};
   }
   order.epoch = there->epoch;
-  if (order == *there) return unchanged;
+  // Replacing signs an order that stands there unsigned, from before this fleet had keys.
+  if (order == *there && !(replace && desk_.book.seals())) return unchanged;
   if (!replace) return another;
   const Located where{order.instance, gateway, {}, std::nullopt};
   const auto verdict = desk_.book.rewrite(where, lead, [&](OrderRecord& present) { present = order; });

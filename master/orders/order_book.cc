@@ -109,7 +109,8 @@ std::optional<OrderRecord> OrderBook::get(const GatewayId& gateway, const Instan
 }
 
 void OrderBook::create(const GatewayId& gateway, const OrderRecord& order, const Lead& lead) {
-  registry_.create(paths_.order(gateway, order.instance), encode(order), true, lead.fence);
+  const auto path = paths_.order(gateway, order.instance);
+  registry_.create(path, sealed(path, encode(order)), true, lead.fence);
 }
 
 MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
@@ -144,7 +145,7 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead,
       return OutcomeWatch::Verdict{OrderOutcome::failed, fmt::format("its order would take {} bytes, more than {}",
                                                                      bytes.size(), largest_order)};
     try {
-      registry_.set(path, bytes, node->version, lead.fence);
+      registry_.set(path, sealed(path, bytes), node->version, lead.fence);
       return std::nullopt;
     } catch (const RegistryError& e) {
       if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again

@@ -29,9 +29,11 @@ OrderResult refuse_gateway(const discovery::GatewayId& id, const std::vector<dis
 /// The orders of instances as they stand in the registry. Thread safe; \throws discovery::RegistryError.
 class OrderBook {
  public:
-  /// The references outlive this.
-  OrderBook(discovery::Registry& registry, const discovery::Paths& paths, const Leadership& leadership)
-      : registry_(registry), paths_(paths), leadership_(leadership) {}
+  using Seal = std::function<std::string(const std::string& path, const std::string& bytes)>;
+  /// The references outlive this. \param seal MasterOptions::seal
+  OrderBook(discovery::Registry& registry, const discovery::Paths& paths, const Leadership& leadership,
+            const Seal& seal)
+      : registry_(registry), paths_(paths), leadership_(leadership), seal_(seal) {}
 
   /// Finds the instances that have a record, or an order on a gateway in `known`. Takes the same few rounds of reads
   /// however many instances there are.
@@ -51,11 +53,17 @@ class OrderBook {
   /// Changes an existing order. Reads it and changes it again when another write came in between.
   MaybeVerdict rewrite(const Located& where, const discovery::Lead& lead,
                        const std::function<void(discovery::OrderRecord&)>& alter);
+  /// The bytes for the node at that path, signed if this master signs.
+  std::string sealed(const std::string& path, const std::string& bytes) const {
+    return seal_ ? seal_(path, bytes) : bytes;
+  }
+  bool seals() const { return static_cast<bool>(seal_); }
 
  private:
   discovery::Registry& registry_;
   const discovery::Paths& paths_;
   const Leadership& leadership_;
+  const Seal& seal_;
 };
 
 /// ZooKeeper refuses nodes above 1 MiB; an order near that is a mistake.

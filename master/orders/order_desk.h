@@ -56,7 +56,7 @@ struct OrderDesk {
   /// So either the drain sees the orders, or the orders see the mark.
   config::SharedMutex placing;
   Leadership leadership;
-  OrderBook book{registry, options.paths, leadership};
+  OrderBook book{registry, options.paths, leadership, options.seal};
 };
 
 /// The outcome of an order that the gateway follows later; nullopt: it follows orders now.

@@ -82,6 +82,13 @@ class FaultCluster(PrivateCluster):
     def server(self, kind):
         return super().server(self.registry_kind if kind == "zookeeper" else kind)
 
+    def daemon(self, program, name, configuration, enter=(), options=()):
+        """With a user of the registry: an isle reaches it by an address that is not loopback."""
+        password = self.out / "registry.password"
+        password.write_text("secret\n")
+        user = f"registry.user: fleet\nregistry.password_file: {password}\n"
+        return super().daemon(program, name, configuration.lstrip() + "\n" + user, enter, options)
+
     def order(self, command):
         """A command to the registry's server; returns its answer."""
         child = next(child for name, child in self.children if name == self.registry_kind)

@@ -1,5 +1,8 @@
 // Access to the nodes that a process created in ZooKeeper: digest authentication.
+#include <iotcloud/discovery/access.h>
+#include <iotcloud/discovery/records.h>
 #include <iotcloud/tests/discovery/contract_fixture.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::discovery::tests {
 namespace {
@@ -74,6 +77,101 @@ TEST_P(Access, AWatchOfWhatBelongsToOthersWaitsUntilItMayBeRead) {
   EXPECT_TRUE(seen.wait_for_last("(none)"));
 }
 
+/// A fleet whose users have rights of their own: master, gateways g1 and g2, worker.
+class FleetAccess : public Access {
+ protected:
+  FleetAccess() {
+    using Role = RegistryUser::Role;
+    // base64 of SHA-1 of "USER:secret of USER"
+    access_ = std::make_shared<const RegistryAccess>(
+        std::vector<RegistryUser>{{Role::master, "masters", "OMsZ4EHB4vTTDlYF30hOD4UN9Gs="},
+                                  {Role::gateway, "g1", "0uEjd9Pgjl8v3nhquvFg8rgopuU="},
+                                  {Role::gateway, "g2", "nnalarx0gGsG9ajZ9zmK5cdN9cc="},
+                                  {Role::worker, "workers", "D70c15/9OcCuC92fenWl5kJD72g="}},
+        paths_);
+  }
+  std::unique_ptr<Registry> member(const std::string& user) const {
+    RegistryOptions options;
+    options.url = place_->url() + "/fleet";
+    options.operation_timeout = patience;
+    options.user = user;
+    options.password = "secret of " + user;
+    options.access = access_;
+    return make_registry(options);
+  }
+  /// What a gateway writes, and a master orders.
+  void live(Registry& gateway, const GatewayId& id, Registry& master) {
+    put(gateway, paths_.gateway(id), "record");
+    put(gateway, paths_.orders(id), "");
+    put(gateway, paths_.channel("turtle"_driver, InstanceId(id.str()), "kinect"), "channel");
+    put(gateway, paths_.instance("turtle"_driver, InstanceId(id.str())), "instance");
+    put(master, paths_.order(id, "a"_instance), "order");
+  }
+  const Paths paths_;
+  std::shared_ptr<const RegistryAccess> access_;
+};
+
+TEST_P(FleetAccess, TheThiefOfOneGatewaysCredentialsReachesThatGatewayOnly) {
+  const auto master = member("masters");
+  const auto one = member("g1");
+  const auto thief = member("g2");
+  master->create(paths_.masters() + "/m1", "leads");
+  live(*one, "g1"_gateway, *master);
+  live(*thief, "g2"_gateway, *master);
+  const auto held = one->hold(paths_.gateway_alive("g1"_gateway), "alive");
+
+  const std::string order = paths_.order("g1"_gateway, "a"_instance);
+  const std::string own_order = paths_.order("g2"_gateway, "a"_instance);
+  const std::string instance = paths_.instance("turtle"_driver, "g1"_instance);
+  const auto denied = [&](const std::function<void()>& call) { EXPECT_EQ(code_of(call), Code::denied); };
+  denied([&] { thief->get(order); });
+  denied([&] { thief->children(paths_.orders("g1"_gateway)); });
+  for (const std::string& path : {order, own_order, paths_.orders("g1"_gateway), paths_.gateway("g1"_gateway), instance,
+                                  instance + "/kinect", paths_.gateway_alive("g1"_gateway), paths_.masters() + "/m1"}) {
+    denied([&] { thief->set(path, "stolen"); });
+    denied([&] { thief->create(path + "/below", ""); });
+  }
+  denied([&] { thief->create(paths_.order("g1"_gateway, "b"_instance), "forged"); });
+  denied([&] { thief->create(paths_.order("g2"_gateway, "b"_instance), "forged"); });
+  denied([&] { thief->create(paths_.masters() + "/m0", "leads"); });
+  denied([&] { thief->create(paths_.topology_order("t"_topology), "forged"); });
+  for (const std::string& path : {order, own_order, instance + "/kinect", paths_.gateway_alive("g1"_gateway)})
+    denied([&] { thief->remove(path); });
+
+  // Its own things it does as before, and reads what gateways read.
+  EXPECT_EQ(thief->get(own_order)->data, "order");
+  put(*thief, paths_.gateway("g2"_gateway), "again");
+  put(*thief, paths_.gateway("g2"_gateway) + "/frozen", "why");
+  EXPECT_TRUE(thief->get(instance));
+  remove_tree(*thief, paths_.instance("turtle"_driver, "g2"_instance));
+  EXPECT_EQ(one->get(order)->data, "order");
+}
+
+TEST_P(FleetAccess, MastersMayDoEverythingAndWorkersTheirTopologiesOnly) {
+  const auto master = member("masters");
+  const auto one = member("g1");
+  const auto worker = member("workers");
+  live(*one, "g1"_gateway, *master);
+  const std::string workers = paths_.workers("t"_topology);
+  const auto held = worker->hold(workers + "/w1", "here");
+  worker->create(paths_.readers("t", "turtle"_driver, "kinect") + "/w1", "reads");
+  put(*master, paths_.topology_order("t"_topology), "order");
+  EXPECT_EQ(worker->get(paths_.topology_order("t"_topology))->data, "order");
+  EXPECT_TRUE(worker->get(paths_.channel("turtle"_driver, "g1"_instance, "kinect")));
+  const auto denied = [&](const std::function<void()>& call) { EXPECT_EQ(code_of(call), Code::denied); };
+  denied([&] { worker->set(paths_.topology_order("t"_topology), "forged"); });
+  denied([&] { worker->get(paths_.order("g1"_gateway, "a"_instance)); });
+  denied([&] { worker->set(paths_.instance("turtle"_driver, "g1"_instance), "forged"); });
+  denied([&] { worker->create(paths_.gateway("g9"_gateway), "forged"); });
+
+  remove_tree(*master, paths_.sensors);
+  remove_tree(*master, paths_.gateway("g1"_gateway));
+  master->set(workers + "/w1", "changed");
+  EXPECT_FALSE(one->get(paths_.gateway("g1"_gateway)));
+}
+
+INSTANTIATE_TEST_SUITE_P(Registries, FleetAccess, testing::Values("zookeeper"),
+                         [](const auto& parameter) { return parameter.param; });
 INSTANTIATE_TEST_SUITE_P(Registries, Access, testing::Values("zookeeper"),
                          [](const auto& parameter) { return parameter.param; });
 

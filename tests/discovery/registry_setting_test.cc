@@ -2,11 +2,13 @@
 
 #include <gmock/gmock.h>
 
+#include <iotcloud/discovery/access.h>
 #include <iotcloud/discovery/registry_setting.h>
 
 namespace iotcloud::discovery::tests {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
 
 RegistryOptions read(const std::string& text) {
@@ -53,6 +55,28 @@ TEST(RegistrySetting, ReadsThePasswordFromTheEnvironment) {
   ::setenv("IOTCLOUD_TEST_REGISTRY_PASSWORD", "from outside", 1);
   EXPECT_EQ(read("registry.user: fleet\nregistry.password_variable: IOTCLOUD_TEST_REGISTRY_PASSWORD").password,
             "from outside");
+}
+
+TEST(RegistrySetting, ReadsTheFleetsUsers) {
+  ::setenv("IOTCLOUD_TEST_REGISTRY_PASSWORD", "p", 1);
+  const std::string mine = "registry.user: g1\nregistry.password_variable: IOTCLOUD_TEST_REGISTRY_PASSWORD\n";
+  const auto with = [&](const std::string& users) {
+    return mine + "registry.users: " + file_with("registry.users", users) + "\n";
+  };
+  const std::string good = "# who there is\nmaster masters:d1=\n\ngateway g1:d2=\nworker w:d3=\n";
+  const auto options = read(with(good));
+  ASSERT_TRUE(options.access);
+  const auto grants = options.access->grants("/iot/gateways/g1/orders/a", "masters");
+  ASSERT_EQ(grants.size(), 2U);
+  EXPECT_EQ(grants[0].id, "masters:d1=");
+  EXPECT_EQ(grants[0].rights, RegistryAccess::all);
+  EXPECT_EQ(grants[1].id, "g1:d2=");
+  EXPECT_EQ(grants[1].rights, RegistryAccess::read);
+  EXPECT_THAT(error_of(with("gateway g2:d\n")), AllOf(HasSubstr("registry.users"), HasSubstr("g1")));
+  for (const char* line : {"gateway g1\n", "gateway g1:\n", "gateway :d\n", "guest g1:d\n", "gateway g1:d more\n"})
+    EXPECT_THAT(error_of(with(line)), AllOf(HasSubstr(":1:"), HasSubstr("iotcloud registry user"))) << line;
+  EXPECT_THAT(error_of(with(good + "worker g1:d\n")), HasSubstr("already"));
+  EXPECT_THAT(error_of(mine + "registry.users: /nonexistent/users\n"), HasSubstr("/nonexistent/users"));
 }
 
 TEST(RegistrySetting, WhatCannotBeIsRefusedWithARemedy) {

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 """What the project's Markdown names is there: files and sections that it links, commands of ./dev, metrics, the files and
-rooms of docs/walks.md, the rooms of docs/design.md, the code that docs/driver-sdk.md and docs/topology-sdk.md print. So is
+rooms of docs/walks.md, the rooms of docs/design.md, the tests of SECURITY.md, the code that docs/driver-sdk.md and docs/topology-sdk.md print. So is
 every document, and section of one, that a source cites (docs/wire.md#topics).
 
 usage: check_documents.py ROOT
@@ -156,6 +156,20 @@ def room_problems(root, file):
             yield f"{file.relative_to(root)}: {room} may use {', '.join(rule or []) or 'no room'}"
 
 
+def named_test_problems(root, file):
+    """Every test that SECURITY.md names is there: `Suite.Name`, or a test of a command, `in_lower_case_words`."""
+    if not file.exists():
+        return
+    sources = "\n".join(path.read_text() for path in sorted((root / "tests").rglob("*"))
+                        if path.suffix == ".cc" or path.name == "CMakeLists.txt")
+    for suite, name in re.findall(r"`([A-Z]\w+)\.([A-Z]\w+)`", file.read_text()):
+        if not re.search(rf"TEST(?:_F|_P)?\({suite}, {name}\)", sources):
+            yield f"{file.relative_to(root)}: there is no test {suite}.{name}"
+    for name in re.findall(r"`([a-z]+(?:_[a-z]+){4,})`", file.read_text()):
+        if f"NAME {name} " not in sources:
+            yield f"{file.relative_to(root)}: there is no test {name}"
+
+
 def main():
     root = Path(sys.argv[1]).resolve()
     files = [path for path in sorted(root.rglob("*")) if path.is_file() and inside(root, path)]
@@ -170,6 +184,7 @@ def main():
         found += printed_code_problems(root, document)
     found += walk_problems(root, root / "docs/walks.md")
     found += room_problems(root, root / "docs/design.md")
+    found += named_test_problems(root, root / "SECURITY.md")
     for text in found:
         print(text)
     sys.exit(1 if found or not documents else 0)

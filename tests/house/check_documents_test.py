@@ -55,6 +55,13 @@ class Documents(Tree):
         self.assertEqual(self.problems("`iotcloud_things_total`"), [])
         self.assertEqual(self.problems("`iotcloud_thing_total`"), ["README.md:2: there is no metric iotcloud_thing_total"])
 
+    def test_a_test_that_is_named_and_not_there_is_told(self):
+        self.write("tests/a_test.cc", "TEST_F(Suite, IsThere) {}")
+        self.write("tests/CMakeLists.txt", "iotcloud_command_test(NAME a_test_of_a_command LABELS unit)")
+        file = self.write("SECURITY.md", "`Suite.IsThere`, `Suite.IsGone`, `a_test_of_a_command`, `a_test_of_a_cat`, `a_key`")
+        self.assertEqual(list(check_documents.named_test_problems(self.root, file)),
+                         ["SECURITY.md: there is no test Suite.IsGone", "SECURITY.md: there is no test a_test_of_a_cat"])
+
     def test_a_file_that_is_named_and_not_there_is_told(self):
         file = self.write("rooms/README.md", "`brokers/link.cc`, `rooms/brokers/link.cc`, `<iotcloud/rooms/brokers/link.cc>`\n"
                                              "`brokers/gone.cc`, gone.cc, /usr/include/gone.h")

@@ -214,5 +214,55 @@ TEST(BackupFile, IsCutIntoPiecesThatHaveAllOfIt) {
   EXPECT_THAT(pieces_of({}, 2500), IsEmpty());
 }
 
+TEST(MasterSeal, EveryOrderIsWrittenWithItsSealAlsoWhenItIsChangedOrImported) {
+  const std::string url = test::fresh_registry_url();
+  const auto registry = test::open_registry(url);
+  const discovery::Paths paths;
+  std::string first;  // the path of the first order
+  const auto standing = [&](const std::string& path) { return registry->get(path).value().data; };
+  Backup backup;
+  {
+    TestMaster unsealed(url);
+    ASSERT_TRUE(unsealed.leads());
+    FakeGateway gateway(url, "lab1");
+    DeployRequest request;
+    request.plugin = "turtle.so";
+    ASSERT_TRUE(unsealed->deploy(request).all_done());
+    backup = unsealed->backup();
+    first = paths.order("lab1"_gateway, backup.gateways.at(0).orders.at(0).instance);
+  }
+  auto options = TestMaster::quick();
+  // A seal that every reader of JSON passes over.
+  options.seal = [](const std::string& path, const std::string& bytes) {
+    return bytes.substr(0, bytes.size() - 1) + R"(,"signature":")" + path + "\"}";
+  };
+  TestMaster master(url, options);
+  ASSERT_TRUE(master.leads());
+  FakeGateway gateway(url, "lab1");
+  const auto is_sealed = [&](const std::string& path) {
+    return standing(path).ends_with(R"(,"signature":")" + path + "\"}");
+  };
+  EXPECT_FALSE(is_sealed(first));
+  const auto import = [&](bool replace) {
+    return master->give("import", discovery::to_json<nlohmann::json>(ImportRequest{backup, replace}).dump()).result;
+  };
+  EXPECT_TRUE(import(false).all_done());
+  EXPECT_FALSE(is_sealed(first)) << "what stands there is taken over only if a person says so";
+  EXPECT_TRUE(import(true).all_done());
+  EXPECT_TRUE(is_sealed(first));
+
+  DeployRequest request;
+  request.plugin = "turtle.so";
+  const auto deployed = master->deploy(request);
+  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
+  const auto second = paths.order("lab1"_gateway, deployed.outcomes.at(0).instance);
+  EXPECT_TRUE(is_sealed(second));
+  InstanceSelection stop;
+  stop.instances = {deployed.outcomes.at(0).instance};
+  ASSERT_TRUE(master->stop(stop).all_done());
+  EXPECT_TRUE(is_sealed(second));
+  EXPECT_EQ(standing(second).find("signature"), standing(second).rfind("signature")) << "one seal, not two";
+}
+
 }  // namespace
 }  // namespace iotcloud::master
