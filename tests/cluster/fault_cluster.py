@@ -71,19 +71,21 @@ def wait_for(what, condition, limit):
 class FaultCluster(PrivateCluster):
     """Workers and load generators by name, which may be killed, frozen and started again."""
 
-    def __init__(self, build, name, registry="zookeeper", holding=False):
+    def __init__(self, build, name, registry="zookeeper", holding=False, guarded=False):
+        """`guarded`: all daemons have a user of the registry, without which they refuse one that is not on loopback."""
         build = Path(build).resolve()
         self.work = build / "cluster-tests" / name
         shutil.rmtree(self.work, ignore_errors=True)
         super().__init__(self.work, build / "bin", build / "plugins")
-        self.registry_kind, self.holding = registry, holding
+        self.registry_kind, self.holding, self.guarded = registry, holding, guarded
         self.reports, self.started, self.pages = [], 0, {}
 
     def server(self, kind):
         return super().server(self.registry_kind if kind == "zookeeper" else kind)
 
     def daemon(self, program, name, configuration, enter=(), options=()):
-        """With a user of the registry: an isle reaches it by an address that is not loopback."""
+        if not self.guarded:
+            return super().daemon(program, name, configuration, enter, options)
         password = self.out / "registry.password"
         password.write_text("secret\n")
         user = f"registry.user: fleet\nregistry.password_file: {password}\n"
