@@ -126,7 +126,7 @@ std::string Gateway::trouble() const {
 }
 
 void Gateway::reload() {
-  impl_->loop.post([impl = impl_.get()] { impl->feed.look_at_refused(); });
+  impl_->loop.post([impl = impl_.get()] { impl->feed.read_refused_again(); });
 }
 
 bool Gateway::follows_signed_orders() const {

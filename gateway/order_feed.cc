@@ -396,12 +396,12 @@ std::string OrderFeed::refused() const {
   return fmt::format("refused: the order for {}{}, which no trusted master has signed", *refused_.begin(), others);
 }
 
-void OrderFeed::look_at_refused() {
+void OrderFeed::read_refused_again() {
   {
     const config::MutexLock lock(mutex_);
     for (const auto& instance : refused_) handled_.erase(instance);
   }
-  look();
+  read_orders();
 }
 
 }  // namespace iotcloud::gateway

@@ -74,7 +74,7 @@ class OrderFeed {
   /// Which order is refused, and why, in one line; empty: none is. Thread safe.
   std::string refused() const;
   /// Reads refused orders again, because other keys are trusted now.
-  void look_at_refused();
+  void read_refused_again();
 
  private:
   /// Orders that are gone take a look at their names only, so that one of thousands does not cost a read of all.
