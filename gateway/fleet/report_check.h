@@ -9,9 +9,8 @@
 namespace iotcloud::gateway {
 
 /// What in a host's report about an instance contradicts what this gateway knows: names that are not the instance's, a
-/// broker or an address that its configuration does not list, a topic outside the instance's own names
-/// (docs/wire.md#topics). A host runs foreign code, and readers of the records follow them. \return for people; empty:
-/// nothing.
+/// broker or an address that its configuration does not list. A host runs foreign code, and readers of the records
+/// follow them. \return for people; empty: nothing.
 std::string contradiction(const InstanceStatus& told, const discovery::OrderRecord& order,
                           const discovery::GatewayId& gateway, const std::vector<brokers::BrokerSetting>& brokers);
 

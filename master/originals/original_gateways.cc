@@ -264,10 +264,10 @@ std::string OriginalGateways::put_driver(const GatewayId& gateway, DriverRecord 
   record.gateway = gateway;
   record.since_ms = config::system_clock().wall_ms();
   try {
-    const std::string path = impl_->options.paths.instance(record.name, record.instance);
-    if (const auto node = impl_->registry.get(path);
-        node && discovery::decode_driver(node->data, path).gateway != gateway)
-      return fmt::format("{} is an instance of another gateway; give this one another id", record.instance);
+    for (const auto& known : discovery::list_drivers(impl_->registry, impl_->options.paths)) {
+      if (known.instance == record.instance && known.gateway != gateway)
+        return fmt::format("{} is an instance of another gateway; give this one another id", record.instance);
+    }
     impl_->write_driver(record);
   } catch (const config::Error& e) {
     return impl_->registry_problem(e);

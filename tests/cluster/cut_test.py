@@ -48,7 +48,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=1)
     given = parser.parse_args()
     in_own_network("cut_test.py")
-    with Isle() as isle, FaultCluster(given.build, "cut") as cluster:
+    with Isle() as isle, FaultCluster(given.build, "cut", guarded=True) as cluster:
         cluster.start(gateways=1)
         cut_off, other = cluster.worker(isle), cluster.worker()
         cluster.wait_until_ready()

@@ -75,15 +75,17 @@ def wait_for(what, condition, limit):
 class FaultCluster(PrivateCluster):
     """Workers and load generators by name, which may be killed, frozen and started again."""
 
-    def __init__(self, build, name, registry="zookeeper", library=None, bolt="", spout="", broker="rabbitmq"):
+    def __init__(self, build, name, registry="zookeeper", library=None, bolt="", spout="", broker="rabbitmq",
+                 guarded=False):
         """`library` and `bolt`: a component library, and the bolt `between` of it, as YAML; `spout`: more properties of
-        the spout. On Kafka the drivers share a topic on each gateway."""
+        the spout. On Kafka the drivers share a topic on each gateway. `guarded`: all daemons have a user of the registry,
+        without which they refuse one that is not on loopback."""
         build = Path(build).resolve()
         self.work = build / "cluster-tests" / name
         shutil.rmtree(self.work, ignore_errors=True)
         super().__init__(self.work, build / "bin", build / "plugins")
         self.registry_kind, self.library, self.bolt, self.spout = registry, library, bolt, spout
-        self.broker = broker
+        self.broker, self.guarded = broker, guarded
         self.reports, self.started, self.pages = [], 0, {}
 
     def start(self, *arguments, **options):
@@ -96,7 +98,8 @@ class FaultCluster(PrivateCluster):
         return super().server(self.registry_kind if kind == "zookeeper" else kind)
 
     def daemon(self, program, name, configuration, enter=(), options=()):
-        """With a user of the registry: an isle reaches it by an address that is not loopback."""
+        if not self.guarded:
+            return super().daemon(program, name, configuration, enter, options)
         password = self.out / "registry.password"
         password.write_text("secret\n")
         user = f"registry.user: fleet\nregistry.password_file: {password}\n"

@@ -23,7 +23,7 @@ class Units(unittest.TestCase):
         for source in sorted(UNITS.glob("*.service")):
             # An instance of a template, with programs that exist.
             unit = pathlib.Path(folder.name, source.name.replace("@.", "@follower."))
-            unit.write_text(source.read_text().replace("ExecStart=/usr/bin/", f"ExecStart={PROGRAMS}/"))
+            unit.write_text(source.read_text().replace("ExecStart=/usr/bin/iotcloud", f"ExecStart={PROGRAMS}/iotcloud"))
             self.units.append(unit)
 
     def analyze(self, *words):
@@ -31,13 +31,20 @@ class Units(unittest.TestCase):
 
     def test_there_is_one_for_each_daemon(self):
         self.assertEqual([unit.name for unit in self.units],
-                         ["iotcloud-gateway.service", "iotcloud-master.service", "iotcloud-robot.service",
-                          "iotcloud-topology@follower.service"])
+                         ["iotcloud-gateway.service", "iotcloud-master.service", "iotcloud-registry-tunnel.service",
+                          "iotcloud-robot.service", "iotcloud-topology@follower.service"])
 
     def test_systemd_understands_all_that_they_say(self):
         for unit in self.units:
             done = self.analyze("verify", "--man=no", "--recursive-errors=no", str(unit))
             self.assertEqual((done.returncode, done.stderr), (0, ""), unit.name)
+
+    def test_each_daemon_starts_after_the_tunnel_to_the_registry(self):
+        for unit in self.units:
+            if "tunnel" not in unit.name and "robot" not in unit.name:  # which has nothing to do with the registry
+                lines = unit.read_text().splitlines()
+                for key in ("After", "Wants"):
+                    self.assertIn(f"{key}=network-online.target iotcloud-registry-tunnel.service", lines, unit.name)
 
     def test_hosts_outlive_a_gateway_that_dies(self):
         gateway = self.units[0].read_text().splitlines()

@@ -4,6 +4,7 @@
 
 #include <gmock/gmock.h>
 
+#include <iotcloud/discovery/channel_names.h>
 #include <iotcloud/gateway/fleet/host_fleet.h>
 #include <iotcloud/gateway/fleet/report_check.h>
 #include <iotcloud/tests/config/hand_clock.h>
@@ -25,6 +26,7 @@ using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::Not;
+using ::testing::StartsWith;
 using namespace std::chrono_literals;
 
 /// Launches hosts that do nothing but remember; the test plays them.
@@ -116,7 +118,7 @@ class HostFleetTest : public ::testing::Test {
     channel.gateway = "gw"_gateway;
     channel.driver = "p"_driver;
     channel.instance = discovery::InstanceId(instance);
-    channel.properties = {{"exchange", "p"}, {"routingKey", "gw.p." + instance + ".c"}};
+    channel.properties = {{"exchange", "p"}, {"routingKey", "c"}};
     return channel;
   }
   std::vector<std::string> commands(std::size_t host) {
@@ -430,22 +432,20 @@ TEST_F(HostFleetTest, AReportIsTrueOnlyWithTheInstancesOwnNamesBrokersAndTopics)
   };
   EXPECT_EQ(judge([](auto&) {}), "");
   EXPECT_EQ(channel([](auto& c) { c.properties["urls"] = "embedded://y embedded://x"; }), "");
-  EXPECT_EQ(channel([](auto& c) {
-              c.shared = true;
-              c.properties["routingKey"] = "gw.p.c";
-            }),
-            "");
+  EXPECT_EQ(channel([](auto& c) { c.shared = true; }), "");
   EXPECT_THAT(channel([](auto& c) { c.properties["urls"] = "embedded://y amqp://u:secret@thief"; }),
               AllOf(HasSubstr("thief"), Not(HasSubstr("secret"))));
   EXPECT_THAT(channel([](auto& c) { c.transport = "other"; }), HasSubstr("\"other\""));
-  EXPECT_THAT(channel([](auto& c) { c.properties["routingKey"] = "gw.lamp.a.c"; }), HasSubstr("gw.lamp.a.c"));
-  EXPECT_THAT(channel([](auto& c) { c.properties["topic"] = "gw.p.other.c"; }), HasSubstr("gw.p.other.c"));
-  EXPECT_THAT(channel([](auto& c) { c.properties["queueName"] = "gw2.p.a.c"; }), HasSubstr("gw2.p.a.c"));
   EXPECT_THAT(channel([](auto& c) { c.gateway = "gw2"_gateway; }), HasSubstr("gw2"));
   EXPECT_THAT(channel([](auto& c) { c.instance = "other"_instance; }), HasSubstr("other"));
   EXPECT_THAT(channel([](auto& c) { c.driver = "lamp"_driver; }), HasSubstr("lamp"));
   EXPECT_NE(channel([](auto& c) { c.name = "../other"; }), "");
   EXPECT_NE(judge([](auto& told) { told.driver = discovery::DriverName("../lamp"); }), "");
+  for (const char* topic : {"gw.lamp.a.c", "gw.p.other.c", "gw2.p.a.c"}) {
+    auto record = channel_of("a");
+    record.properties = {{"routingKey", topic}, {"queueName", topic}, {"durable", "false"}};
+    EXPECT_THAT(discovery::wire_name(record), StartsWith("gw.p.a.")) << "readers never leave the instance's own topics";
+  }
   auto named = order("a");
   named.driver = "turtle"_driver;
   EXPECT_THAT(contradiction(status("a", DriverState::active), named, "gw"_gateway, known), HasSubstr("it says that"));

@@ -1,0 +1,113 @@
+#!/usr/bin/python3
+"""The shipped configuration of the tunnel to the registry: what goes in comes out at a server of the same authority that has
+the name which was asked for, and nowhere else.
+
+usage: registry_tunnel_test.py CONFIGURATION IOTCLOUD
+"""
+
+import pathlib
+import socket
+import ssl
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import unittest
+
+CONFIGURATION, IOTCLOUD = pathlib.Path(sys.argv[1]), sys.argv[2]
+LIMIT_S = 30
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Server:
+    """Answers what it hears in capitals, to clients with a certificate of the authority."""
+
+    def __init__(self, folder, name):
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(folder / f"{name}.pem", folder / f"{name}.key")
+        context.load_verify_locations(folder / "ca.pem")
+        context.verify_mode = ssl.CERT_REQUIRED
+        self.context, self.heard = context, b""
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self.listener.getsockname()[1]
+        threading.Thread(target=self.serve, daemon=True).start()
+
+    def serve(self):
+        while True:
+            try:
+                client = self.context.wrap_socket(self.listener.accept()[0], server_side=True)
+                self.heard += (data := client.recv(100))
+                client.sendall(data.upper())
+                client.close()
+            except ssl.SSLError:
+                continue  # it does not talk to this one
+            except OSError:
+                return
+
+
+class Tunnel(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = pathlib.Path(folder.name) / "certs"
+        self.certs("init", "localhost", "lab1", "zk1")
+
+    def certs(self, verb, *hosts):
+        subprocess.run([IOTCLOUD, "certs", verb, self.folder, "--host", ",".join(hosts)], check=True, capture_output=True,
+                       timeout=60)
+
+    def start(self, port, name="localhost"):
+        """Starts stunnel with the shipped file, on ports of this test, to a server that must have this name."""
+        accept = free_port()
+        text = CONFIGURATION.read_text().replace("/etc/iotcloud", str(self.folder))
+        for there, here in (("127.0.0.1:2181", f"127.0.0.1:{accept}"), ("connect = zk1:2281", f"connect = 127.0.0.1:{port}"),
+                            ("checkHost = zk1", f"checkHost = {name}")):
+            self.assertIn(there, text)
+            text = text.replace(there, here)
+        file = self.folder / "tunnel.conf"
+        file.write_text(text)
+        tunnel = subprocess.Popen(["/usr/bin/stunnel4", file], stderr=subprocess.DEVNULL)
+        self.addCleanup(tunnel.wait)
+        self.addCleanup(tunnel.terminate)
+        return accept
+
+    def ask(self, port):
+        """What comes back through the tunnel; empty: the connection ended."""
+        deadline = time.monotonic() + LIMIT_S
+        while True:
+            try:
+                client = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
+                break
+            except ConnectionRefusedError:  # it is starting
+                self.assertLess(time.monotonic(), deadline)
+                time.sleep(0.05)
+        with client:
+            try:
+                client.sendall(b"ruok")
+                return client.recv(100)
+            except ConnectionError:
+                return b""
+
+    def test_it_leads_to_the_server_that_was_meant(self):
+        server = Server(self.folder, "localhost")
+        self.assertEqual(self.ask(self.start(server.port)), b"RUOK")
+
+    def test_it_does_not_lead_to_a_server_of_another_name_or_authority(self):
+        named = Server(self.folder, "lab1")
+        self.assertEqual(self.ask(self.start(named.port, "zk1")), b"")
+        trusted, self.folder = self.folder, self.folder.with_name("strangers")
+        self.certs("init", "localhost")
+        foreign = Server(self.folder, "localhost")
+        self.folder = trusted
+        self.assertEqual(self.ask(self.start(foreign.port)), b"")
+        self.assertEqual(named.heard + foreign.heard, b"")
+
+
+if __name__ == "__main__":
+    unittest.main(argv=sys.argv[:1])
