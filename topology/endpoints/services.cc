@@ -40,7 +40,7 @@ brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const
   const auto options = services.broker_options.find(channel.transport);
   if (options != services.broker_options.end()) address.urls = options->second.urls;
   if (!address.urls.empty()) {
-    address.prefer(channel.broker_url);
+    address.prefer(url_of(channel));
     return address;
   }
   std::istringstream urls(property(channel, "urls"));
