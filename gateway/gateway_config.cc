@@ -166,6 +166,7 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   gateway.paths = discovery::Paths(file.string_or("zk.root", "/iot/sensors"));
   gateway.brokers = read_brokers(file, gateway.session_timeout);
   read_thrift(file, config);
+  config.thrift.audit = security::read_audit(file);
   read_plugins(file, config);
   config.hosts.state_dir = file.require_string("state");
   read_hosts(file, config);

@@ -39,6 +39,7 @@ struct SiteService::Impl {
         paths(std::move(p)) {
     access.service = "gateway";
     access.rules = rules();
+    if (!options.audit.file.empty()) access.audit = std::make_shared<security::AuditLog>(options.audit);
     if (!options.listen.tokens.empty()) access.tokens = std::make_shared<security::TokenKeeper>(options.listen.tokens);
   }
 
@@ -80,6 +81,7 @@ int SiteService::port() const {
 void SiteService::reload() {
   impl_->server->reload();
   if (impl_->access.tokens) impl_->access.tokens->reload();
+  if (impl_->access.audit) impl_->access.audit->reopen();
 }
 
 }  // namespace iotcloud::gateway

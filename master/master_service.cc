@@ -70,7 +70,7 @@ class MasterService final : public config::Service {
   void start() override {
     if (const auto problem = rpc::exposure(config_.api); !problem.empty()) throw config::Error(problem);
     if (!config_.api.tokens.empty()) tokens_ = std::make_shared<security::TokenKeeper>(config_.api.tokens);
-    if (!config_.audit_file.empty()) audit_ = std::make_shared<security::AuditLog>(config_.audit_file);
+    if (!config_.audit.file.empty()) audit_ = std::make_shared<security::AuditLog>(config_.audit);
     registry_ = discovery::make_registry(config_.registry);
     OriginalGatewaysOptions original_options;
     original_options.paths = discovery::Paths(config_.sensors_root);
@@ -160,10 +160,7 @@ MasterDaemonConfig load_master_config(const std::string& file) {
     read_original_address(*gateways, config.gateways);
     gateways->finish();
   }
-  if (auto audit = top.optional_section("audit")) {
-    config.audit_file = audit->require_string("file");
-    audit->finish();
-  }
+  config.audit = security::read_audit(top);
   if (auto metrics = top.optional_section("metrics")) {
     config.metrics_address = metrics->require_string("address");
     metrics->finish();

@@ -7,6 +7,7 @@
 #include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/rpc/listen_settings.h>
+#include <iotcloud/security/audit_log.h>
 
 namespace iotcloud::master {
 
@@ -18,8 +19,8 @@ struct MasterDaemonConfig {
   rpc::ListenSettings api{"127.0.0.1", 12904, {}, "", ""};
   rpc::ListenSettings gateways{"127.0.0.1", 12903, {}, "", ""};  ///< for gateways of the original system; loopback only
   std::string gateway_token_file;  ///< the token that this master shows to gateways; empty: none
-  std::string audit_file;          ///< empty: no audit log
-  std::string metrics_address;     ///< host:port; empty: no metrics over HTTP
+  security::AuditSettings audit;
+  std::string metrics_address;  ///< host:port; empty: no metrics over HTTP
   std::chrono::milliseconds outcome_timeout{30'000};
   bool record_for_lost_gateways = true;
 };

@@ -29,30 +29,46 @@ security::AuditEntry Session::entry(const std::string& method) const {
   return entry;
 }
 
+/// Writes a refusal into the logs, each within its limit: a flood of refused calls fills no disk.
+void Session::tell_refusal(const std::string& method, const std::string& kind, const std::string& text) {
+  options_.refusals->refused(
+      kind, fmt::format("{}: {} of {} is refused: {}", options_.service, method, peer_->address(), text));
+  if (!options_.audit) return;
+  auto line = entry(method);
+  line.outcome = text;
+  options_.audit->write_refused(std::move(line));
+}
+
 std::string Session::authenticate(const std::string& token) {
   if (!options_.tokens) return "";
   holder_ = options_.tokens->holder(token);
   if (holder_) {
-    peer_->trust();
+    peer_->set_identity(holder_->name);
+    if (role() == security::Role::admin) {
+      peer_->trust();
+    } else {
+      peer_->trust(options_.most_bytes);
+    }
     security::access_logger.info("{}: {} is {} ({})", options_.service, peer_->address(), holder_->name,
                                  to_string(role()));
     return "";
   }
   count_refusal(options_.service, "token");
-  security::access_logger.warn("{}: {} shows a token that is nobody's", options_.service, peer_->address());
-  if (options_.audit) {
-    auto line = entry("authenticate");
-    line.outcome = "a token that is nobody's";
-    line.refused = true;
-    options_.audit->write(line);
-  }
+  tell_refusal("authenticate", "token", "a token that is nobody's");
   if (++wrong_tokens_ >= options_.wrong_tokens) peer_->hang_up();
   std::this_thread::sleep_for(options_.wrong_token_pause);
   return "that is nobody's token here; `iotcloud token list` shows whose there are";
 }
 
-void Session::note(std::string what, std::string outcome) {
+void Session::begins(std::string what) {
   what_ = std::move(what);
+  if (!audited_ || !options_.audit) return;
+  auto line = entry(method_);
+  line.what = what_;
+  options_.audit->write_begun(std::move(line));
+}
+
+void Session::note(std::string outcome) {
   outcome_ = std::move(outcome);
 }
 
@@ -60,11 +76,12 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
   const auto rule = options_.rules.find(method);
   if (rule == options_.rules.end()) {
     count_refusal(options_.service, "method");
+    audited_ = false;
     return Refusal{fmt::format("this service has no method {} for anybody", method), 0, RefusalForm::failure, true};
   }
   const security::Role wanted = rule->second.role;
   const security::Role has = role();
-  if (has >= wanted) return std::nullopt;
+  if (has >= wanted) return has == security::Role::viewer ? refuse_too_many(method, rule->second.form) : std::nullopt;
   Refusal refusal;
   refusal.form = rule->second.form;
   const bool stranger = has == security::Role::anyone;
@@ -78,31 +95,42 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
     refusal.code = options_.not_allowed;
     refusal.text = fmt::format("{} is {}, and {} takes {}", holder_->name, to_string(has), method, to_string(wanted));
   }
-  count_refusal(options_.service, stranger ? "not_authenticated" : "role");
+  const char* const kind = stranger ? "not_authenticated" : "role";
+  count_refusal(options_.service, kind);
+  audited_ = false;  // giveOrder asks again, for the kind of order: the line of the refusal is the only one
   if (stranger && std::exchange(told_, true)) return refusal;
-  security::access_logger.warn("{}: {} of {} is refused: {}", options_.service, method, peer_->address(), refusal.text);
-  if (options_.audit) {
-    auto line = entry(method);
-    line.outcome = refusal.text;
-    line.refused = true;
-    options_.audit->write(line);
-  }
+  tell_refusal(method, kind, refusal.text);
   return refusal;
 }
 
-void Session::begin() {
+/// Waits for the turn of a viewer's call.
+std::optional<Session::Refusal> Session::refuse_too_many(const std::string& method, RefusalForm form) {
+  auto turn = options_.viewers->enter(holder_->name);
+  if (!turn) {
+    count_refusal(options_.service, "rate");
+    options_.refusals->refused("rate", fmt::format("{}: {} of {} is refused: {} makes too many calls", options_.service,
+                                                   method, peer_->address(), holder_->name));
+    return Refusal{fmt::format("{} makes too many calls; try again later", holder_->name), options_.not_allowed, form};
+  }
+  peer_->hold(std::move(turn));
+  return std::nullopt;
+}
+
+void Session::begin(const std::string& method) {
+  const auto rule = options_.rules.find(method);
+  method_ = method;
+  audited_ = rule != options_.rules.end() && rule->second.role >= security::Role::operating && rule->second.audited;
   what_.clear();
   outcome_ = "answered";
 }
 
-void Session::end(const std::string& method) {
-  const auto rule = options_.rules.find(method);
-  if (rule == options_.rules.end() || rule->second.role < security::Role::operating || !rule->second.audited) return;
-  auto line = entry(method);
+void Session::end() {
+  if (!audited_) return;
+  auto line = entry(method_);
   line.what = what_;
   line.outcome = outcome_;
   security::access_logger.info("{}: {} ({}, {}) ordered {} {}: {}", options_.service,
-                               line.who.empty() ? "somebody" : line.who, line.role, line.address, method, line.what,
+                               line.who.empty() ? "somebody" : line.who, line.role, line.address, method_, line.what,
                                line.outcome);
   if (options_.audit) options_.audit->write(line);
 }

@@ -1,9 +1,12 @@
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
 #include <list>
+#include <map>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 #include <netdb.h>
@@ -171,8 +174,52 @@ struct ThriftServer::Impl {
     }
   }
 
-  /// Cuts the oldest stranger if there are too many connections. \return whether there is room
+  using Standings = std::map<std::string, std::vector<std::pair<Client*, ThriftConnection::Standing>>>;
+
+  /// The connections of those who are known, by identity.
+  Standings standings() {
+    Standings all;
+    for (auto& client : clients) {
+      if (client.evicted || client.connection.is_stranger()) continue;
+      auto standing = client.connection.standing();
+      auto& of_one = all[standing.identity];
+      of_one.emplace_back(&client, std::move(standing));
+    }
+    return all;
+  }
+
+  /// Cuts the connection that has been idle the longest. \return false if a call is under way on each
+  static bool cut_idlest(Standings::mapped_type& of_one) {
+    Standings::mapped_type::value_type* idlest = nullptr;
+    for (auto& one : of_one) {
+      if (one.first->evicted || one.second.answering) continue;
+      if (idlest == nullptr || one.second.since < idlest->second.since) idlest = &one;
+    }
+    if (idlest == nullptr) return false;
+    idlest->first->evicted = true;
+    idlest->first->connection.cut();
+    return true;
+  }
+
+  /// Cuts connections of those who have more than one may have.
+  void limit_each() {
+    const auto most = static_cast<std::size_t>(options.max_connections_of_one);
+    if (clients.size() <= most) return;
+    for (auto& [identity, of_one] : standings()) {
+      if (!of_one.front().second.named) continue;
+      for (auto count = of_one.size(); count > most && cut_idlest(of_one); --count) {
+        count_refusal(options.name, "connections_of_one");
+        log.refused("of_one", fmt::format("{}: {} has more than {} connections; the one that was idle the longest is "
+                                          "closed",
+                                          options.name, identity, most));
+      }
+    }
+  }
+
+  /// Cuts the oldest stranger if there are too many connections, or the idlest connection of the identity that has the
+  /// most. \return whether there is room
   bool make_room() {
+    limit_each();
     const auto most = static_cast<std::size_t>(options.max_connections);
     if (clients.size() < most) return true;
     if (clients.size() >= 2 * most) return false;  // cut connections have not ended yet
@@ -183,7 +230,14 @@ struct ThriftServer::Impl {
       count_refusal(options.name, "connections");
       return true;
     }
-    return false;
+    auto all = standings();
+    std::vector<Standings::mapped_type*> by_size;
+    for (auto& [identity, of_one] : all) by_size.push_back(&of_one);
+    std::stable_sort(by_size.begin(), by_size.end(),
+                     [](const auto* one, const auto* other) { return one->size() > other->size(); });
+    const bool cut = std::any_of(by_size.begin(), by_size.end(), [](auto* of_one) { return cut_idlest(*of_one); });
+    if (cut) count_refusal(options.name, "connections");
+    return cut;
   }
 
   const ThriftServerOptions options;

@@ -1,4 +1,4 @@
-// certs ..., token ...: files of this machine, for which no master is asked
+// certs ..., token ..., audit ...: files of this machine, for which no master is asked
 #include <algorithm>
 #include <filesystem>
 #include <ostream>
@@ -9,6 +9,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/security/audit_chain.h>
 #include <iotcloud/security/certificates.h>
 #include <iotcloud/security/tokens.h>
 
@@ -178,6 +179,61 @@ class ListTokens final : public OfTokens {
   }
 };
 
+class VerifyAudit final : public Verb {
+ public:
+  VerifyAudit()
+      : Verb({"verify",
+              "Check an audit log: whether lines were changed, removed, added or put in another order, or its end was "
+              "cut off. Prints its head, NUMBER:HASH: kept elsewhere, it shows later whether somebody wrote the whole "
+              "log anew. Exit status 1: something is wrong",
+              "iotcloud audit verify audit.log.1 audit.log\n  iotcloud audit verify audit.log --head 120:9f86d081...",
+              std::nullopt}) {}
+  void declare(CLI::App& options) override {
+    options.add_option("FILE", files_, "the files of one log, the oldest first")->required()->type_name("FILE");
+    options.add_option("--head", head_, "a head that an earlier verification printed")->type_name("NUMBER:HASH");
+    options.add_option("--from", expected_.from, "older files were deleted on purpose: it begins with this line")
+        ->type_name("NUMBER");
+    options.add_flag("--rotated", rotated_, "the last file was rotated away, so FILE.head is about a newer one");
+  }
+  void check() override {
+    if (head_.empty()) return;
+    expected_.known = security::parse_audit_head(head_);
+    if (!expected_.known) throw CLI::ValidationError("--head", "it has the form NUMBER:HASH, as printed by this verb");
+  }
+  int run(Call& call) override {
+    expected_.has_head = !rotated_;
+    const auto verdict = security::verify_audit(files_, expected_);
+    std::vector<std::vector<std::string>> rows;
+    Json json = Json::array();
+    for (const auto& finding : verdict.findings) {
+      rows.push_back({finding.file, finding.line == 0 ? "-" : std::to_string(finding.line), finding.text});
+      json.push_back({{"file", finding.file}, {"line", finding.line}, {"finding", finding.text}});
+    }
+    const Json answer{{"first", verdict.first},
+                      {"last", verdict.head.number},
+                      {"head", to_string(verdict.head)},
+                      {"unchained", verdict.unchained},
+                      {"findings", json}};
+    if (call.format != Format::table) {
+      print(call.out, call.format, {}, {}, answer);
+    } else {
+      if (!rows.empty()) print(call.out, call.format, {"FILE", "LINE", "FINDING"}, rows, json);
+      call.out << fmt::format("lines {} to {}, {}; head {}\n", verdict.first, verdict.head.number,
+                              rows.empty() ? "nothing was changed" : "NOT as they were written",
+                              to_string(verdict.head));
+      if (verdict.unchained > 0)
+        call.out << fmt::format("{} lines before them are of a version without chain\n", verdict.unchained);
+    }
+    return rows.empty() ? exit_ok : exit_failed;
+  }
+
+ private:
+  std::vector<std::string> files_;
+  std::string head_;
+  bool rotated_ = false;
+  security::AuditExpectation expected_;
+};
+
 }  // namespace
 
 void add_security_verbs(Verbs& verbs) {
@@ -188,6 +244,8 @@ void add_security_verbs(Verbs& verbs) {
   tokens.add<AddToken>();
   tokens.add<RemoveToken>();
   tokens.add<ListTokens>();
+  auto& audit = verbs.group("audit", "Look at an audit log; asks no master");
+  audit.add<VerifyAudit>();
 }
 
 }  // namespace iotcloud::master::cli

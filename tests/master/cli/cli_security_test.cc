@@ -110,7 +110,7 @@ TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
                 folder_ / "tokens",
                 "localhost:1"};
   config.gateways.port = 0;
-  config.audit_file = folder_ / "audit.log";
+  config.audit.file = folder_ / "audit.log";
   auto service = make_master_service(config);
   service->start();
   const std::string address = "localhost:" + std::to_string(config.api.port);
