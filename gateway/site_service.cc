@@ -39,6 +39,8 @@ struct SiteService::Impl {
         paths(std::move(p)) {
     access.service = "gateway";
     access.rules = rules();
+    access.users = options.listen.users;
+    access.open = options.listen.open;
     if (!options.audit.file.empty()) access.audit = std::make_shared<security::AuditLog>(options.audit);
     if (!options.listen.tokens.empty()) access.tokens = std::make_shared<security::TokenKeeper>(options.listen.tokens);
   }

@@ -85,6 +85,8 @@ class MasterService final : public config::Service {
     master_ = std::make_unique<Master>(*registry_, options);
     ApiAccess access;
     access.tokens = tokens_;
+    access.users = config_.api.users;
+    access.open = config_.api.open;
     access.audit = audit_;
     access.gateways = {config_.api.tls, config_.gateway_token_file};
     api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));

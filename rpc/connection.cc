@@ -75,6 +75,7 @@ void ThriftConnection::serve() noexcept {
 void ThriftConnection::open() {
   stream_.accept(stranger_until_);
   peer_ = std::make_shared<ThriftPeer>(address_, stream_.peer_certificate());
+  peer_->set_user(stream_.peer_user());
   processor_ = service_(peer_);
   note_standing(false);
 }

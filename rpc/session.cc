@@ -3,25 +3,44 @@
 
 #include <fmt/format.h>
 
+#include <iotcloud/rpc/peer_user.h>
 #include <iotcloud/rpc/session.h>
 #include <iotcloud/security/logger.h>
 
 namespace iotcloud::rpc {
 
+namespace {
+
+/// What somebody may do who needs no token: to order, one must be who runs the daemon. A driver of another user reads.
+security::Role role_without_token(const AccessOptions& options, const ThriftPeer& peer) {
+  const auto user = peer.user();
+  return options.open || (user && is_trusted_user(*user, options.users)) ? security::Role::admin
+                                                                         : security::Role::viewer;
+}
+
+}  // namespace
+
 Session::Session(const AccessOptions& options, std::shared_ptr<ThriftPeer> peer)
-    : options_(options), peer_(std::move(peer)) {
+    : options_(options), peer_(std::move(peer)), local_role_(role_without_token(options_, *peer_)) {
   if (options_.tokens) peer_->ask_who_it_is();
 }
 
 security::Role Session::role() const {
-  if (!options_.tokens) return security::Role::admin;
+  if (!options_.tokens) return local_role_;
   if (!holder_) return security::Role::anyone;
   return options_.tokens->role_of(*holder_).value_or(security::Role::anyone);
 }
 
+/// The caller's name for people.
+std::string Session::caller() const {
+  if (holder_) return holder_->name;
+  if (options_.tokens) return "";
+  return peer_->user() ? fmt::format("user {}", *peer_->user()) : "";
+}
+
 security::AuditEntry Session::entry(const std::string& method) const {
   security::AuditEntry entry;
-  entry.who = holder_ ? holder_->name : "";
+  entry.who = caller();
   entry.role = to_string(role());
   entry.certificate = peer_->certificate();
   entry.address = peer_->address();
@@ -93,7 +112,9 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
                              "IOTCLOUD_TOKEN";
   } else {
     refusal.code = options_.not_allowed;
-    refusal.text = fmt::format("{} is {}, and {} takes {}", holder_->name, to_string(has), method, to_string(wanted));
+    refusal.text = fmt::format("{} is {}, and {} takes {}", holder_ ? holder_->name : "this user of the machine",
+                               to_string(has), method, to_string(wanted));
+    if (!holder_) refusal.text += "; be root or the daemon's own user, or let the configuration name it (users)";
   }
   const char* const kind = stranger ? "not_authenticated" : "role";
   count_refusal(options_.service, kind);
@@ -105,12 +126,12 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
 
 /// Waits for the turn of a viewer's call.
 std::optional<Session::Refusal> Session::refuse_too_many(const std::string& method, RefusalForm form) {
-  auto turn = options_.viewers->enter(holder_->name);
+  auto turn = options_.viewers->enter(caller());
   if (!turn) {
     count_refusal(options_.service, "rate");
     options_.refusals->refused("rate", fmt::format("{}: {} of {} is refused: {} makes too many calls", options_.service,
-                                                   method, peer_->address(), holder_->name));
-    return Refusal{fmt::format("{} makes too many calls; try again later", holder_->name), options_.not_allowed, form};
+                                                   method, peer_->address(), caller()));
+    return Refusal{fmt::format("{} makes too many calls; try again later", caller()), options_.not_allowed, form};
   }
   peer_->hold(std::move(turn));
   return std::nullopt;

@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <iotcloud/rpc/call_limits.h>
 #include <iotcloud/rpc/refusal_log.h>
@@ -38,8 +39,11 @@ using MethodRules = std::map<std::string, MethodRule, std::less<>>;
 struct AccessOptions {
   std::string service;  ///< the same as ThriftServerOptions::name
   MethodRules rules;
-  std::shared_ptr<security::TokenKeeper> tokens;  ///< null: clients need no token, everybody may do everything
-  std::shared_ptr<security::AuditLog> audit;      ///< null: orders are in the ordinary log only
+  /// null: clients need no token. Then root, the daemon's own user and `users` may do everything, and others read.
+  std::shared_ptr<security::TokenKeeper> tokens;
+  std::vector<std::string> users;             ///< without tokens: more accounts of this machine that may do everything
+  bool open = false;                          ///< without tokens: everybody may do everything
+  std::shared_ptr<security::AuditLog> audit;  ///< null: orders are in the ordinary log only
   /// The ordinary log of refused calls.
   std::shared_ptr<RefusalLog> refusals = std::make_shared<RefusalLog>(config::Logger{"access"});
   /// How many calls each viewer may make.
@@ -88,12 +92,14 @@ class Session {
   friend class GuardedProcessor;
   void begin(const std::string& method);
   void end();
+  std::string caller() const;
   security::AuditEntry entry(const std::string& method) const;
   std::optional<Refusal> refuse_too_many(const std::string& method, RefusalForm form);
   void tell_refusal(const std::string& method, const std::string& kind, const std::string& text);
 
   const AccessOptions& options_;
   const std::shared_ptr<ThriftPeer> peer_;
+  const security::Role local_role_;  ///< without tokens
   std::optional<security::TokenEntry> holder_;
   int wrong_tokens_ = 0;
   bool told_ = false;     ///< the first call without a token was logged

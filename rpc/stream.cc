@@ -18,6 +18,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <iotcloud/rpc/peer_user.h>
 #include <iotcloud/rpc/stream.h>
 #include <iotcloud/security/tls.h>
 
@@ -274,6 +275,10 @@ void Stream::cut() {
 
 void Stream::cut_reading() {
   shutdown(descriptor_, SHUT_RD);
+}
+
+std::optional<uid_t> Stream::peer_user() const {
+  return rpc::peer_user(descriptor_);
 }
 
 std::string Stream::peer_address() const {

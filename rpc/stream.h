@@ -3,8 +3,11 @@
 #include <chrono>
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
+
+#include <sys/types.h>
 
 namespace iotcloud::security {
 class TlsContext;
@@ -58,6 +61,8 @@ class Stream {
   /// Ends all reading; an answer can still be written. Any thread.
   void cut_reading();
 
+  /// As peer_user.h says.
+  std::optional<uid_t> peer_user() const;
   std::string peer_address() const;  ///< "192.0.2.7:40112"
   /// The subject of the other side's certificate, "CN=operator"; empty if it showed none.
   std::string peer_certificate() const;

@@ -5,7 +5,10 @@
 #include <functional>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <string>
+
+#include <sys/types.h>
 
 #include <iotcloud/security/tls.h>
 
@@ -47,6 +50,9 @@ class ThriftPeer {
   bool hung_up() const { return hung_up_; }
   int most_bytes() const { return most_bytes_; }  ///< in a message, once it is trusted
   const std::string& identity() const { return identity_; }
+  /// The user of this machine whose process it is; nullopt: it is elsewhere, or not known (peer_user.h).
+  std::optional<uid_t> user() const { return user_; }
+  void set_user(std::optional<uid_t> user) { user_ = user; }
   bool named() const { return named_; }  ///< set_identity() was called
 
  private:
@@ -55,6 +61,7 @@ class ThriftPeer {
   const std::string address_;
   const std::string certificate_;
   std::string identity_;
+  std::optional<uid_t> user_;
   std::shared_ptr<void> held_;
   std::atomic<bool> trusted_{false};
   int most_bytes_ = std::numeric_limits<int>::max();

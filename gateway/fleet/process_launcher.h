@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <iotcloud/gateway/fleet/host_metrics.h>
 #include <iotcloud/gateway/fleet/launcher.h>
@@ -33,8 +34,9 @@ class ProcessLauncher final : public HostLauncher {
     std::chrono::milliseconds own_thread_hang_limit{60000};
     processes::VitalLimits limits;
     processes::Confinement confinement;
-    int log_limit_mb = 10;  ///< the size at which a host's log is rotated
-    int logs_kept = 3;      ///< number of older logs that are kept
+    std::vector<std::string> environment;  ///< names of variables that hosts have besides the usual ones
+    int log_limit_mb = 10;                 ///< the size at which a host's log is rotated
+    int logs_kept = 3;                     ///< number of older logs that are kept
     /// Gets the hosts' metrics every `metrics_period`; null: they are not collected.
     std::shared_ptr<HostMetrics> metrics;
     std::chrono::milliseconds metrics_period{2000};

@@ -282,6 +282,8 @@ rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   shared->access.service = "api";
   shared->access.rules = api_rules();
   shared->access.tokens = std::move(access.tokens);
+  shared->access.users = std::move(access.users);
+  shared->access.open = access.open;
   shared->access.audit = std::move(access.audit);
   shared->access.not_authenticated = wire::TRefusal::NOT_AUTHENTICATED;
   shared->access.not_allowed = wire::TRefusal::NOT_ALLOWED;

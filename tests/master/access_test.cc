@@ -9,7 +9,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
+#include <sys/fsuid.h>
 #include <thrift/TApplicationException.h>
+#include <unistd.h>
 
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/metrics.h>
@@ -338,7 +340,7 @@ TEST_F(Access, EveryOrderIsWrittenDownBeforeItIsCarriedOut) {
   client.drain(answer, {});
   client.undrain(answer, {});
   client.update(answer, {});
-  client.giveOrder(answer, "stop", "{}");
+  client.giveOrder(answer, "stop", R"({"instances": []})");
   wire::TTopologyResponse changed;
   client.orderTopology(changed, {});
   wire::TUploadResponse upload;
@@ -397,6 +399,64 @@ TEST_F(Access, AViewerSeesNoBrokersPassword) {
     ASSERT_THAT(drivers->at(0).channels, SizeIs(1));
     EXPECT_EQ(drivers->at(0).channels[0].brokerUrl, "amqp://robot:***@127.0.0.1:5672/");
   }
+}
+
+/// Sockets that this thread makes belong to another user of the machine.
+class AsNobody {
+ public:
+  AsNobody() { setfsuid(nobody); }
+  ~AsNobody() { setfsuid(geteuid()); }
+  AsNobody(const AsNobody&) = delete;
+  AsNobody& operator=(const AsNobody&) = delete;
+
+ private:
+  static constexpr uid_t nobody = 65534;
+};
+
+class LoopbackAccess : public Access {
+ protected:
+  void SetUp() override {
+    if (geteuid() != 0) GTEST_SKIP() << "only root can make a socket of another user";
+  }
+  void serve(ApiAccess access) {
+    access.audit = audit_;
+    server_.emplace(rpc::ThriftServerOptions{}, serve_api(*master_, access));
+  }
+  wire::TOrderResponse deploy_as_nobody() {
+    std::optional<wire::TMasterAPIServiceClient> client;
+    {
+      const AsNobody nobody;
+      client.emplace(connect());
+    }
+    std::vector<discovery::wire::TSensor> drivers;
+    client->listDrivers(drivers);  // reading is for all
+    return deploy(*client);
+  }
+};
+
+TEST_F(LoopbackAccess, WithoutATokenADriverOfAnotherUserReadsAndGivesNoOrders) {
+  serve({});
+  const auto refused = deploy_as_nobody();
+  EXPECT_EQ(refused.refusal, wire::TRefusal::NOT_ALLOWED);
+  EXPECT_THAT(refused.response.statusMessage, HasSubstr("be root or the daemon's own user"));
+  EXPECT_EQ(gateway_.orders_seen(), 0);
+  EXPECT_EQ(audit().back()["who"], "user 65534");
+  auto own = connect();
+  EXPECT_EQ(deploy(own).response.state, TResponseState::SUCCESS);
+}
+
+TEST_F(LoopbackAccess, AnAccountThatTheConfigurationNamesMayAct) {
+  ApiAccess access;
+  access.users = {"no-such-account", "nobody"};
+  serve(access);
+  EXPECT_EQ(deploy_as_nobody().response.state, TResponseState::SUCCESS);
+}
+
+TEST_F(LoopbackAccess, OpenLetsEverybodyActForProgramsOfTheOriginal) {
+  ApiAccess access;
+  access.open = true;
+  serve(access);
+  EXPECT_EQ(deploy_as_nobody().response.state, TResponseState::SUCCESS);
 }
 
 TEST_F(Access, AnAuditLogThatIsMovedAwayIsBegunAnew) {
