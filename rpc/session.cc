@@ -50,8 +50,8 @@ security::AuditEntry Session::entry(const std::string& method) const {
 
 /// Writes a refusal into the logs, each within its limit: a flood of refused calls fills no disk.
 void Session::tell_refusal(const std::string& method, const std::string& kind, const std::string& text) {
-  options_.refusals->refused(
-      kind, fmt::format("{}: {} of {} is refused: {}", options_.service, method, peer_->address(), text));
+  options_.refusals->refused(kind + " " + method, fmt::format("{}: {} of {} is refused: {}", options_.service, method,
+                                                              peer_->address(), text));
   if (!options_.audit) return;
   auto line = entry(method);
   line.outcome = text;
