@@ -126,6 +126,8 @@ void read_plugins(config::Section& file, GatewayConfig& config) {
   security::TrustedKeys::Options trust;
   trust.require_signature = file.bool_or("plugins.require_signature", false);
   trust.trusted_keys = file.strings_or("plugins.trusted_keys", {});
+  config.hosts.require_version = file.bool_or("plugins.require_version", false);
+  config.hosts.allow_rollback = file.strings_or("plugins.allow_rollback", {});
   checked(file, trust.trusted_keys.empty() ? "plugins.require_signature" : "plugins.trusted_keys",
           [&] { config.trust = std::make_shared<security::TrustedKeys>(trust); });
   config.hosts.trust = config.trust;

@@ -166,7 +166,9 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
 }  // namespace
 
 ProcessLauncher::ProcessLauncher(Options options)
-    : options_(std::move(options)), source_(options_.plugin_dir, options_.store, options_.trust) {
+    : options_(std::move(options)),
+      source_(options_.plugin_dir, options_.store, options_.trust),
+      versions_({options_.state_dir + "/plugin-versions", options_.allow_rollback, options_.require_version}) {
   if (options_.host_program.empty()) options_.host_program = processes::program_beside("iotcloud-driver-host");
   if (access(options_.host_program.c_str(), X_OK) != 0) {
     throw config::Error(fmt::format("the driver host program {} cannot be run: {}; it belongs beside the gateway's own",
@@ -206,6 +208,7 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   const auto found = source_.find(wanted);
   HostOrder order = wanted;
   order.identity = found.identity;
+  if (!order.identity.signed_by.empty()) versions_.admit(order.plugin, found.signature);
   // Each host has a socket name of its own, so that an ending host and its successor do not conflict.
   const std::string socket = discovery::new_instance_id().str().substr(0, 12) + std::string(socket_suffix);
   const std::string log_file = log_of(order.plugin).path;
