@@ -81,8 +81,8 @@ int SiteService::port() const {
 }
 
 void SiteService::reload() {
-  impl_->server->reload();
   if (impl_->access.tokens) impl_->access.tokens->reload();
+  impl_->server->reload();  // after the tokens: it closes connections whose token is gone
   if (impl_->access.audit) impl_->access.audit->reopen();
 }
 

@@ -102,8 +102,8 @@ class MasterService final : public config::Service {
   }
 
   void reload() override {
-    api_->reload();
     if (tokens_) tokens_->reload();
+    api_->reload();  // after the tokens: it closes connections whose token is gone
     if (audit_) audit_->reopen();
   }
 

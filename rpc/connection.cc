@@ -11,6 +11,7 @@
 
 #include <iotcloud/rpc/connection.h>
 #include <iotcloud/rpc/logger.h>
+#include <iotcloud/security/tls.h>
 
 namespace iotcloud::rpc {
 
@@ -78,11 +79,29 @@ void ThriftConnection::open() {
   peer_->set_user(stream_.peer_user());
   processor_ = service_(peer_);
   note_standing(false);
+  const config::MutexLock lock(mutex_);
+  certificate_ = stream_.peer_x509();
 }
 
 void ThriftConnection::note_standing(bool answering) {
+  auto is_valid = peer_->take_validity();
   const config::MutexLock lock(mutex_);
+  if (is_valid) is_valid_ = std::move(is_valid);
   standing_ = {peer_->identity(), peer_->named(), answering, Stream::Clock::now()};
+}
+
+std::string ThriftConnection::distrust(const security::TlsContext* tls) const {
+  std::shared_ptr<x509_st> certificate;
+  std::function<bool()> is_valid;
+  {
+    const config::MutexLock lock(mutex_);
+    certificate = certificate_;
+    is_valid = is_valid_;
+  }
+  if (tls != nullptr && certificate) {
+    if (const auto why = tls->distrust(*certificate); !why.empty()) return "its certificate is " + why;
+  }
+  return is_valid && !is_valid() ? "its token was taken away" : "";
 }
 
 ThriftConnection::Standing ThriftConnection::standing() const {

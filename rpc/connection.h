@@ -39,6 +39,10 @@ class ThriftConnection {
     Stream::Clock::time_point since;
   };
   Standing standing() const IOTCLOUD_EXCLUDES(mutex_);
+  /// Why the client may not keep this connection: its certificate is not trusted any more, its token was taken away.
+  /// Empty: it may. Any thread. \param tls the present one; null: none
+  std::string distrust(const security::TlsContext* tls) const IOTCLOUD_EXCLUDES(mutex_);
+  const std::string& address() const { return address_; }
 
  private:
   using TimePoint = Stream::Clock::time_point;
@@ -60,6 +64,8 @@ class ThriftConnection {
   std::shared_ptr<apache::thrift::TProcessor> processor_;
   mutable config::Mutex mutex_;
   Standing standing_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::shared_ptr<x509_st> certificate_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::function<bool()> is_valid_ IOTCLOUD_GUARDED_BY(mutex_);
   std::atomic<bool> trusted_{false};
   std::atomic<bool> stopping_{false};
 };

@@ -63,6 +63,7 @@ std::string Session::authenticate(const std::string& token) {
   holder_ = options_.tokens->holder(token);
   if (holder_) {
     peer_->set_identity(holder_->name);
+    peer_->set_validity([tokens = options_.tokens, holder = *holder_] { return tokens->role_of(holder).has_value(); });
     if (role() == security::Role::admin) {
       peer_->trust();
     } else {

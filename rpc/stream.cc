@@ -277,6 +277,10 @@ void Stream::cut_reading() {
   shutdown(descriptor_, SHUT_RD);
 }
 
+std::shared_ptr<x509_st> Stream::peer_x509() const {
+  return {tls_ ? SSL_get1_peer_certificate(tls_->ssl) : nullptr, X509_free};
+}
+
 std::optional<uid_t> Stream::peer_user() const {
   return rpc::peer_user(descriptor_);
 }

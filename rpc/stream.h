@@ -9,6 +9,8 @@
 
 #include <sys/types.h>
 
+struct x509_st;  // OpenSSL's X509
+
 namespace iotcloud::security {
 class TlsContext;
 }
@@ -61,6 +63,8 @@ class Stream {
   /// Ends all reading; an answer can still be written. Any thread.
   void cut_reading();
 
+  /// The other side's certificate; null if it showed none.
+  std::shared_ptr<x509_st> peer_x509() const;
   /// As peer_user.h says.
   std::optional<uid_t> peer_user() const;
   std::string peer_address() const;  ///< "192.0.2.7:40112"

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <list>
 #include <map>
@@ -14,6 +15,7 @@
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
@@ -119,10 +121,57 @@ struct ThriftServer::Impl {
   }
 
   void reload() {
-    if (options.tls.empty()) return;
-    auto read = std::make_shared<const security::TlsContext>(options.tls, security::TlsContext::Side::server);
-    const config::MutexLock lock(mutex);
-    tls = std::move(read);
+    if (!options.tls.empty()) {
+      const auto read_of = stamps();
+      auto read = std::make_shared<const security::TlsContext>(options.tls, security::TlsContext::Side::server);
+      const config::MutexLock lock(mutex);
+      tls = std::move(read);
+      known = read_of;
+    }
+    look_now = true;
+    eventfd_write(wake.get(), 1);
+  }
+
+  /// What changes when somebody replaces one of the TLS files.
+  std::vector<std::int64_t> stamps() const {
+    std::vector<std::int64_t> all;
+    for (const auto& file : {options.tls.ca, options.tls.certificate, options.tls.key, options.tls.revoked}) {
+      struct stat status {};
+      if (file.empty() || stat(file.c_str(), &status) != 0) continue;
+      all.insert(all.end(), {static_cast<std::int64_t>(status.st_ino), status.st_size, status.st_mtim.tv_sec,
+                             status.st_mtim.tv_nsec});
+    }
+    return all;
+  }
+
+  /// Reads TLS files that were replaced, and cuts those who may not keep their connections. Used by the thread that
+  /// accepts.
+  void look() {
+    if (!options.tls.empty()) {
+      const auto now = stamps();
+      bool changed = false;
+      {
+        const config::MutexLock lock(mutex);
+        changed = now != known;
+        known = now;
+      }
+      try {
+        if (changed) reload();
+      } catch (const config::Error& e) {
+        thrift_logger.error("{}: it goes on with the certificate that it had: {}", options.name, e.what());
+      }
+      days_left.set(static_cast<std::int64_t>(std::floor(current_tls()->days_left())));
+    }
+    const auto present = current_tls();
+    for (auto& client : clients) {
+      if (client.evicted) continue;
+      const std::string why = client.connection.distrust(present.get());
+      if (why.empty()) continue;
+      client.evicted = true;
+      client.connection.cut();
+      count_refusal(options.name, "revoked");
+      log.refused("revoked", fmt::format("{}: {} is cut off: {}", options.name, client.connection.address(), why));
+    }
   }
 
   std::shared_ptr<const security::TlsContext> current_tls() {
@@ -133,12 +182,16 @@ struct ThriftServer::Impl {
   void accept_all(const std::stop_token& stop) {
     std::array<pollfd, 2> waiting{pollfd{wake.get(), POLLIN, 0}, pollfd{listener.get(), POLLIN, 0}};
     while (true) {
-      poll(waiting.data(), waiting.size(), -1);
+      poll(waiting.data(), waiting.size(), static_cast<int>(options.look_period.count()));
       eventfd_t ended = 0;
       eventfd_read(wake.get(), &ended);
       // checked after the read, which may have consumed the wake-up that came with the stop
       if (stop.stop_requested()) return;
       clients.remove_if([](const Client& client) { return client.done.load(); });
+      if (look_now.exchange(false) || Stream::Clock::now() >= next_look) {
+        look();
+        next_look = Stream::Clock::now() + options.look_period;
+      }
       const int descriptor = accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK);
       if (descriptor >= 0) {
         take(descriptor);
@@ -245,7 +298,13 @@ struct ThriftServer::Impl {
   RefusalLog log{thrift_logger};
   const Descriptor listener;
   const Descriptor wake;  ///< wakes the thread that accepts
+  std::atomic<bool> look_now{false};
+  Stream::Clock::time_point next_look = Stream::Clock::now();  ///< used by the thread that accepts
+  config::Gauge& days_left = config::process_metrics().gauge("iotcloud_certificate_days_left",
+                                                             "Days until the certificate of a Thrift service expires",
+                                                             {{"service", options.name}});
   config::Mutex mutex;
+  std::vector<std::int64_t> known IOTCLOUD_GUARDED_BY(mutex);  ///< stamps() of the files that were read
   /// For new connections; null: no TLS.
   std::shared_ptr<const security::TlsContext> tls IOTCLOUD_GUARDED_BY(mutex);
   /// In order of arrival; used by the thread that accepts, and after its end by the destructor.

@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include <sys/types.h>
 
@@ -39,6 +40,9 @@ class ThriftPeer {
     identity_ = std::move(identity);
     named_ = true;
   }
+  /// Asked now and then, on any thread, whether the peer may keep its connection.
+  void set_validity(std::function<bool()> is_valid) { is_valid_ = std::move(is_valid); }
+  std::function<bool()> take_validity() { return std::exchange(is_valid_, {}); }
   /// Keeps an object until the answer of the current call was sent.
   void hold(std::shared_ptr<void> object) { held_ = std::move(object); }
   void release() { held_.reset(); }
@@ -63,6 +67,7 @@ class ThriftPeer {
   std::string identity_;
   std::optional<uid_t> user_;
   std::shared_ptr<void> held_;
+  std::function<bool()> is_valid_;
   std::atomic<bool> trusted_{false};
   int most_bytes_ = std::numeric_limits<int>::max();
   bool named_ = false;
@@ -93,6 +98,9 @@ struct ThriftServerOptions {
   std::chrono::milliseconds stranger_limit{10'000};
   /// Longest time for which a trusted client sends nothing.
   std::chrono::milliseconds idle_limit{3'600'000};
+  /// How often it looks whether the TLS files have changed, and whether certificates and tokens of open connections are
+  /// still good.
+  std::chrono::milliseconds look_period{5'000};
   /// Longest time from the first byte of a message to the last, in each direction.
   std::chrono::milliseconds message_limit{30'000};
 };
@@ -112,8 +120,9 @@ class ThriftServer {
   ThriftServer& operator=(const ThriftServer&) = delete;
 
   int port() const;
-  /// Reads the TLS files again, for later connections. \throws Error that names the unusable file; then nothing
-  /// changes. Any thread.
+  /// Reads the TLS files again, for later connections, and closes open ones whose certificate was revoked or whose
+  /// token was taken away. The server does both by itself within `look_period`. \throws Error that names the unusable
+  /// file; then nothing changes. Any thread.
   void reload();
 
  private:

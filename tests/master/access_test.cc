@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 #include <sys/fsuid.h>
 #include <thrift/TApplicationException.h>
+#include <thrift/transport/TTransportException.h>
 #include <unistd.h>
 
 #include "iotcloud/master/TMasterAPIService.h"
@@ -21,6 +22,7 @@
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/security/certificates.h>
 
@@ -467,6 +469,19 @@ TEST_F(Access, AnAuditLogThatIsMovedAwayIsBegunAnew) {
   deploy(client);
   EXPECT_THAT(audit(), SizeIs(1));
   EXPECT_THAT(security::verify_audit({audit_file_ + ".1", audit_file_}, {}).findings, IsEmpty());
+}
+
+TEST_F(Access, OneWhoseTokenIsTakenAwayLosesItsOpenConnection) {
+  auto client = connect(viewer_);
+  auto other = connect(admin_);
+  const auto before = refused("revoked");
+  security::remove_token(tokens_file_, "vera");
+  tokens_->reload();
+  server_->reload();
+  ASSERT_TRUE(tests::eventually([&] { return refused("revoked") == before + 1; }));
+  std::vector<discovery::wire::TSite> gateways;
+  EXPECT_THROW(client.listGateways(gateways), apache::thrift::transport::TTransportException);
+  EXPECT_NO_THROW(other.listGateways(gateways));
 }
 
 TEST_F(Access, OneWhoseTokenIsTakenAwayMayDoNothingMore) {

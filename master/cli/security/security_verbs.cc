@@ -11,6 +11,7 @@
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/security/audit_chain.h>
 #include <iotcloud/security/certificates.h>
+#include <iotcloud/security/renewals.h>
 #include <iotcloud/security/tokens.h>
 
 namespace iotcloud::master::cli {
@@ -70,7 +71,10 @@ class Certs final : public Verb {
     names.insert(names.end(), callers.begin(), callers.end());
     if (is_new_) names.emplace_back("ca");
     check_free(authority, names);
-    if (is_new_) authority.make();
+    if (is_new_) {
+      authority.make();
+      security::make_revocations(authority);
+    }
     for (const auto& host : hosts_) authority.certify_host(host);
     for (const auto& caller : callers) authority.certify_caller(caller);
 
@@ -107,6 +111,58 @@ class Certs final : public Verb {
   std::string folder_;
   std::vector<std::string> hosts_;
   std::vector<std::string> callers_;  ///< users, whose certificates are for clients only
+};
+
+/// `certs renew` and `certs revoke`: a verb about certificates that are there.
+class OfCertificates : public Verb {
+ public:
+  using Verb::Verb;
+  void declare(CLI::App& options) override {
+    options.add_option("DIR", folder_, "the folder of the authority and its certificates")->required();
+    options.add_option("HOLDER", holders_, "the names of their files, without .pem")->required();
+  }
+
+ protected:
+  security::Authority authority() const { return {std::filesystem::absolute(folder_).lexically_normal().string()}; }
+  std::string folder_;
+  std::vector<std::string> holders_;
+};
+
+class RenewCertificates final : public OfCertificates {
+ public:
+  RenewCertificates()
+      : OfCertificates({"renew",
+                        "Make certificates anew, for the same keys, before they expire. Copy them to their machines: "
+                        "daemons take them within seconds, without a restart",
+                        "iotcloud certs renew certs lab1 lab2", std::nullopt, false}) {}
+  void declare(CLI::App& options) override {
+    OfCertificates::declare(options);
+    options.add_option("--days", days_, "how long they are valid")->check(CLI::Range(1, 3650))->type_name("N");
+  }
+  int run(Call& call) override {
+    for (const auto& holder : holders_) {
+      security::renew_certificate(authority(), holder, days_);
+      call.out << fmt::format("{}: valid for {} days\n", authority().certificate(holder), days_);
+    }
+    return exit_ok;
+  }
+
+ private:
+  int days_ = security::usual_days;
+};
+
+class RevokeCertificates final : public OfCertificates {
+ public:
+  RevokeCertificates()
+      : OfCertificates({"revoke",
+                        "Put certificates on the list DIR/revoked.pem. Daemons whose files name a copy of it (tls: "
+                        "{revoked: ...}) refuse them within seconds, also on open connections",
+                        "iotcloud certs revoke certs lab2", std::nullopt, false}) {}
+  int run(Call& call) override {
+    for (const auto& holder : holders_) security::revoke_certificate(authority(), holder);
+    call.out << fmt::format("{}: copy it to each machine with a daemon\n", security::revocations_file(authority()));
+    return exit_ok;
+  }
 };
 
 /// A verb about a file of tokens.
@@ -240,6 +296,8 @@ void add_security_verbs(Verbs& verbs) {
   auto& certs = verbs.group("certs", "Make certificates for a small installation; asks no master");
   certs.add<Certs>(true);
   certs.add<Certs>(false);
+  certs.add<RenewCertificates>();
+  certs.add<RevokeCertificates>();
   auto& tokens = verbs.group("token", "Keep a file of tokens, which a daemon reads; asks no master");
   tokens.add<AddToken>();
   tokens.add<RemoveToken>();
