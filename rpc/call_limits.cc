@@ -14,29 +14,31 @@ std::shared_ptr<CallLimits::Account> CallLimits::account(const std::string& iden
 }
 
 std::shared_ptr<void> CallLimits::enter(const std::string& identity) {
-  const auto of = account(identity);
+  auto of_identity = account(identity);
+  Account& of = *of_identity;
   const auto period =
       std::chrono::duration_cast<Clock::Instant::duration>(std::chrono::duration<double>(1 / options_.per_second));
   const auto ahead = std::chrono::duration_cast<Clock::Instant::duration>(period * (options_.burst - 1));
   const auto now = clock_.now();
   const auto end = now + options_.longest_wait;
-  const config::MutexLock lock(of->mutex);
-  const auto due = std::max(of->due, now);
+  const config::MutexLock lock(of.mutex);
+  const auto due = std::max(of.due, now);
   const auto turn = due - ahead;
   if (turn > end) return nullptr;
-  of->due = due + period;
-  while (clock_.now() < turn) of->changed.wait_until(of->mutex, clock_, turn);
-  while (of->running >= options_.at_once) {
+  of.due = due + period;
+  while (clock_.now() < turn) of.changed.wait_until(of.mutex, clock_, turn);
+  while (of.running >= options_.at_once) {
     if (clock_.now() >= end) return nullptr;
-    of->changed.wait_until(of->mutex, clock_, end);
+    of.changed.wait_until(of.mutex, clock_, end);
   }
-  ++of->running;
-  return {static_cast<void*>(of.get()), [of](void*) {
+  ++of.running;
+  return {static_cast<void*>(&of), [of_identity](void*) {
+            Account& left = *of_identity;
             {
-              const config::MutexLock held(of->mutex);
-              --of->running;
+              const config::MutexLock held(left.mutex);
+              --left.running;
             }
-            of->changed.notify_all();
+            left.changed.notify_all();
           }};
 }
 
