@@ -87,6 +87,14 @@ void read_confinement(config::Section& file, processes::Confinement& confinement
   if (confinement.open_files > 0 && confinement.open_files < fewest_files) {
     throw file.error("host_open_files", "a driver host alone needs some", fmt::format("at least {}", fewest_files));
   }
+  constexpr std::int64_t most_processes = 1 << 22;
+  confinement.processes = static_cast<std::uint64_t>(file.int_or("host_processes", 0, 0, most_processes));
+  if (auto files = file.optional_section("host_files")) {
+    confinement.files.emplace();
+    confinement.files->read = files->strings_or("read", {});
+    confinement.files->write = files->strings_or("write", {});
+    files->finish();
+  }
   rlimit now{};
   getrlimit(RLIMIT_NOFILE, &now);
   if (geteuid() != 0 && confinement.open_files > now.rlim_max) {
@@ -118,6 +126,8 @@ void read_plugins(config::Section& file, GatewayConfig& config) {
   security::TrustedKeys::Options trust;
   trust.require_signature = file.bool_or("plugins.require_signature", false);
   trust.trusted_keys = file.strings_or("plugins.trusted_keys", {});
+  config.hosts.require_version = file.bool_or("plugins.require_version", false);
+  config.hosts.allow_rollback = file.strings_or("plugins.allow_rollback", {});
   checked(file, trust.trusted_keys.empty() ? "plugins.require_signature" : "plugins.trusted_keys",
           [&] { config.trust = std::make_shared<security::TrustedKeys>(trust); });
   config.hosts.trust = config.trust;
@@ -143,6 +153,16 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
   constexpr std::int64_t most_mb = 1 << 20;
   hosts.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("host_memory_limit_mb", 0, 0, most_mb)) << 20;
   read_confinement(file, hosts.confinement);
+  hosts.environment = file.strings_or("host_environment", {});
+  for (const auto& broker : config.gateway.brokers) {
+    const auto& broker_options = broker.options;
+    if (!broker_options.password_variable.empty()) hosts.environment.push_back(broker_options.password_variable);
+    if (!hosts.confinement.files) continue;
+    for (const auto& path : {broker_options.password_file, broker_options.tls.ca_file,
+                             broker_options.tls.certificate_file, broker_options.tls.key_file}) {
+      if (!path.empty()) hosts.confinement.files->read.push_back(path);
+    }
+  }
   if (auto log = file.optional_section("host_log")) {
     constexpr int most_kept = 1000;
     hosts.log_limit_mb = static_cast<int>(log->int_or("limit_mb", hosts.log_limit_mb, 1, most_mb));
@@ -175,6 +195,7 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   gateway.paths = discovery::Paths(file.string_or("zk.root", "/iot/sensors"));
   gateway.brokers = read_brokers(file, gateway.session_timeout);
   read_thrift(file, config);
+  config.thrift.audit = security::read_audit(file);
   read_plugins(file, config);
   read_orders(file, config);
   config.hosts.state_dir = file.require_string("state");

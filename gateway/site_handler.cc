@@ -24,13 +24,14 @@ constexpr config::Logger site_logger{"gateway.thrift"};
 void SiteHandler::answering(Response& answer, const std::string& what, const std::function<void()>& method) {
   answer.__set_state(TResponseState::SUCCESS);
   try {
+    session_->begins(what);
     method();
   } catch (const std::exception& e) {
     answer.__set_state(TResponseState::FAILURE);
     answer.__set_statusMessage(e.what());
     site_logger.warn("an order was refused: {}", e.what());
   }
-  session_->note(what, answer.state == TResponseState::SUCCESS ? "done" : answer.statusMessage);
+  session_->note(answer.state == TResponseState::SUCCESS ? "done" : answer.statusMessage);
 }
 
 Gateway::AwaitedRecord SiteHandler::await(Response& answer, const InstanceId& id, std::int64_t order_version,
@@ -168,8 +169,29 @@ void SiteHandler::ping(wire::TPing& answer) {
   answer.__set_timeMs(config::system_clock().wall_ms());
 }
 
+/// Tells the audit log that a plugin is about to be taken. \throws wire::TSiteError if that cannot be written
+void SiteHandler::taking(const std::string& what) {
+  try {
+    session_->begins(what);
+  } catch (const config::Error& e) {
+    wire::TSiteError error;
+    error.__set_reason(e.what());
+    throw error;
+  }
+}
+
 void SiteHandler::offerPlugin(std::string& upload, const wire::TPluginOffer& offer) {
+  taking(fmt::format("{}, SHA-256 {}", offer.plugin, offer.sha256));
+  session_->note("refused");
   upload = plugins_.offer({offer.plugin, offer.sha256, offer.size, offer.signature});
+  session_->note(upload.empty() ? "it is there already" : "taken as " + upload);
+}
+
+void SiteHandler::finishPlugin(const std::string& upload) {
+  taking(upload);
+  session_->note("refused");
+  plugins_.finish(upload);
+  session_->note("done");
 }
 
 }  // namespace iotcloud::gateway

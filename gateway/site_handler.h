@@ -41,12 +41,13 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   void sendPlugin(const std::string& upload, std::int64_t offset, const std::string& bytes) override {
     plugins_.add(upload, offset, bytes);
   }
-  void finishPlugin(const std::string& upload) override { plugins_.finish(upload); }
+  void finishPlugin(const std::string& upload) override;
 
  private:
   /// \throws config::Error if this gateway follows signed orders only: it cannot sign one itself.
   void check_may_order() const;
   void set_active(Response& answer, const discovery::InstanceId& id, bool active);
+  void taking(const std::string& what);
   /// Waits for the outcome of an order. If it is not the wanted state, writes the failure into the answer.
   Gateway::AwaitedRecord await(Response& answer, const discovery::InstanceId& id, std::int64_t order_version,
                                discovery::DriverState wanted);

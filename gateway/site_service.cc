@@ -39,6 +39,9 @@ struct SiteService::Impl {
         paths(std::move(p)) {
     access.service = "gateway";
     access.rules = rules();
+    access.users = options.listen.users;
+    access.open = options.listen.open;
+    if (!options.audit.file.empty()) access.audit = std::make_shared<security::AuditLog>(options.audit);
     if (!options.listen.tokens.empty()) access.tokens = std::make_shared<security::TokenKeeper>(options.listen.tokens);
   }
 
@@ -78,8 +81,9 @@ int SiteService::port() const {
 }
 
 void SiteService::reload() {
-  impl_->server->reload();
   if (impl_->access.tokens) impl_->access.tokens->reload();
+  impl_->server->reload();  // after the tokens: it closes connections whose token is gone
+  if (impl_->access.audit) impl_->access.audit->reopen();
 }
 
 }  // namespace iotcloud::gateway

@@ -20,8 +20,9 @@ class SiteService {
     std::chrono::milliseconds outcome_limit{15000};  ///< how long a call waits for the outcome of its order
     int max_connections = 64;
     int max_message_bytes = 1 << 20;
-    int max_items = 10000;   ///< the most items in one list or map
-    std::string log_folder;  ///< the folder of the driver hosts' logs; empty: readLog has nothing to read
+    int max_items = 10000;            ///< the most items in one list or map
+    security::AuditSettings audit{};  ///< who gave orders to this service
+    std::string log_folder;           ///< the folder of the driver hosts' logs; empty: readLog has nothing to read
   };
 
   /// The role that each method requires of its caller. Nobody may call a method that is not listed.
@@ -33,7 +34,8 @@ class SiteService {
   /// Takes no new calls and waits for the running ones.
   ~SiteService();
   int port() const;
-  /// Reads the certificates and the token file again. \throws config::Error if one is unusable; then nothing changes.
+  /// Reads the certificates and the token file again, and opens the audit log by its name again. \throws config::Error
+  /// if one is unusable; then nothing changes.
   void reload();
 
  private:

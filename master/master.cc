@@ -45,11 +45,11 @@ OrderResult Master::undrain(const GatewaySelection& selection) {
 OrderResult Master::update(const UpdateRequest& request) {
   return impl_->updates.update(request);
 }
-GivenOrder Master::give(const std::string& order, const std::string& json) {
+GivenOrder Master::give(const std::string& order, const std::string& json, const BeforeOrder& before) {
   const auto* kind = find_order_kind(order);
   if (kind == nullptr) return {"", refuse(Refusal::bad_request, "this master knows no order \"" + order + "\"")};
   try {
-    return kind->give(*impl_, json);
+    return kind->give(*impl_, json, before);
   } catch (const config::Error& e) {
     return {"", refuse(Refusal::bad_request, e.what())};
   }

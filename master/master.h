@@ -51,7 +51,8 @@ class Master {
   /// ends in the middle, each instance keeps the version that it has by then, and the same update can be ordered again.
   OrderResult update(const UpdateRequest& request);
   /// Takes any order as JSON, by the name of its kind (orders/order_kinds.h); also those that have no method here.
-  GivenOrder give(const std::string& order, const std::string& json);
+  /// \param before called with the order in words before it is given; what it throws refuses the order.
+  GivenOrder give(const std::string& order, const std::string& json, const BeforeOrder& before = {});
   /// Gives an order to a topology, and answers when all workers that run now have followed it or, for a kill, ended.
   TopologyResult order(const TopologyRequest& request);
 

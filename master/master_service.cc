@@ -72,7 +72,7 @@ class MasterService final : public config::Service {
   void start() override {
     if (const auto problem = rpc::exposure(config_.api); !problem.empty()) throw config::Error(problem);
     if (!config_.api.tokens.empty()) tokens_ = std::make_shared<security::TokenKeeper>(config_.api.tokens);
-    if (!config_.audit_file.empty()) audit_ = std::make_shared<security::AuditLog>(config_.audit_file);
+    if (!config_.audit.file.empty()) audit_ = std::make_shared<security::AuditLog>(config_.audit);
     registry_ = discovery::make_registry(config_.registry);
     if (config_.gateways) {
       OriginalGatewaysOptions original_options;
@@ -94,6 +94,8 @@ class MasterService final : public config::Service {
     master_ = std::make_unique<Master>(*registry_, options);
     ApiAccess access;
     access.tokens = tokens_;
+    access.users = config_.api.users;
+    access.open = config_.api.open;
     access.audit = audit_;
     access.gateways = {config_.api.tls, config_.gateway_token_file};
     api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));
@@ -111,9 +113,9 @@ class MasterService final : public config::Service {
   }
 
   void reload() override {
-    api_->reload();
     if (metrics_) metrics_->reload();
     if (tokens_) tokens_->reload();
+    api_->reload();  // after the tokens: it closes connections whose token is gone
     if (audit_) audit_->reopen();
   }
 
@@ -174,10 +176,7 @@ MasterDaemonConfig load_master_config(const std::string& file) {
     read_original_address(*gateways, *config.gateways);
     gateways->finish();
   }
-  if (auto audit = top.optional_section("audit")) {
-    config.audit_file = audit->require_string("file");
-    audit->finish();
-  }
+  config.audit = security::read_audit(top);
   config.pages = rpc::read_page_settings(top);
   if (auto orders = top.optional_section("orders")) {
     config.outcome_timeout =

@@ -9,6 +9,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/rpc/http/page_settings.h>
 #include <iotcloud/rpc/listen_settings.h>
+#include <iotcloud/security/audit_log.h>
 
 namespace iotcloud::master {
 
@@ -21,9 +22,9 @@ struct MasterDaemonConfig {
   /// For gateways of the original system, on loopback only: whoever reaches it may register one. nullopt: off.
   std::optional<rpc::ListenSettings> gateways;
   std::string gateway_token_file;  ///< GatewayAccess::token_file
-  std::string audit_file;          ///< empty: no audit log
-  rpc::PageSettings pages;         ///< /metrics and /healthz
-  std::string signing_key;         ///< file of the private key that signs orders to gateways; empty: unsigned
+  security::AuditSettings audit;
+  rpc::PageSettings pages;  ///< /metrics and /healthz
+  std::string signing_key;  ///< file of the private key that signs orders to gateways; empty: unsigned
   std::chrono::milliseconds outcome_timeout{30'000};
   bool record_for_lost_gateways = true;
 };

@@ -1,5 +1,7 @@
+#include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 
@@ -17,6 +19,12 @@
 namespace iotcloud::processes {
 
 namespace {
+
+/// What a program needs to run as its user wants it; nothing of it is a secret. The last ones are settings of the
+/// sanitizers' builds.
+constexpr std::array usual_variables = {
+    "HOME", "LANG",   "LC_ALL", "LC_CTYPE", "LC_MESSAGES",  "LC_NUMERIC",   "LC_TIME",      "LOGNAME",
+    "PATH", "TMPDIR", "TZ",     "USER",     "ASAN_OPTIONS", "LSAN_OPTIONS", "TSAN_OPTIONS", "UBSAN_OPTIONS"};
 
 /// Settings that keep a child from inheriting the session, signals and descriptors (sockets above all).
 class Spawning {
@@ -42,26 +50,44 @@ class Spawning {
   Spawning(const Spawning&) = delete;
   Spawning& operator=(const Spawning&) = delete;
 
-  pid_t spawn(std::vector<std::string> arguments) {
-    std::vector<char*> argv;
-    argv.reserve(arguments.size() + 1);
-    for (auto& argument : arguments) argv.push_back(argument.data());
-    argv.push_back(nullptr);
+  pid_t spawn(std::vector<std::string> arguments, std::vector<std::string> environment) {
+    const auto argv = pointers_to(arguments);
+    const auto variables = pointers_to(environment);
     pid_t child = 0;
-    const int error = posix_spawn(&child, argv[0], &actions_, &attributes_, argv.data(), environ);
+    const int error = posix_spawn(&child, argv[0], &actions_, &attributes_, argv.data(), variables.data());
     if (error != 0) throw config::Error(fmt::format("{} cannot be started: {}", arguments[0], std::strerror(error)));
     return child;
   }
 
  private:
+  static std::vector<char*> pointers_to(std::vector<std::string>& texts) {
+    std::vector<char*> pointers;
+    pointers.reserve(texts.size() + 1);
+    for (auto& text : texts) pointers.push_back(text.data());
+    pointers.push_back(nullptr);
+    return pointers;
+  }
+
   posix_spawn_file_actions_t actions_;
   posix_spawnattr_t attributes_;
 };
 
 }  // namespace
 
-int spawn(std::vector<std::string> arguments, const std::string& log_file) {
-  return Spawning(log_file).spawn(std::move(arguments));
+int spawn(std::vector<std::string> arguments, const std::string& log_file, std::vector<std::string> environment) {
+  return Spawning(log_file).spawn(std::move(arguments), std::move(environment));
+}
+
+std::vector<std::string> environment_of(const std::vector<std::string>& more) {
+  std::vector<std::string> names(usual_variables.begin(), usual_variables.end());
+  names.insert(names.end(), more.begin(), more.end());
+  std::sort(names.begin(), names.end());
+  names.erase(std::unique(names.begin(), names.end()), names.end());
+  std::vector<std::string> environment;
+  for (const auto& name : names) {
+    if (const char* value = std::getenv(name.c_str())) environment.push_back(name + "=" + value);
+  }
+  return environment;
 }
 
 std::string program_beside(const std::string& name) {

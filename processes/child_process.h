@@ -9,11 +9,17 @@
 
 namespace iotcloud::processes {
 
+/// Variables of this process's environment as "NAME=value": those that every program may have, such as PATH and LANG,
+/// and the named ones. All others, in which a daemon has its passwords, are left out.
+std::vector<std::string> environment_of(const std::vector<std::string>& more);
+
 /// Starts a program in a session of its own, with no signal blocked or ignored and without this process's descriptors,
 /// so that it survives this process. Its stdin is /dev/null; stdout and stderr are appended to a file.
 /// \param arguments the program's path first. \param log_file for stdout and stderr; made when it is missing.
-/// \return the process's id. \throws config::Error when it cannot be started.
-int spawn(std::vector<std::string> arguments, const std::string& log_file);
+/// \param environment all variables that it gets, as "NAME=value". \return the process's id. \throws config::Error when
+/// it cannot be started.
+int spawn(std::vector<std::string> arguments, const std::string& log_file,
+          std::vector<std::string> environment = environment_of({}));
 
 /// The path of the program of that name in the folder of this process's own program.
 std::string program_beside(const std::string& name);

@@ -12,6 +12,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/processes/confinement.h>
+#include <iotcloud/processes/logger.h>
 
 namespace iotcloud::processes {
 
@@ -63,11 +64,18 @@ void confine(const Confinement& confinement) {
     limit(RLIMIT_NOFILE, confinement.open_files,
           fmt::format("have {} files open (more than the system allows?)", confinement.open_files));
   }
+  if (confinement.processes > 0) {
+    limit(RLIMIT_NPROC, confinement.processes,
+          fmt::format("have {} processes (more than the system allows?)", confinement.processes));
+  }
   if (!confinement.debuggable) limit(RLIMIT_CORE, 0, "do without core dumps");
   if (!confinement.user.empty()) become(find_account(confinement.user));
   if (confinement.no_new_privileges && prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0) throw refused("give up privileges");
   // A change of user also clears this flag, so it is set again for a process that may be debugged.
   if (prctl(PR_SET_DUMPABLE, confinement.debuggable ? 1 : 0, 0, 0, 0) != 0) throw refused("be kept from debuggers");
+  if (confinement.files && !restrict_files(*confinement.files)) {
+    logger.warn("this kernel has no Landlock, so this process may reach all files of its user");
+  }
   if (confinement.filter_calls) filter_system_calls();
 }
 

@@ -1,9 +1,12 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include <sys/types.h>
+
+#include <iotcloud/processes/landlock.h>
 
 namespace iotcloud::processes {
 
@@ -21,10 +24,16 @@ Account find_account(const std::string& name);
 struct Confinement {
   /// The account to change to, with its groups; empty: no change. Only root can change the account.
   std::string user;
-  std::uint64_t open_files = 0;    ///< limit on open descriptors; 0: the inherited limit
+  std::uint64_t open_files = 0;  ///< limit on open descriptors; 0: the inherited limit
+  /// Limit on the processes and threads of the account, all its processes together; 0: the inherited limit. Root has
+  /// no limit.
+  std::uint64_t processes = 0;
   bool no_new_privileges = false;  ///< programs that it starts gain no privileges by set-user-id bits
   bool debuggable = true;          ///< false: no core dumps, and no debugger of the same user
   bool filter_calls = false;       ///< see filter_system_calls()
+  /// The files that it may reach; nullopt: no restriction. Needs no_new_privileges. A kernel without Landlock restricts
+  /// nothing, which the process logs.
+  std::optional<FileAccess> files;
 };
 
 /// Applies the confinement to this process, for good. Call it while the process has one thread.

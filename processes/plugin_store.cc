@@ -18,6 +18,7 @@
 #include <iotcloud/processes/logger.h>
 #include <iotcloud/processes/plugin_store.h>
 #include <iotcloud/processes/random_name.h>
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/sha256.h>
 
 namespace iotcloud::processes {
@@ -36,7 +37,7 @@ constexpr auto written_by_owner = fs::perms::owner_all | fs::perms::group_read |
 /// Reads the plugin's signature; empty if there is no file.
 std::string signature_in(const std::string& folder) {
   const std::string path = folder + "/" + signature_name;
-  return fs::exists(path) ? read_file(path, security::signature_bytes) : "";
+  return fs::exists(path) ? read_file(path, security::most_plugin_signature_bytes) : "";
 }
 
 void write_signature(const std::string& path, const std::string& signature) {
@@ -94,6 +95,7 @@ struct PluginStore::Impl {
   void check(const Offer& offer) const;
   bool have(const Offer& offer);
   void renew_signature(const Offer& offer, const std::string& content);
+  bool is_better(const std::string& signature, const std::string& before, const std::string& content) const;
   void keep(Upload& upload) IOTCLOUD_REQUIRES(upload.mutex);
   std::shared_ptr<Upload> find(const std::string& id);
   void want(const std::string& sha256);
@@ -137,9 +139,11 @@ void PluginStore::Impl::check(const Offer& offer) const {
   if (offer.size > options.most_bytes)
     throw config::Error(fmt::format("{} has {} bytes; plugins of {} at most are taken here (plugins.upload_limit_mb)",
                                     offer.file, offer.size, options.most_bytes));
-  if (!offer.signature.empty() && offer.signature.size() != security::signature_bytes)
-    throw config::Error(fmt::format("{}: its signature has {} bytes, an Ed25519 signature has {}", offer.file,
-                                    offer.signature.size(), security::signature_bytes));
+  if (!offer.signature.empty() && !security::is_plugin_signature(offer.signature))
+    throw config::Error(
+        fmt::format("{}: its signature has {} bytes, an Ed25519 signature has {}, after a line with name "
+                    "and version if there is one",
+                    offer.file, offer.signature.size(), security::signature_bytes));
   if (offer.signature.empty() && trust->requires_signature()) trust->admit(offer.file, "", "");
 }
 
@@ -202,10 +206,18 @@ bool PluginStore::Impl::have(const Offer& offer) {
   return true;
 }
 
+/// Whether the signature of a plugin that is there already replaces the one before.
+bool PluginStore::Impl::is_better(const std::string& signature, const std::string& before,
+                                  const std::string& content) const {
+  if (trust->signer(content, before).empty()) return true;
+  return !trust->signer(content, signature).empty() &&
+         security::parse_plugin_signature(signature).version > security::parse_plugin_signature(before).version;
+}
+
 void PluginStore::Impl::renew_signature(const Offer& offer, const std::string& content) {
   const std::string folder = kept(offer.sha256);
   const std::string before = signature_in(folder);
-  if (!offer.signature.empty() && offer.signature != before && trust->signer(content, before).empty()) {
+  if (!offer.signature.empty() && offer.signature != before && is_better(offer.signature, before, content)) {
     trust->admit(offer.file, content, offer.signature);
     const std::string fresh = fmt::format("{}/{}.{}", folder, signature_name, random_name());
     write_signature(fresh, offer.signature);

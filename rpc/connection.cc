@@ -11,6 +11,7 @@
 
 #include <iotcloud/rpc/connection.h>
 #include <iotcloud/rpc/logger.h>
+#include <iotcloud/security/tls.h>
 
 namespace iotcloud::rpc {
 
@@ -75,24 +76,55 @@ void ThriftConnection::serve() noexcept {
 void ThriftConnection::open() {
   stream_.accept(stranger_until_);
   peer_ = std::make_shared<ThriftPeer>(address_, stream_.peer_certificate());
+  peer_->set_user(stream_.peer_user());
   processor_ = service_(peer_);
+  note_standing(false);
+  const config::MutexLock lock(mutex_);
+  certificate_ = stream_.peer_x509();
+}
+
+void ThriftConnection::note_standing(bool answering) {
+  auto is_valid = peer_->take_validity();
+  const config::MutexLock lock(mutex_);
+  if (is_valid) is_valid_ = std::move(is_valid);
+  standing_ = {peer_->identity(), peer_->named(), answering, Stream::Clock::now()};
+}
+
+std::string ThriftConnection::distrust(const security::TlsContext* tls) const {
+  std::shared_ptr<x509_st> certificate;
+  std::function<bool()> is_valid;
+  {
+    const config::MutexLock lock(mutex_);
+    certificate = certificate_;
+    is_valid = is_valid_;
+  }
+  if (tls != nullptr && certificate) {
+    if (const auto why = tls->distrust(*certificate); !why.empty()) return "its certificate is " + why;
+  }
+  return is_valid && !is_valid() ? "its token was taken away" : "";
+}
+
+ThriftConnection::Standing ThriftConnection::standing() const {
+  const config::MutexLock lock(mutex_);
+  return standing_;
 }
 
 std::string ThriftConnection::read_message() {
   std::array<char, 4> head{};
-  auto deadline = peer_->trusted() ? Stream::never : stranger_until_;
-  std::size_t have = stream_.read_some(head.data(), head.size(), deadline);
-  deadline = std::min(deadline, Stream::Clock::now() + options_.message_limit);
+  const auto idle_until = peer_->trusted() ? Stream::Clock::now() + options_.idle_limit : stranger_until_;
+  std::size_t have = stream_.read_some(head.data(), head.size(), idle_until);
+  const auto message_until = Stream::Clock::now() + options_.message_limit;
+  const auto deadline = peer_->trusted() ? message_until : std::min(stranger_until_, message_until);
   while (have < head.size()) have += stream_.read_some(head.data() + have, head.size() - have, deadline);
 
   std::uint32_t claimed = 0;
   std::copy(head.begin(), head.end(), reinterpret_cast<char*>(&claimed));
   const std::size_t size = ntohl(claimed);
   const int most =
-      peer_->trusted() ? options_.max_message_bytes : std::min(options_.max_stranger_bytes, options_.max_message_bytes);
+      std::min(options_.max_message_bytes, peer_->trusted() ? peer_->most_bytes() : options_.max_stranger_bytes);
   if (size > static_cast<std::size_t>(most))
     throw Refused{"size", fmt::format("a message of {} bytes, and {} is the limit{}", size, most,
-                                      peer_->trusted() ? "" : " for those who are not known yet")};
+                                      peer_->trusted() ? " for it" : " for those who are not known yet")};
   std::string message;
   while (message.size() < size) {
     const std::size_t before = message.size();
@@ -124,12 +156,15 @@ bool answer_message(apache::thrift::TProcessor& processor, const std::string& me
 
 void ThriftConnection::answer(const std::string& message) {
   std::string bytes;
+  note_standing(true);
   const bool go_on = answer_message(*processor_, message, options_.max_items, bytes);
   if (!go_on) throw Refused{"message", "it sends what is no call"};
   // Trust the client before the answer is sent: a client that has got an answer relies on its connection.
   if (!peer_->asked()) peer_->trust();
   trusted_ = peer_->trusted();
   stream_.write_all(bytes.data(), bytes.size(), Stream::Clock::now() + options_.message_limit);
+  peer_->release();
+  note_standing(false);
 }
 
 }  // namespace iotcloud::rpc

@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/rpc/refusal_log.h>
 #include <iotcloud/rpc/stream.h>
 #include <iotcloud/rpc/thrift_server.h>
@@ -30,12 +31,26 @@ class ThriftConnection {
   void cut() { stream_.cut(); }
   bool is_stranger() const { return !trusted_; }
 
+  /// Whose it is, and since when it waits for its next message. Any thread.
+  struct Standing {
+    std::string identity;
+    bool named = false;      ///< the identity is more than an address
+    bool answering = false;  ///< a call is under way
+    Stream::Clock::time_point since;
+  };
+  Standing standing() const IOTCLOUD_EXCLUDES(mutex_);
+  /// Why the client may not keep this connection: its certificate is not trusted any more, its token was taken away.
+  /// Empty: it may. Any thread. \param tls the present one; null: none
+  std::string distrust(const security::TlsContext* tls) const IOTCLOUD_EXCLUDES(mutex_);
+  const std::string& address() const { return address_; }
+
  private:
   using TimePoint = Stream::Clock::time_point;
   void open();
   /// \return the next message, without its length. \throws StreamError, Refused
   std::string read_message();
   void answer(const std::string& message);
+  void note_standing(bool answering) IOTCLOUD_EXCLUDES(mutex_);
   void refuse(const std::string& reason, const std::string& text);
 
   const ThriftServerOptions& options_;
@@ -47,6 +62,10 @@ class ThriftConnection {
   const std::string address_;
   std::shared_ptr<ThriftPeer> peer_;
   std::shared_ptr<apache::thrift::TProcessor> processor_;
+  mutable config::Mutex mutex_;
+  Standing standing_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::shared_ptr<x509_st> certificate_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::function<bool()> is_valid_ IOTCLOUD_GUARDED_BY(mutex_);
   std::atomic<bool> trusted_{false};
   std::atomic<bool> stopping_{false};
 };

@@ -67,10 +67,10 @@ class GuardedProcessor final : public TProcessor {
       write(*out, method, number, *refusal);
       return true;
     }
-    session_->begin();
+    session_->begin(method);
     const bool go_on =
         processor_->process(std::make_shared<StoredMessageProtocol>(std::move(in), method, type, number), out, context);
-    session_->end(method);
+    session_->end();
     return go_on;
   }
 

@@ -41,6 +41,12 @@ void read_listen_settings(config::Section& section, ListenSettings& settings, in
     throw section.error("tokens", "the file \"" + settings.tokens + "\" is not there",
                         "`iotcloud token add NAME --role admin --file " + settings.tokens + "` makes it");
   }
+  settings.users = section.strings_or("users", {});
+  settings.open = section.bool_or("open", false);
+  if (!settings.tokens.empty() && (settings.open || !settings.users.empty())) {
+    throw section.error(settings.open ? "open" : "users", "with tokens it is they that say who may act",
+                        "leave out one of the two");
+  }
   if (const auto advertise = section.optional_string("advertise")) {
     try {
       static_cast<void>(split_address(*advertise));

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/security/tls.h>
@@ -14,11 +15,13 @@ struct ListenSettings {
   security::TlsFiles tls;
   std::string tokens;     ///< file of tokens (security/tokens.h); empty: clients need no token
   std::string advertise;  ///< the host:port by which others reach it
+  /// Without tokens: accounts of this machine that may act, besides root and the daemon's own; others only read.
+  std::vector<std::string> users{};
+  bool open = false;  ///< without tokens: everybody on this machine may act
 };
 
-/// Reads `host`, `port`, `tls`, `tokens` and `advertise`. Missing keys keep their values; advertise becomes host:port.
-/// \param least_port 0 allows any free port.
-/// \throws ConfigError, also if exposure() gives a reason.
+/// Reads `host`, `port`, `tls`, `tokens`, `users`, `open` and `advertise`. Missing keys keep their values; advertise
+/// becomes host:port. \param least_port 0 allows any free port. \throws ConfigError, also if exposure() gives a reason.
 void read_listen_settings(config::Section& section, ListenSettings& settings, int least_port = 1);
 
 /// Why the service must not listen with these settings; empty if it may. Its clients can run programs, so a port that

@@ -3,25 +3,44 @@
 
 #include <fmt/format.h>
 
+#include <iotcloud/rpc/peer_user.h>
 #include <iotcloud/rpc/session.h>
 #include <iotcloud/security/logger.h>
 
 namespace iotcloud::rpc {
 
+namespace {
+
+/// What somebody may do who needs no token: to order, one must be who runs the daemon. A driver of another user reads.
+security::Role role_without_token(const AccessOptions& options, const ThriftPeer& peer) {
+  const auto user = peer.user();
+  return options.open || (user && is_trusted_user(*user, options.users)) ? security::Role::admin
+                                                                         : security::Role::viewer;
+}
+
+}  // namespace
+
 Session::Session(const AccessOptions& options, std::shared_ptr<ThriftPeer> peer)
-    : options_(options), peer_(std::move(peer)) {
+    : options_(options), peer_(std::move(peer)), local_role_(role_without_token(options_, *peer_)) {
   if (options_.tokens) peer_->ask_who_it_is();
 }
 
 security::Role Session::role() const {
-  if (!options_.tokens) return security::Role::admin;
+  if (!options_.tokens) return local_role_;
   if (!holder_) return security::Role::anyone;
   return options_.tokens->role_of(*holder_).value_or(security::Role::anyone);
 }
 
+/// The caller's name for people.
+std::string Session::caller() const {
+  if (holder_) return holder_->name;
+  if (options_.tokens) return "";
+  return peer_->user() ? fmt::format("user {}", *peer_->user()) : "";
+}
+
 security::AuditEntry Session::entry(const std::string& method) const {
   security::AuditEntry entry;
-  entry.who = holder_ ? holder_->name : "";
+  entry.who = caller();
   entry.role = to_string(role());
   entry.certificate = peer_->certificate();
   entry.address = peer_->address();
@@ -29,31 +48,48 @@ security::AuditEntry Session::entry(const std::string& method) const {
   return entry;
 }
 
+/// Writes a refusal into the logs, each within its limit: a flood of refused calls fills no disk.
+void Session::tell_refusal(const std::string& method, const std::string& kind, const std::string& text) {
+  options_.refusals->refused(kind + " " + method, fmt::format("{}: {} of {} is refused: {}", options_.service, method,
+                                                              peer_->address(), text));
+  if (!options_.audit) return;
+  auto line = entry(method);
+  line.outcome = text;
+  options_.audit->write_refused(std::move(line));
+}
+
 std::string Session::authenticate(const std::string& token) {
   if (!options_.tokens) return "";
   holder_ = options_.tokens->holder(token, peer_->certificate());
   if (holder_) {
-    peer_->trust();
+    peer_->set_identity(holder_->name);
+    peer_->set_validity([tokens = options_.tokens, holder = *holder_] { return tokens->role_of(holder).has_value(); });
+    if (role() == security::Role::admin || role() == security::Role::master) {  // masters pass on plugins
+      peer_->trust();
+    } else {
+      peer_->trust(options_.most_bytes);
+    }
     security::access_logger.info("{}: {} is {} ({})", options_.service, peer_->address(), holder_->name,
                                  to_string(role()));
     return "";
   }
   count_refusal(options_.service, "token");
-  security::access_logger.warn("{}: {} shows a token that is nobody's", options_.service, peer_->address());
-  if (options_.audit) {
-    auto line = entry("authenticate");
-    line.outcome = "a token that is nobody's";
-    line.refused = true;
-    options_.audit->write(line);
-  }
+  tell_refusal("authenticate", "token", "a token that is nobody's");
   if (++wrong_tokens_ >= options_.wrong_tokens) peer_->hang_up();
   std::this_thread::sleep_for(options_.wrong_token_pause);
   return "that is nobody's token here, or it counts only with another certificate; `iotcloud token list` shows whose "
          "there are, and with which certificate each counts";
 }
 
-void Session::note(std::string what, std::string outcome) {
+void Session::begins(std::string what) {
   what_ = std::move(what);
+  if (!audited_ || !options_.audit) return;
+  auto line = entry(method_);
+  line.what = what_;
+  options_.audit->write_begun(std::move(line));
+}
+
+void Session::note(std::string outcome) {
   outcome_ = std::move(outcome);
 }
 
@@ -61,11 +97,13 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
   const auto rule = options_.rules.find(method);
   if (rule == options_.rules.end()) {
     count_refusal(options_.service, "method");
+    audited_ = false;
     return Refusal{fmt::format("this service has no method {} for anybody", method), 0, RefusalForm::failure, true};
   }
   const security::Role wanted = rule->second.role;
   const security::Role has = role();
-  if (has >= wanted || (has == security::Role::master && rule->second.for_master)) return std::nullopt;
+  if (has == security::Role::master && rule->second.for_master) return std::nullopt;
+  if (has >= wanted) return has == security::Role::viewer ? refuse_too_many(method, rule->second.form) : std::nullopt;
   Refusal refusal;
   refusal.form = rule->second.form;
   const bool stranger = has == security::Role::anyone;
@@ -77,33 +115,46 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
                              "IOTCLOUD_TOKEN";
   } else {
     refusal.code = options_.not_allowed;
-    refusal.text = fmt::format("{} is {}, and {} takes {}", holder_->name, to_string(has), method, to_string(wanted));
+    refusal.text = fmt::format("{} is {}, and {} takes {}", holder_ ? holder_->name : "this user of the machine",
+                               to_string(has), method, to_string(wanted));
+    if (!holder_) refusal.text += "; be root or the daemon's own user, or let the configuration name it (users)";
   }
-  count_refusal(options_.service, stranger ? "not_authenticated" : "role");
+  const char* const kind = stranger ? "not_authenticated" : "role";
+  count_refusal(options_.service, kind);
+  audited_ = false;  // giveOrder asks again, for the kind of order: the line of the refusal is the only one
   if (stranger && std::exchange(told_, true)) return refusal;
-  security::access_logger.warn("{}: {} of {} is refused: {}", options_.service, method, peer_->address(), refusal.text);
-  if (options_.audit) {
-    auto line = entry(method);
-    line.outcome = refusal.text;
-    line.refused = true;
-    options_.audit->write(line);
-  }
+  tell_refusal(method, kind, refusal.text);
   return refusal;
 }
 
-void Session::begin() {
+/// Waits for the turn of a viewer's call.
+std::optional<Session::Refusal> Session::refuse_too_many(const std::string& method, RefusalForm form) {
+  auto turn = options_.viewers->enter(caller());
+  if (!turn) {
+    count_refusal(options_.service, "rate");
+    options_.refusals->refused("rate", fmt::format("{}: {} of {} is refused: {} makes too many calls", options_.service,
+                                                   method, peer_->address(), caller()));
+    return Refusal{fmt::format("{} makes too many calls; try again later", caller()), options_.not_allowed, form};
+  }
+  peer_->hold(std::move(turn));
+  return std::nullopt;
+}
+
+void Session::begin(const std::string& method) {
+  const auto rule = options_.rules.find(method);
+  method_ = method;
+  audited_ = rule != options_.rules.end() && rule->second.role >= security::Role::operating && rule->second.audited;
   what_.clear();
   outcome_ = "answered";
 }
 
-void Session::end(const std::string& method) {
-  const auto rule = options_.rules.find(method);
-  if (rule == options_.rules.end() || rule->second.role < security::Role::operating || !rule->second.audited) return;
-  auto line = entry(method);
+void Session::end() {
+  if (!audited_) return;
+  auto line = entry(method_);
   line.what = what_;
   line.outcome = outcome_;
   security::access_logger.info("{}: {} ({}, {}) ordered {} {}: {}", options_.service,
-                               line.who.empty() ? "somebody" : line.who, line.role, line.address, method, line.what,
+                               line.who.empty() ? "somebody" : line.who, line.role, line.address, method_, line.what,
                                line.outcome);
   if (options_.audit) options_.audit->write(line);
 }

@@ -6,7 +6,10 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
+#include <iotcloud/rpc/call_limits.h>
+#include <iotcloud/rpc/refusal_log.h>
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/tokens.h>
@@ -37,8 +40,17 @@ using MethodRules = std::map<std::string, MethodRule, std::less<>>;
 struct AccessOptions {
   std::string service;  ///< the same as ThriftServerOptions::name
   MethodRules rules;
-  std::shared_ptr<security::TokenKeeper> tokens;  ///< null: clients need no token, everybody may do everything
-  std::shared_ptr<security::AuditLog> audit;      ///< null: orders are in the ordinary log only
+  /// null: clients need no token. Then root, the daemon's own user and `users` may do everything, and others read.
+  std::shared_ptr<security::TokenKeeper> tokens;
+  std::vector<std::string> users;             ///< without tokens: more accounts of this machine that may do everything
+  bool open = false;                          ///< without tokens: everybody may do everything
+  std::shared_ptr<security::AuditLog> audit;  ///< null: orders are in the ordinary log only
+  /// The ordinary log of refused calls.
+  std::shared_ptr<RefusalLog> refusals = std::make_shared<RefusalLog>(config::Logger{"access"});
+  /// How many calls each viewer may make.
+  std::shared_ptr<CallLimits> viewers = std::make_shared<CallLimits>();
+  /// The largest message of a viewer and an operator, who send no plugins.
+  int most_bytes = 1 << 20;
   /// RefusalForm::order: the codes for a client without a token, and for one whose role does not allow the call.
   int not_authenticated = 0;
   int not_allowed = 0;
@@ -59,8 +71,12 @@ class Session {
   /// The caller's current role.
   security::Role role() const;
 
-  /// Notes for the audit log what the current call is about, and its outcome.
-  void note(std::string what, std::string outcome);
+  /// Writes into the audit log that the current call's order is about to be carried out. Every audited method calls it
+  /// before its effect. \param what what the order is about, in words
+  /// \throws config::Error if the order must not be carried out, because that cannot be written
+  void begins(std::string what);
+  /// Notes for the audit log the outcome of the current call.
+  void note(std::string outcome);
 
   /// Why a call is refused, and the code that says so in RefusalForm::order.
   struct Refusal {
@@ -75,15 +91,21 @@ class Session {
 
  private:
   friend class GuardedProcessor;
-  void begin();
-  void end(const std::string& method);
+  void begin(const std::string& method);
+  void end();
+  std::string caller() const;
   security::AuditEntry entry(const std::string& method) const;
+  std::optional<Refusal> refuse_too_many(const std::string& method, RefusalForm form);
+  void tell_refusal(const std::string& method, const std::string& kind, const std::string& text);
 
   const AccessOptions& options_;
   const std::shared_ptr<ThriftPeer> peer_;
+  const security::Role local_role_;  ///< without tokens
   std::optional<security::TokenEntry> holder_;
   int wrong_tokens_ = 0;
-  bool told_ = false;  ///< the first call without a token was logged
+  bool told_ = false;     ///< the first call without a token was logged
+  std::string method_;    ///< of the current call
+  bool audited_ = false;  ///< the current call is an order that is written down
   std::string what_;
   std::string outcome_;
 };

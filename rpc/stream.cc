@@ -16,6 +16,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <iotcloud/rpc/peer_user.h>
 #include <iotcloud/rpc/stream.h>
 #include <iotcloud/security/tls.h>
 
@@ -261,6 +262,14 @@ void Stream::cut() {
 
 void Stream::cut_reading() {
   shutdown(descriptor_, SHUT_RD);
+}
+
+std::shared_ptr<x509_st> Stream::peer_x509() const {
+  return {tls_ ? SSL_get1_peer_certificate(tls_->ssl) : nullptr, X509_free};
+}
+
+std::optional<uid_t> Stream::peer_user() const {
+  return rpc::peer_user(descriptor_);
 }
 
 std::string Stream::peer_address() const {

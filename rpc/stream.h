@@ -3,8 +3,13 @@
 #include <chrono>
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
+
+#include <sys/types.h>
+
+struct x509_st;  // OpenSSL's X509
 
 namespace iotcloud::security {
 class TlsContext;
@@ -58,6 +63,10 @@ class Stream {
   /// Ends all reading; an answer can still be written. Any thread.
   void cut_reading();
 
+  /// The other side's certificate; null if it showed none.
+  std::shared_ptr<x509_st> peer_x509() const;
+  /// As peer_user.h says.
+  std::optional<uid_t> peer_user() const;
   std::string peer_address() const;  ///< "192.0.2.7:40112"
   /// The subject of the other side's certificate, "CN=operator"; empty if it showed none.
   std::string peer_certificate() const;

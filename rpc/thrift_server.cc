@@ -1,9 +1,13 @@
+#include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <list>
+#include <map>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 #include <netdb.h>
@@ -11,6 +15,7 @@
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
@@ -116,10 +121,57 @@ struct ThriftServer::Impl {
   }
 
   void reload() {
-    if (options.tls.empty()) return;
-    auto read = std::make_shared<const security::TlsContext>(options.tls, security::TlsContext::Side::server);
-    const config::MutexLock lock(mutex);
-    tls = std::move(read);
+    if (!options.tls.empty()) {
+      const auto read_of = stamps();
+      auto read = std::make_shared<const security::TlsContext>(options.tls, security::TlsContext::Side::server);
+      const config::MutexLock lock(mutex);
+      tls = std::move(read);
+      known = read_of;
+    }
+    look_now = true;
+    eventfd_write(wake.get(), 1);
+  }
+
+  /// What changes when somebody replaces one of the TLS files.
+  std::vector<std::int64_t> stamps() const {
+    std::vector<std::int64_t> all;
+    for (const auto& file : {options.tls.ca, options.tls.certificate, options.tls.key, options.tls.revoked}) {
+      struct stat status {};
+      if (file.empty() || stat(file.c_str(), &status) != 0) continue;
+      all.insert(all.end(), {static_cast<std::int64_t>(status.st_ino), status.st_size, status.st_mtim.tv_sec,
+                             status.st_mtim.tv_nsec});
+    }
+    return all;
+  }
+
+  /// Reads TLS files that were replaced, and cuts those who may not keep their connections. Used by the thread that
+  /// accepts.
+  void look() {
+    if (!options.tls.empty()) {
+      const auto now = stamps();
+      bool changed = false;
+      {
+        const config::MutexLock lock(mutex);
+        changed = now != known;
+        known = now;
+      }
+      try {
+        if (changed) reload();
+      } catch (const config::Error& e) {
+        thrift_logger.error("{}: it goes on with the certificate that it had: {}", options.name, e.what());
+      }
+      days_left.set(static_cast<std::int64_t>(std::floor(current_tls()->days_left())));
+    }
+    const auto present = current_tls();
+    for (auto& client : clients) {
+      if (client.evicted) continue;
+      const std::string why = client.connection.distrust(present.get());
+      if (why.empty()) continue;
+      client.evicted = true;
+      client.connection.cut();
+      count_refusal(options.name, "revoked");
+      log.refused("revoked", fmt::format("{}: {} is cut off: {}", options.name, client.connection.address(), why));
+    }
   }
 
   std::shared_ptr<const security::TlsContext> current_tls() {
@@ -130,12 +182,16 @@ struct ThriftServer::Impl {
   void accept_all(const std::stop_token& stop) {
     std::array<pollfd, 2> waiting{pollfd{wake.get(), POLLIN, 0}, pollfd{listener.get(), POLLIN, 0}};
     while (true) {
-      poll(waiting.data(), waiting.size(), -1);
+      poll(waiting.data(), waiting.size(), static_cast<int>(options.look_period.count()));
       eventfd_t ended = 0;
       eventfd_read(wake.get(), &ended);
       // checked after the read, which may have consumed the wake-up that came with the stop
       if (stop.stop_requested()) return;
       clients.remove_if([](const Client& client) { return client.done.load(); });
+      if (look_now.exchange(false) || Stream::Clock::now() >= next_look) {
+        look();
+        next_look = Stream::Clock::now() + options.look_period;
+      }
       const int descriptor = accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK);
       if (descriptor >= 0) {
         take(descriptor);
@@ -171,8 +227,52 @@ struct ThriftServer::Impl {
     }
   }
 
-  /// Cuts the oldest stranger if there are too many connections. \return whether there is room
+  using Standings = std::map<std::string, std::vector<std::pair<Client*, ThriftConnection::Standing>>>;
+
+  /// The connections of those who are known, by identity.
+  Standings standings() {
+    Standings all;
+    for (auto& client : clients) {
+      if (client.evicted || client.connection.is_stranger()) continue;
+      auto standing = client.connection.standing();
+      auto& of_one = all[standing.identity];
+      of_one.emplace_back(&client, std::move(standing));
+    }
+    return all;
+  }
+
+  /// Cuts the connection that has been idle the longest. \return false if a call is under way on each
+  static bool cut_idlest(Standings::mapped_type& of_one) {
+    Standings::mapped_type::value_type* idlest = nullptr;
+    for (auto& one : of_one) {
+      if (one.first->evicted || one.second.answering) continue;
+      if (idlest == nullptr || one.second.since < idlest->second.since) idlest = &one;
+    }
+    if (idlest == nullptr) return false;
+    idlest->first->evicted = true;
+    idlest->first->connection.cut();
+    return true;
+  }
+
+  /// Cuts connections of those who have more than one may have.
+  void limit_each() {
+    const auto most = static_cast<std::size_t>(options.max_connections_of_one);
+    if (clients.size() <= most) return;
+    for (auto& [identity, of_one] : standings()) {
+      if (!of_one.front().second.named) continue;
+      for (auto count = of_one.size(); count > most && cut_idlest(of_one); --count) {
+        count_refusal(options.name, "connections_of_one");
+        log.refused("of_one", fmt::format("{}: {} has more than {} connections; the one that was idle the longest is "
+                                          "closed",
+                                          options.name, identity, most));
+      }
+    }
+  }
+
+  /// Cuts the oldest stranger if there are too many connections, or the idlest connection of the identity that has the
+  /// most. \return whether there is room
   bool make_room() {
+    limit_each();
     const auto most = static_cast<std::size_t>(options.max_connections);
     if (clients.size() < most) return true;
     if (clients.size() >= 2 * most) return false;  // cut connections have not ended yet
@@ -183,7 +283,14 @@ struct ThriftServer::Impl {
       count_refusal(options.name, "connections");
       return true;
     }
-    return false;
+    auto all = standings();
+    std::vector<Standings::mapped_type*> by_size;
+    for (auto& [identity, of_one] : all) by_size.push_back(&of_one);
+    std::stable_sort(by_size.begin(), by_size.end(),
+                     [](const auto* one, const auto* other) { return one->size() > other->size(); });
+    const bool cut = std::any_of(by_size.begin(), by_size.end(), [](auto* of_one) { return cut_idlest(*of_one); });
+    if (cut) count_refusal(options.name, "connections");
+    return cut;
   }
 
   const ThriftServerOptions options;
@@ -191,7 +298,13 @@ struct ThriftServer::Impl {
   RefusalLog log{thrift_logger};
   const Descriptor listener;
   const Descriptor wake;  ///< wakes the thread that accepts
+  std::atomic<bool> look_now{false};
+  Stream::Clock::time_point next_look = Stream::Clock::now();  ///< used by the thread that accepts
+  config::Gauge& days_left = config::process_metrics().gauge("iotcloud_certificate_days_left",
+                                                             "Days until the certificate of a Thrift service expires",
+                                                             {{"service", options.name}});
   config::Mutex mutex;
+  std::vector<std::int64_t> known IOTCLOUD_GUARDED_BY(mutex);  ///< stamps() of the files that were read
   /// For new connections; null: no TLS.
   std::shared_ptr<const security::TlsContext> tls IOTCLOUD_GUARDED_BY(mutex);
   /// In order of arrival; used by the thread that accepts, and after its end by the destructor.

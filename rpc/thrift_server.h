@@ -3,8 +3,13 @@
 #include <atomic>
 #include <chrono>
 #include <functional>
+#include <limits>
 #include <memory>
+#include <optional>
 #include <string>
+#include <utility>
+
+#include <sys/types.h>
 
 #include <iotcloud/security/tls.h>
 
@@ -18,26 +23,54 @@ namespace iotcloud::rpc {
 class ThriftPeer {
  public:
   ThriftPeer(std::string address, std::string certificate)
-      : address_(std::move(address)), certificate_(std::move(certificate)) {}
+      : address_(std::move(address)), certificate_(std::move(certificate)), identity_(host_of(address_)) {}
 
   const std::string& address() const { return address_; }          ///< "192.0.2.7:40112"
   const std::string& certificate() const { return certificate_; }  ///< "CN=operator"; empty without TLS
 
   /// From now on only trust() makes the peer trusted. Without this call, its first answered call makes it trusted.
   void ask_who_it_is() { asked_ = true; }
-  /// From now on the peer may send large messages, and be silent for any time.
-  void trust() { trusted_ = true; }
+  /// From now on the peer may send messages of this size, and be silent for as long as ThriftServerOptions::idle_limit.
+  void trust(int most_bytes = std::numeric_limits<int>::max()) {
+    most_bytes_ = most_bytes;
+    trusted_ = true;
+  }
+  /// Who it is: connections of one identity share their limits. Before: the host of its address.
+  void set_identity(std::string identity) {
+    identity_ = std::move(identity);
+    named_ = true;
+  }
+  /// Asked now and then, on any thread, whether the peer may keep its connection.
+  void set_validity(std::function<bool()> is_valid) { is_valid_ = std::move(is_valid); }
+  std::function<bool()> take_validity() { return std::exchange(is_valid_, {}); }
+  /// Keeps an object until the answer of the current call was sent.
+  void hold(std::shared_ptr<void> object) { held_ = std::move(object); }
+  void release() { held_.reset(); }
   /// The connection is closed after the answer of the current call.
   void hang_up() { hung_up_ = true; }
 
   bool asked() const { return asked_; }
   bool trusted() const { return trusted_; }  ///< any thread
   bool hung_up() const { return hung_up_; }
+  int most_bytes() const { return most_bytes_; }  ///< in a message, once it is trusted
+  const std::string& identity() const { return identity_; }
+  /// The user of this machine whose process it is; nullopt: it is elsewhere, or not known (peer_user.h).
+  std::optional<uid_t> user() const { return user_; }
+  void set_user(std::optional<uid_t> user) { user_ = user; }
+  bool named() const { return named_; }  ///< set_identity() was called
 
  private:
+  static std::string host_of(const std::string& address) { return address.substr(0, address.rfind(':')); }
+
   const std::string address_;
   const std::string certificate_;
+  std::string identity_;
+  std::optional<uid_t> user_;
+  std::shared_ptr<void> held_;
+  std::function<bool()> is_valid_;
   std::atomic<bool> trusted_{false};
+  int most_bytes_ = std::numeric_limits<int>::max();
+  bool named_ = false;
   bool asked_ = false;
   bool hung_up_ = false;
 };
@@ -51,15 +84,23 @@ struct ThriftServerOptions {
   std::string host = "127.0.0.1";
   int port = 0;            ///< 0: any free port, see ThriftServer::port()
   security::TlsFiles tls;  ///< if not empty, clients must show a certificate of its authority
-  /// Each connection has a thread. At the limit the oldest stranger loses its connection; without strangers the new
-  /// connection is refused.
+  /// Each connection has a thread. At the limit the oldest stranger loses its connection; without strangers the one
+  /// that has been idle the longest, of the identity that has the most. A connection whose call is under way loses
+  /// nothing: when all are at that, the new one is refused.
   int max_connections = 256;
+  /// Of one identity that named itself (a token's); of more, the one that has been idle the longest is closed.
+  int max_connections_of_one = 64;
   int max_message_bytes = 16 * 1024 * 1024;
   int max_items = 100'000;  ///< most items in one list or map
   /// Limit for clients that are not trusted yet.
   int max_stranger_bytes = 64 * 1024;
   /// Longest time from connecting until the client is trusted.
   std::chrono::milliseconds stranger_limit{10'000};
+  /// Longest time for which a trusted client sends nothing.
+  std::chrono::milliseconds idle_limit{3'600'000};
+  /// How often it looks whether the TLS files have changed, and whether certificates and tokens of open connections are
+  /// still good.
+  std::chrono::milliseconds look_period{5'000};
   /// Longest time from the first byte of a message to the last, in each direction.
   std::chrono::milliseconds message_limit{30'000};
 };
@@ -79,8 +120,9 @@ class ThriftServer {
   ThriftServer& operator=(const ThriftServer&) = delete;
 
   int port() const;
-  /// Reads the TLS files again, for later connections. \throws Error that names the unusable file; then nothing
-  /// changes. Any thread.
+  /// Reads the TLS files again, for later connections, and closes open ones whose certificate was revoked or whose
+  /// token was taken away. The server does both by itself within `look_period`. \throws Error that names the unusable
+  /// file; then nothing changes. Any thread.
   void reload();
 
  private:

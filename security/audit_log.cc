@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
@@ -7,22 +8,30 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
+#include <sys/file.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
-#include <iotcloud/config/clock.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/logger.h>
+#include <iotcloud/security/sha256.h>
 
 namespace iotcloud::security {
 
 namespace {
 
-int open_file(const std::string& file) {
-  const int descriptor = open(file.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0600);
-  if (descriptor < 0)
-    throw config::Error(fmt::format("the audit log {} cannot be opened: {}", file, std::strerror(errno)));
-  return descriptor;
+using Json = nlohmann::ordered_json;
+
+/// Refusals of one identity: so many may be written at once, and one more in each such time.
+constexpr double refusals_at_once = 20;
+constexpr std::chrono::seconds refusal_period{3};
+/// More identities than this share one allowance.
+constexpr std::size_t most_identities = 256;
+constexpr std::size_t chunk = std::size_t{64} * 1024;
+
+config::Error error_about(const std::string& file, const std::string& why) {
+  return config::Error(fmt::format("the audit log {} cannot be opened: {}", file, why));
 }
 
 std::string iso_time(std::int64_t wall_ms) {
@@ -34,34 +43,207 @@ std::string iso_time(std::int64_t wall_ms) {
   return fmt::format("{}.{:03}Z", text.data(), wall_ms % 1000);
 }
 
+const char* name_of(AuditEvent event) {
+  switch (event) {
+    case AuditEvent::begun:
+      return "begun";
+    case AuditEvent::ended:
+      return "ended";
+    case AuditEvent::refused:
+      return "refused";
+  }
+  return "";
+}
+
 bool sync_data(int descriptor) {
   return fdatasync(descriptor) == 0 || errno == EINVAL;  // a pipe cannot be synced
 }
 
-}  // namespace
-
-AuditLog::AuditLog(std::string file, Sync sync)
-    : file_(std::move(file)), sync_(sync ? std::move(sync) : sync_data), descriptor_(open_file(file_)) {}
-
-AuditLog::~AuditLog() {
-  close(descriptor_);
+/// Reads bytes of a file. \throws Error
+std::string read_at(int descriptor, off_t from, std::size_t size) {
+  std::string bytes(size, '\0');
+  std::size_t have = 0;
+  while (have < size) {
+    const auto got = pread(descriptor, bytes.data() + have, size - have, from + static_cast<off_t>(have));
+    if (got <= 0) throw config::Error(fmt::format("the audit log cannot be read: {}", std::strerror(errno)));
+    have += static_cast<std::size_t>(got);
+  }
+  return bytes;
 }
 
-void AuditLog::write(const AuditEntry& entry) {
-  const nlohmann::ordered_json json{{"time", iso_time(config::system_clock().wall_ms())},
-                                    {"who", entry.who},
-                                    {"role", entry.role},
-                                    {"certificate", entry.certificate},
-                                    {"address", entry.address},
-                                    {"order", entry.order},
-                                    {"what", entry.what},
-                                    {"outcome", entry.outcome},
-                                    {"refused", entry.refused}};
-  // Text from clients may contain bytes that are not UTF-8.
-  std::string line = json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+off_t size_of(int descriptor) {
+  struct stat status {};
+  return fstat(descriptor, &status) == 0 && S_ISREG(status.st_mode) ? status.st_size : 0;
+}
+
+/// The bytes between the last end of line before `end` and `end`.
+std::string tail_before(int descriptor, off_t end) {
+  std::string tail;
+  while (end > 0) {
+    const auto size = std::min<off_t>(end, chunk);
+    const std::string part = read_at(descriptor, end - size, static_cast<std::size_t>(size));
+    const auto line_end = part.rfind('\n');
+    if (line_end != std::string::npos) return part.substr(line_end + 1) + tail;
+    tail.insert(0, part);
+    end -= size;
+  }
+  return tail;
+}
+
+std::string hash_of_all(int descriptor, off_t size) {
+  Sha256 hash;
+  for (off_t at = 0; at < size; at += chunk)
+    hash.add(read_at(descriptor, at, static_cast<std::size_t>(std::min<off_t>(chunk, size - at))));
+  return hash.hex();
+}
+
+bool is_same_file(int one, int other) {
+  struct stat a {};
+  struct stat b {};
+  return fstat(one, &a) == 0 && fstat(other, &b) == 0 && a.st_dev == b.st_dev && a.st_ino == b.st_ino;
+}
+
+}  // namespace
+
+AuditSettings read_audit(config::Section& top) {
+  AuditSettings settings;
+  auto audit = top.optional_section("audit");
+  if (!audit) return settings;
+  settings.file = audit->require_string("file");
+  if (audit->choice_or("when_full", "go_on", {"go_on", "refuse"}) == "refuse")
+    settings.when_full = AuditSettings::WhenFull::refuse;
+  audit->finish();
+  return settings;
+}
+
+AuditLog::AuditLog(AuditSettings settings, Sync sync, const config::Clock& clock)
+    : settings_(std::move(settings)),
+      sync_(sync ? std::move(sync) : sync_data),
+      clock_(clock),
+      files_(open_files(settings_.file)) {
   const config::MutexLock lock(mutex_);
-  lines_.push_back(std::move(line));
+  if (flock(files_.log, LOCK_EX | LOCK_NB) != 0) {
+    close_files(files_);
+    throw error_about(settings_.file, "another process writes it; give each daemon a file of its own");
+  }
+  try {
+    head_ = end_of_chain(files_);
+  } catch (...) {
+    close_files(files_);
+    throw;
+  }
+  access_logger.info("the audit log {} goes on after line {}", settings_.file, to_string(head_));
+}
+
+AuditLog::~AuditLog() {
+  std::map<std::string, Allowance> refusals;
+  {
+    const config::MutexLock lock(mutex_);
+    refusals.swap(refusals_);
+  }
+  for (auto& [identity, allowance] : refusals) {
+    if (allowance.unwritten > 0) write_line(allowance.last, allowance.unwritten - 1);
+  }
+  const config::MutexLock lock(mutex_);
+  close_files(files_);
+}
+
+AuditLog::Files AuditLog::open_files(const std::string& file) {
+  Files files;
+  files.log = open(file.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY, 0600);
+  if (files.log < 0) throw error_about(file, std::strerror(errno));
+  files.head = open(audit_head_file(file).c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOCTTY, 0600);
+  if (files.head >= 0) return files;
+  const int why = errno;
+  close(files.log);
+  throw error_about(audit_head_file(file), std::strerror(why));
+}
+
+void AuditLog::close_files(const Files& files) {
+  close(files.log);
+  close(files.head);
+}
+
+/// The line after which this process goes on. If the file does not end as FILE.head says, the chain goes on from there,
+/// so that a verification finds what is missing.
+AuditHead AuditLog::end_of_chain(const Files& files) const {
+  off_t end = size_of(files.log);
+  if (const std::string torn = tail_before(files.log, end); !torn.empty()) {
+    end -= static_cast<off_t>(torn.size());
+    access_logger.warn("the audit log {}: its last line was not written to its end, and is cut off: {}", settings_.file,
+                       torn);
+    if (ftruncate(files.log, end) != 0) throw error_about(settings_.file, std::strerror(errno));
+  }
+  const auto kept = read_audit_head(settings_.file);
+  const std::string last = end > 0 ? tail_before(files.log, end - 1) : "";
+  if (const auto link = parse_audit_link(last)) {
+    const AuditHead found{link->number, sha256_hex(last)};
+    if (!kept || *kept == found || kept->number < found.number) return found;
+  } else if (!kept) {
+    return {0, hash_of_all(files.log, end)};
+  }
+  // An empty file: the one before was moved away.
+  if (end > 0) {
+    access_logger.error("the audit log {} does not end with line {}, with which it ended: somebody changed it",
+                        settings_.file, kept->number);
+  }
+  return *kept;
+}
+
+bool AuditLog::write(const AuditEntry& entry) {
+  return write_line(entry, 0);
+}
+
+void AuditLog::write_begun(AuditEntry entry) {
+  entry.event = AuditEvent::begun;
+  if (write(entry) || settings_.when_full == AuditSettings::WhenFull::go_on) return;
+  throw config::Error(
+      "the order is not carried out, because the audit log cannot be written: make room on its disk (audit: "
+      "{when_full: refuse})");
+}
+
+bool AuditLog::write_refused(AuditEntry entry) {
+  entry.event = AuditEvent::refused;
+  std::string identity = !entry.who.empty() ? entry.who : "@" + entry.address.substr(0, entry.address.rfind(':'));
+  std::uint64_t unwritten = 0;
+  {
+    const auto now = clock_.now();
+    const config::MutexLock lock(mutex_);
+    if (refusals_.size() >= most_identities && !refusals_.contains(identity)) identity.clear();
+    const auto [at, fresh] = refusals_.try_emplace(identity, Allowance{refusals_at_once, now, 0, {}});
+    auto& allowance = at->second;
+    const std::chrono::duration<double> passed = now - allowance.since;
+    allowance.left = std::min(refusals_at_once, allowance.left + passed / refusal_period);
+    allowance.since = now;
+    if (allowance.left < 1) {
+      ++allowance.unwritten;
+      allowance.last = std::move(entry);
+      return false;
+    }
+    allowance.left -= 1;
+    unwritten = std::exchange(allowance.unwritten, 0);
+  }
+  write_line(entry, unwritten);
+  return true;
+}
+
+bool AuditLog::write_line(const AuditEntry& entry, std::uint64_t unwritten) {
+  Json json{{"time", iso_time(clock_.wall_ms())},
+            {"event", name_of(entry.event)},
+            {"who", entry.who},
+            {"role", entry.role},
+            {"certificate", entry.certificate},
+            {"address", entry.address},
+            {"order", entry.order},
+            {"what", entry.what},
+            {"outcome", entry.outcome},
+            {"refused", entry.event == AuditEvent::refused}};
+  if (unwritten > 0) json["unwritten"] = unwritten;
+  // Text from clients may contain bytes that are not UTF-8.
+  std::string text = json.dump(-1, ' ', false, Json::error_handler_t::replace);
+  const config::MutexLock lock(mutex_);
   const std::uint64_t own = ++taken_;
+  lines_.push_back({std::move(text), own});
   while (done_ < own) {
     if (writing_) {
       written_.wait(mutex_);
@@ -69,48 +251,82 @@ void AuditLog::write(const AuditEntry& entry) {
       write_waiting();
     }
   }
+  return failed_.erase(own) == 0;
 }
 
 /// Writes the lines of all waiting threads, then wakes them.
 void AuditLog::write_waiting() {
-  const std::vector<std::string> lines = std::exchange(lines_, {});
+  const std::vector<Line> lines = std::exchange(lines_, {});
   const std::uint64_t last = taken_;
-  const int descriptor = descriptor_;
+  const Files files = files_;
   writing_ = true;
+  std::set<std::uint64_t> failed;
   {
     const config::Unlocked unlocked(mutex_);
-    append(descriptor, lines);
+    failed = append(files, lines);
   }
   writing_ = false;
+  failed_.merge(failed);
   done_ = last;
   written_.notify_all();
 }
 
-void AuditLog::append(int descriptor, const std::vector<std::string>& lines) const noexcept {
-  const auto complain = [this](const std::string& line) {
-    access_logger.error("the audit log {} cannot be written ({}): {}", file_, std::strerror(errno), line);
+/// \return the lines that are not on the disk
+std::set<std::uint64_t> AuditLog::append(const Files& files, const std::vector<Line>& lines) noexcept {
+  std::set<std::uint64_t> failed;
+  const auto fail = [&](const Line& line, int why) {
+    access_logger.error("the audit log {} cannot be written ({}): {}", settings_.file, std::strerror(why), line.text);
+    failed.insert(line.ticket);
   };
-  for (const std::string& line : lines) {
-    // One call, so that lines of several processes never mix.
-    if (::write(descriptor, line.data(), line.size()) != static_cast<ssize_t>(line.size())) complain(line);
+  for (const Line& line : lines) {
+    if (!append_line(files, line.text)) fail(line, errno);
   }
-  if (sync_(descriptor)) return;
-  const int why = errno;
-  for (const std::string& line : lines) {
+  if (!sync_(files.log)) {
+    const int why = errno;
+    for (const Line& line : lines) {
+      if (!failed.contains(line.ticket)) fail(line, why);
+    }
+  }
+  // After the lines: a head that is older than the file does no harm.
+  const std::string head = fmt::format("{:<96}\n", to_string(head_));
+  if (pwrite(files.head, head.data(), head.size(), 0) != static_cast<ssize_t>(head.size())) {
+    access_logger.error("{} cannot be written: {}", audit_head_file(settings_.file), std::strerror(errno));
+  }
+  return failed;
+}
+
+/// Gives the line its place in the chain, and writes it whole or not at all.
+bool AuditLog::append_line(const Files& files, const std::string& text) {
+  const std::string line =
+      fmt::format(R"({{"number":{},"previous":"{}",{})", head_.number + 1, head_.hash, text.substr(1));
+  const off_t before = size_of(files.log);
+  const std::string bytes = line + "\n";
+  if (::write(files.log, bytes.data(), bytes.size()) != static_cast<ssize_t>(bytes.size())) {
+    const int why = errno;
+    if (size_of(files.log) > before && ftruncate(files.log, before) != 0)
+      access_logger.error("the audit log {} has a line that is not whole: {}", settings_.file, std::strerror(errno));
     errno = why;
-    complain(line);
+    return false;
   }
+  head_ = {head_.number + 1, sha256_hex(line)};
+  return true;
 }
 
 void AuditLog::reopen() {
-  const int fresh = open_file(file_);
-  int old = -1;
+  const Files fresh = open_files(settings_.file);
+  Files old = fresh;
   {
     const config::MutexLock lock(mutex_);
     while (writing_) written_.wait(mutex_);
-    old = std::exchange(descriptor_, fresh);
+    if (!is_same_file(fresh.log, files_.log)) {
+      if (flock(fresh.log, LOCK_EX | LOCK_NB) != 0) {
+        close_files(fresh);
+        throw error_about(settings_.file, "another process writes it; give each daemon a file of its own");
+      }
+      old = std::exchange(files_, fresh);
+    }
   }
-  close(old);
+  close_files(old);
 }
 
 std::size_t AuditLog::waiting() const {

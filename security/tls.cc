@@ -99,6 +99,7 @@ TlsFiles read_tls(config::Section& section) {
   files.ca = tls->require_string("ca");
   files.certificate = tls->require_string("certificate");
   files.key = tls->require_string("key");
+  files.revoked = tls->string_or("revoked", "");
   tls->finish();
   try {
     const TlsContext tried(files, TlsContext::Side::server);
@@ -138,7 +139,32 @@ TlsContext::TlsContext(const TlsFiles& files, Side side)
        files.certificate);
   must(SSL_CTX_use_PrivateKey_file(context_, files.key.c_str(), SSL_FILETYPE_PEM) == 1, "the private key", files.key);
   must(SSL_CTX_check_private_key(context_) == 1, "the private key", files.key);
+  if (!files.revoked.empty()) load_revocations(files.revoked);
   SSL_CTX_up_ref(context_);  // a reference for the destructor to release
+}
+
+void TlsContext::load_revocations(const std::string& file) {
+  const std::unique_ptr<BIO, decltype(&BIO_free_all)> in(BIO_new_file(file.c_str(), "r"), BIO_free_all);
+  revocations_.reset(in ? PEM_read_bio_X509_CRL(in.get(), nullptr, nullptr, nullptr) : nullptr, X509_CRL_free);
+  X509_STORE* const store = SSL_CTX_get_cert_store(context_);
+  if (!revocations_ || X509_STORE_add_crl(store, revocations_.get()) != 1 ||
+      X509_STORE_set_flags(store, X509_V_FLAG_CRL_CHECK) != 1)
+    throw config::Error(fmt::format("the list of revoked certificates {} cannot be used: {}", file, tls_error()));
+}
+
+std::string TlsContext::distrust(const x509_st& certificate) const {
+  if (X509_cmp_current_time(X509_get0_notAfter(&certificate)) < 0) return "expired";
+  X509_REVOKED* found = nullptr;
+  auto* const asked = const_cast<X509*>(&certificate);  // OpenSSL 3.0 does not say that it only reads
+  return revocations_ && X509_CRL_get0_by_cert(revocations_.get(), &found, asked) == 1 ? "revoked" : "";
+}
+
+double TlsContext::days_left() const {
+  int days = 0;
+  int seconds = 0;
+  if (ASN1_TIME_diff(&days, &seconds, nullptr, X509_get0_notAfter(SSL_CTX_get0_certificate(context_))) != 1) return 0;
+  constexpr double day_s = 24 * 60 * 60;
+  return days + seconds / day_s;
 }
 
 TlsContext::~TlsContext() {

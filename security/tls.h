@@ -1,11 +1,14 @@
 #pragma once
 
+#include <memory>
 #include <string>
 
 #include <iotcloud/config/yaml.h>
 
-struct ssl_ctx_st;  // OpenSSL's SSL_CTX
-struct ssl_st;      // OpenSSL's SSL
+struct ssl_ctx_st;   // OpenSSL's SSL_CTX
+struct ssl_st;       // OpenSSL's SSL
+struct x509_st;      // OpenSSL's X509
+struct X509_crl_st;  // OpenSSL's X509_CRL
 
 namespace iotcloud::security {
 
@@ -14,12 +17,14 @@ struct TlsFiles {
   std::string ca;           ///< the trusted authorities
   std::string certificate;  ///< the own certificate, followed by those between it and the authority
   std::string key;          ///< the certificate's private key, without a password
+  /// certificates of the authorities that are worth nothing any more (a list of revocations); empty: no such list
+  std::string revoked{};
   bool empty() const { return ca.empty() && certificate.empty() && key.empty(); }
   friend bool operator==(const TlsFiles&, const TlsFiles&) = default;
 };
 
-/// Reads `tls: {ca, certificate, key}`; all three are needed and checked. Without the section: no TLS.
-/// \throws ConfigError if one is missing or unusable, with file, line and remedy.
+/// Reads `tls: {ca, certificate, key, revoked}`; the first three are needed, and all are checked. Without the section:
+/// no TLS. \throws ConfigError if one is missing or unusable, with file, line and remedy.
 TlsFiles read_tls(config::Section& section);
 
 /// What all connections of one side share: TLS 1.2 or later; both sides show a certificate of the authority. Sessions
@@ -35,10 +40,17 @@ class TlsContext {
   TlsContext& operator=(const TlsContext&) = delete;
 
   ssl_ctx_st* get() const { return context_; }
+  /// Why a certificate that was trusted when its connection began is not any more: "revoked", "expired"; empty: it is.
+  std::string distrust(const x509_st& certificate) const;
+  /// Days until this side's own certificate expires.
+  double days_left() const;
   Side side() const { return side_; }
 
  private:
+  void load_revocations(const std::string& file);
+
   ssl_ctx_st* context_;
+  std::shared_ptr<X509_crl_st> revocations_;  ///< null: no list
   const Side side_;
 };
 

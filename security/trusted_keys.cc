@@ -10,6 +10,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/security/logger.h>
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/trusted_keys.h>
 
 namespace iotcloud::security {
@@ -99,9 +100,12 @@ TrustedKeys::Keys TrustedKeys::read(const std::vector<std::string>& paths) try {
 
 std::string TrustedKeys::signer(std::string_view content, std::string_view signature) const {
   if (signature.empty()) return "";
+  const auto parts = parse_plugin_signature(signature);
+  std::string with_head;
+  if (!parts.head.empty()) with_head.append(parts.head).append(content);
   const auto all = keys();
   for (const auto& [name, key] : *all) {
-    if (key.verifies(content, signature)) return name;
+    if (key.verifies(parts.head.empty() ? content : std::string_view(with_head), parts.bytes)) return name;
   }
   return "";
 }

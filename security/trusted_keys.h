@@ -33,7 +33,7 @@ class TrustedKeys {
   std::uint64_t generation() const;
 
   bool requires_signature() const { return options_.require_signature; }
-  /// The file name of the trusted key that made this signature of these bytes; empty: none did.
+  /// The file name of the trusted key that made this signature (plugin_signature.h) of these bytes; empty: none did.
   std::string signer(std::string_view content, std::string_view signature) const;
   /// As signer(). \param what names the plugin in messages. \throws config::Error if a signature is required, and it is
   /// missing or wrong.

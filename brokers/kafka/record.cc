@@ -93,18 +93,11 @@ std::optional<std::int64_t> to_number(std::string_view text) {
   return number;
 }
 
-struct ReadHeaders {
-  Message message;  ///< the metadata in the headers of a record with a bare body
-  std::optional<std::int64_t> time_ms;
-  bool bare_body = false;
-  RecordMarks marks;
-};
+}  // namespace
 
-/// \return nothing if there are more than max_received_properties
-std::optional<ReadHeaders> read_headers(const rd_kafka_message_t& record) {
-  ReadHeaders read;
-  rd_kafka_headers_t* headers = nullptr;
-  if (rd_kafka_message_headers(&record, &headers) != RD_KAFKA_RESP_ERR_NO_ERROR) return read;
+std::optional<RecordHeaders> read_headers(const rd_kafka_headers_t* headers) {
+  RecordHeaders read;
+  if (headers == nullptr) return read;
   const char* name_text = nullptr;
   const void* value_bytes = nullptr;
   std::size_t size = 0;
@@ -130,8 +123,6 @@ std::optional<ReadHeaders> read_headers(const rd_kafka_message_t& record) {
   }
   return read;
 }
-
-}  // namespace
 
 rd_kafka_resp_err_t produce(rd_kafka_t* client, rd_kafka_topic_t* topic, const Message& message,
                             const RecordMarks& marks, bool native, std::int64_t now_ms, const EnvelopeBytes& envelope,
@@ -169,7 +160,9 @@ rd_kafka_resp_err_t produce(rd_kafka_t* client, rd_kafka_topic_t* topic, const M
 }
 
 std::optional<ReadRecord> read_record(std::shared_ptr<const rd_kafka_message_t> record, bool native) {
-  std::optional<ReadHeaders> headers = read_headers(*record);
+  rd_kafka_headers_t* found = nullptr;
+  if (rd_kafka_message_headers(record.get(), &found) != RD_KAFKA_RESP_ERR_NO_ERROR) found = nullptr;
+  std::optional<RecordHeaders> headers = read_headers(found);
   if (!headers) return std::nullopt;
   std::span<const std::byte> body(static_cast<const std::byte*>(record->payload),
                                   record->payload != nullptr ? record->len : 0);

@@ -17,6 +17,18 @@ struct RecordMarks {
   std::int64_t expires_ms = 0;  ///< since 1970 UTC: the reader drops the record after this time. 0 = never
 };
 
+/// What a record's headers say.
+struct RecordHeaders {
+  Message message;  ///< the metadata of a record with a bare body; without the body
+  std::optional<std::int64_t> time_ms;
+  bool bare_body = false;  ///< the record's value is the body alone
+  RecordMarks marks;
+};
+
+/// Reads the headers of any sender. \param headers null: there are none
+/// \return nothing if there are more than max_received_properties
+std::optional<RecordHeaders> read_headers(const rd_kafka_headers_t* headers);
+
 /// Gives the message to the library: as a TSensorMessage, or (`native`) as the bare body with metadata in headers. The
 /// key is the driver's id, so that all messages of a driver go to one partition. Never blocks.
 /// \param envelope encode_envelope()'s result, unless `native`; it and the message must live until the report.

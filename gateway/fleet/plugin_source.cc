@@ -56,6 +56,7 @@ PluginSource::Found PluginSource::find(const HostOrder& order) {
   }
   const Examined examined = examine(found.path, signature, order);
   found.identity = examined.identity;
+  found.signature = examined.signature;
   found.isolated = examined.isolated;
   found.exactly = trust_->requires_signature() || !order.sha256.empty();
   return found;
@@ -82,6 +83,7 @@ PluginSource::Examined PluginSource::examine(const std::string& path, const std:
                     order.plugin, security::short_sha256(order.sha256), path, order.plugin));
   const std::string signature = signature_stamp == Stamp{} ? "" : processes::read_file(signature_path, 0);
   identity.signed_by = trust_->admit(order.plugin, content, signature);
+  if (!identity.signed_by.empty()) found.signature = security::parse_plugin_signature(signature);
   const config::MutexLock lock(mutex_);
   examined_[path] = {basis, found};
   return found;

@@ -10,6 +10,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 #include <iotcloud/processes/plugin_store.h>
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/trusted_keys.h>
 
 namespace iotcloud::gateway {
@@ -27,6 +28,7 @@ class PluginSource {
   struct Found {
     std::string path;
     PluginIdentity identity;
+    security::PluginSignature signature;  ///< only if identity.signed_by is not empty
     /// The host must load the bytes with the checked SHA-256, and refuse the file if it has changed since.
     bool exactly = false;
     bool isolated = false;  ///< the plugin requires a separate host for each instance (IOTCLOUD_DRIVER_ISOLATED)
@@ -42,6 +44,7 @@ class PluginSource {
   static Stamp stamp_of(const std::string& path);
   struct Examined {
     PluginIdentity identity;
+    security::PluginSignature signature;
     bool isolated = false;
   };
   Examined examine(const std::string& path, const std::string& signature_path, const HostOrder& order);

@@ -1,3 +1,4 @@
+#include <array>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
@@ -29,7 +30,55 @@ void add_confinement(std::vector<std::string>& arguments, const processes::Confi
   }
   if (confinement.no_new_privileges) arguments.emplace_back("--no-new-privileges");
   if (!confinement.debuggable) arguments.emplace_back("--no-debugging");
+  if (confinement.processes > 0) {
+    arguments.insert(arguments.end(), {"--processes", std::to_string(confinement.processes)});
+  }
   if (confinement.filter_calls) arguments.emplace_back("--filter-calls");
+}
+
+/// What every program reads: libraries, names of hosts and accounts, the system's certificates, itself in /proc. The
+/// folder of our own configuration is not among it.
+constexpr std::array readable_by_all = {"/usr",
+                                        "/bin",
+                                        "/sbin",
+                                        "/lib",
+                                        "/lib32",
+                                        "/lib64",
+                                        "/opt",
+                                        "/sys",
+                                        "/proc/self",
+                                        "/proc/cpuinfo",
+                                        "/proc/meminfo",
+                                        "/proc/stat",
+                                        "/proc/sys",
+                                        "/proc/uptime",
+                                        "/etc/ssl",
+                                        "/etc/ld.so.cache",
+                                        "/etc/ld.so.conf",
+                                        "/etc/ld.so.conf.d",
+                                        "/etc/hosts",
+                                        "/etc/host.conf",
+                                        "/etc/resolv.conf",
+                                        "/etc/gai.conf",
+                                        "/etc/nsswitch.conf",
+                                        "/etc/passwd",
+                                        "/etc/group",
+                                        "/etc/services",
+                                        "/etc/protocols",
+                                        "/etc/localtime",
+                                        "/etc/timezone",
+                                        "/run/systemd/resolve",
+                                        "/etc/ca-certificates"};
+
+void add_files(std::vector<std::string>& arguments, const processes::FileAccess& configured,
+               const ProcessLauncher::Options& options, const std::string& plugin) {
+  processes::FileAccess files = configured;
+  files.read.insert(files.read.end(), readable_by_all.begin(), readable_by_all.end());
+  files.read.insert(files.read.end(), {plugin, options.plugin_dir});
+  // Which devices there are is the business of their owners and of systemd (DeviceAllow).
+  files.write.insert(files.write.end(), {"/dev", options.state_dir});
+  for (const auto& path : files.read) arguments.push_back("--readable=" + path);
+  for (const auto& path : files.write) arguments.push_back("--writable=" + path);
 }
 
 /// What a host that this process has just connected to says first. \param silence of all these hosts together: each of
@@ -117,7 +166,9 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
 }  // namespace
 
 ProcessLauncher::ProcessLauncher(Options options)
-    : options_(std::move(options)), source_(options_.plugin_dir, options_.store, options_.trust) {
+    : options_(std::move(options)),
+      source_(options_.plugin_dir, options_.store, options_.trust),
+      versions_({options_.state_dir + "/plugin-versions", options_.allow_rollback, options_.require_version}) {
   if (options_.host_program.empty()) options_.host_program = processes::program_beside("iotcloud-driver-host");
   if (access(options_.host_program.c_str(), X_OK) != 0) {
     throw config::Error(fmt::format("the driver host program {} cannot be run: {}; it belongs beside the gateway's own",
@@ -129,6 +180,11 @@ ProcessLauncher::ProcessLauncher(Options options)
   check_plugin_folder(options_.plugin_dir);
   if (!options_.confinement.user.empty() && geteuid() == 0) {
     account_ = std::make_shared<processes::ChildAccount>(options_.confinement.user, options_.state_dir);
+  }
+  if (options_.confinement.files) {
+    if (processes::landlock_version() == 0) {
+      logger.warn("this kernel has no Landlock, so driver hosts may reach all files of their user (host_files)");
+    }
   }
 }
 
@@ -152,6 +208,7 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   const auto found = source_.find(wanted);
   HostOrder order = wanted;
   order.identity = found.identity;
+  if (!order.identity.signed_by.empty()) versions_.admit(order.plugin, found.signature);
   // Each host has a socket name of its own, so that an ending host and its successor do not conflict.
   const std::string socket = discovery::new_instance_id().str().substr(0, 12) + std::string(socket_suffix);
   const std::string log_file = log_of(order.plugin).path;
@@ -173,10 +230,11 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   const auto as_this_process = config::log_options();
   arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
   add_confinement(arguments, options_.confinement);
+  if (options_.confinement.files) add_files(arguments, *options_.confinement.files, options_, found.path);
   if (found.exactly) arguments.emplace_back("--exactly");
   if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
   if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
-  const int process = processes::spawn(std::move(arguments), log_file);
+  const int process = processes::spawn(std::move(arguments), log_file, processes::environment_of(options_.environment));
   logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);
   return std::make_unique<ProcessLink>(options_, order, socket, process, true, std::move(events),
                                        log_keeper(order.plugin));

@@ -4,10 +4,12 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <iotcloud/gateway/fleet/host_metrics.h>
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/plugin_source.h>
+#include <iotcloud/gateway/fleet/plugin_versions.h>
 #include <iotcloud/processes/child_account.h>
 #include <iotcloud/processes/confinement.h>
 #include <iotcloud/processes/vitals.h>
@@ -24,6 +26,8 @@ class ProcessLauncher final : public HostLauncher {
     std::string plugin_dir;
     std::shared_ptr<processes::PluginStore> store;       ///< the uploaded plugins; null: there are none
     std::shared_ptr<const security::TrustedKeys> trust;  ///< null: no signature is required
+    std::vector<std::string> allow_rollback;             ///< as in PluginVersions::Options
+    bool require_version = false;                        ///< as in PluginVersions::Options
     std::string state_dir;                               ///< the path of a locked StateFolder
     std::string host_program;  ///< empty: iotcloud-driver-host beside this process's own program
     std::chrono::milliseconds ping_period{1000};
@@ -33,8 +37,9 @@ class ProcessLauncher final : public HostLauncher {
     std::chrono::milliseconds own_thread_hang_limit{60000};
     processes::VitalLimits limits;
     processes::Confinement confinement;
-    int log_limit_mb = 10;  ///< the size at which a host's log is rotated
-    int logs_kept = 3;      ///< number of older logs that are kept
+    std::vector<std::string> environment;  ///< names of variables that hosts have besides the usual ones
+    int log_limit_mb = 10;                 ///< the size at which a host's log is rotated
+    int logs_kept = 3;                     ///< number of older logs that are kept
     /// Gets the hosts' metrics every `metrics_period`; null: they are not collected.
     std::shared_ptr<HostMetrics> metrics;
     std::chrono::milliseconds metrics_period{2000};
@@ -56,6 +61,7 @@ class ProcessLauncher final : public HostLauncher {
   Options options_;
   std::shared_ptr<const processes::ChildAccount> account_;  ///< null: hosts run under this process's account
   PluginSource source_;
+  PluginVersions versions_;
 };
 
 }  // namespace iotcloud::gateway

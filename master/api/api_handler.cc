@@ -40,9 +40,9 @@ std::string words(const TopologyRequest& request) {
 /// The handler of one connection.
 class ApiHandler final : public wire::TMasterAPIServiceIf {
  public:
-  ApiHandler(Master& master, PluginUploads& uploads, const GatewayAccess& gateways,
+  ApiHandler(Master& master, PluginUploads& uploads, const GatewayAccess& gateways, GatewayAsks& asks,
              std::shared_ptr<rpc::Session> session)
-      : master_(master), uploads_(uploads), gateways_(gateways), session_(std::move(session)) {}
+      : master_(master), uploads_(uploads), gateways_(gateways), asks_(asks), session_(std::move(session)) {}
 
   // ---- of the original
 
@@ -94,10 +94,10 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
 
   void getSensors(std::vector<TSensor>& sensors, const std::string& site) override {
     for (const auto& driver : master_.drivers())
-      if (driver.gateway == site) sensors.push_back(to_wire(driver));
+      if (driver.gateway == site) sensors.push_back(without_secrets(driver));
   }
   void getAllSensors(std::vector<TSensor>& sensors) override {
-    for (const auto& driver : master_.drivers()) sensors.push_back(to_wire(driver));
+    for (const auto& driver : master_.drivers()) sensors.push_back(without_secrets(driver));
   }
 
   // ---- new
@@ -119,7 +119,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     read([&] {
       const auto drivers = master_.drivers();
       out.reserve(drivers.size());
-      for (const auto& driver : drivers) out.push_back(to_wire(driver));
+      for (const auto& driver : drivers) out.push_back(without_secrets(driver));
     });
   }
   void listTopologies(std::vector<wire::TTopology>& out) override {
@@ -130,7 +130,9 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
 
   void getHistory(wire::TDriverHistory& out, const std::vector<std::string>& instances,
                   const std::vector<std::string>& gateways, std::int32_t most) override {
-    read([&] { discovery::fill_wire(read_history(master_, gateways_, instances, gateway_ids(gateways), most), out); });
+    read([&] {
+      discovery::fill_wire(read_history(master_, gateways_, asks_, instances, gateway_ids(gateways), most), out);
+    });
   }
   void readLog(wire::TLogPart& out, const std::string& gateway, const std::string& instance,
                const std::string& position, std::int32_t most_bytes) override {
@@ -167,8 +169,9 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   }
   void exportOrders(std::string& out) override {
     read([&] {
+      session_->begins("all orders");
       const auto backup = master_.backup();
-      session_->note("all orders", words(backup));
+      session_->note(words(backup));
       out = encode(backup);
     });
   }
@@ -186,11 +189,11 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
       out.__set_response(failure(refusal->text));
       out.__set_refusal(
           static_cast<wire::TRefusal::type>(refusal->unknown ? wire::TRefusal::BAD_REQUEST : refusal->code));
-      session_->note(name, refusal->text);
       return;
     }
-    const auto given = master_.give(name, json);
-    session_->note(fmt::format("{} {}", name, given.what), given.result.summary());
+    const auto given =
+        master_.give(name, json, [&](const std::string& what) { session_->begins(fmt::format("{} {}", name, what)); });
+    session_->note(given.result.summary());
     out = to_wire(given.result);
   }
   void orderTopology(wire::TTopologyResponse& out, const wire::TTopologyRequest& request) override {
@@ -240,15 +243,16 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     out = to_wire(tell(std::move(what), body));
   }
 
-  /// Tells the audit log what became of an order.
+  /// Tells the audit log of an order, before and after it is carried out.
   template <typename Body>
   auto tell(std::string what, Body&& body) {
     try {
+      session_->begins(std::move(what));
       auto result = body();
-      session_->note(std::move(what), result.summary());
+      session_->note(result.summary());
       return result;
     } catch (const std::exception& e) {
-      session_->note(std::move(what), e.what());
+      session_->note(e.what());
       throw;
     }
   }
@@ -256,6 +260,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   Master& master_;
   PluginUploads& uploads_;
   const GatewayAccess& gateways_;
+  GatewayAsks& asks_;
   const std::shared_ptr<rpc::Session> session_;
 };
 
@@ -266,6 +271,7 @@ struct Shared {
   Master& master;
   const GatewayAccess gateways;
   PluginUploads uploads;
+  GatewayAsks asks;
   rpc::AccessOptions access;
 };
 
@@ -276,6 +282,8 @@ rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   shared->access.service = "api";
   shared->access.rules = api_rules();
   shared->access.tokens = std::move(access.tokens);
+  shared->access.users = std::move(access.users);
+  shared->access.open = access.open;
   shared->access.audit = std::move(access.audit);
   shared->access.not_authenticated = wire::TRefusal::NOT_AUTHENTICATED;
   shared->access.not_allowed = wire::TRefusal::NOT_ALLOWED;
@@ -283,8 +291,8 @@ rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   // The server's options keep this function, and with it `shared`, for as long as there are connections.
   return [shared](const std::shared_ptr<rpc::ThriftPeer>& peer) {
     auto session = std::make_shared<rpc::Session>(shared->access, peer);
-    return rpc::guarded(std::make_shared<wire::TMasterAPIServiceProcessor>(
-                            std::make_shared<ApiHandler>(shared->master, shared->uploads, shared->gateways, session)),
+    return rpc::guarded(std::make_shared<wire::TMasterAPIServiceProcessor>(std::make_shared<ApiHandler>(
+                            shared->master, shared->uploads, shared->gateways, shared->asks, session)),
                         session);
   };
 }

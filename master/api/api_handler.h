@@ -14,7 +14,9 @@ const rpc::MethodRules& api_rules();
 
 /// Access control and limits of the API.
 struct ApiAccess {
-  std::shared_ptr<security::TokenKeeper> tokens;  ///< null: no token is required
+  std::shared_ptr<security::TokenKeeper> tokens;  ///< null: no token is required, and the peer's user counts
+  std::vector<std::string> users{};               ///< without tokens: accounts that may act (rpc::AccessOptions)
+  bool open = false;                              ///< without tokens: everybody may act
   std::shared_ptr<security::AuditLog> audit;      ///< null: no audit log
   GatewayAccess gateways;
   std::chrono::milliseconds wrong_token_pause{1'000};

@@ -15,6 +15,8 @@ namespace iotcloud::master {
 namespace {
 
 constexpr std::chrono::milliseconds answer_limit{3000};
+/// For the answers of all gateways; those that were not asked by then are named.
+constexpr std::chrono::seconds history_limit{15};
 constexpr std::int32_t most_changes = 10'000;
 
 const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>& gateways,
@@ -26,8 +28,9 @@ const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>
 
 }  // namespace
 
-DriverHistory read_history(const Master& master, const GatewayAccess& access, const std::vector<std::string>& instances,
-                           const std::vector<discovery::GatewayId>& gateways, std::int32_t most) {
+DriverHistory read_history(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
+                           const std::vector<std::string>& instances, const std::vector<discovery::GatewayId>& gateways,
+                           std::int32_t most) {
   const auto known = master.gateways();
   std::vector<const discovery::GatewayStatus*> asked;
   for (const auto& id : gateways) asked.push_back(&find(known, id));
@@ -37,10 +40,13 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, co
   // The gateways are asked for all instances: the beginning of an id may belong to an instance that is gone, which only
   // they know.
   std::vector<std::pair<discovery::GatewayId, std::future<std::vector<DriverChange>>>> answers;
+  const auto until = std::chrono::steady_clock::now() + history_limit;
   for (const auto* gateway : asked) {
-    answers.emplace_back(gateway->record.id, std::async(std::launch::async, [gateway, &access] {
-                           return site_changes(address_of(*gateway, access), gateway->record.id, {}, answer_limit);
-                         }));
+    answers.emplace_back(gateway->record.id, asks.ask([gateway = *gateway, &access, until] {
+      // Nobody waits for the answer any more.
+      if (std::chrono::steady_clock::now() >= until) return std::vector<DriverChange>{};
+      return site_changes(address_of(gateway, access), gateway.record.id, {}, answer_limit);
+    }));
   }
   const auto wanted = [&](const DriverChange& change) {
     const auto begins = [&](const std::string& id) { return change.instance.str().starts_with(id); };
@@ -48,6 +54,10 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, co
   };
   DriverHistory history;
   for (auto& [id, answer] : answers) {
+    if (answer.wait_until(until) != std::future_status::ready) {
+      history.silent[id] = "it was not asked in time, because others took long to answer; ask for it alone";
+      continue;
+    }
     try {
       for (auto& change : answer.get()) {
         if (wanted(change)) history.changes.push_back(std::move(change));

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/master/api/gateway_asks.h>
 #include <iotcloud/master/gateways/gateway_access.h>
 #include <iotcloud/master/orders/answers.h>
 
@@ -18,8 +19,9 @@ class Master;
 /// \param instances ids, or beginnings of ids; empty: all. \param gateways empty: all that are registered.
 /// \param most limits the answer to the latest changes; 0 or more than 10 000 means 10 000.
 /// \throws config::Error when the registry is away or a gateway is not registered.
-DriverHistory read_history(const Master& master, const GatewayAccess& access, const std::vector<std::string>& instances,
-                           const std::vector<discovery::GatewayId>& gateways, std::int32_t most);
+DriverHistory read_history(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
+                           const std::vector<std::string>& instances, const std::vector<discovery::GatewayId>& gateways,
+                           std::int32_t most);
 
 /// A part of the log of an instance's driver host. \param position from an earlier part, which this one continues;
 /// empty: the end of the log.

@@ -45,6 +45,17 @@ TResponse to_response(const OrderResult& result) {
   return result.all_done() ? success(result.summary()) : failure(result.summary());
 }
 
+discovery::wire::TSensor without_secrets(const discovery::DriverRecord& driver) {
+  auto sensor = discovery::to_wire(driver);
+  for (auto& channel : sensor.channels) {
+    if (channel.__isset.brokerUrl) channel.brokerUrl = without_password(channel.brokerUrl);
+    for (auto& [key, value] : channel.properties) {
+      if (is_secret(key, value)) value = "***";
+    }
+  }
+  return sensor;
+}
+
 discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway) {
   auto site = discovery::to_wire(gateway.record);
   site.__set_alive(gateway.alive);

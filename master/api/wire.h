@@ -11,6 +11,8 @@
 /// Converts our structs to the API's Thrift structs, and back, where discovery::as_wire() and as_own() are not enough.
 namespace iotcloud::master {
 
+/// A driver as every caller may see it: without the passwords in its channels' broker URLs and properties.
+discovery::wire::TSensor without_secrets(const discovery::DriverRecord& driver);
 discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway);
 wire::TTopology to_wire(const discovery::TopologyStatus& topology);
 /// \param with_secrets whether values of properties that look like secrets are included; else only their keys are.

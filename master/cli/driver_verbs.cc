@@ -9,6 +9,7 @@
 #include <iotcloud/master/cli/driver_verbs.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/master/listing/secret_properties.h>
 
 namespace iotcloud::master::cli {
 

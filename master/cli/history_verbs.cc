@@ -14,6 +14,7 @@
 #include <iotcloud/master/cli/driver_verbs.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/master/listing/secret_properties.h>
 #include <iotcloud/security/sha256.h>
 
 namespace iotcloud::master::cli {

@@ -118,12 +118,4 @@ std::string printable(const std::string& text) {
   return out;
 }
 
-std::string without_password(const std::string& url) {
-  const auto scheme = url.find("://");
-  const auto at = url.rfind('@');
-  if (scheme == std::string::npos || at == std::string::npos) return url;
-  const auto colon = url.find(':', scheme + 3);
-  return colon < at ? url.substr(0, colon + 1) + "***" + url.substr(at) : url;
-}
-
 }  // namespace iotcloud::master::cli

@@ -35,7 +35,4 @@ std::int64_t now_ms();
 /// The text without control characters, so that text from elsewhere cannot control the terminal.
 std::string printable(const std::string& text);
 
-/// A broker's URL with *** in place of its password.
-std::string without_password(const std::string& url);
-
 }  // namespace iotcloud::master::cli

@@ -44,4 +44,14 @@ bool is_secret(const std::string& key, const std::string& value) {
   return has_word(name, "key") || is_url_with_password(value);
 }
 
+std::string without_password(const std::string& url) {
+  const auto scheme = url.find("://");
+  const auto start = scheme == std::string::npos ? 0 : scheme + 3;
+  // The last '@' of all: a password may contain one, and a '/' too.
+  const auto at = url.rfind('@');
+  if (at == std::string::npos || at < start) return url;
+  const auto colon = url.find(':', start);
+  return colon < at ? url.substr(0, colon + 1) + "***" + url.substr(at) : url;
+}
+
 }  // namespace iotcloud::master

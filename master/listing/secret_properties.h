@@ -8,4 +8,7 @@ namespace iotcloud::master {
 /// value is a URL with a password.
 bool is_secret(const std::string& key, const std::string& value);
 
+/// The URL with "***" in the place of its password.
+std::string without_password(const std::string& url);
+
 }  // namespace iotcloud::master

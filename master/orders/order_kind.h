@@ -13,9 +13,12 @@ namespace iotcloud::master {
 /// an OrderResult. For sources only: heavy to include.
 template <discovery::Described Order, typename Give>
 OrderKind order_kind(std::string name, security::Role role, Give give) {
-  return {name, role, [name, give = std::move(give)](OrderServices& services, const std::string& json) {
+  return {name, role,
+          [name, give = std::move(give)](OrderServices& services, const std::string& json, const BeforeOrder& before) {
             const auto order = discovery::from_text<Order>(json, name);
-            return GivenOrder{words(order), give(services, order)};
+            auto what = words(order);
+            if (before) before(what);
+            return GivenOrder{std::move(what), give(services, order)};
           }};
 }
 

@@ -17,6 +17,9 @@ struct GivenOrder {
   OrderResult result;
 };
 
+/// Called with the order in words before it is given; if it throws, the order is not given.
+using BeforeOrder = std::function<void(const std::string& what)>;
+
 /// One kind of order to driver instances.
 struct OrderKind {
   /// The name by which giveOrder takes it; if it has a method of its own in master.thrift, the name of that.
@@ -24,7 +27,7 @@ struct OrderKind {
   security::Role role;  ///< the least role that may give it
   /// Reads the order from JSON, whose fields are those of its struct in orders.h, and gives it.
   /// \throws config::Error when it cannot be read.
-  std::function<GivenOrder(OrderServices& services, const std::string& json)> give;
+  std::function<GivenOrder(OrderServices& services, const std::string& json, const BeforeOrder& before)> give;
 };
 
 /// All kinds of orders to driver instances.

@@ -189,6 +189,7 @@ thrift: {{host: 127.0.0.1, port: {next(ports)}}}
 plugins: "{self.plugins}"
 state: "{self.out / 'state' / name}"
 host_debugging: true
+host_environment: [LD_PRELOAD, CHAOS_MACHINE_FILE, CHAOS_DISK]
 host_restart: {{first: 200ms, longest: 2s, give_up_after: 0}}
 brokers:
   main: {{type: {self.broker}, urls: ["{self.url(name, schedule.BROKER)}"], heartbeat: {HEARTBEAT_S}s}}

@@ -70,6 +70,25 @@ class SiteServiceTest : public GatewayFixture {
   std::optional<wire::TSensorSiteServiceClient> client_;
 };
 
+TEST_F(SiteServiceTest, TheGatewayWritesDownWhoGaveItOrders) {
+  const security::test::Folder folder;
+  transport_->close();
+  service_.reset();
+  SiteService::Options options;
+  options.listen.port = 0;
+  options.audit.file = folder / "audit.log";
+  service_.emplace(options, *gateway_, *registry_, paths_);
+  connect();
+  EXPECT_EQ(deploy().state, TResponseState::SUCCESS);
+  std::ifstream in(options.audit.file);
+  std::vector<std::string> lines;
+  for (std::string line; std::getline(in, line);) lines.push_back(line);
+  ASSERT_EQ(lines.size(), 2u);
+  EXPECT_THAT(lines[0], testing::AllOf(HasSubstr("\"event\":\"begun\""), HasSubstr("probe.so")));
+  EXPECT_THAT(lines[1], testing::AllOf(HasSubstr("\"event\":\"ended\""), HasSubstr("done")));
+  EXPECT_TRUE(security::verify_audit({options.audit.file}, {}).findings.empty());
+}
+
 TEST_F(SiteServiceTest, AnInstanceIsDeployedStoppedStartedAndUndeployed) {
   const auto deployed = deploy({}, "probe.so", "camera");
   ASSERT_EQ(deployed.state, TResponseState::SUCCESS) << deployed.statusMessage;

@@ -9,7 +9,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
+#include <sys/fsuid.h>
 #include <thrift/TApplicationException.h>
+#include <thrift/transport/TTransportException.h>
+#include <unistd.h>
 
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/metrics.h>
@@ -19,6 +22,7 @@
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/security/certificates.h>
 
@@ -108,7 +112,13 @@ class Access : public testing::Test {
     client.deploy(answer, request);
     return answer;
   }
+  /// The lines of the audit log, without those of orders that begin.
   std::vector<nlohmann::json> audit() const {
+    auto lines = all_lines();
+    std::erase_if(lines, [](const auto& line) { return line["event"] == "begun"; });
+    return lines;
+  }
+  std::vector<nlohmann::json> all_lines() const {
     std::ifstream in(audit_file_);
     std::vector<nlohmann::json> lines;
     for (std::string line; std::getline(in, line);) lines.push_back(nlohmann::json::parse(line));
@@ -176,7 +186,7 @@ TEST_F(Access, WithoutATokenNothingIsAnswered) {
   EXPECT_THAT(answer.statusMessage, HasSubstr("authenticate"));
   EXPECT_EQ(gateway_.orders_seen(), 0);
   EXPECT_EQ(refused("not_authenticated"), before + 4);
-  // A stranger fills no disk.
+  // A stranger writes one line for each connection.
   ASSERT_THAT(audit(), SizeIs(1));
   EXPECT_EQ(audit()[0]["order"], "listGateways");
   EXPECT_TRUE(audit()[0]["refused"]);
@@ -312,6 +322,145 @@ TEST_F(Access, AnOrderIsWrittenDownWithWhoGaveItAndWhatBecameOfIt) {
   EXPECT_THAT(lines[1]["outcome"].get<std::string>(), HasSubstr("no such plugin"));
 }
 
+TEST_F(Access, EveryOrderIsWrittenDownBeforeItIsCarriedOut) {
+  auto client = connect(admin_);
+  ASSERT_EQ(deploy(client).response.state, TResponseState::SUCCESS);
+  TResponse response;
+  client.deploySensor(response, {}, {});
+  client.unDeploySensor(response, {}, "x");
+  client.unDeployAllSensor(response, "x");
+  client.startSensor(response, {}, "x");
+  client.startAllSensor(response, "x");
+  client.stopSiteSensors(response, {}, "x");
+  client.stopAllSensors(response, "x");
+  wire::TOrderResponse answer;
+  client.undeploy(answer, {});
+  client.start(answer, {});
+  client.stop(answer, {});
+  client.updateMetadata(answer, {}, {});
+  client.changeDeployment(answer, {});
+  client.drain(answer, {});
+  client.undrain(answer, {});
+  client.update(answer, {});
+  client.giveOrder(answer, "stop", R"({"instances": []})");
+  wire::TTopologyResponse changed;
+  client.orderTopology(changed, {});
+  wire::TUploadResponse upload;
+  client.offerPlugin(upload, {}, {});
+  client.finishPlugin(upload, "x");
+  std::string backup;
+  client.exportOrders(backup);
+  std::map<std::string, int> begun, ended;
+  for (const auto& line : all_lines()) ++(line["event"] == "begun" ? begun : ended)[line["order"]];
+  EXPECT_EQ(begun, ended);
+  for (const auto& [name, rule] : api_rules()) {
+    const bool has_method = forms_of("master/master.thrift", "TMasterAPIService").contains(name);
+    if (rule.role < Role::operating || !rule.audited || !has_method) continue;
+    EXPECT_EQ(begun[name], 1) << name << " is not written down before it is carried out";
+  }
+}
+
+TEST_F(Access, WithAFullDiskOrdersAreRefusedIfTheSettingsSaySo) {
+  bool full = false;
+  audit_ = std::make_shared<security::AuditLog>(
+      security::AuditSettings{folder_ / "strict.log", security::AuditSettings::WhenFull::refuse}, [&](int) {
+        errno = ENOSPC;
+        return !full;
+      });
+  ApiAccess access;
+  access.tokens = tokens_;
+  access.audit = audit_;
+  server_.emplace(rpc::ThriftServerOptions{}, serve_api(*master_, access));
+  auto client = connect(admin_);
+  EXPECT_EQ(deploy(client).response.state, TResponseState::SUCCESS);
+  const int before = gateway_.orders_seen();
+  full = true;
+  EXPECT_THROW(deploy(client), TException);
+  wire::TOrderResponse answer;
+  client.giveOrder(answer, "deploy", R"({"plugin": "turtle.so", "gateways": ["lab1"]})");
+  EXPECT_THAT(answer.response.statusMessage, HasSubstr("the audit log cannot be written"));
+  EXPECT_EQ(gateway_.orders_seen(), before);
+}
+
+TEST_F(Access, AViewersFloodOfRefusedCallsFillsNoDisk) {
+  auto client = connect(viewer_);
+  for (int i = 0; i < 200; ++i) deploy(client);
+  EXPECT_THAT(audit().size(), testing::Le(30u));
+}
+
+TEST_F(Access, AViewerSeesNoBrokersPassword) {
+  auto admin = connect(admin_);
+  ASSERT_EQ(deploy(admin).response.state, TResponseState::SUCCESS);
+  auto client = connect(viewer_);
+  std::vector<discovery::wire::TSensor> listed, all, of_gateway;
+  client.listDrivers(listed);
+  client.getAllSensors(all);
+  client.getSensors(of_gateway, "lab1");
+  for (const auto* drivers : {&listed, &all, &of_gateway}) {
+    ASSERT_THAT(*drivers, SizeIs(1));
+    ASSERT_THAT(drivers->at(0).channels, SizeIs(1));
+    EXPECT_EQ(drivers->at(0).channels[0].brokerUrl, "amqp://robot:***@127.0.0.1:5672/");
+  }
+}
+
+/// Sockets that this thread makes belong to another user of the machine.
+class AsNobody {
+ public:
+  AsNobody() { setfsuid(nobody); }
+  ~AsNobody() { setfsuid(geteuid()); }
+  AsNobody(const AsNobody&) = delete;
+  AsNobody& operator=(const AsNobody&) = delete;
+
+ private:
+  static constexpr uid_t nobody = 65534;
+};
+
+class LoopbackAccess : public Access {
+ protected:
+  void SetUp() override {
+    if (geteuid() != 0) GTEST_SKIP() << "only root can make a socket of another user";
+  }
+  void serve(ApiAccess access) {
+    access.audit = audit_;
+    server_.emplace(rpc::ThriftServerOptions{}, serve_api(*master_, access));
+  }
+  wire::TOrderResponse deploy_as_nobody() {
+    std::optional<wire::TMasterAPIServiceClient> client;
+    {
+      const AsNobody nobody;
+      client.emplace(connect());
+    }
+    std::vector<discovery::wire::TSensor> drivers;
+    client->listDrivers(drivers);  // reading is for all
+    return deploy(*client);
+  }
+};
+
+TEST_F(LoopbackAccess, WithoutATokenADriverOfAnotherUserReadsAndGivesNoOrders) {
+  serve({});
+  const auto refused = deploy_as_nobody();
+  EXPECT_EQ(refused.refusal, wire::TRefusal::NOT_ALLOWED);
+  EXPECT_THAT(refused.response.statusMessage, HasSubstr("be root or the daemon's own user"));
+  EXPECT_EQ(gateway_.orders_seen(), 0);
+  EXPECT_EQ(audit().back()["who"], "user 65534");
+  auto own = connect();
+  EXPECT_EQ(deploy(own).response.state, TResponseState::SUCCESS);
+}
+
+TEST_F(LoopbackAccess, AnAccountThatTheConfigurationNamesMayAct) {
+  ApiAccess access;
+  access.users = {"no-such-account", "nobody"};
+  serve(access);
+  EXPECT_EQ(deploy_as_nobody().response.state, TResponseState::SUCCESS);
+}
+
+TEST_F(LoopbackAccess, OpenLetsEverybodyActForProgramsOfTheOriginal) {
+  ApiAccess access;
+  access.open = true;
+  serve(access);
+  EXPECT_EQ(deploy_as_nobody().response.state, TResponseState::SUCCESS);
+}
+
 TEST_F(Access, AnAuditLogThatIsMovedAwayIsBegunAnew) {
   auto client = connect(admin_);
   deploy(client);
@@ -319,6 +468,22 @@ TEST_F(Access, AnAuditLogThatIsMovedAwayIsBegunAnew) {
   audit_->reopen();
   deploy(client);
   EXPECT_THAT(audit(), SizeIs(1));
+  EXPECT_THAT(security::verify_audit({audit_file_ + ".1", audit_file_}, {}).findings, IsEmpty());
+}
+
+TEST_F(Access, OneWhoseTokenIsTakenAwayLosesItsOpenConnection) {
+  auto client = connect(viewer_);
+  auto other = connect(admin_);
+  const auto& cut_off = config::process_metrics().counter("iotcloud_thrift_refused_total", "",
+                                                          {{"service", "thrift"}, {"reason", "revoked"}});
+  const auto before = cut_off.value();
+  security::remove_token(tokens_file_, "vera");
+  tokens_->reload();
+  server_->reload();
+  ASSERT_TRUE(tests::eventually([&] { return cut_off.value() == before + 1; }));
+  std::vector<discovery::wire::TSite> gateways;
+  EXPECT_THROW(client.listGateways(gateways), apache::thrift::transport::TTransportException);
+  EXPECT_NO_THROW(other.listGateways(gateways));
 }
 
 TEST_F(Access, OneWhoseTokenIsTakenAwayMayDoNothingMore) {

@@ -15,6 +15,8 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/security/renewals.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/rpc/service.h>
 #include <iotcloud/tests/security/certificates.h>
 
@@ -79,6 +81,7 @@ class Tls : public testing::Test {
   Tls() {
     options_.name = testing::UnitTest::GetInstance()->current_test_info()->name();
     options_.tls = ours_->of("lab1");
+    options_.look_period = std::chrono::hours(1);
   }
 
   void serve() {
@@ -239,6 +242,52 @@ TEST_F(Tls, NewConnectionsSeeTheCertificatesThatWereReadAgainAndOldOnesGoOn) {
   std::filesystem::remove(options_.tls.key);
   EXPECT_THROW(server_->reload(), config::Error);
   EXPECT_EQ(ask(ThriftClient(client(theirs_->of("operator")))), "hello") << "it goes on with what it had";
+}
+
+TEST_F(Tls, ARevokedCertificateIsCutOffAtOnceAlsoOnAnOpenConnectionAndOthersGoOn) {
+  const security::test::Certificates own;
+  own.authority().certify_caller("thief");
+  security::make_revocations(own.authority());
+  options_.tls = own.of("lab1");
+  options_.tls.revoked = security::revocations_file(own.authority());
+  serve();
+  const ThriftClient stolen(client(own.of("thief")));
+  const ThriftClient honest(client(own.of("operator")));
+  EXPECT_EQ(ask(stolen), "hello") << "the attack";
+  EXPECT_EQ(ask(honest), "hello");
+  security::revoke_certificate(own.authority(), "thief");
+  server_->reload();
+  ASSERT_TRUE(tests::eventually([&] { return refusals(options_.name, "revoked") == 1; }));
+  EXPECT_THROW(ask(stolen), apache::thrift::TException);
+  EXPECT_NE(error_of(client(own.of("thief"))), "");
+  EXPECT_EQ(ask(honest), "hello");
+  EXPECT_EQ(ask(ThriftClient(client(own.of("operator")))), "hello");
+}
+
+TEST_F(Tls, ARenewedCertificateIsShownByItselfAndNoCallIsLost) {
+  const security::test::Certificates own;
+  security::renew_certificate(own.authority(), "lab1", 3);
+  options_.tls = own.of("lab1");
+  options_.look_period = std::chrono::milliseconds(20);
+  serve();
+  auto& days = config::process_metrics().gauge("iotcloud_certificate_days_left", "", {{"service", options_.name}});
+  const ThriftClient early(client(own.of("operator")));
+  EXPECT_EQ(ask(early), "hello");
+  ASSERT_TRUE(tests::eventually([&] { return days.value() == 2; })) << days.value();
+  security::renew_certificate(own.authority(), "lab1");
+  ASSERT_TRUE(tests::eventually([&] {
+    EXPECT_EQ(ask(early), "hello");
+    EXPECT_EQ(ask(ThriftClient(client(own.of("operator")))), "hello");
+    return days.value() > 700;
+  })) << days.value();
+}
+
+TEST_F(Tls, ACertificateThatHasExpiredDoesNotGetIn) {
+  const security::test::Certificates own;
+  options_.tls = own.of("lab1");
+  serve();
+  security::renew_certificate(own.authority(), "operator", 0);  // it expires at once
+  EXPECT_NE(error_of(client(own.of("operator"))), "");
 }
 
 TEST_F(Tls, FilesThatDoNotFitTogetherAreAnErrorThatNamesOne) {

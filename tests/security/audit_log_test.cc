@@ -11,6 +11,8 @@
 #include <gmock/gmock.h>
 #include <stdlib.h>
 
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/error.h>
 #include <iotcloud/security/audit_log.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/files.h>
@@ -28,6 +30,13 @@ AuditEntry order(const std::string& what) {
   entry.what = what;
   return entry;
 }
+
+/// Stands still until a test moves it.
+struct AClock final : config::Clock {
+  Instant now() const override { return time; }
+  std::int64_t wall_ms() const override { return 0; }
+  mutable Instant time{};
+};
 
 class AuditLogTest : public ::testing::Test {
  public:
@@ -113,6 +122,52 @@ TEST_F(AuditLogTest, WhatTheDiskDoesNotTakeKeepsNobodyWaiting) {
   log_->write(order("one"));
   log_->write(order("two"));
   EXPECT_EQ(syncs_, 2);
+}
+
+TEST_F(AuditLogTest, AnOrderWhoseLineTheDiskDoesNotTakeIsRefusedIfTheSettingsSaySo) {
+  bool full = true;
+  const auto sync = [&](int) {
+    errno = ENOSPC;
+    return !full;
+  };
+  log_.emplace(AuditSettings{file(), AuditSettings::WhenFull::refuse}, sync);
+  EXPECT_THROW(log_->write_begun(order("one")), config::Error);
+  full = false;
+  EXPECT_NO_THROW(log_->write_begun(order("two")));
+  full = true;
+  log_.reset();
+  log_.emplace(AuditSettings{file(), AuditSettings::WhenFull::go_on}, sync);
+  EXPECT_NO_THROW(log_->write_begun(order("three")));
+}
+
+TEST_F(AuditLogTest, AFullDiskLeavesNoHalfLine) {
+  std::filesystem::create_symlink("/dev/full", file());
+  log_.emplace(file());
+  EXPECT_FALSE(log_->write(order("one")));
+  EXPECT_EQ(read_audit_head(file())->number, 0u);
+}
+
+TEST_F(AuditLogTest, AFloodOfRefusalsOfOneIdentityFillsNoDiskAndIsCounted) {
+  constexpr int flood = 5000, written = 20;
+  const AClock clock;
+  log_.emplace(
+      AuditSettings{file(), {}}, [&](int) { return ++syncs_ > 0; }, clock);
+  AuditEntry vera = order("");
+  vera.who = "vera";
+  for (int i = 0; i < flood; ++i) log_->write_refused(vera);
+  EXPECT_EQ(syncs_, written);
+  AuditEntry stranger = order("");
+  for (int i = 0; i < flood; ++i) {
+    stranger.address = "192.0.2.7:" + std::to_string(1000 + i);  // ports do not make it another one
+    log_->write_refused(stranger);
+  }
+  EXPECT_EQ(syncs_, 2 * written);
+  clock.time += std::chrono::seconds(3);
+  EXPECT_TRUE(log_->write_refused(vera));
+  EXPECT_FALSE(log_->write_refused(vera));
+  EXPECT_THAT(text(), HasSubstr("\"unwritten\":" + std::to_string(flood - written)));
+  log_.reset();  // tells what is left
+  EXPECT_EQ(lines(), 2u * written + 1 + 2);
 }
 
 }  // namespace

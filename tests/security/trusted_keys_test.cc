@@ -1,4 +1,5 @@
 // Whose signatures are trusted.
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/tests/security/key_folder.h>
 
 namespace iotcloud::security {
@@ -67,6 +68,24 @@ TEST_F(TrustedKeysTest, ReadAgainAKeyThatIsNoneChangesNothing) {
   write("lab.pub", "x");
   EXPECT_THAT(error_of([&] { trust.reload(); }), HasSubstr("lab.pub"));
   EXPECT_EQ(trust.admit("x.so", "abc", signature_of("abc")), "lab");
+}
+
+TEST_F(TrustedKeysTest, ASignatureWithAVersionIsOneOfItsLineToo) {
+  const auto trusted = trust(true);
+  const std::string good = sign_plugin(lab_.private_pem, "lab", "abc", "turtle", 7);
+  EXPECT_EQ(trusted->signer("abc", good), "lab");
+  EXPECT_EQ(parse_plugin_signature(good).name, "turtle");
+  EXPECT_EQ(parse_plugin_signature(good).version, 7u);
+  std::string newer = good;
+  newer.replace(newer.find('7'), 1, "9");
+  EXPECT_TRUE(is_plugin_signature(newer));
+  EXPECT_EQ(trusted->signer("abc", newer), "") << "somebody made it another version";
+  EXPECT_EQ(trusted->signer("abc", good.substr(good.find('\n') + 1)), "") << "somebody took the version away";
+  EXPECT_EQ(trusted->signer("abcd", good), "");
+  for (const char* bad : {"iotcloud-plugin turtle 0\n", "iotcloud-plugin 7\n", "iotcloud-plugin a/b 7\n",
+                          "iotcloud-plugin turtle 7 8\n", "iotcloud-plugin turtle x\n", "\n"})
+    EXPECT_FALSE(is_plugin_signature(bad + std::string(64, 's'))) << bad;
+  EXPECT_THROW(sign_plugin(lab_.private_pem, "lab", "abc", "a b", 1), config::Error);
 }
 
 }  // namespace

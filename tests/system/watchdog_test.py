@@ -75,10 +75,11 @@ def braking_time(row):
 
 class Robot(PrivateCluster):
     def begin(self, build):
-        os.environ["ROS_IP"] = "127.0.0.1"  # the driver host's too
+        os.environ["ROS_IP"] = "127.0.0.1"
         ros = self.server("rosmaster")
         self.track = Track(self.server("ros_robot", "--program", build / "bin/ros_robot", "--master", ros))
-        self.start(gateways=1, more=f"host_restart: {{first: {HOSTS_REST_S}s, longest: {HOSTS_REST_S}s}}")
+        self.start(gateways=1, more=f"host_restart: {{first: {HOSTS_REST_S}s, longest: {HOSTS_REST_S}s}}\n"
+                                     "host_environment: [ROS_IP]")
         topology = (ROOT / "examples/turtlebot_follower/follower.yaml").read_text()
         topology = re.sub(r"(?m)^zk\.servers:.*$", 'zk.servers: ["{zookeeper}"]\nregistry.session_timeout: 4s', topology)
         topology = topology.replace("goal_distance: 0.7", f"goal_distance: {GOAL_M}")

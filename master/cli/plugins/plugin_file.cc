@@ -8,7 +8,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/master/cli/plugins/plugin_file.h>
-#include <iotcloud/security/ed25519.h>
+#include <iotcloud/security/plugin_signature.h>
 
 namespace iotcloud::master::cli {
 
@@ -32,7 +32,7 @@ std::string plugin_signature(const std::string& path) {
   if (!fs::exists(file)) return "";
   std::ifstream in(file, std::ios::binary);
   std::string signature(std::istreambuf_iterator<char>(in), {});
-  if (signature.size() == security::signature_bytes) return signature;
+  if (security::is_plugin_signature(signature)) return signature;
   throw std::invalid_argument(
       fmt::format("{} has {} bytes, an Ed25519 signature has {}; make it again with `iotcloud sign "
                   "{} --key KEY`, or remove it",

@@ -14,6 +14,7 @@
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/security/ed25519.h>
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/sha256.h>
 
 namespace iotcloud::master::cli {
@@ -68,14 +69,23 @@ class Sign final : public Verb {
  public:
   Sign()
       : Verb({"sign", "Sign a plugin: writes FILE.sig, which goes where FILE goes",
-              "iotcloud sign turtle.so --key ~/keys/lab.key", std::nullopt}) {}
+              "iotcloud sign turtle.so --key ~/keys/lab.key --version 7", std::nullopt}) {}
   void declare(CLI::App& options) override {
     options.add_option("FILE", file_, "the plugin")->required();
     options.add_option("--key", key_, "a private Ed25519 key in PEM")->required()->type_name("KEY");
+    auto& version = *options
+                         .add_option("--version", version_,
+                                     "its version, from 1: where it ran, no older one runs any more. Without: none")
+                         ->type_name("N");
+    options.add_option("--name", name_, "what it is a version of; FILE's name without its ending if not given")
+        ->needs(&version)
+        ->type_name("NAME");
   }
   int run(Call& call) override {
     const std::string plugin = bytes_of(file_);
-    const std::string signature = security::sign(bytes_of(key_), key_, plugin);
+    if (name_.empty()) name_ = std::filesystem::path(file_).stem();
+    const std::string signature = version_ == 0 ? security::sign(bytes_of(key_), key_, plugin)
+                                                : security::sign_plugin(bytes_of(key_), key_, plugin, name_, version_);
     const std::string place = file_ + ".sig";
     config::replace_file(place, signature, for_all);  // a reader finds either the old signature or the new one
     const std::string sha256 = security::sha256_hex(plugin);
@@ -88,7 +98,8 @@ class Sign final : public Verb {
   }
 
  private:
-  std::string file_, key_;
+  std::string file_, key_, name_;
+  std::uint64_t version_ = 0;
 };
 
 }  // namespace

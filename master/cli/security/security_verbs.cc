@@ -1,4 +1,4 @@
-// certs ..., token ...: files of this machine, for which no master is asked
+// certs ..., token ..., audit ...: files of this machine, for which no master is asked
 #include <algorithm>
 #include <filesystem>
 #include <ostream>
@@ -9,7 +9,9 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/security/audit_chain.h>
 #include <iotcloud/security/certificates.h>
+#include <iotcloud/security/renewals.h>
 #include <iotcloud/security/tls.h>
 #include <iotcloud/security/tokens.h>
 
@@ -78,7 +80,10 @@ class Certs final : public Verb {
     check_free(authority, names);
     if (!gateways_.empty() && hosts_.size() != 1)
       throw config::Error("--gateway names the gateways of one machine: give one --host, and `certs add` the others");
-    if (is_new_) authority.make();
+    if (is_new_) {
+      authority.make();
+      security::make_revocations(authority);
+    }
     for (const auto& host : hosts_) authority.certify_host(host, gateways_);
     for (const auto& caller : callers) authority.certify_caller(caller);
 
@@ -116,6 +121,58 @@ class Certs final : public Verb {
   std::vector<std::string> hosts_;
   std::vector<std::string> gateways_;
   std::vector<std::string> callers_;  ///< users, whose certificates are for clients only
+};
+
+/// `certs renew` and `certs revoke`: a verb about certificates that are there.
+class OfCertificates : public Verb {
+ public:
+  using Verb::Verb;
+  void declare(CLI::App& options) override {
+    options.add_option("DIR", folder_, "the folder of the authority and its certificates")->required();
+    options.add_option("HOLDER", holders_, "the names of their files, without .pem")->required();
+  }
+
+ protected:
+  security::Authority authority() const { return {std::filesystem::absolute(folder_).lexically_normal().string()}; }
+  std::string folder_;
+  std::vector<std::string> holders_;
+};
+
+class RenewCertificates final : public OfCertificates {
+ public:
+  RenewCertificates()
+      : OfCertificates({"renew",
+                        "Make certificates anew, for the same keys, before they expire. Copy them to their machines: "
+                        "daemons take them within seconds, without a restart",
+                        "iotcloud certs renew certs lab1 lab2", std::nullopt, false}) {}
+  void declare(CLI::App& options) override {
+    OfCertificates::declare(options);
+    options.add_option("--days", days_, "how long they are valid")->check(CLI::Range(1, 3650))->type_name("N");
+  }
+  int run(Call& call) override {
+    for (const auto& holder : holders_) {
+      security::renew_certificate(authority(), holder, days_);
+      call.out << fmt::format("{}: valid for {} days\n", authority().certificate(holder), days_);
+    }
+    return exit_ok;
+  }
+
+ private:
+  int days_ = security::usual_days;
+};
+
+class RevokeCertificates final : public OfCertificates {
+ public:
+  RevokeCertificates()
+      : OfCertificates({"revoke",
+                        "Put certificates on the list DIR/revoked.pem. Daemons whose files name a copy of it (tls: "
+                        "{revoked: ...}) refuse them within seconds, also on open connections",
+                        "iotcloud certs revoke certs lab2", std::nullopt, false}) {}
+  int run(Call& call) override {
+    for (const auto& holder : holders_) security::revoke_certificate(authority(), holder);
+    call.out << fmt::format("{}: copy it to each machine with a daemon\n", security::revocations_file(authority()));
+    return exit_ok;
+  }
 };
 
 /// A verb about a file of tokens.
@@ -204,16 +261,75 @@ class ListTokens final : public OfTokens {
   }
 };
 
+class VerifyAudit final : public Verb {
+ public:
+  VerifyAudit()
+      : Verb({"verify",
+              "Check an audit log: whether lines were changed, removed, added or put in another order, or its end was "
+              "cut off. Prints its head, NUMBER:HASH: kept elsewhere, it shows later whether somebody wrote the whole "
+              "log anew. Exit status 1: something is wrong",
+              "iotcloud audit verify audit.log.1 audit.log\n  iotcloud audit verify audit.log --head 120:9f86d081...",
+              std::nullopt}) {}
+  void declare(CLI::App& options) override {
+    options.add_option("FILE", files_, "the files of one log, the oldest first")->required()->type_name("FILE");
+    options.add_option("--head", head_, "a head that an earlier verification printed")->type_name("NUMBER:HASH");
+    options.add_option("--from", expected_.from, "older files were deleted on purpose: it begins with this line")
+        ->type_name("NUMBER");
+    options.add_flag("--rotated", rotated_, "the last file was rotated away, so FILE.head is about a newer one");
+  }
+  void check() override {
+    if (head_.empty()) return;
+    expected_.known = security::parse_audit_head(head_);
+    if (!expected_.known) throw CLI::ValidationError("--head", "it has the form NUMBER:HASH, as printed by this verb");
+  }
+  int run(Call& call) override {
+    expected_.has_head = !rotated_;
+    const auto verdict = security::verify_audit(files_, expected_);
+    std::vector<std::vector<std::string>> rows;
+    Json json = Json::array();
+    for (const auto& finding : verdict.findings) {
+      rows.push_back({finding.file, finding.line == 0 ? "-" : std::to_string(finding.line), finding.text});
+      json.push_back({{"file", finding.file}, {"line", finding.line}, {"finding", finding.text}});
+    }
+    const Json answer{{"first", verdict.first},
+                      {"last", verdict.head.number},
+                      {"head", to_string(verdict.head)},
+                      {"unchained", verdict.unchained},
+                      {"findings", json}};
+    if (call.format != Format::table) {
+      print(call.out, call.format, {}, {}, answer);
+    } else {
+      if (!rows.empty()) print(call.out, call.format, {"FILE", "LINE", "FINDING"}, rows, json);
+      call.out << fmt::format("lines {} to {}, {}; head {}\n", verdict.first, verdict.head.number,
+                              rows.empty() ? "nothing was changed" : "NOT as they were written",
+                              to_string(verdict.head));
+      if (verdict.unchained > 0)
+        call.out << fmt::format("{} lines before them are of a version without chain\n", verdict.unchained);
+    }
+    return rows.empty() ? exit_ok : exit_failed;
+  }
+
+ private:
+  std::vector<std::string> files_;
+  std::string head_;
+  bool rotated_ = false;
+  security::AuditExpectation expected_;
+};
+
 }  // namespace
 
 void add_security_verbs(Verbs& verbs) {
   auto& certs = verbs.group("certs", "Make certificates for a small installation; asks no master");
   certs.add<Certs>(true);
   certs.add<Certs>(false);
+  certs.add<RenewCertificates>();
+  certs.add<RevokeCertificates>();
   auto& tokens = verbs.group("token", "Keep a file of tokens, which a daemon reads; asks no master");
   tokens.add<AddToken>();
   tokens.add<RemoveToken>();
   tokens.add<ListTokens>();
+  auto& audit = verbs.group("audit", "Look at an audit log; asks no master");
+  audit.add<VerifyAudit>();
 }
 
 }  // namespace iotcloud::master::cli

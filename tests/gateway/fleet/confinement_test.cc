@@ -6,7 +6,9 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/processes/landlock.h>
 #include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/fleet/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
 
@@ -63,6 +65,58 @@ TEST_F(ConfinedHosts, AreRefusedSystemCallsThatNoDriverNeedsAndMayStartThreadsAn
   EXPECT_EQ(found["process_vm_readv"], "EPERM");
   EXPECT_EQ(found["thread"], "ok");
   EXPECT_EQ(found["program"], "ok");
+}
+
+TEST_F(ConfinedHosts, CannotGetAroundTheFilterByARing) {
+  confinement_.no_new_privileges = true;
+  EXPECT_EQ(facts()["io_uring"], "EFAULT") << "without a filter the kernel looks at the call";
+  gateway_.reset();
+  confinement_.filter_calls = true;
+  EXPECT_EQ(facts()["io_uring"], "EPERM");
+}
+
+TEST_F(ConfinedHosts, DoNotSeeTheSecretsInTheirGatewaysEnvironment) {
+  setenv("IOTCLOUD_TEST_SECRET", "sesame", 1);
+  const std::map<std::string, std::string> asks{{"secret_variable", "IOTCLOUD_TEST_SECRET"}};
+  EXPECT_EQ(facts(asks)["secret_variable"], "none");
+  take_back("a");
+  gateway_.reset();
+  environment_ = {"IOTCLOUD_TEST_SECRET"};
+  EXPECT_EQ(facts(asks)["secret_variable"], "sesame") << "the configuration names it";
+  unsetenv("IOTCLOUD_TEST_SECRET");
+}
+
+TEST_F(ConfinedHosts, HaveAsManyProcessesAsTheyMay) {
+  confinement_.processes = 3000;
+  EXPECT_EQ(facts()["processes"], "3000");
+}
+
+TEST_F(ConfinedHosts, ReachOnlyTheFilesThatTheyMay) {
+  if (processes::landlock_version() == 0) GTEST_SKIP() << "this kernel has no Landlock";
+  const auto secret = tests::write_file(folder_ / "tokens", "anna:admin:...");
+  const auto shared = folder_ / "shared";
+  fs::create_directories(shared);
+  const std::map<std::string, std::string> asks{{"secret_file", secret}, {"forbidden_file", folder_ / "new"}};
+  auto found = facts(asks);
+  EXPECT_EQ(found["secret_file"], "ok") << "the attack, without a confinement";
+  EXPECT_EQ(found["forbidden_file"], "ok");
+  EXPECT_EQ(found["signal_to_parent"], "ok");
+  take_back("a");
+  gateway_.reset();
+  confinement_.no_new_privileges = true;
+  confinement_.files.emplace();
+  found = facts(asks);
+  EXPECT_EQ(found["secret_file"], "EACCES");
+  EXPECT_EQ(found["forbidden_file"], "EACCES");
+  EXPECT_EQ(found["program"], "ok");
+  const bool signals_too = processes::landlock_version() >= 6;
+  EXPECT_EQ(found["signal_to_parent"], signals_too ? "EPERM" : "ok");
+  take_back("a");
+  gateway_.reset();
+  confinement_.files = processes::FileAccess{{secret}, {shared}};
+  found = facts({{"secret_file", secret}, {"forbidden_file", shared / "new"}});
+  EXPECT_EQ(found["secret_file"], "ok") << "the configuration names it";
+  EXPECT_EQ(found["forbidden_file"], "ok");
 }
 
 TEST_F(ConfinedHosts, ThatCannotBeConfinedRunNoDriverAndSayWhy) {

@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <iotcloud/security/ed25519.h>
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/sha256.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/files.h>
@@ -60,6 +61,23 @@ class SentPluginTest : public ProcessTest {
   const security::KeyPair lab_ = security::new_key_pair();
   std::shared_ptr<processes::PluginStore> store_;
 };
+
+TEST_F(SentPluginTest, AnOldSignedPluginIsNotRolledBackTo) {
+  signature_required_ = true;
+  start_gateway();
+  const auto signed_as = [&](std::uint64_t version) {
+    const auto bytes = probe("v" + std::to_string(version));
+    return send(bytes, security::sign_plugin(lab_.private_pem, "lab", bytes, "probe", version));
+  };
+  const auto first = signed_as(1), second = signed_as(2), third = signed_as(3);
+  give(sent("a", first));
+  ASSERT_TRUE(comes_to("a", DriverState::active)) << (record("a") ? record("a")->reason : "");
+  give(sent("b", third));
+  ASSERT_TRUE(comes_to("b", DriverState::active)) << (record("b") ? record("b")->reason : "");
+  give(sent("c", second));
+  ASSERT_TRUE(comes_to("c", DriverState::failed));
+  EXPECT_THAT(record("c")->reason, HasSubstr("version 2 of probe is older than version 3"));
+}
 
 TEST_F(SentPluginTest, AnInstanceRunsWhatWasSentAndItsRecordSaysWhichBytes) {
   start_gateway();

@@ -9,6 +9,7 @@
 #include <fcntl.h>
 #include <grp.h>
 #include <sched.h>
+#include <signal.h>
 #include <spawn.h>
 #include <sys/prctl.h>
 #include <sys/ptrace.h>
@@ -26,6 +27,8 @@ using namespace std::chrono_literals;
 
 /// A driver that tries what its process may do, and says what came of it in its metadata: "ok", or the error's name.
 ///   forbidden_file: a path at which it tries to make a file
+///   secret_file: a path that it tries to read
+///   secret_variable: a variable of the environment that it looks for
 ///   chatter: "true": it writes 16 KiB to stdout every 2 ms
 class ConfinedDriver final : public drivers::Driver {
  public:
@@ -50,7 +53,17 @@ class ConfinedDriver final : public drivers::Driver {
         {"process_vm_readv", outcome(read_own_memory())},
         {"thread", outcome(thread())},
         {"program", outcome(program())},
+        {"io_uring", outcome(io_uring())},
+        {"processes", limit(RLIMIT_NPROC)},
+        {"signal_to_parent", outcome(kill(getppid(), 0))},
     };
+    if (const auto file = properties.find("secret_file"); file != properties.end()) {
+      facts["secret_file"] = outcome(::open(file->second.c_str(), O_RDONLY | O_CLOEXEC));
+    }
+    if (const auto name = properties.find("secret_variable"); name != properties.end()) {
+      const char* const value = getenv(name->second.c_str());
+      facts["secret_variable"] = value == nullptr ? "none" : value;
+    }
     if (const auto file = properties.find("forbidden_file"); file != properties.end()) {
       facts["forbidden_file"] = outcome(::open(file->second.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600));
     }
@@ -86,6 +99,9 @@ class ConfinedDriver final : public drivers::Driver {
     std::thread([&] { result = 0; }).join();
     return result;
   }
+
+  /// Opens a ring whose parameters are missing: EFAULT, if the call is not refused before.
+  static long io_uring() { return syscall(SYS_io_uring_setup, 1, nullptr); }
 
   static long program() {
     std::string name = "/bin/true";

@@ -10,7 +10,10 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/access.h>
 #include <iotcloud/master/master_service.h>
+#include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/registry_password.h>
+#include <iotcloud/security/renewals.h>
+#include <iotcloud/security/tls.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/master/process.h>
 #include <iotcloud/tests/security/certificates.h>
@@ -147,7 +150,7 @@ TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
                 {certs + "/ca.pem", certs + "/lab1.pem", certs + "/lab1.key"},
                 folder_ / "tokens",
                 "localhost:1"};
-  config.audit_file = folder_ / "audit.log";
+  config.audit.file = folder_ / "audit.log";
   auto service = make_master_service(config);
   service->start();
   const std::string address = "localhost:" + std::to_string(config.api.port);
@@ -175,6 +178,42 @@ TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
   service->reload();
   EXPECT_EQ(ask(both).status, 1);
   service->stop(std::chrono::seconds(5));
+}
+
+TEST_F(CliSecurity, AuditVerifyNamesTheLineThatWasChanged) {
+  const std::string file = folder_ / "audit.log";
+  {
+    security::AuditLog log(file);
+    for (const char* who : {"anna", "otto", "vera"}) {
+      security::AuditEntry entry;
+      entry.who = who;
+      log.write(entry);
+    }
+  }
+  const auto good = run({"audit", "verify", file});
+  EXPECT_EQ(good.status, 0) << good.out;
+  EXPECT_THAT(good.out, HasSubstr("lines 1 to 3, nothing was changed; head 3:"));
+  std::ifstream in(file);
+  std::string text((std::istreambuf_iterator<char>(in)), {});
+  text.replace(text.find("otto"), 4, "vera");
+  std::ofstream(file) << text;
+  const auto bad = run({"audit", "verify", file, "-o", "json"});
+  EXPECT_EQ(bad.status, 1);
+  EXPECT_THAT(bad.out, HasSubstr("line 2 was changed after it was written"));
+  EXPECT_EQ(run({"audit", "verify", file, "--head", "three"}).status, 2);
+}
+
+TEST_F(CliSecurity, CertificatesAreRenewedAndRevoked) {
+  const std::string certs = folder_ / "certs";
+  ASSERT_EQ(run({"certs", "init", certs, "--host", "lab1"}).status, 0);
+  ASSERT_EQ(run({"certs", "renew", certs, "lab1", "--days", "10"}).status, 0);
+  EXPECT_NEAR(security::days_left(certs + "/lab1.pem"), 10, 0.1);
+  const security::TlsFiles files{certs + "/ca.pem", certs + "/lab1.pem", certs + "/lab1.key", certs + "/revoked.pem"};
+  EXPECT_NO_THROW(security::TlsContext(files, security::TlsContext::Side::server)) << "the key still fits";
+  const auto revoked = run({"certs", "revoke", certs, "operator"});
+  EXPECT_EQ(revoked.status, 0) << revoked.err;
+  EXPECT_EQ(run({"certs", "revoke", certs, "operator"}).status, 0) << "again, it changes nothing";
+  EXPECT_EQ(run({"certs", "renew", certs, "nobody"}).status, 1);
 }
 
 TEST_F(CliSecurity, TheDaemonRefusesToStartWithoutThem) {

@@ -1,0 +1,84 @@
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/durable_write.h>
+#include <iotcloud/config/error.h>
+#include <iotcloud/gateway/fleet/plugin_versions.h>
+#include <iotcloud/gateway/logger.h>
+
+namespace iotcloud::gateway {
+
+namespace {
+
+constexpr unsigned for_the_gateway = 0600;
+
+}  // namespace
+
+PluginVersions::PluginVersions(Options options, const config::Clock& clock)
+    : options_(std::move(options)), clock_(clock) {
+  if (!std::filesystem::exists(options_.file)) return;
+  std::ifstream in(options_.file);
+  const config::MutexLock lock(mutex_);
+  for (std::string line; std::getline(in, line);) {
+    std::istringstream words(line);
+    std::string name;
+    Known known;
+    if (!(words >> name >> known.newest >> known.before >> known.since_ms)) {
+      throw config::Error(fmt::format(
+          "{} is damaged at \"{}\": each line has a plugin's name, its newest version, the one before, and a time",
+          options_.file, line));
+    }
+    known_[name] = known;
+  }
+}
+
+bool PluginVersions::may_go_back(const std::string& name) const {
+  const auto& names = options_.allow_rollback;
+  return std::find(names.begin(), names.end(), name) != names.end();
+}
+
+void PluginVersions::refuse_without_version(const std::string& plugin) const {
+  const std::string name = plugin.substr(0, plugin.rfind('.'));
+  const auto known = known_.find(name);
+  if (may_go_back(name) || (!options_.require_version && known == known_.end())) return;
+  throw config::Error(fmt::format(
+      "{} was signed without a version{}; sign it with `iotcloud sign --version N`, or name {} in "
+      "plugins.allow_rollback",
+      plugin, known == known_.end() ? "" : fmt::format(", and version {} of it ran here", known->second.newest), name));
+}
+
+void PluginVersions::admit(const std::string& plugin, const security::PluginSignature& signature) {
+  const config::MutexLock lock(mutex_);
+  if (signature.version == 0) return refuse_without_version(plugin);
+  const auto now = clock_.wall_ms();
+  Known& known = known_[signature.name];
+  if (signature.version > known.newest) {
+    known = {signature.version, known.newest, now};
+    return keep();
+  }
+  if (signature.version == known.newest) return;
+  if (signature.version == known.before && now - known.since_ms < options_.way_back.count()) return;
+  if (may_go_back(signature.name)) {
+    logger.warn("{}: version {} runs although version {} ran here, as plugins.allow_rollback says", plugin,
+                signature.version, known.newest);
+    return;
+  }
+  throw config::Error(
+      fmt::format("{}: version {} of {} is older than version {}, which ran here, and may have holes that were mended "
+                  "since; deploy a newer one, or name {} in plugins.allow_rollback",
+                  plugin, signature.version, signature.name, known.newest, signature.name));
+}
+
+void PluginVersions::keep() const {
+  std::string text;
+  for (const auto& [name, known] : known_)
+    text += fmt::format("{} {} {} {}\n", name, known.newest, known.before, known.since_ms);
+  config::replace_file(options_.file, text, for_the_gateway);
+}
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/security/plugin_signature.h>
+
+namespace iotcloud::gateway {
+
+/// The versions of signed plugins that ran on this gateway. A plugin that was signed once is trusted for ever, also
+/// with holes that its later versions have not; so an older version than one that ran does not run again, except as the
+/// way back of an update, or if the configuration says so. Thread safe.
+class PluginVersions {
+ public:
+  struct Options {
+    std::string file;                         ///< where they are kept; made when the first one is known
+    std::vector<std::string> allow_rollback;  ///< names of plugins whose older versions may run
+    bool require_version = false;             ///< a plugin that was signed without a version does not run
+    /// For so long after a version first ran, the one before it may run again.
+    std::chrono::milliseconds way_back{3'600'000};
+  };
+  /// \throws config::Error if the file cannot be read or is damaged.
+  explicit PluginVersions(Options options, const config::Clock& clock = config::system_clock());
+
+  /// Takes note that a plugin is about to run. \param plugin its file, such as turtle.so. \param signature one that a
+  /// trusted key made. \throws config::Error if it must not run, with the reason
+  void admit(const std::string& plugin, const security::PluginSignature& signature) IOTCLOUD_EXCLUDES(mutex_);
+
+ private:
+  struct Known {
+    std::uint64_t newest = 0, before = 0;
+    std::int64_t since_ms = 0;  ///< when `newest` first ran; wall time
+  };
+  void refuse_without_version(const std::string& plugin) const IOTCLOUD_REQUIRES(mutex_);
+  bool may_go_back(const std::string& name) const;
+  void keep() const IOTCLOUD_REQUIRES(mutex_);
+
+  const Options options_;
+  const config::Clock& clock_;
+  config::Mutex mutex_;
+  std::map<std::string, Known> known_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by the name that the signer gave
+};
+
+}  // namespace iotcloud::gateway

@@ -1,0 +1,22 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace iotcloud::processes {
+
+/// The files and folders that a confined process may reach, each with all that is below it.
+struct FileAccess {
+  std::vector<std::string> read;   ///< read, list and execute
+  std::vector<std::string> write;  ///< also make, change, rename and remove; devices are opened and controlled
+};
+
+/// What the kernel's Landlock can do: 0 if it has none.
+int landlock_version();
+
+/// From now on this process, all its threads and what they start reach only these files, and with version 6 of Landlock
+/// send signals only to each other. Paths that do not exist are left out. Descriptors that are open stay usable. Needs
+/// no_new_privileges. \return false if the kernel has no Landlock; then nothing changes. \throws config::Error
+bool restrict_files(const FileAccess& allowed);
+
+}  // namespace iotcloud::processes

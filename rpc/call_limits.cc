@@ -1,0 +1,45 @@
+#include <algorithm>
+
+#include <iotcloud/rpc/call_limits.h>
+
+namespace iotcloud::rpc {
+
+using config::Clock;
+
+std::shared_ptr<CallLimits::Account> CallLimits::account(const std::string& identity) {
+  const config::MutexLock lock(mutex_);
+  auto& account = accounts_[identity];
+  if (!account) account = std::make_shared<Account>();
+  return account;
+}
+
+std::shared_ptr<void> CallLimits::enter(const std::string& identity) {
+  auto of_identity = account(identity);
+  Account& of = *of_identity;
+  const auto period =
+      std::chrono::duration_cast<Clock::Instant::duration>(std::chrono::duration<double>(1 / options_.per_second));
+  const auto ahead = std::chrono::duration_cast<Clock::Instant::duration>(period * (options_.burst - 1));
+  const auto now = clock_.now();
+  const auto end = now + options_.longest_wait;
+  const config::MutexLock lock(of.mutex);
+  const auto due = std::max(of.due, now);
+  const auto turn = due - ahead;
+  if (turn > end) return nullptr;
+  of.due = due + period;
+  while (clock_.now() < turn) of.changed.wait_until(of.mutex, clock_, turn);
+  while (of.running >= options_.at_once) {
+    if (clock_.now() >= end) return nullptr;
+    of.changed.wait_until(of.mutex, clock_, end);
+  }
+  ++of.running;
+  return {static_cast<void*>(&of), [of_identity](void*) {
+            Account& left = *of_identity;
+            {
+              const config::MutexLock held(left.mutex);
+              --left.running;
+            }
+            left.changed.notify_all();
+          }};
+}
+
+}  // namespace iotcloud::rpc

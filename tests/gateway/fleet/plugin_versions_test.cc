@@ -1,0 +1,87 @@
+// An old plugin that was signed once does not come back.
+#include <filesystem>
+#include <string>
+
+#include <gmock/gmock.h>
+
+#include <iotcloud/gateway/fleet/plugin_versions.h>
+#include <iotcloud/tests/security/key_folder.h>
+
+namespace iotcloud::gateway {
+namespace {
+
+using security::error_of;
+using security::PluginSignature;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+/// Stands still until a test moves it.
+struct VersionsClock final : config::Clock {
+  Instant now() const override { return {}; }
+  std::int64_t wall_ms() const override { return ms; }
+  std::int64_t ms = 1'000'000;
+};
+
+class PluginVersionsTest : public security::KeyFolder {
+ protected:
+  PluginVersions versions() const { return PluginVersions(options_, clock_); }
+  static std::string refusal(PluginVersions& versions, std::uint64_t version, const std::string& file = "turtle.so") {
+    PluginSignature signature;
+    if (version > 0) signature.name = "turtle";
+    signature.version = version;
+    return error_of([&] { versions.admit(file, signature); });
+  }
+
+  VersionsClock clock_;
+  PluginVersions::Options options_{folder_ / "plugin-versions", {}, false};
+};
+
+TEST_F(PluginVersionsTest, AnOlderVersionThanOneThatRanDoesNotRunAlsoUnderAnotherFileAndAfterARestart) {
+  {
+    auto known = versions();
+    EXPECT_THAT(refusal(known, 1), IsEmpty());
+    EXPECT_THAT(refusal(known, 3), IsEmpty());
+    EXPECT_THAT(refusal(known, 3), IsEmpty());
+    EXPECT_THAT(refusal(known, 2), HasSubstr("version 2 of turtle is older than version 3, which ran here"));
+  }
+  auto known = versions();
+  EXPECT_THAT(refusal(known, 2, "harmless.so"), HasSubstr("is older"));
+  EXPECT_THAT(refusal(known, 4), IsEmpty());
+}
+
+TEST_F(PluginVersionsTest, AnUpdateMayGoBackForAWhileToTheVersionBefore) {
+  auto known = versions();
+  EXPECT_THAT(refusal(known, 1), IsEmpty());
+  EXPECT_THAT(refusal(known, 2), IsEmpty());
+  EXPECT_THAT(refusal(known, 1), IsEmpty()) << "the update failed";
+  clock_.ms += options_.way_back.count();
+  EXPECT_THAT(refusal(known, 1), HasSubstr("is older"));
+}
+
+TEST_F(PluginVersionsTest, APersonMaySayThatAnOlderOneRuns) {
+  auto known = versions();
+  EXPECT_THAT(refusal(known, 5), IsEmpty());
+  EXPECT_THAT(refusal(known, 2), HasSubstr("plugins.allow_rollback"));
+  options_.allow_rollback = {"turtle"};
+  auto allowing = versions();
+  EXPECT_THAT(refusal(allowing, 2), IsEmpty());
+}
+
+TEST_F(PluginVersionsTest, OneThatWasSignedWithoutAVersionDoesNotComeBackAfterOneWith) {
+  auto known = versions();
+  EXPECT_THAT(refusal(known, 0), IsEmpty()) << "as long as no version of it is known";
+  EXPECT_THAT(refusal(known, 1), IsEmpty());
+  EXPECT_THAT(refusal(known, 0), HasSubstr("was signed without a version"));
+  EXPECT_THAT(refusal(known, 0, "other.so"), IsEmpty());
+  options_.require_version = true;
+  auto strict = versions();
+  EXPECT_THAT(refusal(strict, 0, "other.so"), HasSubstr("iotcloud sign --version"));
+}
+
+TEST_F(PluginVersionsTest, ADamagedFileIsNotTakenForAnEmptyOne) {
+  write("plugin-versions", "turtle three\n");
+  EXPECT_THAT(error_of([&] { versions(); }), HasSubstr("is damaged"));
+}
+
+}  // namespace
+}  // namespace iotcloud::gateway
