@@ -197,14 +197,14 @@ def foreign(one, copies):
 
 
 def out_of_order(one, copies):
-    """First copies that came after a newer message of their instance. What a run of a blocked channel had sent when it was
-    killed may come among messages of the next run: a broker that stood still meanwhile reads both processes' connections."""
+    """First copies that came after a newer message of their instance. What a run of a blocked channel had sent without an
+    answer when it ended may come among messages of the next run: a broker that stood still meanwhile reads both processes'
+    connections. So only each run by itself is judged there."""
     place = {run.name: number for number, run in enumerate(one.runs)}
-    killed = {run.name for run in one.runs if run.end is None} if one.kind == BLOCKED else set()
     seen, newest, last, wrong = set(), (-1, 0), {}, []
     for copy in copies:
         key = (place.get(copy.run, -1), copy.number)
-        before = (key[0], last.get(copy.run, 0)) if copy.run in killed else newest
+        before = (key[0], last.get(copy.run, 0)) if one.kind == BLOCKED else newest
         if key not in seen and key < before:
             wrong.append(f"number {copy.number} of run {copy.run} came at {copy.time:.2f} after number {before[1]}")
         seen.add(key)

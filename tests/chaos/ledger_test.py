@@ -58,13 +58,13 @@ class LedgerTest(unittest.TestCase):
         self.assertEqual(check([account(BLOCKED, runs, came)]), [])
         self.assert_wrong(check([account(SPOOLED, runs, came)]), "2 of 5 accepted messages of run 1.1 never came: 4-5")
 
-    def test_what_a_killed_run_of_a_blocked_channel_sent_may_come_among_messages_of_the_next(self):
+    def test_what_a_run_of_a_blocked_channel_had_sent_may_come_among_messages_of_the_next(self):
         runs = [run(), run("2.1", 10)]
         among = copies(1, 2, 3) + copies(1, name="2.1", begin=10) + copies(4, 5) + copies(2, 3, 4, 5, name="2.1", begin=10)
         self.assertEqual(check([account(BLOCKED, runs, among)]), [])
         self.assert_wrong(check([account(SPOOLED, runs, among)]), "2 messages were overtaken: number 4 of run 1.1")
         runs[0].end = 6
-        self.assert_wrong(check([account(BLOCKED, runs, among)]), "2 messages were overtaken: number 4 of run 1.1")
+        self.assertEqual(check([account(BLOCKED, runs, among)]), [])
         swapped = copies(1, 2, 3) + copies(1, name="2.1", begin=10) + copies(5, 4) + copies(2, 3, 4, 5, name="2.1", begin=10)
         self.assert_wrong(check([account(BLOCKED, [run(), run("2.1", 10)], swapped)]), "1 messages were overtaken: number 4")
 
