@@ -44,10 +44,10 @@ class Cli : public ::testing::Test {
     words.insert(words.begin(), IOTCLOUD_CLI);
     return run_program(words, {{"IOTCLOUD_MASTER", address()}});
   }
-  nlohmann::json run_json(std::vector<std::string> words) const {
+  nlohmann::json run_json(std::vector<std::string> words, int status = 0) const {
     words.insert(words.end(), {"-o", "json"});
     const auto done = run(words);
-    EXPECT_EQ(done.status, 0) << done.err;
+    EXPECT_EQ(done.status, status) << done.err;
     return nlohmann::json::parse(done.out);
   }
   std::string deploy(const std::string& gateway) {

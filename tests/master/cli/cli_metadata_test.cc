@@ -89,10 +89,12 @@ TEST_F(CliMetadata, OrdersAreForWhatTheOptionsChooseAndForNothingElse) {
 
 TEST_F(CliMetadata, WhatItsGatewayHasNotTakenUpIsChosenToo) {
   { const FakeGateway gone(url, "lab2"); }
-  const auto deployed = run_json({"deploy", "turtle.so", "-g", "lab2", "--name", "meter", "--metadata", "site=lab"});
+  const int pending = 1;
+  const auto deployed =
+      run_json({"deploy", "turtle.so", "-g", "lab2", "--name", "meter", "--metadata", "site=lab"}, pending);
   ASSERT_EQ(deployed["outcomes"][0]["outcome"], "pending");
   EXPECT_THAT(run_json({"drivers"}), SizeIs(0)) << "it has no record yet";
-  EXPECT_EQ(run_json({"stop", "--where", "site == 'lab'"})["outcomes"][0]["outcome"], "pending");
+  EXPECT_EQ(run_json({"stop", "--where", "site == 'lab'"}, pending)["outcomes"][0]["outcome"], "pending");
   EXPECT_EQ(run({"stop", "--name", "meter", "--state", "active"}).status, 1);
   const auto taken = run_json({"undeploy", "--name", "meter"})["outcomes"];
   ASSERT_THAT(taken, SizeIs(1));
