@@ -211,6 +211,7 @@ Seeds all_seeds() {
   seeds["robot_protocol"]["driver"] = '\x13' + of_driver;
   seeds["registry_records"] = registry_records();
   add_control_plane_seeds(seeds);
+  add_wire_seeds(seeds);
   return seeds;
 }
 

@@ -1,0 +1,57 @@
+// What anybody may send to a daemon's pages: bytes of one connection, to a real server over loopback.
+#include <array>
+#include <map>
+#include <string>
+#include <string_view>
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "iotcloud/rpc/http/http_server.h"
+#include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/fuzz/fuzz_target.h"
+
+using namespace iotcloud;
+
+namespace {
+
+/// Serves a page that shows what was understood of the request.
+int port_of_server() {
+  static const rpc::HttpServer server("127.0.0.1:0", {{"/page", [](const rpc::HttpRequest& request) {
+                                                         std::string text = request.path;
+                                                         for (const auto& [key, value] : request.query)
+                                                           text += key + "=" + value + "\n";
+                                                         return rpc::HttpAnswer{200, "text/plain", text};
+                                                       }}});
+  static const std::string address = server.address();
+  return std::stoi(address.substr(address.rfind(':') + 1));
+}
+
+/// Sends the bytes on a connection of their own. \return all that the server answers until it closes
+std::string answer_to(std::string_view bytes) {
+  const int descriptor = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(static_cast<std::uint16_t>(port_of_server()));
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  fuzz::must(connect(descriptor, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0,
+             "the server takes connections");
+  // The server may answer and close before all of it was sent.
+  static_cast<void>(send(descriptor, bytes.data(), bytes.size(), MSG_NOSIGNAL));
+  shutdown(descriptor, SHUT_WR);
+  std::string answer;
+  std::array<char, 4096> part{};
+  for (ssize_t size = 0; (size = recv(descriptor, part.data(), part.size(), 0)) > 0;)
+    answer.append(part.data(), static_cast<std::size_t>(size));
+  close(descriptor);
+  return answer;
+}
+
+}  // namespace
+
+IOTCLOUD_FUZZ_TARGET(http, 2'000) {
+  const std::string answer = answer_to(fuzz::text(data, size));
+  fuzz::must(answer.empty() || answer.starts_with("HTTP/1."), "what is answered is HTTP");
+}
