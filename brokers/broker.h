@@ -223,7 +223,7 @@ class Broker {
   virtual std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
                                                   Handler handler) = 0;
   /// Follows into how many partitions a topic is split: messages with one driver's id are all in one of them.
-  /// \param told is called on a thread of the broker with the number, at least 1, as soon as the server says that it
+  /// The function is called on a thread of the broker with the number, at least 1, as soon as the server says that it
   /// has the topic, and after each change. \return null: this kind of broker does not split topics.
   virtual std::unique_ptr<PartitionWatch> watch_partitions(const Topic& /*topic*/,
                                                            std::function<void(int count)> /*told*/) {

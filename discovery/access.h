@@ -19,8 +19,7 @@ struct RegistryUser {
 };
 
 /// Reads the users' file, which all processes of a fleet share; it has no secrets. Empty lines and lines that begin
-/// with
-/// '#' are skipped. \throws config::Error with file and line.
+/// with '#' are skipped. \throws config::Error with file and line.
 std::vector<RegistryUser> read_registry_users(const std::string& file);
 
 /// Who may do what with which nodes: only masters write orders, only a gateway (and masters) its own records, only a
@@ -30,6 +29,7 @@ class RegistryAccess {
  public:
   /// Rights on one node, as ZooKeeper has them: `create` and `remove` are about its children.
   static constexpr int read = 1, write = 2, create = 4, remove = 8, all = 31;
+  /// What one user may do with a node.
   struct Grant {
     std::string id;  ///< "USER:DIGEST"
     int rights = 0;
