@@ -26,6 +26,12 @@ const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>
   return *at;
 }
 
+/// What one gateway answered. An exception does not cross threads: they would share its text.
+struct GatewayHistory {
+  std::vector<DriverChange> changes;
+  std::string failure;  ///< why there is no answer; empty: there is one
+};
+
 }  // namespace
 
 DriverHistory read_history(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
@@ -39,13 +45,16 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
   }
   // The gateways are asked for all instances: the beginning of an id may belong to an instance that is gone, which only
   // they know.
-  std::vector<std::pair<discovery::GatewayId, std::future<std::vector<DriverChange>>>> answers;
+  std::vector<std::pair<discovery::GatewayId, std::future<GatewayHistory>>> answers;
   const auto until = std::chrono::steady_clock::now() + history_limit;
   for (const auto* gateway : asked) {
-    answers.emplace_back(gateway->record.id, asks.ask([gateway = *gateway, &access, until] {
-      // Nobody waits for the answer any more.
-      if (std::chrono::steady_clock::now() >= until) return std::vector<DriverChange>{};
-      return site_changes(address_of(gateway, access), gateway.record.id, {}, answer_limit);
+    answers.emplace_back(gateway->record.id, asks.ask([gateway = *gateway, &access, until]() -> GatewayHistory {
+      if (std::chrono::steady_clock::now() >= until) return {};  // nobody waits for the answer any more
+      try {
+        return {site_changes(address_of(gateway, access), gateway.record.id, {}, answer_limit), ""};
+      } catch (const config::Error& e) {
+        return {{}, e.what()};
+      }
     }));
   }
   const auto wanted = [&](const DriverChange& change) {
@@ -58,12 +67,10 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
       history.silent[id] = "it was not asked in time, because others took long to answer; ask for it alone";
       continue;
     }
-    try {
-      for (auto& change : answer.get()) {
-        if (wanted(change)) history.changes.push_back(std::move(change));
-      }
-    } catch (const config::Error& e) {
-      history.silent[id] = e.what();
+    GatewayHistory told = answer.get();
+    if (!told.failure.empty()) history.silent[id] = std::move(told.failure);
+    for (auto& change : told.changes) {
+      if (wanted(change)) history.changes.push_back(std::move(change));
     }
   }
   std::stable_sort(history.changes.begin(), history.changes.end(),
