@@ -90,11 +90,11 @@ class GatewayDaemon final : public config::Service {
   static constexpr std::chrono::milliseconds thrift_share{500};
   gateway::GatewayConfig config_;
   config::Metrics::SourceRegistration of_hosts_;
-  std::optional<rpc::MetricsEndpoint> metrics_;
   std::optional<processes::StateFolder> state_;
   std::unique_ptr<discovery::Registry> registry_;
   std::optional<gateway::Gateway> gateway_;
   std::optional<gateway::SiteService> service_;
+  std::optional<rpc::MetricsEndpoint> metrics_;  ///< last: its thread asks the others, also when start() fails
 };
 
 }  // namespace

@@ -42,7 +42,7 @@ FAULTS = {
     "clock_ahead": Kind(DAEMONS, 1, 15, 0.5),  # by an hour, and back
     "clock_back": Kind(DAEMONS, 1, 15, 0.5),
     "broken": Kind(GATEWAYS, 1, 10, 1),  # writing to its state folder, spools included, fails with EIO
-    "forbid": Kind((BROKER,), 2, 10, 1, ("rabbitmq", "kafka")),  # the broker's user may not write
+    "forbid": Kind((BROKER,), 2, 10, 1, ("rabbitmq", "kafka")),  # nobody may write to the broker
     "empty": Kind((BROKER,), 0.5, 2, 0.5),  # killed, and started without its data
     "wipe": Kind((ZOOKEEPER,), 0.5, 2, 0.5),  # killed, and started without its data
 }

@@ -313,8 +313,8 @@ void SpoutPlacement::take_partitions() {
     SplitTopic& topic = found->second;
     if (std::exchange(topic.count, count) != count) changed.insert(topic.instances.begin(), topic.instances.end());
     endpoints_logger.debug("{}: topic {} has {} partitions", component_, key.second.name, count);
-    const discovery::ChannelRecord& channel = channels_.at(*topic.instances.begin());
-    services_->partitions->set(source_of(channel), channel.name, count);
+    const auto channel = channels_.find(*topic.instances.begin());
+    if (channel != channels_.end()) services_->partitions->set(source_of(channel->second), channel->second.name, count);
   }
   for (const auto& [instance, channel] : channels_) {
     if (channel.shared && (all || changed.contains(instance))) place(channel);
