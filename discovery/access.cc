@@ -84,21 +84,23 @@ int RegistryAccess::of_gateway(const std::string& id, const std::string& path, c
   if (path == paths_.gateways) return read | create;
   if (!is_below(path, paths_.gateways)) return read;
   const GatewayId own(id);
-  const std::string of_orders = "/orders";
   if (is_at_or_below(path, paths_.orders(own))) return read;
   if (is_at_or_below(path, paths_.gateway(own))) return all;
+  return is_of_orders(path) ? 0 : read;
+}
+
+/// Whether a node below a gateway's is that of its orders, or one of them.
+bool RegistryAccess::is_of_orders(const std::string& path) const {
   const auto name_end = std::min(path.find('/', paths_.gateways.size() + 1), path.size());
-  return is_at_or_below(path.substr(name_end), of_orders) ? 0 : read;
+  return is_at_or_below(path.substr(name_end), "/orders");
 }
 
 int RegistryAccess::of_worker(const std::string& path) const {
   if (is_at_or_below(path, paths_.groups)) return all;
   if (!is_at_or_below(path, paths_.topologies)) {
-    const bool of_orders =
-        is_below(path, paths_.gateways) && path.find("/orders", paths_.gateways.size()) < path.size();
-    return of_orders ? 0 : read;
+    return is_below(path, paths_.gateways) && is_of_orders(path) ? 0 : read;
   }
-  return path.ends_with("/wanted") ? read : all;
+  return path.ends_with("/wanted") && path != paths_.topologies + "/wanted" ? read : all;
 }
 
 }  // namespace iotcloud::discovery

@@ -44,6 +44,7 @@ class RegistryAccess {
   int rights_of(const RegistryUser& user, const std::string& path, const std::string& creator) const;
   int of_gateway(const std::string& id, const std::string& path, const std::string& creator) const;
   int of_worker(const std::string& path) const;
+  bool is_of_orders(const std::string& path) const;
 
   const std::vector<RegistryUser> users_;
   const Paths paths_;

@@ -81,9 +81,9 @@ int SiteService::port() const {
 }
 
 void SiteService::reload() {
+  if (impl_->access.audit) impl_->access.audit->reopen();  // first: a file that cannot be read keeps no moved log open
   if (impl_->access.tokens) impl_->access.tokens->reload();
   impl_->server->reload();  // after the tokens: it closes connections whose token is gone
-  if (impl_->access.audit) impl_->access.audit->reopen();
 }
 
 }  // namespace iotcloud::gateway

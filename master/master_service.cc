@@ -113,10 +113,10 @@ class MasterService final : public config::Service {
   }
 
   void reload() override {
-    if (metrics_) metrics_->reload();
+    if (audit_) audit_->reopen();  // first: a file that cannot be read keeps no moved log open
     if (tokens_) tokens_->reload();
     api_->reload();  // after the tokens: it closes connections whose token is gone
-    if (audit_) audit_->reopen();
+    if (metrics_) metrics_->reload();
   }
 
   void stop(milliseconds) override { end(); }

@@ -58,8 +58,13 @@ void PluginVersions::admit(const std::string& plugin, const security::PluginSign
   const auto now = clock_.wall_ms();
   Known& known = known_[signature.name];
   if (signature.version > known.newest) {
-    known = {signature.version, known.newest, now};
-    return keep();
+    const Known before = std::exchange(known, Known{signature.version, known.newest, now});
+    try {
+      return keep();
+    } catch (...) {  // what is not written down is not known: the next try writes it
+      known = before;
+      throw;
+    }
   }
   if (signature.version == known.newest) return;
   if (signature.version == known.before && now - known.since_ms < options_.way_back.count()) return;

@@ -170,9 +170,14 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   void exportOrders(std::string& out) override {
     read([&] {
       session_->begins("all orders");
-      const auto backup = master_.backup();
-      session_->note(words(backup));
-      out = encode(backup);
+      try {
+        const auto backup = master_.backup();
+        session_->note(words(backup));
+        out = encode(backup);
+      } catch (const std::exception& e) {
+        session_->note(e.what());
+        throw;
+      }
     });
   }
   void drain(wire::TOrderResponse& out, const wire::TGatewaySelection& selection) override {

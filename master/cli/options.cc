@@ -204,7 +204,8 @@ std::vector<DriverRecord> Choice::chosen(std::vector<DriverRecord> drivers,
 std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
   std::vector<discovery::InstanceId> ids;
   if (!instances.empty()) {
-    const auto all_drivers = sorted_drivers(master);
+    auto all_drivers = sorted_drivers(master);
+    add_not_taken_up(all_drivers, master.orders());
     for (const auto& beginning : instances) ids.push_back(completed(beginning, all_drivers));
     return ids;
   }

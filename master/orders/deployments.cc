@@ -154,6 +154,7 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
     } else if (ordered && is_as_wanted(there.at(order.instance), *before, order)) {
       outcome.outcome = OrderOutcome::done;
       outcome.reason = "unchanged: it is deployed so already";
+      OrderDesk::set_verdict(outcome, waiting(gateway));  // a lost gateway's record says how it was
     } else if (ordered) {
       outcome.reason = fmt::format(
           "{} {} is deployed there already, and differs or is not in its state; `iotcloud apply` changes it, `iotcloud "

@@ -195,6 +195,7 @@ void OriginalGateways::Impl::beat(const std::stop_token& stop, Tended& one) {
       if (answer.outcome == OrderOutcome::done) {
         misses = 0;
         if (alive) continue;
+        if (!registry.get(marker(one.record.id))) continue;  // it was forgotten: it has to register again
         hold_alive_node(one);
         originals_logger.info("gateway {} answers", one.record.id);
       } else if (++misses >= options.misses_until_lost && alive) {

@@ -114,7 +114,13 @@ void KeyValueState::commit_claimed() {
     throw;
   }
   ++state_.version;
-  for (const auto& [key, value] : changes) written_.insert_or_assign(key, claims_.at(key) + 1);
+  for (const auto& [key, value] : changes) {
+    if (value) {
+      written_.insert_or_assign(key, claims_.at(key) + 1);
+    } else {
+      written_.erase(key);  // the store forgets a key without a value after a while
+    }
+  }
 }
 
 /// From here on each key is claimed and read again: another task or worker may use it meanwhile.

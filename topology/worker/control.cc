@@ -236,9 +236,10 @@ std::string WorkerControl::drain(milliseconds limit, const std::stop_token& stop
     const bool quiet = runtime.idle();
     const std::string left = left_behind(runtime.topology(), runtime.snapshot());
     if (quiet && left.empty()) return "";
-    if (stop.stop_requested()) return "its process was told to stop before it was done; " + left;
+    if (stop.stop_requested())
+      return "its process was told to stop before it was done" + (left.empty() ? "" : "; " + left);
     if (std::chrono::steady_clock::now() >= deadline) {
-      return fmt::format("it was not done after {} ms; {}", limit.count(), left);
+      return fmt::format("it was not done after {} ms{}{}", limit.count(), left.empty() ? "" : "; ", left);
     }
     const config::MutexLock lock(mutex_);
     changed_.wait_for(mutex_, stop, drain_pause, [] { return false; });

@@ -180,9 +180,11 @@ struct Worker::Impl {
     if (std::exchange(finished, true)) return;
     for (const auto& prepare : services->before_stop) prepare();
     const auto drain = std::max(limit - reserve, limit / 2);
-    if (!runtime->stop(drain))
+    if (!runtime->stop(drain)) {
+      const std::string left = left_behind(topology, runtime->snapshot());
       worker_logger.warn("topology {}: the {} ms to finish what was under way are over; {}", topology.name,
-                         drain.count(), left_behind(topology, runtime->snapshot()));
+                         drain.count(), left.empty() ? "no tuple is left" : left);
+    }
     alone.reset();
     if (control) control->leave();
     for (const auto& clear_up : services->after_stop) clear_up();

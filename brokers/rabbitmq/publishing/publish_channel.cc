@@ -366,7 +366,8 @@ void PublishChannel::declare_topics() {
       const std::string why =
           wire_->declare_queue(declare_channel, outbox->topic, outbox->options.original_queue, cluster_.queue_type());
       if (!why.empty()) {
-        logger.error("cannot make the queue {} ({}): {}; what is sent waits here until it is there", outbox->topic.name,
+        logger.error("cannot make the queue {} ({}): {}; what is sent waits here until it is there",
+                     outbox->options.original_queue.empty() ? outbox->topic.name : outbox->options.original_queue,
                      outbox->topic.durable ? "durable" : "not durable", why);
       }
     }

@@ -76,6 +76,7 @@ class Sign final : public Verb {
     auto& version = *options
                          .add_option("--version", version_,
                                      "its version, from 1: where it ran, no older one runs any more. Without: none")
+                         ->check(CLI::PositiveNumber)
                          ->type_name("N");
     options.add_option("--name", name_, "what it is a version of; FILE's name without its ending if not given")
         ->needs(&version)

@@ -94,6 +94,7 @@ TEST_F(CliMetadata, WhatItsGatewayHasNotTakenUpIsChosenToo) {
       run_json({"deploy", "turtle.so", "-g", "lab2", "--name", "meter", "--metadata", "site=lab"}, pending);
   ASSERT_EQ(deployed["outcomes"][0]["outcome"], "pending");
   EXPECT_THAT(run_json({"drivers"}), SizeIs(0)) << "it has no record yet";
+  EXPECT_EQ(run_json({"stop", "meter"}, pending)["outcomes"][0]["instance"], deployed["outcomes"][0]["instance"]);
   EXPECT_EQ(run_json({"stop", "--where", "site == 'lab'"}, pending)["outcomes"][0]["outcome"], "pending");
   EXPECT_EQ(run({"stop", "--name", "meter", "--state", "active"}).status, 1);
   const auto taken = run_json({"undeploy", "--name", "meter"})["outcomes"];

@@ -197,9 +197,14 @@ bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
 
 void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
   const auto known = channels_.find(channel.instance);
-  if (known != channels_.end() && channel.shared &&
-      !(topic_of(known->second) == topic_of(channel) && known->second.gateway == channel.gateway)) {
-    follow_no_more(known->second);
+  if (known != channels_.end()) {
+    const discovery::ChannelRecord before = known->second;
+    if (before.shared &&
+        !(channel.shared && before.gateway == channel.gateway &&
+          address_of(before, *services_) == address_of(channel, *services_) && topic_of(before) == topic_of(channel))) {
+      follow_no_more(before);
+    }
+    if (unit_of(before) != unit_of(channel)) displace(before, 0, End::at_once);
   }
   warned_of_missing_ = false;
   others_.clear();
@@ -274,7 +279,10 @@ void SpoutPlacement::follow_no_more(const discovery::ChannelRecord& channel) {
   found->second.instances.erase(channel.instance);
   if (!found->second.instances.empty()) return;
   topics_.erase(found);
-  services_->partitions->set(source_of(channel), channel.name, 0);
+  const bool still_read = std::any_of(channels_.begin(), channels_.end(), [&](const auto& entry) {
+    return entry.first != channel.instance && entry.second.shared && entry.second.gateway == channel.gateway;
+  });
+  if (!still_read) services_->partitions->set(source_of(channel), channel.name, 0);
 }
 
 /// The broker calls it on its own thread.
@@ -342,7 +350,7 @@ void SpoutPlacement::remove_from_unit(const discovery::ChannelRecord& channel, c
 }
 
 void SpoutPlacement::on_missing(const std::vector<discovery::ChannelRecord>& channels) {
-  if (!units_.empty()) return;
+  if (!channels_.empty()) return;
   for (const auto& channel : channels) {
     if (channel.direction == discovery::Direction::out) others_.insert(channel.name);
   }
@@ -357,7 +365,7 @@ void SpoutPlacement::on_missing(const std::vector<discovery::ChannelRecord>& cha
 }
 
 void SpoutPlacement::warn_of_missing() {
-  if (!units_.empty()) {
+  if (!channels_.empty()) {
     warned_of_missing_ = false;
     return;
   }
