@@ -9,43 +9,22 @@
 #include <arpa/inet.h>
 #include <fmt/format.h>
 #include <netinet/in.h>
-#include <openssl/bn.h>
-#include <openssl/evp.h>
-#include <openssl/pem.h>
-#include <openssl/x509v3.h>
 #include <sys/stat.h>
 
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/security/certificates.h>
+#include <iotcloud/security/openssl.h>
 #include <iotcloud/security/private_file.h>
-#include <iotcloud/security/tls.h>
 
 namespace iotcloud::security {
 
 namespace {
 
-template <auto Free>
-struct Freed {
-  template <typename Object>
-  void operator()(Object* object) const {
-    Free(object);
-  }
-};
-using Key = std::unique_ptr<EVP_PKEY, Freed<EVP_PKEY_free>>;
-using Certificate = std::unique_ptr<X509, Freed<X509_free>>;
-using Memory = std::unique_ptr<BIO, Freed<BIO_free_all>>;
+using namespace openssl;
 
-constexpr int serial_bits = 127;
-constexpr long day_s = 24L * 60 * 60;
-constexpr long authority_days = 3650;
 constexpr long holder_days = 730;
-constexpr long clock_error_s = 60L * 60;  ///< how far the clock of a machine that checks a certificate may be behind
-
-void must(bool done, const char* what) {
-  if (!done) throw config::Error(fmt::format("OpenSSL cannot {}: {}", what, tls_error()));
-}
 
 Key make_key() {
   // Not EVP_EC_gen("P-256"): clang warns that its macro casts a const away.
@@ -54,32 +33,10 @@ Key make_key() {
   return key;
 }
 
-std::string text_of(BIO* memory) {
-  char* data = nullptr;
-  const auto size = BIO_get_mem_data(memory, &data);
-  return {data, static_cast<std::size_t>(size)};
-}
-
 std::string to_pem(EVP_PKEY* key) {
   const Memory memory(BIO_new(BIO_s_mem()));
   must(PEM_write_bio_PrivateKey(memory.get(), key, nullptr, nullptr, 0, nullptr, nullptr) == 1, "write a key");
-  return text_of(memory.get());
-}
-
-std::string to_pem(X509* certificate) {
-  const Memory memory(BIO_new(BIO_s_mem()));
-  must(PEM_write_bio_X509(memory.get(), certificate) == 1, "write a certificate");
-  return text_of(memory.get());
-}
-
-template <typename Read>
-auto read_file(const std::string& file, Read&& read) {
-  const Memory in(BIO_new_file(file.c_str(), "r"));
-  auto object = in ? read(in.get()) : decltype(read(in.get())){};
-  if (!object)
-    throw config::Error(
-        fmt::format("{} cannot be read: {}; `iotcloud certs init` makes an authority", file, tls_error()));
-  return object;
+  return written_to(memory.get());
 }
 
 void extend(X509* certificate, X509* issuer, int kind, const std::string& value) {
@@ -99,12 +56,7 @@ Certificate begin(const std::string& name, EVP_PKEY* key, X509* issuer, long day
   must(certificate != nullptr, "make a certificate");
   X509* const made = certificate.get();
   must(X509_set_version(made, X509_VERSION_3) == 1, "make a certificate");
-  const std::unique_ptr<BIGNUM, Freed<BN_free>> serial(BN_new());
-  must(serial && BN_rand(serial.get(), serial_bits, BN_RAND_TOP_ANY, BN_RAND_BOTTOM_ANY) == 1 &&
-           BN_to_ASN1_INTEGER(serial.get(), X509_get_serialNumber(made)) != nullptr,
-       "make a serial number");
-  X509_gmtime_adj(X509_getm_notBefore(made), -clock_error_s);
-  X509_gmtime_adj(X509_getm_notAfter(made), days * day_s);
+  date_and_number(made, days);
   const auto* const text = reinterpret_cast<const unsigned char*>(name.c_str());
   must(X509_NAME_add_entry_by_txt(X509_get_subject_name(made), "CN", MBSTRING_UTF8, text, -1, -1, 0) == 1,
        "name a certificate");
@@ -128,10 +80,8 @@ void check_name(const std::string& name) {
 /// \param names alternative names of the subject in OpenSSL's notation; empty: none
 void certify(const Authority& authority, const std::string& name, const std::string& usage, const std::string& names) {
   check_name(name);
-  const auto issuer = read_file(authority.certificate("ca"),
-                                [](BIO* in) { return Certificate(PEM_read_bio_X509(in, nullptr, nullptr, nullptr)); });
-  const auto signer = read_file(authority.key("ca"),
-                                [](BIO* in) { return Key(PEM_read_bio_PrivateKey(in, nullptr, nullptr, nullptr)); });
+  const auto issuer = read_certificate(authority.certificate("ca"));
+  const auto signer = read_key(authority.key("ca"));
   const Key key = make_key();
   const Certificate certificate = begin(name, key.get(), issuer.get(), holder_days);
   const auto add = [&](int kind, const std::string& value) { extend(certificate.get(), issuer.get(), kind, value); };
@@ -142,7 +92,7 @@ void certify(const Authority& authority, const std::string& name, const std::str
   if (!names.empty()) add(NID_subject_alt_name, names);
   must(X509_sign(certificate.get(), signer.get(), EVP_sha256()) > 0, "sign a certificate");
   config::write_new_file(authority.key(name), to_pem(key.get()), for_owner);
-  config::write_new_file(authority.certificate(name), to_pem(certificate.get()), for_readers);
+  config::write_new_file(authority.certificate(name), pem_of(certificate.get()), for_readers);
 }
 
 }  // namespace
@@ -159,7 +109,7 @@ void Authority::make() const {
   extend(made, made, NID_subject_key_identifier, "hash");
   must(X509_sign(made, pair.get(), EVP_sha256()) > 0, "sign a certificate");
   config::write_new_file(key("ca"), to_pem(pair.get()), for_owner);
-  config::write_new_file(this->certificate("ca"), to_pem(made), for_readers);
+  config::write_new_file(this->certificate("ca"), pem_of(made), for_readers);
 }
 
 void Authority::certify_host(const std::string& host, const std::vector<std::string>& gateways) const {

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include <thrift/TProcessor.h>
 #include <thrift/protocol/TBinaryProtocol.h>
@@ -21,19 +22,25 @@ namespace iotcloud::rpc::test {
 /// The longest that a test waits before it fails.
 using tests::patience;
 
+/// Reads a call, whatever its arguments are. \return its method and number.
+inline std::pair<std::string, std::int32_t> read_call(apache::thrift::protocol::TProtocol& in) {
+  using namespace apache::thrift::protocol;
+  std::string method;
+  TMessageType type{};
+  std::int32_t number = 0;
+  in.readMessageBegin(method, type, number);
+  in.skip(T_STRUCT);
+  in.readMessageEnd();
+  return {method, number};
+}
+
 /// Answers each call of the method "size:N" with N bytes, any other with "hello", whatever its arguments are.
 class Greeter final : public apache::thrift::TProcessor {
  public:
   bool process(std::shared_ptr<apache::thrift::protocol::TProtocol> in,
                std::shared_ptr<apache::thrift::protocol::TProtocol> out, void*) override {
-    using namespace apache::thrift::protocol;
-    std::string method;
-    TMessageType type{};
-    std::int32_t number = 0;
-    in->readMessageBegin(method, type, number);
-    in->skip(T_STRUCT);
-    in->readMessageEnd();
-    out->writeMessageBegin(method, T_REPLY, number);
+    const auto [method, number] = read_call(*in);
+    out->writeMessageBegin(method, apache::thrift::protocol::T_REPLY, number);
     out->writeString(method.starts_with("size:") ? std::string(std::stoul(method.substr(5)), 'x') : "hello");
     out->writeMessageEnd();
     return true;

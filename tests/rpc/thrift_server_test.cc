@@ -212,15 +212,9 @@ class NamingService {
     explicit Naming(std::shared_ptr<ThriftPeer> peer) : peer_(std::move(peer)) {}
     bool process(std::shared_ptr<apache::thrift::protocol::TProtocol> in,
                  std::shared_ptr<apache::thrift::protocol::TProtocol> out, void*) override {
-      using namespace apache::thrift::protocol;
-      std::string method;
-      TMessageType type{};
-      std::int32_t number = 0;
-      in->readMessageBegin(method, type, number);
-      in->skip(T_STRUCT);
-      in->readMessageEnd();
+      const auto [method, number] = test::read_call(*in);
       if (!peer_->named()) peer_->set_identity(method);
-      out->writeMessageBegin(method, T_REPLY, number);
+      out->writeMessageBegin(method, apache::thrift::protocol::T_REPLY, number);
       out->writeString(peer_->identity());
       out->writeMessageEnd();
       return true;

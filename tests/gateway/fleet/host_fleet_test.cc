@@ -103,6 +103,17 @@ class HostFleetTest : public ::testing::Test {
     order.plugin = plugin;
     return order;
   }
+  /// A host of an earlier gateway with the instance "a".
+  RunningHost running_host(const InstanceStatus& told) {
+    HostedInstance hosted;
+    hosted.spec.order = order("a");
+    hosted.status = told;
+    RunningHost running;
+    running.name = "h";
+    running.order = {"p.so", "gw"_gateway, false};
+    running.instances = {hosted};
+    return running;
+  }
   static InstanceStatus status(const std::string& instance, DriverState state) {
     InstanceStatus status;
     status.instance = discovery::InstanceId(instance);
@@ -366,14 +377,7 @@ TEST_F(HostFleetTest, ARefusedPluginFailsItsInstancesAndIsNotStartedAgain) {
 }
 
 TEST_F(HostFleetTest, InstancesOfAHostThatRunsAlreadyAreAdopted) {
-  RunningHost running;
-  running.name = "h";
-  running.order = {"p.so", "gw"_gateway, false};
-  HostedInstance hosted;
-  hosted.spec.order = order("a");
-  hosted.status = status("a", DriverState::active);
-  running.instances = {hosted};
-  launcher_.found = {running};
+  launcher_.found = {running_host(status("a", DriverState::active))};
   on_loop([&] {
     EXPECT_EQ(fleet_->adopt().size(), 1u);
     fleet_->create(order("b"));  // joins the adopted host
@@ -400,16 +404,10 @@ TEST_F(HostFleetTest, AHostThatNamesAForeignBrokerIsEndedAndOthersDoNotSeeIt) {
 }
 
 TEST_F(HostFleetTest, AHostWhoseAddressesAreNoLongerInTheConfigurationIsNotAdopted) {
-  RunningHost running;
-  running.name = "h";
-  running.order = {"p.so", "gw"_gateway, false};
-  HostedInstance hosted;
-  hosted.spec.order = order("a");
-  hosted.status = status("a", DriverState::active);
-  hosted.status.channels = {channel_of("a")};
-  hosted.status.channels.front().properties["urls"] = "embedded://x embedded://before";
-  running.instances = {hosted};
-  launcher_.found = {running};
+  auto told = status("a", DriverState::active);
+  told.channels = {channel_of("a")};
+  told.channels.front().properties["urls"] = "embedded://x embedded://before";
+  launcher_.found = {running_host(told)};
   on_loop([&] {
     EXPECT_TRUE(fleet_->adopt().empty());
     fleet_->create(order("a"));
