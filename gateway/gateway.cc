@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <atomic>
 #include <future>
 #include <optional>
 #include <set>
@@ -93,6 +94,7 @@ struct Gateway::Impl {
   bool restore_due = false;                         ///< the registry may have lost records of this gateway
   discovery::GuardPtr session_listener, alive_watch;
 
+  std::atomic<bool> has_joined{false};
   config::Mutex mutex;
   bool started IOTCLOUD_GUARDED_BY(mutex) = false;
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
@@ -127,6 +129,10 @@ std::string Gateway::trouble() const {
 
 void Gateway::reload() {
   impl_->loop.post([impl = impl_.get()] { impl->feed.read_refused_again(); });
+}
+
+bool Gateway::has_joined() const {
+  return impl_->has_joined;
 }
 
 bool Gateway::follows_signed_orders() const {
@@ -192,6 +198,7 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first
 }
 
 void Gateway::Impl::joined() {
+  has_joined = true;
   logger.info("the gateway {} is registered", options.id);
   // The callbacks run on the registry's dispatcher thread, so they only post to the loop.
   session_listener = options.registry->on_session([this](discovery::SessionState state) {

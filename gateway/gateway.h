@@ -72,6 +72,8 @@ class Gateway final : public config::Service {
   void reload() override;
 
   const discovery::GatewayId& id() const;
+  /// Whether the id was this gateway's at some time since start(): until then its orders may be another gateway's.
+  bool has_joined() const;
   /// Whether only orders with a master's signature are followed, so that this gateway can give itself none.
   bool follows_signed_orders() const;
   /// The store of uploaded plugins; null: the gateway takes no uploads.

@@ -54,6 +54,12 @@ Gateway::AwaitedRecord SiteHandler::await(Response& answer, const InstanceId& id
 }
 
 void SiteHandler::check_may_order() const {
+  if (!gateway_.has_joined()) {
+    throw config::Error(
+        fmt::format("gateway {} has not registered yet: the registry is away, or another process has the id; try again "
+                    "when it has",
+                    gateway_.id()));
+  }
   if (!gateway_.follows_signed_orders()) return;
   throw config::Error(
       fmt::format("gateway {} follows only orders that a master has signed (orders.trusted_keys): give this one to a "

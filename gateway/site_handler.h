@@ -44,7 +44,8 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   void finishPlugin(const std::string& upload) override;
 
  private:
-  /// \throws config::Error if this gateway follows signed orders only: it cannot sign one itself.
+  /// \throws config::Error if this gateway follows signed orders only, because it cannot sign one itself, or has not
+  /// registered yet, because the orders may be another gateway's.
   void check_may_order() const;
   void set_active(Response& answer, const discovery::InstanceId& id, bool active);
   void taking(const std::string& what);

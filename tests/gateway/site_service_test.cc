@@ -70,6 +70,25 @@ class SiteServiceTest : public GatewayFixture {
   std::optional<wire::TSensorSiteServiceClient> client_;
 };
 
+TEST_F(SiteServiceTest, AGatewayThatHasNotItsPlaceYetTakesNoOrders) {
+  GatewayOptions options = this->options();
+  options.id = "late"_gateway;
+  Gateway late(std::move(options));
+  SiteService::Options listen;
+  listen.listen.port = 0;
+  const SiteService service(listen, late, *registry_, paths_);
+  transport_->close();
+  namespace thrift = apache::thrift;
+  transport_ = std::make_shared<thrift::transport::TFramedTransport>(
+      std::make_shared<thrift::transport::TSocket>("127.0.0.1", service.port()));
+  transport_->open();
+  client_.emplace(std::make_shared<thrift::protocol::TBinaryProtocol>(transport_));
+  const TResponse answer = deploy();
+  EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  EXPECT_THAT(answer.statusMessage, HasSubstr("has not registered yet"));
+  EXPECT_FALSE(registry_->children(paths_.orders("late"_gateway)));
+}
+
 TEST_F(SiteServiceTest, TheGatewayWritesDownWhoGaveItOrders) {
   const security::test::Folder folder;
   transport_->close();
