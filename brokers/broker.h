@@ -226,7 +226,7 @@ class Broker {
   /// The function is called on a thread of the broker with the number, at least 1, as soon as the server says that it
   /// has the topic, and after each change. \return null: this kind of broker does not split topics.
   virtual std::unique_ptr<PartitionWatch> watch_partitions(const Topic& /*topic*/,
-                                                           std::function<void(int count)> /*told*/) {
+                                                           const std::function<void(int count)>& /*told*/) {
     return nullptr;
   }
   /// Of the connections together: the worst of them.

@@ -98,9 +98,9 @@ class KafkaBroker final : public Broker {
                                                });
   }
 
-  std::unique_ptr<PartitionWatch> watch_partitions(const Topic& topic, std::function<void(int)> told) override {
+  std::unique_ptr<PartitionWatch> watch_partitions(const Topic& topic, const std::function<void(int)>& told) override {
     check_topic(topic.name);
-    return std::make_unique<KafkaPartitionWatch>(partition_counts_, topic.name, std::move(told));
+    return std::make_unique<KafkaPartitionWatch>(partition_counts_, topic.name, told);
   }
 
   ConnectionState state() const override {

@@ -17,7 +17,7 @@ SpoolMeters::SpoolMeters(config::Metrics* metrics, const config::Labels& labels)
                                       "Writes to spools that failed, because the disk is full or broken", labels)) {}
 
 SpoolMeters::~SpoolMeters() {
-  level(0, 0);
+  if (own_messages_ != 0 || own_bytes_ != 0) close();
 }
 
 void SpoolMeters::level(std::uint64_t messages, std::uint64_t bytes) {

@@ -12,12 +12,15 @@ class SpoolMeters {
  public:
   /// \param metrics nullptr: the process's.
   SpoolMeters(config::Metrics* metrics, const config::Labels& labels);
-  ~SpoolMeters();  ///< subtracts this spool's part from the gauges
+  ~SpoolMeters();  ///< does what close() does, if that was not called
   SpoolMeters(const SpoolMeters&) = delete;
   SpoolMeters& operator=(const SpoolMeters&) = delete;
 
   /// Sets this spool's part of the gauges. The caller must not call it on two threads at a time.
   void level(std::uint64_t messages, std::uint64_t bytes);
+  /// Subtracts this spool's part from the gauges. Afterwards nothing of the metrics is touched any more, the destructor
+  /// included: the metrics may be destroyed before this object.
+  void close() { level(0, 0); }
   void dropped(const std::string& reason, std::uint64_t count);
   void restored(std::uint64_t count) { restored_.add(count); }
   void damaged_bytes(std::uint64_t count) { damaged_bytes_.add(count); }

@@ -134,6 +134,7 @@ void SpoolQueue::close() {
     changed_.wait(mutex_, [this]() IOTCLOUD_REQUIRES(mutex_) { return !reporting_; });
   }
   report();
+  meters_.close();  // a callback that closes keeps this object alive until it returns, longer than the metrics may live
 }
 
 std::int64_t SpoolQueue::now_ms() const {

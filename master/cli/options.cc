@@ -205,7 +205,12 @@ std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
   std::vector<discovery::InstanceId> ids;
   if (!instances.empty()) {
     auto all_drivers = sorted_drivers(master);
-    add_not_taken_up(all_drivers, master.orders());
+    // Whole ids need no orders, which viewers may not list: the master then refuses the verb by its own name.
+    const bool whole = std::all_of(instances.begin(), instances.end(), [&](const std::string& word) {
+      return std::any_of(all_drivers.begin(), all_drivers.end(),
+                         [&](const DriverRecord& one) { return one.instance == word; });
+    });
+    if (!whole) add_not_taken_up(all_drivers, master.orders());
     for (const auto& beginning : instances) ids.push_back(completed(beginning, all_drivers));
     return ids;
   }
