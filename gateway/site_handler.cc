@@ -10,7 +10,6 @@
 
 namespace iotcloud::gateway {
 
-using discovery::DriverRecord;
 using discovery::DriverState;
 using discovery::InstanceId;
 using discovery::wire::TResponseState;
@@ -36,7 +35,7 @@ void SiteHandler::answering(Response& answer, const std::string& what, const std
 
 Gateway::AwaitedRecord SiteHandler::await(Response& answer, const InstanceId& id, std::int64_t order_version,
                                           DriverState wanted) {
-  const auto outcome = gateway_.wait_for(
+  auto outcome = gateway_.wait_for(
       id,
       [&](const auto& record) { return record && (record->state == wanted || record->state == DriverState::failed); },
       outcome_limit_, order_version);
