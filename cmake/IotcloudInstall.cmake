@@ -11,6 +11,8 @@ install(TARGETS ${sdk_targets} EXPORT iotcloudTargets
   FILE_SET HEADERS DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 install(EXPORT iotcloudTargets NAMESPACE iotcloud:: DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/iotcloud)
+# The site of ./dev docs, if it was made.
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/build/docs/site/ DESTINATION ${CMAKE_INSTALL_DOCDIR}/html OPTIONAL)
 configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/iotcloudConfig.cmake.in
   ${PROJECT_BINARY_DIR}/iotcloudConfig.cmake INSTALL_DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/iotcloud)
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/iotcloudConfigVersion.cmake COMPATIBILITY SameMinorVersion)

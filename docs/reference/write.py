@@ -40,6 +40,19 @@ DAEMONS = (
 OWNERS = {"all": ["spouts.<name>.", "bolts.<name>."], "spouts": ["spouts.<name>."], "bolts": ["bolts.<name>."],
           "inputs": ["bolts.<name>.inputs[]."]}
 
+# Defaults that the example's own values decide, as they are for any file: (value, default).
+FOR_ANY_FILE = {
+    "tasks": (None, "`parallelism`"),
+    "broker": ("text: `rabbitmq`, `kafka`, `activemq`, `embedded`, or a name under `brokers`", None),
+    "driver": (None, "**required**, or `sensor`"),
+    "sensor": (None, "the older name of `driver`"),
+}
+# Classes of ours that read `conf`: what they are, where their code says which keys there are, and what tells of each.
+CLASSES = (
+    ("Windowed bolts", "window.", "topology/windows/window_options.cc", "topology/windows/README.md"),
+    ("Bolts with state", "state.", "topology/state/stateful_bolt.cc", "topology/state/README.md"),
+)
+
 HEAD = """\
 # Configuration reference
 
@@ -155,6 +168,9 @@ def table(keys, said, mentioned):
             unsaid.append(key)
         fallback = "**required**" if entry["required"] else f"`{entry['default']}`" * bool(entry["default"])
         kind = entry["kind"] + f": {entry['allowed']}" * bool(entry["allowed"])
+        if re.match(r"(spouts|bolts)\.<name>\.\w+$", key):
+            true_kind, true_fallback = FOR_ANY_FILE.get(key.rsplit(".", 1)[-1], (None, None))
+            kind, fallback = true_kind or kind, true_fallback or fallback
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in (f"`{key}`", kind, fallback, own)) + " |")
     return "\n".join(["| key | value | default | meaning |", "|---|---|---|---|", *rows]), unsaid
 
@@ -182,12 +198,27 @@ def section(program, file, readme, binaries):
     return f"## {program}: [{file}](../../config/{file})\n\n{more}{text}\n"
 
 
+def conf_section(name, prefix, source, readme):
+    """The keys of `conf` that a class takes, as its code lists them, with the rows of its README's table."""
+    known = re.search(rf'refuse_unknown_keys\(config, "{prefix}",\s*\{{(.*?)\}}\)', (ROOT / source).read_text(), re.DOTALL)
+    if not known:
+        sys.exit(f"{source}: the keys that begin with {prefix} are not where they were")
+    keys = sorted(re.findall(r'"([\w.]+)"', known[1]))
+    rows = {row[1]: row[0] for row in re.finditer(r"^\| `([\w.]+)` \|.*\|$", (ROOT / readme).read_text(), re.MULTILINE)
+            if row[1].startswith(prefix)}
+    if keys != sorted(rows):
+        sys.exit(f"{readme}: its table has {', '.join(sorted(rows)) or 'no keys'}; {source} takes {', '.join(keys)}")
+    table = "\n".join(["| key of `conf` | value | default | meaning |", "|---|---|---|---|", *rows.values()])
+    return f"## {name}: `conf`\n\n[{readme}](../../{readme}) says more. Any other key that begins with `{prefix}` is refused.\n\n{table}\n"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("build", type=Path)
     parser.add_argument("--check", action="store_true")
     given = parser.parse_args()
-    text = "\n".join([HEAD, *(section(*daemon, given.build.resolve() / "bin") for daemon in DAEMONS)])
+    text = "\n".join([HEAD, *(section(*daemon, given.build.resolve() / "bin") for daemon in DAEMONS),
+                      *(conf_section(*entry) for entry in CLASSES)])
     if not given.check:
         TARGET.write_text(text)
         return

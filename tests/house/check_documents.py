@@ -1,7 +1,8 @@
 #!/usr/bin/python3
 """What the project's Markdown names is there: files and sections that it links, commands of ./dev, metrics, the files and
-rooms of docs/walks.md, the rooms of docs/design.md, the tests of SECURITY.md, the code that docs/driver-sdk.md and docs/topology-sdk.md print. So is
-every document, and section of one, that a source cites (docs/wire.md#topics).
+rooms of docs/walks.md, the rooms of docs/design.md, the tests of SECURITY.md, the C++ that any document prints, and the other
+code that docs/driver-sdk.md and docs/topology-sdk.md print. So is every document, and section of one, that a source cites
+(docs/wire.md#topics).
 
 usage: check_documents.py ROOT
 """
@@ -22,6 +23,8 @@ CITATION = re.compile(r"(?<![\w/.}*-])((?:[\w.-]+/)*[\w-]+\.md)(?:#([\w-]+))?")
 SOURCES = {".h", ".cc", ".thrift", ".py", ".cmake", ".yaml", ".yml", ".service", ".txt", ".sh"}
 # A file in a document: in backticks, or in a node of a diagram.
 NAMED_FILE = re.compile(r"(?<![\w/.-])((?:[\w-]+/)+[\w.-]+\.(?:h|cc|thrift|py|yaml|cmake|md))(?![\w/])")
+# tests/external builds the code of these as it stands there.
+BUILT_AS_PRINTED = {"README.md"}
 # A row of a walk: its number, room, files, what happens.
 STEP = re.compile(r"\| *\d+ *\| *([\w/ ]+?) *\| *(.*?) *\|.*\|$")
 ENTERED = re.compile(r"\| *([\w/]+) *\| *(\d+) *\|$")
@@ -107,10 +110,10 @@ def named_file_problems(root, file):
                 yield f"{file.relative_to(root)}:{number}: there is no {name}"
 
 
-def printed_code_problems(root, file):
+def printed_code_problems(root, file, languages=("cpp",)):
     """Code that is printed is code that a test compiles: behind a link to a file comes what stands in that file."""
     text = file.read_text()
-    for block in re.finditer(r"^```(?:cpp|cmake|yaml)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+    for block in re.finditer(rf"^```(?:{'|'.join(languages)})\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         place = f"{file.relative_to(root)}:{text[:block.start()].count(chr(10)) + 1}"
         before = text[:block.start()].rstrip().rsplit("\n\n", 1)[-1]
         linked = [file.parent / target for target, _ in LINK.findall(before) if "://" not in target]
@@ -180,8 +183,10 @@ def main():
     found += citation_problems(root, sources)
     for document in documents:
         found += named_file_problems(root, document)
-    for document in (root / "docs").glob("*-sdk.md"):
-        found += printed_code_problems(root, document)
+    for document in documents:
+        if document.relative_to(root).as_posix() not in BUILT_AS_PRINTED:
+            whole = document.parent == root / "docs" and document.stem.endswith("-sdk")
+            found += printed_code_problems(root, document, ("cpp", "cmake", "yaml") if whole else ("cpp",))
     found += walk_problems(root, root / "docs/walks.md")
     found += room_problems(root, root / "docs/design.md")
     found += named_test_problems(root, root / "SECURITY.md")
