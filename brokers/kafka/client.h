@@ -26,9 +26,11 @@ class ClientError : public std::runtime_error {
 struct KafkaOptions {
   BrokerOptions broker;
   std::vector<BrokerUrl> urls;
-  bool native_headers = false;         ///< property `envelope`: `headers` rather than `thrift`
-  int partitions = 1;                  ///< property `partitions`: for topics that this client makes
-  int replication = 1;                 ///< property `replication`: for topics that this client makes
+  bool native_headers = false;  ///< property `envelope`: `headers` rather than `thrift`
+  /// Properties `partitions` and `replication` of topics that this client makes. -1: the server's own numbers, which a
+  /// topic also gets that the server makes at its first use, so it does not matter who is first.
+  int partitions = -1;
+  int replication = -1;
   int max_message_bytes = 16'777'216;  ///< property `max_message_bytes`: the largest record, envelope included
 };
 

@@ -137,7 +137,7 @@ class ChaosCluster(PrivateCluster):
             ports = iter(free_ports(2 * len(schedule.BROKER_LINKS)))
             listeners = {link: (next(ports), next(ports)) for link in schedule.BROKER_LINKS}
             options = [word for pair in listeners.values() for word in ("--listener", f"{pair[0]}:{pair[1]}")]
-            self.direct_broker = self.server("kafka", "--acls", *options)
+            self.direct_broker = self.server("kafka", "--acls", "--partitions", "4", *options)
             self.ports = {link: self.link(link, f"127.0.0.1:{own}", advertised)
                           for link, (own, advertised) in listeners.items()}
         else:

@@ -4,7 +4,7 @@
     kafka.py --dir DIR [--port N] [--partitions N] [--tls] [--throughput] [--acls] [--listener PORT:ADVERTISED]...
 
 Runs one node (KRaft: broker and controller in one JVM) with its data and log below DIR, on free ports. Its jars come
-from Maven Central (maven_jars.py). Topics are made when they are first used, with --partitions partitions (default 4).
+from Maven Central (maven_jars.py). Topics are made when they are first used, with --partitions partitions (default 1).
 When the node takes requests it prints one line on stdout:
 
     READY kafka://127.0.0.1:PORT
@@ -266,7 +266,7 @@ def main():
     parser = private_server.options("A private Kafka")
     private_server.add_client_options(parser)
     private_server.add_jvm_options(parser)
-    parser.add_argument("--partitions", type=int, default=4, help="of a topic that is made by its first use")
+    parser.add_argument("--partitions", type=int, default=1, help="of a topic that is made by its first use")
     parser.add_argument("--listener", action="append", default=[], metavar="PORT:ADVERTISED",
                         type=lambda word: tuple(map(int, word.split(":"))), help="another listener, for a proxy")
     parser.add_argument("--acls", action="store_true", help="permission to write can be taken away: forbid, permit")
