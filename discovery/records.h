@@ -13,7 +13,7 @@ namespace iotcloud::discovery {
 
 /// Life of a driver instance. On the wire the original's TSensorState carries the nearest word, field 100 the exact
 /// one.
-enum class DriverState { deployed, starting, active, stopping, inactive, failed, undeployed };
+enum class DriverState { deployed, starting, active, stopping, inactive, failed, undeployed, ordered };
 /// The state's word in records and for people: "active".
 std::string to_string(DriverState state);
 DriverState parse_driver_state(const std::string& name);  ///< \throws config::Error
