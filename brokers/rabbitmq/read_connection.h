@@ -15,7 +15,7 @@
 #include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
-#include "iotcloud/brokers/rabbitmq/consuming/queue_reader.h"
+#include "iotcloud/brokers/rabbitmq/queue_reader.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
 #include <iotcloud/config/mutex.h>

@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/rabbitmq/consuming/read_connection.h"
+#include "iotcloud/brokers/rabbitmq/read_connection.h"
 
 #include <algorithm>
 #include <exception>
