@@ -34,8 +34,8 @@ class SiteService {
   /// Takes no new calls and waits for the running ones.
   ~SiteService();
   int port() const;
-  /// Reads the certificates and the token file again, and opens the audit log by its name again. \throws config::Error
-  /// if one is unusable; then nothing changes.
+  /// Opens the audit log by its name again, then reads the token file and the certificates again. \throws config::Error
+  /// that names the first unusable file; that file and those after it stay as they were.
   void reload();
 
  private:

@@ -25,7 +25,7 @@ enum class AuditEvent {
 /// Who did what, with which outcome.
 struct AuditEntry {
   AuditEvent event = AuditEvent::ended;
-  std::string who;          ///< the token's name; empty: no token was asked for or shown
+  std::string who;          ///< the token's name, or "user anna" where no token is asked for; empty: not known
   std::string role;         ///< "operator"
   std::string certificate;  ///< "CN=operator"; empty without TLS
   std::string address;      ///< "192.0.2.7:40112"

@@ -9,11 +9,11 @@
 
 namespace iotcloud::security {
 
-/// What a user may do: each role includes those before it.
+/// What a user may do. Each role includes those before it, but an operator may not pass on plugins.
 enum class Role {
   anyone,     ///< not authenticated
   viewer,     ///< reads
-  master,     ///< of a gateway master at a gateway: reads, and passes on plugins that people sent; gives no orders
+  master,     ///< a gateway master at a gateway: reads, and passes on plugins that people sent; gives no orders
   operating,  ///< changes how existing programs run: starts, stops, describes, activates. Written "operator"
   admin,      ///< everything; also decides which programs run
 };
@@ -50,7 +50,7 @@ class TokenKeeper {
  public:
   /// \throws Error as read_tokens().
   explicit TokenKeeper(std::string file);
-  /// Reads the file again. \throws Error, and then nothing changes.
+  /// Reads the file again. \throws Error; then the tokens that were read before still count.
   void reload();
   /// Takes some ten milliseconds, one call at a time: call it once for each connection.
   /// \param certificate the subject of the certificate that came with the token; empty: none.

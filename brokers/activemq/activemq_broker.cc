@@ -2,9 +2,9 @@
 
 #include <utility>
 
-#include "iotcloud/brokers/activemq/connection/io_loop.h"
-#include "iotcloud/brokers/activemq/consuming/receiver_link.h"
-#include "iotcloud/brokers/activemq/publishing/sender_link.h"
+#include "iotcloud/brokers/activemq/io_loop.h"
+#include "iotcloud/brokers/activemq/receiver_link.h"
+#include "iotcloud/brokers/activemq/sender_link.h"
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"

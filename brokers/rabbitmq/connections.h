@@ -8,8 +8,8 @@
 #include "iotcloud/brokers/client/server_probe.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
-#include "iotcloud/brokers/rabbitmq/consuming/read_connection.h"
-#include "iotcloud/brokers/rabbitmq/publishing/publish_channel.h"
+#include "iotcloud/brokers/rabbitmq/publish_channel.h"
+#include "iotcloud/brokers/rabbitmq/read_connection.h"
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/mutex.h>
 

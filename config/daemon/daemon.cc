@@ -45,7 +45,8 @@ int await_signal(const sigset_t& signals, std::chrono::microseconds limit) {
   }
 }
 
-/// Handles SIGHUP. A file with errors changes nothing.
+/// Handles SIGHUP. A configuration file with errors changes nothing. If the service cannot read one of its own files
+/// (keys, tokens, certificates), that file and those after it stay as they were read before.
 void read_again(const std::string& file, Service& service, const Logger& log) {
   try {
     const LogSettings settings = load_log_settings(file);
@@ -53,7 +54,7 @@ void read_again(const std::string& file, Service& service, const Logger& log) {
     apply(settings);
     log.info("SIGHUP received: read the section \"log\" of {} again; the rest of it takes a restart", file);
   } catch (const std::exception& error) {
-    log.error("SIGHUP received, and nothing changes: {}", error.what());
+    log.error("SIGHUP received, but what cannot be read stays as it was: {}", error.what());
   }
 }
 

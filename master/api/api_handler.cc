@@ -10,8 +10,8 @@
 #include <iotcloud/master/api/api_handler.h>
 #include <iotcloud/master/api/gateway_pages.h>
 #include <iotcloud/master/api/wire.h>
+#include <iotcloud/master/gateways/plugin_uploads.h>
 #include <iotcloud/master/master.h>
-#include <iotcloud/master/plugins/plugin_uploads.h>
 
 namespace iotcloud::master {
 

@@ -1,7 +1,7 @@
 #pragma once
 
 #include <iotcloud/master/api/gateway_pages.h>
-#include <iotcloud/master/plugins/plugin_uploads.h>
+#include <iotcloud/master/gateways/plugin_uploads.h>
 #include <iotcloud/rpc/session.h>
 #include <iotcloud/rpc/thrift_server.h>
 

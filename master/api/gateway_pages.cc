@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <chrono>
 #include <future>
-#include <string_view>
 #include <utility>
 
 #include <fmt/format.h>
@@ -15,7 +14,7 @@ namespace iotcloud::master {
 namespace {
 
 constexpr std::chrono::milliseconds answer_limit{3000};
-/// For the answers of all gateways; those that were not asked by then are named.
+/// For the answers of all gateways; those whose answers are missing by then are named.
 constexpr std::chrono::seconds history_limit{15};
 constexpr std::int32_t most_changes = 10'000;
 
@@ -24,6 +23,10 @@ const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>
   const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
   if (at == gateways.end()) throw config::Error(fmt::format("no gateway \"{}\"", id));
   return *at;
+}
+
+std::string unanswered() {
+  return fmt::format("no answer within {} s, in which others were asked, too; ask for it alone", history_limit.count());
 }
 
 /// What one gateway answered. An exception does not cross threads: they would share its text.
@@ -49,7 +52,7 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
   const auto until = std::chrono::steady_clock::now() + history_limit;
   for (const auto* gateway : asked) {
     answers.emplace_back(gateway->record.id, asks.ask([gateway = *gateway, &access, until]() -> GatewayHistory {
-      if (std::chrono::steady_clock::now() >= until) return {};  // nobody waits for the answer any more
+      if (std::chrono::steady_clock::now() >= until) return {{}, unanswered()};  // hardly anybody waits for it any more
       try {
         return {site_changes(address_of(gateway, access), gateway.record.id, {}, answer_limit), ""};
       } catch (const config::Error& e) {
@@ -64,7 +67,7 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
   DriverHistory history;
   for (auto& [id, answer] : answers) {
     if (answer.wait_until(until) != std::future_status::ready) {
-      history.silent[id] = "it was not asked in time, because others took long to answer; ask for it alone";
+      history.silent[id] = unanswered();
       continue;
     }
     GatewayHistory told = answer.get();

@@ -1,4 +1,4 @@
-// // deploy, undeploy, start, stop, restart, metadata, update; drain, undrain
+// deploy, undeploy, start, stop, restart, metadata, update; drain, undrain
 #include <algorithm>
 #include <ostream>
 #include <set>
@@ -369,8 +369,7 @@ class ForgetGateway final : public Verb {
   ForgetGateway()
       : Verb({"forget",
               "Remove lost gateways that do not come back from the registry, with the orders and records of their "
-              "driver "
-              "instances",
+              "driver instances",
               "iotcloud gateway forget lab1", Role::admin}) {}
 
   void declare(CLI::App& options) override {

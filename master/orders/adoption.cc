@@ -73,11 +73,11 @@ OrderResult Adoptions::adopt_all(const GatewaySelection& selection) {
     const std::string mark = discovery::freeze_path(desk_.options.paths, id);
     OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
       const auto node = desk_.registry.get(mark);
-      if (!node) return OutcomeWatch::Verdict{OrderOutcome::done, "it was not frozen"};
+      if (!node) return Verdict{OrderOutcome::done, "it was not frozen"};
       const discovery::Adoption adoption{discovery::decode_freeze(node->data, mark).token, lead.epoch};
       const auto orders = desk_.options.paths.orders(id);
       discovery::put(desk_.registry, orders, desk_.book.sealed(orders, encode(adoption)), lead.fence);
-      if (!find(known, id)->alive) return OutcomeWatch::Verdict{OrderOutcome::pending, lost_text};
+      if (!find(known, id)->alive) return Verdict{OrderOutcome::pending, lost_text};
       watch.expect(id, mark);
       return std::nullopt;
     }));

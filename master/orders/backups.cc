@@ -17,8 +17,6 @@ using discovery::TopologyOrder;
 
 namespace {
 
-using Verdict = OutcomeWatch::Verdict;
-
 const Verdict another{OrderOutcome::failed, "another order stands there; --replace puts this one in its place"};
 const Verdict unchanged{OrderOutcome::done, "it stood there already"};
 

@@ -13,7 +13,6 @@ using discovery::GatewayStatus;
 using discovery::Lead;
 using discovery::OrderRecord;
 using security::Role;
-using Verdict = OutcomeWatch::Verdict;
 
 namespace {
 

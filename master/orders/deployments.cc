@@ -170,7 +170,7 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
 
 MaybeVerdict Deployments::order(const GatewayStatus& gateway, OrderRecord order, OutcomeWatch& watch) {
   if (!gateway.alive && (!desk_.options.record_for_lost_gateways || desk_.is_direct(gateway.record.id)))
-    return OutcomeWatch::Verdict{OrderOutcome::failed, lost_and_not_recorded_text};
+    return Verdict{OrderOutcome::failed, lost_and_not_recorded_text};
   return desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
     order.epoch = lead.epoch;
     desk_.book.create(gateway.record.id, order, lead);

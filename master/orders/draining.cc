@@ -86,7 +86,7 @@ MaybeVerdict Draining::order(const Located& where, const GatewayStatus& gateway,
     if (auto postponed = waiting(gateway)) return postponed;
     const bool had_failed =
         where.record && discovery::decode_driver(where.record->data, where.instance).state == DriverState::failed;
-    if (had_failed && !undo) return OutcomeWatch::Verdict{OrderOutcome::done, "it had failed before"};
+    if (had_failed && !undo) return Verdict{OrderOutcome::done, "it had failed before"};
     watch.expect(where.instance, where.driver, where.record);
     return std::nullopt;
   });

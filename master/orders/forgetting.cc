@@ -12,8 +12,8 @@ namespace {
 
 /// Removes all that the registry has of a gateway. Its own node goes last: until then the gateway can be named again
 /// when this fails half-way.
-OutcomeWatch::Verdict remove_gateway(discovery::Registry& registry, const discovery::Paths& paths, const GatewayId& id,
-                                     const discovery::Lead& lead) {
+Verdict remove_gateway(discovery::Registry& registry, const discovery::Paths& paths, const GatewayId& id,
+                       const discovery::Lead& lead) {
   std::size_t instances = 0;
   for (const auto& driver : discovery::list_drivers(registry, paths)) {
     if (driver.gateway != id) continue;
@@ -43,8 +43,8 @@ OrderResult Forgetting::forget_all(const GatewaySelection& selection) {
     auto& outcome = result.outcomes.emplace_back(InstanceOutcome{id, {}, OrderOutcome::unknown, ""});
     OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
       if (desk_.registry.get(desk_.options.paths.gateway_alive(id)))
-        return OutcomeWatch::Verdict{OrderOutcome::failed,
-                                     "it is alive; undeploy what it runs, stop its process, and forget it then"};
+        return Verdict{OrderOutcome::failed,
+                       "it is alive; undeploy what it runs, stop its process, and forget it then"};
       return remove_gateway(desk_.registry, desk_.options.paths, id, lead);
     }));
   }

@@ -45,7 +45,7 @@ OrderResult Leadership::refusal_for(const RegistryError& error) const {
   return result;
 }
 
-OutcomeWatch::Verdict Leadership::verdict_on(const RegistryError& error) {
+Verdict Leadership::verdict_on(const RegistryError& error) {
   switch (error.code()) {
     case RegistryErrorCode::fenced:
       return {OrderOutcome::failed, lost_lead_text};

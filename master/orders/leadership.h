@@ -10,15 +10,11 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/orders/outcome_watch.h>
+#include <iotcloud/master/orders/verdict.h>
 
 namespace iotcloud::master {
 
 inline constexpr const char* lost_lead_text = "this master has just lost its lead; the order was not recorded";
-
-/// The outcome that is known as soon as an instance's order was written or could not be written. nullopt: it was
-/// written, and its outcome must be waited for.
-using MaybeVerdict = std::optional<OutcomeWatch::Verdict>;
 
 OrderResult refuse(Refusal refusal, std::string text);
 
@@ -66,7 +62,7 @@ class Leadership {
   template <typename Write>
   MaybeVerdict written(Write&& write) {
     const auto own = lead();
-    if (!own) return OutcomeWatch::Verdict{OrderOutcome::failed, lost_lead_text};
+    if (!own) return Verdict{OrderOutcome::failed, lost_lead_text};
     try {
       return write(*own);
     } catch (const discovery::RegistryError& e) {
@@ -92,7 +88,7 @@ class Leadership {
    private:
     Leadership& of_;
   };
-  static OutcomeWatch::Verdict verdict_on(const discovery::RegistryError& error);
+  static Verdict verdict_on(const discovery::RegistryError& error);
 
   discovery::Registry& registry_;
   const std::string id_;

@@ -17,7 +17,7 @@ using discovery::RegistryErrorCode;
 
 namespace {
 
-OutcomeWatch::Verdict of_later_master() {
+Verdict of_later_master() {
   return {OrderOutcome::failed, "a later master has given orders for it; this one's lead is over"};
 }
 
@@ -127,7 +127,7 @@ MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
     }
   }
   if (where.record) return std::nullopt;
-  return OutcomeWatch::Verdict{OrderOutcome::done, "its gateway had not taken it up yet"};
+  return Verdict{OrderOutcome::done, "its gateway had not taken it up yet"};
 }
 
 MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead,
@@ -135,15 +135,15 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead,
   const auto path = paths_.order(where.gateway, where.instance);
   while (!leadership_.closing().stop_requested()) {
     const auto node = registry_.get(path);
-    if (!node) return OutcomeWatch::Verdict{OrderOutcome::failed, "it is being undeployed"};
+    if (!node) return Verdict{OrderOutcome::failed, "it is being undeployed"};
     auto order = discovery::decode_order(node->data, path);
     if (order.epoch > lead.epoch) return of_later_master();
     alter(order);
     order.epoch = lead.epoch;
     const std::string bytes = encode(order);
     if (bytes.size() > largest_order)
-      return OutcomeWatch::Verdict{OrderOutcome::failed, fmt::format("its order would take {} bytes, more than {}",
-                                                                     bytes.size(), largest_order)};
+      return Verdict{OrderOutcome::failed,
+                     fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
     try {
       registry_.set(path, sealed(path, bytes), node->version, lead.fence);
       return std::nullopt;
@@ -151,7 +151,7 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead,
       if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again
     }
   }
-  return OutcomeWatch::Verdict{OrderOutcome::failed, "this master is stopping"};
+  return Verdict{OrderOutcome::failed, "this master is stopping"};
 }
 
 }  // namespace iotcloud::master

@@ -34,7 +34,7 @@ void OrderDesk::set_verdict(InstanceOutcome& outcome, const MaybeVerdict& verdic
 
 MaybeVerdict OrderDesk::obstacle(const Located& where, const discovery::GatewayStatus* gateway,
                                  const char* direct_text) const {
-  const auto failed = [](const char* why) { return OutcomeWatch::Verdict{OrderOutcome::failed, why}; };
+  const auto failed = [](const char* why) { return Verdict{OrderOutcome::failed, why}; };
   if (gateway == nullptr) return failed("its gateway is not registered any more");
   if (is_direct(where.gateway)) return failed(direct_text);
   if (!gateway->alive && !options.record_for_lost_gateways) return failed(lost_and_not_recorded_text);

@@ -10,6 +10,7 @@
 #include <iotcloud/master/listing/driver_view.h>
 #include <iotcloud/master/master_options.h>
 #include <iotcloud/master/orders/order_book.h>
+#include <iotcloud/master/orders/outcome_watch.h>
 
 namespace iotcloud::master {
 
@@ -61,8 +62,8 @@ struct OrderDesk {
 
 /// The outcome of an order that the gateway follows later; nullopt: it follows orders now.
 inline MaybeVerdict waiting(const discovery::GatewayStatus& gateway) {
-  if (!gateway.alive) return OutcomeWatch::Verdict{OrderOutcome::pending, lost_text};
-  if (!gateway.frozen.empty()) return OutcomeWatch::Verdict{OrderOutcome::pending, frozen_text};
+  if (!gateway.alive) return Verdict{OrderOutcome::pending, lost_text};
+  if (!gateway.frozen.empty()) return Verdict{OrderOutcome::pending, frozen_text};
   return std::nullopt;
 }
 

@@ -91,8 +91,8 @@ void OutcomeWatch::on_record(const std::string& path, const InstanceId& instance
   changed_.notify_all();
 }
 
-std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, const std::string& path,
-                                                         const std::optional<Node>& node) const {
+std::optional<Verdict> OutcomeWatch::judge(Expected& expected, const std::string& path,
+                                           const std::optional<Node>& node) const {
   const Verdict done{OrderOutcome::done, ""};
   if (!node || node->data.empty()) {
     // An instance being deployed has no record under this driver's name, or has none yet.
@@ -141,8 +141,7 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, con
   return std::nullopt;
 }
 
-std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge_metadata(Expected& expected,
-                                                                  const discovery::DriverRecord& record) const {
+std::optional<Verdict> OutcomeWatch::judge_metadata(Expected& expected, const discovery::DriverRecord& record) const {
   for (const auto& [key, value] : changes_) {
     const auto found = record.metadata.find(key);
     if (found == record.metadata.end() ? value.empty() : found->second == value) continue;
@@ -155,25 +154,14 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge_metadata(Expected& expe
   return Verdict{OrderOutcome::done, ""};
 }
 
-std::string OutcomeWatch::silence(const Expected& expected, std::chrono::milliseconds limit, bool stopped) const {
-  if (stopped) return "this master is stopping; the order stands";
-  std::string text =
-      registry_.session() == discovery::SessionState::connected
-          ? fmt::format("not known after {} s, it may still happen", static_cast<double>(limit.count()) / 1000)
-          : "the registry is away, so nothing can be heard; the order stands";
-  if (!expected.last_state.empty()) text += "; " + expected.last_state;
-  return text;
-}
-
-std::map<InstanceId, OutcomeWatch::Verdict> OutcomeWatch::wait(std::chrono::milliseconds limit,
-                                                               const std::stop_token& stop) {
+std::map<InstanceId, Verdict> OutcomeWatch::wait(std::chrono::milliseconds limit, const std::stop_token& stop) {
   const config::MutexLock lock(mutex_);
   changed_.wait_for(mutex_, stop, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return open_ == 0; });
   std::map<InstanceId, Verdict> verdicts;
   for (const auto& [instance, expected] : expected_) {
     verdicts[instance] = expected.verdict
                              ? *expected.verdict
-                             : Verdict{OrderOutcome::unknown, silence(expected, limit, stop.stop_requested())};
+                             : without_report(registry_, limit, stop.stop_requested(), expected.last_state);
   }
   return verdicts;
 }

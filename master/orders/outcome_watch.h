@@ -12,7 +12,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/orders/orders.h>
+#include <iotcloud/master/orders/verdict.h>
 
 namespace iotcloud::master {
 
@@ -47,10 +47,6 @@ class OutcomeWatch {
   void expect(const discovery::InstanceId& instance, const discovery::DriverName& driver,
               const std::optional<discovery::Node>& before, AwaitedVersion version = {});
 
-  struct Verdict {
-    OrderOutcome outcome = OrderOutcome::unknown;
-    std::string reason;
-  };
   /// Returns when all outcomes are known, after `limit`, or when `stop` is requested; by instance id.
   std::map<discovery::InstanceId, Verdict> wait(std::chrono::milliseconds limit, const std::stop_token& stop);
 
@@ -70,7 +66,6 @@ class OutcomeWatch {
   std::optional<Verdict> judge_metadata(Expected& expected, const discovery::DriverRecord& record) const;
   std::optional<Verdict> judge(Expected& expected, const std::string& path,
                                const std::optional<discovery::Node>& node) const;
-  std::string silence(const Expected& expected, std::chrono::milliseconds limit, bool stopped) const;
 
   discovery::Registry& registry_;
   const discovery::Paths& paths_;

@@ -18,7 +18,6 @@ using discovery::GatewayStatus;
 using discovery::InstanceId;
 using discovery::OrderRecord;
 using discovery::PluginVersion;
-using Verdict = OutcomeWatch::Verdict;
 
 namespace {
 

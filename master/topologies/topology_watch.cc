@@ -46,7 +46,7 @@ void TopologyWatch::on_worker(const std::string& worker, const std::optional<Nod
   changed_.notify_all();
 }
 
-TopologyWatch::Verdict TopologyWatch::of_gone(const std::string& worker) {
+Verdict TopologyWatch::of_gone(const std::string& worker) {
   if (!kill_) return {OrderOutcome::failed, "it ended, or the registry lost it, before it reported"};
   const auto end = registry_.get(paths_.ended_workers(topology_) + "/" + worker);
   if (!end) return {OrderOutcome::failed, "it is gone without a word whether it drained: it crashed, or was killed"};
@@ -54,8 +54,7 @@ TopologyWatch::Verdict TopologyWatch::of_gone(const std::string& worker) {
   return {OrderOutcome::failed, "it ended, but " + end->data};
 }
 
-std::map<std::string, TopologyWatch::Verdict> TopologyWatch::wait(std::chrono::milliseconds limit,
-                                                                  const std::stop_token& stop) {
+std::map<std::string, Verdict> TopologyWatch::wait(std::chrono::milliseconds limit, const std::stop_token& stop) {
   std::map<std::string, Expected> seen;
   {
     const config::MutexLock lock(mutex_);
@@ -71,15 +70,8 @@ std::map<std::string, TopologyWatch::Verdict> TopologyWatch::wait(std::chrono::m
       verdicts[worker] = *expected.verdict;
     } else if (expected.gone) {
       verdicts[worker] = of_gone(worker);
-    } else if (stop.stop_requested()) {
-      verdicts[worker] = {OrderOutcome::unknown, "this master is stopping; the order stands"};
     } else {
-      std::string text =
-          registry_.session() == discovery::SessionState::connected
-              ? fmt::format("not known after {} s, it may still happen", static_cast<double>(limit.count()) / 1000)
-              : "the registry is away, so nothing can be heard; the order stands";
-      if (!expected.last_state.empty()) text += "; " + expected.last_state;
-      verdicts[worker] = {OrderOutcome::unknown, text};
+      verdicts[worker] = without_report(registry_, limit, stop.stop_requested(), expected.last_state);
     }
   }
   return verdicts;

@@ -11,7 +11,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/orders/orders.h>
+#include <iotcloud/master/orders/verdict.h>
 
 namespace iotcloud::master {
 
@@ -29,10 +29,6 @@ class TopologyWatch {
   /// Adds a worker, by its name.
   void expect(const std::string& worker);
 
-  struct Verdict {
-    OrderOutcome outcome = OrderOutcome::unknown;
-    std::string reason;
-  };
   /// Returns the outcomes by worker when all are known, after `limit`, or when `stop` is requested.
   /// \throws discovery::RegistryError
   std::map<std::string, Verdict> wait(std::chrono::milliseconds limit, const std::stop_token& stop);

@@ -44,8 +44,8 @@ class HttpServer {
   ~HttpServer();
 
   std::string address() const;  ///< "host:port" with the real port
-  /// Reads certificates and tokens again: for new connections, and for whose token was taken away. \throws Error; then
-  /// nothing changes.
+  /// Reads certificates again, for new connections, then tokens: open connections are not served without theirs.
+  /// \throws Error that names an unusable file; that file and later ones count as they were read before.
   void reload();
 
  private:

@@ -16,7 +16,7 @@ class PageGuard {
  public:
   /// \throws config::Error for unusable files, and if exposure() gives a reason.
   explicit PageGuard(PageSettings settings);
-  /// Reads certificates and tokens again. \throws config::Error; then nothing changes.
+  /// Reads certificates again, then tokens. \throws config::Error; an unusable file and later ones count as before.
   void reload();
 
   std::shared_ptr<const security::TlsContext> tls() const;  ///< for new connections; null: no TLS

@@ -4,10 +4,10 @@
 //   sent RUN NUMBER TIME   publish() returned `accepted` for this message
 //   end RUN TIME        the instance was closed; a run without this line was killed
 // where RUN is "PROCESS.MICROSECONDS", so that no two are alike. FOLDER/INSTANCE.heard has a line for each command that
-// came back on the channel `command`, which all instances of the gateway share: "RUN NUMBER LIFE TIME", where RUN and
-// NUMBER are those of the message that the command answers, and LIFE is the run that got it. Properties: `folder`;
-// `rate`, messages a second; `kind`: `spooled` or `blocked`, which is the channel's name, too; `shared`: one topic for
-// all instances on the gateway. It sends while the file FOLDER/go exists.
+// came back on the channel `command`, which all instances of the gateway share: "RUN NUMBER RECEIVER TIME", where RUN
+// and NUMBER are those of the message that the command answers, and RECEIVER is the run that got it. Properties:
+// `folder`; `rate`, messages a second; `kind`: `spooled` or `blocked`, which is the channel's name, too; `shared`: one
+// topic for all instances on the gateway. It sends while the file FOLDER/go exists.
 #include <algorithm>
 #include <chrono>
 #include <filesystem>

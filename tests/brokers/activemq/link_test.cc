@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-#include "iotcloud/brokers/activemq/connection/server_link.h"
+#include "iotcloud/brokers/activemq/server_link.h"
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/tests/eventually.h>
 

@@ -1,5 +1,5 @@
 // When a server that does not answer is left.
-#include "iotcloud/brokers/rabbitmq/publishing/answer_watch.h"
+#include "iotcloud/brokers/rabbitmq/answer_watch.h"
 
 #include <chrono>
 #include <optional>

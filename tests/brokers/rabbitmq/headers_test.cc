@@ -7,7 +7,7 @@
 
 #include <gtest/gtest.h>
 
-#include "iotcloud/brokers/rabbitmq/consuming/resent_marks.h"
+#include "iotcloud/brokers/rabbitmq/resent_marks.h"
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {

@@ -84,7 +84,7 @@ class SpoutPlacement {
     int count = 1;                                   ///< number of partitions; 1 until it is known
     std::set<discovery::InstanceId> instances;       ///< whose channels use it
   };
-  struct Search;  ///< the watches of registry and fence
+  struct Search;  ///< all that tells what to read: session, reading group, drivers, partitions, fence
 
   /// Runs a callback of the registry, unless leave() was called. No lock is held meanwhile: the callback opens and
   /// closes readers, which may take long, and nobody but leave() waits for it.

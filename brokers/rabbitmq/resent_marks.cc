@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/rabbitmq/consuming/resent_marks.h"
+#include "iotcloud/brokers/rabbitmq/resent_marks.h"
 
 #include <algorithm>
 #include <iterator>

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "iotcloud/brokers/activemq/connection/server_link.h"
+#include "iotcloud/brokers/activemq/server_link.h"
 #include "iotcloud/brokers/client/publish_core.h"
 #include "iotcloud/brokers/meters.h"
 

@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/rabbitmq/consuming/read_connection.h"
+#include "iotcloud/brokers/rabbitmq/read_connection.h"
 
 #include <algorithm>
 #include <exception>
@@ -49,6 +49,7 @@ ReadConnection::ReadConnection(const Cluster& cluster, const char* purpose, Mete
       clock_(clock),
       log_(log),
       core_(*this, meters, clock, gathering_time),
+      channels_(cluster.queue_type()),
       channel_limit_(static_cast<std::size_t>(cluster.channels())),
       servers_(cluster.size()) {}
 
@@ -240,7 +241,7 @@ void ReadConnection::serve() {
   const WireTurn turn(*this);
   wire_role_.assert_held();
   if (broken_) std::rethrow_exception(broken_);
-  writable_ = woken_to_write_;
+  channels_.socket_has_room(woken_to_write_);
   check_timers();
   write();
   if (readable_ || wire_->has_buffered()) {
@@ -330,10 +331,9 @@ void ReadConnection::lose(const std::string& reason) {
 
 void ReadConnection::forget_connection() {
   broken_ = nullptr;
-  left_for_wire_ = unwritten_ = openers_wait_ = writable_ = false;
+  left_for_wire_ = unwritten_ = openers_wait_ = false;
   moving_since_.reset();
   channels_.clear();
-  outgoing_.clear();
   leaving_.clear();
   core_.connection_lost();
   for (const auto& reader : readers_) {
@@ -357,7 +357,7 @@ void ReadConnection::move_back() {
     const WireTurn turn(*this);
     wire_role_.assert_held();
     for (const auto& reader : readers_) {
-      if (reader->channel != 0) gather_settlements(*reader, 0);
+      if (reader->channel != 0) channels_.settle(*reader, 0);
     }
     write_the_rest();
     wire = std::move(wire_);
@@ -429,8 +429,8 @@ void ReadConnection::on_frame(const amqp_frame_t& frame) {
     return;
   }
   const auto found = channels_.find(frame.channel);
-  if (found == channels_.end() || !found->second) return;
-  QueueReader& reader = *found->second;
+  if (!found || *found == nullptr) return;
+  QueueReader& reader = **found;
   std::optional<Arrived> complete;
   if (frame.frame_type == AMQP_FRAME_HEADER) {
     complete = reader.assembly.header(frame, reader.resent);
@@ -463,8 +463,8 @@ void ReadConnection::on_method(const amqp_method_t& method, amqp_channel_t chann
     throw LinkError("the server closed it: " + describe(*static_cast<const amqp_connection_close_t*>(method.decoded)));
   }
   const auto found = channels_.find(channel);
-  if (found == channels_.end()) return;
-  QueueReader* const reader = found->second.get();  // null: this client has requested the channel's end
+  if (!found) return;
+  QueueReader* const reader = *found;  // null: this client has requested the channel's end
   if (method.id == AMQP_BASIC_DELIVER_METHOD) {
     if (reader != nullptr) reader->assembly.begin(*static_cast<const amqp_basic_deliver_t*>(method.decoded));
     return;
@@ -482,11 +482,11 @@ void ReadConnection::on_method(const amqp_method_t& method, amqp_channel_t chann
     case AMQP_CHANNEL_CLOSE_METHOD:
       return on_channel_closed(reader, *static_cast<const amqp_channel_close_t*>(method.decoded), channel);
     case AMQP_CHANNEL_CLOSE_OK_METHOD:
-      channels_.erase(found);
+      channels_.closed(channel);
       return answered();
     case AMQP_BASIC_CANCEL_METHOD:  // the queue was deleted
       if (reader == nullptr || reader->closed) return;
-      close_channel(*reader);
+      channels_.close(*reader);
       return retry_later(*reader);
     default:  // other answers to a request; only the last one, consume-ok, matters
       return;
@@ -494,16 +494,13 @@ void ReadConnection::on_method(const amqp_method_t& method, amqp_channel_t chann
 }
 
 void ReadConnection::on_channel_closed(QueueReader* reader, const amqp_channel_close_t& why, amqp_channel_t channel) {
-  // After the server's channel.close only close-ok may be sent on the channel.
-  std::erase_if(outgoing_, [&](const Outgoing& one) { return one.channel == channel; });
-  outgoing_.push_back({Outgoing::Kind::close_ok, channel, 0, false, nullptr});
   if (reader != nullptr && reader->closed) {
     reader->forget_channel();
   } else if (reader != nullptr) {
     reader->refused(why);
     retry_later(*reader);
   }
-  channels_.erase(channel);
+  channels_.closed_by_server(channel);
   answered();
 }
 
@@ -515,33 +512,15 @@ void ReadConnection::retry_later(QueueReader& reader) {
   set_timer(reader, clock_.now() + reader.backoff.next());
 }
 
-void ReadConnection::close_channel(QueueReader& reader) {
-  outgoing_.push_back({Outgoing::Kind::close, reader.channel, 0, false, nullptr});
-  channels_[reader.channel] = nullptr;
-  reader.forget_channel();
-}
-
-/// The lowest free number, because the library keeps about 18 KB for each number that was ever used.
-amqp_channel_t ReadConnection::free_channel() const {
-  amqp_channel_t lowest = 1;
-  for (const auto& [number, reader] : channels_) {
-    if (number != lowest) break;
-    ++lowest;
-  }
-  return lowest;
-}
-
 void ReadConnection::open(const std::shared_ptr<QueueReader>& reader) {
   const auto limit = static_cast<amqp_channel_t>(wire_->channel_limit());
   if (channels_.size() >= limit) {
     retry_later(*reader);  // until a closing channel becomes free, or the keeper finds another connection
     return;
   }
-  reader->channel = free_channel();
   reader->phase = QueueReader::Phase::opening;
   set_timer(*reader, clock_.now() + cluster_.rpc_timeout());
-  channels_[reader->channel] = reader;
-  outgoing_.push_back({Outgoing::Kind::request, reader->channel, reader->prefetch, false, reader});
+  channels_.open(reader);
 }
 
 void ReadConnection::set_timer(QueueReader& reader, Instant at) {
@@ -578,73 +557,28 @@ void ReadConnection::check_timers() {
   }
 }
 
-void ReadConnection::gather_settlements(QueueReader& reader, std::size_t patience) {
-  using Kind = client::AckWindow::Kind;
-  for (const client::AckWindow::Action& action : reader.window.take(patience)) {
-    const auto kind = action.kind == Kind::acknowledge ? Outgoing::Kind::acknowledge : Outgoing::Kind::reject;
-    outgoing_.push_back({kind, reader.channel, action.tag, action.multiple, nullptr});
-  }
-}
-
 void ReadConnection::gather() {
   for (const auto& inbox : core_.take_dirty()) {
     auto& reader = static_cast<QueueReader&>(*inbox);
-    if (!reader.closed && reader.channel != 0) gather_settlements(reader, reader.patience());
+    if (!reader.closed && reader.channel != 0) channels_.settle(reader, reader.patience());
   }
   for (const auto& reader : std::exchange(raised_, {})) {
     if (!reads_here(*reader) || reader->closed || reader->channel == 0) continue;
-    outgoing_.push_back({Outgoing::Kind::limit, reader->channel, reader->prefetch, false, nullptr});
+    channels_.limit(*reader);
   }
   for (const auto& reader : std::exchange(leaving_, {})) {
     if (reader->channel == 0) continue;  // the server has closed its channel
-    gather_settlements(*reader, 0);
-    close_channel(*reader);
+    channels_.settle(*reader, 0);
+    channels_.close(*reader);
   }
 }
 
 void ReadConnection::write() {
-  if (outgoing_.empty()) {
-    unwritten_ = false;
-    return;
-  }
-  {
+  if (!channels_.all_written()) {
     const config::Unlocked unlocked(core_.mutex);
-    auto next = outgoing_.begin();
-    for (; next != outgoing_.end(); ++next) {
-      if (!std::exchange(writable_, false) && !wire_->room_for(0)) break;
-      write_method(*next);
-    }
-    outgoing_.erase(outgoing_.begin(), next);
+    channels_.write(*wire_);
   }
-  unwritten_ = !outgoing_.empty();
-}
-
-void ReadConnection::write_method(const Outgoing& what) {
-  switch (what.kind) {
-    case Outgoing::Kind::request:
-      return what.reader->request(*wire_, what.channel, cluster_.queue_type(), static_cast<std::uint16_t>(what.tag));
-    case Outgoing::Kind::limit:
-      return QueueReader::limit_channel(*wire_, what.channel, static_cast<std::uint16_t>(what.tag));
-    case Outgoing::Kind::acknowledge: {
-      amqp_basic_ack_t ack{};
-      ack.delivery_tag = what.tag;
-      ack.multiple = what.multiple ? 1 : 0;
-      return wire_->send(what.channel, AMQP_BASIC_ACK_METHOD, ack);
-    }
-    case Outgoing::Kind::reject: {
-      amqp_basic_nack_t nack{};
-      nack.delivery_tag = what.tag;
-      nack.multiple = what.multiple ? 1 : 0;
-      return wire_->send(what.channel, AMQP_BASIC_NACK_METHOD, nack);
-    }
-    case Outgoing::Kind::close: {
-      amqp_channel_close_t request{};
-      request.reply_code = AMQP_REPLY_SUCCESS;
-      return wire_->send(what.channel, AMQP_CHANNEL_CLOSE_METHOD, request);
-    }
-    case Outgoing::Kind::close_ok:
-      return wire_->send(what.channel, AMQP_CHANNEL_CLOSE_OK_METHOD, amqp_channel_close_ok_t{});
-  }
+  unwritten_ = !channels_.all_written();
 }
 
 void ReadConnection::write_all() {
@@ -659,8 +593,7 @@ void ReadConnection::write_all() {
 void ReadConnection::write_the_rest() {
   gather();
   const config::Unlocked unlocked(core_.mutex);
-  for (const Outgoing& what : outgoing_) write_method(what);
-  outgoing_.clear();
+  channels_.write_all(*wire_);
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -1,10 +1,10 @@
-#include "iotcloud/brokers/rabbitmq/consuming/queue_reader.h"
+#include "iotcloud/brokers/rabbitmq/queue_reader.h"
 
 #include <algorithm>
 #include <cstring>
 #include <utility>
 
-#include "iotcloud/brokers/rabbitmq/consuming/read_connection.h"
+#include "iotcloud/brokers/rabbitmq/read_connection.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
 #include <iotcloud/brokers/rabbitmq/logger.h>

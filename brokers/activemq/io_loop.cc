@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/activemq/connection/io_loop.h"
+#include "iotcloud/brokers/activemq/io_loop.h"
 
 #include <algorithm>
 #include <utility>

@@ -3,7 +3,6 @@
 #include <chrono>
 #include <cstdint>
 #include <exception>
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -15,7 +14,8 @@
 #include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
-#include "iotcloud/brokers/rabbitmq/consuming/queue_reader.h"
+#include "iotcloud/brokers/rabbitmq/queue_reader.h"
+#include "iotcloud/brokers/rabbitmq/read_channels.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
 #include <iotcloud/config/mutex.h>
@@ -77,16 +77,6 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
  private:
   using Instant = config::Clock::Instant;
 
-  /// A method that is to be sent on a channel.
-  struct Outgoing {
-    enum class Kind : std::uint8_t { request, limit, acknowledge, reject, close, close_ok };
-    Kind kind = Kind::request;
-    amqp_channel_t channel = 0;
-    std::uint64_t tag = 0;  ///< for an acknowledgement or a rejection; the prefetch of a request or a limit
-    bool multiple = false;
-    std::shared_ptr<const QueueReader> reader;  ///< of a request
-  };
-
   /// Exclusive use of the wire as long as the object lives, even while the mutex is released. Construct and destroy it
   /// with the mutex held.
   class WireTurn {
@@ -132,15 +122,11 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
       IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   bool handlers_wait() const IOTCLOUD_EXCLUDES(core_.mutex);
   void open(const std::shared_ptr<QueueReader>& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  amqp_channel_t free_channel() const IOTCLOUD_REQUIRES(wire_role_);
   void check_timers() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  void close_channel(QueueReader& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  void gather_settlements(QueueReader& reader, std::size_t patience) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Turns settlements and ended subscriptions into outgoing methods.
   void gather() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Writes outgoing methods, with the mutex released, as far as the socket takes them at once.
   void write() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  void write_method(const Outgoing& what) IOTCLOUD_REQUIRES(wire_role_);
   /// gather() and write(), repeated if other threads left something meanwhile.
   void write_all() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Writes everything before the connection is closed; waits until the socket takes it.
@@ -164,11 +150,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   // Used by the thread that has the WireTurn; replaced by the connection's thread, with the WireTurn and the mutex.
   std::unique_ptr<AmqpLink> wire_;
   config::ThreadRole wire_role_;  ///< the thread that has the WireTurn
-  /// Null: this client has requested the channel's end, and the answer is still to come.
-  std::map<amqp_channel_t, std::shared_ptr<QueueReader>> channels_ IOTCLOUD_GUARDED_BY(wire_role_);
-  std::vector<Outgoing> outgoing_ IOTCLOUD_GUARDED_BY(wire_role_);
-  /// Poll reported room, so one method can be written without asking again.
-  bool writable_ IOTCLOUD_GUARDED_BY(wire_role_) = false;
+  ReadChannels channels_ IOTCLOUD_GUARDED_BY(wire_role_);
 
   config::ConditionVariable wire_free_;
   bool wire_taken_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;

@@ -11,8 +11,8 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/master/gateways/plugin_uploads.h>
 #include <iotcloud/master/master.h>
-#include <iotcloud/master/plugins/plugin_uploads.h>
 
 namespace iotcloud::master {
 

@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "iotcloud/brokers/activemq/connection/server_link.h"
-#include "iotcloud/brokers/activemq/consuming/session_reader.h"
+#include "iotcloud/brokers/activemq/server_link.h"
+#include "iotcloud/brokers/activemq/session_reader.h"
 #include "iotcloud/brokers/client/read_core.h"
 #include "iotcloud/brokers/meters.h"
 

@@ -10,7 +10,7 @@
 #include "iotcloud/brokers/client/ack_window.h"
 #include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/client/read_transport.h"
-#include "iotcloud/brokers/rabbitmq/consuming/resent_marks.h"
+#include "iotcloud/brokers/rabbitmq/resent_marks.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/declarations.h"
 #include <iotcloud/brokers/broker.h>

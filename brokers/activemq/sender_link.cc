@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/activemq/publishing/sender_link.h"
+#include "iotcloud/brokers/activemq/sender_link.h"
 
 #include <algorithm>
 #include <limits>

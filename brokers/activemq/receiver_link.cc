@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/activemq/consuming/receiver_link.h"
+#include "iotcloud/brokers/activemq/receiver_link.h"
 
 #include <algorithm>
 #include <chrono>

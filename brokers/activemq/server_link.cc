@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/activemq/connection/server_link.h"
+#include "iotcloud/brokers/activemq/server_link.h"
 
 #include <algorithm>
 #include <utility>

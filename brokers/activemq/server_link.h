@@ -8,8 +8,8 @@
 #include <string_view>
 #include <vector>
 
-#include "iotcloud/brokers/activemq/connection/engine.h"
-#include "iotcloud/brokers/activemq/connection/io_loop.h"
+#include "iotcloud/brokers/activemq/engine.h"
+#include "iotcloud/brokers/activemq/io_loop.h"
 #include "iotcloud/brokers/activemq/wire/statistics.h"
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/client/connection_log.h"

@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/rabbitmq/publishing/publish_channel.h"
+#include "iotcloud/brokers/rabbitmq/publish_channel.h"
 
 #include <algorithm>
 #include <cstddef>

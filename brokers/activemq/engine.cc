@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/activemq/connection/engine.h"
+#include "iotcloud/brokers/activemq/engine.h"
 
 #include <algorithm>
 #include <array>
