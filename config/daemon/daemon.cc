@@ -45,15 +45,20 @@ int await_signal(const sigset_t& signals, std::chrono::microseconds limit) {
   }
 }
 
-/// Handles SIGHUP. A file with errors changes nothing.
+/// Handles SIGHUP. A configuration with errors changes nothing; of what the service reads, each part stands alone.
 void read_again(const std::string& file, Service& service, const Logger& log) {
   try {
     const LogSettings settings = load_log_settings(file);
-    service.reload();
     apply(settings);
-    log.info("SIGHUP received: read the section \"log\" of {} again; the rest of it takes a restart", file);
   } catch (const std::exception& error) {
     log.error("SIGHUP received, and nothing changes: {}", error.what());
+    return;
+  }
+  try {
+    service.reload();
+    log.info("SIGHUP received: read the section \"log\" of {} again; the rest of it takes a restart", file);
+  } catch (const std::exception& error) {
+    log.error("SIGHUP received; what cannot be read again stays as it was, and the rest is read: {}", error.what());
   }
 }
 
