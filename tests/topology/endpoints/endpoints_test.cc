@@ -255,6 +255,21 @@ TEST_F(Endpoints, ReadWhatADriverSentBeforeItWentToItsEnd) {
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; })) << "only the other driver is read";
 }
 
+TEST_F(Endpoints, LeaveNoQueueOfADriverThatIsUndeployedAndThatOfOneThatIsStopped) {
+  run();
+  show_driver("undeployed");
+  show_driver("stopped");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2; }));
+  discovery::remove_tree(*registry_, paths_.instance("d"_driver, "undeployed"_instance));
+  show_driver("stopped", "rabbitmq", discovery::DriverState::inactive);
+  const auto server = brokers::embedded::Server::named(url_.substr(11));
+  EXPECT_TRUE(eventually([&] { return !server.has_queue(topic("undeployed", "up"), "t"); }));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+  EXPECT_TRUE(server.has_queue(topic("stopped", "up"), "t")) << "what it sends when it starts is to wait there";
+  discovery::remove_tree(*registry_, paths_.instance("d"_driver, "stopped"_instance));
+  EXPECT_TRUE(eventually([&] { return !server.has_queue(topic("stopped", "up"), "t"); }));
+}
+
 TEST_F(Endpoints, ReadADriverThatComesBackWhileItIsReadToItsEndWithoutAnInterruption) {
   Mailbox mailbox(*broker_, topic("one", "down"));
   run();
