@@ -14,6 +14,7 @@
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
 #include <iotcloud/tests/topology/endpoints/false_broker.h>
@@ -138,6 +139,25 @@ TEST_F(Endpoints, SayWhichChannelsThereAreWhenNoInstanceHasTheOneThatASpoutNames
               testing::HasSubstr("in: waits for the channel \"temprature\", which no active instance of the driver d "
                                  "has; their outgoing channels are \"temperature\", \"wind\"; did you mean "
                                  "\"temperature\"?"));
+}
+
+TEST_F(Endpoints, SayNothingOfChannelsThatAnInstanceLacksOnceAnotherOneHadTheChannel) {
+  const tests::CapturedLog log;
+  run();
+  discovery::DriverRecord other;
+  other.name = "d"_driver;
+  other.instance = "other"_instance;
+  other.gateway = "g"_gateway;
+  other.state = discovery::DriverState::active;
+  other.channels.emplace_back().name = "wind";
+  other.channels.back().direction = discovery::Direction::out;
+  discovery::put(*registry_, paths_.instance("d"_driver, "other"_instance), discovery::encode(other));
+  show_driver("one");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+  show_driver("one", "rabbitmq", discovery::DriverState::inactive);
+  // It comes as long after the channel as a warning after the instance that lacks it.
+  ASSERT_TRUE(eventually([&] { return log.contains("units taken"); }));
+  EXPECT_FALSE(log.contains("they have no outgoing channel")) << "there is one, and it is not known any more";
 }
 
 TEST_F(Endpoints, CountTuplesForDriversThatAreNotThereAndGoOn) {

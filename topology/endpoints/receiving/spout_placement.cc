@@ -214,6 +214,7 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
   }
   warned_of_missing_ = false;
   others_.clear();
+  missing_.reset();
   left_queues_.erase(channel.instance);
   channels_.insert_or_assign(channel.instance, channel);
   place(channel);
