@@ -235,6 +235,12 @@ class Broker {
                                                            const std::function<void(int count)>& /*told*/) {
     return nullptr;
   }
+  /// Nobody will read the topic in this group any more (SubscriptionOptions::group): the server is asked to remove the
+  /// group's queue, which it does only while the queue has no reader and no message, unsettled ones included. Returns
+  /// at once; the broker tries for 2 s, because a subscription that was just destroyed may still count as a reader. Its
+  /// destructor waits for that. A server that is away is not asked. RabbitMQ (classic, durable queues) and the embedded
+  /// broker do this; others leave it to the server.
+  virtual void remove_queue(const Topic& /*topic*/, const std::string& /*group*/) {}
   /// Of the connections together: the worst of them.
   virtual ConnectionState state() const = 0;
   /// Why it is not connected, in words for people; empty: it is, or nothing is known. Thread safe.

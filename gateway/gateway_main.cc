@@ -3,11 +3,15 @@
 #include <cstdlib>
 #include <memory>
 #include <optional>
+#include <string>
+#include <vector>
 
+#include <fmt/format.h>
 #include <signal.h>
 #include <unistd.h>
 
 #include <iotcloud/config/daemon/daemon.h>
+#include <iotcloud/config/error.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/processes/state_folder.h>
@@ -65,13 +69,24 @@ class GatewayDaemon final : public config::Service {
   }
 
   void reload() override {
-    config_.trust->reload();
+    std::vector<std::string> problems;
+    const auto attempt = [&problems](const auto& what) {
+      try {
+        what();
+      } catch (const std::exception& error) {
+        problems.emplace_back(error.what());
+      }
+    };
+    attempt([&] { config_.trust->reload(); });
     if (config_.order_keys) {
-      config_.order_keys->reload();
-      gateway_->reload();
+      attempt([&] {
+        config_.order_keys->reload();
+        gateway_->reload();
+      });
     }
-    service_->reload();
-    if (metrics_) metrics_->reload();
+    attempt([&] { service_->reload(); });
+    if (metrics_) attempt([&] { metrics_->reload(); });
+    if (!problems.empty()) throw config::Error(fmt::format("{}", fmt::join(problems, "; ")));
   }
 
   void stop(std::chrono::milliseconds limit) override {

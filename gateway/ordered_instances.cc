@@ -158,7 +158,7 @@ void OrderedInstances::replace(Entry& entry, const OrderRecord& order) {
     return;
   }
   entry.next = order;
-  if (!std::exchange(entry.removing, true)) fleet_.remove(order.instance);
+  if (!std::exchange(entry.removing, true)) fleet_.remove(order.instance, Removal::replaced);
 }
 
 void OrderedInstances::forget(const discovery::InstanceId& instance) {
@@ -168,7 +168,7 @@ void OrderedInstances::forget(const discovery::InstanceId& instance) {
   Entry& entry = found->second;
   entry.next.reset();
   if (entry.in_fleet) {
-    if (!std::exchange(entry.removing, true)) fleet_.remove(instance);
+    if (!std::exchange(entry.removing, true)) fleet_.remove(instance, Removal::undeployed);
     return;
   }
   const discovery::DriverName driver = entry.status.driver;

@@ -200,6 +200,10 @@ class EmbeddedBroker final : public Broker {
     return std::make_unique<EmbeddedSubscription>(connection_, topic, options,
                                                   dead_letters_.guard(topic, options, std::move(handler)));
   }
+  void remove_queue(const Topic& topic, const std::string& group) override {
+    const config::MutexLock lock(connection_->server->mutex);
+    connection_->server->remove_unneeded(queue_name(topic.name, group));
+  }
   ConnectionState state() const override {
     const config::MutexLock lock(connection_->server->mutex);
     return connection_->server->running() ? ConnectionState::connected : ConnectionState::connecting;

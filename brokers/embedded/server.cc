@@ -191,6 +191,15 @@ void ServerState::attach(const std::shared_ptr<Consumer>& consumer, Instant now,
   flush_waiting(*route(consumer->topic.name), now, wake);
 }
 
+void ServerState::remove_unneeded(const std::string& queue_name) {
+  const auto found = queues_.find(queue_name);
+  if (found == queues_.end()) return;
+  const std::shared_ptr<Queue> queue = found->second;
+  if (queue->has_readers() || queue->size() + queue->unsettled() > 0) return;
+  for (const auto& [topic, route] : routes_) std::erase(route->queues, queue);
+  queues_.erase(found);
+}
+
 void ServerState::detach(Consumer& consumer, Instant now, WakeList& wake) {
   if (!consumer.queue) return;
   const std::shared_ptr<Queue> queue = std::exchange(consumer.queue, nullptr);
@@ -245,6 +254,11 @@ void Server::start() {
 bool Server::running() const {
   const config::MutexLock lock(state_->mutex);
   return state_->running();
+}
+
+bool Server::has_queue(const std::string& topic, const std::string& group) const {
+  const config::MutexLock lock(state_->mutex);
+  return state_->find(queue_name(topic, group)) != nullptr;
 }
 
 std::size_t Server::depth(const std::string& topic, const std::string& group) const {

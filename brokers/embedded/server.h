@@ -23,6 +23,9 @@ class Server {
   /// The number of messages in the queue of `topic` and `group`, including unsettled ones.
   std::size_t depth(const std::string& topic, const std::string& group) const;
 
+  /// Whether there is a queue of `topic` and `group`, which may be empty.
+  bool has_queue(const std::string& topic, const std::string& group) const;
+
   /// For the broker objects of this process.
   const std::shared_ptr<ServerState>& state() const { return state_; }
 

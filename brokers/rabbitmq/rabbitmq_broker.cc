@@ -6,6 +6,7 @@
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
 #include "iotcloud/brokers/rabbitmq/connections.h"
+#include "iotcloud/brokers/rabbitmq/queue_remover.h"
 #include <iotcloud/config/error.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -70,6 +71,13 @@ class RabbitMqBroker final : public Broker {
         connections_.subscribe(topic, options, dead_letters_.guard(topic, options, std::move(handler))));
   }
 
+  // Of quorum queues the server cannot be asked to remove only those that are empty and unused. Queues that are not
+  // durable end by themselves.
+  void remove_queue(const Topic& topic, const std::string& group) override {
+    if (!topic.durable || cluster_.queue_type() == QueueType::quorum) return;
+    queue_remover_.remove(group.empty() ? topic.name : topic.name + "." + group);
+  }
+
   ConnectionState state() const override { return connections_.state(); }
   std::string problem() const override { return connections_.problem(); }
   const std::string& url() const override { return url_; }
@@ -78,6 +86,7 @@ class RabbitMqBroker final : public Broker {
   const std::string url_;
   const Cluster cluster_;
   Meters meters_;
+  QueueRemover queue_remover_{cluster_};
   Connections connections_;
   /// Declared after the connections, so that its publishers are destroyed before them.
   DeadLetters dead_letters_{*this};

@@ -45,16 +45,20 @@ int await_signal(const sigset_t& signals, std::chrono::microseconds limit) {
   }
 }
 
-/// Handles SIGHUP. A configuration file with errors changes nothing. If the service cannot read one of its own files
-/// (keys, tokens, certificates), that file and those after it stay as they were read before.
+/// Handles SIGHUP. A configuration with errors changes nothing; of what the service reads, each part stands alone.
 void read_again(const std::string& file, Service& service, const Logger& log) {
   try {
     const LogSettings settings = load_log_settings(file);
-    service.reload();
     apply(settings);
+  } catch (const std::exception& error) {
+    log.error("SIGHUP received, and nothing changes: {}", error.what());
+    return;
+  }
+  try {
+    service.reload();
     log.info("SIGHUP received: read the section \"log\" of {} again; the rest of it takes a restart", file);
   } catch (const std::exception& error) {
-    log.error("SIGHUP received, but what cannot be read stays as it was: {}", error.what());
+    log.error("SIGHUP received; what cannot be read again stays as it was, and the rest is read: {}", error.what());
   }
 }
 

@@ -16,7 +16,8 @@ class Service {
   /// Drains and stops. The main thread calls it once; it must return within `limit`.
   virtual void stop(std::chrono::milliseconds limit) = 0;
   /// Called on SIGHUP: reads again what may change while the service runs, such as tokens. The main thread calls it
-  /// between start() and stop(). \throws Error if it cannot read something, whose old value then stays.
+  /// between start() and stop(). \throws Error if it cannot read something, whose old value then stays; the rest is
+  /// read.
   virtual void reload() {}
   /// Why the service is unhealthy, in one line ("the registry is away"); empty if it is healthy. Any thread may call it
   /// between start() and stop(). It must return soon, and must take the locks that the service's work takes, so that an

@@ -225,12 +225,12 @@ void HostFleet::deactivate(const InstanceId& instance) {
   if (member.host && member.host->link) member.host->link->deactivate(instance);
 }
 
-void HostFleet::remove(const InstanceId& instance) {
+void HostFleet::remove(const InstanceId& instance, Removal removal) {
   auto& member = members_.at(instance);
   member.removing = true;
   leave_alone(member);
   if (member.host && member.host->link) {
-    member.host->link->remove(instance);
+    member.host->link->remove(instance, removal);
   } else {
     finish(instance);  // its host does not run, so nobody else reports its end
   }

@@ -51,7 +51,8 @@ class HostFleet {
   void activate(const discovery::InstanceId& instance);
   void deactivate(const discovery::InstanceId& instance);
   /// Begins to remove the instance. on_status reports `undeployed` when it has ended; then the id may be used again.
-  void remove(const discovery::InstanceId& instance);
+  /// \param removal see DriverHost::remove()
+  void remove(const discovery::InstanceId& instance, Removal removal);
   /// Tells all hosts, and those that are started later, when the registry last confirmed the gateway's place.
   void renew(config::Clock::Instant confirmed);
   /// Ends all hosts; `done` is called once when they have ended. Instances are reported as `undeployed`. A second call

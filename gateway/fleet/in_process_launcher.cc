@@ -72,7 +72,7 @@ class InProcessLink final : public HostLink {
   void create(const InstanceSpec& spec) override { host_.create(spec); }
   void activate(const discovery::InstanceId& instance) override { host_.activate(instance); }
   void deactivate(const discovery::InstanceId& instance) override { host_.deactivate(instance); }
-  void remove(const discovery::InstanceId& instance) override { host_.remove(instance); }
+  void remove(const discovery::InstanceId& instance, Removal removal) override { host_.remove(instance, removal); }
   void deliver(const PassedMessage& passed) override { host_.deliver(passed); }
   void answer(std::int64_t number, PassAnswer answer) override { host_.answered(number, answer); }
   void renew(config::Clock::Instant confirmed) override {

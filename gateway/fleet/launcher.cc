@@ -9,7 +9,7 @@ class LinkToNothing final : public HostLink {
   void create(const InstanceSpec&) override {}
   void activate(const discovery::InstanceId&) override {}
   void deactivate(const discovery::InstanceId&) override {}
-  void remove(const discovery::InstanceId&) override {}
+  void remove(const discovery::InstanceId&, Removal) override {}
   void shutdown(std::chrono::milliseconds) override {}
 };
 

@@ -45,7 +45,8 @@ class HostLink {
   virtual void create(const InstanceSpec& spec) = 0;
   virtual void activate(const discovery::InstanceId& instance) = 0;
   virtual void deactivate(const discovery::InstanceId& instance) = 0;
-  virtual void remove(const discovery::InstanceId& instance) = 0;
+  /// \param removal see DriverHost::remove()
+  virtual void remove(const discovery::InstanceId& instance, Removal removal) = 0;
   /// Hands the host a message that another host has passed; on_answer follows, unless the host ends.
   virtual void deliver(const PassedMessage& passed) { static_cast<void>(passed); }
   /// Tells the host what became of a message that it has passed.

@@ -76,8 +76,8 @@ void ProcessLink::deactivate(const discovery::InstanceId& instance) {
   send({HostCommand::Kind::deactivate, instance, {}, 0});
 }
 
-void ProcessLink::remove(const discovery::InstanceId& instance) {
-  send({HostCommand::Kind::remove, instance, {}, 0});
+void ProcessLink::remove(const discovery::InstanceId& instance, Removal removal) {
+  send({HostCommand::Kind::remove, instance, {}, removal == Removal::undeployed ? 1 : 0});
 }
 
 void ProcessLink::deliver(const PassedMessage& passed) {

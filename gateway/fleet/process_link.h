@@ -32,7 +32,7 @@ class ProcessLink final : public HostLink {
   void create(const InstanceSpec& spec) override;
   void activate(const discovery::InstanceId& instance) override;
   void deactivate(const discovery::InstanceId& instance) override;
-  void remove(const discovery::InstanceId& instance) override;
+  void remove(const discovery::InstanceId& instance, Removal removal) override;
   void deliver(const PassedMessage& passed) override;
   void answer(std::int64_t number, PassAnswer answer) override;
   void renew(config::Clock::Instant confirmed) override;

@@ -215,7 +215,7 @@ void ControlServer::Impl::obey(const HostCommand& command) {
       host->deactivate(command.instance);
       break;
     case HostCommand::Kind::remove:
-      host->remove(command.instance);
+      host->remove(command.instance, command.number == 1 ? Removal::undeployed : Removal::replaced);
       break;
     case HostCommand::Kind::deliver:
       host->deliver(command.passed);

@@ -259,12 +259,12 @@ void DriverHost::deactivate(const discovery::InstanceId& instance) {
   if (const auto found = impl_->find(instance)) found->deactivate();
 }
 
-void DriverHost::remove(const discovery::InstanceId& instance) {
+void DriverHost::remove(const discovery::InstanceId& instance, Removal removal) {
   {
     const config::MutexLock lock(impl_->mutex);
     impl_->suspended.erase(instance);
     if (const auto found = impl_->find(instance)) {
-      found->remove();
+      found->remove(removal);
       return;
     }
   }
@@ -279,7 +279,7 @@ bool DriverHost::stop(std::chrono::milliseconds limit) {
   config::UniqueLock lock(impl_->mutex);
   if (impl_->stopped) return true;
   impl_->stopped = true;
-  for (const auto& [id, instance] : impl_->instances) instance->remove();
+  for (const auto& [id, instance] : impl_->instances) instance->remove(Removal::replaced);
   const bool done = impl_->changed.wait_for(impl_->mutex, limit, [&impl = *impl_] {
     impl.mutex.assert_held();
     return impl.instances.empty();

@@ -124,10 +124,12 @@ void DriverInstance::deactivate() {
   loop_->post([self = shared_from_this()] { self->deactivate_now(); });
 }
 
-void DriverInstance::remove() {
-  loop_->post([self = shared_from_this()] {
+void DriverInstance::remove(Removal removal) {
+  loop_->post([self = shared_from_this(), removal] {
     // A host that ends removes what is being removed, too. The first removal's report is the instance's last.
-    if (!std::exchange(self->removed_, true)) self->close_now(DriverState::undeployed, "");
+    if (std::exchange(self->removed_, true)) return;
+    self->undeployed_ = removal == Removal::undeployed;
+    self->close_now(DriverState::undeployed, "");
   });
 }
 
@@ -281,6 +283,8 @@ void DriverInstance::close_incoming() {
     auto unhandled = incoming->queue->close();
     if (incoming->plan.spec.shared) {
       environment_->shared_channels->leave(incoming->plan, id_, std::move(unhandled));
+    } else {
+      own_queues_.push_back(std::move(incoming->plan));
     }
   }
   incoming_.clear();
@@ -317,8 +321,15 @@ void DriverInstance::drain_then_report(DriverState final_state, const std::strin
     }
     report(final_state, reason);
   }
+  // Each with its broker, which waits at its end until its server was asked: it ends with the last of them.
+  std::vector<std::pair<std::shared_ptr<brokers::Broker>, brokers::Topic>> unneeded;
+  if (undeployed_) {
+    for (const auto& channel : std::exchange(own_queues_, {})) {
+      unneeded.emplace_back(environment_->brokers->get(channel.address, channel.broker), channel.topic);
+    }
+  }
   const auto deadline = environment_->clock->now() + environment_->drain_limit;
-  environment_->closing->post([self = shared_from_this(), closing, deadline, failed, final_state, reason,
+  environment_->closing->post([self = shared_from_this(), closing, unneeded, deadline, failed, final_state, reason,
                                closed = std::move(closed)] {
     for (auto& [name, channel] : *closing) {
       const auto left = std::max(deadline - self->environment_->clock->now(), config::Clock::Instant::duration::zero());
@@ -327,6 +338,7 @@ void DriverInstance::drain_then_report(DriverState final_state, const std::strin
     }
     closing->clear();
     if (!failed) self->report(final_state, reason);
+    for (const auto& [broker, topic] : unneeded) broker->remove_queue(topic, "");
     if (closed) closed();
   });
 }

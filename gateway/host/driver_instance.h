@@ -31,7 +31,7 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   void activate();
   void deactivate();
   /// Closes for good; Reports `undeployed` when every accepted message has an outcome or the drain limit has passed.
-  void remove();
+  void remove(Removal removal);
 
   /// Closes, or is not opened at all, because its lease has run out. When it has closed it reports `inactive` with the
   /// reason, and then calls `closed`, on another thread. A failed or removed instance does neither.
@@ -110,6 +110,8 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   // Used on the event thread only.
   bool closed_ = false;
   bool removed_ = false;
+  bool undeployed_ = false;                 ///< removed for good
+  std::vector<PlannedChannel> own_queues_;  ///< exclusive incoming channels that are closed
   std::optional<config::Clock::Instant> metadata_told_;
   drivers::DriverShell* shell_ = nullptr;
   std::vector<std::unique_ptr<Incoming>> incoming_;

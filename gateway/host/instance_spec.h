@@ -48,6 +48,12 @@ struct InstanceSpec {
   friend bool operator==(const InstanceSpec&, const InstanceSpec&) = default;
 };
 
+/// Why an instance is removed from its host.
+enum class Removal {
+  replaced,    ///< it comes again: here, in another host, or in a later run of the gateway
+  undeployed,  ///< its order is gone
+};
+
 /// Identifies the bytes of a plugin.
 struct PluginIdentity {
   std::string sha256{};     ///< empty: not known

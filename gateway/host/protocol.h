@@ -24,8 +24,9 @@ struct HostCommand {
   Kind kind = Kind::ping;
   discovery::InstanceId instance;    ///< activate, deactivate, remove
   std::optional<InstanceSpec> spec;  ///< create
-  /// shutdown: the limit in milliseconds; ping: repeated in the pong; answer: see there; renew: when the registry
-  /// confirmed the gateway's place, in nanoseconds of this machine's monotonic clock.
+  /// remove: 1 if the instance is undeployed; shutdown: the limit in milliseconds; ping: repeated in the pong; answer:
+  /// see there; renew: when the registry confirmed the gateway's place, in nanoseconds of this machine's monotonic
+  /// clock.
   std::int64_t number = 0;
   PassedMessage passed{};  ///< deliver: a message that another host read
   PassAnswer answer{};     ///< answer: to the message that the host has passed under that number

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A driver is deployed and undeployed again and again, once into a host that stays and once into a host of its own that
 ends with it. File descriptors, threads and memory of the gateway, of the host that stays and of the master are flat: the
-last fifth of the cycles beside the fifth in the middle.
+last fifth of the cycles beside the fifth in the middle. Of instances with durable channels no queue is left.
 
 usage: cycles_test.py BUILD_DIR [--cycles N]
 """
@@ -17,10 +17,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
 
 from master_api import MasterApi, compile_idl  # noqa: E402
-from private_cluster import PrivateCluster, children_of, require, wait_for  # noqa: E402
+from private_cluster import PrivateCluster, children_of, echo_topology, require, wait_for  # noqa: E402
 
 # A short-lived connection or thread may exist while they are counted.
 MORE = {"descriptors": 2, "threads": 2}
+DURABLE = 15  # instances with durable channels
 GROWTH_MB, GROWTH = 1.0, 0.03  # of memory: allocators settle slowly; the larger of both
 
 
@@ -48,6 +49,25 @@ def judge(name, samples):
         if after - before > allowed:
             wrong.append(f"{name}: {figure}")
     return wrong
+
+
+def durable_queues(cluster):
+    """How many the broker has."""
+    server = dict(cluster.children)["rabbitmq"]
+    server.stdin.write("queues\n")
+    server.stdin.flush()
+    return int(server.stdout.readline().removeprefix("QUEUES "))
+
+
+def leave_no_queues(cluster, api):
+    """Deploys instances with durable channels of their own, which a topology reads, and undeploys them."""
+    cluster.topology("echo", echo_topology())
+    cluster.wait_until_ready()
+    silent = {"rate": "0.01", "channel.data.durable": "true", "channel.echo.durable": "true"}
+    instances = [instance for _ in range(DURABLE) for instance in api.deploy("loadgen.so", "gateway-1", silent)]
+    wait_for("each instance has two durable queues", lambda: durable_queues(cluster) == 2 * DURABLE)
+    api.undeploy(instances)
+    wait_for("no durable queue is left", lambda: durable_queues(cluster) == 0)
 
 
 def main():
@@ -88,6 +108,7 @@ def main():
             for name, process in processes.items():
                 samples[name].append(measure(process))
         took = time.monotonic() - began
+        leave_no_queues(cluster, api)
         api.close()
         cluster.require_alive()
         require(len(json.loads(cluster.cli("drivers", "-o", "json"))) == 1, "drivers are left over")

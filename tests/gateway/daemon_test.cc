@@ -258,5 +258,18 @@ TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {
   EXPECT_EQ(record()->state, DriverState::active) << "what runs goes on";
 }
 
+TEST_F(DaemonTest, WhatCannotBeReadAgainOnSighupKeepsNothingElseFromBeingRead) {
+  const auto keys = security::new_key_pair();
+  fs::create_directory(folder_ / "keys");
+  std::ofstream(folder_ / "keys/lab.pub", std::ios::binary) << keys.public_pem;
+  configure(TEST_PLUGINS, "plugins.trusted_keys: [" + (folder_ / "keys").string() +
+                              "]\naudit: {file: " + (folder_ / "audit.log").string() + "}\n");
+  start_daemon();
+  fs::rename(folder_ / "audit.log", folder_ / "audit.log.1");
+  std::ofstream(folder_ / "keys/broken.pub") << "no key";
+  kill(daemon_, SIGHUP);
+  EXPECT_TRUE(eventually([&] { return fs::exists(folder_ / "audit.log"); })) << "its audit log is begun anew";
+}
+
 }  // namespace
 }  // namespace iotcloud::gateway

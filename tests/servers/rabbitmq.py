@@ -169,6 +169,13 @@ class RabbitMq(private_server.Server):
         self.control("set_permissions", "guest", ".*", ".*", ".*")
         return "PERMITTED"
 
+    def queues(self):
+        """How many durable queues there are."""
+        listed = subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, "-q", "list_queues", "durable"],
+                                env=self.environment(), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True,
+                                check=True, timeout=60, preexec_fn=private_server.become_child)
+        return f"QUEUES {listed.stdout.split().count('true')}"
+
     def stop(self):
         answer = super().stop()
         self.mapper.stop()
@@ -176,7 +183,7 @@ class RabbitMq(private_server.Server):
 
     def commands(self):
         return {**super().commands(), "alarm": self.alarm, "clear": self.clear, "forbid": self.forbid,
-                "permit": self.permit}
+                "permit": self.permit, "queues": self.queues}
 
 
 def main():

@@ -3,6 +3,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/conf_keys.h>
@@ -11,6 +12,8 @@
 namespace iotcloud::topology {
 
 namespace {
+
+const config::Logger state_logger{"topology.state"};
 
 StateOptions configured(StateOptions options, const Config& config) {
   refuse_unknown_keys(config, "state.", {"state.store", "state.checkpoint"});
@@ -95,6 +98,7 @@ class StatefulBoltExecutor final : public Bolt {
     losses_ = &context.metrics->counter("iotcloud_task_state_losses_total",
                                         "Keys of which the state store has lost checkpoints", labels);
     collector_ = &collector;
+    name_ = context.component + "#" + std::to_string(context.task);
     holding_.emplace(collector);
     state_.emplace(make_state_store(options.store),
                    StateOwner{context.topology, context.component, context.task_index, context.task_count});
@@ -122,7 +126,10 @@ class StatefulBoltExecutor final : public Bolt {
       bolt_->pre_checkpoint();
       const bool changed = state_->changed();
       state_->checkpoint();
-      if (changed) checkpoints_->add();
+      if (changed) {
+        checkpoints_->add();
+        tell_back();
+      }
       tell_losses();
     } catch (const StateUnavailable& e) {
       tell_unavailable(e);
@@ -150,20 +157,28 @@ class StatefulBoltExecutor final : public Bolt {
       tell_unavailable(e);
       return false;
     }
-    said_unavailable_ = false;
     tell_losses();
     return true;
   }
 
   /// Executes the tuples that wait for the store, in order, as long as it is there.
   void execute_waiting() {
-    while (!waiting_.empty() && execute_now(waiting_.front())) waiting_.pop_front();
+    while (!waiting_.empty() && execute_now(waiting_.front())) {
+      waiting_.pop_front();
+      tell_back();  // the store has answered what it could not before
+    }
     for (const Tuple& tuple : waiting_) collector_->reset_timeout(tuple);
   }
 
   void tell_unavailable(const StateUnavailable& why) {
     if (std::exchange(said_unavailable_, true)) return;
     collector_->report_error("tuples wait for the state store, and nothing is acked: " + std::string(why.what()));
+  }
+
+  /// Not after each tuple: one that needs only what the task has read changes while the store is away, too.
+  void tell_back() {
+    if (!std::exchange(said_unavailable_, false)) return;
+    state_logger.info("{}: the state store is back", name_);
   }
 
   void tell_losses() {
@@ -184,13 +199,14 @@ class StatefulBoltExecutor final : public Bolt {
   const std::unique_ptr<StatefulBolt> bolt_;
   const StateOptions options_;
   OutputCollector* collector_ = nullptr;
+  std::string name_;  ///< for the log
   std::optional<HoldingCollector> holding_;
   std::optional<KeyValueState> state_;
   config::Counter* checkpoints_ = nullptr;
   config::Counter* failures_ = nullptr;
   config::Counter* losses_ = nullptr;
   std::deque<Tuple> waiting_;      ///< for a store that is away
-  bool said_unavailable_ = false;  ///< since the store went away
+  bool said_unavailable_ = false;  ///< the store is away, as far as is known, and that was said
 };
 
 }  // namespace

@@ -249,6 +249,16 @@ std::string AmqpLink::declare_queue(amqp_channel_t channel, const Topic& topic, 
   return {};
 }
 
+std::string AmqpLink::remove_idle_queue(amqp_channel_t channel, const std::string& queue) {
+  constexpr amqp_boolean_t if_unused = 1;
+  constexpr amqp_boolean_t if_empty = 1;
+  open_channel(channel);
+  amqp_queue_delete(state_.get(), channel, to_bytes(queue), if_unused, if_empty);
+  std::string why = refusal_of(channel, "remove a queue");
+  if (why.empty()) check(amqp_channel_close(state_.get(), channel, AMQP_REPLY_SUCCESS), "close a channel");
+  return why;
+}
+
 std::string AmqpLink::refusal_of(amqp_channel_t channel, const char* doing) {
   const amqp_rpc_reply_t reply = amqp_get_rpc_reply(state_.get());
   if (reply.reply_type == AMQP_RESPONSE_NORMAL) return {};

@@ -82,6 +82,9 @@ class AmqpLink {
   /// Declares the topic's own queue, bound to its exchange; an existing one with other properties is used as it is.
   /// \param original see PublisherOptions::original_queue. \return empty, or why the server refused.
   std::string declare_queue(amqp_channel_t channel, const Topic& topic, const std::string& original, QueueType type);
+  /// Removes a queue that has no message and no reader, on a channel that is opened for it. Quorum queues refuse this.
+  /// \return empty, or why the server refused.
+  std::string remove_idle_queue(amqp_channel_t channel, const std::string& queue);
   /// Closes channel and connection in order, so that the server keeps all that was sent. Waits at most the time-out.
   void close(amqp_channel_t channel) noexcept;
 

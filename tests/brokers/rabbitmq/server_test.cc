@@ -1,4 +1,6 @@
 // Behaviour that needs a real RabbitMQ server: alarms, hanging, objects deleted or made by others.
+#include <future>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -35,6 +37,16 @@ class RabbitMqServer : public BrokerContract {
   static void call(rabbitmq::AmqpLink& link, amqp_method_number_t number, Method method) {
     link.send(1, number, method);
     ASSERT_TRUE(eventually([&] { return link.next_frame().has_value(); }));
+  }
+  bool has_queue(const std::string& name) const {
+    const auto link = operator_link();
+    amqp_queue_declare_t request{};
+    request.queue = rabbitmq::to_bytes(name);
+    request.passive = 1;
+    link->send(1, AMQP_QUEUE_DECLARE_METHOD, request);
+    std::optional<amqp_frame_t> answer;
+    EXPECT_TRUE(eventually([&] { return (answer = link->next_frame()).has_value(); }));
+    return answer && answer->payload.method.id == AMQP_QUEUE_DECLARE_OK_METHOD;
   }
   static void publish_numbers(Publisher& publisher, int from, int to) {
     for (int i = from; i <= to; ++i) {
@@ -237,6 +249,66 @@ TEST_P(RabbitMqServer, AQueueThatIsDeletedUnderItsReaderIsMadeAgain) {
   publish_numbers(*publisher, 2, 5);
   ASSERT_TRUE(inbox.wait_for(5));
   EXPECT_THAT(inbox.bodies(), testing::ElementsAre("1", "2", "3", "4", "5"));
+}
+
+TEST_P(RabbitMqServer, AQueueThatNobodyNeedsIsRemovedUnlessItHasMessagesOrAReader) {
+  const Topic empty = this->topic(true);
+  const Topic unread = this->topic(true);
+  const Topic unsettled = this->topic(true);
+  const Topic read = this->topic(true);
+  const auto other = this->broker();
+  Inbox inbox;
+  const auto reader = other->subscribe(read, {}, inbox.handler());
+  await_active(*reader);
+  {
+    const auto broker = this->broker();
+    for (const Topic* topic : {&empty, &unread}) await_active(*broker->subscribe(*topic, {}, inbox.handler()));
+    std::promise<void> came;
+    std::optional<Delivery> in_hand;
+    auto subscription = broker->subscribe(unsettled, {}, [&](Delivery delivery) {
+      in_hand = std::move(delivery);
+      came.set_value();
+    });
+    await_active(*subscription);
+    for (const Topic* topic : {&unread, &unsettled}) {
+      const auto publisher = broker->publisher(*topic, {});
+      publish_numbers(*publisher, 1, 1);
+      ASSERT_TRUE(publisher->drain(patience));
+    }
+    ASSERT_EQ(came.get_future().wait_for(patience), std::future_status::ready);
+    subscription.reset();
+    // At once: the server may still count the subscription.
+    for (const Topic* topic : {&empty, &unread, &unsettled, &read}) broker->remove_queue(*topic, "");
+  }  // waits for all four
+  EXPECT_FALSE(has_queue(empty.name));
+  EXPECT_TRUE(has_queue(read.name));
+  const auto broker = this->broker();
+  for (const Topic* topic : {&unread, &unsettled}) {
+    Inbox late;
+    const auto subscription = broker->subscribe(*topic, {}, late.handler());
+    ASSERT_TRUE(late.wait_for(1)) << topic->name;
+    EXPECT_THAT(late.bodies(), testing::ElementsAre("1"));
+  }
+}
+
+TEST_P(RabbitMqServer, AMessageThatComesAfterTheRemovalOfItsQueueWaitsForTheNextReader) {
+  const Topic topic = this->topic(true);
+  const auto sender = this->broker();
+  const auto publisher = sender->publisher(topic, {});
+  {
+    const auto broker = this->broker();
+    Inbox inbox;
+    auto subscription = broker->subscribe(topic, {}, inbox.handler());
+    await_active(*subscription);
+    subscription.reset();
+    broker->remove_queue(topic, "");
+  }
+  ASSERT_FALSE(has_queue(topic.name));
+  publish_numbers(*publisher, 1, 3);
+  Inbox inbox;
+  const auto subscription = sender->subscribe(topic, {}, inbox.handler());
+  ASSERT_TRUE(inbox.wait_for(3));
+  EXPECT_THAT(inbox.bodies(), testing::ElementsAre("1", "2", "3"));
 }
 
 TEST_P(RabbitMqServer, ATopicsOwnQueueThatIsDeletedIsMadeAgain) {

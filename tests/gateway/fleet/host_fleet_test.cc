@@ -59,7 +59,9 @@ class PlayedLauncher final : public HostLauncher {
     void deactivate(const discovery::InstanceId& instance) override {
       host->commands.push_back("deactivate " + instance);
     }
-    void remove(const discovery::InstanceId& instance) override { host->commands.push_back("remove " + instance); }
+    void remove(const discovery::InstanceId& instance, Removal) override {
+      host->commands.push_back("remove " + instance);
+    }
     void deliver(const PassedMessage& passed) override {
       host->commands.push_back("deliver " + passed.message.driver_id);
       host->delivered = passed.number;
@@ -177,7 +179,7 @@ TEST_F(HostFleetTest, InstancesOfOnePluginShareAHostAndPluginsDoNot) {
 
 TEST_F(HostFleetTest, TheLastInstanceEndsItsHostAndANewOneGetsANewHost) {
   on_loop([&] { fleet_->create(order("a")); });
-  on_loop([&] { fleet_->remove("a"_instance); });
+  on_loop([&] { fleet_->remove("a"_instance, Removal::undeployed); });
   tell(0, status("a", DriverState::undeployed));
   EXPECT_THAT(commands(0), ElementsAre("create a", "remove a", "shutdown"));
   on_loop([&] { fleet_->create(order("a")); });
@@ -194,7 +196,7 @@ TEST_F(HostFleetTest, ACrashedHostIsStartedAgainWithItsInstancesAndTheirStateSay
   tell(0, status("a", DriverState::active));
   tell(0, status("failed", DriverState::failed));
   tell(1, status("other", DriverState::active));
-  on_loop([&] { fleet_->remove("leaving"_instance); });
+  on_loop([&] { fleet_->remove("leaving"_instance, Removal::undeployed); });
   end(0, HostEnd::How::crashed, "crashed (signal 11)");
   const auto told = log_.wait_for("a", DriverState::starting);
   ASSERT_TRUE(told);
@@ -259,7 +261,7 @@ TEST_F(HostFleetTest, AnInstanceWhoseDriverThrowsTooOftenInARowIsLeftAloneAndOne
   }));
   EXPECT_THAT(last->reason, HasSubstr("no device; that was failure 6 in a row"));
   on_loop([&] {
-    fleet_->remove("a"_instance);
+    fleet_->remove("a"_instance, Removal::undeployed);
     launcher_.hosts.at(0)->events.on_status(status("a", DriverState::undeployed));
   });
   ASSERT_TRUE(log_.wait_for("a", DriverState::undeployed));
@@ -286,7 +288,7 @@ TEST_F(HostFleetTest, AnInstanceThatIsRemovedWhileItWaitsForItsRestartDoesNotCom
   });
   on_loop([&] {
     launcher_.hosts.at(0)->events.on_status(failure("a", "no device"));
-    loop_.post([&] { fleet_->remove("a"_instance); });  // right after the fleet has heard that
+    loop_.post([&] { fleet_->remove("a"_instance, Removal::undeployed); });  // right after the fleet has heard that
   });
   tell(0, failure("b", "no device"));
   std::vector<std::string> after_removal;  // the restart may have come before it on a busy machine, which is in order
@@ -316,7 +318,7 @@ TEST_F(HostFleetTest, AHostThatFailsTooOftenInARowIsLeftAloneUntilItIsOrderedAne
   EXPECT_TRUE(log_.wait_for("b", DriverState::failed));
   on_loop([&] { EXPECT_EQ(launcher_.hosts.size(), give_up_after); });
   on_loop([&] {
-    fleet_->remove("a"_instance);
+    fleet_->remove("a"_instance, Removal::undeployed);
     fleet_->create(order("a"));
   });
   EXPECT_THAT(commands(give_up_after), ElementsAre("create a"));
@@ -370,7 +372,7 @@ TEST_F(HostFleetTest, ARefusedPluginFailsItsInstancesAndIsNotStartedAgain) {
   on_loop([&] {
     fleet_->activate("a"_instance);
     fleet_->deactivate("a"_instance);
-    fleet_->remove("a"_instance);
+    fleet_->remove("a"_instance, Removal::undeployed);
   });
   EXPECT_TRUE(log_.wait_for("a", DriverState::undeployed));
   on_loop([&] { EXPECT_EQ(launcher_.hosts.size(), 1u); });

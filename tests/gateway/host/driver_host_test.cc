@@ -9,6 +9,7 @@
 #include <gmock/gmock.h>
 #include <stdlib.h>
 
+#include <iotcloud/brokers/embedded/server.h>
 #include <iotcloud/gateway/host/driver_host.h>
 #include <iotcloud/gateway/host/shared_channels.h>
 #include <iotcloud/tests/captured_log.h>
@@ -91,7 +92,7 @@ TEST_F(DriverHostTest, AnInstanceLivesThroughItsStatesAndSaysSo) {
   EXPECT_EQ(active->channels[0].properties.at("routingKey"), "readings");
   host_->deactivate("a"_instance);
   host_->activate("a"_instance);
-  host_->remove("a"_instance);
+  host_->remove("a"_instance, Removal::undeployed);
   const auto gone = log_.wait_for("a", DriverState::undeployed);
   ASSERT_TRUE(gone);
   EXPECT_TRUE(gone->channels.empty());
@@ -151,7 +152,7 @@ TEST_F(DriverHostTest, AnInstanceThatIsRemovedWhileItHasNoLeaseDoesNotComeBack) 
   start_host(probe_, &clock_);
   host_->create(spec("a", {{"on_partition", "stop"}, {"lease", "30s"}}));
   ASSERT_TRUE(log_.wait_for("a", DriverState::inactive));
-  host_->remove("a"_instance);
+  host_->remove("a"_instance, Removal::undeployed);
   host_->renew(clock_.now());
   ASSERT_TRUE(log_.wait_for("a", DriverState::undeployed));
   EXPECT_TRUE(host_->list().empty());
@@ -163,10 +164,26 @@ TEST_F(DriverHostTest, AnInstanceThatIsOrderedInactiveIsOpenedOnly) {
   auto inactive = spec("a");
   inactive.order.active = false;
   host_->create(inactive);
-  host_->remove("a"_instance);
+  host_->remove("a"_instance, Removal::undeployed);
   ASSERT_TRUE(log_.wait_for("a", DriverState::undeployed));
   EXPECT_THAT(log_.states("a"), ElementsAre(DriverState::starting, DriverState::inactive, DriverState::stopping,
                                             DriverState::undeployed));
+}
+
+TEST_F(DriverHostTest, TheQueueOfAnUndeployedInstancesOwnChannelGoesAndThatOfAReplacedOneStays) {
+  start_host(probe_);
+  const auto server = brokers::embedded::Server::named(url_.substr(11));
+  for (const char* id : {"undeployed", "replaced"}) {
+    host_->create(spec(id));
+    ASSERT_TRUE(log_.wait_for(id, DriverState::active));
+    ASSERT_TRUE(server.has_queue("gw.probe." + std::string(id) + ".control", ""));
+  }
+  host_->remove("replaced"_instance, Removal::replaced);
+  host_->remove("undeployed"_instance, Removal::undeployed);
+  ASSERT_TRUE(log_.wait_for("undeployed", DriverState::undeployed));
+  EXPECT_TRUE(tests::eventually([&] { return !server.has_queue("gw.probe.undeployed.control", ""); }));
+  ASSERT_TRUE(host_->stop(5s));
+  EXPECT_TRUE(server.has_queue("gw.probe.replaced.control", ""));
 }
 
 TEST_F(DriverHostTest, MessagesLeaveUnderTheWireNameWithTheirOrigin) {
@@ -393,7 +410,7 @@ TEST_F(TwoHosts, LoseNoCommandWhileInstancesMoveFromOneToTheOther) {
   int sent = 0;
   for (const auto& id : instances) {
     send_to(sender, instances, sent, 20);
-    first_->remove(discovery::InstanceId(id));
+    first_->remove(discovery::InstanceId(id), Removal::undeployed);
     ASSERT_TRUE(log_.wait_for(id, DriverState::undeployed));
     send_to(sender, instances, sent + 20, 20);
     sent += 40;
@@ -469,7 +486,7 @@ TEST_F(SpooledChannelTest, WhatNobodyHasReadWhenAnInstanceEndsIsSentByItsNextLif
   start_host(probe_);
   host_->create(spooled("a"));
   ASSERT_TRUE(log_.wait_for("a", DriverState::active));
-  host_->remove("a"_instance);
+  host_->remove("a"_instance, Removal::undeployed);
   ASSERT_TRUE(log_.wait_for("a", DriverState::undeployed));
   EXPECT_TRUE(std::filesystem::exists(state_folder_ + "/spool/a/readings"));
   host_->create(spooled("a"));
@@ -480,7 +497,7 @@ TEST_F(SpooledChannelTest, WhatNobodyHasReadWhenAnInstanceEndsIsSentByItsNextLif
   EXPECT_EQ(first->payload.text(), "up");
   EXPECT_EQ(second->payload.text(), "up");
   EXPECT_LE(first->time_ms, second->time_ms);
-  host_->remove("a"_instance);
+  host_->remove("a"_instance, Removal::undeployed);
   host_.reset();
   EXPECT_FALSE(std::filesystem::exists(state_folder_ + "/spool/a")) << "nothing is left when all was sent";
 }
@@ -489,8 +506,8 @@ TEST_F(SpooledChannelTest, AnInstanceThatIsRemovedTwiceEndsOnce) {
   start_host(probe_);
   host_->create(spooled("a"));
   ASSERT_TRUE(log_.wait_for("a", DriverState::active));
-  host_->remove("a"_instance);
-  host_->remove("a"_instance);  // its spool is still being closed
+  host_->remove("a"_instance, Removal::undeployed);
+  host_->remove("a"_instance, Removal::undeployed);  // its spool is still being closed
   host_.reset();
   const auto states = log_.states("a");
   EXPECT_EQ(std::count(states.begin(), states.end(), DriverState::stopping), 1);
@@ -652,7 +669,7 @@ TEST_F(DriverHostTest, StoppingRemovesEveryInstance) {
 
 TEST_F(DriverHostTest, RemovingAnUnknownInstanceIsAnsweredAtOnce) {
   start_host(probe_);
-  host_->remove("never seen"_instance);
+  host_->remove("never seen"_instance, Removal::undeployed);
   EXPECT_TRUE(log_.wait_for("never seen", DriverState::undeployed));
 }
 

@@ -15,6 +15,7 @@
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
 #include <iotcloud/tests/topology/endpoints/false_broker.h>
@@ -219,6 +220,25 @@ TEST_F(Endpoints, SayThatThePrefetchIsTheLimitOfAWindowThatKeepsAllMessages) {
   EXPECT_EQ(metric("iotcloud_spout_prefetch_limited"), 1);
 }
 
+TEST_F(Endpoints, SayNothingOfChannelsThatAnInstanceLacksOnceAnotherOneHadTheChannel) {
+  const tests::CapturedLog log;
+  run();
+  discovery::DriverRecord other;
+  other.name = "d"_driver;
+  other.instance = "other"_instance;
+  other.gateway = "g"_gateway;
+  other.state = discovery::DriverState::active;
+  other.channels.emplace_back().name = "wind";
+  other.channels.back().direction = discovery::Direction::out;
+  discovery::put(*registry_, paths_.instance("d"_driver, "other"_instance), discovery::encode(other));
+  show_driver("one");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+  show_driver("one", "rabbitmq", discovery::DriverState::inactive);
+  // It comes as long after the channel as a warning after the instance that lacks it.
+  ASSERT_TRUE(eventually([&] { return log.contains("units taken"); }));
+  EXPECT_FALSE(log.contains("they have no outgoing channel")) << "there is one, and it is not known any more";
+}
+
 TEST_F(Endpoints, CountTuplesForDriversThatAreNotThereAndGoOn) {
   Mailbox mailbox(*broker_, topic("one", "down"));
   run();
@@ -332,6 +352,21 @@ TEST_F(Endpoints, ReadWhatADriverSentBeforeItWentToItsEnd) {
   EXPECT_TRUE(eventually(
       [&] { return brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t") == 0; }));
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; })) << "only the other driver is read";
+}
+
+TEST_F(Endpoints, LeaveNoQueueOfADriverThatIsUndeployedAndThatOfOneThatIsStopped) {
+  run();
+  show_driver("undeployed");
+  show_driver("stopped");
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2; }));
+  discovery::remove_tree(*registry_, paths_.instance("d"_driver, "undeployed"_instance));
+  show_driver("stopped", "rabbitmq", discovery::DriverState::inactive);
+  const auto server = brokers::embedded::Server::named(url_.substr(11));
+  EXPECT_TRUE(eventually([&] { return !server.has_queue(topic("undeployed", "up"), "t"); }));
+  ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+  EXPECT_TRUE(server.has_queue(topic("stopped", "up"), "t")) << "what it sends when it starts is to wait there";
+  discovery::remove_tree(*registry_, paths_.instance("d"_driver, "stopped"_instance));
+  EXPECT_TRUE(eventually([&] { return !server.has_queue(topic("stopped", "up"), "t"); }));
 }
 
 TEST_F(Endpoints, ReadADriverThatComesBackWhileItIsReadToItsEndWithoutAnInterruption) {

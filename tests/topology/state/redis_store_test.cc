@@ -6,6 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/servers/private_server.h>
 #include <iotcloud/tests/topology/state/counting.h>
 #include <iotcloud/tests/topology/state/state_fixture.h>
@@ -156,6 +157,36 @@ TEST(StateWithoutItsRedis, TuplesWaitAndNothingIsAckedUntilItIsBack) {
   EXPECT_THAT(counting.source->failed(), IsEmpty());
   EXPECT_THAT(counting.seen(), testing::UnorderedElementsAre("a=1", "a=2", "a=3", "a=4", "b=1"));
   EXPECT_EQ(KeyValueState(make_state_store(server.url()), {"t", "count", 0, 1}).get_int("a"), 4);
+}
+
+int times(const std::string& words, const std::string& text) {
+  int count = 0;
+  for (auto at = text.find(words); at != std::string::npos; at = text.find(words, at + 1)) ++count;
+  return count;
+}
+
+TEST(StateWithoutItsRedis, ThatItIsAwayAndThatItIsBackIsSaidOnceForEachTimeItWent) {
+  tests::PrivateServer server("redis.py");
+  Counting counting(counting_in(server.url()));
+  const tests::CapturedLog log;
+  for (int outage = 1; outage <= 2; ++outage) {
+    counting.put("a");  // the task has read its count, so tuples with this word need no store until the next checkpoint
+    server.kill();
+    for (int i = 0; i < 3; ++i) {
+      counting.put("a");
+      counting.pass(100ms);  // a checkpoint that fails
+    }
+    counting.put("never read");
+    counting.pass(100ms);
+    EXPECT_EQ(times("tuples wait for the state store", log.text()), outage);
+    server.start();
+    EXPECT_TRUE(eventually([&] {
+      counting.pass(100ms);
+      return times("the state store is back", log.text()) >= outage;
+    }));
+    for (int i = 0; i < 3; ++i) counting.pass(100ms);
+    EXPECT_EQ(times("the state store is back", log.text()), outage);
+  }
 }
 
 TEST(StateWithoutItsRedis, ATopologyStartsAndItsTuplesWait) {

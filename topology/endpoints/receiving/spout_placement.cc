@@ -125,6 +125,12 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
       on_missing(channels);
     });
   };
+  callbacks.on_state = [this](const discovery::InstanceId& instance, std::optional<discovery::DriverState> state) {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      on_state(instance, state);
+    });
+  };
   if (!endpoint_.where.everything()) {
     callbacks.on_verdict = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
       verdicts_->told(instance, chosen);
@@ -218,6 +224,8 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
   }
   warned_of_missing_ = false;
   others_.clear();
+  missing_.reset();
+  left_queues_.erase(channel.instance);
   channels_.insert_or_assign(channel.instance, channel);
   place(channel);
   look_for_limit_soon();
@@ -229,6 +237,25 @@ void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
   displace(channel, 0, End::when_silent);
   follow_no_more(channel);
   report();
+}
+
+/// The queue of an undeployed instance's own channel is needed no longer, once it has been read to its end. That of a
+/// stopped one is: its next messages may come while no worker is there to declare it.
+void SpoutPlacement::on_state(const discovery::InstanceId& instance, std::optional<discovery::DriverState> state) {
+  const bool confirmed = unconfirmed_.erase(instance) == 0;
+  if (state || !confirmed) return;
+  for (auto& [name, unit] : ending_) {
+    if (unit.instance == instance) unit.undeployed = true;
+  }
+  if (const auto left = left_queues_.extract(instance)) remove_queue(left.mapped());
+}
+
+void SpoutPlacement::remove_queue(const UnitReaders::Key& topic) {
+  try {
+    broker_at(topic.first, *services_)->remove_queue(topic.second, group_of(endpoint_, *services_));
+  } catch (const config::Error& error) {
+    endpoints_logger.warn("{}: the queue of {} stays: {}", component_, topic.second.name, error.what());
+  }
 }
 
 /// Puts the channel into its units, one for each partition, unless it cannot be read.
@@ -503,6 +530,9 @@ void SpoutPlacement::on_session(discovery::SessionState state) {
         std::any_of(ending_.begin(), ending_.end(), is_cut_off)) {
       services_->fence->raise();
     }
+    for (const auto& [instance, channel] : channels_) unconfirmed_.insert(instance);
+    for (const auto& [name, unit] : ending_) unconfirmed_.insert(unit.instance);
+    for (const auto& [instance, topic] : left_queues_) unconfirmed_.insert(instance);
   }
   if (state != discovery::SessionState::connected) return;
   for (auto& [name, unit] : units_) {
@@ -687,6 +717,11 @@ void SpoutPlacement::read_to_the_end(const std::string& name) {
     unit.readers.close();
     read(unit);
   }
+  if (const auto& [instance, channel] = *unit.channels.begin(); !channel.shared) {
+    unit.instance = instance;
+    unit.topic.emplace(address_of(channel, *services_), topic_of(channel));
+  }
+  unit.undeployed = false;
   unit.channels.clear();
   loads_.remove(static_cast<std::size_t>(unit.task), unit.kind);
   unit.last_task = std::exchange(unit.task, -1);
@@ -716,6 +751,11 @@ void SpoutPlacement::look_at_ends() {
                             component_, name, std::chrono::duration_cast<std::chrono::seconds>(end_limit).count());
     }
     release(name, unit);
+    if (unit.topic && unit.undeployed) {
+      remove_queue(*unit.topic);
+    } else if (unit.topic) {
+      left_queues_.insert_or_assign(unit.instance, *unit.topic);
+    }
     place = ending_.erase(place);
   }
   if (!ending_.empty()) look_soon();

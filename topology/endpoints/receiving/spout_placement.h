@@ -67,9 +67,12 @@ class SpoutPlacement {
     Move move = Move::none;
     int looks_left = 0;  ///< while it moves or ends: how often look_at_moves() or look_at_ends() still waits for it
     // While it ends:
-    int last_task = -1;     ///< the task that reads it
-    int silent_looks = 0;   ///< how often in a row look_at_ends() has seen nothing new
-    std::size_t taken = 0;  ///< UnitReaders::taken() at the last look
+    discovery::InstanceId instance;         ///< whose exclusive channel it had; empty: its channels were shared
+    std::optional<UnitReaders::Key> topic;  ///< of that channel
+    bool undeployed = false;                ///< that instance's record is gone
+    int last_task = -1;                     ///< the task that reads it
+    int silent_looks = 0;                   ///< how often in a row look_at_ends() has seen nothing new
+    std::size_t taken = 0;                  ///< UnitReaders::taken() at the last look
     UnitReaders readers;
   };
   /// When the reading of a unit ends whose last channel is gone.
@@ -126,6 +129,9 @@ class SpoutPlacement {
   void partitions_changed_soon() IOTCLOUD_REQUIRES(mutex_);
   void take_partitions() IOTCLOUD_REQUIRES(dispatcher_);
   void on_channel_gone(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void on_state(const discovery::InstanceId& instance, std::optional<discovery::DriverState> state)
+      IOTCLOUD_REQUIRES(dispatcher_);
+  void remove_queue(const UnitReaders::Key& topic) IOTCLOUD_REQUIRES(dispatcher_);
   void on_missing(const std::vector<discovery::ChannelRecord>& channels) IOTCLOUD_REQUIRES(dispatcher_);
   void warn_of_missing() IOTCLOUD_REQUIRES(dispatcher_);
   void look_for_limit() IOTCLOUD_REQUIRES(dispatcher_);
@@ -187,6 +193,10 @@ class SpoutPlacement {
   std::map<UnitReaders::Key, SplitTopic> topics_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< of shared channels
   std::map<std::string, Unit> units_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::map<std::string, Unit> ending_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< without channels, read to their end
+  /// Topics of exclusive channels that were read here to their end, by instance, until the channel or its record goes.
+  std::map<discovery::InstanceId, UnitReaders::Key> left_queues_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  /// Instances whose record was not read in this session. When it is not there, the registry may have lost its data.
+  std::set<discovery::InstanceId> unconfirmed_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::set<std::string> complained_ IOTCLOUD_GUARDED_BY(dispatcher_);
   TaskLoads loads_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::size_t reader_count_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;
