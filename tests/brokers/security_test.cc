@@ -1,4 +1,5 @@
 // Every broker with a server, behind TLS with client certificates, users and passwords.
+#include <atomic>
 #include <cstddef>
 #include <cstdlib>
 #include <filesystem>
@@ -6,6 +7,7 @@
 #include <memory>
 #include <ostream>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -228,6 +230,66 @@ TEST_P(BrokerSecurity, FilesThatCannotBeUsedAreNamed) {
 }
 
 INSTANTIATE_TEST_SUITE_P(On, BrokerSecurity, testing::ValuesIn(kinds),
+                         [](const auto& kind) { return kind.param.name; });
+
+/// A server whose certificates, those of its clients and their authority are all made anew while messages flow.
+class BrokerRenewal : public BrokerSecurity {
+ protected:
+  /// Nothing that was signed before is worth anything afterwards, once the server has started again.
+  static void renew_everything() {
+    for (const char* name : {"ca.pem", "client.pem", "client.key"})
+      std::filesystem::copy_file(file(name), file((std::string("old-") + name).c_str()),
+                                 std::filesystem::copy_options::overwrite_existing);
+    std::filesystem::remove(file("complete"));
+    const std::string make =
+        "import sys; sys.path.insert(0, sys.argv[1]); import certificates; "
+        "certificates.Certificates(sys.argv[2])";
+    const std::string command =
+        "/usr/bin/python3 -c '" + make + "' '" IOTCLOUD_TEST_SERVERS "' '" + server_->folder().string() + "'";
+    ASSERT_EQ(std::system(command.c_str()), 0);
+  }
+  static bool has_after(Inbox& inbox, int number) {
+    return inbox.wait_until([&](const auto& received) { return std::stoi(received.back().body) > number; });
+  }
+};
+
+TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates) {
+  const auto broker = make_broker(options());
+  Topic durable = topic();
+  durable.durable = true;
+  durable.exchange = "tls_renewal";
+  Inbox inbox;
+  const auto subscription = broker->subscribe(durable, {}, inbox.handler());
+  PublisherOptions few;
+  few.capacity = 16;
+  const auto publisher = broker->publisher(durable, few);
+  std::atomic<int> sent{0};
+  {
+    std::jthread sender([&](const std::stop_token& stop) {
+      while (!stop.stop_requested()) {
+        ASSERT_EQ(publisher->publish(text_message(std::to_string(sent + 1))).status, PublishStatus::accepted);
+        ++sent;
+      }
+    });
+    for (int round = 0; round < 2; ++round) {
+      ASSERT_TRUE(has_after(inbox, sent));
+      server_->kill();
+      renew_everything();
+      server_->start();
+    }
+    EXPECT_TRUE(has_after(inbox, sent + 100));
+  }
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(inbox.wait_until([&](const auto& all) { return std::stoi(all.back().body) == sent; }));
+  EXPECT_TRUE(firsts(inbox) == numbered(1, sent)) << sent;
+
+  BrokerOptions old = options();
+  old.tls.certificate_file = file("old-client.pem");
+  old.tls.key_file = file("old-client.key");
+  EXPECT_THAT(complaint(old), HasSubstr("cannot connect"));
+}
+
+INSTANTIATE_TEST_SUITE_P(On, BrokerRenewal, testing::Values(kinds[0]),
                          [](const auto& kind) { return kind.param.name; });
 
 }  // namespace
