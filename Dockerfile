@@ -39,12 +39,12 @@ RUN find /usr/lib/*-linux-gnu -maxdepth 1 -name '*.so*' | sort >/before
 RUN apt-get update && apt-get install -y --no-install-recommends \
       libfmt9 libfreenect0.5 libpng16-16 libprometheus-cpp-core1.0 libqpid-proton11 librabbitmq4 librdkafka1 \
       librosconsole3d libroscpp4d libroscpp-serialization0d librostime1d libsasl2-modules libseccomp2 libsnappy1v5 \
-      libspdlog1.10 libssl3 libstdc++6 libsystemd0 libthrift-0.17.0 libyaml-cpp0.7 libzookeeper-mt2 zlib1g
+      libspdlog1.10 libssl3 libstdc++6 libsystemd0 libthrift-0.17.0 libyaml-cpp0.7 libzookeeper-mt2 stunnel4 zlib1g
 COPY --from=binaries /out /out
 RUN mkdir /needed \
- && ldd /out/bin/* /out/lib/iotcloud/*/* | awk '/=> \// {sub("^/lib", "/usr/lib", $3); print $3}' | sort -u \
+ && ldd /out/bin/* /out/lib/iotcloud/*/* /usr/bin/stunnel4 | awk '/=> \// {sub("^/lib", "/usr/lib", $3); print $3}' | sort -u \
   | comm -23 - /before | xargs -r cp -L --parents -t /needed \
- && cp -r --parents /usr/lib/*-linux-gnu/sasl2 /needed
+ && cp -r --parents /usr/lib/*-linux-gnu/sasl2 /usr/bin/stunnel4 /needed
 
 FROM ${BASE} AS runtime
 COPY --from=libraries /needed /
@@ -56,8 +56,9 @@ RUN groupadd --gid ${UID} iotcloud \
 COPY --from=binaries /out/bin /usr/bin
 COPY --from=binaries /out/lib/iotcloud/plugins /usr/lib/iotcloud/plugins
 COPY deploy/cluster/healthz /usr/bin/iotcloud-healthz
+COPY deploy/cluster/with-registry-tunnel /usr/bin/iotcloud-with-registry-tunnel
 # Checks that every linked library exists.
-RUN ldconfig && ! ldd /usr/bin/iotcloud* /usr/lib/iotcloud/plugins/* | grep 'not found'
+RUN ldconfig && ! ldd /usr/bin/iotcloud* /usr/bin/stunnel4 /usr/lib/iotcloud/plugins/* | grep 'not found'
 USER iotcloud
 WORKDIR /var/lib/iotcloud
 

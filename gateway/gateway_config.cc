@@ -77,11 +77,17 @@ void read_thrift(config::Section& file, GatewayConfig& config) {
 
 /// Reads the confinement of driver hosts, and checks now, rather than when the first driver is deployed, that this
 /// machine allows it.
-void read_confinement(config::Section& file, processes::Confinement& confinement) {
+void read_confinement(config::Section& file, ProcessLauncher::Options& hosts) {
+  auto& confinement = hosts.confinement;
   confinement.no_new_privileges = true;
   confinement.filter_calls = file.bool_or("host_call_filter", true);
   confinement.debuggable = file.bool_or("host_debugging", false);
   confinement.user = file.string_or("host_user", "");
+  hosts.starter = file.string_or("host_starter", "");
+  if (!hosts.starter.empty() && confinement.user.empty()) {
+    throw file.error("host_starter", "it starts driver hosts as a user of their own, which is not named",
+                     "host_user: iotcloud-host");
+  }
   constexpr std::int64_t fewest_files = 64, most_files = 1 << 20;
   confinement.open_files = static_cast<std::uint64_t>(file.int_or("host_open_files", 0, 0, most_files));
   if (confinement.open_files > 0 && confinement.open_files < fewest_files) {
@@ -105,9 +111,10 @@ void read_confinement(config::Section& file, processes::Confinement& confinement
   checked(file, "host_user", [&] {
     const processes::Account account = processes::find_account(confinement.user);
     if (account.user == 0) throw config::Error("driver hosts would run as root: name a user with no rights");
-    if (geteuid() == 0 || geteuid() == account.user) return;
+    if (!hosts.starter.empty() || geteuid() == 0 || geteuid() == account.user) return;
     throw config::Error(
-        fmt::format("only a gateway that runs as root can run its driver hosts as {}; start it so, or leave this out",
+        fmt::format("only a gateway that runs as root can run its driver hosts as {} itself; let systemd start them "
+                    "(host_starter: /run/iotcloud-host), or leave this out",
                     confinement.user));
   });
 }
@@ -152,7 +159,7 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
   time(file, "host_spin_limit", hosts.limits.spin);
   constexpr std::int64_t most_mb = 1 << 20;
   hosts.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("host_memory_limit_mb", 0, 0, most_mb)) << 20;
-  read_confinement(file, hosts.confinement);
+  read_confinement(file, hosts);
   hosts.environment = file.strings_or("host_environment", {});
   for (const auto& broker : config.gateway.brokers) {
     const auto& broker_options = broker.options;

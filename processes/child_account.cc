@@ -53,20 +53,54 @@ void give_spools(const std::string& folder, const Account& account) {
   if (lchown(folder.c_str(), account.user, account.group) != 0) throw failed(folder, "be given away");
 }
 
+constexpr uid_t as_before = static_cast<uid_t>(-1);
+constexpr mode_t group_too = S_IRWXU | S_IRWXG;
+
+/// Lets the account's group use the spools as their owner does. The folder is opened to it last: until then nobody
+/// else can replace entries by links.
+void share_spools(const std::string& folder, const Account& account) {
+  if (mkdir(folder.c_str(), S_IRWXU) != 0 && errno != EEXIST) throw failed(folder, "be made");
+  struct stat status {};
+  if (lstat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode) || status.st_uid != geteuid()) {
+    throw config::Error(fmt::format("{} is no folder of this user", folder));
+  }
+  if (status.st_gid == account.group && (status.st_mode & group_too) == group_too) return;
+  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
+    const mode_t rights = entry.is_directory() ? group_too : S_IRUSR | S_IWUSR | S_IRGRP | S_IWGRP;
+    if (lchown(entry.path().c_str(), as_before, account.group) != 0 || chmod(entry.path().c_str(), rights) != 0) {
+      throw failed(entry.path(), "be shared");
+    }
+  }
+  if (lchown(folder.c_str(), as_before, account.group) != 0 || chmod(folder.c_str(), group_too) != 0) {
+    throw failed(folder, "be shared");
+  }
+}
+
 }  // namespace
 
-ChildAccount::ChildAccount(const std::string& user, const std::string& state_folder) : account_(checked(user)) {
+ChildAccount::ChildAccount(const std::string& user, const std::string& state_folder)
+    : gives_(geteuid() == 0), account_(checked(user)) {
   // Only the account's group may pass through the folder. Whoever can connect to a host can run its drivers, but the
-  // hosts' sockets belong to root.
-  if (chown(state_folder.c_str(), 0, account_.group) != 0 || chmod(state_folder.c_str(), S_IRWXU | S_IXGRP) != 0) {
-    throw failed(state_folder, fmt::format("be made passable for the user {}", account_.name));
+  // hosts' sockets belong to this process's user.
+  if (chown(state_folder.c_str(), gives_ ? 0 : as_before, account_.group) != 0 ||
+      chmod(state_folder.c_str(), S_IRWXU | S_IXGRP) != 0) {
+    throw failed(state_folder, fmt::format("be made passable for the user {} (this gateway's user must be a member of "
+                                           "its group)",
+                                           account_.name));
   }
-  give_spools(state_folder + "/spool", account_);
+  if (gives_) {
+    give_spools(state_folder + "/spool", account_);
+  } else {
+    share_spools(state_folder + "/spool", account_);
+  }
 }
 
 void ChildAccount::make_log(const std::string& file) const {
   const OwnedDescriptor made(open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_NOFOLLOW | O_CLOEXEC, owner_only));
-  if (!made || fchown(made.get(), account_.user, account_.group) != 0) {
+  const bool given = made && (gives_ ? fchown(made.get(), account_.user, account_.group) == 0
+                                     : fchown(made.get(), as_before, account_.group) == 0 &&
+                                           fchmod(made.get(), owner_only | S_IWGRP) == 0);
+  if (!given) {
     throw failed(file, fmt::format("be made for the user {}", account_.name));
   }
 }

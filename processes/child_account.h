@@ -7,12 +7,14 @@
 
 namespace iotcloud::processes {
 
-/// The account under which a gateway that runs as root runs its driver hosts, and their rights in the state folder:
-/// hosts may pass through it, own their spools (`STATE/spool`) and logs, and cannot create, remove or rename anything
-/// else there. Thread safe.
+/// The account under which a gateway runs its driver hosts, if not under its own, and their rights in the state folder:
+/// hosts may pass through it, have their spools (`STATE/spool`) and logs, and cannot create, remove or rename anything
+/// else there. A gateway that is root gives them spools and logs; another one shares them with the account's group, of
+/// which it must be a member. Thread safe.
 class ChildAccount {
  public:
-  /// Sets owner and permissions of the state folder. Spools of processes that ran as root are given to the account.
+  /// Sets owner and permissions of the state folder. Spools of processes that ran under this process's account are
+  /// given to the other one, or shared.
   /// \throws config::Error if there is no such account, if it is root, or if the folder cannot be set up (the spools
   /// belong to a third account, for example).
   ChildAccount(const std::string& user, const std::string& state_folder);
@@ -25,6 +27,8 @@ class ChildAccount {
   bool runs(int process) const;
 
  private:
+  /// Whether this process can give files away.
+  const bool gives_;
   const Account account_;
 };
 

@@ -35,13 +35,16 @@ class Spawning {
     posix_spawn_file_actions_addopen(&actions_, STDOUT_FILENO, log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0600);
     posix_spawn_file_actions_adddup2(&actions_, STDOUT_FILENO, STDERR_FILENO);
     posix_spawn_file_actions_addclosefrom_np(&actions_, STDERR_FILENO + 1);
-    posix_spawnattr_init(&attributes_);
-    posix_spawnattr_setflags(&attributes_, POSIX_SPAWN_SETSID | POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
-    sigset_t set;
-    sigemptyset(&set);
-    posix_spawnattr_setsigmask(&attributes_, &set);
-    sigfillset(&set);
-    posix_spawnattr_setsigdefault(&attributes_, &set);
+    set_attributes();
+  }
+  Spawning(int log, int passed) {
+    posix_spawn_file_actions_init(&actions_);
+    posix_spawn_file_actions_addopen(&actions_, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+    posix_spawn_file_actions_adddup2(&actions_, log, STDOUT_FILENO);
+    posix_spawn_file_actions_adddup2(&actions_, log, STDERR_FILENO);
+    posix_spawn_file_actions_adddup2(&actions_, passed, STDERR_FILENO + 1);
+    posix_spawn_file_actions_addclosefrom_np(&actions_, STDERR_FILENO + 2);
+    set_attributes();
   }
   ~Spawning() {
     posix_spawn_file_actions_destroy(&actions_);
@@ -60,6 +63,16 @@ class Spawning {
   }
 
  private:
+  void set_attributes() {
+    posix_spawnattr_init(&attributes_);
+    posix_spawnattr_setflags(&attributes_, POSIX_SPAWN_SETSID | POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
+    sigset_t set;
+    sigemptyset(&set);
+    posix_spawnattr_setsigmask(&attributes_, &set);
+    sigfillset(&set);
+    posix_spawnattr_setsigdefault(&attributes_, &set);
+  }
+
   static std::vector<char*> pointers_to(std::vector<std::string>& texts) {
     std::vector<char*> pointers;
     pointers.reserve(texts.size() + 1);
@@ -78,6 +91,11 @@ int spawn(std::vector<std::string> arguments, const std::string& log_file, std::
   return Spawning(log_file).spawn(std::move(arguments), std::move(environment));
 }
 
+int spawn(std::vector<std::string> arguments, const OwnedDescriptor& log, const OwnedDescriptor& passed,
+          std::vector<std::string> environment) {
+  return Spawning(log.get(), passed.get()).spawn(std::move(arguments), std::move(environment));
+}
+
 std::vector<std::string> environment_of(const std::vector<std::string>& more) {
   std::vector<std::string> names(usual_variables.begin(), usual_variables.end());
   names.insert(names.end(), more.begin(), more.end());
@@ -90,10 +108,13 @@ std::vector<std::string> environment_of(const std::vector<std::string>& more) {
   return environment;
 }
 
-std::string program_beside(const std::string& name) {
+std::string own_program() {
   std::error_code error;
-  const auto own = std::filesystem::read_symlink("/proc/self/exe", error);
-  return own.parent_path() / name;
+  return std::filesystem::read_symlink("/proc/self/exe", error);
+}
+
+std::string program_beside(const std::string& name) {
+  return std::filesystem::path(own_program()).parent_path() / name;
 }
 
 std::optional<bool> has_argument(int process, const std::string& argument) {
@@ -113,21 +134,38 @@ std::optional<bool> has_argument(int process, const std::string& argument) {
 ChildProcess::ChildProcess(int process, bool own)
     : process_(process), own_(own), descriptor_(static_cast<int>(syscall(SYS_pidfd_open, process, 0))) {}
 
+ChildProcess::ChildProcess(ProcessStarter::Started started, std::shared_ptr<const ProcessStarter> starter)
+    : ChildProcess(started.process, std::move(starter)) {
+  starters_connection_ = std::move(started.connection);
+}
+
+ChildProcess::ChildProcess(int process, std::shared_ptr<const ProcessStarter> starter) : ChildProcess(process, false) {
+  starter_ = std::move(starter);
+}
+
 bool ChildProcess::wait(std::chrono::milliseconds limit) const {
   return !descriptor_ || wait_readable(descriptor_.get(), limit);
 }
 
 void ChildProcess::kill() const noexcept {
-  if (descriptor_) syscall(SYS_pidfd_send_signal, descriptor_.get(), SIGKILL, nullptr, 0);
+  if (!descriptor_ || syscall(SYS_pidfd_send_signal, descriptor_.get(), SIGKILL, nullptr, 0) == 0) return;
+  if (errno == EPERM && starter_) starter_->kill(descriptor_.get());
+}
+
+std::optional<int> ChildProcess::status() const {
+  if (starters_connection_) return status_of(starters_connection_);
+  int status = 0;
+  if (!own_ || waitpid(process_, &status, 0) != process_) return std::nullopt;
+  return status;
 }
 
 std::string ChildProcess::how_it_ended() const {
-  int status = 0;
-  if (!own_ || waitpid(process_, &status, 0) != process_) return "died";
-  if (WIFSIGNALED(status)) {
-    return fmt::format("crashed (signal {}, {})", WTERMSIG(status), strsignal(WTERMSIG(status)));
+  const auto known = status();
+  if (!known) return "died";
+  if (WIFSIGNALED(*known)) {
+    return fmt::format("crashed (signal {}, {})", WTERMSIG(*known), strsignal(WTERMSIG(*known)));
   }
-  return fmt::format("exited with status {}", WEXITSTATUS(status));
+  return fmt::format("exited with status {}", WEXITSTATUS(*known));
 }
 
 }  // namespace iotcloud::processes

@@ -1,11 +1,13 @@
 #pragma once
 
 #include <chrono>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include <iotcloud/processes/descriptor.h>
+#include <iotcloud/processes/process_starter.h>
 
 namespace iotcloud::processes {
 
@@ -20,6 +22,12 @@ std::vector<std::string> environment_of(const std::vector<std::string>& more);
 /// it cannot be started.
 int spawn(std::vector<std::string> arguments, const std::string& log_file,
           std::vector<std::string> environment = environment_of({}));
+/// The same with stdout and stderr to an open file, and with one descriptor of this process, as number 3.
+int spawn(std::vector<std::string> arguments, const OwnedDescriptor& log, const OwnedDescriptor& passed,
+          std::vector<std::string> environment);
+
+/// The path of this process's program.
+std::string own_program();
 
 /// The path of the program of that name in the folder of this process's own program.
 std::string program_beside(const std::string& name);
@@ -35,6 +43,9 @@ class ChildProcess {
  public:
   /// \param process its id. \param own whether it is a child of this process, so that its exit status is available.
   ChildProcess(int process, bool own);
+  /// A process of another account, which was started at `starter` in this run, or, with the other one, in an earlier.
+  ChildProcess(ProcessStarter::Started started, std::shared_ptr<const ProcessStarter> starter);
+  ChildProcess(int process, std::shared_ptr<const ProcessStarter> starter);
 
   int id() const { return process_; }
   /// A descriptor that is readable once the process has ended; -1: there was no such process.
@@ -48,9 +59,14 @@ class ChildProcess {
   std::string how_it_ended() const;
 
  private:
-  const int process_;
-  const bool own_;
+  /// How it ended as waitpid() says it; nullopt: not known.
+  std::optional<int> status() const;
+
+  int process_;
+  bool own_;
   OwnedDescriptor descriptor_;
+  std::shared_ptr<const ProcessStarter> starter_;  ///< null: this process has the right to end the other one
+  OwnedDescriptor starters_connection_;
 };
 
 }  // namespace iotcloud::processes

@@ -44,14 +44,25 @@ void limit_sends(const OwnedDescriptor& socket) {
 
 }  // namespace
 
-OwnedDescriptor listen_in(const std::string& folder, const std::string& name) {
+OwnedDescriptor bind_in(const std::string& folder, const std::string& name) {
   const Address address(folder, name);
   OwnedDescriptor socket = new_socket();
-  if (!address.fits || !socket || bind(socket.get(), address.get(), sizeof(sockaddr_un)) != 0 ||
-      listen(socket.get(), 8) != 0) {
+  if (!address.fits || !socket || bind(socket.get(), address.get(), sizeof(sockaddr_un)) != 0) {
     throw config::Error(fmt::format("cannot listen on {}/{}: {}; is the folder there and writable?", folder, name,
                                     std::strerror(errno)));
   }
+  return socket;
+}
+
+void listen_on(const OwnedDescriptor& socket) {
+  constexpr int waiting = 8;
+  if (listen(socket.get(), waiting) == 0) return;
+  throw config::Error(fmt::format("cannot listen on the socket {}: {}", socket.get(), std::strerror(errno)));
+}
+
+OwnedDescriptor listen_in(const std::string& folder, const std::string& name) {
+  OwnedDescriptor socket = bind_in(folder, name);
+  listen_on(socket);
   return socket;
 }
 

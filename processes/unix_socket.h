@@ -7,6 +7,12 @@
 
 namespace iotcloud::processes {
 
+/// A Unix domain socket with a name in a folder, whose path may have any length (the address uses the folder's
+/// descriptor), on which nobody listens yet. \throws config::Error when it cannot be made.
+OwnedDescriptor bind_in(const std::string& folder, const std::string& name);
+/// Listens on such a socket. peer_process() of those who connect to it is from then on this process, whoever made it.
+/// \throws config::Error when it cannot.
+void listen_on(const OwnedDescriptor& socket);
 /// Listens on a Unix domain socket in a folder, whose path may have any length (the address uses the folder's
 /// descriptor).
 /// \throws config::Error when it cannot listen.

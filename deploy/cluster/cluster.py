@@ -163,7 +163,7 @@ def make_secrets(docker):
             raise Refused(f"iotcloud {' '.join(words)}: {done.stderr.strip()}")
         return done.stdout.strip()
 
-    iotcloud("certs", "init", "/secrets", "--host", ",".join(MASTERS + GATEWAYS))
+    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, "workers", "registry-tls"]))
     write_secret(fresh, "admin.token",  # a person's
                  iotcloud("token", "add", "admin", "--role", "admin", "--file", "/secrets/masters.tokens"))
     for master in MASTERS:

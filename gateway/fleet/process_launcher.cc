@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <optional>
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
@@ -15,6 +16,7 @@
 #include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/frames.h>
 #include <iotcloud/processes/silence.h>
+#include <iotcloud/processes/unix_socket.h>
 
 namespace iotcloud::gateway {
 
@@ -124,11 +126,12 @@ std::vector<FoundSocket> connect_to_hosts(const std::string& folder) {
 /// The host behind a socket that an earlier run left, if this gateway can adopt it. Kills a host that it cannot adopt.
 std::optional<RunningHost> examine(const std::string& folder, const FoundSocket& found, processes::Silence& silence,
                                    std::chrono::milliseconds hang_limit, const discovery::GatewayId& gateway,
-                                   const processes::ChildAccount* account) {
+                                   const processes::ChildAccount* account,
+                                   const std::shared_ptr<const processes::ProcessStarter>& starter) {
   const std::string& name = found.name;
   const int process = processes::peer_process(found.connection);
   // Opened before the process is looked at: if the host ends meanwhile, its id may be another process's.
-  const processes::ChildProcess host_process(process, false);
+  const processes::ChildProcess host_process(process, starter);
   const auto made_it = processes::has_argument(process, name);
   if (!made_it) {
     logger.warn(
@@ -178,7 +181,8 @@ ProcessLauncher::ProcessLauncher(Options options)
     throw config::Error(fmt::format("the plugin folder {} is not there", options_.plugin_dir));
   }
   check_plugin_folder(options_.plugin_dir);
-  if (!options_.confinement.user.empty() && geteuid() == 0) {
+  if (!options_.starter.empty()) starter_ = std::make_shared<processes::ProcessStarter>(options_.starter);
+  if (starter_ || (!options_.confinement.user.empty() && geteuid() == 0)) {
     account_ = std::make_shared<processes::ChildAccount>(options_.confinement.user, options_.state_dir);
   }
   if (options_.confinement.files) {
@@ -234,13 +238,29 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   if (found.exactly) arguments.emplace_back("--exactly");
   if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
   if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
-  const int process = processes::spawn(std::move(arguments), log_file, processes::environment_of(options_.environment));
-  logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process, log_file);
-  return std::make_unique<ProcessLink>(options_, order, socket, process, true, std::move(events),
+  auto process = start(std::move(arguments), socket, log_file);
+  logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process.id(), log_file);
+  return std::make_unique<ProcessLink>(options_, order, socket, std::move(process), std::move(events),
                                        log_keeper(order.plugin));
 } catch (const config::Error& e) {
   events.on_ended({HostEnd::How::refused, e.what(), {}});
   return link_to_nothing();
+}
+
+processes::ChildProcess ProcessLauncher::start(std::vector<std::string> arguments, const std::string& socket,
+                                               const std::string& log_file) const {
+  auto environment = processes::environment_of(options_.environment);
+  if (!starter_) return {processes::spawn(std::move(arguments), log_file, std::move(environment)), true};
+  const processes::OwnedDescriptor log(open(log_file.c_str(), O_WRONLY | O_APPEND | O_NOFOLLOW | O_CLOEXEC));
+  if (!log) throw config::Error(fmt::format("{} cannot be opened: {}", log_file, std::strerror(errno)));
+  // The host listens on a socket that stays this user's own: other hosts may not connect to it.
+  const auto listening = processes::bind_in(options_.state_dir, socket);
+  arguments.insert(arguments.end(), {"--listen-on", "3"});
+  processes::ChildProcess process(starter_->start(arguments, environment, log, listening), starter_);
+  if (account_->runs(process.id())) return process;
+  process.kill();
+  throw config::Error(fmt::format("{} starts hosts as another user than host_user says, {}", options_.starter,
+                                  options_.confinement.user));
 }
 
 std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& gateway) {
@@ -249,7 +269,7 @@ std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& ga
   const auto found = connect_to_hosts(options_.state_dir);
   processes::Silence silence(std::chrono::steady_clock::now(), 2 * hello_pause);
   for (const auto& socket : found) {
-    auto host = examine(options_.state_dir, socket, silence, options_.hang_limit, gateway, account_.get());
+    auto host = examine(options_.state_dir, socket, silence, options_.hang_limit, gateway, account_.get(), starter_);
     if (host) hosts.push_back(std::move(*host));
   }
   return hosts;
@@ -257,8 +277,8 @@ std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& ga
 
 std::unique_ptr<HostLink> ProcessLauncher::adopt(const RunningHost& host, HostEvents events) {
   const int process = processes::peer_process(processes::connect_in(options_.state_dir, host.name));
-  return std::make_unique<ProcessLink>(options_, host.order, host.name, process, false, std::move(events),
-                                       log_keeper(host.order.plugin));
+  return std::make_unique<ProcessLink>(options_, host.order, host.name, processes::ChildProcess(process, starter_),
+                                       std::move(events), log_keeper(host.order.plugin));
 }
 
 }  // namespace iotcloud::gateway

@@ -11,6 +11,7 @@
 #include <iotcloud/gateway/fleet/plugin_source.h>
 #include <iotcloud/gateway/fleet/plugin_versions.h>
 #include <iotcloud/processes/child_account.h>
+#include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/confinement.h>
 #include <iotcloud/processes/vitals.h>
 
@@ -37,6 +38,9 @@ class ProcessLauncher final : public HostLauncher {
     std::chrono::milliseconds own_thread_hang_limit{60000};
     processes::VitalLimits limits;
     processes::Confinement confinement;
+    /// The socket at which systemd starts hosts under the account `confinement.user` (processes::ProcessStarter);
+    /// empty: this process starts them, and if it is root they change to that account.
+    std::string starter;
     std::vector<std::string> environment;  ///< names of variables that hosts have besides the usual ones
     int log_limit_mb = 10;                 ///< the size at which a host's log is rotated
     int logs_kept = 3;                     ///< number of older logs that are kept
@@ -54,12 +58,15 @@ class ProcessLauncher final : public HostLauncher {
   std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;
 
  private:
+  processes::ChildProcess start(std::vector<std::string> arguments, const std::string& socket,
+                                const std::string& log_file) const;
   processes::LogFile::Options log_of(const std::string& plugin) const;
   /// A function that rotates the log of this plugin's hosts; empty if the hosts may do that themselves.
   std::function<void()> log_keeper(const std::string& plugin) const;
 
   Options options_;
-  std::shared_ptr<const processes::ChildAccount> account_;  ///< null: hosts run under this process's account
+  std::shared_ptr<const processes::ProcessStarter> starter_;  ///< null: this process starts hosts itself
+  std::shared_ptr<const processes::ChildAccount> account_;    ///< null: hosts run under this process's account
   PluginSource source_;
   PluginVersions versions_;
 };

@@ -32,17 +32,17 @@ std::string name_in_metrics(const HostOrder& order) {
 }  // namespace
 
 ProcessLink::ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
-                         int process, bool child, HostEvents events, std::function<void()> keep_log)
+                         processes::ChildProcess process, HostEvents events, std::function<void()> keep_log)
     : options_(options),
       order_(order),
       socket_name_(std::move(socket_name)),
-      process_(process, child),
+      process_(std::move(process)),
       events_(std::move(events)),
       keep_log_(std::move(keep_log)),
       next_ping_(Steady::now()),
       next_metrics_(Steady::now()),
       name_(name_in_metrics(order)),
-      vitals_(fmt::format("/proc/{}", process), options.limits),
+      vitals_(fmt::format("/proc/{}", process_.id()), options.limits),
       thread_([this] { run(); }) {}
 
 ProcessLink::~ProcessLink() {

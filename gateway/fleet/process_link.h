@@ -20,12 +20,10 @@ namespace iotcloud::gateway {
 /// The link to a driver host process: one thread connects to it, sends, receives, pings, and notices its end.
 class ProcessLink final : public HostLink {
  public:
-  /// \param socket_name the socket's name in the state folder; the host may not listen yet. \param process the host's
-  /// process id.
-  /// \param child whether the host is a child of this process, so that its exit status is available.
+  /// \param socket_name the socket's name in the state folder; the host may not listen yet. \param process the host.
   /// \param keep_log called about once per ping period on the link's thread; may be empty.
-  ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name, int process,
-              bool child, HostEvents events, std::function<void()> keep_log);
+  ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
+              processes::ChildProcess process, HostEvents events, std::function<void()> keep_log);
   ~ProcessLink() override;
 
   PluginIdentity plugin() const override { return order_.identity; }

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include <fcntl.h>
 #include <poll.h>
 
 #include <iotcloud/config/mutex.h>
@@ -32,7 +33,12 @@ struct ControlServer::Impl {
   explicit Impl(Options given)
       : options(std::move(given)),
         log_file(options.log),
-        listener(processes::listen_in(options.folder, options.socket_name)) {
+        listener(options.socket < 0 ? processes::listen_in(options.folder, options.socket_name)
+                                    : processes::OwnedDescriptor(options.socket)) {
+    if (options.socket >= 0) {
+      fcntl(listener.get(), F_SETFD, FD_CLOEXEC);
+      processes::listen_on(listener);
+    }
     try {
       processes::confine(options.confinement);
       DriverHost::Options host_options;

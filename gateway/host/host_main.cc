@@ -15,6 +15,8 @@
 #include <iotcloud/config/memory.h>
 #include <iotcloud/gateway/host/control_server.h>
 #include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/process_starter.h>
 
 namespace {
 
@@ -54,11 +56,16 @@ int check_plugin(const char* file) {
 
 int main(int argc, char** argv) {
   if (argc == 3 && std::string_view(argv[1]) == "--check") return check_plugin(argv[2]);
+  if (argc == 2 && std::string_view(argv[1]) == "--for-gateway") {
+    return iotcloud::processes::serve_starter(iotcloud::processes::OwnedDescriptor(STDIN_FILENO),
+                                              iotcloud::processes::own_program());
+  }
   iotcloud::config::keep_freed_memory();
   iotcloud::gateway::ControlServer::Options options;
   CLI::App app{
       "Runs the instances of one driver plugin for an IoTCloud gateway, which starts it. `iotcloud-driver-host "
-      "--check FILE` only loads a plugin and says what it is.",
+      "--check FILE` only loads a plugin and says what it is; systemd starts `iotcloud-driver-host --for-gateway` if a "
+      "gateway asks for a host of another user (iotcloud-host.socket).",
       "iotcloud-driver-host"};
   app.add_option("--plugin", options.plugin_path, "the driver's shared library")->required();
   app.add_option("--name", options.order.plugin, "how orders name the plugin; its file's name when it is not given");
@@ -70,6 +77,7 @@ int main(int argc, char** argv) {
   app.add_option("--state", options.folder, "the gateway's state folder")->required();
   app.add_option("--socket", options.socket_name, "name of the socket to listen on in the state folder")->required();
   app.add_flag("--isolated", options.order.isolated, "this host is for one instance only");
+  app.add_option("--listen-on", options.socket, "a descriptor that is this socket already");
   int log_limit_mb = 0;
   app.add_option("--log", options.log.path, "the file that stdout and stderr go to, which is kept within bounds");
   app.add_option("--log-limit-mb", log_limit_mb, "how large it grows before a new one is begun");

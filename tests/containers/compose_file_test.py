@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 """docker-compose.yml keeps its promises: no service without limits, health check and restart policy, nothing on the host's
-network or privileged, no secret in the file, ports on loopback only.
+network or privileged, no secret in the file, ports on loopback only, nothing said to ZooKeeper without TLS.
 
 usage: compose_file_test.py
 """
@@ -13,7 +13,8 @@ from pathlib import Path
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-SERVICES = {"zookeeper", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
+SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
+DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
 RUN_ONCE = {"bench", "cli", "secrets"}  # by a person, or by ./dev cluster
 # What gateways may share with others: all but the broker's password is public.
 SHARED = {"ca.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "rabbitmq.password"}
@@ -30,6 +31,7 @@ def problems_of(file):
     for name, service in services.items():
         found += [f"{name} {problem}" for problem in problems_of_service(name, service, services, file["secrets"])]
     found += shared_secrets(services)
+    found += ways_around_the_tunnel(file)
     for name, secret in file["secrets"].items():
         if set(secret) != {"file"}:
             found.append(f"secret {name} is not a file")
@@ -46,6 +48,41 @@ def shared_secrets(services):
         for other in sorted(SERVICES & set(services) - {name}) if name.startswith("gateway-") else []:
             for secret in sorted(secrets_of(services[name]) & secrets_of(services[other]) - SHARED):
                 yield f"{name} shares the secret {secret} with {other}"
+
+
+def ways_around_the_tunnel(file):
+    """Only registry-tls is on ZooKeeper's network, and each daemon has a tunnel to it, with a certificate."""
+    services = file["services"]
+    if file.get("networks") != {"registry": {"internal": True}}:
+        yield "the network of ZooKeeper leads elsewhere"
+    for name, service in services.items():
+        networks = {"zookeeper": ["registry"], "registry-tls": ["default", "registry"]}.get(name)
+        if service.get("networks") != networks:
+            yield f"{name} is on the networks {service.get('networks')}"
+        if name in DAEMONS:
+            if service["command"][0] != "iotcloud-with-registry-tunnel":
+                yield f"{name} has no tunnel to the registry"
+            targets = {secret["target"] for secret in service["secrets"] if isinstance(secret, dict)}
+            if not {"host.pem", "host.key"} <= targets or "ca.pem" not in secrets_of(service):
+                yield f"{name} has no certificate for its tunnel"
+
+
+def directives(file):
+    return {line for line in file.read_text(encoding="utf-8").splitlines() if line and not line.startswith((";", "["))}
+
+
+def problems_of_configurations():
+    """The daemons speak to their tunnel, whose configuration is the shipped one with the names of this cluster."""
+    folder = ROOT / "deploy/cluster"
+    for file in folder.glob("*.yaml"):
+        found = re.findall(r"(?:zookeeper://|zk.servers: \[\")([^\"]*)", file.read_text(encoding="utf-8"))
+        if found != ["127.0.0.1:2181"]:
+            yield f"{file.name} has the registry {found}, not its tunnel"
+    expected = directives(ROOT / "deploy/systemd/registry-tunnel.conf") - {"connect = zk1:2281", "checkHost = zk1"}
+    expected = {line.replace("/etc/iotcloud/lab1", "/run/secrets/host").replace("/etc/iotcloud", "/run/secrets") for line in expected}
+    expected |= {"connect = registry-tls:2281", "checkHost = registry-tls", "delay = yes"}
+    if directives(folder / "registry-tunnel.conf") != expected:
+        yield f"registry-tunnel.conf differs from the shipped one: {directives(folder / 'registry-tunnel.conf') ^ expected}"
 
 
 def problems_of_service(name, service, services, secrets):
@@ -98,6 +135,9 @@ def check_that_it_finds(file):
             lambda services: services["rabbitmq"].update(environment={"RABBITMQ_DEFAULT_PASS": "guest"}),
         "gateway-1 shares the secret master-1.key with master-1":
             lambda services: services["gateway-1"]["secrets"].append("master-1.key"),
+        "master-1 is on the networks": lambda services: services["master-1"].update(networks=["default", "registry"]),
+        "gateway-1 has no tunnel": lambda services: services["gateway-1"]["command"].pop(0),
+        "topology-1 has no certificate": lambda services: services["topology-1"]["secrets"].remove("ca.pem"),
         "bench has an unknown secret": lambda services: services["bench"].update(secrets=["nobody's"]),
     }
     for expected, break_it in breaks.items():
@@ -111,7 +151,7 @@ def check_that_it_finds(file):
 def main():
     text = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
     file = yaml.safe_load(text)
-    found = problems_of(file)
+    found = [*problems_of(file), *problems_of_configurations()]
     if re.search(r"://[^/\s\"]*:[^/\s\"]*@", text):
         found.append("a URL has a password in it")
     if found:

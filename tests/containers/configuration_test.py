@@ -49,8 +49,9 @@ def secrets_named(text, services):
 def main():
     programs = Path(sys.argv[1]).resolve()
     services = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))["services"]
-    used = {Path(service["command"][2]).name: service["command"][0] for service in services.values()
-            if service.get("command", [""])[0] in DAEMONS.values()}
+    commands = [service["command"][1:] for service in services.values()
+                if service.get("command", [""])[0] == "iotcloud-with-registry-tunnel"]
+    used = {Path(words[2]).name: words[0] for words in commands if words[0] in DAEMONS.values()}
     files = {file.name for file in CONFIGURATIONS.glob("*.yaml")}
     if set(used) != files:
         sys.exit(f"deploy/cluster has {sorted(files)}, docker-compose.yml uses {sorted(used)}")

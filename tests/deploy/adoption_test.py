@@ -1,9 +1,14 @@
 #!/usr/bin/python3
-"""A gateway that systemd runs by the shipped unit is killed: systemd starts it again, its driver host has lived on and is
-adopted; when systemd stops the gateway, its host ends. systemd is the first process of a space of processes and mounts of
-its own, with no unit but those given here. That takes root; who may not have such spaces skips this test.
+"""The shipped units of the gateway and of its driver hosts, under a systemd that is the first process of a space of processes
+and mounts of its own, with no unit but those given here and the users that the shipped file for systemd-sysusers makes. Such
+spaces take root; who may not have them skips this test.
 
-usage: adoption_test.py UNITS BUILD_DIR [--kill-mode MODE]
+- With `--hosts-as iotcloud-host`: a driver runs as another user than its gateway, neither of them root, and reaches neither
+  its secrets nor its process, nor an address that the unit does not allow. Without it does, which shows that the attacks are some.
+- A gateway that is killed is started again; its host has lived on and is adopted. A host that hangs, which its gateway has
+  no right to signal, is ended and started again. When systemd stops the gateway, its hosts end.
+
+usage: adoption_test.py UNITS BUILD_DIR [--hosts-as iotcloud-host] [--kill-mode MODE]
 """
 
 import argparse
@@ -21,7 +26,12 @@ from private_cluster import PrivateCluster, free_port, require, wait_for  # noqa
 
 SKIPPED = 77
 SYSTEMD = "/lib/systemd/systemd"
-UNIT = "iotcloud-gateway.service"
+UNIT, HOST_UNITS = "iotcloud-gateway.service", ["iotcloud-host.socket", "iotcloud-host@.service"]
+# What a driver may do to its gateway, and what comes of it if it is another user. In /proc it does not even see it.
+ATTACKS = {"signal_to_victim": "EPERM", "ptrace_of_victim": "EPERM", "memory_of_victim": "ENOENT", "environment_of_victim": "ENOENT",
+           "secret_file": "EACCES", "forbidden_file": "EACCES", "root_again": "EPERM", "near": "ok", "far": "EPERM"}
+# Those that succeed against a gateway of the same user, on every machine.
+SUCCEED = ["signal_to_victim", "environment_of_victim", "secret_file", "forbidden_file"]
 GROUPS = Path("/sys/fs/cgroup")
 
 # In its own space of mounts. What the unit calls /usr/bin, /etc/iotcloud and /var/lib is empty there but for what the
@@ -33,11 +43,21 @@ mount -t proc proc /proc
 for folder in /run /opt /var/lib /sys/fs/cgroup; do mount -t tmpfs -o mode=0755 tmpfs $folder; done
 {groups}
 mkdir /opt/units /opt/iotcloud
+cp -a /etc /run/etc
+mount --bind /run/etc /etc
+systemd-sysusers {users}
 cp {files} /opt/iotcloud
-cp {units}/* /opt/units
+cp -r {units}/* /opt/units
+install -m 0600 -o iotcloud-gateway -g iotcloud-gateway {secret} /opt/iotcloud
 exec env -i container=iotcloud-test PATH=/usr/bin:/bin SYSTEMD_UNIT_PATH=/opt/units {systemd} --system --unit=test.target \\
   --log-target=console --show-status=no
 """
+NETWORK = """
+[Service]
+IPAddressDeny=any
+IPAddressAllow=127.0.0.2
+"""
+HOST_USER = "host_user: iotcloud-host\nhost_starter: /run/iotcloud-host"
 DROP_IN = """
 [Service]
 StandardError=append:/run/gateway.log
@@ -98,17 +118,21 @@ class Space:
 
 
 class Machine(PrivateCluster):
-    def boot(self, units, kill_mode):
-        """systemd with the gateway's unit; the programs' paths in it are other ones."""
+    def boot(self, units, test_plugins, kill_mode, hosts_as):
+        """systemd with the units of the gateway and its hosts; the programs' paths in them are other ones."""
         self.space = Space(f"iotcloud-adoption-{os.getpid()}")
         own = self.out / "units"
         own.mkdir()
-        text = (units / UNIT).read_text().replace("/usr/bin/iotcloud-gateway", "/opt/iotcloud/iotcloud-gateway") \
-            .replace("/etc/iotcloud/", "/opt/iotcloud/")
-        if kill_mode:
-            text = text.replace("KillMode=process", f"KillMode={kill_mode}")
-        (own / UNIT).write_text(text + DROP_IN)
-        for name in ("sysinit", "basic", "network-online", "shutdown", "umount"):
+        for unit in [UNIT, *HOST_UNITS]:
+            text = (units / unit).read_text().replace("/usr/bin/iotcloud-", "/opt/iotcloud/iotcloud-") \
+                .replace("/etc/iotcloud/", "/opt/iotcloud/")
+            if kill_mode:
+                text = text.replace("KillMode=process", f"KillMode={kill_mode}")
+            (own / unit).write_text(text + (DROP_IN if unit == UNIT else ""))
+        network = own / "iotcloud-host@.service.d/network.conf"
+        network.parent.mkdir()
+        network.write_text(NETWORK)
+        for name in ("sysinit", "basic", "sockets", "network-online", "shutdown", "umount"):
             (own / f"{name}.target").write_text("[Unit]\nDefaultDependencies=no\n")
         (own / "test.target").write_text(f"[Unit]\nDefaultDependencies=no\nWants={UNIT}\n")
         (self.out / "gateway.yaml").write_text(f"""
@@ -117,12 +141,18 @@ registry: "{self.zookeeper}"
 thrift: {{host: 127.0.0.1, port: {free_port()}}}
 plugins: /opt/iotcloud
 state: state
+host_hang_limit: 3s
+# What the user alone keeps from a driver; other tests are about these.
+host_call_filter: false
+{HOST_USER if hosts_as else ""}
 brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
 """)
+        secret = self.out / "tokens"
+        secret.write_text("anna:admin:...")
         files = [self.bin / "iotcloud-gateway", self.bin / "iotcloud-driver-host", self.plugins / "loadgen.so",
-                 self.out / "gateway.yaml"]
-        boot = BOOT.format(files=" ".join(map(str, files)), units=own, systemd=SYSTEMD,
-                           groups=self.space.mounts())
+                 test_plugins / "confined.so", self.out / "gateway.yaml"]
+        boot = BOOT.format(files=" ".join(map(str, files)), units=own, systemd=SYSTEMD, secret=secret,
+                           users=units / "iotcloud.sysusers", groups=self.space.mounts())
         self.spawn("systemd", [*self.space.enter(), "/bin/sh", "-c", boot])
         self.gateways = 1
 
@@ -145,14 +175,49 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
                 pass  # it has ended since it was listed
         return 0
 
+    def first(self):
+        return next(process for process in self.descendants() if Path(f"/proc/{process}/comm").read_text() == "systemd\n")
+
     def systemctl(self, *words):
-        first = next(process for process in self.descendants() if Path(f"/proc/{process}/comm").read_text() == "systemd\n")
-        return subprocess.run(["nsenter", "--target", str(first), "--mount", "--pid", "systemctl", *words], capture_output=True,
+        return subprocess.run(["nsenter", "--target", str(self.first()), "--mount", "--pid", "systemctl", *words], capture_output=True,
                               text=True, timeout=60, check=False, env={"PATH": "/usr/bin:/bin"})
 
-    def driver(self):
-        found = self.json("drivers")
+    def driver(self, name="loadgen"):
+        found = [driver for driver in self.json("drivers") if driver["driver"] == name]
         return found[0] if found else {"state": "not there"}
+
+    def hosts(self, plugin="loadgen.so"):
+        """Process ids of the driver hosts of a plugin."""
+        return [process for process in self.hosts_of("gateway-1")
+                if f"--name={plugin}".encode() in Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")]
+
+    def attack(self):
+        """A driver that tries what it may do to its gateway, and says what came of it."""
+        inside = status_of(self.gateway(), "NSpid")[-1]
+        self.deploy("confined.so", "gateway-1", {"victim": inside, "near": "127.0.0.2", "far": "127.0.0.3",
+                                                 "secret_file": "/opt/iotcloud/tokens",
+                                                 "forbidden_file": "/var/lib/iotcloud-gateway/state/id"})
+        wait_for("the probe is active", lambda: self.driver("confined")["state"] == "active")
+        wait_for("the probe has reported", lambda: "user" in self.metadata())
+        return self.metadata()
+
+    def metadata(self):
+        return self.json("describe", self.driver("confined")["instance"]).get("metadata", {})
+
+
+def status_of(process, key):
+    """Words of a line in a process's status."""
+    return next(line.split()[1:] for line in Path(f"/proc/{process}/status").read_text().splitlines() if line.startswith(key + ":"))
+
+
+def check_users(machine):
+    """Gateway and hosts: two users, of which none is root or has a capability."""
+    gateway, host = machine.gateway(), machine.hosts()[0]
+    for process in (gateway, host):
+        require(status_of(process, "Uid")[0] != "0", f"process {process} runs as root")
+        for kind in ("CapPrm", "CapEff", "CapBnd", "CapAmb"):
+            require(int(status_of(process, kind)[0], 16) == 0, f"process {process} has {kind} {status_of(process, kind)}")
+    require(status_of(gateway, "Uid") != status_of(host, "Uid"), f"gateway and host run as {status_of(host, 'Uid')}")
 
 
 def main():
@@ -160,39 +225,52 @@ def main():
     options.add_argument("units", type=Path)
     options.add_argument("build", type=Path)
     options.add_argument("--kill-mode", help="instead of the unit's, to see this test fail")
+    options.add_argument("--hosts-as", choices=["iotcloud-host"], help="a user of their own; without: the gateway's")
     given = options.parse_args()
     if os.geteuid() != 0 or not Path(SYSTEMD).exists() or not shutil.which("unshare"):
         skip("root, systemd and unshare are needed")
-    out = given.build.resolve() / "adoption"
+    out = given.build.resolve() / ("hosts_of_another_user" if given.hosts_as else "adoption")
     shutil.rmtree(out, ignore_errors=True)
     with Machine(out, given.build / "bin", given.build / "plugins") as machine:
         machine.start(gateways=0, brokers=[])
-        machine.boot(given.units, given.kill_mode)
+        machine.boot(given.units.resolve(), given.build.resolve() / "tests/gateway/plugins", given.kill_mode,
+                     given.hosts_as)
         machine.wait_until_ready(60)
         machine.cli("deploy", "loadgen.so", "--gateway", "gateway-1", "--property", "rate=1")
         wait_for("the driver is active", lambda: machine.driver()["state"] == "active")
-        gateway, hosts, before = machine.gateway(), machine.hosts_of("gateway-1"), machine.driver()
+        gateway, hosts, before = machine.gateway(), machine.hosts(), machine.driver()
         require(len(hosts) == 1 and gateway, f"gateway {gateway} has the hosts {hosts}")
         shown = machine.systemctl("show", UNIT, "--property=MainPID,KillMode,ActiveState")
         require("ActiveState=active" in shown.stdout, f"systemd says: {shown}")
+        facts = machine.attack()
+        if given.hosts_as:
+            check_users(machine)
+        for what, outcome in ATTACKS.items() if given.hosts_as else dict.fromkeys(SUCCEED, "ok").items():
+            require(facts.get(what) == outcome, f"a driver's {what} has the outcome {facts.get(what)}")
+        machine.cli("undeploy", machine.driver("confined")["instance"])
+        wait_for("the probe's host has ended", lambda: not machine.hosts("confined.so"))
 
         os.kill(gateway, signal.SIGKILL)
         wait_for("systemd starts the gateway again", lambda: machine.gateway() not in (0, gateway))
         wait_for("the gateway is ready again", lambda: machine.json("gateways")[0]["state"] == "ready")
         machine.cli("stop", before["instance"])
         wait_for("the driver follows orders", lambda: machine.driver()["state"] == "inactive")
-        require(machine.hosts_of("gateway-1") == hosts, f"host {hosts} did not outlive its gateway; now there are "
-                                                        f"{machine.hosts_of('gateway-1')}")
+        require(machine.hosts() == hosts, f"host {hosts} did not outlive its gateway; now there are {machine.hosts()}")
         shown = machine.systemctl("show", UNIT, "--property=NRestarts")
         require(shown.stdout.strip() == "NRestarts=1", f"systemd says: {shown}")
         machine.cli("start", before["instance"])
         wait_for("the driver is active again", lambda: machine.driver()["state"] == "active")
 
+        os.kill(hosts[0], signal.SIGSTOP)
+        wait_for("a host that hangs is ended, and another one started", lambda: machine.hosts() not in ([], hosts))
+        wait_for("the driver is active once more", lambda: machine.driver()["state"] == "active")
+
         stopped = machine.systemctl("stop", UNIT)
         require(stopped.returncode == 0, f"the gateway did not stop: {stopped}")
         require(not machine.gateway() and not machine.hosts_of("gateway-1"), "processes are left after the stop: "
                 f"{machine.gateway()} {machine.hosts_of('gateway-1')}")
-    print(f"host {hosts[0]} outlived gateway {gateway}, which systemd started again, and ended with the unit")
+    print(f"host {hosts[0]} {'did nothing to' if given.hosts_as else 'could attack'} gateway {gateway}, outlived it, and was ended "
+          "by the next one")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 #!/usr/bin/python3
-"""The shipped configuration of the tunnel to the registry: what goes in comes out at a server of the same authority that has
-the name which was asked for, and nowhere else.
+"""The shipped configurations of the tunnel to the registry, that of the units and those of docker-compose.yml: what goes in
+comes out at a server of the same authority that has the name which was asked for, and nowhere else.
 
-usage: registry_tunnel_test.py CONFIGURATION IOTCLOUD
+usage: registry_tunnel_test.py DEPLOY_FOLDER IOTCLOUD
 """
 
 import pathlib
@@ -15,7 +15,8 @@ import threading
 import time
 import unittest
 
-CONFIGURATION, IOTCLOUD = pathlib.Path(sys.argv[1]), sys.argv[2]
+DEPLOY, IOTCLOUD = pathlib.Path(sys.argv[1]), sys.argv[2]
+CONFIGURATION = DEPLOY / "systemd/registry-tunnel.conf"
 LIMIT_S = 30
 
 
@@ -51,6 +52,26 @@ class Server:
                 return
 
 
+class PlainServer:
+    """The same without TLS."""
+
+    def __init__(self):
+        self.heard = b""
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self.listener.getsockname()[1]
+        threading.Thread(target=self.serve, daemon=True).start()
+
+    def serve(self):
+        while True:
+            try:
+                client = self.listener.accept()[0]
+                self.heard += (data := client.recv(100))
+                client.sendall(data.upper())
+                client.close()
+            except OSError:
+                return
+
+
 class Tunnel(unittest.TestCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
@@ -70,12 +91,23 @@ class Tunnel(unittest.TestCase):
                             ("checkHost = zk1", f"checkHost = {name}")):
             self.assertIn(there, text)
             text = text.replace(there, here)
-        file = self.folder / "tunnel.conf"
+        self.stunnel("tunnel.conf", text)
+        return accept
+
+    def stunnel(self, name, text):
+        file = self.folder / name
         file.write_text(text)
         tunnel = subprocess.Popen(["/usr/bin/stunnel4", file], stderr=subprocess.DEVNULL)
         self.addCleanup(tunnel.wait)
         self.addCleanup(tunnel.terminate)
-        return accept
+
+    def of_cluster(self, name, host, places):
+        """Starts stunnel with a configuration of docker-compose.yml, as a container that has this certificate."""
+        text = (DEPLOY / "cluster" / name).read_text()
+        for there, here in {"/run/secrets/host": f"{self.folder}/{host}", "/run/secrets": str(self.folder), **places}.items():
+            self.assertIn(there, text)
+            text = text.replace(there, here)
+        self.stunnel(name, text)
 
     def ask(self, port):
         """What comes back through the tunnel; empty: the connection ended."""
@@ -107,6 +139,23 @@ class Tunnel(unittest.TestCase):
         self.folder = trusted
         self.assertEqual(self.ask(self.start(foreign.port)), b"")
         self.assertEqual(named.heard + foreign.heard, b"")
+
+
+    def test_the_clusters_two_ends_fit_and_take_no_strangers(self):
+        behind = PlainServer()
+        ends, inner = free_port(), free_port()
+        server = {"accept = 2281": f"accept = 127.0.0.1:{inner}", "zookeeper:2181": f"127.0.0.1:{behind.port}"}
+        client = {"127.0.0.1:2181": f"127.0.0.1:{ends}", "connect = registry-tls:2281": f"connect = 127.0.0.1:{inner}"}
+        self.certs("add", "registry-tls", "master-1")
+        self.of_cluster("registry-tls.conf", "registry-tls", server)
+        self.of_cluster("registry-tunnel.conf", "master-1", client)
+        self.assertEqual(self.ask(ends), b"RUOK")
+        self.folder = self.folder.with_name("strangers")
+        self.certs("init", "master-1")
+        client["127.0.0.1:2181"] = f"127.0.0.1:{(stranger := free_port())}"
+        self.of_cluster("registry-tunnel.conf", "master-1", client)
+        self.assertEqual(self.ask(stranger), b"")
+        self.assertEqual(behind.heard, b"ruok")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 """systemd's own checks of the units: usage: units_test.py UNITS PROGRAMS"""
 
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
@@ -25,23 +26,25 @@ class Units(unittest.TestCase):
             unit = pathlib.Path(folder.name, source.name.replace("@.", "@follower."))
             unit.write_text(source.read_text().replace("ExecStart=/usr/bin/iotcloud", f"ExecStart={PROGRAMS}/iotcloud"))
             self.units.append(unit)
+        shutil.copy(UNITS / "iotcloud-host.socket", folder.name)
+        shutil.copy(UNITS / "iotcloud-host@.service", folder.name)
 
     def analyze(self, *words):
         return subprocess.run(["systemd-analyze", *words], capture_output=True, text=True, timeout=60)
 
     def test_there_is_one_for_each_daemon(self):
         self.assertEqual([unit.name for unit in self.units],
-                         ["iotcloud-gateway.service", "iotcloud-master.service", "iotcloud-registry-tunnel.service",
+                         ["iotcloud-gateway.service", "iotcloud-host@follower.service", "iotcloud-master.service", "iotcloud-registry-tunnel.service",
                           "iotcloud-robot.service", "iotcloud-topology@follower.service"])
 
     def test_systemd_understands_all_that_they_say(self):
-        for unit in self.units:
+        for unit in [*self.units, self.units[0].with_name("iotcloud-host.socket")]:
             done = self.analyze("verify", "--man=no", "--recursive-errors=no", str(unit))
             self.assertEqual((done.returncode, done.stderr), (0, ""), unit.name)
 
     def test_each_daemon_starts_after_the_tunnel_to_the_registry(self):
         for unit in self.units:
-            if "tunnel" not in unit.name and "robot" not in unit.name:  # which has nothing to do with the registry
+            if not {"tunnel", "robot", "host@follower"} & set(re.split(r"[-.]", unit.name)):  # which has nothing to do with the registry
                 lines = unit.read_text().splitlines()
                 for key in ("After", "Wants"):
                     self.assertIn(f"{key}=network-online.target iotcloud-registry-tunnel.service", lines, unit.name)
@@ -49,6 +52,12 @@ class Units(unittest.TestCase):
     def test_hosts_outlive_a_gateway_that_dies(self):
         gateway = self.units[0].read_text().splitlines()
         self.assertEqual([line for line in gateway if line.startswith("KillMode=")], ["KillMode=process"])
+
+    def test_users_that_they_name_are_made(self):
+        made = {line.split()[1] for line in (UNITS / "iotcloud.sysusers").read_text().splitlines() if line.startswith("u ")}
+        named = {line.split("=")[1] for file in UNITS.glob("iotcloud-*") for line in file.read_text().splitlines()
+                 if line.startswith(("User=", "SocketUser=", "SupplementaryGroups=iotcloud"))}
+        self.assertEqual(named, made)
 
     def test_their_daemons_may_do_little(self):
         for unit in self.units:

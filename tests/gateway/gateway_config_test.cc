@@ -87,6 +87,9 @@ TEST_F(GatewayConfigTest, TheUserOfHostsMustBeThereAndHaveFewerRights) {
   } else {
     EXPECT_THAT(error_of(with("hosts", "host_user: nobody")), HasSubstr("only a gateway that runs as root"));
   }
+  EXPECT_EQ(load(with("hosts", "host_user: nobody\nhost_starter: /run/hosts")).hosts.starter, "/run/hosts");
+  EXPECT_THAT(error_of(with("hosts", "host_starter: /run/hosts")),
+              AllOf(HasSubstr("host_starter"), HasSubstr("host_user")));
 }
 
 TEST_F(GatewayConfigTest, AGoodFileIsRead) {

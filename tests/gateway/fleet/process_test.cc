@@ -344,7 +344,7 @@ TEST_F(ProcessTest, AGatewayThatStoodStillDoesNotTakeItsHostsForHung) {
   const auto stand_still_once = [&] {
     if (pings++ == 0) std::this_thread::sleep_for(options.hang_limit + 100ms);
   };
-  ProcessLink link(options, {"probe.so", "gw"_gateway, false}, sockets().front(), process, false,
+  ProcessLink link(options, {"probe.so", "gw"_gateway, false}, sockets().front(), {process, false},
                    {[&](const auto& s) { after.add(s); }, [&](const auto&) { ended = true; }}, stand_still_once);
   ASSERT_TRUE(eventually([&] { return pings > 1 || ended; }));
   EXPECT_FALSE(ended);

@@ -6,14 +6,17 @@
 #include <string>
 #include <thread>
 
+#include <arpa/inet.h>
 #include <fcntl.h>
 #include <grp.h>
+#include <netinet/in.h>
 #include <sched.h>
 #include <signal.h>
 #include <spawn.h>
 #include <sys/prctl.h>
 #include <sys/ptrace.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
 #include <sys/syscall.h>
 #include <sys/uio.h>
 #include <sys/wait.h>
@@ -29,6 +32,8 @@ using namespace std::chrono_literals;
 ///   forbidden_file: a path at which it tries to make a file
 ///   secret_file: a path that it tries to read
 ///   secret_variable: a variable of the environment that it looks for
+///   victim: the id of a process that it tries to signal, to debug, and to read the memory and environment of
+///   near, far: IPv4 addresses to which it sends a datagram
 ///   chatter: "true": it writes 16 KiB to stdout every 2 ms
 class ConfinedDriver final : public drivers::Driver {
  public:
@@ -59,6 +64,19 @@ class ConfinedDriver final : public drivers::Driver {
     };
     if (const auto file = properties.find("secret_file"); file != properties.end()) {
       facts["secret_file"] = outcome(::open(file->second.c_str(), O_RDONLY | O_CLOEXEC));
+    }
+    if (const auto victim = properties.find("victim"); victim != properties.end()) {
+      const pid_t process = std::stoi(victim->second);
+      const std::string folder = "/proc/" + victim->second;
+      facts["signal_to_victim"] = outcome(kill(process, 0));
+      facts["ptrace_of_victim"] = outcome(ptrace(PTRACE_SEIZE, process, nullptr, nullptr));
+      facts["memory_of_victim"] = outcome(::open((folder + "/mem").c_str(), O_RDONLY | O_CLOEXEC));
+      facts["environment_of_victim"] = outcome(::open((folder + "/environ").c_str(), O_RDONLY | O_CLOEXEC));
+    }
+    for (const char* place : {"near", "far"}) {
+      if (const auto address = properties.find(place); address != properties.end()) {
+        facts[place] = outcome(datagram(address->second));
+      }
     }
     if (const auto name = properties.find("secret_variable"); name != properties.end()) {
       const char* const value = getenv(name->second.c_str());
@@ -102,6 +120,20 @@ class ConfinedDriver final : public drivers::Driver {
 
   /// Opens a ring whose parameters are missing: EFAULT, if the call is not refused before.
   static long io_uring() { return syscall(SYS_io_uring_setup, 1, nullptr); }
+
+  static long datagram(const std::string& address) {
+    constexpr std::uint16_t discard = 9;
+    sockaddr_in to{};
+    to.sin_family = AF_INET;
+    to.sin_port = htons(discard);
+    inet_pton(AF_INET, address.c_str(), &to.sin_addr);
+    const int socket = ::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+    const long sent = sendto(socket, "", 1, 0, reinterpret_cast<const sockaddr*>(&to), sizeof(to));
+    const int error = errno;
+    ::close(socket);
+    errno = error;
+    return sent;
+  }
 
   static long program() {
     std::string name = "/bin/true";
