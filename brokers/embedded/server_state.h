@@ -109,6 +109,8 @@ class ServerState {
   void make_ready(Queue& queue, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
   void make_ready(const std::shared_ptr<Consumer>& consumer, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
   const Queue* find(const std::string& queue_name) const IOTCLOUD_REQUIRES(mutex);
+  /// Removes the queue if it has no reader and no message.
+  void remove_unneeded(const std::string& queue_name) IOTCLOUD_REQUIRES(mutex);
   /// Removes idle queues, and topics without queues and publishers; does nothing if it did so within idle_queue_limit.
   void sweep(Instant now) IOTCLOUD_REQUIRES(mutex);
 
@@ -116,8 +118,6 @@ class ServerState {
   std::shared_ptr<Queue> bound_queue(const std::string& name, const Topic& topic, Instant now) IOTCLOUD_REQUIRES(mutex);
   void flush_waiting(Route& route, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
   void flush_topics_of(const Queue& queue, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
-  /// Removes the queue if it has no reader and no message.
-  void remove_unneeded(const std::string& queue_name) IOTCLOUD_REQUIRES(mutex);
   void remove_idle(Route& route, Instant now) IOTCLOUD_REQUIRES(mutex);
 
   bool running_ IOTCLOUD_GUARDED_BY(mutex) = true;
