@@ -42,7 +42,8 @@ struct SiteService::Impl {
     access.users = options.listen.users;
     access.open = options.listen.open;
     if (!options.audit.file.empty()) access.audit = std::make_shared<security::AuditLog>(options.audit);
-    if (!options.listen.tokens.empty()) access.tokens = std::make_shared<security::TokenKeeper>(options.listen.tokens);
+    if (!options.listen.tokens.empty())
+      access.tokens = std::make_shared<security::TokenKeeper>(options.listen.tokens, "thrift");
   }
 
   std::shared_ptr<apache::thrift::TProcessor> serve(const std::shared_ptr<rpc::ThriftPeer>& peer) {

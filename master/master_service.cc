@@ -71,7 +71,7 @@ class MasterService final : public config::Service {
 
   void start() override {
     if (const auto problem = rpc::exposure(config_.api); !problem.empty()) throw config::Error(problem);
-    if (!config_.api.tokens.empty()) tokens_ = std::make_shared<security::TokenKeeper>(config_.api.tokens);
+    if (!config_.api.tokens.empty()) tokens_ = std::make_shared<security::TokenKeeper>(config_.api.tokens, "api");
     if (!config_.audit.file.empty()) audit_ = std::make_shared<security::AuditLog>(config_.audit);
     registry_ = discovery::make_registry(config_.registry);
     if (config_.gateways) {

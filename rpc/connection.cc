@@ -101,7 +101,7 @@ std::string ThriftConnection::distrust(const security::TlsContext* tls) const {
   if (tls != nullptr && certificate) {
     if (const auto why = tls->distrust(*certificate); !why.empty()) return "its certificate is " + why;
   }
-  return is_valid && !is_valid() ? "its token was taken away" : "";
+  return is_valid && !is_valid() ? "its token was taken away, or has expired" : "";
 }
 
 ThriftConnection::Standing ThriftConnection::standing() const {

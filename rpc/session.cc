@@ -60,7 +60,8 @@ void Session::tell_refusal(const std::string& method, const std::string& kind, c
 
 std::string Session::authenticate(const std::string& token) {
   if (!options_.tokens) return "";
-  holder_ = options_.tokens->holder(token, peer_->certificate());
+  std::string why;
+  holder_ = options_.tokens->holder(token, peer_->certificate(), &why);
   if (holder_) {
     peer_->set_identity(holder_->name);
     peer_->set_validity([tokens = options_.tokens, holder = *holder_] { return tokens->role_of(holder).has_value(); });
@@ -74,9 +75,10 @@ std::string Session::authenticate(const std::string& token) {
     return "";
   }
   count_refusal(options_.service, "token");
-  tell_refusal("authenticate", "token", "a token that is nobody's");
+  tell_refusal("authenticate", "token", why.empty() ? "a token that is nobody's" : why);
   if (++wrong_tokens_ >= options_.wrong_tokens) peer_->hang_up();
   std::this_thread::sleep_for(options_.wrong_token_pause);
+  if (!why.empty()) return why;
   return "that is nobody's token here, or it counts only with another certificate; `iotcloud token list` shows whose "
          "there are, and with which certificate each counts";
 }
@@ -109,7 +111,7 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
   const bool stranger = has == security::Role::anyone;
   if (stranger) {
     refusal.code = options_.not_authenticated;
-    refusal.text = holder_ ? fmt::format("the token of {} was taken away", holder_->name)
+    refusal.text = holder_ ? fmt::format("the token of {} was taken away, or has expired", holder_->name)
                            : "this service asks for a token: call authenticate(token) first on this connection; "
                              "the program iotcloud does with --token-file FILE or the environment variable "
                              "IOTCLOUD_TOKEN";

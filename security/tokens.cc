@@ -2,7 +2,9 @@
 #include <cctype>
 #include <cerrno>
 #include <charconv>
+#include <cmath>
 #include <cstring>
+#include <ctime>
 #include <fstream>
 #include <string_view>
 #include <utility>
@@ -107,10 +109,31 @@ bool is_name(std::string_view name) {
   return !name.empty() && name.size() <= 64 && std::all_of(name.begin(), name.end(), good);
 }
 
+constexpr const char* expiry_format = "%Y%m%dT%H%M%SZ";
+
+std::string written_expiry(std::int64_t expires_s, const char* format) {
+  const std::time_t time = expires_s;
+  std::tm parts{};
+  gmtime_r(&time, &parts);
+  char text[64];
+  return {text, std::strftime(text, sizeof text, format, &parts)};
+}
+
+/// \throws Error
+std::int64_t parse_expiry(const std::string& text) {
+  std::tm parts{};
+  const char* const end = strptime(text.c_str(), expiry_format, &parts);
+  const std::int64_t time = end == nullptr || *end != '\0' ? 0 : timegm(&parts);
+  if (time <= 0 || written_expiry(time, expiry_format) != text)
+    throw config::Error(fmt::format("\"{}\" is no end of a token; it looks like 20271231T235959Z (UTC)", text));
+  return time;
+}
+
 void write_tokens(const std::string& file, const std::vector<TokenEntry>& entries) {
   std::string text;
   for (const auto& entry : entries) {
-    text += fmt::format("{}:{}:{}{}{}\n", entry.name, to_string(entry.role), entry.hash,
+    const std::string expiry = entry.expires_s == 0 ? "" : "/" + written_expiry(entry.expires_s, expiry_format);
+    text += fmt::format("{}:{}{}:{}{}{}\n", entry.name, to_string(entry.role), expiry, entry.hash,
                         entry.certificate.empty() ? "" : ":", entry.certificate);
   }
   replace_private_file(file, text);
@@ -170,10 +193,12 @@ std::vector<TokenEntry> read_tokens(const std::string& file) {
       throw config::Error(fmt::format(
           "{}:{}: not a line NAME:ROLE:HASH or NAME:ROLE:HASH:CERTIFICATE; `iotcloud token add` writes them", file,
           number));
-    TokenEntry entry{std::string(parts[0]), Role::viewer, std::string(parts[2]), ""};
+    TokenEntry entry{std::string(parts[0]), Role::viewer, std::string(parts[2]), "", 0};
+    const auto slash = parts[1].find('/');
     if (parts.size() > 3) entry.certificate = parts[3].data();  // to the end of the line: a subject may have colons
     try {
-      entry.role = parse_role(std::string(parts[1]));
+      entry.role = parse_role(std::string(parts[1].substr(0, slash)));
+      if (slash != std::string_view::npos) entry.expires_s = parse_expiry(std::string(parts[1].substr(slash + 1)));
       check_certificate(entry);
     } catch (const config::Error& e) {
       throw config::Error(fmt::format("{}:{}: {}", file, number, e.what()));
@@ -187,10 +212,15 @@ std::vector<TokenEntry> read_tokens(const std::string& file) {
   return entries;
 }
 
-std::string add_token(const std::string& file, const std::string& name, Role role, const std::string& certificate) {
+std::string expiry_text(std::int64_t expires_s) {
+  return expires_s == 0 ? "" : written_expiry(expires_s, "%Y-%m-%d %H:%M:%S UTC");
+}
+
+std::string add_token(const std::string& file, const std::string& name, Role role, const std::string& certificate,
+                      std::int64_t expires_s) {
   if (!is_name(name))
     throw config::Error(fmt::format("\"{}\" cannot be a token's name: 1 to 64 letters, digits, '-' and '_'", name));
-  check_certificate({name, role, "", certificate});
+  check_certificate({name, role, "", certificate, expires_s});
   auto entries = access(file.c_str(), F_OK) == 0 ? read_tokens(file) : std::vector<TokenEntry>{};
   const auto same = [&](const TokenEntry& entry) { return entry.name == name; };
   if (std::any_of(entries.begin(), entries.end(), same))
@@ -204,7 +234,7 @@ std::string add_token(const std::string& file, const std::string& name, Role rol
   if (!hash) throw config::Error("OpenSSL cannot hash a token with scrypt");
   entries.push_back({name, role,
                      fmt::format("scrypt${}${}${}${}${}", cost.n, cost.r, cost.p, to_hex(salt), to_hex(*hash)),
-                     certificate});
+                     certificate, expires_s});
   write_tokens(file, entries);
   return name + "." + secret;
 }
@@ -216,8 +246,57 @@ bool remove_token(const std::string& file, const std::string& name) {
   return true;
 }
 
-TokenKeeper::TokenKeeper(std::string file) : file_(std::move(file)) {
+bool renew_token(const std::string& file, const std::string& name, std::int64_t expires_s) {
+  auto entries = read_tokens(file);
+  const auto at = std::find_if(entries.begin(), entries.end(), [&](const auto& entry) { return entry.name == name; });
+  if (at == entries.end()) return false;
+  at->expires_s = expires_s;
+  write_tokens(file, entries);
+  return true;
+}
+
+namespace {
+
+constexpr std::int64_t seconds_a_day = 24 * 3600;
+/// How long before its end a token is warned of.
+constexpr std::int64_t warning_s = 14 * seconds_a_day;
+
+std::string how_to_renew(const std::string& name, const std::string& file) {
+  return fmt::format("`iotcloud token renew {} --days N --file {}`, and SIGHUP to the daemon", name, file);
+}
+
+}  // namespace
+
+TokenKeeper::TokenKeeper(std::string file, const std::string& service, const config::Clock& clock,
+                         config::Metrics& metrics)
+    : file_(std::move(file)), clock_(clock) {
   reload();
+  if (service.empty()) return;
+  days_left_ = metrics.add_source([this, service](auto& samples) { measure(service, samples); });
+}
+
+void TokenKeeper::measure(const std::string& service, std::vector<config::Sample>& samples) const {
+  const config::ReadLock lock(mutex_);
+  for (const auto& [name, entry] : entries_) {
+    if (entry.expires_s == 0) continue;
+    config::Sample sample;
+    sample.name = "iotcloud_token_days_left";
+    sample.help = "Days until a token that has an end expires";
+    sample.kind = config::Sample::Kind::gauge;
+    sample.labels = {{"service", service}, {"token", name}};
+    sample.value = std::floor(static_cast<double>(entry.expires_s - clock_.wall_ms() / 1000) / seconds_a_day);
+    samples.push_back(std::move(sample));
+  }
+}
+
+bool TokenKeeper::is_over(const TokenEntry& entry) const {
+  return entry.expires_s != 0 && clock_.wall_ms() / 1000 >= entry.expires_s;
+}
+
+void TokenKeeper::warn_of_end(const TokenEntry& entry) const {
+  if (entry.expires_s == 0 || entry.expires_s - clock_.wall_ms() / 1000 >= warning_s) return;
+  access_logger.warn("the token of {} {} {}: {}", entry.name, is_over(entry) ? "expired" : "expires",
+                     expiry_text(entry.expires_s), how_to_renew(entry.name, file_));
 }
 
 void TokenKeeper::reload() {
@@ -226,11 +305,13 @@ void TokenKeeper::reload() {
   if (read.empty())
     access_logger.warn("the token file {} is empty: nobody gets in; iotcloud token add NAME --role ROLE --file {}",
                        file_, file_);
+  for (const auto& [name, entry] : read) warn_of_end(entry);
   const config::WriteLock lock(mutex_);
   entries_ = std::move(read);
 }
 
-std::optional<TokenEntry> TokenKeeper::holder(const std::string& token, const std::string& certificate) const {
+std::optional<TokenEntry> TokenKeeper::holder(const std::string& token, const std::string& certificate,
+                                              std::string* why) const {
   const auto dot = token.find('.');
   if (dot == std::string::npos) return std::nullopt;
   TokenEntry entry;
@@ -250,13 +331,19 @@ std::optional<TokenEntry> TokenKeeper::holder(const std::string& token, const st
                        "that daemon has another certificate now");
     return std::nullopt;
   }
-  return entry;
+  warn_of_end(entry);
+  if (!is_over(entry)) return entry;
+  if (why != nullptr)
+    *why = fmt::format("the token of {} expired {}: {}", entry.name, expiry_text(entry.expires_s),
+                       how_to_renew(entry.name, "FILE"));
+  return std::nullopt;
 }
 
 std::optional<Role> TokenKeeper::role_of(const TokenEntry& entry) const {
   const config::ReadLock lock(mutex_);
   const auto at = entries_.find(entry.name);
-  if (at == entries_.end() || at->second.hash != entry.hash || at->second.certificate != entry.certificate)
+  if (at == entries_.end() || at->second.hash != entry.hash || at->second.certificate != entry.certificate ||
+      is_over(at->second))
     return std::nullopt;
   return at->second.role;
 }

@@ -7,7 +7,7 @@ namespace iotcloud::rpc {
 
 PageGuard::PageGuard(PageSettings settings) : settings_(std::move(settings)) {
   if (const std::string problem = exposure(settings_); !problem.empty()) throw config::Error(problem);
-  if (!settings_.tokens.empty()) tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens);
+  if (!settings_.tokens.empty()) tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens, "pages");
   reload();
 }
 

@@ -22,6 +22,7 @@
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/security/certificates.h>
@@ -83,7 +84,7 @@ class Access : public testing::Test {
     viewer_ = security::add_token(tokens_file_, "vera", Role::viewer);
     operating_ = security::add_token(tokens_file_, "otto", Role::operating);
     admin_ = security::add_token(tokens_file_, "anna", Role::admin);
-    tokens_ = std::make_shared<security::TokenKeeper>(tokens_file_);
+    tokens_ = std::make_shared<security::TokenKeeper>(tokens_file_, "api", clock_, metrics_);
     audit_ = std::make_shared<security::AuditLog>(audit_file_);
     ApiAccess access;
     access.tokens = tokens_;
@@ -129,6 +130,8 @@ class Access : public testing::Test {
   const std::string tokens_file_ = folder_ / "tokens";
   const std::string audit_file_ = folder_ / "audit.log";
   std::string viewer_, operating_, admin_;
+  tests::HandClock clock_;
+  config::Metrics metrics_;
   std::shared_ptr<security::TokenKeeper> tokens_;
   std::shared_ptr<security::AuditLog> audit_;
   const std::string url_ = test::fresh_registry_url();
@@ -484,6 +487,36 @@ TEST_F(Access, OneWhoseTokenIsTakenAwayLosesItsOpenConnection) {
   std::vector<discovery::wire::TSite> gateways;
   EXPECT_THROW(client.listGateways(gateways), apache::thrift::transport::TTransportException);
   EXPECT_NO_THROW(other.listGateways(gateways));
+}
+
+TEST_F(Access, OneWhoseTokenExpiresLosesItsOpenConnectionAndIsToldWhyUntilItIsRenewed) {
+  const auto end = clock_.wall_ms() / 1000 + 3600;
+  const auto token = security::add_token(tokens_file_, "eva", Role::admin, "", end);
+  tokens_->reload();
+  auto kept = connect(token);
+  auto client = connect(token);
+  EXPECT_EQ(deploy(client).response.state, TResponseState::SUCCESS);
+  const auto& cut_off = config::process_metrics().counter("iotcloud_thrift_refused_total", "",
+                                                          {{"service", "thrift"}, {"reason", "revoked"}});
+  const auto before = cut_off.value();
+  clock_.advance(std::chrono::hours(1));
+  const auto refused = deploy(client);
+  EXPECT_EQ(refused.refusal, wire::TRefusal::NOT_AUTHENTICATED);
+  EXPECT_THAT(refused.response.statusMessage, HasSubstr("expired"));
+  server_->reload();  // it looks at open connections every few seconds, and now
+  ASSERT_TRUE(tests::eventually([&] { return cut_off.value() == before + 2; }));
+  std::vector<discovery::wire::TSite> gateways;
+  EXPECT_THROW(kept.listGateways(gateways), apache::thrift::transport::TTransportException);
+  TResponse answer;
+  auto again = connect();
+  again.authenticate(answer, token);
+  EXPECT_EQ(answer.state, TResponseState::FAILURE);
+  EXPECT_THAT(answer.statusMessage, AllOf(HasSubstr("eva expired 2020-01-01 01:00:00 UTC"), HasSubstr("token renew")));
+
+  ASSERT_TRUE(security::renew_token(tokens_file_, "eva", end + 3600));
+  tokens_->reload();
+  auto renewed = connect(token);
+  EXPECT_EQ(deploy(renewed).response.state, TResponseState::SUCCESS);
 }
 
 TEST_F(Access, OneWhoseTokenIsTakenAwayMayDoNothingMore) {

@@ -7,6 +7,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/security/certificates.h>
 
 namespace iotcloud::security {
@@ -95,6 +96,56 @@ TEST_F(Tokens, OfAMasterNeedACertificate) {
   write(bare + "\n");
   EXPECT_THAT(problem(), HasSubstr("--certificate"));
   EXPECT_THROW(add_token(file_, "anna", Role::viewer, "CN=a\nanna2:admin:x"), config::Error);
+}
+
+TEST_F(Tokens, WithAnEndAreWorthNothingFromThenOnUnlessTheyAreRenewed) {
+  tests::HandClock clock;
+  config::Metrics metrics;
+  constexpr std::int64_t day = 24 * 3600;
+  const auto start = clock.wall_ms() / 1000;
+  const auto bob = add_token(file_, "bob", Role::viewer);
+  const auto anna = add_token(file_, "anna", Role::admin, "CN=a:b", start + 3 * day);
+  EXPECT_THAT(text(), HasSubstr("anna:admin/20200104T000000Z:scrypt$"));
+  EXPECT_EQ(read_tokens(file_).at(1).expires_s, start + 3 * day);
+  EXPECT_EQ(read_tokens(file_).at(1).certificate, "CN=a:b");
+  TokenKeeper keeper(file_, "api", clock, metrics);
+  const auto days = [&] {
+    const auto samples = metrics.collect();
+    return samples.size() == 1 ? samples.front().value : -1000;
+  };
+  EXPECT_EQ(days(), 3) << "bob's has no end";
+  const auto entry = keeper.holder(anna, "CN=a:b");
+  ASSERT_TRUE(entry);
+  clock.advance(std::chrono::hours(72) - std::chrono::seconds(1));
+  EXPECT_EQ(days(), 0);
+  EXPECT_EQ(keeper.role_of(*entry), Role::admin);
+  clock.advance(std::chrono::seconds(1));
+  EXPECT_FALSE(keeper.role_of(*entry)) << "an open connection has no rights any more";
+  std::string why;
+  EXPECT_FALSE(keeper.holder(anna, "CN=a:b", &why));
+  EXPECT_THAT(why, AllOf(HasSubstr("anna expired 2020-01-04 00:00:00 UTC"), HasSubstr("token renew anna")));
+  why.clear();
+  EXPECT_FALSE(keeper.holder(anna + "0", "CN=a:b", &why));
+  EXPECT_EQ(why, "") << "who does not have it learns nothing";
+  EXPECT_TRUE(keeper.holder(bob, ""));
+
+  EXPECT_TRUE(renew_token(file_, "anna", start + 5 * day));
+  EXPECT_FALSE(renew_token(file_, "eve", start + 5 * day));
+  keeper.reload();
+  EXPECT_TRUE(keeper.holder(anna, "CN=a:b"));
+  EXPECT_EQ(keeper.role_of(*entry), Role::admin);
+  EXPECT_EQ(days(), 2);
+}
+
+TEST_F(Tokens, AnEndThatIsNoTimeIsNamedWithItsLine) {
+  add_token(file_, "anna", Role::viewer, "", 1'900'000'000);
+  const std::string good = text();
+  for (const char* wrong : {"", "soon", "2030", "20300317T174640", "20301317T174640Z", "20300317T174640Z ", "0"}) {
+    std::string bytes = good;
+    bytes.replace(bytes.find('/') + 1, 16, wrong);
+    write(bytes);
+    EXPECT_THAT(problem(), AllOf(HasSubstr(":1:"), HasSubstr("no end of a token"))) << wrong;
+  }
 }
 
 TEST_F(Tokens, TheSameTokenTwiceHasAnotherHash) {

@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include <iotcloud/config/clock.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/security/audit_chain.h>
@@ -175,6 +176,10 @@ class RevokeCertificates final : public OfCertificates {
   }
 };
 
+std::int64_t days_from_now(int days) {
+  return config::system_clock().wall_ms() / 1000 + std::int64_t{days} * 24 * 3600;
+}
+
 /// A verb about a file of tokens.
 class OfTokens : public Verb {
  public:
@@ -210,11 +215,16 @@ class AddToken final : public OfTokens {
                     "the token counts only with this certificate: its file (NAME.pem), or its common name. For "
                     "daemons; a person's token may come from a browser")
         ->type_name("CERTIFICATE");
+    options.add_option("--days", days_, "after so many days it is worth nothing; without it the token has no end")
+        ->check(CLI::Range(1, 3650))
+        ->type_name("N");
     declare_file(options);
   }
   int run(Call& call) override {
     // The token is alone on its line, so that a script can read it.
-    call.out << security::add_token(file_, holder_, security::parse_role(role_), subject()) << '\n';
+    call.out << security::add_token(file_, holder_, security::parse_role(role_), subject(),
+                                    days_ == 0 ? 0 : days_from_now(days_))
+             << '\n';
     return exit_ok;
   }
 
@@ -225,6 +235,33 @@ class AddToken final : public OfTokens {
   }
   std::string role_;
   std::string certificate_;
+  int days_ = 0;
+};
+
+class RenewToken final : public OfTokens {
+ public:
+  RenewToken()
+      : OfTokens({"renew",
+                  "Let a token count for longer: the holder keeps it. Daemons notice at SIGHUP (systemctl reload)",
+                  "iotcloud token renew anna --days 365 --file tokens", std::nullopt, false}) {}
+  void declare(CLI::App& options) override {
+    declare_holder(options, "whose");
+    options.add_option("--days", days_, "after so many days from now it is worth nothing")
+        ->required()
+        ->check(CLI::Range(1, 3650))
+        ->type_name("N");
+    declare_file(options);
+  }
+  int run(Call& call) override {
+    const auto end = days_from_now(days_);
+    if (!security::renew_token(file_, holder_, end))
+      throw config::Error(fmt::format("{} has no token of {}", file_, holder_));
+    call.out << fmt::format("the token of {} counts until {}\n", holder_, security::expiry_text(end));
+    return exit_ok;
+  }
+
+ private:
+  int days_ = 0;
 };
 
 class RemoveToken final : public OfTokens {
@@ -246,17 +283,21 @@ class RemoveToken final : public OfTokens {
 class ListTokens final : public OfTokens {
  public:
   ListTokens()
-      : OfTokens({"list", "List whose tokens there are, with their roles", "iotcloud token list --file tokens",
+      : OfTokens({"list", "List whose tokens there are, with their roles and ends", "iotcloud token list --file tokens",
                   std::nullopt}) {}
   void declare(CLI::App& options) override { declare_file(options); }
   int run(Call& call) override {
     std::vector<std::vector<std::string>> rows;
     Json json = Json::array();
     for (const auto& entry : security::read_tokens(file_)) {
-      rows.push_back({entry.name, to_string(entry.role), entry.certificate});
-      json.push_back({{"name", entry.name}, {"role", to_string(entry.role)}, {"certificate", entry.certificate}});
+      const std::string end = security::expiry_text(entry.expires_s);
+      rows.push_back({entry.name, to_string(entry.role), end, entry.certificate});
+      json.push_back({{"name", entry.name},
+                      {"role", to_string(entry.role)},
+                      {"expires", end},
+                      {"certificate", entry.certificate}});
     }
-    print(call.out, call.format, {"NAME", "ROLE", "CERTIFICATE"}, rows, json);
+    print(call.out, call.format, {"NAME", "ROLE", "EXPIRES", "CERTIFICATE"}, rows, json);
     return exit_ok;
   }
 };
@@ -326,6 +367,7 @@ void add_security_verbs(Verbs& verbs) {
   certs.add<RevokeCertificates>();
   auto& tokens = verbs.group("token", "Keep a file of tokens, which a daemon reads; asks no master");
   tokens.add<AddToken>();
+  tokens.add<RenewToken>();
   tokens.add<RemoveToken>();
   tokens.add<ListTokens>();
   auto& audit = verbs.group("audit", "Look at an audit log; asks no master");

@@ -86,6 +86,21 @@ TEST_F(CliSecurity, ATokenIsPrintedOnceAndListedWithoutIt) {
   EXPECT_EQ(run({"token", "remove", "anna", "--file", folder_ / "tokens"}).status, 1);
 }
 
+TEST_F(CliSecurity, ATokenMayHaveAnEndThatIsPutOff) {
+  const std::string file = folder_ / "tokens";
+  ASSERT_EQ(run({"token", "add", "anna", "--role", "viewer", "--days", "1", "--file", file}).status, 0);
+  const auto end = [&] { return security::read_tokens(file).at(0).expires_s; };
+  const auto first = end();
+  EXPECT_GT(first, 0);
+  const auto renewed = run({"token", "renew", "anna", "--days", "3", "--file", file});
+  EXPECT_EQ(renewed.status, 0) << renewed.err;
+  EXPECT_GE(end() - first, 2 * 24 * 3600);
+  EXPECT_THAT(renewed.out, HasSubstr(security::expiry_text(end())));
+  EXPECT_THAT(run({"token", "list", "--file", file}).out, HasSubstr(security::expiry_text(end())));
+  EXPECT_EQ(run({"token", "renew", "bob", "--days", "3", "--file", file}).status, 1);
+  EXPECT_EQ(run({"token", "renew", "anna", "--days", "0", "--file", file}).status, 2);
+}
+
 TEST_F(CliSecurity, ADaemonsTokenNamesItsCertificate) {
   const std::string certs = folder_ / "certs";
   ASSERT_EQ(run({"certs", "init", certs, "--host", "lab1", "--gateway", "g1,g2"}).status, 0);
