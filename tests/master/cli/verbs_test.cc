@@ -101,6 +101,7 @@ const std::set<Words> without_output = {{"run"},
                                         {"certs", "renew"},
                                         {"certs", "revoke"},
                                         {"token", "add"},
+                                        {"token", "renew"},
                                         {"token", "remove"},
                                         {"registry", "export"},
                                         {"registry", "user"}};
