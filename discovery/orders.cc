@@ -39,6 +39,9 @@ nlohmann::json parse_json(const std::string& text, const std::string& path) {
 std::string encode(const OrderRecord& record) {
   return as_text(record);
 }
+std::string encode(const OrderRemoval& record) {
+  return as_text(record);
+}
 std::string encode(const DrainRecord& record) {
   return as_text(record);
 }
@@ -66,6 +69,9 @@ std::string encode(const Adoption& adoption) {
 
 OrderRecord decode_order(const std::string& bytes, const std::string& path) {
   return from_text<OrderRecord>(bytes, path);
+}
+OrderRemoval decode_removal(const std::string& bytes, const std::string& path) {
+  return from_text<OrderRemoval>(bytes, path);
 }
 DrainRecord decode_drain(const std::string& bytes, const std::string& path) {
   return from_text<DrainRecord>(bytes, path);

@@ -61,6 +61,12 @@ std::string Paths::orders(const GatewayId& id) const {
 std::string Paths::order(const GatewayId& id, const InstanceId& instance) const {
   return below(orders(id), instance);
 }
+std::string Paths::removals(const GatewayId& id) const {
+  return gateway(id) + "/removals";
+}
+std::string Paths::removal(const GatewayId& id, const InstanceId& instance) const {
+  return below(removals(id), instance);
+}
 std::string Paths::masters() const {
   return sensors.substr(0, sensors.rfind('/')) + "/masters";
 }

@@ -161,12 +161,25 @@ struct OrderRecord : Deployment {
   bool drained = false;  ///< inactive only while its gateway drains; wanted active after that
   /// During an update: the version that ran before, which the gateway keeps so that the update can be rolled back.
   std::optional<PluginVersion> previous;
+  std::int64_t given_ms = 0;  ///< the master's wall time; grows with each change of an instance's order
   static constexpr const char* what = "an order";
   static constexpr auto fields =
       std::tuple_cat(Deployment::fields, std::tuple{IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(index, rare),
                                                     IOTCLOUD_FIELD(epoch, usual), IOTCLOUD_FIELD(drained, rare),
-                                                    IOTCLOUD_FIELD(previous, rare)});
+                                                    IOTCLOUD_FIELD(previous, rare), IOTCLOUD_FIELD(given_ms, rare)});
   friend bool operator==(const OrderRecord&, const OrderRecord&) = default;
+};
+
+/// A master that signs its orders writes this before it removes an instance's order, so that a gateway can tell who
+/// removed it: persistent node `/iot/gateways/<id>/removals/<instance>`, JSON. The gateway removes it afterwards.
+struct OrderRemoval {
+  InstanceId instance;
+  std::int64_t epoch = 0;     ///< the master's
+  std::int64_t given_ms = 0;  ///< later than OrderRecord::given_ms of the order that it ends
+  static constexpr const char* what = "the removal of an order";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(epoch, usual), IOTCLOUD_FIELD(given_ms, required)};
+  friend bool operator==(const OrderRemoval&, const OrderRemoval&) = default;
 };
 
 /// Marks a gateway as draining: it takes no new instances, and its instances are stopped. Persistent node
@@ -212,10 +225,12 @@ struct TopologyOrder {
   bool active = true;
   std::map<std::string, int> parallelism;  ///< in each worker, by component; what is not named stays as declared
   std::optional<TopologyKill> kill;
+  std::int64_t given_ms =
+      0;  ///< the master's wall time: a signed order that is older than the last one is not followed
   static constexpr const char* what = "an order to a topology";
   static constexpr auto fields =
       std::tuple{IOTCLOUD_FIELD(revision, required), IOTCLOUD_FIELD(epoch, usual), IOTCLOUD_FIELD(active, usual),
-                 IOTCLOUD_FIELD(parallelism, usual), IOTCLOUD_FIELD(kill, rare)};
+                 IOTCLOUD_FIELD(parallelism, usual), IOTCLOUD_FIELD(kill, rare),   IOTCLOUD_FIELD(given_ms, rare)};
   friend bool operator==(const TopologyOrder&, const TopologyOrder&) = default;
 };
 
@@ -256,6 +271,7 @@ std::string encode(const DriverRecord& record);
 std::string encode(const ChannelRecord& record);
 std::string encode(const GatewayRecord& record);
 std::string encode(const OrderRecord& record);
+std::string encode(const OrderRemoval& record);
 std::string encode(const DrainRecord& record);
 std::string encode(const TopologyRecord& record);
 std::string encode(const TopologyOrder& order);
@@ -269,6 +285,8 @@ ChannelRecord decode_channel(const std::string& bytes, const std::string& path);
 GatewayRecord decode_gateway(const std::string& bytes, const std::string& path);
 /// As decode_driver(), from JSON. Keys that this program does not know are passed over.
 OrderRecord decode_order(const std::string& bytes, const std::string& path);
+/// As decode_order().
+OrderRemoval decode_removal(const std::string& bytes, const std::string& path);
 /// As decode_order().
 DrainRecord decode_drain(const std::string& bytes, const std::string& path);
 /// As decode_order().
@@ -289,6 +307,8 @@ struct Paths {
   std::string gateway_draining(const GatewayId& id) const;
   std::string orders(const GatewayId& id) const;
   std::string order(const GatewayId& id, const InstanceId& instance) const;
+  std::string removals(const GatewayId& id) const;
+  std::string removal(const GatewayId& id, const InstanceId& instance) const;
   std::string masters() const;                           ///< /iot/masters: the election's path
   std::string topology(const TopologyName& name) const;  ///< `/iot/topologies/<name>`
   std::string workers(const TopologyName& topology) const;

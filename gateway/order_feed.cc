@@ -19,6 +19,9 @@ constexpr std::chrono::milliseconds look_pause{500};
 constexpr std::chrono::milliseconds vanish_pause{200};
 /// An order that has been gone for so long is an order to undeploy, even if others go all the time.
 constexpr std::chrono::milliseconds longest_vanish_pause{5000};
+/// How far the clocks of a master and a gateway may differ. What is ordered while a gateway runs was given after its
+/// start, less this.
+constexpr std::chrono::milliseconds clocks_differ = std::chrono::minutes(10);
 
 }  // namespace
 
@@ -49,6 +52,7 @@ OrderFeed::OrderFeed(discovery::Registry& registry, discovery::Paths paths, disc
 
 void OrderFeed::start() {
   const std::string list = paths_.orders(gateway_);
+  started_ms_ = clock_.wall_ms();
   names_watch_ = registry_.watch_children(list, [this](const std::optional<std::vector<std::string>>& names) {
     loop_.post([this, names] { names_changed(names); });
   });
@@ -67,6 +71,7 @@ void OrderFeed::stop() {
   session_listener_.reset();
   node_watch_.reset();
   names_watch_.reset();
+  unproven_.clear();
   order_watches_.clear();
 }
 
@@ -115,7 +120,15 @@ void OrderFeed::follow_all(const Found& found) {
     epoch_ = answer ? answer->epoch : 0;  // a registry that was emptied or restored counts epochs anew
   }
   Instances names = found.names();
+  if (answer || !told_first_) {
+    given_.clear();
+    first_ = names;
+  }
   if (!adopted) names.merge(just_gone(names));
+  if (masters_) {
+    if (answer) unproven_.clear();  // a signed answer: all that is gone is meant to be gone
+    if (!answer) names.merge(without_removal(names));
+  }
   follow_names(names);
   if (!gone_.empty()) read_again_soon();
   for (const auto& [name, node] : found.orders) {
@@ -131,7 +144,8 @@ OrderFeed::Instances OrderFeed::just_gone(const Instances& names) {
   const auto now = clock_.now();
   std::erase_if(gone_, [&](const auto& entry) { return names.contains(entry.first); });
   for (const auto& [name, watch] : order_watches_) {
-    if (!names.contains(name) && gone_.try_emplace(name, now).second) last_gone_ = now;
+    if (names.contains(name) || unproven_.contains(name)) continue;
+    if (gone_.try_emplace(name, now).second) last_gone_ = now;
   }
   const bool more_go = now - last_gone_ < vanish_pause;
   std::erase_if(gone_, [&](const auto& entry) { return !more_go || now - entry.second >= longest_vanish_pause; });
@@ -311,6 +325,7 @@ void OrderFeed::follow_names(const Instances& names) {
           loop_.post([this, name, node] { order_changed(name, node); });
         });
   }
+  Instances gone;
   for (auto it = order_watches_.begin(); it != order_watches_.end();) {
     if (names.contains(it->first)) {
       ++it;
@@ -320,7 +335,74 @@ void OrderFeed::follow_names(const Instances& names) {
     it = order_watches_.erase(it);
     handled_.erase(instance);
     forget_refusal(instance);
+    gone.insert(instance);
     listener_.on_gone(instance);
+  }
+  if (!gone.empty()) clear_removals(gone);
+}
+
+/// \param names of the orders that are there, or have only just gone
+/// \return the other orders, unless a master has signed that it removed them.
+OrderFeed::Instances OrderFeed::without_removal(const Instances& names) {
+  Instances missing;
+  for (const auto& [instance, watch] : order_watches_) missing.insert(instance);
+  if (!told_first_) missing.merge(listener_.present());
+  for (const auto& name : names) missing.erase(name);
+  std::vector<std::string> paths;
+  for (const auto& instance : missing) paths.push_back(paths_.removal(gateway_, instance));
+  const auto nodes = paths.empty() ? std::vector<std::optional<discovery::Node>>() : registry_.get_all(paths);
+  Instances unproven;
+  std::size_t i = 0;
+  for (const auto& instance : missing) {
+    if (const auto removed = removed_at(instance, nodes[i++])) {
+      given_[instance] = *removed;
+    } else {
+      unproven.insert(instance);
+    }
+  }
+  std::erase_if(unproven_, [&](const auto& entry) { return !unproven.contains(entry.first); });
+  for (const auto& instance : unproven) {
+    if (!unproven_.contains(instance)) refuse_removal(instance);
+  }
+  return unproven;
+}
+
+void OrderFeed::refuse_removal(const discovery::InstanceId& instance) {
+  refuse(instance, "the removal of the order for {}, which no trusted master has signed",
+         "If it is to go: `iotcloud undeploy`; if it is to stay: `iotcloud registry import`");
+  unproven_[instance] = registry_.watch_node(paths_.removal(gateway_, instance), [this](const auto& node) {
+    if (!node) return;
+    loop_.post([this] { read_orders(Reading::names); });
+  });
+}
+
+/// \param node of the instance's OrderRemoval
+/// \return when a master removed the instance's last order; nullopt: none did.
+std::optional<std::int64_t> OrderFeed::removed_at(const discovery::InstanceId& instance,
+                                                  const std::optional<discovery::Node>& node) const {
+  const std::string path = paths_.removal(gateway_, instance);
+  if (!node || !is_signed(path, *node)) return std::nullopt;
+  try {
+    const auto removal = discovery::decode_removal(node->data, path);
+    const auto last = given_.find(instance);
+    const bool is_last = last == given_.end() || removal.given_ms > last->second;
+    if (removal.instance == instance && is_last) return removal.given_ms;
+  } catch (const config::Error& e) {
+    logger.warn("{}", e.what());
+  }
+  return std::nullopt;
+}
+
+/// Removes what masters wrote about the removal of these orders: it has been followed.
+void OrderFeed::clear_removals(const Instances& gone) {
+  try {
+    const auto names = registry_.children(paths_.removals(gateway_)).value_or(std::vector<std::string>());
+    for (const auto& name : names) {
+      const discovery::InstanceId instance(name);
+      if (gone.contains(instance)) registry_.remove(paths_.removal(gateway_, instance));
+    }
+  } catch (const discovery::RegistryError& e) {
+    logger.debug("the mark of a removed order stays: {}", e.what());
   }
 }
 
@@ -349,9 +431,18 @@ void OrderFeed::take(const discovery::InstanceId& instance, const discovery::Nod
 
 void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Node& node) {
   const std::string path = paths_.order(gateway_, instance);
-  if (!is_signed(path, node)) return refuse(instance);
-  forget_refusal(instance);
+  if (!is_signed(path, node)) {
+    return refuse(instance, "the order for {}, which no trusted master has signed",
+                  "If this fleet's orders are older than its keys: `iotcloud registry export`, look at them, and "
+                  "`import --replace`");
+  }
   const auto order = discovery::decode_order(node.data, path);
+  if (is_out_of_date(order)) {
+    return refuse(instance, "the order for {}, which is out of date: a later one was given",
+                  "Somebody wrote an old order once more, or a master's clock is wrong");
+  }
+  first_.erase(instance);
+  forget_refusal(instance);
   if (order.instance != instance) {
     throw config::Error(fmt::format("the order at {} is for the instance \"{}\"", path, order.instance));
   }
@@ -362,25 +453,32 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
     return;
   }
   epoch_ = std::max(epoch_.load(), order.epoch);
+  if (masters_) given_[instance] = order.given_ms;
   listener_.on_order(order, node.version);
+}
+
+bool OrderFeed::is_out_of_date(const discovery::OrderRecord& order) const {
+  if (!masters_) return false;
+  const auto last = given_.find(order.instance);
+  if (last != given_.end()) return order.given_ms < last->second;
+  return !first_.contains(order.instance) && order.given_ms < started_ms_ - clocks_differ.count();
 }
 
 bool OrderFeed::is_signed(const std::string& path, const discovery::Node& node) const {
   return !masters_ || !security::signer_of_object(*masters_, path, node.data).empty();
 }
 
-void OrderFeed::refuse(const discovery::InstanceId& instance) {
-  logger.error(
-      "the order for {} is refused: no trusted master has signed it for this place. What runs goes on as it is. If "
-      "this fleet's orders are older than its keys: `iotcloud registry export`, look at them, and `import --replace`",
-      instance);
+/// \param what a format with the instance
+void OrderFeed::refuse(const discovery::InstanceId& instance, const std::string& what, const std::string& advice) {
+  const std::string named = fmt::format(fmt::runtime(what), instance);
+  logger.error("refused: {}. What runs goes on as it is. {}", named, advice);
   {
     const config::MutexLock lock(mutex_);
-    refused_.insert(instance);
+    refused_[instance] = named;
   }
   config::process_metrics()
       .counter("iotcloud_gateway_orders_refused_total",
-               "Orders that no trusted master has signed, which are not followed")
+               "Orders, and removals of orders, that no trusted master gave now, which are not followed")
       .add();
 }
 
@@ -392,14 +490,14 @@ void OrderFeed::forget_refusal(const discovery::InstanceId& instance) {
 std::string OrderFeed::refused() const {
   const config::MutexLock lock(mutex_);
   if (refused_.empty()) return "";
-  const std::string others = refused_.size() == 1 ? "" : fmt::format(" and {} others", refused_.size() - 1);
-  return fmt::format("refused: the order for {}{}, which no trusted master has signed", *refused_.begin(), others);
+  const std::string others = refused_.size() == 1 ? "" : fmt::format("; and {} others", refused_.size() - 1);
+  return fmt::format("refused: {}{}", refused_.begin()->second, others);
 }
 
 void OrderFeed::read_refused_again() {
   {
     const config::MutexLock lock(mutex_);
-    for (const auto& instance : refused_) handled_.erase(instance);
+    for (const auto& [instance, what] : refused_) handled_.erase(instance);
   }
   read_orders();
 }

@@ -32,7 +32,9 @@ namespace iotcloud::gateway {
 /// goes on when a master adopts the registry as it is (discovery::Adoption), or when the orders' own node is back.
 ///
 /// With the keys of masters the feed follows only what one of them has signed (security/signed_object.h) for the very
-/// node in which it stands. A refused order changes nothing of what runs: it is logged, counted
+/// node in which it stands, and that was not given before the last one for its instance: an old one may have been
+/// written again by somebody else. An order that is gone is one to undeploy only with a signed discovery::OrderRemoval,
+/// or when a master adopts the registry. What is refused changes nothing of what runs: it is logged, counted
 /// (iotcloud_gateway_orders_refused_total) and told by refused().
 ///
 /// Used on one event loop, on which the listener is called, unless said otherwise.
@@ -102,7 +104,13 @@ class OrderFeed {
   void take(const discovery::InstanceId& instance, const discovery::Node& node);
   void read(const discovery::InstanceId& instance, const discovery::Node& node);
   bool is_signed(const std::string& path, const discovery::Node& node) const;
-  void refuse(const discovery::InstanceId& instance);
+  bool is_out_of_date(const discovery::OrderRecord& order) const;
+  Instances without_removal(const Instances& names);
+  std::optional<std::int64_t> removed_at(const discovery::InstanceId& instance,
+                                         const std::optional<discovery::Node>& node) const;
+  void refuse_removal(const discovery::InstanceId& instance);
+  void clear_removals(const Instances& gone);
+  void refuse(const discovery::InstanceId& instance, const std::string& what, const std::string& advice);
   void forget_refusal(const discovery::InstanceId& instance);
   bool is_handled(const discovery::InstanceId& instance, const discovery::Node& node) const;
 
@@ -114,8 +122,14 @@ class OrderFeed {
   const Listener listener_;
   const std::shared_ptr<const security::TrustedKeys> masters_;  ///< null: orders need no signature
   std::atomic<std::int64_t> epoch_{0};
-  /// Orders that existed at the start or after a reconnection and are not read yet: they may have any epoch.
+  /// Orders that existed at the start or after a reconnection and are not followed yet: they may have any epoch.
   Instances initial_;
+  /// With the keys of masters: when the last order or removal of each instance was given, in the masters' wall time.
+  std::map<discovery::InstanceId, std::int64_t> given_;
+  Instances first_;              ///< orders that stood there at the start or at an adoption, and are not read yet
+  std::int64_t started_ms_ = 0;  ///< wall time
+  /// Orders that are gone, and no master says that it removed them: tells when one does.
+  std::map<discovery::InstanceId, discovery::GuardPtr> unproven_;
   std::map<discovery::InstanceId, std::pair<std::int64_t, std::int64_t>>
       handled_;                           ///< for each order that was read, the creation id and version of its node
   std::optional<std::int64_t> followed_;  ///< creation id of the node whose orders are followed; nullopt: none yet
@@ -129,8 +143,8 @@ class OrderFeed {
   discovery::GuardPtr names_watch_, node_watch_, session_listener_;
 
   mutable config::Mutex mutex_;
-  std::optional<discovery::FreezeRecord> freeze_ IOTCLOUD_GUARDED_BY(mutex_);  ///< written only on the loop
-  Instances refused_ IOTCLOUD_GUARDED_BY(mutex_);                              ///< written only on the loop
+  std::optional<discovery::FreezeRecord> freeze_ IOTCLOUD_GUARDED_BY(mutex_);         ///< written only on the loop
+  std::map<discovery::InstanceId, std::string> refused_ IOTCLOUD_GUARDED_BY(mutex_);  ///< what; written on the loop
 };
 
 }  // namespace iotcloud::gateway

@@ -111,6 +111,7 @@ Verdict Backups::place(const GatewayId& gateway, OrderRecord order, bool replace
     return {OrderOutcome::done, ""};
   }
   order.epoch = there->epoch;
+  order.given_ms = there->given_ms;
   // Replacing signs an order that stands there unsigned, from before this fleet had keys.
   if (order == *there && !(replace && desk_.book.seals())) return unchanged;
   if (!replace) return another;
@@ -125,21 +126,25 @@ Verdict Backups::place(const TopologyBackup& topology, bool replace, const disco
   const auto node = desk_.registry.get(path);
   if (node) {
     const auto there = discovery::decode_topology_order(node->data, path);
-    if (order.active == there.active && order.parallelism == there.parallelism && !there.kill) return unchanged;
+    const bool same = order.active == there.active && order.parallelism == there.parallelism && !there.kill;
+    if (same && !(replace && desk_.book.seals())) return unchanged;
     if (!replace) return another;
     order.revision = std::max(order.revision, there.revision);
+    order.given_ms = there.given_ms;
   }
   // Workers follow an order that is newer than theirs only.
   for (const auto& worker : discovery::list_workers(desk_.registry, desk_.options.paths, topology.topology))
     order.revision = std::max(order.revision, worker.revision);
   ++order.revision;
   order.epoch = lead.epoch;
+  order.given_ms = std::max(config::system_clock().wall_ms(), node ? order.given_ms : 0);
   order.kill.reset();
+  const std::string bytes = desk_.book.sealed(path, encode(order));
   if (!node) {
-    desk_.registry.create(path, encode(order), true, lead.fence);
+    desk_.registry.create(path, bytes, true, lead.fence);
     return {OrderOutcome::done, ""};
   }
-  desk_.registry.set(path, encode(order), node->version, lead.fence);
+  desk_.registry.set(path, bytes, node->version, lead.fence);
   return {OrderOutcome::done, "it took another order's place"};
 }
 

@@ -2,6 +2,7 @@
 
 #include <fmt/ranges.h>
 
+#include <iotcloud/config/clock.h>
 #include <iotcloud/master/orders/order_book.h>
 
 namespace iotcloud::master {
@@ -108,17 +109,32 @@ std::optional<OrderRecord> OrderBook::get(const GatewayId& gateway, const Instan
   return discovery::decode_order(node->data, path);
 }
 
-void OrderBook::create(const GatewayId& gateway, const OrderRecord& order, const Lead& lead) {
+void OrderBook::create(const GatewayId& gateway, OrderRecord order, const Lead& lead) {
   const auto path = paths_.order(gateway, order.instance);
+  if (seal_) order.given_ms = config::system_clock().wall_ms();
   registry_.create(path, sealed(path, encode(order)), true, lead.fence);
+}
+
+/// Says with this master's signature that the order is removed, for gateways that follow signed orders only.
+void OrderBook::announce_removal(const Located& where, const OrderRecord* order, const Lead& lead) {
+  if (!seal_) return;
+  discovery::OrderRemoval removal{where.instance, lead.epoch, config::system_clock().wall_ms()};
+  if (order != nullptr) removal.given_ms = std::max(removal.given_ms, order->given_ms + 1);
+  const auto path = paths_.removal(where.gateway, where.instance);
+  discovery::put(registry_, path, sealed(path, encode(removal)), lead.fence);
 }
 
 MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
   const auto path = paths_.order(where.gateway, where.instance);
   while (!leadership_.closing().stop_requested()) {
     const auto node = registry_.get(path);
-    if (!node) break;
-    if (discovery::decode_order(node->data, path).epoch > lead.epoch) return of_later_master();
+    if (!node) {
+      if (where.record) announce_removal(where, nullptr, lead);  // somebody else removed it
+      break;
+    }
+    const auto order = discovery::decode_order(node->data, path);
+    if (order.epoch > lead.epoch) return of_later_master();
+    announce_removal(where, &order, lead);
     try {
       registry_.remove(path, node->version, lead.fence);
       break;
@@ -138,8 +154,10 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead,
     if (!node) return OutcomeWatch::Verdict{OrderOutcome::failed, "it is being undeployed"};
     auto order = discovery::decode_order(node->data, path);
     if (order.epoch > lead.epoch) return of_later_master();
+    const auto given_before = order.given_ms;
     alter(order);
     order.epoch = lead.epoch;
+    if (seal_) order.given_ms = std::max(config::system_clock().wall_ms(), given_before + 1);
     const std::string bytes = encode(order);
     if (bytes.size() > largest_order)
       return OutcomeWatch::Verdict{OrderOutcome::failed, fmt::format("its order would take {} bytes, more than {}",

@@ -48,7 +48,7 @@ class OrderBook {
 
   /// The instance's present order; nullopt: there is none.
   std::optional<discovery::OrderRecord> get(const discovery::GatewayId& gateway, const discovery::InstanceId& instance);
-  void create(const discovery::GatewayId& gateway, const discovery::OrderRecord& order, const discovery::Lead& lead);
+  void create(const discovery::GatewayId& gateway, discovery::OrderRecord order, const discovery::Lead& lead);
   MaybeVerdict remove(const Located& where, const discovery::Lead& lead);
   /// Changes an existing order. Reads it and changes it again when another write came in between.
   MaybeVerdict rewrite(const Located& where, const discovery::Lead& lead,
@@ -60,6 +60,7 @@ class OrderBook {
   bool seals() const { return static_cast<bool>(seal_); }
 
  private:
+  void announce_removal(const Located& where, const discovery::OrderRecord* order, const discovery::Lead& lead);
   discovery::Registry& registry_;
   const discovery::Paths& paths_;
   const Leadership& leadership_;

@@ -108,12 +108,14 @@ TopologyOrder TopologyService::changed_order(const std::optional<Node>& node, co
   if (node) order = discovery::decode_topology_order(node->data, desk_.options.paths.topology_order(request.topology));
   if (order.epoch > lead.epoch) throw config::Error("a later master has given orders for it; this one's lead is over");
   std::int64_t last = order.revision;
+  const std::int64_t last_given = order.given_ms;
   for (const WorkerRecord& worker : workers) last = std::max(last, worker.revision);
   if (order.kill && !any_lives(order.kill->workers, workers)) order = TopologyOrder{};  // that run is over
   if (order.kill && request.change != TopologyChange::kill)
     throw config::Error("topology " + request.topology + " is being killed");
   order.revision = last + 1;
   order.epoch = lead.epoch;
+  order.given_ms = std::max(config::system_clock().wall_ms(), last_given);
   switch (request.change) {
     case TopologyChange::activate:
       order.active = true;
@@ -141,10 +143,11 @@ TopologyOrder TopologyService::write_order(const TopologyRequest& request, const
     const auto node = desk_.registry.get(path);
     const TopologyOrder order = changed_order(node, request, workers, lead, wait);
     try {
+      const std::string bytes = desk_.book.sealed(path, discovery::encode(order));
       if (node) {
-        desk_.registry.set(path, discovery::encode(order), node->version, lead.fence);
+        desk_.registry.set(path, bytes, node->version, lead.fence);
       } else {
-        desk_.registry.create(path, discovery::encode(order), true, lead.fence);
+        desk_.registry.create(path, bytes, true, lead.fence);
       }
       return order;
     } catch (const RegistryError& e) {

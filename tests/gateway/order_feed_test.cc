@@ -13,6 +13,8 @@
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/security/certificates.h>
+#include <iotcloud/tests/security/signer.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -92,7 +94,10 @@ class ToldRegistry final : public discovery::Registry {
 
 class OrderFeedTest : public testing::Test {
  protected:
-  OrderFeedTest() { registry_.nodes[list_] = Node{.data = "", .version = 0, .created = ++created_}; }
+  explicit OrderFeedTest(std::shared_ptr<const security::TrustedKeys> masters = nullptr)
+      : masters_(std::move(masters)) {
+    registry_.nodes[list_] = Node{.data = "", .version = 0, .created = ++created_};
+  }
   ~OrderFeedTest() override {
     on_loop([this] { feed_.stop(); });
   }
@@ -142,6 +147,7 @@ class OrderFeedTest : public testing::Test {
   }
 
   static constexpr auto pause = 200ms;  ///< how long an order must be gone
+  const std::shared_ptr<const security::TrustedKeys> masters_;
   tests::HandClock clock_;
   const discovery::Paths paths_;
   const std::string list_ = paths_.orders("gw"_gateway);
@@ -167,7 +173,8 @@ class OrderFeedTest : public testing::Test {
                      }
                      return without;
                    },
-                   [this] { heard_.push_back("frozen"); }, [] {}}};
+                   [this] { heard_.push_back("frozen"); }, [] {}},
+                  masters_};
 };
 
 TEST_F(OrderFeedTest, AnOrderThatGoesBeforeTheListOfNamesWasToldWithItIsTakenBack) {
@@ -195,6 +202,54 @@ TEST_F(OrderFeedTest, AnOrderThatGoesWithItsNameIsTakenBackBeforeItsNodeSaysSo) 
   registry_.tell_names(Names{});
   registry_.tell_node.at(path("a"))(std::nullopt);
   EXPECT_THAT(heard_soon(), ElementsAre("gone a"));
+}
+
+/// The key of a master in a folder of its own, and those who trust it.
+struct MasterKey {
+  const security::test::Folder folder;
+  const security::test::Signer signer{folder / "", "master"};
+  std::shared_ptr<const security::TrustedKeys> trust() const {
+    security::TrustedKeys::Options options;
+    options.require_signature = true;
+    options.trusted_keys = {signer.public_file()};
+    return std::make_shared<security::TrustedKeys>(options);
+  }
+};
+
+class KeyedOrderFeed : private MasterKey, public OrderFeedTest {
+ protected:
+  KeyedOrderFeed() : OrderFeedTest(trust()) {}
+  const std::string removal_ = paths_.removal("gw"_gateway, "a"_instance);
+  Node removed() {
+    const std::string bytes = encode(discovery::OrderRemoval{"a"_instance, 1, clock_.wall_ms()});
+    return Node{.data = security::sign_object(signer.key(), removal_, bytes), .version = 0, .created = ++created_};
+  }
+};
+
+TEST_F(KeyedOrderFeed, KeepsWhatRanWhenItsOrderWasRemovedBeforeTheStartUntilAMasterSaysSo) {
+  present_ = recorded_ = {"a"_instance};
+  feed_.start();
+  registry_.tell_names(Names{});
+  EXPECT_THAT(heard(), ElementsAre("first 1"));
+  EXPECT_THAT(feed_.refused(), testing::HasSubstr("the removal of the order for a"));
+  EXPECT_THAT(heard_after(10s), ElementsAre());
+  on_loop([&] {
+    registry_.nodes[paths_.removals("gw"_gateway)] = Node{};
+    registry_.nodes[removal_] = removed();
+  });
+  registry_.tell_node.at(removal_)(registry_.nodes.at(removal_));
+  EXPECT_THAT(heard_soon(), ElementsAre("gone a"));
+  EXPECT_EQ(feed_.refused(), "");
+  EXPECT_FALSE(registry_.nodes.contains(removal_));
+}
+
+TEST_F(KeyedOrderFeed, TakesARemovalFromBeforeTheStart) {
+  present_ = recorded_ = {"a"_instance};
+  registry_.nodes[removal_] = removed();
+  feed_.start();
+  registry_.tell_names(Names{});
+  EXPECT_THAT(heard(), ElementsAre("first 0"));
+  EXPECT_EQ(feed_.refused(), "");
 }
 
 /// A feed that follows the order of an instance "a", which runs and has its record.

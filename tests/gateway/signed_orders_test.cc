@@ -1,37 +1,19 @@
 // A gateway that knows its masters' keys, and somebody else who can write to the registry.
 #include <gmock/gmock.h>
 
+#include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/security/signed_object.h>
-#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 #include <iotcloud/tests/security/certificates.h>
+#include <iotcloud/tests/security/signer.h>
 
 namespace iotcloud::gateway {
 namespace {
 
 using discovery::DriverState;
+using security::test::Signer;
 using ::testing::HasSubstr;
-
-/// A key pair in a folder: NAME.key and NAME.pub.
-class Signer {
- public:
-  Signer(const std::string& folder, const std::string& name)
-      : open_(tests::write_file(folder + name + ".pub", pair_.public_pem)),
-        key_(private_file(folder + name + ".key", pair_.private_pem)) {}
-  const std::string& public_file() const { return open_; }
-  const security::ObjectSigner& key() const { return key_; }
-
- private:
-  static std::string private_file(const std::string& path, const std::string& pem) {
-    tests::write_file(path, pem);
-    std::filesystem::permissions(path, std::filesystem::perms::owner_read);
-    return path;
-  }
-  const security::KeyPair pair_ = security::new_key_pair();
-  const std::string open_;
-  const security::ObjectSigner key_;
-};
 
 class SignedOrders : public GatewayFixture {
  protected:
@@ -53,10 +35,25 @@ class SignedOrders : public GatewayFixture {
   void give_signed(const discovery::OrderRecord& order) {
     write(order.instance, security::sign_object(master_.key(), place(order.instance), encode(order)));
   }
+  discovery::OrderRecord given(const std::string& instance, std::int64_t later_ms = 0) const {
+    auto given = order(instance);
+    given.given_ms = start_ms_ + later_ms;
+    return given;
+  }
+  std::string removal_place(const std::string& instance, const std::string& gateway = "gw") const {
+    return paths_.removal(discovery::GatewayId(gateway), discovery::InstanceId(instance));
+  }
+  static std::string removal(const std::string& instance, std::int64_t given_ms) {
+    return encode(discovery::OrderRemoval{discovery::InstanceId(instance), 1, given_ms});
+  }
+  bool refuses(double count, const std::string& what) {
+    return eventually([&] { return refusals() >= count && gateway_->trouble().find(what) != std::string::npos; });
+  }
   static double refusals() {
     return static_cast<double>(config::process_metrics().counter("iotcloud_gateway_orders_refused_total", "").value());
   }
 
+  const std::int64_t start_ms_ = config::system_clock().wall_ms();
   const security::test::Folder folder_;
   const Signer master_{folder_ / "", "master"};
   const Signer thief_{folder_ / "", "thief"};
@@ -64,14 +61,14 @@ class SignedOrders : public GatewayFixture {
 
 TEST_F(SignedOrders, OfATrustedMasterAreFollowedAndOthersAreRefusedSaidAndCounted) {
   const auto before = refusals();
-  const std::string good = security::sign_object(master_.key(), place("a"), encode(order("a")));
+  const std::string good = security::sign_object(master_.key(), place("a"), encode(given("a")));
   std::string tampered = good;
   tampered.replace(tampered.find("probe.so"), 8, "other.so");
   const std::vector<std::string> forged{
-      encode(order("a")),
-      security::sign_object(thief_.key(), place("a"), encode(order("a"))),
-      security::sign_object(master_.key(), place("a", "gw2"), encode(order("a"))),
-      security::sign_object(master_.key(), place("b"), encode(order("a"))),
+      encode(given("a")),
+      security::sign_object(thief_.key(), place("a"), encode(given("a"))),
+      security::sign_object(master_.key(), place("a", "gw2"), encode(given("a"))),
+      security::sign_object(master_.key(), place("b"), encode(given("a"))),
       tampered,
       good + " ",
       "{}",
@@ -94,10 +91,10 @@ TEST_F(SignedOrders, OfATrustedMasterAreFollowedAndOthersAreRefusedSaidAndCounte
 }
 
 TEST_F(SignedOrders, ThatAreRefusedChangeNothingOfWhatRuns) {
-  give_signed(order("a"));
+  give_signed(given("a"));
   ASSERT_TRUE(comes_to("a", DriverState::active));
   const auto before = refusals();
-  auto changed = order("a");
+  auto changed = given("a");
   changed.plugin = "other.so";
   changed.epoch = 1000;
   give(changed);
@@ -105,24 +102,91 @@ TEST_F(SignedOrders, ThatAreRefusedChangeNothingOfWhatRuns) {
   EXPECT_EQ(record("a")->plugin, "probe.so");
   EXPECT_EQ(record("a")->state, DriverState::active);
   EXPECT_EQ(gateway_->epoch(), 1) << "nor does a forged epoch keep the masters' next order away";
-  auto stop = order("a");
+  auto stop = given("a", 1);
   stop.active = false;
   give_signed(stop);
   EXPECT_TRUE(comes_to("a", DriverState::inactive));
 }
 
 TEST_F(SignedOrders, OfAnEarlierEpochAreOutOfDate) {
-  auto late = order("a");
+  auto late = given("a");
   late.epoch = 7;
   give_signed(late);
   ASSERT_TRUE(comes_to("a", DriverState::active));
-  auto replayed = order("b");
+  auto replayed = given("b");
   replayed.epoch = 6;
   give_signed(replayed);
   late.active = false;
   give_signed(late);
   ASSERT_TRUE(comes_to("a", DriverState::inactive));
   EXPECT_FALSE(record("b"));
+}
+
+TEST_F(SignedOrders, ThatWereGivenBeforeTheLastOneOrBeforeTheStartAreOutOfDate) {
+  const auto first = given("a");
+  auto stop = given("a", 10);
+  stop.active = false;
+  give_signed(first);
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  give_signed(stop);
+  ASSERT_TRUE(comes_to("a", DriverState::inactive));
+  auto before = refusals();
+  give_signed(first);
+  EXPECT_TRUE(refuses(before + 1, "the order for a, which is out of date"));
+  EXPECT_EQ(record("a")->state, DriverState::inactive);
+  before = refusals();
+  give_signed(given("b", -std::chrono::milliseconds(std::chrono::hours(24)).count()));
+  EXPECT_TRUE(refuses(before + 1, "is out of date"));
+  EXPECT_FALSE(record("b"));
+}
+
+TEST_F(SignedOrders, TheirRemovalNeedsASignatureToo) {
+  give_signed(given("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  const auto since = record("a")->since_ms;
+  const std::string good = removal("a", start_ms_ + 1);
+  const std::vector<std::string> forged{
+      "",
+      good,
+      security::sign_object(thief_.key(), removal_place("a"), good),
+      security::sign_object(master_.key(), removal_place("a", "gw2"), good),
+      security::sign_object(master_.key(), removal_place("a"), removal("b", start_ms_ + 1)),
+      security::sign_object(master_.key(), removal_place("a"), removal("a", start_ms_)),  // of an earlier deployment
+      security::sign_object(master_.key(), place("a"), encode(given("a"))),
+  };
+  for (const auto& bytes : forged) {
+    const auto before = refusals();
+    discovery::put(*registry_, removal_place("a"), bytes);
+    take_back("a");
+    EXPECT_TRUE(refuses(before + 1, "the removal of the order for a, which no trusted master has signed")) << bytes;
+    give_signed(given("a"));
+    EXPECT_TRUE(eventually([&] { return gateway_->trouble().empty(); })) << gateway_->trouble();
+  }
+  EXPECT_EQ(record("a")->state, DriverState::active);
+  EXPECT_EQ(record("a")->since_ms, since) << "it ran on all the time";
+
+  discovery::put(*registry_, removal_place("a"), security::sign_object(master_.key(), removal_place("a"), good));
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return !record("a"); }));
+  EXPECT_TRUE(eventually([&] { return !registry_->get(removal_place("a")); })) << "it was followed";
+  EXPECT_EQ(gateway_->trouble(), "");
+  const auto before = refusals();
+  give_signed(given("a"));
+  EXPECT_TRUE(refuses(before + 1, "the order for a, which is out of date"));
+  EXPECT_FALSE(record("a"));
+}
+
+TEST_F(SignedOrders, AMasterMayEndWhatSomebodyElseRemoved) {
+  give_signed(given("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  const auto before = refusals();
+  discovery::put(*registry_, removal_place("a"), "forged");
+  take_back("a");
+  ASSERT_TRUE(refuses(before + 1, "the removal of the order for a"));
+  discovery::put(*registry_, removal_place("a"),
+                 security::sign_object(master_.key(), removal_place("a"), removal("a", start_ms_ + 1)));
+  EXPECT_TRUE(eventually([&] { return !record("a"); }));
+  EXPECT_TRUE(eventually([&] { return gateway_->trouble().empty(); })) << gateway_->trouble();
 }
 
 }  // namespace

@@ -214,6 +214,46 @@ TEST(BackupFile, IsCutIntoPiecesThatHaveAllOfIt) {
   EXPECT_THAT(pieces_of({}, 2500), IsEmpty());
 }
 
+/// A seal that every reader of JSON passes over.
+std::string seal(const std::string& path, const std::string& bytes) {
+  return bytes.substr(0, bytes.size() - 1) + R"(,"signature":")" + path + "\"}";
+}
+
+TEST(MasterSeal, OrdersToTopologiesHaveItToo) {
+  auto options = TestMaster::quick();
+  options.seal = seal;
+  TestMaster master(test::fresh_registry_url(), options);
+  ASSERT_TRUE(master.leads());
+  const discovery::Paths paths;
+  const auto path = paths.topology_order("t"_topology);
+  auto& registry = master.registry();
+  const auto standing = [&] { return registry.get(path).value(); };
+  TopologyOrder unsealed;
+  unsealed.revision = 3;
+  discovery::put(registry, paths.topology("t"_topology), encode(discovery::TopologyRecord{"t"_topology, 0, {}, {}}));
+  discovery::put(registry, path, encode(unsealed));
+
+  const auto import = [&](bool replace) {
+    ImportRequest request{master->backup(), replace};
+    return master->give("import", discovery::to_json<nlohmann::json>(request).dump()).result;
+  };
+  EXPECT_TRUE(import(false).all_done());
+  EXPECT_EQ(standing().data, encode(unsealed)) << "what stands there is taken over only if a person says so";
+  EXPECT_TRUE(import(true).all_done());
+  EXPECT_THAT(standing().data, testing::EndsWith(R"(,"signature":")" + path + "\"}"));
+
+  TopologyRequest request;
+  request.topology = "t"_topology;
+  request.change = TopologyChange::deactivate;
+  const auto before = discovery::decode_topology_order(standing().data, path);
+  ASSERT_TRUE(master->order(request).all_done());
+  EXPECT_THAT(standing().data, testing::EndsWith(R"(,"signature":")" + path + "\"}"));
+  const auto order = discovery::decode_topology_order(standing().data, path);
+  EXPECT_FALSE(order.active);
+  EXPECT_GE(order.given_ms, before.given_ms);
+  EXPECT_GT(before.given_ms, 0);
+}
+
 TEST(MasterSeal, EveryOrderIsWrittenWithItsSealAlsoWhenItIsChangedOrImported) {
   const std::string url = test::fresh_registry_url();
   const auto registry = test::open_registry(url);
@@ -232,10 +272,7 @@ TEST(MasterSeal, EveryOrderIsWrittenWithItsSealAlsoWhenItIsChangedOrImported) {
     first = paths.order("lab1"_gateway, backup.gateways.at(0).orders.at(0).instance);
   }
   auto options = TestMaster::quick();
-  // A seal that every reader of JSON passes over.
-  options.seal = [](const std::string& path, const std::string& bytes) {
-    return bytes.substr(0, bytes.size() - 1) + R"(,"signature":")" + path + "\"}";
-  };
+  options.seal = seal;
   TestMaster master(url, options);
   ASSERT_TRUE(master.leads());
   FakeGateway gateway(url, "lab1");
@@ -262,6 +299,15 @@ TEST(MasterSeal, EveryOrderIsWrittenWithItsSealAlsoWhenItIsChangedOrImported) {
   ASSERT_TRUE(master->stop(stop).all_done());
   EXPECT_TRUE(is_sealed(second));
   EXPECT_EQ(standing(second).find("signature"), standing(second).rfind("signature")) << "one seal, not two";
+
+  const auto order = discovery::decode_order(standing(second), second);
+  EXPECT_GT(order.given_ms, 0);
+  ASSERT_TRUE(master->undeploy(stop).all_done());
+  const auto removed = paths.removal("lab1"_gateway, order.instance);
+  EXPECT_TRUE(is_sealed(removed));
+  const auto removal = discovery::decode_removal(standing(removed), removed);
+  EXPECT_EQ(removal.instance, order.instance);
+  EXPECT_GT(removal.given_ms, order.given_ms);
 }
 
 }  // namespace

@@ -284,6 +284,7 @@ TopologyDefinition read(Section root, const std::string& file) {
                                 .name = {},
                                 .registry = {},
                                 .zk_root = {},
+                                .order_keys = {},
                                 .worker_scope = false,
                                 .libraries = {},
                                 .brokers = {},
@@ -303,6 +304,7 @@ TopologyDefinition read(Section root, const std::string& file) {
       throw root.error("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
     }
   });
+  parts.read_top([&] { definition.order_keys = root.strings_or("orders.trusted_keys", {}); });
   parts.read_top([&] { definition.worker_scope = root.choice_or("topology.scope", "", {"worker"}) == "worker"; });
   parts.read_top([&] { definition.libraries = root.strings_or("topology.library", {}); });
   parts.read([&] { definition.brokers = read_brokers(root, definition.registry.session_timeout); });

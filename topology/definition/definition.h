@@ -139,6 +139,7 @@ struct TopologyDefinition {
   discovery::TopologyName name;
   discovery::RegistryOptions registry;  ///< URL from `registry` or zk.servers; empty: the file names none
   std::string zk_root;                  ///< zk.root
+  std::vector<std::string> order_keys;  ///< orders.trusted_keys: files or folders; empty: orders need no signature
   bool worker_scope = false;            ///< `topology.scope: worker` sets worker_scope of all bolts
   std::vector<std::string> libraries;
   std::map<std::string, brokers::BrokerOptions> brokers;  ///< by logical name; URLs here override those of the gateways

@@ -5,6 +5,7 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/security/signed_object.h>
 #include <iotcloud/topology/worker/control.h>
 #include <iotcloud/topology/worker/left_behind.h>
 
@@ -23,6 +24,9 @@ namespace {
 const config::Logger control_logger{"topology.control"};
 /// How often a drain checks whether it is done.
 constexpr milliseconds drain_pause{5};
+/// How far the clocks of a master and a worker may differ. What is ordered while a worker runs was given after its
+/// start, less this.
+constexpr milliseconds clocks_differ = std::chrono::minutes(10);
 
 std::map<std::string, int> parallelism_of(const Topology& topology) {
   std::map<std::string, int> parallelism;
@@ -147,6 +151,9 @@ void WorkerControl::follow(const std::optional<Node>& node, const std::stop_toke
       return;
     }
   }
+  if (const std::string why = node ? objection(*node, order) : ""; !why.empty()) return refuse(why);
+  const std::int64_t start = options_.worker.since_ms - clocks_differ.count();
+  oldest_ = std::max(oldest_, node ? order.given_ms : start);
   if (const auto followed = record().revision; order.revision < followed) {
     return stay(node ? fmt::format("the registry was put back to order {}", order.revision)
                      : "the registry was emptied: there is no order");
@@ -197,6 +204,35 @@ void WorkerControl::follow(const TopologyOrder& order) {
   for (auto& [component, shape] : record_.components) {
     const auto now = after.parallelism.find(component);
     if (now != after.parallelism.end()) shape.parallelism = now->second;
+  }
+}
+
+/// \return why an order that stands in the registry is none of a master now; empty: it is one.
+std::string WorkerControl::objection(const Node& node, const TopologyOrder& order) const {
+  if (!options_.masters) return "";
+  if (security::signer_of_object(*options_.masters, order_path_, node.data).empty())
+    return "no trusted master has signed it for this topology";
+  if (order.given_ms >= oldest_) return "";
+  return "a master has signed it, but it is out of date: it was given before what was ordered last";
+}
+
+/// Somebody else than a master wrote an order, or an old one once more.
+void WorkerControl::refuse(const std::string& why) {
+  if (!spouts_activated_) follow(TopologyOrder{});
+  options_.services->metrics
+      ->counter("iotcloud_topology_orders_refused_total", "Orders to this topology that no trusted master gave now")
+      .add();
+  const config::MutexLock lock(mutex_);
+  if (killed_by_) return;
+  record_.error = fmt::format("an order is refused: {}; this worker stays {}", why, record_.state);
+  control_logger.error("topology {}: {}", options_.topology.name, record_.error);
+}
+
+void WorkerControl::read_again() {
+  try {
+    on_order(registry_.get(order_path_));
+  } catch (const RegistryError& error) {
+    control_logger.debug("the order is read when the registry answers: {}", error.what());
   }
 }
 

@@ -1,7 +1,10 @@
 #pragma once
 
+#include <cstdint>
 #include <functional>
+#include <limits>
 #include <map>
+#include <memory>
 #include <optional>
 #include <stop_token>
 #include <string>
@@ -10,13 +13,17 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/security/trusted_keys.h>
 #include <iotcloud/topology/endpoints/services.h>
 #include <iotcloud/topology/runtime/runtime.h>
 
 namespace iotcloud::topology {
 
 /// A worker's part in the registry: keeps the record that shows that the worker lives and what it does, and carries out
-/// the topology's orders (discovery::TopologyOrder). Thread safe.
+/// the topology's orders (discovery::TopologyOrder). With the keys of masters it follows only what one of them has
+/// signed (security/signed_object.h) for this topology, and no order that was given before the last one: a refused
+/// order changes nothing, is logged, counted (iotcloud_topology_orders_refused_total) and told by the worker's record.
+/// Thread safe.
 class WorkerControl {
  public:
   struct Options {
@@ -30,6 +37,7 @@ class WorkerControl {
     std::function<void()> on_killed;
     /// How long spouts wait at the start for a registry that does not answer.
     std::chrono::milliseconds patience{2000};
+    std::shared_ptr<const security::TrustedKeys> masters{};  ///< null: orders need no signature
   };
   explicit WorkerControl(Options options);
   /// Writes the worker's record and begins to follow orders. Call it once.
@@ -41,6 +49,8 @@ class WorkerControl {
   void end();
   /// Removes the worker's record. The last worker also removes the topology's records, except orders.
   void leave();
+  /// Reads the order once more, because other keys are trusted now.
+  void read_again();
   discovery::WorkerRecord record() const;
   /// Shows in the worker's record what it cannot do now; empty: nothing is known.
   void show_trouble(const std::string& trouble);
@@ -51,6 +61,8 @@ class WorkerControl {
   void follow(const std::optional<discovery::Node>& node, const std::stop_token& stop);
   void follow(const discovery::TopologyOrder& order);
   void stay(const std::string& why);
+  std::string objection(const discovery::Node& node, const discovery::TopologyOrder& order) const;
+  void refuse(const std::string& why);
   void be_killed(const discovery::TopologyOrder& order, const std::stop_token& stop);
   std::string drain(std::chrono::milliseconds limit, const std::stop_token& stop);
   void forget_old_kill(const discovery::TopologyOrder& order, std::int64_t version);
@@ -72,6 +84,8 @@ class WorkerControl {
   std::optional<discovery::TopologyKill> killed_by_ IOTCLOUD_GUARDED_BY(mutex_);
 
   bool spouts_activated_ = false;  ///< the spouts were activated; only thread_ uses it
+  /// Signed orders that were given before this (wall time) are not followed; only thread_ uses it.
+  std::int64_t oldest_ = std::numeric_limits<std::int64_t>::min();
 
   discovery::GuardPtr membership_, orders_, sessions_;
   std::jthread thread_;  ///< last, because it uses the other members

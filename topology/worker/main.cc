@@ -44,7 +44,10 @@ class WorkerService final : public config::Service {
     started_ = true;
   }
   void stop(std::chrono::milliseconds limit) override { worker_.stop(limit); }
-  void reload() override { pages_->reload(); }
+  void reload() override {
+    worker_.reload();
+    pages_->reload();
+  }
   std::string trouble() const override { return started_ ? worker_.trouble() : "starting"; }
 
  private:

@@ -9,6 +9,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/security/trusted_keys.h>
 #include <iotcloud/topology/definition/describe.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
 #include <iotcloud/topology/worker/check.h>
@@ -85,11 +86,23 @@ struct Worker::Impl {
     services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
     watch.emplace(links_of(services->brokers), *services->clock, *services->metrics,
                   config::Labels{{"topology", services->topology.str()}});
+    if (!definition.order_keys.empty()) trust_masters(definition);
     topology = assemble(definition, options.components, endpoint_factories(services));
     services->keepers = keepers_by_spout(topology);
     if (options.registry == nullptr && definition.registry.url.empty()) {
       throw definition.root.error("", "the key \"zk.servers\" is missing",
                                   "add \"zk.servers: [\\\"host:2181\\\"]\", or \"registry: embedded://NAME\"");
+    }
+  }
+
+  void trust_masters(const TopologyDefinition& definition) {
+    security::TrustedKeys::Options trust;
+    trust.require_signature = true;
+    trust.trusted_keys = definition.order_keys;
+    try {
+      masters = std::make_shared<security::TrustedKeys>(trust);
+    } catch (const config::Error& error) {
+      throw definition.root.error("orders.trusted_keys", error.what(), "name the masters' public keys");
     }
   }
 
@@ -181,6 +194,7 @@ struct Worker::Impl {
     control_options.worker.pid = getpid();
     control_options.worker.http = http_address;
     control_options.worker.since_ms = control_options.topology.since_ms;
+    control_options.masters = masters;
     control_options.on_killed = [this] {
       finish(after_drain);
       if (options.on_killed) options.on_killed();
@@ -214,6 +228,7 @@ struct Worker::Impl {
 
   WorkerOptions options;
   const EndpointServicesPtr services;
+  std::shared_ptr<security::TrustedKeys> masters;  ///< whose orders are followed; null: orders need no signature
   Topology topology;
   std::optional<BrokerWatch> watch;
   std::chrono::milliseconds standstill{0};  ///< the fence's limit; 0: no fence
@@ -253,6 +268,12 @@ std::string Worker::trouble() const {
   if (impl_->options.registry->session() != discovery::SessionState::connected)
     text = "the registry is away" + (text.empty() ? "" : "; " + text);
   return text;
+}
+
+void Worker::reload() {
+  if (!impl_->masters) return;
+  impl_->masters->reload();
+  if (impl_->control) impl_->control->read_again();
 }
 
 void Worker::show_http_address(std::string address) {

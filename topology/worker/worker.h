@@ -54,6 +54,8 @@ class Worker final : public config::Service {
   /// Takes no more messages, waits until the tuples under way are done, and leaves the registry, within `limit`.
   void stop(std::chrono::milliseconds limit) override;
   std::string trouble() const override;
+  /// Reads the masters' keys again. \throws config::Error, and then nothing changes.
+  void reload() override;
 
   /// Call it before start(): sets the address of this worker's pages, for its record. \param address "127.0.0.1:port"
   void show_http_address(std::string address);

@@ -7,6 +7,8 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/security/certificates.h>
+#include <iotcloud/tests/security/signer.h>
 #include <iotcloud/tests/topology/workshop.h>
 #include <iotcloud/topology/worker/control.h>
 
@@ -69,6 +71,8 @@ class WorkerControlTest : public testing::Test {
     control.topology.name = "t"_topology;
     control.worker.name = "w1";
     control.worker.http = "127.0.0.1:1";
+    control.worker.since_ms = config::system_clock().wall_ms();
+    control.masters = masters_;
     control.patience = patience;
     control.on_killed = [this] {
       ++killed_;
@@ -133,6 +137,7 @@ class WorkerControlTest : public testing::Test {
   config::Metrics metrics_;
   std::shared_ptr<discovery::embedded::RegistryServer> server_;
   std::unique_ptr<discovery::Registry> registry_, watcher_;
+  std::shared_ptr<const security::TrustedKeys> masters_;
   std::shared_ptr<Source> source_ = std::make_shared<Source>();
   std::mutex mutex_;
   bool keep_ = false;                     ///< guarded by mutex_: tuples are not acked
@@ -301,6 +306,89 @@ TEST_F(WorkerControlTest, WhatIsOrderedOutlivesTheLastWorkerThatStops) {
   ASSERT_TRUE(says("active", 0));
   control_.reset();
   EXPECT_FALSE(watcher_->get(paths_.topology("t"_topology))) << "nothing was ordered: nothing stays";
+}
+
+/// A worker that knows its masters' keys, and somebody else who can write to the registry.
+class SignedTopologyOrders : public WorkerControlTest {
+ protected:
+  SignedTopologyOrders() {
+    security::TrustedKeys::Options trust;
+    trust.require_signature = true;
+    trust.trusted_keys = {master_.public_file()};
+    masters_ = std::make_shared<security::TrustedKeys>(trust);
+  }
+  std::string place() const { return paths_.topology_order("t"_topology); }
+  void write(const std::string& bytes) { discovery::put(*watcher_, place(), bytes); }
+  std::string signed_by(const security::test::Signer& key, const TopologyOrder& order) const {
+    return security::sign_object(key.key(), place(), encode(order));
+  }
+  /// An order that is given now, so many milliseconds later than that.
+  static TopologyOrder given(std::int64_t revision, bool active, std::int64_t later_ms = 0) {
+    TopologyOrder order = numbered(revision, active);
+    order.given_ms = config::system_clock().wall_ms() + later_ms;
+    return order;
+  }
+  double refusals() {
+    return static_cast<double>(metrics_.counter("iotcloud_topology_orders_refused_total", "").value());
+  }
+  bool refuses(double count, const std::string& why) {
+    return eventually([&] { return refusals() >= count && told().error.find(why) != std::string::npos; });
+  }
+
+  const security::test::Folder folder_;
+  const security::test::Signer master_{folder_ / "", "master"};
+  const security::test::Signer thief_{folder_ / "", "thief"};
+};
+
+TEST_F(SignedTopologyOrders, OfATrustedMasterAreFollowedAndOthersAreRefusedSaidAndCounted) {
+  start();
+  ASSERT_TRUE(says("active", 0));
+  auto kill = given(1, true);
+  kill.kill = {{"w1"}, 20'000, config::system_clock().wall_ms() + 60'000};
+  const std::string good = signed_by(master_, given(1, false));
+  std::string tampered = good;
+  tampered.replace(tampered.find("\"revision\":1"), 12, "\"revision\":2");
+  double count = 0;
+  for (const auto& forged :
+       {encode(given(1, false)), encode(kill), signed_by(thief_, given(1, false)), tampered,
+        security::sign_object(master_.key(), paths_.topology_order("u"_topology), encode(given(1, false)))}) {
+    write(forged);
+    EXPECT_TRUE(refuses(++count, "no trusted master has signed it for this topology; this worker stays active"))
+        << forged;
+  }
+  EXPECT_TRUE(runtime_->snapshot().active);
+  EXPECT_EQ(killed_, 0);
+  write(good);
+  EXPECT_TRUE(says("inactive", 1));
+  EXPECT_EQ(told().error, "");
+  EXPECT_EQ(refusals(), count);
+}
+
+TEST_F(SignedTopologyOrders, ThatWereGivenBeforeTheLastOneAreOutOfDate) {
+  start();
+  ASSERT_TRUE(says("active", 0));
+  const auto long_ago = -std::chrono::milliseconds(24h).count();
+  write(signed_by(master_, given(9, false, long_ago)));  // of an earlier run of this topology
+  EXPECT_TRUE(refuses(1, "out of date"));
+  EXPECT_TRUE(runtime_->snapshot().active);
+  write(signed_by(master_, given(1, true)));
+  ASSERT_TRUE(says("active", 1));
+  write(signed_by(master_, given(9, false, -1000)));
+  EXPECT_TRUE(refuses(2, "out of date"));
+  EXPECT_TRUE(runtime_->snapshot().active);
+  watcher_->remove(place());
+  EXPECT_TRUE(eventually([&] { return told().error.find("there is no order") != std::string::npos; }));
+  write(signed_by(master_, given(2, false)));
+  EXPECT_TRUE(says("inactive", 2));
+}
+
+TEST_F(SignedTopologyOrders, FromBeforeAWorkersStartAreFollowedWhenItStarts) {
+  write(signed_by(master_, given(3, false, -std::chrono::milliseconds(24h).count())));
+  start();
+  ASSERT_TRUE(says("inactive", 3));
+  control_->read_again();
+  EXPECT_TRUE(says("inactive", 3));
+  EXPECT_EQ(refusals(), 0);
 }
 
 }  // namespace
