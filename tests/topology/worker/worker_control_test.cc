@@ -328,7 +328,9 @@ class SignedTopologyOrders : public WorkerControlTest {
     order.given_ms = config::system_clock().wall_ms() + later_ms;
     return order;
   }
-  double refusals() { return metrics_.counter("iotcloud_topology_orders_refused_total", "").value(); }
+  double refusals() {
+    return static_cast<double>(metrics_.counter("iotcloud_topology_orders_refused_total", "").value());
+  }
   bool refuses(double count, const std::string& why) {
     return eventually([&] { return refusals() >= count && told().error.find(why) != std::string::npos; });
   }
