@@ -37,7 +37,7 @@ FROM ${BINARIES} AS binaries
 FROM ${BASE} AS libraries
 RUN find /usr/lib/*-linux-gnu -maxdepth 1 -name '*.so*' | sort >/before
 RUN apt-get update && apt-get install -y --no-install-recommends \
-      libfmt9 libfreenect0.5 libpng16-16 libprometheus-cpp-core1.0 libqpid-proton11 librabbitmq4 librdkafka1 \
+      libboost-regex1.74.0 libfmt9 libfreenect0.5 libpng16-16 libprometheus-cpp-core1.0 libqpid-proton11 librabbitmq4 librdkafka1 \
       librosconsole3d libroscpp4d libroscpp-serialization0d librostime1d libsasl2-modules libseccomp2 libsnappy1v5 \
       libspdlog1.10 libssl3 libstdc++6 libsystemd0 libthrift-0.17.0 libyaml-cpp0.7 libzookeeper-mt2 stunnel4 zlib1g
 COPY --from=binaries /out /out
