@@ -5,7 +5,7 @@ include(GNUInstallDirs)
 
 get_property(sdk_targets GLOBAL PROPERTY IOTCLOUD_SDK_TARGETS)
 add_custom_target(installed)  # all that is installed, and no test
-add_dependencies(installed programs ${sdk_targets})
+add_dependencies(installed programs sample_recording ${sdk_targets})
 install(TARGETS ${sdk_targets} EXPORT iotcloudTargets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
   FILE_SET HEADERS DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}

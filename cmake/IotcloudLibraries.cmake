@@ -29,7 +29,7 @@ find_program(THRIFT_COMPILER thrift REQUIRED)
 
 find_path(ZOOKEEPER_INCLUDE_DIR zookeeper/zookeeper.h REQUIRED)
 find_library(ZOOKEEPER_LIBRARY zookeeper_mt REQUIRED)
-add_library(zookeeper_mt INTERFACE)
+add_library(zookeeper_mt INTERFACE IMPORTED)
 target_include_directories(zookeeper_mt SYSTEM INTERFACE ${ZOOKEEPER_INCLUDE_DIR})
 target_compile_definitions(zookeeper_mt INTERFACE THREADED)
 target_link_libraries(zookeeper_mt INTERFACE ${ZOOKEEPER_LIBRARY} Threads::Threads)

@@ -37,7 +37,7 @@ endfunction()
 # A room, or a part of one: a static library `iotcloud_<name>`, exported as `iotcloud::<name>`.
 #   iotcloud_room(NAME brokers [HOT] [COMPUTES] SOURCES a.cc HEADERS a.h USES config LIBRARIES ... PRIVATE_LIBRARIES ...
 #                 [INSTALL])
-# HEADERS are the public headers. INSTALL: authors of drivers, spouts and bolts link it. HOT: messages pass through it.
+# HEADERS are the public headers. INSTALL: authors of drivers, spouts and bolts link it, or their tests do. HOT: messages pass through it.
 # COMPUTES: sanitized builds optimize it too.
 function(iotcloud_room)
   cmake_parse_arguments(arg "HOT;COMPUTES;INSTALL" "NAME" "SOURCES;HEADERS;USES;LIBRARIES;PRIVATE_LIBRARIES" ${ARGN})
@@ -121,10 +121,10 @@ function(iotcloud_benchmark)
 endfunction()
 
 # Compiles one Thrift file of a room into the static library `iotcloud_<name>`, private to the targets that link it.
-#   iotcloud_thrift(NAME records_idl FILE records.thrift SERVICES TMasterService USES other_idl)
+#   iotcloud_thrift(NAME records_idl FILE records.thrift SERVICES TMasterService USES other_idl [INSTALL])
 # Include its headers as "iotcloud/<room>/<file>_types.h".
 function(iotcloud_thrift)
-  cmake_parse_arguments(arg "" "NAME;FILE" "SERVICES;USES" ${ARGN})
+  cmake_parse_arguments(arg "INSTALL" "NAME;FILE" "SERVICES;USES" ${ARGN})
   file(RELATIVE_PATH here ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
   get_filename_component(stem ${arg_FILE} NAME_WE)
   set(out ${IOTCLOUD_GENERATED_DIR}/iotcloud/${here})
@@ -146,5 +146,9 @@ function(iotcloud_thrift)
   _iotcloud_unity(iotcloud_${arg_NAME} 12)
   list(TRANSFORM arg_USES PREPEND iotcloud_)
   target_link_libraries(iotcloud_${arg_NAME} PUBLIC PkgConfig::thrift ${arg_USES})
-  target_include_directories(iotcloud_${arg_NAME} SYSTEM PUBLIC ${IOTCLOUD_GENERATED_DIR})
+  target_include_directories(iotcloud_${arg_NAME} SYSTEM PUBLIC $<BUILD_INTERFACE:${IOTCLOUD_GENERATED_DIR}>)
+  if(arg_INSTALL)
+    set_target_properties(iotcloud_${arg_NAME} PROPERTIES EXPORT_NAME ${arg_NAME})
+    set_property(GLOBAL APPEND PROPERTY IOTCLOUD_SDK_TARGETS iotcloud_${arg_NAME})
+  endif()
 endfunction()

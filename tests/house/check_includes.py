@@ -26,6 +26,7 @@ ROOMS = {
 # A part of a room with rules of its own. `None`: everything.
 PARTS = {
     "topology/local": None,
+    "topology/testing": None,
     "topology/runtime": ["config", "brokers"],
 }
 OUTSIDE = ("examples", "tests", "bench")  # users of the rooms
