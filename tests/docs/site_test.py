@@ -23,7 +23,7 @@ class Site(unittest.TestCase):
         subprocess.run([sys.executable, ROOT / "docs/site.py", reference, cls.site], check=True, capture_output=True)
 
     def test_every_document_is_a_page(self):
-        for page in ("index.html", "topology/windows/index.html", "tests/chaos/index.html"):
+        for page in ("index.html", "docs/tutorial.html", "topology/windows/index.html", "tests/chaos/index.html"):
             self.assertTrue((self.site / page).is_file(), page)
 
     def test_the_search_finds_a_page_by_its_words(self):
