@@ -186,6 +186,8 @@ struct SubscriptionOptions {
   /// a group of its own, `<group>#<partition>`; that of partition 0 is `<group>`. nullopt: all partitions of the topic
   /// that this reader gets its share of. Other brokers ignore it.
   std::optional<std::int32_t> partition{};
+  /// What Subscription::raise_prefetch() may raise `prefetch` to; 0: it stays as it is.
+  std::uint16_t prefetch_limit = 0;
 };
 
 /// Reads one topic until destroyed. The destructor returns when no handler runs any more (unless called from the
@@ -196,6 +198,10 @@ class Subscription {
   /// Stop taking (back pressure) and go on. Thread safe; takes effect after the handler that runs.
   virtual void pause() = 0;
   virtual void resume() = 0;
+  /// Lets so many unsettled deliveries be under way from now on, if these are more than before. Thread safe, also
+  /// inside the handler. \return false: the options (`prefetch_limit`) or the broker do not allow so many, and nothing
+  /// changed.
+  virtual bool raise_prefetch(std::uint16_t prefetch) = 0;
   /// True while this one is reading; false while disconnected or while another reader holds the queue exclusively.
   virtual bool active() const = 0;
 };
@@ -231,6 +237,8 @@ class Broker {
   }
   /// Of the connections together: the worst of them.
   virtual ConnectionState state() const = 0;
+  /// Why it is not connected, in words for people; empty: it is, or nothing is known. Thread safe.
+  virtual std::string problem() const { return ""; }
   /// The preferred one of its URLs.
   virtual const std::string& url() const = 0;
 };

@@ -34,4 +34,13 @@ std::shared_ptr<Broker> BrokerPool::get(const BrokerAddress& address, const Brok
   return broker;
 }
 
+std::vector<std::pair<BrokerAddress, std::shared_ptr<Broker>>> BrokerPool::in_use() {
+  std::vector<std::pair<BrokerAddress, std::shared_ptr<Broker>>> brokers;
+  const config::MutexLock lock(mutex_);
+  for (const auto& [address, entry] : brokers_) {
+    if (auto broker = entry.lock()) brokers.emplace_back(address, std::move(broker));
+  }
+  return brokers;
+}
+
 }  // namespace iotcloud::brokers

@@ -3,6 +3,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/brokers/broker.h>
@@ -29,6 +30,8 @@ class BrokerPool {
   /// \param how the options, without URLs, clock and metrics, for a new object.
   /// \throws config::Error for URLs that name no broker.
   std::shared_ptr<Broker> get(const BrokerAddress& address, const BrokerOptions& how);
+  /// Those that somebody uses now.
+  std::vector<std::pair<BrokerAddress, std::shared_ptr<Broker>>> in_use();
 
  private:
   const config::Clock* clock_;

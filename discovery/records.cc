@@ -68,6 +68,7 @@ wire::TSensorState::type to_wire(DriverState state) {
     case DriverState::stopping:
     case DriverState::inactive:
     case DriverState::failed:
+    case DriverState::ordered:
       return wire::TSensorState::DE_ACTIVATE;
     case DriverState::undeployed:
       return wire::TSensorState::UN_DEPLOY;
@@ -123,9 +124,9 @@ std::map<std::string, std::string> metadata_from_json(const std::string& text) {
 }
 
 constexpr std::pair<DriverState, const char*> state_names[] = {
-    {DriverState::deployed, "deployed"},    {DriverState::starting, "starting"}, {DriverState::active, "active"},
-    {DriverState::stopping, "stopping"},    {DriverState::inactive, "inactive"}, {DriverState::failed, "failed"},
-    {DriverState::undeployed, "undeployed"}};
+    {DriverState::deployed, "deployed"},     {DriverState::starting, "starting"}, {DriverState::active, "active"},
+    {DriverState::stopping, "stopping"},     {DriverState::inactive, "inactive"}, {DriverState::failed, "failed"},
+    {DriverState::undeployed, "undeployed"}, {DriverState::ordered, "ordered"}};
 
 }  // namespace
 

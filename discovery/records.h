@@ -13,7 +13,7 @@ namespace iotcloud::discovery {
 
 /// Life of a driver instance. On the wire the original's TSensorState carries the nearest word, field 100 the exact
 /// one.
-enum class DriverState { deployed, starting, active, stopping, inactive, failed, undeployed };
+enum class DriverState { deployed, starting, active, stopping, inactive, failed, undeployed, ordered };
 /// The state's word in records and for people: "active".
 std::string to_string(DriverState state);
 DriverState parse_driver_state(const std::string& name);  ///< \throws config::Error
@@ -237,6 +237,7 @@ struct WorkerRecord {
   std::int64_t revision = 0;  ///< of the last order that the worker followed; 0: none
   std::string error;          ///< what the worker could not do of that order; empty: it did all
   std::int64_t since_ms = 0;  ///< start of the process
+  std::string trouble;        ///< what it cannot do now (a broker is away, say); empty: nothing is known
   std::map<std::string, Component> components;
   static constexpr const char* what = "a worker";
   static constexpr auto fields = std::tuple{
@@ -244,7 +245,7 @@ struct WorkerRecord {
       IOTCLOUD_FIELD(pid, usual),        IOTCLOUD_FIELD(http, usual),
       IOTCLOUD_FIELD(state, usual),      IOTCLOUD_FIELD(revision, usual),
       IOTCLOUD_FIELD(error, usual),      IOTCLOUD_FIELD_AS(since_ms, usual, "since_ms", sinceMs),
-      IOTCLOUD_FIELD(components, usual),
+      IOTCLOUD_FIELD(components, usual), IOTCLOUD_FIELD(trouble, rare),
   };
   friend bool operator==(const WorkerRecord&, const WorkerRecord&) = default;
 };

@@ -83,7 +83,9 @@ class GatewayDaemon final : public config::Service {
   }
 
   std::string trouble() const override {
-    return registry_->session() == discovery::SessionState::connected ? gateway_->trouble() : "the registry is away";
+    if (registry_->session() != discovery::SessionState::connected) return "the registry is away";
+    const std::string text = gateway_->trouble();
+    return text.empty() && config_.hosts.metrics ? config_.hosts.metrics->brokers_away() : text;
   }
 
  private:

@@ -1,5 +1,6 @@
 #include <utility>
 
+#include <iotcloud/master/listing/lost_orders.h>
 #include <iotcloud/master/master.h>
 #include <iotcloud/master/orders/order_services.h>
 #include <iotcloud/master/topologies/topology_service.h>
@@ -64,6 +65,13 @@ std::optional<OrderResult> Master::refusal() const {
 
 std::vector<discovery::DriverRecord> Master::drivers() const {
   return impl_->desk.view.list();
+}
+
+std::vector<discovery::DriverRecord> Master::drivers_and_lost_orders() const {
+  auto all = drivers();
+  auto& desk = impl_->desk;
+  for (auto& waiting : lost_orders(desk.registry, desk.options.paths, all)) all.push_back(std::move(waiting));
+  return all;
 }
 
 std::vector<discovery::GatewayStatus> Master::gateways() const {

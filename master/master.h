@@ -61,6 +61,8 @@ class Master {
 
   /// \throws discovery::RegistryError when the registry is away.
   std::vector<discovery::DriverRecord> drivers() const;
+  /// drivers(), and lost_orders() after them.
+  std::vector<discovery::DriverRecord> drivers_and_lost_orders() const;
   std::vector<discovery::GatewayStatus> gateways() const;
   std::vector<discovery::TopologyStatus> topologies() const;
   /// The orders of all instances; gateways of the original system have none.

@@ -183,6 +183,8 @@ struct TWorker {
   7: string error
   8: i64 sinceMs
   9: map<string, TComponentShape> components
+  // What the worker cannot do now (a broker is away, say); empty: nothing is known.
+  10: optional string trouble
 }
 
 struct TTopology {

@@ -20,6 +20,7 @@ class ActiveMqSubscription final : public Subscription {
   ~ActiveMqSubscription() override { link_.remove(reader_); }
   void pause() override { link_.pause(*reader_); }
   void resume() override { link_.resume(*reader_); }
+  bool raise_prefetch(std::uint16_t prefetch) override { return link_.raise_prefetch(*reader_, prefetch); }
   bool active() const override { return link_.active(*reader_); }
 
  private:
@@ -78,6 +79,7 @@ class ActiveMqBroker final : public Broker {
     return publishing_.state();
   }
 
+  std::string problem() const override { return log_.problem(); }
   const std::string& url() const override { return options_.urls.front(); }
 
  private:

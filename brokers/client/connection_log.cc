@@ -16,6 +16,7 @@ bool ConnectionLog::first(std::set<std::string>& said, const std::string& text) 
 
 void ConnectionLog::failed(const std::string& server, const std::string& reason) {
   const config::MutexLock lock(mutex_);
+  problem_ = reason;
   if (!first(said_failures_, server + reason)) return;
   said_connected_.clear();
   logger.warn("cannot connect to {}: {}; trying again", server, reason);
@@ -23,6 +24,7 @@ void ConnectionLog::failed(const std::string& server, const std::string& reason)
 
 void ConnectionLog::lost(const std::string& server, const std::string& reason) {
   const config::MutexLock lock(mutex_);
+  problem_ = reason;
   if (said_lost_) return;
   said_lost_ = true;
   said_connected_.clear();
@@ -32,10 +34,16 @@ void ConnectionLog::lost(const std::string& server, const std::string& reason) {
 
 void ConnectionLog::connected(const std::string& server) {
   const config::MutexLock lock(mutex_);
+  problem_.clear();
   if (!first(said_connected_, server)) return;
   said_lost_ = false;
   said_failures_.clear();
   logger.info("connected to {}", server);
+}
+
+std::string ConnectionLog::problem() const {
+  const config::MutexLock lock(mutex_);
+  return problem_;
 }
 
 }  // namespace iotcloud::brokers::client

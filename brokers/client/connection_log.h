@@ -21,13 +21,16 @@ class ConnectionLog {
   void failed(const std::string& server, const std::string& reason);
   void lost(const std::string& server, const std::string& reason);
   void connected(const std::string& server);
+  /// Why the last attempt failed, or the connection was lost; empty: since then one was made.
+  std::string problem() const;
 
  private:
   /// Whether `text` is new since the last change.
   static bool first(std::set<std::string>& said, const std::string& text);
 
   const std::string url_;
-  config::Mutex mutex_;
+  mutable config::Mutex mutex_;
+  std::string problem_ IOTCLOUD_GUARDED_BY(mutex_);
   bool said_lost_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::set<std::string> said_failures_ IOTCLOUD_GUARDED_BY(mutex_);
   std::set<std::string> said_connected_ IOTCLOUD_GUARDED_BY(mutex_);

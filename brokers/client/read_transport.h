@@ -13,11 +13,12 @@ namespace iotcloud::brokers::client {
 /// A subscription as its core sees it. Guarded by the core's mutex, except for the constants.
 struct Subscriber {
   Subscriber(Topic to, SubscriptionOptions how, Handler what)
-      : topic(std::move(to)), options(std::move(how)), handler(std::move(what)) {}
+      : topic(std::move(to)), options(std::move(how)), handler(std::move(what)), prefetch(options.prefetch) {}
 
   const Topic topic;
   const SubscriptionOptions options;
   const Handler handler;
+  std::uint16_t prefetch;  ///< Subscription::raise_prefetch() raises it
   bool paused = false;
   bool closed = false;
   bool running = false;  ///< its handler runs

@@ -161,6 +161,15 @@ class EmbeddedSubscription final : public Subscription {
     server_.make_ready(reader_, wake);
   }
 
+  bool raise_prefetch(std::uint16_t prefetch) override {
+    WakeList wake;
+    const config::MutexLock lock(server_.mutex);
+    if (prefetch > reader_->options.prefetch_limit) return false;
+    reader_->options.prefetch = std::max(reader_->options.prefetch, prefetch);
+    server_.make_ready(reader_, wake);
+    return true;
+  }
+
   bool active() const override {
     const config::MutexLock lock(server_.mutex);
     return reader_->active;

@@ -43,6 +43,7 @@ class KafkaSubscription final : public Subscription {
   }
   void pause() override { link_.reader().pause(*subscriber_); }
   void resume() override { link_.reader().resume(*subscriber_); }
+  bool raise_prefetch(std::uint16_t prefetch) override { return link_.reader().raise_prefetch(*subscriber_, prefetch); }
   bool active() const override { return link_.reader().active(*subscriber_); }
 
  private:
@@ -108,6 +109,7 @@ class KafkaBroker final : public Broker {
     return reading == ConnectionState::connected ? normal_.publishing.state() : reading;
   }
 
+  std::string problem() const override { return log_.problem(); }
   const std::string& url() const override { return url_; }
 
  private:

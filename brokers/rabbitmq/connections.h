@@ -30,6 +30,7 @@ class Connections {
   /// The publishing channel for messages of this priority; lives as long as this object.
   PublishChannel& publishing(std::uint8_t priority);
   std::shared_ptr<QueueReader> subscribe(const Topic& topic, const SubscriptionOptions& options, Handler handler);
+  std::string problem() const { return log_.problem(); }  ///< Broker::problem()
   ConnectionState state() const;
   /// Ends all reading for good; no handler runs when it has returned. Not to be called from a handler.
   void stop_reading();

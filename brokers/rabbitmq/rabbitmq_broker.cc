@@ -36,6 +36,12 @@ class RabbitMqSubscription final : public Subscription {
     while (!reader_->connection()->resume(*reader_)) {
     }
   }
+  bool raise_prefetch(std::uint16_t prefetch) override {
+    if (prefetch > reader_->options.prefetch_limit || !reader_->may_raise()) return false;
+    while (!reader_->connection()->raise_prefetch(reader_, prefetch)) {
+    }
+    return true;
+  }
   bool active() const override { return reader_->connection()->active(*reader_); }
 
  private:
@@ -65,6 +71,7 @@ class RabbitMqBroker final : public Broker {
   }
 
   ConnectionState state() const override { return connections_.state(); }
+  std::string problem() const override { return connections_.problem(); }
   const std::string& url() const override { return url_; }
 
  private:

@@ -33,6 +33,8 @@ const char* state_word(DriverState state) noexcept {
       return "failed";
     case DriverState::undeployed:
       return "undeployed";
+    case DriverState::ordered:
+      return "ordered";
   }
   return "";
 }

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/host/broker_states.h>
 #include <iotcloud/gateway/host/driver_host.h>
 #include <iotcloud/gateway/host/driver_instance.h>
 #include <iotcloud/gateway/host/event_loop.h>
@@ -49,6 +50,22 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
     environment->shared_channels = std::make_unique<SharedChannels>(environment->closing, *environment->clock,
                                                                     *environment->metrics, options.passing);
     shared_loop = std::make_shared<EventLoop>(environment->plugin->name());
+    broker_states = environment->metrics->add_source([this](auto& samples) { show_brokers(samples); });
+  }
+
+  /// Appends for each broker that an instance uses whether it is away.
+  void show_brokers(std::vector<config::Sample>& samples) const {
+    for (const auto& [address, broker] : environment->brokers->in_use()) {
+      config::Sample sample;
+      sample.name = broker_away_metric;
+      sample.help = "1: a broker that drivers use cannot be reached, or takes no messages";
+      sample.labels = {{"plugin", environment->plugin->name()},
+                       {"broker", address.broker},
+                       {"url", brokers::printable_url(broker->url())}};
+      sample.kind = config::Sample::Kind::gauge;
+      sample.value = broker->state() == brokers::ConnectionState::connected ? 0 : 1;
+      samples.push_back(std::move(sample));
+    }
   }
 
   std::shared_ptr<DriverInstance> find(const discovery::InstanceId& id) IOTCLOUD_REQUIRES(mutex) {
@@ -98,7 +115,8 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   Confirmation confirmation IOTCLOUD_GUARDED_BY(mutex);
   std::int64_t confirmed_ms IOTCLOUD_GUARDED_BY(mutex) = 0;  ///< wall time at which the latest confirmation came
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
-  std::string left IOTCLOUD_GUARDED_BY(mutex);  ///< why stop() returned false
+  std::string left IOTCLOUD_GUARDED_BY(mutex);        ///< why stop() returned false
+  config::Metrics::SourceRegistration broker_states;  ///< ends first, because it uses the environment
 };
 
 /// Leaks the instances and what they share, because a stuck thread may use them until the process ends.

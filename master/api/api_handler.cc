@@ -117,7 +117,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   }
   void listDrivers(std::vector<TSensor>& out) override {
     read([&] {
-      const auto drivers = master_.drivers();
+      const auto drivers = master_.drivers_and_lost_orders();
       out.reserve(drivers.size());
       for (const auto& driver : drivers) out.push_back(without_secrets(driver));
     });

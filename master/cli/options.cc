@@ -62,7 +62,7 @@ void add_not_taken_up(std::vector<DriverRecord>& drivers, const std::vector<List
     record.gateway = placed.gateway;
     record.deployment = placed.order.name;
     record.index = placed.order.index;
-    record.state = discovery::DriverState::deployed;
+    record.state = discovery::DriverState::ordered;
     record.metadata = placed.order.metadata;
     drivers.push_back(std::move(record));
   }
@@ -164,7 +164,8 @@ void Choice::add_what_they_are(CLI::App& options, const char* gateways_what) {
   options.add_option("--driver", driver, "only of this driver")->type_name("DRIVER");
   options.add_option("--name", name, "only of the deployment of this name")->type_name("NAME");
   options.add_option("--state", state, "only in this state")
-      ->check(CLI::IsMember({"deployed", "starting", "active", "stopping", "inactive", "failed", "undeployed"}))
+      ->check(
+          CLI::IsMember({"deployed", "starting", "active", "stopping", "inactive", "failed", "undeployed", "ordered"}))
       ->type_name("STATE");
   options
       .add_option(

@@ -57,7 +57,7 @@ struct Choice {
   /// \throws std::invalid_argument for a wrong `where`, before a master is asked; Unreachable, Failed
   std::vector<discovery::DriverRecord> drivers(MasterClient& master) const;
   /// The full ids of the chosen instances, with those that are ordered and that their gateways have not taken up yet
-  /// (their state is `deployed`). An id that no record begins with is kept as it is, because its gateway may
+  /// (their state is `ordered`). An id that no record begins with is kept as it is, because its gateway may
   /// not have followed its order yet.
   /// \throws Ambiguous; Failed, also when no instance fits; and what drivers() throws
   std::vector<discovery::InstanceId> ids(MasterClient& master) const;

@@ -127,13 +127,19 @@ class Status final : public PlainVerb {
     const auto frozen =
         std::count_if(gateways.begin(), gateways.end(), [](const auto& g) { return !g.frozen.empty(); });
 
-    std::vector<std::string> states, names;
+    std::vector<std::string> states, names, troubles;
     Json list = Json::array();
     for (const auto& [state, count] : drivers) states.push_back(fmt::format("{} {}", count, state));
     for (const auto& topology : topologies) {
       const auto workers = topology.workers.size();
       names.push_back(fmt::format("{} ({} worker{})", topology.record.name, workers, workers == 1 ? "" : "s"));
-      list.push_back({{"topology", topology.record.name}, {"workers", workers}});
+      Json trouble = Json::array();
+      for (const auto& worker : topology.workers) {
+        if (worker.trouble.empty()) continue;
+        trouble.push_back(worker.trouble);
+        troubles.push_back(fmt::format("{}: {}", topology.record.name, worker.trouble));
+      }
+      list.push_back({{"topology", topology.record.name}, {"workers", workers}, {"trouble", trouble}});
     }
     const auto or_none = [](const std::vector<std::string>& items) {
       return items.empty() ? "none" : fmt::format("{}", fmt::join(items, ", "));
@@ -149,7 +155,8 @@ class Status final : public PlainVerb {
                 frozen > 0 ? fmt::format(", {} frozen: `iotcloud registry adopt` lets them follow orders again", frozen)
                            : "")},
            {"drivers", or_none(states)},
-           {"topologies", printable(or_none(names))}},
+           {"topologies", printable(or_none(names))},
+           {"trouble", printable(or_none(troubles))}},
           json);
     return exit_ok;
   }

@@ -135,6 +135,7 @@ std::optional<OutcomeWatch::Verdict> OutcomeWatch::judge(Expected& expected, con
     case DriverState::deployed:
     case DriverState::starting:
     case DriverState::stopping:
+    case DriverState::ordered:
       return std::nullopt;
   }
   return std::nullopt;

@@ -100,6 +100,8 @@ TEST(BrokerPool, SharesOneBrokerForAnAddressAsLongAsItIsUsed) {
   auto one = pool.get(address, {});
   EXPECT_EQ(pool.get(address, {}), one);
   EXPECT_NE(pool.get({"other", address.urls}, {}), one);
+  ASSERT_EQ(pool.in_use().size(), 1U) << "the other one is gone";
+  EXPECT_EQ(pool.in_use().front().first, address);
   const std::weak_ptr<Broker> watched = one;
   one.reset();
   EXPECT_TRUE(watched.expired());

@@ -1,4 +1,6 @@
 // Gateways that do not come back.
+#include <optional>
+
 #include <gmock/gmock.h>
 
 #include <iotcloud/discovery/directory.h>
@@ -49,6 +51,26 @@ TEST_F(MasterForget, ALostGatewayIsRemovedWithItsOrdersAndRecordsAndNoOrderToAll
   const auto third = deploy("third");
   EXPECT_TRUE(third.all_done()) << third.summary();
   EXPECT_EQ(third.outcomes.size(), 1U);
+}
+
+TEST_F(MasterForget, WhatIsOrderedOfALostGatewayIsListedUntilItIsTakenAway) {
+  std::optional<FakeGateway> gone(std::in_place, url, "lab2");
+  ASSERT_TRUE(deploy("robot").all_done());
+  gone.reset();
+  ASSERT_TRUE(tests::eventually([&] { return !registry->get(paths.gateway_alive("lab2"_gateway)); }));
+  EXPECT_EQ(master->drivers_and_lost_orders().size(), 1U) << "what the gateway has reported is not listed twice";
+  const auto ordered = deploy("second").outcomes.at(0).instance;
+  const auto all = master->drivers_and_lost_orders();
+  ASSERT_EQ(all.size(), 2U);
+  EXPECT_EQ(all.back().instance, ordered);
+  EXPECT_EQ(all.back().deployment, "second");
+  EXPECT_EQ(all.back().name, "turtle");
+  EXPECT_EQ(all.back().state, discovery::DriverState::ordered);
+  EXPECT_THAT(all.back().reason, HasSubstr("its gateway is lost"));
+  InstanceSelection selection;
+  selection.instances = {ordered};
+  static_cast<void>(master->undeploy(selection));
+  EXPECT_EQ(master->drivers_and_lost_orders().size(), 1U);
 }
 
 TEST_F(MasterForget, AGatewayThatIsAliveIsNotForgotten) {

@@ -40,6 +40,7 @@ enum class PayloadForm {
 struct ReadingOptions {
   bool automatic_ack = false;  ///< ackMode: auto acks a message when it is taken, manual when its tuple tree is done
   int prefetch = 100;          ///< prefetchCount: the most unsettled messages of each channel
+  bool own_prefetch = false;   ///< the file has prefetchCount: the spout does not raise it by itself
   bool requeue = true;         ///< a failed message is tried again, up to maxTries times in all, then given up
   int max_tries = 3;           ///< maxTries
   std::string dead_letter;     ///< deadLetter: the topic for messages that were given up; empty: they are rejected

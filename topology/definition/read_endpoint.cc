@@ -120,6 +120,7 @@ void read_reading_options(Section& section, ReadingOptions& options) {
   if (!properties) return;
   options.automatic_ack = properties->choice_or("ackMode", "manual", {"auto", "manual"}) == "auto";
   options.prefetch = static_cast<int>(properties->int_or("prefetchCount", options.prefetch, 1, 65535));
+  options.own_prefetch = properties->has("prefetchCount");
   options.requeue = properties->bool_or("requeue", options.requeue);
   options.max_tries = static_cast<int>(properties->int_or("maxTries", options.max_tries, 1, 1000));
   if (properties->optional_string("deadLetter")) options.dead_letter = require_name(*properties, "deadLetter");

@@ -13,6 +13,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/placement/partition_agreement.h>
+#include <iotcloud/topology/endpoints/receiving/held_messages.h>
 #include <iotcloud/topology/endpoints/standstill_fence.h>
 
 namespace iotcloud::topology {
@@ -30,6 +31,9 @@ struct EndpointServices {
   std::shared_ptr<brokers::BrokerPool> brokers;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
+  /// By spout: the bolts below it that keep tuples by design, and for how long, for messages. Without an entry: none.
+  std::map<std::string, std::string> keepers;
+  std::shared_ptr<HeldMessages> held = std::make_shared<HeldMessages>();                    ///< never null
   std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();             ///< never null
   std::shared_ptr<PartitionAgreement> partitions = std::make_shared<PartitionAgreement>();  ///< never null
   std::vector<std::function<void()>> before_stop;  ///< the worker calls these before it stops the topology

@@ -79,7 +79,7 @@ struct LocalCluster::Impl {
   topology::Worker& run(topology::TopologyDefinition definition, topology::ComponentRegistry components) {
     topology::WorkerOptions worker{.definition = std::move(definition),
                                    .components = std::move(components),
-                                   .library_folders = {},
+                                   .library_folders = options.library_folders,
                                    .registry = registry.get(),
                                    .clock = options.clock,
                                    .metrics = options.metrics};

@@ -24,8 +24,9 @@ struct LocalOptions {
   /// Logical brokers of all gateways and the URL of each; the first is the default; an empty URL is the embedded
   /// broker. So a topology that names "rabbitmq" runs unchanged.
   std::vector<std::pair<std::string, std::string>> brokers{{"rabbitmq", ""}};
-  std::string registry_url;  ///< empty: the embedded registry
-  std::string plugin_dir;    ///< folder of drivers' and topologies' plugins; may be empty if all are linked in
+  std::string registry_url;                  ///< empty: the embedded registry
+  std::vector<std::string> library_folders;  ///< more folders of topologies' component libraries
+  std::string plugin_dir;  ///< folder of drivers' and topologies' plugins; may be empty if all are linked in
   /// Linked-in drivers, by the name that deploy() takes. They must outlive the cluster.
   std::map<std::string, const drivers::Descriptor*> drivers;
   const config::Clock* clock = nullptr;  ///< nullptr: the system's

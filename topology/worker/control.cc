@@ -90,6 +90,14 @@ discovery::WorkerRecord WorkerControl::record() const {
   return record_;
 }
 
+void WorkerControl::show_trouble(const std::string& trouble) {
+  const config::MutexLock lock(mutex_);
+  if (record_.trouble == trouble) return;
+  record_.trouble = trouble;
+  report_due_ = true;
+  changed_.notify_all();
+}
+
 void WorkerControl::run(const std::stop_token& stop) {
   const auto patience = std::chrono::steady_clock::now() + options_.patience;
   while (!stop.stop_requested()) {

@@ -42,6 +42,8 @@ class WorkerControl {
   /// Removes the worker's record. The last worker also removes the topology's records, except orders.
   void leave();
   discovery::WorkerRecord record() const;
+  /// Shows in the worker's record what it cannot do now; empty: nothing is known.
+  void show_trouble(const std::string& trouble);
 
  private:
   void on_order(const std::optional<discovery::Node>& node);

@@ -1,4 +1,5 @@
 #include <map>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -16,18 +17,39 @@ std::string list(const std::map<std::string, std::size_t>& counts, const char* w
   return text;
 }
 
+/// "mean (for up to 10000 ms)"
+std::string keeper(const ComponentSpec& component) {
+  return fmt::format("{} (for up to {} ms)", component.id,
+                     std::chrono::ceil<std::chrono::milliseconds>(component.holds).count());
+}
+
 /// The bolts that keep tuples until a window or a checkpoint ends.
 std::string keepers(const Topology& topology) {
   std::string text;
   for (const ComponentSpec& component : topology.components) {
-    if (component.holds.count() == 0) continue;
-    text += fmt::format("{}{} (for up to {} ms)", text.empty() ? "" : ", ", component.id,
-                        std::chrono::ceil<std::chrono::milliseconds>(component.holds).count());
+    if (component.holds.count() > 0) text += (text.empty() ? "" : ", ") + keeper(component);
   }
   return text;
 }
 
 }  // namespace
+
+std::map<std::string, std::string> keepers_by_spout(const Topology& topology) {
+  std::map<std::string, std::set<std::string>> spouts_of;  // by component: the spouts whose tuples reach it
+  std::map<std::string, std::string> keepers;
+  for (const ComponentSpec& component : topology.components) {  // sources come before the bolts that they feed
+    auto& spouts = spouts_of[component.id];
+    if (component.spout) spouts.insert(component.id);
+    for (const InputSpec& input : component.inputs)
+      spouts.insert(spouts_of[input.from].begin(), spouts_of[input.from].end());
+    if (component.holds.count() == 0) continue;
+    for (const std::string& spout : spouts) {
+      auto& text = keepers[spout];
+      text += (text.empty() ? "" : ", ") + keeper(component);
+    }
+  }
+  return keepers;
+}
 
 std::string left_behind(const Topology& topology, const Snapshot& snapshot) {
   std::map<std::string, std::size_t> under_way, waiting;

@@ -102,7 +102,7 @@ Json to_json(const Value& value) {
 
 }  // namespace
 
-std::string describe(const Runtime& runtime, const std::string& worker) {
+std::string describe(const Runtime& runtime, const std::string& worker, const std::vector<BrokerWatch::Link>& brokers) {
   const Snapshot now = runtime.snapshot();
   Json components = Json::array();
   for (const ComponentSpec& component : runtime.topology().components) {
@@ -110,9 +110,18 @@ std::string describe(const Runtime& runtime, const std::string& worker) {
   }
   Json tasks = Json::array();
   for (const TaskSnapshot& task : now.tasks) tasks.push_back(to_json(task));
+  Json links = Json::array();
+  for (const BrokerWatch::Link& link : brokers) {
+    links.push_back({{"broker", link.broker},
+                     {"url", link.url},
+                     {"state", to_string(link.state)},
+                     {"since_ms", link.since_ms},
+                     {"why", link.why}});
+  }
   return to_text({{"topology", now.topology},
                   {"worker", worker},
                   {"active", now.active},
+                  {"brokers", links},
                   {"components", components},
                   {"tasks", tasks}});
 }

@@ -11,13 +11,16 @@
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/runtime/runtime.h>
+#include <iotcloud/topology/worker/broker_watch.h>
 
 namespace iotcloud::topology {
 
-/// Writes the graph with its parallelism and each task's counts as JSON: {"topology", "worker", "active", "components":
+/// Writes the graph with its parallelism and each task's counts as JSON: {"topology", "worker", "active", "brokers":
+/// [{"broker", "url", "state", "since_ms", "why"}], "components":
 /// [{"id", "kind", "parallelism", "tasks", "inputs", "streams"}], "tasks": [{"component", "task", "emitted", ...,
 /// "execute": {"count", "p50_us", "p99_us", "max_us"}, ...}]}.
-std::string describe(const Runtime& runtime, const std::string& worker);
+std::string describe(const Runtime& runtime, const std::string& worker,
+                     const std::vector<BrokerWatch::Link>& brokers = {});
 
 /// Writes a tuple as JSON: {"time_ms", "task", "source", "stream", "fields"}. Payloads become {"bytes", "hex"} with
 /// their first 16 bytes; long strings are cut.

@@ -28,6 +28,9 @@ constexpr std::chrono::milliseconds reserve{700};
 /// Limit for closing the topology after a kill order's drain; user code that hangs longer is left running.
 constexpr std::chrono::milliseconds after_drain{3000};
 
+/// How often the brokers are looked at.
+constexpr std::chrono::milliseconds look_pause{500};
+
 std::string host_name() {
   char host[256] = "host";
   static_cast<void>(gethostname(host, sizeof host - 1));
@@ -80,7 +83,10 @@ struct Worker::Impl {
       services->fence = std::make_shared<StandstillFence>(*services->clock, standstill);
     }
     services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
+    watch.emplace(links_of(services->brokers), *services->clock, *services->metrics,
+                  config::Labels{{"topology", services->topology.str()}});
     topology = assemble(definition, options.components, endpoint_factories(services));
+    services->keepers = keepers_by_spout(topology);
     if (options.registry == nullptr && definition.registry.url.empty()) {
       throw definition.root.error("", "the key \"zk.servers\" is missing",
                                   "add \"zk.servers: [\\\"host:2181\\\"]\", or \"registry: embedded://NAME\"");
@@ -101,7 +107,8 @@ struct Worker::Impl {
     runtime->start();
     running = true;
     control = std::make_unique<WorkerControl>(control_options());
-    control->start();
+    watching = std::jthread([this](const std::stop_token& stop) { watch_brokers(stop); });
+    control->start();  // after everything that a kill order ends
     worker_logger.info("topology {} runs as worker {}", topology.name, services->worker);
   }
 
@@ -112,6 +119,19 @@ struct Worker::Impl {
     do {
       services->fence->beat();
     } while (!end.wait_for(mutex, stop, standstill / 4, [&] { return stop.stop_requested(); }));
+  }
+
+  /// Looks at the brokers, and shows what is wrong in the worker's record, for `iotcloud status`.
+  void watch_brokers(const std::stop_token& stop) {
+    config::Mutex mutex;
+    config::StoppableConditionVariable end;
+    const config::MutexLock lock(mutex);
+    while (!end.wait_for(mutex, stop, look_pause, [&] { return stop.stop_requested(); })) {
+      std::string text = watch->trouble();
+      const std::string limits = services->held->limits();
+      if (!limits.empty()) text += (text.empty() ? "" : "; ") + limits;
+      control->show_trouble(text);
+    }
   }
 
   /// Makes sure that this is the topology's only worker, by an ephemeral node that only one worker can hold. The node
@@ -178,6 +198,7 @@ struct Worker::Impl {
   void finish(std::chrono::milliseconds limit) {
     const config::MutexLock lock(finish_mutex);
     if (std::exchange(finished, true)) return;
+    watching = {};
     for (const auto& prepare : services->before_stop) prepare();
     const auto drain = std::max(limit - reserve, limit / 2);
     if (!runtime->stop(drain)) {
@@ -194,6 +215,7 @@ struct Worker::Impl {
   WorkerOptions options;
   const EndpointServicesPtr services;
   Topology topology;
+  std::optional<BrokerWatch> watch;
   std::chrono::milliseconds standstill{0};  ///< the fence's limit; 0: no fence
   std::unique_ptr<discovery::Registry> own_registry;
   discovery::GuardPtr alone;  ///< the place of the only worker, for a topology that allows only one
@@ -204,6 +226,7 @@ struct Worker::Impl {
   config::Mutex finish_mutex;
   bool finished IOTCLOUD_GUARDED_BY(finish_mutex) = false;
   std::unique_ptr<WorkerControl> control;  ///< destroyed before the runtime, which it uses
+  std::jthread watching;                   ///< watch_brokers(); ends before the control, which it uses
   std::jthread heart;                      ///< tells the fence that this process runs
 };
 
@@ -226,7 +249,10 @@ void Worker::stop(std::chrono::milliseconds limit) {
 }
 
 std::string Worker::trouble() const {
-  return impl_->options.registry->session() == discovery::SessionState::connected ? "" : "the registry is away";
+  std::string text = impl_->watch->trouble();
+  if (impl_->options.registry->session() != discovery::SessionState::connected)
+    text = "the registry is away" + (text.empty() ? "" : "; " + text);
+  return text;
 }
 
 void Worker::show_http_address(std::string address) {
@@ -239,7 +265,7 @@ const std::string& Worker::name() const {
 
 std::string Worker::describe() const {
   if (!impl_->running) throw config::Error("the worker is starting; ask again in a moment");
-  return topology::describe(*impl_->runtime, impl_->services->worker);
+  return topology::describe(*impl_->runtime, impl_->services->worker, impl_->watch->look());
 }
 
 TapDesk& Worker::taps() {

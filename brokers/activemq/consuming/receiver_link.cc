@@ -95,6 +95,20 @@ void ReceiverLink::pause(SessionReader& reader) {
   core_.pause(reader);
 }
 
+bool ReceiverLink::raise_prefetch(SessionReader& reader, std::uint16_t prefetch) {
+  if (prefetch > reader.options.prefetch_limit) return false;
+  const config::MutexLock lock(mutex_);
+  assert_held();
+  if (prefetch <= reader.prefetch) return true;
+  if (reader.phase == SessionReader::Phase::active) {
+    reader.owed += static_cast<std::uint32_t>(prefetch - reader.prefetch);
+    core_.make_dirty(reader);
+    wake();
+  }
+  reader.prefetch = prefetch;
+  return true;
+}
+
 void ReceiverLink::resume(SessionReader& reader) {
   const config::MutexLock lock(mutex_);
   assert_held();
@@ -287,7 +301,7 @@ void ReceiverLink::activate(SessionReader& reader) {
   reader.backoff.reset();
   reader.complaint.clear();
   reader.owed = 0;
-  pn_link_flow(reader.receiver, std::max<int>(reader.options.prefetch, 1));
+  pn_link_flow(reader.receiver, std::max<int>(reader.prefetch, 1));
 }
 
 void ReceiverLink::retry_later(SessionReader& reader) {

@@ -47,6 +47,7 @@ class ReceiverLink final : client::ReadTransport,
   void remove(const std::shared_ptr<SessionReader>& reader);
   void pause(SessionReader& reader);
   void resume(SessionReader& reader);
+  bool raise_prefetch(SessionReader& reader, std::uint16_t prefetch);
   bool active(const SessionReader& reader) const;
   void settle(SessionReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept;
   ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection

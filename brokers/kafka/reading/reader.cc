@@ -92,7 +92,7 @@ void Reader::wake() noexcept {
 bool Reader::has_room(const Feed& feed) {
   if (feed.window.size() >= longest_window) return false;
   const Subscriber& subscriber = *feed.reads_it();
-  const std::size_t prefetch = std::max<std::size_t>(subscriber.options.prefetch, 1);
+  const std::size_t prefetch = std::max<std::size_t>(subscriber.prefetch, 1);
   // With keep_last, waiting messages must not use up the room for newer ones.
   const std::size_t newest = subscriber.options.keep_last > 0 ? feed.window.waiting() : 0;
   return subscriber.unsettled - newest < prefetch;
@@ -251,6 +251,17 @@ void Reader::remove(const std::shared_ptr<Subscriber>& subscriber) {
 void Reader::pause(Subscriber& subscriber) {
   const config::MutexLock lock(core_.mutex);
   core_.pause(subscriber);
+}
+
+bool Reader::raise_prefetch(Subscriber& subscriber, std::uint16_t prefetch) {
+  if (prefetch > subscriber.options.prefetch_limit) return false;
+  const config::MutexLock lock(core_.mutex);
+  subscriber.prefetch = std::max(subscriber.prefetch, prefetch);
+  for (const auto& [key, feed] : subscriber.member->feeds) {
+    if (feed->subscriber.get() == &subscriber) core_.make_ready(*feed);
+  }
+  if (core_.has_ready()) wake();
+  return true;
 }
 
 void Reader::resume(Subscriber& subscriber) {

@@ -47,6 +47,7 @@ class Reader final : client::ReadTransport, public std::enable_shared_from_this<
   void remove(const std::shared_ptr<Subscriber>& subscriber);
   void pause(Subscriber& subscriber);
   void resume(Subscriber& subscriber);
+  bool raise_prefetch(Subscriber& subscriber, std::uint16_t prefetch);
   bool active(const Subscriber& subscriber) const;
   void settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept;
 

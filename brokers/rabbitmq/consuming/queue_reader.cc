@@ -92,7 +92,7 @@ void QueueReader::move_to(std::shared_ptr<ReadConnection> link) {
   connection_ = std::move(link);
 }
 
-void QueueReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type) const {
+void QueueReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type, std::uint16_t now) const {
   wire.send(on, AMQP_CHANNEL_OPEN_METHOD, amqp_channel_open_t{});
   const std::string& exchange = exchange_of(topic);
   if (must_declare(topic)) {
@@ -118,12 +118,20 @@ void QueueReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type) con
   bind.routing_key = to_bytes(topic.name);
   wire.send(on, AMQP_QUEUE_BIND_METHOD, bind);
   amqp_basic_qos_t qos{};
-  qos.prefetch_count = std::max<std::uint16_t>(options.prefetch, 1);
+  qos.prefetch_count = std::max<std::uint16_t>(may_raise() ? options.prefetch_limit : options.prefetch, 1);
   wire.send(on, AMQP_BASIC_QOS_METHOD, qos);
+  if (may_raise()) limit_channel(wire, on, now);
   amqp_basic_consume_t consume{};
   consume.queue = to_bytes(queue);
   consume.exclusive = options.exclusive && !one_reader_by_queue(topic, type) ? 1 : 0;
   wire.send(on, AMQP_BASIC_CONSUME_METHOD, consume);
+}
+
+void QueueReader::limit_channel(AmqpLink& wire, amqp_channel_t on, std::uint16_t now) {
+  amqp_basic_qos_t qos{};
+  qos.prefetch_count = std::max<std::uint16_t>(now, 1);
+  qos.global = 1;
+  wire.send(on, AMQP_BASIC_QOS_METHOD, qos);
 }
 
 void QueueReader::reading_began() {

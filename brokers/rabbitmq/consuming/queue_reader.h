@@ -86,9 +86,14 @@ class QueueReader final : public client::OwnInbox {
   Assembly assembly;
   ResentMarks resent;
 
+  /// Whether its prefetch can be raised. RabbitMQ lets a client change the limit of a channel (qos with `global`) and
+  /// not that of a consumer, and its quorum queues, which are all durable, know no limit of a channel.
+  bool may_raise() const { return options.prefetch_limit > options.prefetch && !topic.durable; }
   /// Requests the channel, the queue and its messages; only the last answer, consume-ok, matters. \param on the
-  /// channel's number. \throws LinkError
-  void request(AmqpLink& wire, amqp_channel_t on, QueueType type) const;
+  /// channel's number. \param now its prefetch. \throws LinkError
+  void request(AmqpLink& wire, amqp_channel_t on, QueueType type, std::uint16_t now) const;
+  /// Sets the limit of its channel. \pre may_raise(). \throws LinkError
+  static void limit_channel(AmqpLink& wire, amqp_channel_t on, std::uint16_t now);
   /// The server has answered consume-ok: reading begins.
   void reading_began();
   /// The server closed the channel: logs the reason once, and adapts the next request to it.

@@ -143,6 +143,17 @@ bool ReadConnection::pause(QueueReader& reader) {
   return true;
 }
 
+bool ReadConnection::raise_prefetch(const std::shared_ptr<QueueReader>& reader, std::uint16_t prefetch) {
+  const config::MutexLock lock(core_.mutex);
+  if (!reads_here(*reader)) return false;
+  if (prefetch <= reader->prefetch) return true;
+  reader->prefetch = prefetch;
+  if (reader->phase == QueueReader::Phase::idle) return true;  // its request will say it
+  raised_.push_back(reader);
+  write_or_leave();
+  return true;
+}
+
 bool ReadConnection::resume(QueueReader& reader) {
   const config::MutexLock lock(core_.mutex);
   if (!reads_here(reader)) return false;
@@ -530,7 +541,7 @@ void ReadConnection::open(const std::shared_ptr<QueueReader>& reader) {
   reader->phase = QueueReader::Phase::opening;
   set_timer(*reader, clock_.now() + cluster_.rpc_timeout());
   channels_[reader->channel] = reader;
-  outgoing_.push_back({Outgoing::Kind::request, reader->channel, 0, false, reader});
+  outgoing_.push_back({Outgoing::Kind::request, reader->channel, reader->prefetch, false, reader});
 }
 
 void ReadConnection::set_timer(QueueReader& reader, Instant at) {
@@ -580,6 +591,10 @@ void ReadConnection::gather() {
     auto& reader = static_cast<QueueReader&>(*inbox);
     if (!reader.closed && reader.channel != 0) gather_settlements(reader, reader.patience());
   }
+  for (const auto& reader : std::exchange(raised_, {})) {
+    if (!reads_here(*reader) || reader->closed || reader->channel == 0) continue;
+    outgoing_.push_back({Outgoing::Kind::limit, reader->channel, reader->prefetch, false, nullptr});
+  }
   for (const auto& reader : std::exchange(leaving_, {})) {
     if (reader->channel == 0) continue;  // the server has closed its channel
     gather_settlements(*reader, 0);
@@ -607,7 +622,9 @@ void ReadConnection::write() {
 void ReadConnection::write_method(const Outgoing& what) {
   switch (what.kind) {
     case Outgoing::Kind::request:
-      return what.reader->request(*wire_, what.channel, cluster_.queue_type());
+      return what.reader->request(*wire_, what.channel, cluster_.queue_type(), static_cast<std::uint16_t>(what.tag));
+    case Outgoing::Kind::limit:
+      return QueueReader::limit_channel(*wire_, what.channel, static_cast<std::uint16_t>(what.tag));
     case Outgoing::Kind::acknowledge: {
       amqp_basic_ack_t ack{};
       ack.delivery_tag = what.tag;

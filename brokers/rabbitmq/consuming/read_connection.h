@@ -53,11 +53,12 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   /// Adds a subscription. The first one starts the thread, which connects.
   std::shared_ptr<QueueReader> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
   /// Ends a subscription; returns when its handler has returned, unless called from it.
-  /// This and the next three functions do nothing and return false if the subscription has moved to another connection:
+  /// This and the next four functions do nothing and return false if the subscription has moved to another connection:
   /// ask its connection().
   bool remove(const std::shared_ptr<QueueReader>& reader);
   bool pause(QueueReader& reader);
   bool resume(QueueReader& reader);
+  bool raise_prefetch(const std::shared_ptr<QueueReader>& reader, std::uint16_t prefetch);
   bool active(const QueueReader& reader) const;
   void settle(QueueReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept;
   ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection
@@ -78,10 +79,10 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
 
   /// A method that is to be sent on a channel.
   struct Outgoing {
-    enum class Kind : std::uint8_t { request, acknowledge, reject, close, close_ok };
+    enum class Kind : std::uint8_t { request, limit, acknowledge, reject, close, close_ok };
     Kind kind = Kind::request;
     amqp_channel_t channel = 0;
-    std::uint64_t tag = 0;  ///< for an acknowledgement or a rejection
+    std::uint64_t tag = 0;  ///< for an acknowledgement or a rejection; the prefetch of a request or a limit
     bool multiple = false;
     std::shared_ptr<const QueueReader> reader;  ///< of a request
   };
@@ -189,6 +190,8 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   std::vector<std::shared_ptr<QueueReader>> readers_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Removed subscriptions whose channels are not closed yet.
   std::vector<std::shared_ptr<QueueReader>> leaving_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  /// Subscriptions whose prefetch was raised, which the server was not told yet.
+  std::vector<std::shared_ptr<QueueReader>> raised_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// No reader's retry_at is earlier, except those of readers for which openers_wait_ is set.
   std::optional<Instant> next_timer_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Some subscriptions are due, but wait until the server has answered earlier requests.

@@ -2,6 +2,7 @@
 #include <chrono>
 #include <map>
 #include <ostream>
+#include <set>
 #include <utility>
 
 #include <CLI/CLI.hpp>
@@ -27,7 +28,9 @@ Fleet read_fleet(MasterClient& master) {
   for (const auto& gateway : master.gateways())
     fleet.gateways.push_back({gateway.record.id, gateway.draining, gateway.original, !gateway.alive});
   std::map<discovery::InstanceId, std::string> failures;
+  std::set<discovery::InstanceId> ordered;
   for (const auto& driver : master.drivers()) {
+    if (driver.state == discovery::DriverState::ordered) ordered.insert(driver.instance);
     if (driver.state == discovery::DriverState::failed)
       failures[driver.instance] = driver.reason.empty() ? "the gateway gave no reason" : driver.reason;
   }
@@ -38,6 +41,7 @@ Fleet read_fleet(MasterClient& master) {
     instance.instance = listed.order.instance;
     instance.index = listed.order.index;
     instance.failure = failures[listed.order.instance];
+    instance.ordered = ordered.contains(listed.order.instance);
     instance.hidden = std::move(listed.hidden);
     fleet.instances.push_back(std::move(instance));
   }
@@ -65,17 +69,18 @@ Json rest_of(const Plan& plan) {
   for (const auto& step : plan.kept)
     kept.push_back(
         {{"gateway", step.gateway}, {"name", step.name}, {"index", step.index}, {"instance", step.instance}});
-  return {{"problems", problems},
-          {"kept", kept},
-          {"passed_by", plan.passed_by},
-          {"same", plan.same},
-          {"not_compared", plan.not_compared}};
+  return {{"problems", problems},        {"kept", kept},
+          {"passed_by", plan.passed_by}, {"same", plan.same},
+          {"ordered", plan.ordered},     {"not_compared", plan.not_compared}};
 }
 
 /// Prints what else a plan says besides its steps: what is kept, skipped, not compared or impossible.
 void tell_rest(const Plan& plan, std::ostream& out, std::ostream& err) {
   if (!plan.kept.empty())
     out << fmt::format("kept, though the manifest does not name them any more: {}\n", instances(plan.kept.size()));
+  if (plan.ordered > 0)
+    out << fmt::format("only ordered: {} of lost gateways, which follow when they come back\n",
+                       instances(plan.ordered));
   for (const auto& gateway : plan.passed_by) out << fmt::format("passed by: {} is draining\n", printable(gateway));
   if (!plan.not_compared.empty())
     out << fmt::format("not compared, for only an admin may see them: {}\n",

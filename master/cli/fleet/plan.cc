@@ -143,6 +143,7 @@ class Planner {
 
   void compare(std::size_t number, const Fleet::Instance& there, const Fleet::Gateway& gateway) {
     const auto& wanted = manifest_.deployments[number];
+    if (there.ordered) ++plan_.ordered;
     const auto to_do = [&](StepKind kind) -> Step& {
       return add(kind, number, there.gateway, there.index, there.instance);
     };

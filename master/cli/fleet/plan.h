@@ -25,6 +25,7 @@ struct Fleet {
     discovery::InstanceId instance;
     int index = 0;                    ///< 0: deployed without a name
     std::string failure;              ///< why it has failed; empty: it has not
+    bool ordered = false;             ///< its gateway is lost, and has not followed the order
     std::vector<std::string> hidden;  ///< keys of properties whose values only an admin may see
   };
   std::vector<Gateway> gateways;
@@ -72,7 +73,8 @@ struct Plan {
   std::vector<Step> kept;  ///< what pruning would undeploy, when PlanOptions::prune is false
   /// Draining gateways, which get no instances of deployments to all gateways.
   std::vector<discovery::GatewayId> passed_by;
-  std::size_t same = 0;  ///< number of instances that are as the manifest wants them
+  std::size_t same = 0;     ///< number of instances that are as the manifest wants them
+  std::size_t ordered = 0;  ///< number of wanted instances whose lost gateways have not followed the order
   /// Keys of hidden properties, which are assumed to be as the manifest wants them.
   std::set<std::string> not_compared;
 };

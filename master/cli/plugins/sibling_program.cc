@@ -49,16 +49,21 @@ pid_t start(const std::string& path, std::vector<std::string> words, int output)
   return child;
 }
 
-}  // namespace
-
-Ended run_sibling(const std::string& program, const std::vector<std::string>& arguments) {
+std::string path_of(const std::string& program) {
   namespace fs = std::filesystem;
   const fs::path path = fs::read_symlink("/proc/self/exe").parent_path() / program;
   if (!fs::exists(path))
     throw config::Error(fmt::format("this needs the program {}, which is not in {}; install it beside iotcloud",
                                     program, path.parent_path().string()));
+  return path;
+}
+
+}  // namespace
+
+Ended run_sibling(const std::string& program, const std::vector<std::string>& arguments) {
+  const std::string path = path_of(program);
   Pipe pipe;
-  std::vector<std::string> words{path.string()};
+  std::vector<std::string> words{path};
   words.insert(words.end(), arguments.begin(), arguments.end());
   const pid_t child = start(path, std::move(words), pipe.ends[1]);
   pipe.close_writing_end();
@@ -74,6 +79,16 @@ Ended run_sibling(const std::string& program, const std::vector<std::string>& ar
   if (WIFSIGNALED(status)) ended.signal = WTERMSIG(status);
   if (WIFEXITED(status)) ended.status = WEXITSTATUS(status);
   return ended;
+}
+
+void become_sibling(const std::string& program, const std::vector<std::string>& arguments) {
+  std::vector<std::string> words{path_of(program)};
+  words.insert(words.end(), arguments.begin(), arguments.end());
+  std::vector<char*> argv;
+  for (auto& word : words) argv.push_back(word.data());
+  argv.push_back(nullptr);
+  execv(argv.front(), argv.data());
+  throw config::Error(fmt::format("{} cannot be started: {}", words.front(), std::strerror(errno)));
 }
 
 }  // namespace iotcloud::master::cli

@@ -16,4 +16,7 @@ struct Ended {
 /// host and no topology. \throws config::Error that names the program when it is not there or cannot be started.
 Ended run_sibling(const std::string& program, const std::vector<std::string>& arguments);
 
+/// Runs such a program in place of this one, which is gone then. \throws config::Error as run_sibling().
+[[noreturn]] void become_sibling(const std::string& program, const std::vector<std::string>& arguments);
+
 }  // namespace iotcloud::master::cli

@@ -69,6 +69,17 @@ TopologyPages::TopologyPages(const discovery::TopologyStatus& topology) : topolo
   }
 }
 
+Json TopologyPages::brokers() const {
+  Json brokers = Json::array();
+  for (const Json& page : pages_) {
+    for (Json broker : page.value("brokers", Json::array())) {  // a worker of an older version says nothing of them
+      broker["worker"] = page.at("worker");
+      brokers.push_back(std::move(broker));
+    }
+  }
+  return brokers;
+}
+
 Json TopologyPages::tasks_of(const std::string& component) const {
   Json tasks = Json::array();
   for (const Json& page : pages_) {

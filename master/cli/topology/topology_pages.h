@@ -23,6 +23,8 @@ class TopologyPages {
   const std::vector<std::string>& problems() const { return problems_; }
   /// The graph, sources first; empty when no page could be read.
   const Json& components() const { return components_; }
+  /// The brokers of the workers whose pages could be read: {"worker", "broker", "url", "state", "since_ms", "why"}.
+  Json brokers() const;
   /// The tasks of one component on all workers: counts added up, latency p50 of the task with the most samples, p99 and
   /// max of the worst task, capacity of the busiest.
   Json sum(const std::string& component) const;

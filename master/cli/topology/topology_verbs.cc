@@ -73,8 +73,8 @@ void show_workers(const TopologyStatus& topology, std::ostream& out) {
   for (const auto& worker : topology.workers)
     rows.push_back({printable(worker.name), printable(worker.host), std::to_string(worker.pid), printable(worker.http),
                     printable(worker.state), std::to_string(worker.revision), age(worker.since_ms, now_ms()),
-                    printable(worker.error)});
-  print_table(out, {"WORKER", "HOST", "PID", "PAGES", "STATE", "ORDER", "SINCE", "ERROR"}, rows);
+                    printable(worker.error), printable(worker.trouble)});
+  print_table(out, {"WORKER", "HOST", "PID", "PAGES", "STATE", "ORDER", "SINCE", "ERROR", "TROUBLE"}, rows);
 }
 
 void show_graph(const TopologyPages& pages, std::ostream& out) {
@@ -95,9 +95,9 @@ void show_graph(const TopologyPages& pages, std::ostream& out) {
 }
 
 Json worker_json(const discovery::WorkerRecord& worker) {
-  return {{"worker", worker.name}, {"host", worker.host},        {"pid", worker.pid},
-          {"http", worker.http},   {"state", worker.state},      {"revision", worker.revision},
-          {"error", worker.error}, {"since_ms", worker.since_ms}};
+  return {{"worker", worker.name}, {"host", worker.host},         {"pid", worker.pid},
+          {"http", worker.http},   {"state", worker.state},       {"revision", worker.revision},
+          {"error", worker.error}, {"since_ms", worker.since_ms}, {"trouble", worker.trouble}};
 }
 
 /// Prints to `err` why pages could not be read; the others are shown.
@@ -131,12 +131,25 @@ class Show final : public OfTopology {
                   {"revision", revision_of(topology)},
                   {"since_ms", topology.record.since_ms},
                   {"workers", workers},
+                  {"brokers", pages.brokers()},
                   {"components", components}});
     }
     return complain(pages, call.err);
   }
 
  private:
+  static void show_brokers(const TopologyPages& pages, std::ostream& out) {
+    Rows rows;
+    for (const Json& link : pages.brokers()) {
+      rows.push_back({printable(link.at("worker").get<std::string>()), printable(link.at("broker").get<std::string>()),
+                      printable(link.at("url").get<std::string>()), printable(link.at("state").get<std::string>()),
+                      age(link.at("since_ms").get<std::int64_t>(), now_ms()),
+                      printable(link.value("why", std::string()))});
+    }
+    if (rows.empty()) return;
+    out << '\n';
+    print_table(out, {"WORKER", "BROKER", "URL", "STATE", "SINCE", "WHY"}, rows);
+  }
   static void print_all(const TopologyStatus& topology, const TopologyPages& pages, std::ostream& out) {
     const auto workers = topology.workers.size();
     const auto revision = revision_of(topology);
@@ -144,6 +157,7 @@ class Show final : public OfTopology {
                        workers, workers == 1 ? "" : "s",
                        revision == 0 ? std::string("no orders") : fmt::format("order {}", revision));
     show_workers(topology, out);
+    show_brokers(pages, out);
     if (pages.components().empty()) return;
     out << '\n';
     show_graph(pages, out);

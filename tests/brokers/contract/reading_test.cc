@@ -153,6 +153,31 @@ TEST_P(BrokerContract, NeverHandsOutMoreThanThePrefetch) {
   holder.drop_all();
 }
 
+TEST_P(BrokerContract, ARaisedPrefetchLetsMoreMessagesComeWhileNoneIsSettled) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Holder holder;
+  SubscriptionOptions options;
+  options.prefetch = 5;
+  options.prefetch_limit = 40;
+  const auto subscription = broker->subscribe(topic, options, holder.handler());
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 100)) publisher->publish(text_message(body));
+  ASSERT_TRUE(holder.wait_for(5));
+  EXPECT_FALSE(holder.wait_for(6, moment));
+  EXPECT_TRUE(subscription->raise_prefetch(20));
+  ASSERT_TRUE(holder.wait_for(20));
+  EXPECT_FALSE(holder.wait_for(21, moment));
+  EXPECT_FALSE(subscription->raise_prefetch(41)) << "more than its limit";
+  EXPECT_TRUE(subscription->raise_prefetch(10)) << "fewer than before: nothing changes";
+  for (std::size_t i = 0; i < 10; ++i) holder.settle(i, Settlement::accept);
+  ASSERT_TRUE(holder.wait_for(30));
+  EXPECT_FALSE(holder.wait_for(31, moment));
+  EXPECT_TRUE(subscription->raise_prefetch(40));
+  ASSERT_TRUE(holder.wait_for(50));
+  holder.drop_all();
+}
+
 TEST_P(BrokerContract, SettlesOutOfOrderWithoutStalling) {
   const auto broker = this->broker();
   const Topic topic = this->topic();

@@ -9,6 +9,7 @@
 #include <gmock/gmock.h>
 #include <stdlib.h>
 
+#include <iotcloud/brokers/embedded/server.h>
 #include <iotcloud/gateway/host/driver_host.h>
 #include <iotcloud/gateway/host/shared_channels.h>
 #include <iotcloud/tests/captured_log.h>
@@ -179,6 +180,18 @@ TEST_F(DriverHostTest, MessagesLeaveUnderTheWireNameWithTheirOrigin) {
   EXPECT_EQ(message->driver_id, "a");
   EXPECT_EQ(message->gateway_id, "gw");
   EXPECT_GT(message->time_ms, 0);
+}
+
+TEST_F(DriverHostTest, ABrokerThatIsAwayIsShownInTheMetrics) {
+  start_host(probe_);
+  host_->create(spec("a"));
+  ASSERT_TRUE(MessageLog(url_, {"probe", "gw.probe.a.readings", false}).next());
+  EXPECT_EQ(count("iotcloud_driver_broker_away"), 0U);
+  auto server = brokers::embedded::Server::named(url_.substr(url_.find("//") + 2));
+  server.stop();
+  EXPECT_TRUE(tests::eventually([&] { return count("iotcloud_driver_broker_away") == 1; }));
+  server.start();
+  EXPECT_TRUE(tests::eventually([&] { return count("iotcloud_driver_broker_away") == 0; }));
 }
 
 TEST_F(DriverHostTest, AMessageOnAnExclusiveChannelReachesItsInstance) {

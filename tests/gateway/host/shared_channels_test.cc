@@ -55,6 +55,7 @@ class PlayedBroker final : public brokers::Broker {
   struct Reading final : brokers::Subscription {
     void pause() override {}
     void resume() override {}
+    bool raise_prefetch(std::uint16_t) override { return false; }
     bool active() const override { return true; }
   };
   const std::string url_ = "played://";

@@ -202,6 +202,23 @@ TEST_F(Cli, StatusShowsLeaderGatewaysDriversAndTopologies) {
   EXPECT_THAT(run({"status"}).out, AllOf(HasSubstr("1 ready, 1 lost"), HasSubstr("1 active")));
 }
 
+TEST_F(Cli, WhatIsOrderedOfALostGatewayIsListedAndTakenAwayByItsName) {
+  { FakeGateway gone(url, "lab2"); }
+  ASSERT_TRUE(test::eventually([&] { return !(*master)->gateways().at(0).alive; }));
+  ASSERT_EQ(run({"deploy", "turtle.so", "--gateway", "lab2", "--name", "rover", "--count", "2"}).status, 1);
+  const auto listed = run_json({"drivers"});
+  ASSERT_THAT(listed, SizeIs(2));
+  EXPECT_EQ(listed[0]["name"], "rover");
+  EXPECT_EQ(listed[0]["state"], "ordered");
+  EXPECT_THAT(listed[0]["reason"].get<std::string>(), HasSubstr("its gateway is lost"));
+  EXPECT_THAT(run_json({"drivers", "--state", "ordered"}), SizeIs(2));
+  EXPECT_THAT(run({"status"}).out, HasSubstr("2 ordered"));
+  run({"undeploy", "rover/1"});
+  EXPECT_THAT(run_json({"drivers"}), SizeIs(1));
+  run({"undeploy", "--name", "rover"});
+  EXPECT_THAT(run_json({"drivers"}), SizeIs(0));
+}
+
 TEST_F(Cli, YamlSaysTheSameAsJson) {
   FakeGateway gateway(url, "lab1");
   const auto done = run({"gateways", "-o", "yaml"});

@@ -11,6 +11,7 @@
 
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/brokers/embedded/server.h>
+#include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
@@ -138,6 +139,84 @@ TEST_F(Endpoints, SayWhichChannelsThereAreWhenNoInstanceHasTheOneThatASpoutNames
               testing::HasSubstr("in: waits for the channel \"temprature\", which no active instance of the driver d "
                                  "has; their outgoing channels are \"temperature\", \"wind\"; did you mean "
                                  "\"temperature\"?"));
+}
+
+/// Acks nothing until the topology ends, as a long window does.
+class WindowLikeBolt final : public Bolt {
+ public:
+  void prepare(const Config&, const TopologyContext&, OutputCollector&) override {}
+  void execute(const Tuple& tuple) override {
+    kept_.push_back(tuple);
+    ++kept;
+  }
+  void cleanup() override { kept_.clear(); }
+  std::chrono::microseconds holds_tuples_for(const Config&) const override { return std::chrono::seconds(20); }
+
+  static inline std::atomic<int> kept{0};  ///< by all objects
+
+ private:
+  std::vector<Tuple> kept_;
+};
+
+TEST_F(Endpoints, GiveAWindowAllThatComesInItsTimeThoughItKeepsMoreThanTheUsualPrefetch) {
+  WindowLikeBolt::kept = 0;
+  ComponentRegistry components;
+  components.add_bolt<WindowLikeBolt>("Window");
+  run_yaml(
+      "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time]}\n"
+      "bolts:\n  mean: {class: Window, inputs: {from: in}}\n",
+      std::move(components));
+  show_driver("one");
+  const auto publisher = device("one");
+  constexpr int in_ten_seconds = 500;  // at 50 a second, as a window of 10 s keeps them
+  for (int i = 0; i < in_ten_seconds; ++i) publisher->publish(message("m", "one"));
+  EXPECT_TRUE(eventually([] { return WindowLikeBolt::kept == in_ten_seconds; })) << WindowLikeBolt::kept;
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_prefetch") >= in_ten_seconds; }));
+}
+
+TEST_F(Endpoints, SayInTheWorkersRecordWhichBrokerIsAwayAsLongAsItIs) {
+  Worker& worker = run();
+  show_driver("one");
+  const auto publisher = device("one");
+  const auto recorded = [&] {
+    const auto workers = discovery::list_workers(*registry_, paths_, discovery::TopologyName("t"));
+    return workers.empty() ? std::string("no worker") : workers.front().trouble;
+  };
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_broker_away") == 0; }));
+  EXPECT_EQ(recorded(), "");
+  auto server = brokers::embedded::Server::named(broker_url_.substr(broker_url_.find("//") + 2));
+  server.stop();
+  EXPECT_TRUE(eventually([&] { return recorded().starts_with("the broker rabbitmq (embedded://"); })) << recorded();
+  EXPECT_THAT(recorded(), HasSubstr(" is away since 20"));
+  EXPECT_EQ(worker.trouble(), recorded());
+  EXPECT_THAT(worker.describe(), HasSubstr("\"state\":\"away\""));
+  EXPECT_EQ(metric("iotcloud_broker_away"), 1);
+  server.start();
+  EXPECT_TRUE(eventually([&] { return recorded().empty(); })) << recorded();
+  EXPECT_EQ(worker.trouble(), "");
+}
+
+TEST_F(Endpoints, SayThatThePrefetchIsTheLimitOfAWindowThatKeepsAllMessages) {
+  testing::internal::CaptureStderr();
+  ComponentRegistry components;
+  components.add_bolt<WindowLikeBolt>("Window");
+  run_yaml(
+      "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], "
+      "properties: {prefetchCount: 5}}\nbolts:\n  mean: {class: Window, inputs: {from: in}}\n",
+      std::move(components));
+  show_driver("one");
+  const auto publisher = device("one");
+  for (int i = 0; i < 20; ++i) publisher->publish(message("m", "one"));
+  std::string log;
+  EXPECT_TRUE(eventually([&] {
+    log += testing::internal::GetCapturedStderr();
+    testing::internal::CaptureStderr();
+    return log.find("is the limit") != std::string::npos;
+  }));
+  log += testing::internal::GetCapturedStderr();
+  EXPECT_THAT(log, testing::HasSubstr("in: prefetchCount (5) is the limit: of 1 channel(s)"));
+  EXPECT_THAT(log, testing::HasSubstr("bolts keep tuples: mean (for up to 20000 ms)"));
+  EXPECT_EQ(metric("iotcloud_spout_prefetch_limited"), 1);
 }
 
 TEST_F(Endpoints, CountTuplesForDriversThatAreNotThereAndGoOn) {

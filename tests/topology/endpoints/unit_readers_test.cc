@@ -37,8 +37,8 @@ class UnitReadersTest : public testing::Test {
     return [this](const discovery::ChannelRecord&, const UnitReaders::Key& at) -> std::shared_ptr<TopicReader> {
       ++opened_;
       if (at.second.name == "broken") return nullptr;
-      return TopicReader::open(broker_, at.first, at.second, {}, {"gateway"_gateway, "driver"_instance}, queue_,
-                               fence_);
+      return TopicReader::open(broker_, at.first, at.second, {}, {"gateway"_gateway, "driver"_instance}, queue_, fence_,
+                               std::make_shared<HeldMessages>());
     };
   }
   void send(const std::string& topic) {

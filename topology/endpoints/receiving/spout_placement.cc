@@ -17,6 +17,14 @@ constexpr std::chrono::milliseconds gathering{5};
 /// One line of the log names all units that are taken or given up within this time.
 constexpr std::chrono::seconds gathering_for_the_log{1};
 
+/// What a reader raises its prefetch to at most, where bolts keep tuples: what all brokers can count.
+constexpr std::uint16_t most_prefetch = 65535;
+
+/// How often the readers are looked at for one whose messages in hand have reached its prefetch, how many such looks
+/// in a row mean that this is the limit, and after how many more it is said again.
+constexpr std::chrono::milliseconds limit_pause{500};
+constexpr int limit_looks = 3, limit_repeat = 120;
+
 /// The name of a channel's unit: for an exclusive channel that of its driver instance, for a shared one that of its
 /// gateway, with the partition's number behind a mark that no id has. The unit of partition 0 has the name of the
 /// whole, so that it stays when the topic is given more partitions.
@@ -129,7 +137,7 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
 
 void SpoutPlacement::leave() {
   std::map<std::string, Unit> units;
-  discovery::GuardPtr sharing, telling, anew, looking, missing, partitions;
+  discovery::GuardPtr sharing, telling, anew, looking, missing, partitions, limit;
   {
     const config::MutexLock lock(mutex_);
     if (std::exchange(over_, true)) return;
@@ -145,6 +153,7 @@ void SpoutPlacement::leave() {
   telling.swap(telling_);
   looking.swap(looking_);
   missing.swap(missing_);
+  limit.swap(limit_);
   search_.reset();
   sharing.reset();
   anew.reset();
@@ -152,6 +161,7 @@ void SpoutPlacement::leave() {
   telling.reset();
   looking.reset();
   missing.reset();
+  limit.reset();
   for (auto& [name, unit] : units) {
     unit.readers.close();
     unit.election.reset();
@@ -210,6 +220,7 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
   others_.clear();
   channels_.insert_or_assign(channel.instance, channel);
   place(channel);
+  look_for_limit_soon();
   report();
 }
 
@@ -379,6 +390,64 @@ void SpoutPlacement::warn_of_missing() {
                         guess.empty() ? "" : fmt::format("; did you mean \"{}\"?", guess));
 }
 
+void SpoutPlacement::look_for_limit_soon() {
+  if (endpoint_.reading.automatic_ack || std::exchange(limit_soon_, true)) return;
+  limit_ = services_->registry->after(limit_pause, [this] {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      limit_soon_ = false;
+      look_for_limit();
+    });
+  });
+}
+
+bool SpoutPlacement::queues_are_empty() {
+  const config::MutexLock lock(mutex_);
+  return std::all_of(queues_.begin(), queues_.end(), [](const auto& entry) { return entry.second->size() == 0; });
+}
+
+/// Says when messages wait at the broker although the spout has nothing to emit, because as many as the broker hands
+/// out are in the topology, unsettled: a window, or a bolt that acks late, gets only so many at a time.
+void SpoutPlacement::look_for_limit() {
+  std::size_t limited = 0, most = 0;
+  const bool idle = queues_are_empty();
+  for (const auto& [name, unit] : units_) {
+    most = std::max(most, unit.readers.prefetch());
+    if (idle) limited += unit.readers.at_limit();
+  }
+  limited_looks_ = limited > 0 ? limited_looks_ + 1 : 0;
+  const config::Labels labels{{"topology", services_->topology.str()}, {"component", component_}};
+  auto& metrics = *services_->metrics;
+  metrics.gauge("iotcloud_spout_prefetch", "The most unsettled messages that a channel may have now", labels)
+      .set(static_cast<std::int64_t>(most));
+  metrics
+      .gauge("iotcloud_spout_prefetch_limited",
+             "Channels of which as many messages as the broker hands out are unsettled, so that the others wait",
+             labels)
+      .set(limited_looks_ >= limit_looks ? static_cast<std::int64_t>(limited) : 0);
+  const std::string text = limited_looks_ >= limit_looks ? limit_text(limited, most) : "";
+  services_->held->set_limit(component_, text);
+  if (!text.empty() && (limited_looks_ - limit_looks) % limit_repeat == 0)
+    endpoints_logger.warn("{}: {}", component_, text);
+  if (!units_.empty()) look_for_limit_soon();
+}
+
+std::string SpoutPlacement::limit_text(std::size_t limited, std::size_t most) const {
+  const auto keepers = services_->keepers.find(component_);
+  const bool kept = keepers != services_->keepers.end();
+  const std::string mend =
+      kept && !endpoint_.reading.own_prefetch
+          ? fmt::format(
+                "it was not raised further, because of the memory for such messages ({} MiB) or of the broker; "
+                "keep less, or set prefetchCount",
+                HeldMessages::usual_limit >> 20U)
+          : "set prefetchCount above the number of messages that come in that time";
+  return fmt::format(
+      "prefetchCount ({}) is the limit: of {} channel(s) so many messages are in the topology, unsettled, and the "
+      "others wait at the broker; {}; {}",
+      most, limited, kept ? "bolts keep tuples: " + keepers->second : "a bolt acks late", mend);
+}
+
 void SpoutPlacement::on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) {
   if (problem != problem_ && !problem.empty()) {
     endpoints_logger.error("{}: channel {} of driver {} is not read here: {}", component_, endpoint_.channel,
@@ -486,13 +555,15 @@ std::shared_ptr<TopicReader> SpoutPlacement::open_reader(const discovery::Channe
   options.group = group_of(endpoint_, *services_);
   options.automatic_ack = endpoint_.reading.automatic_ack;
   options.prefetch = static_cast<std::uint16_t>(endpoint_.reading.prefetch);
+  if (services_->keepers.contains(component_) && !endpoint_.reading.own_prefetch)
+    options.prefetch_limit = most_prefetch;
   options.keep_last = static_cast<std::size_t>(endpoint_.reading.keep_last);
   options.priority = priority_of(channel);
   options.partition = unit.partition;
   try {
     return TopicReader::open(broker_at(key.first, *services_), key.first, key.second, options,
                              {channel.gateway, channel.shared ? discovery::InstanceId() : channel.instance},
-                             queue_of(unit.task), services_->fence);
+                             queue_of(unit.task), services_->fence, services_->held);
   } catch (const config::Error& error) {
     if (complained_.insert(key.first.urls.front()).second) {
       endpoints_logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());

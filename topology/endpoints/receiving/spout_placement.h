@@ -128,6 +128,10 @@ class SpoutPlacement {
   void on_channel_gone(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
   void on_missing(const std::vector<discovery::ChannelRecord>& channels) IOTCLOUD_REQUIRES(dispatcher_);
   void warn_of_missing() IOTCLOUD_REQUIRES(dispatcher_);
+  void look_for_limit() IOTCLOUD_REQUIRES(dispatcher_);
+  void look_for_limit_soon() IOTCLOUD_REQUIRES(dispatcher_);
+  std::string limit_text(std::size_t limited, std::size_t most) const;
+  bool queues_are_empty() IOTCLOUD_EXCLUDES(mutex_);
   void on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) IOTCLOUD_REQUIRES(dispatcher_);
   void on_elected(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void on_lost(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
@@ -200,8 +204,11 @@ class SpoutPlacement {
   std::set<std::string> others_ IOTCLOUD_GUARDED_BY(dispatcher_);
   bool warned_of_missing_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;  ///< or the call is planned
   discovery::GuardPtr missing_ IOTCLOUD_GUARDED_BY(dispatcher_);
-  std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< why this worker has no share
-  std::unique_ptr<Search> search_;                        ///< set by the last join(), taken by the first leave()
+  discovery::GuardPtr limit_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< timer that calls look_for_limit()
+  bool limit_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;    ///< that call is planned
+  int limited_looks_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;      ///< looks in a row that found a reader at its limit
+  std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);        ///< why this worker has no share
+  std::unique_ptr<Search> search_;                              ///< set by the last join(), taken by the first leave()
 };
 
 }  // namespace iotcloud::topology

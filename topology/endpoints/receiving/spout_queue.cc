@@ -5,16 +5,18 @@
 
 namespace iotcloud::topology {
 
-HeldReader::HeldReader(std::shared_ptr<TopicReader> reader) : reader_(std::move(reader)) {
-  if (reader_) reader_->take_in_hand();
+HeldReader::HeldReader(std::shared_ptr<TopicReader> reader, std::size_t bytes)
+    : reader_(std::move(reader)), bytes_(bytes) {
+  if (reader_) reader_->take_in_hand(bytes_);
 }
 
 HeldReader::~HeldReader() {
-  if (reader_) reader_->let_go();
+  if (reader_) reader_->let_go(bytes_);
 }
 
 HeldReader& HeldReader::operator=(HeldReader&& other) noexcept {
   std::swap(reader_, other.reader_);
+  std::swap(bytes_, other.bytes_);
   return *this;
 }
 
@@ -34,12 +36,15 @@ void SpoutQueue::push(ChannelMessage arrival) {
 
 SpoutQueue::Taken SpoutQueue::pop() {
   Taken taken;
-  const config::MutexLock lock(mutex_);
-  if (waiting_.empty()) return taken;
-  taken.arrival = std::move(waiting_.front());
-  waiting_.pop_front();
-  taken.more = !waiting_.empty();
-  resume_when_half_empty();
+  {
+    const config::MutexLock lock(mutex_);
+    if (waiting_.empty()) return taken;
+    taken.arrival = std::move(waiting_.front());
+    waiting_.pop_front();
+    taken.more = !waiting_.empty();
+    resume_when_half_empty();
+  }
+  taken.arrival->reader->raise_prefetch();
   return taken;
 }
 

@@ -22,7 +22,8 @@ inline constexpr const char* rejected_help = "Messages given up after their last
 /// Counts a message as in its reader's hand (TopicReader::has_in_hand()) as long as it lives. Movable.
 class HeldReader {
  public:
-  explicit HeldReader(std::shared_ptr<TopicReader> reader);
+  /// \param bytes of the message
+  explicit HeldReader(std::shared_ptr<TopicReader> reader, std::size_t bytes = 0);
   ~HeldReader();
   HeldReader(HeldReader&&) noexcept = default;
   HeldReader& operator=(HeldReader&& other) noexcept;
@@ -31,12 +32,13 @@ class HeldReader {
 
  private:
   std::shared_ptr<TopicReader> reader_;  ///< null in a moved-from object
+  std::size_t bytes_ = 0;
 };
 
 /// A message on its way from a channel into the topology.
 struct ChannelMessage {
   ChannelMessage(brokers::Delivery received, std::shared_ptr<TopicReader> from)
-      : reader(std::move(from)), delivery(std::move(received)) {}
+      : reader(std::move(from), received.message.payload.size()), delivery(std::move(received)) {}
 
   HeldReader reader;
   /// Destroyed before `reader`: an unsettled message goes back to the broker before it leaves the reader's hand.

@@ -1,3 +1,5 @@
+#include <algorithm>
+
 #include <iotcloud/topology/endpoints/logger.h>
 #include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
@@ -7,20 +9,24 @@ std::shared_ptr<TopicReader> TopicReader::open(std::shared_ptr<brokers::Broker> 
                                                const brokers::BrokerAddress& address, const brokers::Topic& topic,
                                                const brokers::SubscriptionOptions& options, Sender sender,
                                                std::shared_ptr<SpoutQueue> queue,
-                                               std::shared_ptr<const StandstillFence> fence) {
+                                               std::shared_ptr<const StandstillFence> fence,
+                                               std::shared_ptr<HeldMessages> held) {
   const std::int32_t partition = options.partition.value_or(0);
   std::shared_ptr<TopicReader> reader(
       new TopicReader(topic, partition == 0 ? topic.name : topic.name + "#" + std::to_string(partition), address,
-                      std::move(sender), std::move(queue), std::move(fence)));
+                      std::move(sender), std::move(queue), std::move(fence), std::move(held), options));
   const auto handler = [weak = std::weak_ptr(reader)](brokers::Delivery delivery) {
     if (const auto self = weak.lock()) self->take(std::move(delivery));
   };
   auto subscription = broker->subscribe(topic, options, handler);
-  const config::MutexLock lock(reader->mutex_);
-  reader->broker_ = std::move(broker);
-  reader->subscription_ = std::move(subscription);
-  // the handler may have run, and paused this reader, before subscription_ was set
-  if (reader->paused_ || reader->draining_) reader->subscription_->pause();
+  {
+    const config::MutexLock lock(reader->mutex_);
+    reader->broker_ = std::move(broker);
+    reader->subscription_ = std::move(subscription);
+    // the handler may have run, and paused this reader, before subscription_ was set
+    if (reader->paused_ || reader->draining_) reader->subscription_->pause();
+  }
+  reader->raise_prefetch();  // bolts may keep all that has come before there was a subscription_
   return reader;
 }
 
@@ -35,6 +41,19 @@ void TopicReader::take(brokers::Delivery delivery) {
   }
   ++taken_;
   queue_->push(ChannelMessage(std::move(delivery), shared_from_this()));
+}
+
+void TopicReader::raise_prefetch() {
+  const std::size_t now = prefetch_, in_hand = in_hand_;
+  // Messages that wait for the spout do not count, because more of them would be of no use.
+  if (now >= prefetch_limit_ || in_hand < now / 2 || in_hand == 0) return;
+  if (in_hand - std::min(in_hand, queue_->size()) < now / 2) return;
+  const std::size_t wanted = std::min(now * 2, prefetch_limit_);
+  if (!held_->has_room(bytes_ / in_hand * (wanted - now))) return;
+  const config::MutexLock lock(mutex_);
+  if (!subscription_ || !subscription_->raise_prefetch(static_cast<std::uint16_t>(wanted))) return;
+  prefetch_ = wanted;
+  endpoints_logger.debug("{}: bolts keep its messages, so that its prefetch is {} now", name_, wanted);
 }
 
 void TopicReader::pause() {

@@ -8,6 +8,7 @@
 #include <iotcloud/brokers/broker_pool.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/ids.h>
+#include <iotcloud/topology/endpoints/receiving/held_messages.h>
 #include <iotcloud/topology/endpoints/receiving/spout_queue.h>
 #include <iotcloud/topology/endpoints/standstill_fence.h>
 
@@ -21,12 +22,14 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
     discovery::GatewayId gateway;
     discovery::InstanceId driver;
   };
-  /// Subscribes to the topic.
+  /// Subscribes to the topic. With SubscriptionOptions::prefetch_limit the reader raises its prefetch, within that
+  /// limit and the room in `held`, when bolts keep half of it.
   static std::shared_ptr<TopicReader> open(std::shared_ptr<brokers::Broker> broker,
                                            const brokers::BrokerAddress& address, const brokers::Topic& topic,
                                            const brokers::SubscriptionOptions& options, Sender sender,
                                            std::shared_ptr<SpoutQueue> queue,
-                                           std::shared_ptr<const StandstillFence> fence);
+                                           std::shared_ptr<const StandstillFence> fence,
+                                           std::shared_ptr<HeldMessages> held);
 
   void pause();
   void resume();
@@ -34,8 +37,15 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   void drain();
   /// Whether a message from this reader is neither settled nor given back to the broker.
   bool has_in_hand() const { return in_hand_ > 0; }
+  /// Whether as many such messages are there as the broker hands out.
+  bool at_limit() const { return in_hand_ >= prefetch_; }
+  /// How many such messages there may be now.
+  std::size_t prefetch() const { return prefetch_; }
   /// How many messages it has brought.
   std::size_t taken() const { return taken_; }
+  /// Doubles the prefetch if bolts keep half of it, before they keep all of it, so that the broker goes on without a
+  /// pause. To be called when the spout has taken a message of this reader.
+  void raise_prefetch();
   /// Ends the subscription, and waits until no handler runs any more (unless a handler calls it). Messages that wait in
   /// the queue go back to the broker.
   void close();
@@ -53,17 +63,29 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
 
  private:
   TopicReader(brokers::Topic topic, std::string name, brokers::BrokerAddress address, Sender sender,
-              std::shared_ptr<SpoutQueue> queue, std::shared_ptr<const StandstillFence> fence)
+              std::shared_ptr<SpoutQueue> queue, std::shared_ptr<const StandstillFence> fence,
+              std::shared_ptr<HeldMessages> held, const brokers::SubscriptionOptions& options)
       : topic_(std::move(topic)),
         name_(std::move(name)),
         address_(std::move(address)),
         sender_(std::move(sender)),
         queue_(std::move(queue)),
         fence_(std::move(fence)),
-        opened_at_(fence_->count()) {}
+        held_(std::move(held)),
+        prefetch_limit_(options.automatic_ack ? std::size_t{0} : options.prefetch_limit),
+        opened_at_(fence_->count()),
+        prefetch_(options.prefetch) {}
   friend class HeldReader;
-  void take_in_hand() { ++in_hand_; }
-  void let_go() { --in_hand_; }
+  void take_in_hand(std::size_t bytes) {
+    ++in_hand_;
+    bytes_ += bytes;
+    held_->add(bytes);
+  }
+  void let_go(std::size_t bytes) {
+    --in_hand_;
+    bytes_ -= bytes;
+    held_->remove(bytes);
+  }
   void take(brokers::Delivery delivery);
 
   const brokers::Topic topic_;
@@ -72,10 +94,14 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   const Sender sender_;
   const std::shared_ptr<SpoutQueue> queue_;
   const std::shared_ptr<const StandstillFence> fence_;
+  const std::shared_ptr<HeldMessages> held_;
+  const std::size_t prefetch_limit_;     ///< 0: the prefetch stays as it is
   const std::uint64_t opened_at_;        ///< StandstillFence::count() at open()
   std::atomic<bool> said_first_{false};  ///< the log has a line about the first message
   std::atomic<std::size_t> taken_{0};
   std::atomic<std::size_t> in_hand_{0};  ///< number of HeldReader objects of this reader
+  std::atomic<std::size_t> bytes_{0};    ///< of their messages
+  std::atomic<std::size_t> prefetch_;    ///< as the subscription has it
   mutable config::Mutex mutex_;
   bool closed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   bool paused_ IOTCLOUD_GUARDED_BY(mutex_) = false;

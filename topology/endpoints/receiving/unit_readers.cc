@@ -34,6 +34,17 @@ bool UnitReaders::have_in_hand() const {
   return std::any_of(readers_.begin(), readers_.end(), [](const auto& entry) { return entry.second->has_in_hand(); });
 }
 
+std::size_t UnitReaders::at_limit() const {
+  return static_cast<std::size_t>(
+      std::count_if(readers_.begin(), readers_.end(), [](const auto& entry) { return entry.second->at_limit(); }));
+}
+
+std::size_t UnitReaders::prefetch() const {
+  std::size_t most = 0;
+  for (const auto& [key, reader] : readers_) most = std::max(most, reader->prefetch());
+  return most;
+}
+
 std::size_t UnitReaders::taken() const {
   std::size_t sum = 0;
   for (const auto& [key, reader] : readers_) sum += reader->taken();

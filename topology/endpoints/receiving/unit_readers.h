@@ -31,6 +31,10 @@ class UnitReaders {
   void drain();
   /// Whether a message of one of the readers is not settled.
   bool have_in_hand() const;
+  /// How many of the readers get no more messages until some are settled (TopicReader::at_limit()).
+  std::size_t at_limit() const;
+  /// The greatest prefetch of a reader; 0: there is none.
+  std::size_t prefetch() const;
   /// How many messages the readers have brought.
   std::size_t taken() const;
   /// Whether the broker does not deliver to one of the readers (TopicReader::active()).

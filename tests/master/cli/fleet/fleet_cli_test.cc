@@ -214,6 +214,18 @@ TEST_F(CliFleet, DrainIsShownPassedByAndUndone) {
   EXPECT_EQ(run({"drain", "lab7"}).status, 1);
 }
 
+TEST_F(CliFleet, WhatIsOrderedOfALostGatewayIsCounted) {
+  { FakeGateway gone(url, "lab3"); }
+  ASSERT_TRUE(test::eventually([&] { return run_json({"status"})["gateways"]["lost"] == 1; }));
+  write("  meter: {plugin: meter.so, gateways: [lab1, lab3], count: 2}\n");
+  apply();
+  const auto again = diff();
+  EXPECT_EQ(again.status, 0) << again.err;
+  EXPECT_THAT(again.out, AllOf(HasSubstr("nothing to do: 4 instances as the manifest says"),
+                               HasSubstr("only ordered: 2 instances of lost gateways")));
+  EXPECT_EQ(json::parse(diff({"-o", "json"}).out)["ordered"], 2);
+}
+
 TEST_F(CliFleet, LargeChangesAreGivenInSeveralOrders) {
   write("  meter: {plugin: meter.so, gateways: [lab1], count: 450}\n");
   EXPECT_THAT(changes(apply({"-o", "json"}), 0), SizeIs(450));

@@ -1,0 +1,48 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include <iotcloud/topology/local/local_cluster.h>
+
+namespace iotcloud::local {
+
+/// What `iotcloud run` runs.
+struct RunOptions {
+  std::string topology;              ///< its YAML file
+  std::vector<std::string> plugins;  ///< files of driver plugins, all in one folder
+  int count = 1;                     ///< instances of each plugin
+  std::map<std::string, std::string> properties;
+  std::string broker_url;                    ///< for all logical brokers of the topology; empty: the embedded broker
+  std::string registry_url;                  ///< empty: the embedded registry
+  std::vector<std::string> library_folders;  ///< of component libraries, besides those of the file and the plugins
+};
+
+/// The files that a run reads: the topology's, plugins, and where its component libraries may be.
+std::vector<std::string> files_of(const RunOptions& options);
+
+/// A topology and its drivers in this process, on a broker and a registry that need no server, for a person who
+/// develops them. The files run on a cluster unchanged. Used on one thread.
+class LocalRun {
+ public:
+  /// Starts all of it; returns when the instances are active. \throws config::Error, config::ConfigError.
+  explicit LocalRun(const RunOptions& options);
+
+  /// What happened since the last call, a line for each: how many instances are in which state, and what each component
+  /// of the topology took and emitted a second, with its newest tuple.
+  std::vector<std::string> news();
+  /// \return false when something did not stop within the limit.
+  bool stop(std::chrono::milliseconds limit) { return cluster_.stop(limit); }
+
+ private:
+  std::string instances();
+  std::string newest(const std::string& component);
+
+  LocalCluster cluster_;
+  topology::Worker* worker_;  ///< the cluster's
+  topology::Snapshot before_;
+  std::chrono::steady_clock::time_point at_ = std::chrono::steady_clock::now();
+};
+
+}  // namespace iotcloud::local

@@ -1,0 +1,125 @@
+// iotcloud-run: a topology and its drivers in one process; `iotcloud run` starts it.
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+
+#include <CLI/CLI.hpp>
+#include <signal.h>
+#include <unistd.h>
+
+#include <iotcloud/config/log_settings.h>
+#include <iotcloud/topology/local/local_run.h>
+#include <iotcloud/topology/local/watched_files.h>
+
+namespace {
+
+using namespace iotcloud;
+
+constexpr std::chrono::milliseconds stop_limit{5000};
+
+void print(const std::vector<std::string>& lines) {
+  for (const auto& line : lines) std::printf("%s\n", line.c_str());
+  std::fflush(stdout);
+}
+
+/// Blocks the signals that end the process before any thread exists, so that run() alone gets them.
+sigset_t ending_signals() {
+  sigset_t ending;
+  sigemptyset(&ending);
+  sigaddset(&ending, SIGINT);
+  sigaddset(&ending, SIGTERM);
+  pthread_sigmask(SIG_BLOCK, &ending, nullptr);
+  return ending;
+}
+
+/// Set in a process that began anew because a file changed.
+constexpr const char* again_variable = "IOTCLOUD_RUN_AGAIN";
+constexpr timespec second{1, 0};
+/// What run() and wait_for_change() return when a file has changed; other values are exit statuses.
+constexpr int file_changed = -1;
+
+int run(const local::RunOptions& options, int seconds, const sigset_t& ending, local::WatchedFiles& files) {
+  local::LocalRun running(options);
+  std::printf("%s runs; Ctrl-C ends it\n", options.topology.c_str());
+  std::string changed;
+  for (int passed = 1; changed.empty() && sigtimedwait(&ending, nullptr, &second) < 0; ++passed) {
+    print(running.news());
+    if (passed == seconds) break;
+    changed = files.changed();
+  }
+  if (!changed.empty()) print({changed + " changed: all starts anew"});
+  if (!running.stop(stop_limit)) {
+    std::fprintf(stderr, "iotcloud-run: not everything stopped within %d s\n",
+                 static_cast<int>(stop_limit.count() / 1000));
+    if (changed.empty()) return 1;
+  }
+  return changed.empty() ? 0 : file_changed;
+}
+
+int wait_for_change(const sigset_t& ending, local::WatchedFiles& files) {
+  std::fprintf(stderr, "iotcloud-run: waiting for a file to change; Ctrl-C ends it\n");
+  while (sigtimedwait(&ending, nullptr, &second) < 0) {
+    if (!files.changed().empty()) return file_changed;
+  }
+  return 0;
+}
+
+/// The program begins anew in this process, because a library that was loaded cannot be replaced. \return only when
+/// that failed.
+int begin_anew(char** arguments) {
+  setenv(again_variable, "1", 1);
+  execv("/proc/self/exe", arguments);
+  std::perror("iotcloud-run: cannot begin anew");
+  return 2;
+}
+
+/// The component libraries of the build and of the installation.
+std::vector<std::string> library_folders() {
+  const auto program = std::filesystem::read_symlink("/proc/self/exe").parent_path();
+  return {program.parent_path() / "plugins", program.parent_path() / "lib/iotcloud/plugins"};
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  signal(SIGPIPE, SIG_IGN);
+  local::RunOptions options;
+  int seconds = 0;
+  std::vector<std::string> properties;
+  std::string log_level = "warn";
+  CLI::App app{"Runs a topology and drivers in one process, without a server.", "iotcloud-run"};
+  app.add_option("FILE", options.topology, "the topology's YAML file")->required()->check(CLI::ExistingFile);
+  app.add_option("--plugin", options.plugins, "a driver's plugin; again for each further one, all in one folder")
+      ->allow_extra_args(false);
+  app.add_option("-n,--count", options.count, "instances of each plugin")->check(CLI::Range(1, 10'000));
+  app.add_option("--property", properties, "KEY=VALUE, for all instances; again for each further one")
+      ->allow_extra_args(false);
+  app.add_option("--broker", options.broker_url, "a broker's URL in place of the embedded one");
+  app.add_option("--registry", options.registry_url, "a registry's URL in place of the embedded one");
+  app.add_option("--seconds", seconds, "end after so many; 0: with Ctrl-C");
+  app.add_option("--log-level", log_level, "debug, info, warn, error or off");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    options.library_folders = library_folders();
+    config::set_log_level(config::parse_log_level(log_level));
+    for (const auto& word : properties) {
+      const auto equals = word.find('=');
+      if (equals == 0 || equals == std::string::npos)
+        throw config::Error("--property: \"" + word + "\" is not of the form KEY=VALUE");
+      options.properties[word.substr(0, equals)] = word.substr(equals + 1);
+    }
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "iotcloud-run: %s\n", error.what());
+    return 2;
+  }
+  const sigset_t ending = ending_signals();
+  local::WatchedFiles files(local::files_of(options));
+  int status = 2;
+  try {
+    status = run(options, seconds, ending, files);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "iotcloud-run: %s\n", error.what());
+    if (getenv(again_variable) != nullptr) status = wait_for_change(ending, files);
+  }
+  return status == file_changed ? begin_anew(argv) : status;
+}
