@@ -104,7 +104,8 @@ struct GatewayRecord {
   int port = 0;                      ///< of its Thrift service
   std::vector<std::string> brokers;  ///< logical names
   std::int64_t since_ms = 0;
-  bool tls = false;  ///< whether its Thrift service speaks TLS
+  bool tls = false;       ///< whether its Thrift service speaks TLS
+  std::string trouble{};  ///< what its drivers cannot do now (a broker is away, say); empty: nothing is known
   /// `brokers` is missing here: TSite has a struct for each broker, so records.cc converts them.
   static constexpr const char* what = "a gateway";
   static constexpr auto fields = std::tuple{
@@ -113,6 +114,7 @@ struct GatewayRecord {
       IOTCLOUD_FIELD(port, required),
       IOTCLOUD_FIELD_AS(since_ms, usual, "since_ms", sinceMs),
       IOTCLOUD_FIELD(tls, rare),
+      IOTCLOUD_FIELD(trouble, rare),
   };
   friend bool operator==(const GatewayRecord&, const GatewayRecord&) = default;
 };

@@ -82,6 +82,8 @@ struct TSite {
   104: optional bool original
   // In answers of the master: why the gateway follows no orders (the registry was emptied, say); empty: it follows them.
   105: optional string frozen
+  // What the gateway's drivers cannot do now (a broker is away, say); empty: nothing is known.
+  106: optional string trouble
 }
 
 struct TResponse {

@@ -127,6 +127,23 @@ std::string Gateway::trouble() const {
   return impl_->feed.refused();
 }
 
+void Gateway::show_trouble(const std::string& text) {
+  impl_->loop.post([impl = impl_.get(), text] {
+    impl->membership.set_trouble(text);
+    if (impl->stopping) return;
+    if (!impl->knows_registry) {  // the record is written when it is there
+      impl->restore_due = true;
+      return;
+    }
+    try {
+      impl->membership.restore_record();
+    } catch (const discovery::RegistryError& error) {
+      impl->restore_due = true;
+      logger.debug("the gateway's record is written when the registry answers: {}", error.what());
+    }
+  });
+}
+
 void Gateway::reload() {
   impl_->loop.post([impl = impl_.get()] { impl->feed.read_refused_again(); });
 }

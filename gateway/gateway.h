@@ -68,6 +68,9 @@ class Gateway final : public config::Service {
   /// Why no orders are followed, in one line; empty: they are, or the registry is away.
   std::string trouble() const override;
 
+  /// Shows in the gateway's record what its drivers cannot do now; empty: nothing is known. Returns at once.
+  void show_trouble(const std::string& text);
+
   /// The trusted keys of orders were read again: looks at refused orders once more.
   void reload() override;
 

@@ -4,14 +4,18 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <thread>
+#include <utility>
 #include <vector>
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <signal.h>
 #include <unistd.h>
 
 #include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/processes/state_folder.h>
@@ -66,6 +70,7 @@ class GatewayDaemon final : public config::Service {
     if (!config_.pages.address.empty())
       metrics_.emplace(config_.pages, config::process_metrics(), [this] { return trouble(); });
     gateway_->start();
+    if (config_.hosts.metrics) watching_ = std::jthread([this](const std::stop_token& stop) { watch_brokers(stop); });
   }
 
   void reload() override {
@@ -90,6 +95,7 @@ class GatewayDaemon final : public config::Service {
   }
 
   void stop(std::chrono::milliseconds limit) override {
+    watching_ = {};
     metrics_.reset();
     gateway_->stop(limit - thrift_share);
     service_.reset();
@@ -105,12 +111,29 @@ class GatewayDaemon final : public config::Service {
 
  private:
   static constexpr std::chrono::milliseconds thrift_share{500};
+  static constexpr std::chrono::milliseconds look_pause{500};
+
+  /// Shows in the gateway's record which brokers its drivers cannot reach, and since when, for `iotcloud gateways`.
+  void watch_brokers(const std::stop_token& stop) {
+    config::Mutex mutex;
+    config::StoppableConditionVariable end;
+    std::string shown;
+    const config::MutexLock lock(mutex);
+    while (!end.wait_for(mutex, stop, look_pause, [&] { return stop.stop_requested(); })) {
+      const std::string away = config_.hosts.metrics->brokers_away();
+      if (away == std::exchange(shown, away)) continue;
+      const auto now = static_cast<std::time_t>(config::system_clock().wall_ms() / 1000);
+      gateway_->show_trouble(away.empty() ? "" : fmt::format("{} since {:%FT%TZ}", away, fmt::gmtime(now)));
+    }
+  }
+
   gateway::GatewayConfig config_;
   config::Metrics::SourceRegistration of_hosts_;
   std::optional<processes::StateFolder> state_;
   std::unique_ptr<discovery::Registry> registry_;
   std::optional<gateway::Gateway> gateway_;
   std::optional<gateway::SiteService> service_;
+  std::jthread watching_;                        ///< watch_brokers()
   std::optional<rpc::MetricsEndpoint> metrics_;  ///< last: its thread asks the others, also when start() fails
 };
 

@@ -13,6 +13,7 @@ Membership::Membership(discovery::Registry& registry, discovery::Paths paths, Op
     : registry_(registry),
       paths_(std::move(paths)),
       options_(std::move(options)),
+      record_(options_.record),
       identity_(discovery::encode(discovery::GatewayLife{options_.record.host, options_.record.port, getpid(),
                                                          options_.state_id, discovery::new_instance_id().str()})) {}
 
@@ -47,7 +48,7 @@ bool Membership::must_be_another() const {
 }
 
 void Membership::write_record() {
-  discovery::put(registry_, paths_.gateway(options_.record.id), encode(options_.record));
+  discovery::put(registry_, paths_.gateway(options_.record.id), encode(record_));
 }
 
 /// Whether a dead run of this gateway wrote the node: the state folder, which this run has locked, is the same.
@@ -81,7 +82,7 @@ void Membership::hold_again() {
 
 void Membership::restore_record() {
   const auto node = registry_.get(paths_.gateway(options_.record.id));
-  if (!node || node->data != encode(options_.record)) write_record();
+  if (!node || node->data != encode(record_)) write_record();
 }
 
 }  // namespace iotcloud::gateway

@@ -49,6 +49,8 @@ class Membership {
   void hold_again();
   /// Writes the record if the registry does not have it. \throws discovery::RegistryError.
   void restore_record();
+  /// Shows in the record what the drivers cannot do now; restore_record() writes it.
+  void set_trouble(const std::string& trouble) { record_.trouble = trouble; }
   /// After `taken`: join() has been tried for so long that a dead gateway's session must have expired, so another
   /// gateway is alive.
   bool must_be_another() const;
@@ -64,6 +66,7 @@ class Membership {
   discovery::Registry& registry_;
   const discovery::Paths paths_;
   const Options options_;
+  discovery::GatewayRecord record_;
   const std::string identity_;  ///< data of the ephemeral node, JSON
   config::Clock::Instant first_try_{};
   bool tried_ = false;

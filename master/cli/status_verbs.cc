@@ -44,7 +44,8 @@ class Gateways final : public PlainVerb {
                       std::string(state_of(gateway)) + (gateway.draining ? ", draining" : "") +
                           (gateway.frozen.empty() ? "" : ", frozen"),
                       fmt::format("{}:{}", record.host, record.port),
-                      printable(fmt::format("{}", fmt::join(record.brokers, ","))), age(record.since_ms, now_ms())});
+                      printable(fmt::format("{}", fmt::join(record.brokers, ","))), age(record.since_ms, now_ms()),
+                      printable(record.trouble)});
       json.push_back({{"gateway", record.id},
                       {"state", state_of(gateway)},
                       {"draining", gateway.draining},
@@ -52,9 +53,10 @@ class Gateways final : public PlainVerb {
                       {"host", record.host},
                       {"port", record.port},
                       {"brokers", record.brokers},
-                      {"since_ms", record.since_ms}});
+                      {"since_ms", record.since_ms},
+                      {"trouble", record.trouble}});
     }
-    print(call.out, call.format, {"GATEWAY", "STATE", "ADDRESS", "BROKERS", "SINCE"}, rows, json);
+    print(call.out, call.format, {"GATEWAY", "STATE", "ADDRESS", "BROKERS", "SINCE", "TROUBLE"}, rows, json);
     return exit_ok;
   }
 };
@@ -129,6 +131,10 @@ class Status final : public PlainVerb {
 
     std::vector<std::string> states, names, troubles;
     Json list = Json::array();
+    for (const auto& gateway : gateways) {
+      if (gateway.alive && !gateway.record.trouble.empty())
+        troubles.push_back(fmt::format("gateway {}: {}", gateway.record.id, gateway.record.trouble));
+    }
     for (const auto& [state, count] : drivers) states.push_back(fmt::format("{} {}", count, state));
     for (const auto& topology : topologies) {
       const auto workers = topology.workers.size();

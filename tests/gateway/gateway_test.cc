@@ -28,6 +28,17 @@ TEST_F(GatewayTest, ItRegistersAndIsAliveUntilItStops) {
   EXPECT_FALSE(registry_->get(paths_.gateway_alive("gw"_gateway)));
 }
 
+TEST_F(GatewayTest, ItsRecordSaysWhatItsDriversCannotDoAsLongAsThatIsSo) {
+  start_gateway();
+  const auto path = paths_.gateway("gw"_gateway);
+  const auto shown = [&] { return discovery::decode_gateway(registry_->get(path)->data, path).trouble; };
+  EXPECT_EQ(shown(), "");
+  gateway_->show_trouble("the broker local is away");
+  EXPECT_TRUE(tests::eventually([&] { return shown() == "the broker local is away"; })) << shown();
+  gateway_->show_trouble("");
+  EXPECT_TRUE(tests::eventually([&] { return shown().empty(); })) << shown();
+}
+
 TEST_F(GatewayTest, AnOrderBecomesAnActiveInstanceWithItsRecords) {
   start_gateway();
   auto wanted = order("a");

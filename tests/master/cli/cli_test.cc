@@ -227,7 +227,7 @@ TEST_F(Cli, YamlSaysTheSameAsJson) {
             "- gateway: lab1\n  state: ready\n  draining: false\n  frozen: \"\"\n  host: \"127.0.0.1\"\n  port: "
             "12905\n  brokers:\n    "
             "- rabbitmq\n"
-            "  since_ms: 1\n");
+            "  since_ms: 1\n  trouble: \"\"\n");
 }
 
 TEST_F(Cli, ShowsAFrozenGatewayAndAdoptsTheRegistryForIt) {
