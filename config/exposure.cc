@@ -2,6 +2,7 @@
 
 #include <arpa/inet.h>
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include <iotcloud/config/exposure.h>
 
@@ -16,6 +17,12 @@ bool is_loopback(const std::string& host) {
 bool is_address(const std::string& host) {
   std::array<unsigned char, sizeof(in6_addr)> bytes{};
   return inet_pton(AF_INET, host.c_str(), bytes.data()) == 1 || inet_pton(AF_INET6, host.c_str(), bytes.data()) == 1;
+}
+
+std::string host_name() {
+  std::array<char, 256> name{"host"};
+  static_cast<void>(gethostname(name.data(), name.size() - 1));
+  return name.data();
 }
 
 std::string exposure(const std::string& host, bool has_tls, bool has_tokens, const std::string& danger) {

@@ -249,13 +249,14 @@ struct WorkerRecord {
   std::string name;  ///< unique for each process
   std::string host;
   std::int64_t pid = 0;
-  std::string http;           ///< host:port of its pages, on its own machine; empty: none
+  std::string http;           ///< host:port of its pages; on its own machine, unless `tls`; empty: none
   std::string state;          ///< "active", "inactive", "draining"
   std::int64_t revision = 0;  ///< of the last order that the worker followed; 0: none
   std::string error;          ///< what the worker could not do of that order; empty: it did all
   std::int64_t since_ms = 0;  ///< start of the process
   std::string trouble;        ///< what it cannot do now (a broker is away, say); empty: nothing is known
   std::map<std::string, Component> components;
+  bool tls = false;  ///< its pages take TLS and a token, so that other machines reach them
   static constexpr const char* what = "a worker";
   static constexpr auto fields = std::tuple{
       IOTCLOUD_FIELD(name, required),    IOTCLOUD_FIELD(host, usual),
@@ -263,6 +264,7 @@ struct WorkerRecord {
       IOTCLOUD_FIELD(state, usual),      IOTCLOUD_FIELD(revision, usual),
       IOTCLOUD_FIELD(error, usual),      IOTCLOUD_FIELD_AS(since_ms, usual, "since_ms", sinceMs),
       IOTCLOUD_FIELD(components, usual), IOTCLOUD_FIELD(trouble, rare),
+      IOTCLOUD_FIELD(tls, rare),
   };
   friend bool operator==(const WorkerRecord&, const WorkerRecord&) = default;
 };

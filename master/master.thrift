@@ -173,7 +173,7 @@ struct TWorker {
   1: string name
   2: string host
   3: i64 pid
-  // host:port of the worker's pages, on its own machine; empty: none.
+  // host:port of the worker's pages; on its own machine, unless tls is set; empty: none.
   4: string http
   // "active", "inactive" or "draining".
   5: string state
@@ -185,6 +185,8 @@ struct TWorker {
   9: map<string, TComponentShape> components
   // What the worker cannot do now (a broker is away, say); empty: nothing is known.
   10: optional string trouble
+  // Its pages take TLS and a token, so that other machines reach them.
+  11: bool tls
 }
 
 struct TTopology {
@@ -312,6 +314,8 @@ service TMasterAPIService {
   // A part of the log of an instance's driver host. position: that of an earlier answer; empty: the end of the log.
   TLogPart readLog(1: string gateway, 2: string instance, 3: string position, 4: i32 mostBytes)
     throws (1: TMasterError error)
+  // A page of a topology's worker, which the master reads. target: "/topology", or "/tap?..." as the worker takes it.
+  string readWorkerPage(1: string topology, 2: string worker, 3: string target) throws (1: TMasterError error)
   TOrderResponse deploy(1: TDeployRequest request)
   TOrderResponse undeploy(1: TInstanceSelection selection)
   TOrderResponse start(1: TInstanceSelection selection)

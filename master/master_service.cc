@@ -98,6 +98,7 @@ class MasterService final : public config::Service {
     access.open = config_.api.open;
     access.audit = audit_;
     access.gateways = {config_.api.tls, config_.gateway_token_file};
+    access.workers = {config_.api.tls, config_.worker_token_file};
     api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));
     if (original_) {
       original_->start([this] { return master_->status().leading; });
@@ -168,6 +169,10 @@ MasterDaemonConfig load_master_config(const std::string& file) {
     if (!config.gateway_token_file.empty() && !for_each && !std::filesystem::exists(config.gateway_token_file))
       throw api->error("gateway_token_file", "the file \"" + config.gateway_token_file + "\" is not there",
                        "a file whose first line is a token that the gateways know");
+    config.worker_token_file = api->string_or("worker_token_file", "");
+    if (!config.worker_token_file.empty() && !std::filesystem::exists(config.worker_token_file))
+      throw api->error("worker_token_file", "the file \"" + config.worker_token_file + "\" is not there",
+                       "a file whose first line is a token that the pages of topologies' workers take");
     api->finish();
   }
   if (config.api.advertise.empty()) config.api.advertise = fmt::format("{}:{}", config.api.host, config.api.port);

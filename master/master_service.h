@@ -22,6 +22,7 @@ struct MasterDaemonConfig {
   /// For gateways of the original system, on loopback only: whoever reaches it may register one. nullopt: off.
   std::optional<rpc::ListenSettings> gateways;
   std::string gateway_token_file;  ///< GatewayAccess::token_file
+  std::string worker_token_file;   ///< WorkerAccess::token_file
   security::AuditSettings audit;
   rpc::PageSettings pages;  ///< /metrics and /healthz
   std::string signing_key;  ///< file of the private key that signs orders to gateways; empty: unsigned

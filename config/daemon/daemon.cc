@@ -45,7 +45,7 @@ int await_signal(const sigset_t& signals, std::chrono::microseconds limit) {
   }
 }
 
-/// Handles SIGHUP. A configuration with errors changes nothing; of what the service reads, each part stands alone.
+/// Handles SIGHUP. A configuration with errors changes nothing; what the service cannot read again stays as it was.
 void read_again(const std::string& file, Service& service, const Logger& log) {
   try {
     const LogSettings settings = load_log_settings(file);
@@ -58,7 +58,7 @@ void read_again(const std::string& file, Service& service, const Logger& log) {
     service.reload();
     log.info("SIGHUP received: read the section \"log\" of {} again; the rest of it takes a restart", file);
   } catch (const std::exception& error) {
-    log.error("SIGHUP received; what cannot be read again stays as it was, and the rest is read: {}", error.what());
+    log.error("SIGHUP received, but what cannot be read again stays as it was: {}", error.what());
   }
 }
 

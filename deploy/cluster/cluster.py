@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "build" / "cluster"
 SECRETS = OUT / "secrets"
 MASTERS, GATEWAYS = ["master-1", "master-2"], ["gateway-1", "gateway-2"]  # each gets a certificate
+WORKERS = ["topology-1", "topology-2"]  # as these do
 USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never root
 REPORT = "/var/lib/iotcloud-reports/cluster.json"
 EVERYTHING = ["--profile", "whole", "--profile", "bench", "--profile", "tools"]
@@ -163,7 +164,7 @@ def make_secrets(docker):
             raise Refused(f"iotcloud {' '.join(words)}: {done.stderr.strip()}")
         return done.stdout.strip()
 
-    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, "workers", "registry-tls"]))
+    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, "registry-tls"]))
     write_secret(fresh, "admin.token",  # a person's
                  iotcloud("token", "add", "admin", "--role", "admin", "--file", "/secrets/masters.tokens"))
     for master in MASTERS:
@@ -171,6 +172,10 @@ def make_secrets(docker):
             write_secret(fresh, f"{master}-{gateway}.token",
                          iotcloud("token", "add", master, "--role", "master", "--certificate", f"/secrets/{master}.pem",
                                   "--file", f"/secrets/{gateway}.tokens"))
+    for reader in MASTERS + WORKERS:  # of the workers' pages; a worker's health check reads its own
+        write_secret(fresh, f"{reader}.pages.token",
+                     iotcloud("token", "add", reader, "--role", "viewer", "--certificate", f"/secrets/{reader}.pem",
+                              "--file", "/secrets/pages.tokens"))
     for master in MASTERS:
         iotcloud("keys", "new", f"/secrets/{master}.orders")  # signs its orders
     roles = {**dict.fromkeys(MASTERS, "master"), **dict.fromkeys(GATEWAYS, "gateway"), "workers": "worker"}

@@ -40,9 +40,14 @@ std::string words(const TopologyRequest& request) {
 /// The handler of one connection.
 class ApiHandler final : public wire::TMasterAPIServiceIf {
  public:
-  ApiHandler(Master& master, PluginUploads& uploads, const GatewayAccess& gateways, GatewayAsks& asks,
-             std::shared_ptr<rpc::Session> session)
-      : master_(master), uploads_(uploads), gateways_(gateways), asks_(asks), session_(std::move(session)) {}
+  ApiHandler(Master& master, PluginUploads& uploads, const GatewayAccess& gateways, const WorkerAccess& workers,
+             GatewayAsks& asks, std::shared_ptr<rpc::Session> session)
+      : master_(master),
+        uploads_(uploads),
+        gateways_(gateways),
+        workers_(workers),
+        asks_(asks),
+        session_(std::move(session)) {}
 
   // ---- of the original
 
@@ -140,6 +145,11 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
       discovery::fill_wire(read_log(master_, gateways_, GatewayId(gateway), InstanceId(instance), position, most_bytes),
                            out);
     });
+  }
+
+  void readWorkerPage(std::string& out, const std::string& topology, const std::string& worker,
+                      const std::string& target) override {
+    read([&] { out = read_worker_page(master_, workers_, discovery::TopologyName(topology), worker, target); });
   }
 
   void deploy(wire::TOrderResponse& out, const wire::TDeployRequest& request) override {
@@ -265,16 +275,22 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   Master& master_;
   PluginUploads& uploads_;
   const GatewayAccess& gateways_;
+  const WorkerAccess& workers_;
   GatewayAsks& asks_;
   const std::shared_ptr<rpc::Session> session_;
 };
 
 /// What all connections share.
 struct Shared {
-  Shared(Master& served, GatewayAccess access_to_gateways, const PluginUploads::Options& passed_on)
-      : master(served), gateways(std::move(access_to_gateways)), uploads(served, gateways, passed_on) {}
+  Shared(Master& served, GatewayAccess access_to_gateways, WorkerAccess access_to_workers,
+         const PluginUploads::Options& passed_on)
+      : master(served),
+        gateways(std::move(access_to_gateways)),
+        workers(std::move(access_to_workers)),
+        uploads(served, gateways, passed_on) {}
   Master& master;
   const GatewayAccess gateways;
+  const WorkerAccess workers;
   PluginUploads uploads;
   GatewayAsks asks;
   rpc::AccessOptions access;
@@ -283,7 +299,7 @@ struct Shared {
 }  // namespace
 
 rpc::ThriftService serve_api(Master& master, ApiAccess access) {
-  auto shared = std::make_shared<Shared>(master, std::move(access.gateways), access.uploads);
+  auto shared = std::make_shared<Shared>(master, std::move(access.gateways), std::move(access.workers), access.uploads);
   shared->access.service = "api";
   shared->access.rules = api_rules();
   shared->access.tokens = std::move(access.tokens);
@@ -296,9 +312,9 @@ rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   // The server's options keep this function, and with it `shared`, for as long as there are connections.
   return [shared](const std::shared_ptr<rpc::ThriftPeer>& peer) {
     auto session = std::make_shared<rpc::Session>(shared->access, peer);
-    return rpc::guarded(std::make_shared<wire::TMasterAPIServiceProcessor>(std::make_shared<ApiHandler>(
-                            shared->master, shared->uploads, shared->gateways, shared->asks, session)),
-                        session);
+    auto handler = std::make_shared<ApiHandler>(shared->master, shared->uploads, shared->gateways, shared->workers,
+                                                shared->asks, session);
+    return rpc::guarded(std::make_shared<wire::TMasterAPIServiceProcessor>(std::move(handler)), session);
   };
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <iotcloud/master/api/gateway_pages.h>
+#include <iotcloud/master/api/worker_pages.h>
 #include <iotcloud/master/gateways/plugin_uploads.h>
 #include <iotcloud/rpc/session.h>
 #include <iotcloud/rpc/thrift_server.h>
@@ -19,6 +20,7 @@ struct ApiAccess {
   bool open = false;                              ///< without tokens: everybody may act
   std::shared_ptr<security::AuditLog> audit;      ///< null: no audit log
   GatewayAccess gateways;
+  WorkerAccess workers;
   std::chrono::milliseconds wrong_token_pause{1'000};
   PluginUploads::Options uploads{};
 };

@@ -256,6 +256,11 @@ LogPart MasterClient::read_log(const discovery::GatewayId& gateway, const discov
   return as_own<LogPart>(impl_->ask(&Client::readLog, gateway, instance, position, most_bytes));
 }
 
+std::string MasterClient::worker_page(const discovery::TopologyName& topology, const std::string& worker,
+                                      const std::string& target) {
+  return impl_->ask(&Client::readWorkerPage, topology.str(), worker, target);
+}
+
 OrderResult MasterClient::deploy(const DeployRequest& request) {
   return impl_->order(request, &Client::deploy);
 }

@@ -54,6 +54,10 @@ class MasterClient {
   LogPart read_log(const discovery::GatewayId& gateway, const discovery::InstanceId& instance,
                    const std::string& position, std::int32_t most_bytes);
 
+  /// A page of a topology's worker, read by a master. \param target "/topology" or "/tap?..."
+  std::string worker_page(const discovery::TopologyName& topology, const std::string& worker,
+                          const std::string& target);
+
   /// Gives an order to the master that leads. An order is sent once: when its answer is lost, it is not repeated.
   /// \throws Unreachable, Failed
   OrderResult deploy(const DeployRequest& request);

@@ -1,14 +1,16 @@
-// gateways, topologies (also `topology list`), status
+// gateways, topologies (also `topology list`), status, health
 #include <algorithm>
 #include <map>
 #include <ostream>
 
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/master/cli/topology/topology_verbs.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/rpc/http/http_client.h>
 
 namespace iotcloud::master::cli {
 
@@ -168,6 +170,29 @@ class Status final : public PlainVerb {
   }
 };
 
+/// Asks one daemon, no master: for health checks of containers.
+class Health final : public Verb {
+ public:
+  Health()
+      : Verb({"health", "Ask a daemon's pages whether it is well; exit status 0: it is", "iotcloud health lab3:9406",
+              std::nullopt, false}) {}
+  void declare(CLI::App& options) override {
+    options.add_option("ADDRESS", address_, "host:port of its pages (its key metrics.address)")->required();
+  }
+  int run(Call& call) override {
+    try {
+      call.out << rpc::http_get(address_, "/healthz", {call.access.tls, call.access.token});
+      return exit_ok;
+    } catch (const rpc::HttpError& error) {
+      call.err << "iotcloud: " << printable(error.what()) << '\n';
+      return exit_failed;
+    }
+  }
+
+ private:
+  std::string address_;
+};
+
 }  // namespace
 
 std::unique_ptr<Verb> list_topologies_verb(const char* name, const char* what, const char* example) {
@@ -182,6 +207,7 @@ void add_status_verbs(Verbs& verbs) {
   verbs.add(list_topologies_verb("topologies", "List the topologies that run, and their workers",
                                  "iotcloud topologies -o json"));
   verbs.add<Status>();
+  verbs.add<Health>();
 }
 
 }  // namespace iotcloud::master::cli

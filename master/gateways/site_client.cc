@@ -21,14 +21,6 @@ namespace {
 
 constexpr std::chrono::milliseconds connect_limit{2'000};
 
-std::string first_line(const std::string& file) {
-  std::ifstream in(file);
-  std::string line;
-  if (!std::getline(in, line) || line.empty())
-    throw config::Error(fmt::format("cannot read a token from {}: its first line must be one", file));
-  return line;
-}
-
 /// Makes a client on a new connection. \throws TException, config::Error
 /// \param gateway with TLS: the id that the certificate there must name, before it gets the token; empty: none
 TSensorSiteServiceClient connect(const SiteAddress& site, const discovery::GatewayId& gateway,
@@ -43,7 +35,7 @@ TSensorSiteServiceClient connect(const SiteAddress& site, const discovery::Gatew
   TSensorSiteServiceClient client(rpc::ThriftClient(options).protocol());
   if (site.token_file.empty() || site.tls.empty()) return client;
   TResponse answer;
-  client.authenticate(answer, first_line(site.token_file));
+  client.authenticate(answer, token_in(site.token_file));
   if (answer.state != TResponseState::SUCCESS) throw config::Error(answer.statusMessage);
   return client;
 }
@@ -95,6 +87,14 @@ SiteAnswer ask(const SiteAddress& site, std::chrono::milliseconds limit, Call&& 
 }
 
 }  // namespace
+
+std::string token_in(const std::string& file) {
+  std::ifstream in(file);
+  std::string line;
+  if (!std::getline(in, line) || line.empty())
+    throw config::Error(fmt::format("cannot read a token from {}: its first line must be one", file));
+  return line;
+}
 
 SiteAnswer site_heartbeat(const SiteAddress& site, std::chrono::milliseconds limit) {
   return ask(site, limit, [](auto& client, auto& response) {

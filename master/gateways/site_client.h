@@ -18,6 +18,9 @@ struct SiteAddress {
   std::string token_file;  ///< its first line is the token, sent with TLS only; empty: no token is sent
 };
 
+/// The token in the first line of a file. \throws config::Error if there is none.
+std::string token_in(const std::string& file);
+
 /// A gateway's answer to a call.
 struct SiteAnswer {
   OrderOutcome outcome = OrderOutcome::unknown;  ///< done: it answered SUCCESS; unknown: no answer came in time

@@ -21,7 +21,6 @@ namespace beast = boost::beast;
 namespace http = beast::http;
 
 constexpr std::chrono::seconds patience{5};
-constexpr std::size_t largest_page = 64U << 20U;
 
 /// One connection, whose every step has a time-out.
 class Asking {
@@ -75,7 +74,7 @@ class Asking {
     complete(connection, [&](auto done) { http::async_write(stream, request, done); });
     beast::flat_buffer buffer;
     http::response_parser<http::string_body> response;
-    response.body_limit(largest_page);
+    response.body_limit(reader_.largest_page);
     complete(connection, [&](auto done) { http::async_read(stream, buffer, response, done); });
     if (response.get().result() != http::status::ok) {
       throw HttpError(fmt::format("{}{}: {}", address_, target.substr(0, target.find('?')), response.get().body()));

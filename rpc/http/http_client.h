@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <stdexcept>
 #include <string>
 
@@ -14,11 +15,12 @@ struct HttpError : std::runtime_error {
 
 /// Who reads pages.
 struct HttpReader {
-  security::TlsFiles tls;  ///< empty: no TLS, and only pages of this machine are read
-  std::string token;       ///< empty: none is shown
+  security::TlsFiles tls;                 ///< empty: no TLS, and only pages of this machine are read
+  std::string token;                      ///< empty: none is shown
+  std::size_t largest_page = 64U << 20U;  ///< bytes; a larger page is refused
 };
 
-/// GETs a page of a daemon: at most 64 MiB, at most 5 s for each step. Blocks. Thread safe.
+/// GETs a page of a daemon, in at most 5 s for each step. Blocks. Thread safe.
 /// \param address "127.0.0.1:9100"; without TLS a number of loopback, with TLS also a name, which the server's
 /// certificate must have. \param target path and query. \return the body. \throws HttpError
 std::string http_get(const std::string& address, const std::string& target, const HttpReader& reader = {});

@@ -249,7 +249,8 @@ class BrokerRenewal : public BrokerSecurity {
     ASSERT_EQ(std::system(command.c_str()), 0);
   }
   static bool has_after(Inbox& inbox, int number) {
-    return inbox.wait_until([&](const auto& received) { return std::stoi(received.back().body) > number; });
+    return inbox.wait_until(
+        [&](const auto& received) { return !received.empty() && std::stoi(received.back().body) > number; });
   }
 };
 
@@ -280,7 +281,7 @@ TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates)
     EXPECT_TRUE(has_after(inbox, sent + 100));
   }
   ASSERT_TRUE(publisher->drain(patience));
-  ASSERT_TRUE(inbox.wait_until([&](const auto& all) { return std::stoi(all.back().body) == sent; }));
+  ASSERT_TRUE(inbox.wait_until([&](const auto& all) { return !all.empty() && std::stoi(all.back().body) == sent; }));
   EXPECT_TRUE(firsts(inbox) == numbered(1, sent)) << sent;
 
   BrokerOptions old = options();

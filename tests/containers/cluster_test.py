@@ -105,6 +105,9 @@ def check_round_trip(cluster):
     require(result["sent"] == 500 and not result["lost"] and not result["damaged"], result)
     print(f"500 messages made the round trip: p50 {result['latency_us']['p50'] / 1000:.2f} ms, "
           f"p99 {result['latency_us']['p99'] / 1000:.2f} ms", flush=True)
+    seen = json.loads(cluster.cli("topology", "show", "echo", "-o", "json"))
+    require(len(seen["workers"]) == 2 and sum(one["emitted"] for one in seen["components"] if one["id"] == "receive") >= 500,
+            f"the workers are not seen from outside: {seen}")
     cluster.cli("undeploy", "--driver", "loadgen")
 
 
@@ -112,7 +115,8 @@ def check_confined(cluster):
     """No process of ours is root's, and none can become it; passwords stand in no configuration of a container."""
     secrets = ROOT / "build/cluster/secrets"
     require(secrets.stat().st_mode & 0o777 == 0o700, "the folder of the secrets is open to others")
-    hidden = [(secrets / name).read_text().strip() for name in ("rabbitmq.password", "gateway-1.registry.password", "admin.token")]
+    hidden = [(secrets / name).read_text().strip() for name in (
+        "rabbitmq.password", "gateway-1.registry.password", "admin.token", "master-1.pages.token")]
     for file in secrets.iterdir():
         require(file.suffix == ".pem" or file.stat().st_mode & 0o077 == 0, f"{file} is open to others")
     for service in ["master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"]:

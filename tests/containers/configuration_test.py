@@ -27,14 +27,14 @@ def make_secrets(iotcloud, folder, services):
     run(iotcloud, "certs", "init", folder, "--host", ",".join(hosts)).check_returncode()
     for end in ("pem", "key"):
         shutil.copy(folder / f"{hosts[0]}.{end}", folder / f"host.{end}")
-    for file in ("tokens", "masters.tokens"):
+    for file in ("tokens", "masters.tokens", "pages.tokens"):
         run(iotcloud, "token", "add", "anna", "--role", "admin", "--file", folder / file).check_returncode()
     for user in [*hosts, "workers"]:
         role = user.split("-")[0] if "-" in user else "worker"
         run(iotcloud, "registry", "user", user, "--role", role, "--file", folder / "registry.users").check_returncode()
     for key in ("orders", "master-1.orders", "master-2.orders"):
         run(iotcloud, "keys", "new", folder / key).check_returncode()
-    for name, text in {"registry.password": "a\n", "rabbitmq.password": "b\n"}.items():
+    for name, text in {"registry.password": "a\n", "rabbitmq.password": "b\n", "pages.token": "c\n"}.items():
         (folder / name).write_text(text, encoding="utf-8")
         (folder / name).chmod(0o600)
 

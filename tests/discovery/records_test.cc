@@ -299,7 +299,11 @@ TEST(Records, OrdersToTopologiesAndWhatWorkersSayAreJson) {
   worker.error = "no";
   worker.since_ms = 5;
   worker.components = {{"decode", {3, 4}}};
+  EXPECT_THAT(encode(worker), Not(HasSubstr("tls")));  // older readers see what they know
   EXPECT_EQ(decode_worker(encode(worker), "/w"), worker);
+  worker.tls = true;
+  EXPECT_EQ(decode_worker(encode(worker), "/w"), worker);
+  EXPECT_FALSE(decode_worker(R"({"name":"w","http":"127.0.0.1:1234"})", "/w").tls);
   EXPECT_THAT(refusal(decode_worker, R"({"name":"w","components":{"decode":{"tasks":1}}})"),
               AllOf(HasSubstr("decode"), HasSubstr("\"parallelism\" is missing")));
 }

@@ -90,6 +90,7 @@ SeedsOfTarget api_seeds() {
     client.send_listTopologies();
     client.send_getHistory({"0a"}, {"lab1"}, 5);
     client.send_readLog("lab1", "0a1b", "", 100);
+    client.send_readWorkerPage("echo", "w1", "/tap?id=1&component=in");
   });
   seeds["orders"] = sent<Client>([&](Client& client) {
     client.send_deploy(deployment);

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <atomic>
 #include <csignal>
 #include <cstdio>
@@ -10,6 +11,7 @@
 #include <unistd.h>
 
 #include <iotcloud/config/daemon/daemon.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/rpc/http/health_page.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
@@ -28,6 +30,19 @@ rpc::PageSettings pages_of(const topology::TopologyDefinition& definition) {
   return pages;
 }
 
+/// More samples of a tap would slow the topology down.
+constexpr double most_samples_a_second = 1000;
+
+/// Where the pages are reached: by the name that their settings say; those at all addresses of this machine, by its
+/// name. The certificate has the same name.
+/// \param bound their address with its real port
+std::string reached_at(const std::string& address, const std::string& bound) {
+  const std::string host = address.substr(0, address.rfind(':'));
+  if (config::is_loopback(host)) return bound;
+  const bool everywhere = host == "0.0.0.0" || host == "::" || host == "[::]";
+  return (everywhere ? config::host_name() : host) + bound.substr(bound.rfind(':'));
+}
+
 /// The worker and its pages: /metrics for Prometheus, /healthz, and /topology and /tap for `iotcloud topology`.
 class WorkerService final : public config::Service {
  public:
@@ -39,7 +54,7 @@ class WorkerService final : public config::Service {
                                   {"/healthz", rpc::health_page([this] { return trouble(); })},
                                   {"/topology", [this](const auto&) { return describe(); }},
                                   {"/tap", [this](const auto& request) { return tap(request); }}});
-    worker_.show_http_address(pages_->address());
+    worker_.show_http_address(reached_at(settings_.address, pages_->address()), !settings_.tls.empty());
     worker_.start();
     started_ = true;
   }
@@ -65,8 +80,8 @@ class WorkerService final : public config::Service {
         return {200, "application/json", "{}"};
       }
       const std::string rate = word("rate");
-      return {200, "application/json",
-              worker_.taps().poll(word("id"), word("component"), word("stream"), rate.empty() ? 10 : std::stod(rate))};
+      const double per_second = rate.empty() ? 10 : std::min(std::stod(rate), most_samples_a_second);
+      return {200, "application/json", worker_.taps().poll(word("id"), word("component"), word("stream"), per_second)};
     } catch (const std::logic_error& error) {
       return {400, "text/plain", error.what()};
     }

@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <iotcloud/brokers/broker_setting.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
@@ -32,12 +33,6 @@ constexpr std::chrono::milliseconds after_drain{3000};
 /// How often the brokers are looked at.
 constexpr std::chrono::milliseconds look_pause{500};
 
-std::string host_name() {
-  char host[256] = "host";
-  static_cast<void>(gethostname(host, sizeof host - 1));
-  return host;
-}
-
 /// How long the process may stand still without losing a connection: one heartbeat. A broker closes a connection after
 /// two heartbeats of silence at the earliest, and the process may have been silent for one when it stops.
 std::chrono::milliseconds longest_standstill(const EndpointServices& services) {
@@ -47,7 +42,7 @@ std::chrono::milliseconds longest_standstill(const EndpointServices& services) {
 }
 
 std::string unique_name() {
-  return fmt::format("{}-{}-{}", host_name(), getpid(), discovery::new_instance_id().str().substr(0, 8));
+  return fmt::format("{}-{}-{}", config::host_name(), getpid(), discovery::new_instance_id().str().substr(0, 8));
 }
 
 RuntimeOptions runtime_options(const WorkerOptions& options) {
@@ -190,9 +185,10 @@ struct Worker::Impl {
       kind.push_back(component.id);
     }
     control_options.worker.name = services->worker;
-    control_options.worker.host = host_name();
+    control_options.worker.host = config::host_name();
     control_options.worker.pid = getpid();
     control_options.worker.http = http_address;
+    control_options.worker.tls = http_tls;
     control_options.worker.since_ms = control_options.topology.since_ms;
     control_options.masters = masters;
     control_options.on_killed = [this] {
@@ -234,7 +230,8 @@ struct Worker::Impl {
   std::chrono::milliseconds standstill{0};  ///< the fence's limit; 0: no fence
   std::unique_ptr<discovery::Registry> own_registry;
   discovery::GuardPtr alone;  ///< the place of the only worker, for a topology that allows only one
-  std::string http_address;   ///< constant after start()
+  std::string http_address;   ///< constant after start(), as http_tls
+  bool http_tls = false;
   std::unique_ptr<Runtime> runtime;
   std::unique_ptr<TapDesk> taps;
   std::atomic<bool> running{false};  ///< runtime and taps exist
@@ -276,8 +273,9 @@ void Worker::reload() {
   if (impl_->control) impl_->control->read_again();
 }
 
-void Worker::show_http_address(std::string address) {
+void Worker::show_http_address(std::string address, bool tls) {
   impl_->http_address = std::move(address);
+  impl_->http_tls = tls;
 }
 
 const std::string& Worker::name() const {

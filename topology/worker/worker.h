@@ -57,8 +57,9 @@ class Worker final : public config::Service {
   /// Reads the masters' keys again. \throws config::Error, and then nothing changes.
   void reload() override;
 
-  /// Call it before start(): sets the address of this worker's pages, for its record. \param address "127.0.0.1:port"
-  void show_http_address(std::string address);
+  /// Call it before start(): sets where this worker's pages are reached, for its record.
+  /// \param address "host:port" \param tls whether they take TLS and a token, so that other machines reach them
+  void show_http_address(std::string address, bool tls);
 
   const std::string& name() const;  ///< unique: below `/iot/topologies/<topology>/workers`
   Snapshot snapshot() const;        ///< empty before start()

@@ -2,11 +2,10 @@
 #include <ostream>
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <iotcloud/master/cli/output.h>
 #include <iotcloud/master/cli/topology/topology_pages.h>
-#include <iotcloud/rpc/http/http_client.h>
+#include <iotcloud/master/cli/topology/worker_pages.h>
 
 namespace iotcloud::master::cli {
 
@@ -17,12 +16,6 @@ namespace {
 constexpr const char* latencies[] = {"execute", "process", "complete"};
 constexpr const char* counts[] = {"emitted", "transferred", "executed", "acked",       "failed", "timed_out",
                                   "late",    "superseded",  "errors",   "queue_depth", "pending"};
-
-std::string host_name() {
-  char host[256] = "";
-  static_cast<void>(gethostname(host, sizeof host - 1));
-  return host;
-}
 
 std::string duration(double us) {
   if (us < 1) return fmt::format("{:.2f}us", us);
@@ -42,27 +35,17 @@ std::string latency(const Json& of, const char* name) {
 
 }  // namespace
 
-std::string unreachable(const discovery::WorkerRecord& worker) {
-  if (worker.http.empty())
-    return fmt::format("worker {} serves no pages (it runs inside another program)", worker.name);
-  if (worker.host == host_name()) return "";
-  return fmt::format("worker {} is on {} and shows its pages there only: ask for them on that machine", worker.name,
-                     worker.host);
-}
-
-TopologyPages::TopologyPages(const discovery::TopologyStatus& topology) : topology_(topology.record.name) {
+TopologyPages::TopologyPages(const discovery::TopologyStatus& topology, MasterClient& master)
+    : topology_(topology.record.name) {
   if (topology.workers.empty()) problems_.push_back("no worker of topology " + topology_ + " runs");
+  WorkerPages workers(master, topology.record.name);
   for (const auto& worker : topology.workers) {
-    if (const auto reason = unreachable(worker); !reason.empty()) {
-      problems_.push_back(reason);
-      continue;
-    }
     try {
-      Json page = Json::parse(rpc::http_get(worker.http, "/topology"));
+      Json page = Json::parse(workers.get(worker, "/topology"));
       if (components_.empty()) components_ = page.at("components");
       pages_.push_back(std::move(page));
-    } catch (const rpc::HttpError& e) {
-      problems_.push_back(fmt::format("worker {}: {}", worker.name, e.what()));
+    } catch (const Failed& e) {
+      problems_.emplace_back(e.what());
     } catch (const Json::exception& e) {
       problems_.push_back(fmt::format("worker {}: its page cannot be read: {}", worker.name, e.what()));
     }

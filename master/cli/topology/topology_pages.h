@@ -7,17 +7,15 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/master/cli/master_client.h>
 
 namespace iotcloud::master::cli {
-
-/// Why this machine cannot reach a worker's pages; empty: it can.
-std::string unreachable(const discovery::WorkerRecord& worker);
 
 /// What the workers of one topology report about their tasks, read once.
 class TopologyPages {
  public:
   using Json = nlohmann::ordered_json;
-  explicit TopologyPages(const discovery::TopologyStatus& topology);
+  TopologyPages(const discovery::TopologyStatus& topology, MasterClient& master);
 
   /// Why a worker's page could not be read, one text for each.
   const std::vector<std::string>& problems() const { return problems_; }

@@ -7,8 +7,9 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <iotcloud/master/cli/topology/topology_pages.h>
+#include <iotcloud/master/cli/output.h>
 #include <iotcloud/master/cli/topology/topology_tap.h>
+#include <iotcloud/master/cli/topology/worker_pages.h>
 #include <iotcloud/rpc/http/http_client.h>
 
 namespace iotcloud::master::cli {
@@ -52,23 +53,19 @@ void print_sample(std::ostream& out, Format format, const Json& sample) {
 /// The taps that one call of the CLI opened: one in each worker that it can reach.
 class Taps {
  public:
-  Taps(const TapRequest& request, const discovery::TopologyStatus& topology, std::ostream& err)
+  Taps(const TapRequest& request, const discovery::TopologyStatus& topology, MasterClient& master, std::ostream& err)
       : query_("/tap?id=" + new_tap_id() + "&component=" + rpc::encode_query(request.component) +
-               "&stream=" + rpc::encode_query(request.stream) + "&rate=" + fmt::format("{}", request.rate)) {
-    for (const auto& worker : topology.workers) {
-      if (const auto reason = unreachable(worker); reason.empty()) {
-        workers_.push_back(worker.http);
-      } else {
-        err << "iotcloud: " << printable(reason) << '\n';
-      }
-    }
-    if (workers_.empty()) throw Failed("no worker of topology " + topology.record.name + " can be asked from here");
+               "&stream=" + rpc::encode_query(request.stream) + "&rate=" + fmt::format("{}", request.rate)),
+        pages_(master, topology.record.name),
+        err_(err),
+        workers_(topology.workers) {
+    if (workers_.empty()) throw Failed("no worker of topology " + topology.record.name + " runs");
   }
   ~Taps() {
     for (const auto& worker : workers_) {
       try {
-        rpc::http_get(worker, query_ + "&end=1");
-      } catch (const rpc::HttpError&) {
+        pages_.get(worker, query_ + "&end=1");
+      } catch (const std::runtime_error&) {
         continue;  // a tap that nobody reads ends by itself
       }
     }
@@ -76,20 +73,21 @@ class Taps {
   Taps(const Taps&) = delete;
   Taps& operator=(const Taps&) = delete;
 
-  /// The samples since the last call, in order of time. Skips workers that have ended. \throws Failed when none is
-  /// left.
+  /// The samples since the last call, in order of time. Says which workers cannot be asked, or have ended, and skips
+  /// them. \throws Failed when none is left.
   std::vector<Json> poll() {
     std::vector<Json> samples;
     for (auto worker = workers_.begin(); worker != workers_.end();) {
       try {
-        const Json page = Json::parse(rpc::http_get(*worker, query_));
+        const Json page = Json::parse(pages_.get(*worker, query_));
         for (const Json& sample : page.at("samples")) samples.push_back(sample);
         ++worker;
-      } catch (const rpc::HttpError& e) {
-        if (workers_.size() == 1) throw Failed(e.what());
+      } catch (const Failed& e) {
+        if (workers_.size() == 1) throw;
+        err_ << "iotcloud: " << printable(e.what()) << '\n';
         worker = workers_.erase(worker);
       } catch (const Json::exception& e) {
-        throw Failed(fmt::format("{}: its answer cannot be read: {}", *worker, e.what()));
+        throw Failed(fmt::format("worker {}: its answer cannot be read: {}", worker->name, e.what()));
       }
     }
     std::stable_sort(samples.begin(), samples.end(), [](const Json& a, const Json& b) {
@@ -100,13 +98,15 @@ class Taps {
 
  private:
   const std::string query_;
-  std::vector<std::string> workers_;
+  WorkerPages pages_;
+  std::ostream& err_;
+  std::vector<discovery::WorkerRecord> workers_;
 };
 
 }  // namespace
 
-int tap(Call& call, const TapRequest& request, const discovery::TopologyStatus& topology) {
-  Taps taps(request, topology, call.err);
+int tap(Call& call, const TapRequest& request, const discovery::TopologyStatus& topology, MasterClient& master) {
+  Taps taps(request, topology, master, call.err);
   std::int64_t shown = 0;
   do {
     for (const Json& sample : taps.poll()) {

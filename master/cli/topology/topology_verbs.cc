@@ -1,4 +1,5 @@
-// topology ...: orders by way of the master, numbers and samples from the workers' own pages
+// topology ...: orders by way of the master; numbers and samples from the workers' own pages, or by way of the master,
+// too
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
@@ -97,7 +98,8 @@ void show_graph(const TopologyPages& pages, std::ostream& out) {
 Json worker_json(const discovery::WorkerRecord& worker) {
   return {{"worker", worker.name}, {"host", worker.host},         {"pid", worker.pid},
           {"http", worker.http},   {"state", worker.state},       {"revision", worker.revision},
-          {"error", worker.error}, {"since_ms", worker.since_ms}, {"trouble", worker.trouble}};
+          {"error", worker.error}, {"since_ms", worker.since_ms}, {"trouble", worker.trouble},
+          {"tls", worker.tls}};
 }
 
 /// Prints to `err` why pages could not be read; the others are shown.
@@ -113,8 +115,9 @@ class Show final : public OfTopology {
                     Role::viewer}) {}
 
   int run(Call& call) override {
-    const auto topology = find_topology(name_, *call.connect());
-    const TopologyPages pages(topology);
+    const auto master = call.connect();
+    const auto topology = find_topology(name_, *master);
+    const TopologyPages pages(topology, *master);
     if (call.format == Format::table) {
       print_all(topology, pages, call.out);
     } else {
@@ -187,7 +190,7 @@ class Metrics final : public OfTopology {
     auto& out = call.out;
     int status = exit_ok;
     do {
-      const TopologyPages pages(find_topology(name_, *master));
+      const TopologyPages pages(find_topology(name_, *master), *master);
       if (call.format == Format::table) {
         if (goes_on() && isatty(STDOUT_FILENO) == 1) out << "\033[H\033[2J";
         print_metrics(out, pages);
@@ -226,7 +229,10 @@ class Tap final : public OfTopology {
     options.add_option("--stream", request_.stream, "only of this stream")->type_name("STREAM");
   }
   bool goes_on() const override { return true; }
-  int run(Call& call) override { return tap(call, request_, find_topology(name_, *call.connect())); }
+  int run(Call& call) override {
+    const auto master = call.connect();
+    return tap(call, request_, find_topology(name_, *master), *master);
+  }
 
  private:
   TapRequest request_;

@@ -111,7 +111,7 @@ TEST(StuckInProcess, AStopThatIsTooShortToSendWhatWasPublishedBlamesNoDriver) {
   spec.brokers = {{"local", "embedded", {}, {url}, {url}}};
   host.create(spec);
   ASSERT_TRUE(log.wait_for("a", discovery::DriverState::active));
-  host.remove("a"_instance);
+  host.remove("a"_instance, Removal::undeployed);
   ASSERT_TRUE(tests::eventually([] { return ClosedDriver::closed.load(); }));
   EXPECT_FALSE(host.stop(1s));
   EXPECT_EQ(

@@ -35,6 +35,7 @@ Fleet::Instance instance(const Deployment& from, const std::string& gateway, int
                         discovery::InstanceId(gateway + from.name + std::to_string(index)),
                         index,
                         "",
+                        false,
                         {}};
   there.manager = manager;
   return there;
@@ -94,7 +95,7 @@ TEST_F(FleetPlan, WhatTheManifestDeployedAndDoesNotNameAnyMoreGoesAndNothingElse
                      instance(old, "lab2", 2, "other")};            // another manifest's
   discovery::Deployment nameless;
   nameless.plugin = "meter.so";
-  fleet.instances.push_back({nameless, "lab1"_gateway, "nameless"_instance, 0, "", {}});
+  fleet.instances.push_back({nameless, "lab1"_gateway, "nameless"_instance, 0, "", false, {}});
   EXPECT_THAT(words(plan()), ElementsAre("undeploy lab1 meter/2", "undeploy lab1 old/1", "undeploy lab2 meter/1"));
   const auto kept = plan({.prune = false, .adopt = false});
   EXPECT_THAT(kept.steps, IsEmpty());

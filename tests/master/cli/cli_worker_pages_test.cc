@@ -1,0 +1,169 @@
+// A topology is seen from a machine that does not reach its workers: the master reads their pages.
+#include <atomic>
+#include <fstream>
+#include <optional>
+
+#include <gmock/gmock.h>
+
+#include <iotcloud/config/exposure.h>
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/master/cli/master_client.h>
+#include <iotcloud/rpc/http/http_server.h>
+#include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/master/cli/cli_fixture.h>
+#include <iotcloud/tests/security/certificates.h>
+
+namespace iotcloud::master::test {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
+
+constexpr const char* page = R"({"topology": "echo", "worker": "w1", "active": true, "components":
+  [{"id": "in", "kind": "spout", "parallelism": 3, "tasks": 4, "inputs": [], "streams": {"default": ["f"]}}], "tasks": []})";
+constexpr const char* samples = R"({"samples": [{"time_ms": 5, "task": 7, "source": "in", "stream": "default",
+  "fields": {"f": "far away"}}], "missed": 0})";
+
+rpc::HttpHandler answers(std::string text) {
+  return [text = std::move(text)](const auto&) { return rpc::HttpAnswer{200, "application/json", text}; };
+}
+
+/// A worker whose pages ask for TLS and a token, so that the CLI reads them by way of the master.
+class CliOfAFarWorker : public Cli {
+ protected:
+  CliOfAFarWorker() : token_(security::add_token(folder_ / "pages", "masters", security::Role::viewer)) {
+    certificates_.authority().certify_host("master");
+    std::ofstream(folder_ / "token") << token_ << '\n';
+    pages_.emplace(rpc::PageSettings{"0.0.0.0:0", certificates_.of("lab1"), folder_ / "pages"},
+                   std::map<std::string, rpc::HttpHandler>{
+                       {"/topology",
+                        [this](const auto&) {
+                          return rpc::HttpAnswer{200, "application/json", page + std::string(padding_, ' ')};
+                        }},
+                       {"/tap", answers(samples)},
+                       {"/metrics", answers("not for all")},
+                       {"/healthz", [this](const auto&) {
+                          return rpc::HttpAnswer{well_ ? 200 : 503, "text/plain", "it is so\n"};
+                        }}});
+    const std::string address = pages_->address();
+    port_ = address.substr(address.rfind(':'));
+    worker_.name = "w1";
+    worker_.host = config::host_name();  // loopback is this machine's
+    worker_.state = "active";
+    worker_.http = "localhost" + port_;
+    worker_.tls = true;
+    serve({certificates_.of("master"), folder_ / "token"});
+  }
+
+  /// Serves the API anew, with what the master shows to workers.
+  void serve(WorkerAccess workers) {
+    ApiAccess access;
+    access.workers = std::move(workers);
+    rpc::ThriftServerOptions listen;
+    listen.port = 0;
+    server.reset();
+    server.emplace(listen, serve_api(**master, std::move(access)));
+  }
+  void show_worker() {
+    auto& registry = master->registry();
+    const discovery::Paths paths;
+    discovery::TopologyRecord record;
+    record.name = "echo"_topology;
+    discovery::put(registry, paths.topology("echo"_topology), encode(record));
+    node_ = registry.hold(paths.workers("echo"_topology) + "/w1", encode(worker_));
+  }
+  /// Why the worker is not seen. No answer has the master's token.
+  std::string complaint() {
+    const auto done = run({"topology", "metrics", "echo"});
+    EXPECT_EQ(done.status, 1) << done.out;
+    EXPECT_THAT(done.out + done.err, Not(HasSubstr(token_)));
+    return done.err;
+  }
+
+  const security::test::Certificates certificates_;
+  const security::test::Folder folder_;
+  const std::string token_;
+  std::atomic<bool> well_ = true;
+  std::atomic<std::size_t> padding_ = 0;  ///< bytes that follow the page
+  std::optional<rpc::HttpServer> pages_;
+  std::string port_;  ///< ":12345"
+  discovery::WorkerRecord worker_;
+  discovery::GuardPtr node_;
+};
+
+TEST_F(CliOfAFarWorker, ShowsMetersAndTapsItByWayOfTheMaster) {
+  show_worker();
+  EXPECT_EQ(run_json({"topology", "show", "echo"})["components"][0]["parallelism"], 3);
+  EXPECT_EQ(run_json({"topology", "metrics", "echo"})["workers"], 1);
+  const auto tapped = run({"topology", "tap", "echo", "in", "--count", "1"});
+  EXPECT_EQ(tapped.status, 0) << tapped.err;
+  EXPECT_THAT(tapped.out, AllOf(HasSubstr("task 7 in/default"), HasSubstr("far away")));
+}
+
+TEST_F(CliOfAFarWorker, SaysHowAWorkerIsMadeToBeSeenFromElsewhere) {
+  worker_.host = "far";
+  worker_.tls = false;
+  show_worker();
+  EXPECT_THAT(complaint(), AllOf(HasSubstr("worker w1 is on far"), HasSubstr("metrics: {address, tls, tokens}")));
+}
+
+TEST_F(CliOfAFarWorker, AsksNobodyOnLoopbackForAWorkerOfAnotherMachine) {
+  worker_.host = "far";
+  show_worker();
+  EXPECT_THAT(complaint(), HasSubstr("worker w1 is on far and shows its pages there only"));
+}
+
+TEST_F(CliOfAFarWorker, AsksNobodyWhoseCertificateHasAnotherNameThanTheRecord) {
+  worker_.http = "127.0.0.2" + port_;
+  show_worker();
+  EXPECT_THAT(complaint(), AllOf(HasSubstr("127.0.0.2"), HasSubstr("certificate verify failed")));
+}
+
+TEST_F(CliOfAFarWorker, SaysWhatTheMasterLacks) {
+  show_worker();
+  serve({});
+  EXPECT_THAT(complaint(), HasSubstr("this master has no certificate"));
+  serve({certificates_.of("master"), ""});
+  EXPECT_THAT(complaint(), HasSubstr("worker_token_file"));
+  std::ofstream(folder_ / "another") << "masters.0123456789\n";
+  serve({certificates_.of("master"), folder_ / "another"});
+  EXPECT_THAT(complaint(), HasSubstr("Authorization: Bearer"));
+}
+
+TEST_F(CliOfAFarWorker, TakesNoPageThatIsTooLargeForTheMaster) {
+  padding_ = 9U << 20U;
+  show_worker();
+  EXPECT_THAT(complaint(), HasSubstr("body limit exceeded"));
+}
+
+TEST_F(CliOfAFarWorker, ReadsNoOtherPageOfIt) {
+  show_worker();
+  cli::MasterClient client({address()}, {}, std::chrono::milliseconds(1000));
+  EXPECT_THAT(client.worker_page("echo"_topology, "w1", "/tap?id=a&component=in%20b"), HasSubstr("far away"));
+  const std::string smuggled = "/tap? HTTP/1.1\r\nHost: lab1\r\n\r\nGET /metrics";
+  for (const auto& target : {std::string("/metrics"), std::string("/tap"), std::string("/topology?a=b"), smuggled,
+                             "/tap?id=" + std::string(3'000, 'a')}) {
+    EXPECT_THAT([&] { client.worker_page("echo"_topology, "w1", target); },
+                testing::ThrowsMessage<cli::Failed>(HasSubstr("is not read here")));
+  }
+  EXPECT_THAT([&] { client.worker_page("echo"_topology, "w2", "/topology"); },
+              testing::ThrowsMessage<cli::Failed>(HasSubstr("has no worker w2")));
+  EXPECT_THAT([&] { client.worker_page("ehco"_topology, "w1", "/topology"); },
+              testing::ThrowsMessage<cli::Failed>(HasSubstr("no topology \"ehco\"")));
+}
+
+TEST_F(CliOfAFarWorker, TellsWhetherADaemonIsWell) {
+  const auto files = certificates_.of("operator");
+  const Words words = {"--ca",    files.ca,       "--certificate",   files.certificate, "--key",
+                       files.key, "--token-file", folder_ / "token", "health",          worker_.http};
+  const auto done = run(words);
+  EXPECT_EQ(done.status, 0) << done.err;
+  EXPECT_EQ(done.out, "it is so\n");
+  well_ = false;
+  EXPECT_EQ(run(words).status, 1);
+}
+
+}  // namespace
+}  // namespace iotcloud::master::test
