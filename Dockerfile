@@ -21,7 +21,7 @@ WORKDIR /source
 COPY . .
 # The number of compilers at a time: each takes up to 1 GB. Empty: one for each core.
 ARG JOBS
-ARG PROGRAMS="iotcloud iotcloud-master iotcloud-gateway iotcloud-driver-host iotcloud-topology iotcloud-robot \
+ARG PROGRAMS="iotcloud iotcloud-master iotcloud-gateway iotcloud-driver-host iotcloud-topology iotcloud-run iotcloud-robot \
   iotcloud-record loadgen turtle turtle_ros turtlebot_follower"
 ARG CLIENTS="bench_brokers_iotcloud bench_brokers_rabbitmq bench_brokers_kafka"
 RUN cmake --preset release -DBUILD_TESTING=OFF -DIOTCLOUD_BENCHMARKS=ON -DIOTCLOUD_PRECOMPILE= \

@@ -17,6 +17,7 @@ class ProcessStarter {
   /// \param socket the path of systemd's socket. \throws config::Error if this process may not connect to it.
   explicit ProcessStarter(std::string socket);
 
+  /// A process that was started.
   struct Started {
     int process = 0;
     /// Says how the process ended, see status_of(). While it is open the process's id goes to no other process.

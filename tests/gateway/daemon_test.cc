@@ -265,6 +265,7 @@ TEST_F(DaemonTest, WhatCannotBeReadAgainOnSighupKeepsNothingElseFromBeingRead) {
   configure(TEST_PLUGINS, "plugins.trusted_keys: [" + (folder_ / "keys").string() +
                               "]\naudit: {file: " + (folder_ / "audit.log").string() + "}\n");
   start_daemon();
+  ASSERT_TRUE(eventually([&] { return fs::exists(folder_ / "audit.log"); }));
   fs::rename(folder_ / "audit.log", folder_ / "audit.log.1");
   std::ofstream(folder_ / "keys/broken.pub") << "no key";
   kill(daemon_, SIGHUP);

@@ -21,7 +21,7 @@ ROOMS = {
     "processes": ["config", "security"],
     "gateway": ["config", "security", "rpc", "brokers", "discovery", "drivers", "processes"],
     "master": ["config", "security", "rpc", "discovery", "gateway"],  # of the gateway: what Thrift generates, see below
-    "topology": ["config", "rpc", "brokers", "discovery", "processes"],
+    "topology": ["config", "security", "rpc", "brokers", "discovery", "processes"],
 }
 # A part of a room with rules of its own. `None`: everything.
 PARTS = {
