@@ -61,7 +61,7 @@ class WhoReadsBolt final : public BasicBolt {
 };
 
 tests::PrivateServer& kafka() {
-  static tests::PrivateServer server("kafka.py");
+  static tests::PrivateServer server("kafka.py", {"--partitions", std::to_string(partitions)});
   return server;
 }
 
