@@ -14,9 +14,9 @@
 namespace iotcloud::brokers::rabbitmq {
 
 /// The channels of one consuming connection: which subscription reads on which, and the methods that are still to be
-/// sent on them (requests, settlements, closes). Only the thread that has the connection's WireTurn uses it. What
-/// changes a subscription (open, close, settle) needs the mutex of its connection, too; writing does not, so that the
-/// connection writes without it.
+/// sent on them (requests, limits, settlements, closes). Only the thread that has the connection's WireTurn uses it.
+/// What changes a subscription (open, close, settle) needs the mutex of its connection, too; writing does not, so that
+/// the connection writes without it.
 class ReadChannels {
  public:
   /// \param type how queues are declared
