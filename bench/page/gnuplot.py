@@ -59,7 +59,7 @@ class Picture:
         return name
 
     def said(self, text):
-        """A placeholder in gnuplot's input for the text of a mark."""
+        """The name that stands in gnuplot's input for the text of a mark."""
         self._said.append(printable(text))
         return f"said-{len(self._said) - 1}"
 

@@ -26,34 +26,8 @@ def free_port():
         return probe.getsockname()[1]
 
 
-class Server:
-    """Answers what it hears in capitals, to clients with a certificate of the authority."""
-
-    def __init__(self, folder, name):
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.load_cert_chain(folder / f"{name}.pem", folder / f"{name}.key")
-        context.load_verify_locations(folder / "ca.pem")
-        context.verify_mode = ssl.CERT_REQUIRED
-        self.context, self.heard = context, b""
-        self.listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self.listener.getsockname()[1]
-        threading.Thread(target=self.serve, daemon=True).start()
-
-    def serve(self):
-        while True:
-            try:
-                client = self.context.wrap_socket(self.listener.accept()[0], server_side=True)
-                self.heard += (data := client.recv(100))
-                client.sendall(data.upper())
-                client.close()
-            except ssl.SSLError:
-                continue  # it does not talk to this one
-            except OSError:
-                return
-
-
 class PlainServer:
-    """The same without TLS."""
+    """Answers what it hears in capitals."""
 
     def __init__(self):
         self.heard = b""
@@ -64,12 +38,32 @@ class PlainServer:
     def serve(self):
         while True:
             try:
-                client = self.listener.accept()[0]
+                client = self.accept()
                 self.heard += (data := client.recv(100))
                 client.sendall(data.upper())
                 client.close()
+            except ssl.SSLError:
+                continue  # it does not talk to this one
             except OSError:
                 return
+
+    def accept(self):
+        return self.listener.accept()[0]
+
+
+class Server(PlainServer):
+    """The same, to clients with a certificate of the authority."""
+
+    def __init__(self, folder, name):
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(folder / f"{name}.pem", folder / f"{name}.key")
+        context.load_verify_locations(folder / "ca.pem")
+        context.verify_mode = ssl.CERT_REQUIRED
+        self.context = context
+        super().__init__()
+
+    def accept(self):
+        return self.context.wrap_socket(super().accept(), server_side=True)
 
 
 class Tunnel(unittest.TestCase):
