@@ -6,6 +6,7 @@
 #include <fstream>
 #include <memory>
 #include <ostream>
+#include <semaphore>
 #include <string>
 #include <thread>
 #include <utility>
@@ -261,8 +262,10 @@ TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates)
   durable.exchange = "tls_renewal";
   Inbox inbox;
   const auto subscription = broker->subscribe(durable, {}, inbox.handler());
+  std::counting_semaphore<> writable{0};
   PublisherOptions few;
   few.capacity = 16;
+  few.on_writable = [&] { writable.release(); };
   const auto publisher = broker->publisher(durable, few);
   std::atomic<int> sent{0};
   {
@@ -271,7 +274,7 @@ TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates)
         if (publisher->publish(text_message(std::to_string(sent + 1))).status == PublishStatus::accepted) {
           ++sent;
         } else {
-          std::this_thread::sleep_for(std::chrono::milliseconds(1));  // it is full while the server is away
+          static_cast<void>(writable.try_acquire_for(patience));  // it is full while the server is away
         }
       }
     });

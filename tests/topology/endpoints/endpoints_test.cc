@@ -159,14 +159,19 @@ class WindowLikeBolt final : public Bolt {
   std::vector<Tuple> kept_;
 };
 
-TEST_F(Endpoints, GiveAWindowAllThatComesInItsTimeThoughItKeepsMoreThanTheUsualPrefetch) {
-  WindowLikeBolt::kept = 0;
+ComponentRegistry window_like() {
   ComponentRegistry components;
   components.add_bolt<WindowLikeBolt>("Window");
-  run_yaml(
-      "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time]}\n"
-      "bolts:\n  mean: {class: Window, inputs: {from: in}}\n",
-      std::move(components));
+  return components;
+}
+std::string window_behind_spout(const std::string& more_of_the_spout) {
+  return "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time]" +
+         more_of_the_spout + "}\nbolts:\n  mean: {class: Window, inputs: {from: in}}\n";
+}
+
+TEST_F(Endpoints, GiveAWindowAllThatComesInItsTimeThoughItKeepsMoreThanTheUsualPrefetch) {
+  WindowLikeBolt::kept = 0;
+  run_yaml(window_behind_spout(""), window_like());
   show_driver("one");
   const auto publisher = device("one");
   constexpr int in_ten_seconds = 500;  // at 50 a second, as a window of 10 s keeps them
@@ -199,12 +204,7 @@ TEST_F(Endpoints, SayInTheWorkersRecordWhichBrokerIsAwayAsLongAsItIs) {
 
 TEST_F(Endpoints, SayThatThePrefetchIsTheLimitOfAWindowThatKeepsAllMessages) {
   testing::internal::CaptureStderr();
-  ComponentRegistry components;
-  components.add_bolt<WindowLikeBolt>("Window");
-  run_yaml(
-      "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], "
-      "properties: {prefetchCount: 5}}\nbolts:\n  mean: {class: Window, inputs: {from: in}}\n",
-      std::move(components));
+  run_yaml(window_behind_spout(", properties: {prefetchCount: 5}"), window_like());
   show_driver("one");
   const auto publisher = device("one");
   for (int i = 0; i < 20; ++i) publisher->publish(message("m", "one"));
