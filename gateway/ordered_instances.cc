@@ -225,13 +225,17 @@ void OrderedInstances::publish_record(const Entry& entry) {
     const auto& told = told_[record.instance].record;
     return told.state != record.state || told.reason != record.reason || told.since_ms != record.since_ms;
   }();
-  // Added before the record is written, so that whoever sees the record finds the change in the log; and without the
-  // lock, because add() writes to the disk.
+  // The change is added to the log, and all() shows it, before the record is written: whoever sees the record finds
+  // both. add() writes to the disk, so the mutex is not held meanwhile.
   if (changed) changes_.add({record.instance, record.name, record.state, record.reason, record.since_ms});
+  {
+    const config::MutexLock lock(mutex_);
+    told_[record.instance] = {record, entry.order_version, false};
+  }
   records_.put(record);
   {
     const config::MutexLock lock(mutex_);
-    told_[record.instance] = {record, entry.order_version};
+    told_[record.instance].given_to_writer = true;
   }
   changed_.notify_all();
 }
@@ -309,7 +313,7 @@ OrderedInstances::AwaitedRecord OrderedInstances::wait_for(const discovery::Inst
     outcome.record.reset();
     if (found == told_.end()) return condition(outcome.record);
     outcome.record = found->second.record;
-    return found->second.order_version >= order_version && condition(outcome.record);
+    return found->second.given_to_writer && found->second.order_version >= order_version && condition(outcome.record);
   });
   return outcome;
 }

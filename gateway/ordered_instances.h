@@ -103,10 +103,12 @@ class OrderedInstances {
     bool removing = false;
     std::optional<discovery::OrderRecord> next;  ///< the order to carry out when the current instance has ended
   };
-  /// What wait_for() sees of an instance: its record and the version of the order that the record reflects.
+  /// What other threads see of an instance: its record, the version of the order that the record reflects, and whether
+  /// the record was given to the writer. all() shows it before that, wait_for() after it.
   struct Told {
     discovery::DriverRecord record;
     std::int64_t order_version = -1;
+    bool given_to_writer = false;
   };
 
   void create(const discovery::OrderRecord& order, std::int64_t version);

@@ -4,6 +4,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/discovery/passing_registry.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 #include <iotcloud/tests/gateway/message_log.h>
 
@@ -15,6 +16,21 @@ using ::testing::HasSubstr;
 using namespace std::chrono_literals;
 
 class GatewayTest : public GatewayFixture {};
+
+/// Calls `written` with each node that was created or set, before the caller goes on.
+class WatchedRegistry final : public tests::PassingRegistry {
+ public:
+  using PassingRegistry::PassingRegistry;
+  void create(const std::string& path, const std::string& data, bool parents, const Fence& fence) override {
+    PassingRegistry::create(path, data, parents, fence);
+    written(path, data);
+  }
+  void set(const std::string& path, const std::string& data, std::int64_t version, const Fence& fence) override {
+    PassingRegistry::set(path, data, version, fence);
+    written(path, data);
+  }
+  std::function<void(const std::string& path, const std::string& data)> written;
+};
 
 TEST_F(GatewayTest, ItRegistersAndIsAliveUntilItStops) {
   start_gateway();
@@ -54,6 +70,26 @@ TEST_F(GatewayTest, AnOrderBecomesAnActiveInstanceWithItsRecords) {
   const auto channel = discovery::decode_channel(registry_->get(path)->data, path);
   EXPECT_EQ(channel, driver->channels.at(0));
   EXPECT_EQ(channel.broker_url, broker_url_);
+}
+
+TEST_F(GatewayTest, WhoSeesTheRecordOfAnActiveInstanceHearsTheSameFromTheGateway) {
+  WatchedRegistry watched(new_session());
+  std::atomic<int> seen{0};
+  std::atomic<int> heard{0};
+  watched.written = [&](const std::string& path, const std::string& data) {
+    if (path != paths_.instance("probe"_driver, "a"_instance)) return;
+    if (discovery::decode_driver(data, path).state != DriverState::active) return;
+    ++seen;
+    for (const auto& instance : gateway_->instances()) heard += instance.state == DriverState::active ? 1 : 0;
+  };
+  auto with = options();
+  with.registry = &watched;
+  gateway_.emplace(std::move(with));
+  gateway_->start();
+  give(order("a"));
+  EXPECT_TRUE(eventually([&] { return seen > 0; }));
+  gateway_.reset();
+  EXPECT_EQ(heard, seen);
 }
 
 TEST_F(GatewayTest, TakingTheOrderBackRemovesTheInstanceAndItsRecords) {

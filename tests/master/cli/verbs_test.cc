@@ -91,8 +91,8 @@ class CliVerbs : public Cli {
   }
 };
 
-/// Their answers are no records: a script, a status, a token alone on its line, what to do next, a file of its own format, or
-/// what another program says.
+/// Their answers are no records: a script, a status, a token alone on its line, what to do next, a file of its own
+/// format, or what another program says.
 const std::set<Words> without_output = {{"run"},
                                         {"health"},
                                         {"completion"},
