@@ -26,8 +26,6 @@ namespace {
 
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
-using ::testing::IsEmpty;
-using ::testing::SizeIs;
 
 TEST_F(Endpoints, CarryPayloadDriverAndTimeFromTheMessageInToTheMessageOut) {
   Mailbox mailbox(*broker_, topic("one", "down"));
