@@ -20,10 +20,8 @@ constexpr std::chrono::seconds gathering_for_the_log{1};
 /// What a reader raises its prefetch to at most, where bolts keep tuples: what all brokers can count.
 constexpr std::uint16_t most_prefetch = 65535;
 
-/// How often the readers are looked at for one whose messages in hand have reached its prefetch, how many such looks
-/// in a row mean that this is the limit, and after how many more it is said again.
+/// How often look_for_limit() runs.
 constexpr std::chrono::milliseconds limit_pause{500};
-constexpr int limit_looks = 3, limit_repeat = 120;
 
 /// The name of a channel's unit: for an exclusive channel that of its driver instance, for a shared one that of its
 /// gateway, with the partition's number behind a mark that no id has. The unit of partition 0 has the name of the
@@ -36,24 +34,23 @@ std::string unit_of(const discovery::ChannelRecord& channel, int partition = 0) 
 }  // namespace
 
 struct SpoutPlacement::Search {
-  Search(StandstillFence& f, PartitionAgreement& p) : fence(f), partitions(p) {}
-  ~Search() {
-    fence.ignore(listener);
-    partitions.ignore(partitions_listener);
-  }
+  explicit Search(StandstillFence& f) : fence(f) {}
+  ~Search() { fence.ignore(listener); }
   Search(const Search&) = delete;
   Search& operator=(const Search&) = delete;
 
   StandstillFence& fence;
-  PartitionAgreement& partitions;
-  int listener = 0, partitions_listener = 0;
+  int listener = 0;
   discovery::GuardPtr session;
   std::unique_ptr<ReadingGroup> group;
   std::unique_ptr<discovery::DriverDirectory> directory;
 };
 
 SpoutPlacement::SpoutPlacement(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint)
-    : services_(std::move(services)), component_(std::move(component)), endpoint_(std::move(endpoint)) {}
+    : services_(std::move(services)),
+      component_(std::move(component)),
+      endpoint_(std::move(endpoint)),
+      prefetch_report_(services_, component_, endpoint_.reading.own_prefetch) {}
 
 SpoutPlacement::~SpoutPlacement() = default;
 
@@ -69,12 +66,21 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
   // Callbacks on the dispatcher take mutex_. So it is not held here, nor in leave() while the watches are destroyed,
   // which waits for callbacks that run.
   auto& registry = *services_->registry;
-  auto search = std::make_unique<Search>(*services_->fence, *services_->partitions);
-  search->partitions_listener = services_->partitions->listen([this] {
-    const config::MutexLock lock(mutex_);
-    agreement_changed_ = true;
-    partitions_changed_soon();
-  });
+  auto search = std::make_unique<Search>(*services_->fence);
+  SplitTopics::Options topics;
+  topics.component = component_;
+  topics.group = group_of(endpoint_, *services_);
+  topics.registry = &registry;
+  topics.agreement = services_->partitions;
+  topics.broker_at = [this](const brokers::BrokerAddress& address) { return broker_at(address, *services_); };
+  topics.on_change = [this] {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      on_partitions();
+    });
+  };
+  split_topics_ = std::make_unique<SplitTopics>(std::move(topics));
+  split_topics_->begin();
   search->listener = services_->fence->listen([this] {
     const config::MutexLock lock(mutex_);
     if (over_ || anew_) return;
@@ -143,13 +149,12 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
 
 void SpoutPlacement::leave() {
   std::map<std::string, Unit> units;
-  discovery::GuardPtr sharing, telling, anew, looking, missing, partitions, limit;
+  discovery::GuardPtr sharing, telling, anew, looking, missing, limit;
   {
     const config::MutexLock lock(mutex_);
     if (std::exchange(over_, true)) return;
     while (in_turn_) turn_over_.wait(mutex_);
     anew.swap(anew_);
-    partitions.swap(partitions_soon_);
     queues_.clear();
   }
   dispatcher_.assert_held();  // no callback begins any more
@@ -163,7 +168,6 @@ void SpoutPlacement::leave() {
   search_.reset();
   sharing.reset();
   anew.reset();
-  partitions.reset();
   telling.reset();
   looking.reset();
   missing.reset();
@@ -172,8 +176,7 @@ void SpoutPlacement::leave() {
     unit.readers.close();
     unit.election.reset();
   }
-  for (const auto& [instance, channel] : channels_) services_->partitions->set(source_of(channel), channel.name, 0);
-  topics_.clear();
+  if (split_topics_) split_topics_->end();
 }
 
 bool SpoutPlacement::begin_turn() {
@@ -202,7 +205,7 @@ discovery::GuardPtr SpoutPlacement::take_anew() {
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
   std::string problem = misfit(channel, discovery::Direction::out, endpoint_.broker);
-  if (problem.empty() && channel.shared) problem = services_->partitions->difference(source_of(channel));
+  if (problem.empty() && channel.shared) problem = split_topics_->difference(channel);
   if (problem.empty()) return true;
   if (complained_.insert(channel.gateway + problem).second) {
     endpoints_logger.warn("{}: channel {} of driver {} on gateway {} is not read: {}", component_, channel.name,
@@ -215,9 +218,7 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
   const auto known = channels_.find(channel.instance);
   if (known != channels_.end()) {
     const discovery::ChannelRecord before = known->second;
-    if (before.shared &&
-        !(channel.shared && before.gateway == channel.gateway &&
-          address_of(before, *services_) == address_of(channel, *services_) && topic_of(before) == topic_of(channel))) {
+    if (before.shared && !(channel.shared && before.gateway == channel.gateway && key_of(before) == key_of(channel))) {
       follow_no_more(before);
     }
     if (unit_of(before) != unit_of(channel)) displace(before, 0, End::at_once);
@@ -261,11 +262,12 @@ void SpoutPlacement::remove_queue(const UnitReaders::Key& topic) {
 /// Puts the channel into its units, one for each partition, unless it cannot be read.
 void SpoutPlacement::place(const discovery::ChannelRecord& channel) {
   const bool usable = misfit(channel, discovery::Direction::out, endpoint_.broker).empty();
-  const SplitTopic* const topic = channel.shared && usable ? &follow(channel) : nullptr;
+  const auto partitions =
+      channel.shared && usable ? split_topics_->follow(channel, key_of(channel)) : std::optional<int>();
   if (!fits(channel)) return displace(channel, 0, usable ? End::at_once : End::when_silent);
-  if (topic == nullptr || !topic->watch) return add_to_unit(channel, std::nullopt);
-  for (int partition = 0; partition < topic->count; ++partition) add_to_unit(channel, partition);
-  displace(channel, topic->count, End::at_once);
+  if (!partitions) return add_to_unit(channel, std::nullopt);
+  for (int partition = 0; partition < *partitions; ++partition) add_to_unit(channel, partition);
+  displace(channel, *partitions, End::at_once);
 }
 
 void SpoutPlacement::add_to_unit(const discovery::ChannelRecord& channel, std::optional<std::int32_t> partition) {
@@ -290,80 +292,20 @@ void SpoutPlacement::displace(const discovery::ChannelRecord& channel, int first
   }
 }
 
-PartitionAgreement::Source SpoutPlacement::source_of(const discovery::ChannelRecord& channel) const {
-  return {group_of(endpoint_, *services_), channel.driver, channel.gateway};
-}
-
-/// Begins to follow how often the channel's topic is split, unless that is done already.
-SpoutPlacement::SplitTopic& SpoutPlacement::follow(const discovery::ChannelRecord& channel) {
-  const UnitReaders::Key key(address_of(channel, *services_), topic_of(channel));
-  const auto [place, fresh] = topics_.try_emplace(key);
-  SplitTopic& topic = place->second;
-  topic.instances.insert(channel.instance);
-  if (!fresh) return topic;
-  try {
-    topic.broker = broker_at(key.first, *services_);
-    topic.watch = topic.broker->watch_partitions(key.second, [this, key](int count) { on_partitions(key, count); });
-  } catch (const config::Error& error) {  // open_reader() complains of it
-    endpoints_logger.debug("{}: {}", component_, error.what());
-  }
-  return topic;
-}
-
 void SpoutPlacement::follow_no_more(const discovery::ChannelRecord& channel) {
-  if (!channel.shared) return;
-  const auto found = topics_.find({address_of(channel, *services_), topic_of(channel)});
-  if (found == topics_.end()) return;
-  found->second.instances.erase(channel.instance);
-  if (!found->second.instances.empty()) return;
-  topics_.erase(found);
-  const bool still_read = std::any_of(channels_.begin(), channels_.end(), [&](const auto& entry) {
-    return entry.first != channel.instance && entry.second.shared && entry.second.gateway == channel.gateway;
-  });
-  if (!still_read) services_->partitions->set(source_of(channel), channel.name, 0);
+  if (channel.shared) split_topics_->forget(channel, key_of(channel));
 }
 
-/// The broker calls it on its own thread.
-void SpoutPlacement::on_partitions(const UnitReaders::Key& topic, int count) {
-  const config::MutexLock lock(mutex_);
-  told_partitions_[topic] = count;
-  partitions_changed_soon();
-}
-
-void SpoutPlacement::partitions_changed_soon() {
-  if (over_ || partitions_soon_) return;
-  partitions_soon_ = services_->registry->after(std::chrono::milliseconds(0), [this] {
-    in_turn([&] {
-      dispatcher_.assert_held();
-      take_partitions();
-    });
-  });
+UnitReaders::Key SpoutPlacement::key_of(const discovery::ChannelRecord& channel) const {
+  return {address_of(channel, *services_), topic_of(channel)};
 }
 
 /// Places channels anew whose topics are split otherwise than before, and all of them if other spouts' channels agree
 /// with them no longer, or again.
-void SpoutPlacement::take_partitions() {
-  std::map<UnitReaders::Key, int> told;
-  discovery::GuardPtr planned;  // dies here, where nobody waits for it
-  bool all = false;
-  {
-    const config::MutexLock lock(mutex_);
-    told.swap(told_partitions_);
-    planned.swap(partitions_soon_);
-    all = std::exchange(agreement_changed_, false);
-  }
-  std::set<discovery::InstanceId> changed;
-  for (const auto& [key, count] : told) {
-    const auto found = topics_.find(key);
-    if (found == topics_.end()) continue;
-    SplitTopic& topic = found->second;
-    if (std::exchange(topic.count, count) != count) changed.insert(topic.instances.begin(), topic.instances.end());
-    endpoints_logger.debug("{}: topic {} has {} partitions", component_, key.second.name, count);
-    const auto channel = channels_.find(*topic.instances.begin());
-    if (channel != channels_.end()) services_->partitions->set(source_of(channel->second), channel->second.name, count);
-  }
+void SpoutPlacement::on_partitions() {
+  const auto changes = split_topics_->take_changes();
   for (const auto& [instance, channel] : channels_) {
-    if (channel.shared && (all || changed.contains(instance))) place(channel);
+    if (channel.shared && (changes.all || changes.instances.contains(instance))) place(channel);
   }
   report();
 }
@@ -433,8 +375,6 @@ bool SpoutPlacement::queues_are_empty() {
   return std::all_of(queues_.begin(), queues_.end(), [](const auto& entry) { return entry.second->size() == 0; });
 }
 
-/// Says when messages wait at the broker although the spout has nothing to emit, because as many as the broker hands
-/// out are in the topology, unsettled: a window, or a bolt that acks late, gets only so many at a time.
 void SpoutPlacement::look_for_limit() {
   std::size_t limited = 0, most = 0;
   const bool idle = queues_are_empty();
@@ -442,37 +382,8 @@ void SpoutPlacement::look_for_limit() {
     most = std::max(most, unit.readers.prefetch());
     if (idle) limited += unit.readers.at_limit();
   }
-  limited_looks_ = limited > 0 ? limited_looks_ + 1 : 0;
-  const config::Labels labels{{"topology", services_->topology.str()}, {"component", component_}};
-  auto& metrics = *services_->metrics;
-  metrics.gauge("iotcloud_spout_prefetch", "The most unsettled messages that a channel may have now", labels)
-      .set(static_cast<std::int64_t>(most));
-  metrics
-      .gauge("iotcloud_spout_prefetch_limited",
-             "Channels of which as many messages as the broker hands out are unsettled, so that the others wait",
-             labels)
-      .set(limited_looks_ >= limit_looks ? static_cast<std::int64_t>(limited) : 0);
-  const std::string text = limited_looks_ >= limit_looks ? limit_text(limited, most) : "";
-  services_->held->set_limit(component_, text);
-  if (!text.empty() && (limited_looks_ - limit_looks) % limit_repeat == 0)
-    endpoints_logger.warn("{}: {}", component_, text);
+  prefetch_report_.look(limited, most);
   if (!units_.empty()) look_for_limit_soon();
-}
-
-std::string SpoutPlacement::limit_text(std::size_t limited, std::size_t most) const {
-  const auto keepers = services_->keepers.find(component_);
-  const bool kept = keepers != services_->keepers.end();
-  const std::string mend =
-      kept && !endpoint_.reading.own_prefetch
-          ? fmt::format(
-                "it was not raised further, because of the memory for such messages ({} MiB) or of the broker; "
-                "keep less, or set prefetchCount",
-                HeldMessages::usual_limit >> 20U)
-          : "set prefetchCount above the number of messages that come in that time";
-  return fmt::format(
-      "prefetchCount ({}) is the limit: of {} channel(s) so many messages are in the topology, unsettled, and the "
-      "others wait at the broker; {}; {}",
-      most, limited, kept ? "bolts keep tuples: " + keepers->second : "a bolt acks late", mend);
 }
 
 void SpoutPlacement::on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) {
@@ -569,7 +480,7 @@ void SpoutPlacement::stop_reading(const std::string& name, Unit& unit) {
 void SpoutPlacement::read(Unit& unit) {
   UnitReaders::Wanted wanted;
   for (const auto& [instance, channel] : unit.channels) {
-    wanted.emplace(UnitReaders::Key(address_of(channel, *services_), topic_of(channel)), &channel);
+    wanted.emplace(key_of(channel), &channel);
   }
   unit.readers.keep_only(wanted);
   if (unit.move != Move::none) return;  // look_at_moves() opens them when the move is over
@@ -719,7 +630,7 @@ void SpoutPlacement::read_to_the_end(const std::string& name) {
   }
   if (const auto& [instance, channel] = *unit.channels.begin(); !channel.shared) {
     unit.instance = instance;
-    unit.topic.emplace(address_of(channel, *services_), topic_of(channel));
+    unit.topic = key_of(channel);
   }
   unit.undeployed = false;
   unit.channels.clear();

@@ -14,6 +14,8 @@
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/placement/reading_group.h>
 #include <iotcloud/topology/endpoints/placement/task_loads.h>
+#include <iotcloud/topology/endpoints/receiving/prefetch_report.h>
+#include <iotcloud/topology/endpoints/receiving/split_topics.h>
 #include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 #include <iotcloud/topology/endpoints/receiving/unit_readers.h>
 #include <iotcloud/topology/endpoints/receiving/verdicts.h>
@@ -80,14 +82,7 @@ class SpoutPlacement {
     when_silent,  ///< see end_silence
     at_once,      ///< the broker keeps its messages
   };
-  /// A topic of shared channels at a broker that may split it.
-  struct SplitTopic {
-    std::shared_ptr<brokers::Broker> broker;         ///< must outlive the watch; null: it cannot be used
-    std::unique_ptr<brokers::PartitionWatch> watch;  ///< null: this broker does not split topics
-    int count = 1;                                   ///< number of partitions; 1 until it is known
-    std::set<discovery::InstanceId> instances;       ///< whose channels use it
-  };
-  struct Search;  ///< all that tells what to read: session, reading group, drivers, partitions, fence
+  struct Search;  ///< all that tells what to read: session, reading group, drivers, fence
 
   /// Runs a callback of the registry, unless leave() was called. No lock is held meanwhile: the callback opens and
   /// closes readers, which may take long, and nobody but leave() waits for it.
@@ -122,12 +117,9 @@ class SpoutPlacement {
   void remove_from_unit(const discovery::ChannelRecord& channel, const std::string& name, End end)
       IOTCLOUD_REQUIRES(dispatcher_);
   void displace(const discovery::ChannelRecord& channel, int first_partition, End end) IOTCLOUD_REQUIRES(dispatcher_);
-  SplitTopic& follow(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
   void follow_no_more(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
-  PartitionAgreement::Source source_of(const discovery::ChannelRecord& channel) const;
-  void on_partitions(const UnitReaders::Key& topic, int count);
-  void partitions_changed_soon() IOTCLOUD_REQUIRES(mutex_);
-  void take_partitions() IOTCLOUD_REQUIRES(dispatcher_);
+  UnitReaders::Key key_of(const discovery::ChannelRecord& channel) const;
+  void on_partitions() IOTCLOUD_REQUIRES(dispatcher_);
   void on_channel_gone(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
   void on_state(const discovery::InstanceId& instance, std::optional<discovery::DriverState> state)
       IOTCLOUD_REQUIRES(dispatcher_);
@@ -136,7 +128,6 @@ class SpoutPlacement {
   void warn_of_missing() IOTCLOUD_REQUIRES(dispatcher_);
   void look_for_limit() IOTCLOUD_REQUIRES(dispatcher_);
   void look_for_limit_soon() IOTCLOUD_REQUIRES(dispatcher_);
-  std::string limit_text(std::size_t limited, std::size_t most) const;
   bool queues_are_empty() IOTCLOUD_EXCLUDES(mutex_);
   void on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) IOTCLOUD_REQUIRES(dispatcher_);
   void on_elected(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
@@ -179,18 +170,13 @@ class SpoutPlacement {
   bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   /// Timer that calls subscribe_anew(); null: no such call is planned.
   discovery::GuardPtr anew_ IOTCLOUD_GUARDED_BY(mutex_);
-  /// Numbers of partitions that brokers have told and take_partitions() has not taken.
-  std::map<UnitReaders::Key, int> told_partitions_ IOTCLOUD_GUARDED_BY(mutex_);
-  bool agreement_changed_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< since the last call of take_partitions()
-  /// Timer that calls take_partitions(); null: no such call is planned.
-  discovery::GuardPtr partitions_soon_ IOTCLOUD_GUARDED_BY(mutex_);
 
   /// The registry's dispatcher, in in_turn(); before it the last join(), after it the first leave().
   config::ThreadRole dispatcher_;
   std::vector<Sharer> sharers_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< empty: not known yet
   /// Channels that the directory shows, read or not.
   std::map<discovery::InstanceId, discovery::ChannelRecord> channels_ IOTCLOUD_GUARDED_BY(dispatcher_);
-  std::map<UnitReaders::Key, SplitTopic> topics_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< of shared channels
+  std::unique_ptr<SplitTopics> split_topics_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< set by the last join()
   std::map<std::string, Unit> units_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::map<std::string, Unit> ending_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< without channels, read to their end
   /// Topics of exclusive channels that were read here to their end, by instance, until the channel or its record goes.
@@ -216,9 +202,9 @@ class SpoutPlacement {
   discovery::GuardPtr missing_ IOTCLOUD_GUARDED_BY(dispatcher_);
   discovery::GuardPtr limit_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< timer that calls look_for_limit()
   bool limit_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;    ///< that call is planned
-  int limited_looks_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;      ///< looks in a row that found a reader at its limit
-  std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);        ///< why this worker has no share
-  std::unique_ptr<Search> search_;                              ///< set by the last join(), taken by the first leave()
+  PrefetchReport prefetch_report_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< why this worker has no share
+  std::unique_ptr<Search> search_;                        ///< set by the last join(), taken by the first leave()
 };
 
 }  // namespace iotcloud::topology

@@ -1,0 +1,106 @@
+#include <algorithm>
+#include <chrono>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/topology/endpoints/logger.h>
+#include <iotcloud/topology/endpoints/receiving/split_topics.h>
+
+namespace iotcloud::topology {
+
+void SplitTopics::begin() {
+  listener_ = options_.agreement->listen([this] {
+    const config::MutexLock lock(mutex_);
+    agreement_changed_ = true;
+    change_soon();
+  });
+}
+
+void SplitTopics::end() {
+  if (const int listener = std::exchange(listener_, 0)) options_.agreement->ignore(listener);
+  discovery::GuardPtr planned;
+  {
+    const config::MutexLock lock(mutex_);
+    over_ = true;
+    planned.swap(soon_);
+  }
+  planned.reset();  // waits for on_change; so no lock is held
+  for (const auto& [key, topic] : topics_) {
+    for (const auto& [instance, channel] : topic.channels) options_.agreement->set(source_of(channel), channel.name, 0);
+  }
+  topics_.clear();
+}
+
+std::optional<int> SplitTopics::follow(const discovery::ChannelRecord& channel, const Key& key) {
+  const auto [place, fresh] = topics_.try_emplace(key);
+  SplitTopic& topic = place->second;
+  topic.channels.insert_or_assign(channel.instance, channel);
+  if (fresh) {
+    try {
+      topic.broker = options_.broker_at(key.first);
+      topic.watch = topic.broker->watch_partitions(key.second, [this, key](int count) { on_count(key, count); });
+    } catch (const config::Error& error) {  // who opens a reader there complains of it
+      endpoints_logger.debug("{}: {}", options_.component, error.what());
+    }
+  }
+  return topic.watch ? std::optional<int>(topic.count) : std::nullopt;
+}
+
+void SplitTopics::forget(const discovery::ChannelRecord& channel, const Key& key) {
+  const auto found = topics_.find(key);
+  if (found == topics_.end()) return;
+  found->second.channels.erase(channel.instance);
+  if (!found->second.channels.empty()) return;
+  topics_.erase(found);
+  const auto is_of_the_gateway = [&](const auto& user) { return user.second.gateway == channel.gateway; };
+  const bool still_used = std::any_of(topics_.begin(), topics_.end(), [&](const auto& entry) {
+    const auto& channels = entry.second.channels;
+    return std::any_of(channels.begin(), channels.end(), is_of_the_gateway);
+  });
+  if (!still_used) options_.agreement->set(source_of(channel), channel.name, 0);
+}
+
+std::string SplitTopics::difference(const discovery::ChannelRecord& channel) const {
+  return options_.agreement->difference(source_of(channel));
+}
+
+/// The broker calls it on its own thread.
+void SplitTopics::on_count(const Key& topic, int count) {
+  const config::MutexLock lock(mutex_);
+  told_[topic] = count;
+  change_soon();
+}
+
+void SplitTopics::change_soon() {
+  if (over_ || soon_) return;
+  soon_ = options_.registry->after(std::chrono::milliseconds(0), options_.on_change);
+}
+
+SplitTopics::Changes SplitTopics::take_changes() {
+  Changes changes;
+  std::map<Key, int> told;
+  discovery::GuardPtr planned;  // destroyed here, inside its own call of on_change, so that nobody waits for that call
+  {
+    const config::MutexLock lock(mutex_);
+    told.swap(told_);
+    planned.swap(soon_);
+    changes.all = std::exchange(agreement_changed_, false);
+  }
+  for (const auto& [key, count] : told) {
+    const auto found = topics_.find(key);
+    if (found == topics_.end()) continue;
+    SplitTopic& topic = found->second;
+    if (std::exchange(topic.count, count) != count) {
+      for (const auto& [instance, channel] : topic.channels) changes.instances.insert(instance);
+    }
+    endpoints_logger.debug("{}: topic {} has {} partitions", options_.component, key.second.name, count);
+    const auto& channel = topic.channels.begin()->second;
+    options_.agreement->set(source_of(channel), channel.name, count);
+  }
+  return changes;
+}
+
+PartitionAgreement::Source SplitTopics::source_of(const discovery::ChannelRecord& channel) const {
+  return {options_.group, channel.driver, channel.gateway};
+}
+
+}  // namespace iotcloud::topology
