@@ -74,10 +74,10 @@ struct PublisherOptions {
   /// project.
   std::string original_queue;
   std::uint8_t priority = normal_priority;  ///< 0 to 9, see normal_priority
-  /// What was accepted before this instant of the broker's clock, and is still to be sent or to be sent again, is
-  /// dropped
-  /// ("fenced"): its sender may have lost the right to send it. Called before each attempt, from any thread, also
-  /// inside publish(); must not block. Empty: never.
+  /// The publisher drops ("fenced") a message that it accepted before this instant of the broker's clock and that it is
+  /// still to send, or to send again: its sender may have lost the right to send it. The publisher calls this function
+  /// before each attempt to send, on any thread, also inside publish(); it must not block. Empty: nothing is dropped
+  /// for this reason.
   std::function<config::Clock::Instant()> void_before;
   /// Called once for each accepted message with its number (Published::number) and, for drops, the reason
   /// ("superseded", "deadline", "no_reader", "fenced", ...). From any thread, never from inside publish(). May be
@@ -147,7 +147,7 @@ class Delivery {
   }
   ~Delivery() { settle(Settlement::retry); }
 
-  /// Once; later calls do nothing. Any thread.
+  /// Tells the broker what became of the message. Only the first call counts. Any thread.
   void settle(Settlement settlement) noexcept {
     if (auto settler = std::exchange(settler_, nullptr)) settler->settle(tag_, settlement);
   }
@@ -195,7 +195,8 @@ struct SubscriptionOptions {
 class Subscription {
  public:
   virtual ~Subscription() = default;
-  /// Stop taking (back pressure) and go on. Thread safe; takes effect after the handler that runs.
+  /// pause() stops taking messages (back pressure), resume() goes on. Thread safe; both take effect after the handler
+  /// that runs.
   virtual void pause() = 0;
   virtual void resume() = 0;
   /// Lets so many unsettled deliveries be under way from now on, if these are more than before. Thread safe, also
@@ -241,7 +242,7 @@ class Broker {
   /// destructor waits for that. A server that is away is not asked. RabbitMQ (classic, durable queues) and the embedded
   /// broker do this; others leave it to the server.
   virtual void remove_queue(const Topic& /*topic*/, const std::string& /*group*/) {}
-  /// Of the connections together: the worst of them.
+  /// The state of the connections together: that of the worst one.
   virtual ConnectionState state() const = 0;
   /// Why it is not connected, in words for people; empty: it is, or nothing is known. Thread safe.
   virtual std::string problem() const { return ""; }
@@ -263,7 +264,7 @@ struct BrokerOptions {
   /// "embedded://NAME" (the in-process broker of that name), "amqp://user:password@host:port/vhost" (RabbitMQ, with TLS
   /// "amqps"), "kafka://host:port", "activemq://user:password@host:port".
   std::vector<std::string> urls;
-  /// Goes before the user in the URL.
+  /// The user; takes precedence over the one in the URL.
   std::string user;
   /// Where the password is, read at each attempt to connect: a file (its first line) or an environment variable. Both
   /// empty: the URL's.

@@ -15,8 +15,8 @@ namespace iotcloud::brokers {
 struct BrokerAddress {
   std::string broker;
   std::vector<std::string> urls;
-  /// Begins with the server that `url` names by host and port, and leaves the round; scheme and credentials stay those
-  /// of `urls`. A server that is not among them, or a malformed URL, changes nothing.
+  /// Moves the server that `url` names by host and port to the front; the others follow in their cyclic order. Scheme
+  /// and credentials stay those of `urls`. A server that is not in `urls`, or a malformed URL, changes nothing.
   void prefer(const std::string& url);
   // NOLINTNEXTLINE(modernize-use-nullptr): clang-tidy 14 sees a comparison with 0 there.
   friend auto operator<=>(const BrokerAddress&, const BrokerAddress&) = default;
@@ -25,12 +25,12 @@ struct BrokerAddress {
 /// One Broker object for each address, shared by its users and closed when the last releases it. Thread safe.
 class BrokerPool {
  public:
-  /// Both may be null, see BrokerOptions.
+  /// Makes an empty pool. Clock and metrics may be null, see BrokerOptions.
   BrokerPool(const config::Clock* clock, config::Metrics* metrics) : clock_(clock), metrics_(metrics) {}
   /// \param how the options, without URLs, clock and metrics, for a new object.
   /// \throws config::Error for URLs that name no broker.
   std::shared_ptr<Broker> get(const BrokerAddress& address, const BrokerOptions& how);
-  /// Those that somebody uses now.
+  /// The addresses and brokers that somebody uses now.
   std::vector<std::pair<BrokerAddress, std::shared_ptr<Broker>>> in_use();
 
  private:

@@ -23,8 +23,9 @@ struct BrokerSetting {
 /// \throws config::ConfigError for impossible values, with file, line and remedy.
 BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout);
 
-/// Whether they hold what only the intended broker may get (a user, where a password is, a client certificate), or an
-/// authority that the server must prove itself by: none of it may follow an address that somebody else names.
+/// Whether the options hold something that only the intended broker may get (a user, the place of a password, a client
+/// certificate), or an authority by which that broker proves itself. Such options must not be used with an address that
+/// somebody else names.
 bool are_credentials_given(const BrokerOptions& options);
 
 /// The default heartbeat. A server disconnects a silent client after two to three heartbeats, and a topic's next reader

@@ -193,8 +193,9 @@ void ReceiverLink::work() {
   const bool some_leave = !leaving_.empty();
   for (const auto& reader : std::exchange(leaving_, {})) leave(*reader);
   ask_for_places();
-  // Proton writes the beginnings of sessions before the ends of others, and a server that has the next reader of a
-  // queue before the last one has left may change the order of what that one had. So the ends are written first.
+  // Proton writes the begin frames of new sessions before the end frames of old ones. A server that meets a queue's
+  // next reader before the last reader has left may reorder the messages that the last reader had. So the end frames
+  // are written first.
   if (some_leave) return wake();
   if (now() >= next_try_) open_due();
   arm(next_try_);
@@ -338,9 +339,9 @@ void ReceiverLink::leave(SessionReader& reader) {
   send_settlements(reader);
   pn_link_set_context(reader.receiver, nullptr);
   pn_session_set_context(reader.session, nullptr);
-  // It is freed when the server has closed it, too. If the server has not answered yet, on_session_open() closes it: a
-  // session that is closed before frees its channel's number for the next one, and the server's answers to the first
-  // are taken for answers to the next.
+  // The session is freed when the server has closed its end, too. If the server has not opened its end yet,
+  // on_session_open() closes the session later: closed now, it would free the number of its channel for the next
+  // session, and the server's answers to this session would be taken for answers to that one.
   if ((pn_session_state(reader.session) & PN_REMOTE_UNINIT) == 0) pn_session_close(reader.session);
   forget_session(reader);
 }

@@ -29,8 +29,9 @@ struct ReceiverCore {
 /// on it and not settled as redelivered, which it does not do when only a link ends. The server gives an exclusive
 /// queue to the first reader that opens it, but does not tell the others that they get nothing. So an exclusive reader
 /// opens its link, then asks how many readers the queue has; if it is not alone, it leaves, and opens it again only
-/// when the queue has no reader. For a server that has another reader when one leaves does not put the messages that
-/// this one had in front of those that others left before.
+/// when the queue has no reader. It waits that long because of the order of messages: when a reader leaves a queue that
+/// has another reader, the server may put the messages of the one that left behind messages that earlier readers had
+/// left.
 class ReceiverLink final : client::ReadTransport,
                            ReceiverCore,
                            public ServerLink,

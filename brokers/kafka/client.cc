@@ -144,7 +144,7 @@ Client::~Client() {
   std::promise<void> ended;
   auto end = ended.get_future();
   std::thread thread([handle = handle_, ended = std::move(ended)]() mutable {
-    // Without closing the consumer: Group has done that, unless it must vanish without leaving the group.
+    // NO_CONSUMER_CLOSE, because Group has closed the consumer already, or wants it to end without leaving the group.
     rd_kafka_destroy_flags(handle, RD_KAFKA_DESTROY_F_NO_CONSUMER_CLOSE);
     ended.set_value();
   });

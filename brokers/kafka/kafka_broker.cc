@@ -92,8 +92,9 @@ class KafkaBroker final : public Broker {
     if (!all.automatic_ack) handler = dead_letters_.guard(topic, all, std::move(handler));
     return std::make_unique<KafkaSubscription>(lane(options.priority).consuming, topic, all, std::move(handler),
                                                [this, dead_letter = all.dead_letter] {
-                                                 // What was rejected is settled once its letter is there: otherwise the
-                                                 // next reader would get it too.
+                                                 // A rejected message is settled only when the broker has confirmed its
+                                                 // dead letter. So this waits for the letters: otherwise the next
+                                                 // reader would get the rejected messages, too.
                                                  if (state() == ConnectionState::connected)
                                                    dead_letters_.drain(dead_letter, options_.broker.rpc_timeout);
                                                });

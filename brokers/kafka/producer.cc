@@ -54,7 +54,7 @@ bool is_refusal_for_good(rd_kafka_resp_err_t error) {
 }
 
 /// Whether the servers refuse this publisher's messages for a reason that may pass: a permission that is missing, a
-/// policy, clocks that do not agree. What concerns the connection or the whole cluster is none of these.
+/// policy, clocks that do not agree. An error of the connection or of the whole cluster is no such refusal.
 bool is_refusal_for_now(rd_kafka_resp_err_t error) {
   switch (error) {
     case RD_KAFKA_RESP_ERR_TOPIC_AUTHORIZATION_FAILED:

@@ -43,7 +43,7 @@ void QueueRemover::run() {
   }
 }
 
-/// \return those that are to be tried again
+/// Asks the server to remove each queue once. \return the queues that the server keeps for now, to be tried again
 std::vector<QueueRemover::Unneeded> QueueRemover::try_all(std::vector<Unneeded> queues) {
   std::vector<Unneeded> refused;
   std::size_t asked = 0;
@@ -70,7 +70,7 @@ std::vector<QueueRemover::Unneeded> QueueRemover::try_all(std::vector<Unneeded> 
   return refused;
 }
 
-/// To the first server that answers. \throws LinkError if none does.
+/// Connects to the first server that answers. \throws LinkError if none does.
 std::unique_ptr<AmqpLink> QueueRemover::connect() const {
   for (std::size_t server = 0; server + 1 < cluster_.size(); ++server) {
     try {

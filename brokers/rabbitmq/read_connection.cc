@@ -149,7 +149,7 @@ bool ReadConnection::raise_prefetch(const std::shared_ptr<QueueReader>& reader, 
   if (!reads_here(*reader)) return false;
   if (prefetch <= reader->prefetch) return true;
   reader->prefetch = prefetch;
-  if (reader->phase == QueueReader::Phase::idle) return true;  // its request will say it
+  if (reader->phase == QueueReader::Phase::idle) return true;  // its next request names the new prefetch
   raised_.push_back(reader);
   write_or_leave();
   return true;

@@ -186,7 +186,8 @@ void AmqpLink::publish(amqp_channel_t channel, const std::string& exchange, cons
   if (!writer_) {
     writer_ = std::make_unique<FrameWriter>(static_cast<std::size_t>(amqp_get_frame_max(state_.get())));
   }
-  // Flushed before, not after: the kernel may hold back bytes that announce more, and this may be the last message.
+  // The full writer is flushed before it gets this message, not after: a flush tells the kernel that more bytes follow,
+  // so the kernel may hold the last ones back, and this message may be the last one.
   if (writer_->full()) flush(true);
   const std::size_t before = writer_->gathered();
   writer_->add(channel, exchange, key, properties, body);

@@ -25,7 +25,7 @@ constexpr std::size_t header_head = 12;
 
 // Bodies up to this size are copied, which costs less than another piece.
 constexpr std::size_t small_body = 2048;
-// When this much is gathered, the server can begin with it while the rest is made.
+// Gathered bytes are sent when they are this many, so that the server reads them while the rest is made.
 constexpr std::size_t gathering_limit = 65536;
 // The largest frame with basic.publish: two short strings and little else.
 constexpr std::size_t largest_method = 1024;
