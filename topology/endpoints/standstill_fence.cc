@@ -54,7 +54,8 @@ void StandstillFence::beat() {
   last_beat_ns_.store(ns(now), std::memory_order_release);
 
   const config::MutexLock lock(mutex_);
-  if (teller_ != std::thread::id()) return;  // that beat looks again when it has told them
+  if (teller_ != std::thread::id())
+    return;  // another beat() tells the listeners, and checks the count again when it has told them
   teller_ = std::this_thread::get_id();
   try {
     while (told_ != count_.load(std::memory_order_acquire)) tell_listeners();
@@ -86,7 +87,7 @@ void StandstillFence::call(int listener) {
     } catch (...) {
       failure = std::current_exception();
     }
-    on_raised = nullptr;  // what it owns goes before ignore() returns
+    on_raised = nullptr;  // what the function owns is destroyed before ignore() returns
   }
   called_ = 0;
   left_.notify_all();

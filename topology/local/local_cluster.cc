@@ -12,7 +12,8 @@ namespace iotcloud::local {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-constexpr std::chrono::milliseconds for_gateways{2000};  ///< of the time to stop, what workers leave them
+constexpr std::chrono::milliseconds for_gateways{
+    2000};  ///< the part of the time to stop that workers leave to gateways
 const config::Logger logger{"local"};
 
 std::unique_ptr<discovery::Registry> connect(const LocalOptions& options) {
@@ -126,7 +127,8 @@ struct LocalCluster::Impl {
         in_time = false;
       }
     };
-    // Windows keep tuples for as long as they may; the drivers need time to send what they have published, too.
+    // Workers do not get all of the time: a window keeps its tuples for as long as its worker may wait, and the drivers
+    // then need time to send what they have published.
     for (auto& worker : workers) part("worker", *worker, std::min(limit / 2, for_gateways));
     for (auto& gateway : gateways) part("gateway", *gateway, std::chrono::milliseconds(0));
     master->close();

@@ -165,7 +165,7 @@ class StatefulBoltExecutor final : public Bolt {
   void execute_waiting() {
     while (!waiting_.empty() && execute_now(waiting_.front())) {
       waiting_.pop_front();
-      tell_back();  // the store has answered what it could not before
+      tell_back();  // this tuple had to wait for the store, so the store has answered
     }
     for (const Tuple& tuple : waiting_) collector_->reset_timeout(tuple);
   }
@@ -175,7 +175,8 @@ class StatefulBoltExecutor final : public Bolt {
     collector_->report_error("tuples wait for the state store, and nothing is acked: " + std::string(why.what()));
   }
 
-  /// Not after each tuple: one that needs only what the task has read changes while the store is away, too.
+  /// Logs that the store is back. Called when the store has answered, and not after each tuple: a tuple that needs only
+  /// keys that the task has read already is executed while the store is away, too.
   void tell_back() {
     if (!std::exchange(said_unavailable_, false)) return;
     state_logger.info("{}: the state store is back", name_);

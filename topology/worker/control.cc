@@ -207,7 +207,8 @@ void WorkerControl::follow(const TopologyOrder& order) {
   }
 }
 
-/// \return why an order that stands in the registry is none of a master now; empty: it is one.
+/// \return why an order in the registry must not be followed: no trusted master signed it, or it is older than the last
+/// one; empty: it may be followed.
 std::string WorkerControl::objection(const Node& node, const TopologyOrder& order) const {
   if (!options_.masters) return "";
   if (security::signer_of_object(*options_.masters, order_path_, node.data).empty())
@@ -216,7 +217,7 @@ std::string WorkerControl::objection(const Node& node, const TopologyOrder& orde
   return "a master has signed it, but it is out of date: it was given before what was ordered last";
 }
 
-/// Somebody else than a master wrote an order, or an old one once more.
+/// Refuses an order that no trusted master wrote, or that is an old one that somebody wrote again.
 void WorkerControl::refuse(const std::string& why) {
   if (!spouts_activated_) follow(TopologyOrder{});
   options_.services->metrics

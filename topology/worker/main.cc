@@ -33,9 +33,9 @@ rpc::PageSettings pages_of(const topology::TopologyDefinition& definition) {
 /// More samples of a tap would slow the topology down.
 constexpr double most_samples_a_second = 1000;
 
-/// Where the pages are reached: by the name that their settings say; those at all addresses of this machine, by its
-/// name. The certificate has the same name.
-/// \param bound their address with its real port
+/// The host:port at which others reach the pages: with the host that the settings name, or, if the pages are served at
+/// all addresses, with this machine's name. The certificate must have the same name. \param bound their address with
+/// its real port
 std::string reached_at(const std::string& address, const std::string& bound) {
   const std::string host = address.substr(0, address.rfind(':'));
   if (config::is_loopback(host)) return bound;

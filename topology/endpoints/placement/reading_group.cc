@@ -85,7 +85,7 @@ void ReadingGroup::read() {
   for (const auto& name : names_) {
     if (name != self_.sharer.worker) paths.push_back(path_ + "/members/" + name);
   }
-  // This worker counts even if its node is not listed: yet, or while the session is renewed.
+  // This worker counts as a member also when its node is not listed: not yet, or not while the session is renewed.
   std::vector<Member> members{self_};
   try {
     const auto nodes = registry_.get_all(paths);

@@ -38,7 +38,7 @@ std::optional<int> SplitTopics::follow(const discovery::ChannelRecord& channel, 
     try {
       topic.broker = options_.broker_at(key.first);
       topic.watch = topic.broker->watch_partitions(key.second, [this, key](int count) { on_count(key, count); });
-    } catch (const config::Error& error) {  // who opens a reader there complains of it
+    } catch (const config::Error& error) {  // SpoutPlacement::open_reader() logs it as an error
       endpoints_logger.debug("{}: {}", options_.component, error.what());
     }
   }

@@ -17,7 +17,8 @@ constexpr std::chrono::milliseconds gathering{5};
 /// One line of the log names all units that are taken or given up within this time.
 constexpr std::chrono::seconds gathering_for_the_log{1};
 
-/// What a reader raises its prefetch to at most, where bolts keep tuples: what all brokers can count.
+/// The most to which a reader raises its prefetch where bolts keep tuples: the greatest number that all brokers can
+/// count.
 constexpr std::uint16_t most_prefetch = 65535;
 
 /// How often look_for_limit() runs.
@@ -87,7 +88,7 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
     anew_ = services_->registry->after(std::chrono::milliseconds(0), [this] {
       in_turn([&] {
         dispatcher_.assert_held();
-        const auto planned = take_anew();  // dies here, where nobody waits for it
+        const auto planned = take_anew();  // destroyed here, inside its own call, so that nobody waits for that call
         subscribe_anew();
       });
     });
@@ -240,8 +241,8 @@ void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
   report();
 }
 
-/// The queue of an undeployed instance's own channel is needed no longer, once it has been read to its end. That of a
-/// stopped one is: its next messages may come while no worker is there to declare it.
+/// Removes the queue of an undeployed instance's own channel, once it has been read to its end. The queue of a stopped
+/// instance stays, because that instance's next messages may come while no worker is there to declare it.
 void SpoutPlacement::on_state(const discovery::InstanceId& instance, std::optional<discovery::DriverState> state) {
   const bool confirmed = unconfirmed_.erase(instance) == 0;
   if (state || !confirmed) return;
@@ -462,7 +463,7 @@ void SpoutPlacement::subscribe_anew() {
     unit.readers.close();
     read(unit);
   }
-  for (auto& [name, unit] : ending_) unit.readers.close();  // they are void, and nobody needs them for long
+  for (auto& [name, unit] : ending_) unit.readers.close();  // what they brought is void, and their drivers have stopped
 }
 
 void SpoutPlacement::stop_reading(const std::string& name, Unit& unit) {

@@ -76,7 +76,8 @@ brokers::Message BrokerBolt::message_of(const Tuple& tuple) const {
       case FieldRole::gateway_id:
       case FieldRole::channel:
       case FieldRole::redelivered:
-        break;  // the definition refuses them: a message gets these from the way that it takes
+        break;  // definition.cc refuses such fields of a sending bolt: gateway and channel of a message follow from its
+                // driver
     }
   }
   if (message.time_ms == 0) message.time_ms = services_->clock->wall_ms();

@@ -129,7 +129,8 @@ RouteTable::Instant RouteTable::end_of_wait(std::string_view instance, Instant s
   if (comes(instance)) return since + (deadline.count() > 0 ? deadline : std::chrono::milliseconds(return_limit));
   const auto known = known_.find(instance);
   if (known == known_.end()) return since + grace;
-  // Active, and its channel is not told yet: the tuples that waited for this state have waited long enough already.
+  // The instance is active, but the registry has not told its channel yet. Tuples that came while it was about to be
+  // active have waited, so their grace counts from when it became active.
   if (known->second.state == DriverState::active) return std::max(since, known->second.since) + grace;
   return known->second.since + grace;
 }

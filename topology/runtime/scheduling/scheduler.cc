@@ -9,8 +9,7 @@ namespace {
 /// us, and the other one starts some 50 us later.
 constexpr std::int64_t share_after_ns = 300'000;
 /// A run list is given away when its work takes at least this long, or when it has more than many_tasks tasks. Less is
-/// not worth another thread: the tuples' way from one core's cache to another's costs more than quick calls do (a word
-/// count on two cores became slower by a fifth).
+/// not worth another thread: moving the tuples from one core's cache to another's costs more than quick calls do.
 constexpr std::int64_t worth_sharing_ns = 50'000;
 constexpr std::size_t many_tasks = 16;
 /// After this long a pool thread puts its run list behind the tasks that wait for the pool.

@@ -166,7 +166,7 @@ RedisReply RedisConnection::ask(const std::vector<std::string>& words) {
 void RedisConnection::send(std::string_view bytes) {
   if (!tls_) return send_plain(bytes);
   ERR_clear_error();
-  // It writes to memory, so it takes all at once.
+  // SSL_write() writes to memory here, so one call takes all bytes.
   if (!bytes.empty() && SSL_write(tls_.get(), bytes.data(), static_cast<int>(bytes.size())) <= 0) {
     fail("TLS: " + tls_error());
   }
@@ -180,7 +180,7 @@ std::size_t RedisConnection::receive(char* place, std::size_t size) {
     const int got = SSL_read(tls_.get(), place, static_cast<int>(size));
     if (got > 0) return static_cast<std::size_t>(got);
     if (SSL_get_error(tls_.get(), got) != SSL_ERROR_WANT_READ) fail("TLS: " + tls_error());
-    send_encrypted();  // a key update wants an answer
+    send_encrypted();  // SSL_read() may have answered a key update of the server
     receive_encrypted();
   }
 }

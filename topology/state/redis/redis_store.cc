@@ -18,7 +18,8 @@ namespace {
 // ':' and '%' in the names of topology and component are written %3A and %25. A key without a value expires in an hour.
 
 constexpr std::chrono::milliseconds answer_limit{2000};
-/// After a failure the store does not try again for so long: a task must not wait for each of its tuples.
+/// How long the store does not ask the server again after a failure, so that a task does not wait for each of its
+/// tuples.
 constexpr std::chrono::milliseconds redis_pause{200};
 
 /// KEYS[1]: the key; ARGV[1]: the session. Answers its value and number.
