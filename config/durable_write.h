@@ -10,8 +10,9 @@ namespace iotcloud::config {
 /// Makes a file with these permissions. Fails if it exists already, and leaves none behind when it fails.
 void write_new_file(const std::string& file, std::string_view text, unsigned permissions);
 
-/// A file's next text, in a file beside it until replace() puts it in the place of the first. Destroyed before that, it
-/// removes the new file. That of a killed process goes with the next. Not thread safe; one for each file and process.
+/// A file's next text, which stands in a new file beside the old one until replace() puts it in the old one's place.
+/// The destructor removes the new file if replace() was not called. A new file that a killed process left is removed by
+/// the next object for the same file. Not thread safe; one for each file and process.
 class Replacement {
  public:
   Replacement(std::string file, std::string_view text, unsigned permissions);
