@@ -23,10 +23,10 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// Refusals of one identity: so many may be written at once, and one more in each such time.
+/// Limits the refusals of one identity that are written: so many at once, and then one more in each period.
 constexpr double refusals_at_once = 20;
 constexpr std::chrono::seconds refusal_period{3};
-/// More identities than this share one allowance.
+/// When there are more identities than this, the others share one allowance.
 constexpr std::size_t most_identities = 256;
 constexpr std::size_t chunk = std::size_t{64} * 1024;
 
@@ -287,7 +287,7 @@ std::set<std::uint64_t> AuditLog::append(const Files& files, const std::vector<L
       if (!failed.contains(line.ticket)) fail(line, why);
     }
   }
-  // After the lines: a head that is older than the file does no harm.
+  // The head is written after the lines, because a head that is older than the file does no harm.
   const std::string head = fmt::format("{:<96}\n", to_string(head_));
   if (pwrite(files.head, head.data(), head.size(), 0) != static_cast<ssize_t>(head.size())) {
     access_logger.error("{} cannot be written: {}", audit_head_file(settings_.file), std::strerror(errno));

@@ -36,7 +36,7 @@ std::string key_text(const std::string& file) {
 }  // namespace
 
 ObjectSigner::ObjectSigner(const std::string& file) : file_(file), pem_(key_text(file)) {
-  static_cast<void>(sign(""));  // a wrong key is told now
+  static_cast<void>(sign(""));  // so that a wrong key is reported here, and not with the first order
 }
 
 std::string ObjectSigner::sign(const std::string& message) const {

@@ -258,7 +258,7 @@ bool renew_token(const std::string& file, const std::string& name, std::int64_t 
 namespace {
 
 constexpr std::int64_t seconds_a_day = 24 * 3600;
-/// How long before its end a token is warned of.
+/// How long before a token expires the log begins to warn of that.
 constexpr std::int64_t warning_s = 14 * seconds_a_day;
 
 std::string how_to_renew(const std::string& name, const std::string& file) {

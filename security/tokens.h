@@ -57,8 +57,8 @@ std::string expiry_text(std::int64_t expires_s);
 /// \return whether a token of that name was removed. \throws Error
 bool remove_token(const std::string& file, const std::string& name);
 
-/// Finds the owner of a token. An expired token is nobody's. Warns of tokens that expire within two weeks when it reads
-/// the file and when one is shown. Thread safe.
+/// Finds the owner of a token. An expired token has no owner. Logs a warning of tokens that expire within two weeks,
+/// when it reads the file and when a client shows such a token. Thread safe.
 class TokenKeeper {
  public:
   /// \param service of the metric iotcloud_token_days_left{service, token}; empty: there is none
