@@ -10,8 +10,9 @@
 
 namespace iotcloud::rpc {
 
-/// How many calls an identity may make, so that one that asks without end does not keep others from a service: at once,
-/// answers that are not taken yet included, and in a second. Each identity has limits of its own. Thread safe.
+/// Limits the calls of each identity, at the same time (answers that the client has not taken yet included) and in a
+/// second, so that one that asks without end does not keep others from a service. Each identity has limits of its own.
+/// Thread safe.
 class CallLimits {
  public:
   struct Options {

@@ -162,7 +162,9 @@ void ThriftConnection::answer(const std::string& message) {
   // Trust the client before the answer is sent: a client that has got an answer relies on its connection.
   if (!peer_->asked()) peer_->trust();
   trusted_ = peer_->trusted();
-  note_standing(true);  // before the answer, too: the next connection of a client that has got it counts this one
+  // This connection, too, is noted before the answer is sent: a client that has got it may connect again, and the
+  // server then counts this connection.
+  note_standing(true);
   stream_.write_all(bytes.data(), bytes.size(), Stream::Clock::now() + options_.message_limit);
   peer_->release();
   note_standing(false);

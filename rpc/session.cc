@@ -11,7 +11,8 @@ namespace iotcloud::rpc {
 
 namespace {
 
-/// What somebody may do who needs no token: to order, one must be who runs the daemon. A driver of another user reads.
+/// The role of a client where no token is needed: only root, the daemon's own user and the named accounts may order;
+/// others, such as drivers under another account, may read.
 security::Role role_without_token(const AccessOptions& options, const ThriftPeer& peer) {
   const auto user = peer.user();
   return options.open || (user && is_trusted_user(*user, options.users)) ? security::Role::admin
@@ -123,7 +124,7 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
   }
   const char* const kind = stranger ? "not_authenticated" : "role";
   count_refusal(options_.service, kind);
-  audited_ = false;  // giveOrder asks again, for the kind of order: the line of the refusal is the only one
+  audited_ = false;  // when giveOrder asks again for the kind of order, the line of this refusal is to be the only one
   if (stranger && std::exchange(told_, true)) return refusal;
   tell_refusal(method, kind, refusal.text);
   return refusal;

@@ -229,7 +229,7 @@ struct ThriftServer::Impl {
 
   using Standings = std::map<std::string, std::vector<std::pair<Client*, ThriftConnection::Standing>>>;
 
-  /// The connections of those who are known, by identity.
+  /// The connections of clients that have named themselves, by identity.
   Standings standings() {
     Standings all;
     for (auto& client : clients) {

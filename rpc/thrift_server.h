@@ -35,7 +35,8 @@ class ThriftPeer {
     most_bytes_ = most_bytes;
     trusted_ = true;
   }
-  /// Who it is: connections of one identity share their limits. Before: the host of its address.
+  /// Sets who the peer is: connections of one identity share their limits. Before this call the identity is the host of
+  /// its address.
   void set_identity(std::string identity) {
     identity_ = std::move(identity);
     named_ = true;

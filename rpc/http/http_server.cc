@@ -35,8 +35,8 @@ using tcp = asio::ip::tcp;
 
 constexpr std::size_t most_connections = 64;
 constexpr std::uint32_t longest_head = 8192;
-/// From the moment the server waits for a request until all of it is there, however it comes; and until its answer has
-/// been taken.
+/// The most time for a whole request, from when the server waits for it, however slowly its bytes come; and the most
+/// time until the client has taken the answer.
 constexpr std::chrono::seconds request_limit{15}, answer_limit{15};
 /// How long nothing is accepted when descriptors or memory have run out.
 constexpr std::chrono::milliseconds accept_pause{100};
@@ -91,8 +91,8 @@ HttpAnswer answer_to(const Pages& pages, std::string_view target) {
 
 class Connection;
 
-/// The server's open connections, in the order in which they began what they are at: to wait for a request, or to send
-/// an answer. Used by the server's thread.
+/// The server's open connections, in the order in which they began their present step, which is to wait for a request
+/// or to send an answer. Used by the server's thread.
 using Connections = std::list<Connection*>;
 
 /// What all connections of a server use.
@@ -196,7 +196,7 @@ class ConnectionOver final : public Connection, public std::enable_shared_from_t
   HttpAnswer answer() {
     if (!is_allowed()) {
       response_.set(http::field::www_authenticate, "Bearer");
-      response_.keep_alive(false);  // trying tokens costs a handshake each
+      response_.keep_alive(false);  // so that each further token that somebody tries costs a handshake
       shared_.refused("token", "a reader shows no token, or one that is nobody's");
       return {401, "text/plain", "these pages ask for a token: send the header Authorization: Bearer TOKEN\n"};
     }
