@@ -70,7 +70,7 @@ int RegistryAccess::rights_of(const RegistryUser& user, const std::string& path,
                                        paths_.masters()};
   const bool in_a_branch =
       std::any_of(roots.begin(), roots.end(), [&](const auto& root) { return is_at_or_below(path, root); });
-  if (!in_a_branch) return read | create;  // above the branches, which are made by whoever comes first
+  if (!in_a_branch) return read | create;  // a node above the branches: the first process that comes makes the branches
   return user.role == RegistryUser::Role::gateway ? of_gateway(user.name, path, creator) : of_worker(path);
 }
 

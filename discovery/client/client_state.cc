@@ -143,7 +143,7 @@ void ClientState::on_disconnected(Clock::time_point when) {
   worker_.post_at(when + moment(), [this, change] { ask_for_new(change); });
 }
 
-/// A part of the session's time-out: long enough for what takes no time when all is well.
+/// How long something may take that is immediate when all is well: a part of the session's time-out.
 milliseconds ClientState::moment() const {
   return timeout_ / 6;
 }
@@ -154,10 +154,10 @@ void ClientState::ask_for_new(std::uint64_t change) {
   if (!asked) worker_.post_at(Clock::now() + renew_pause, [this, change] { ask_for_new(change); });
 }
 
-/// A server takes new sessions, but this client is still without a connection. Beginning a session was a write, so this
-/// server has all that this client ever saw, unless its state was emptied or put back. It takes the old session back,
-/// or lets it expire, at the next attempt. One that does neither has an earlier state, and will never answer this
-/// session.
+/// Called when a server takes new sessions and this client still has no connection. Beginning its session was a write,
+/// so the server has all that this client ever saw, unless the server was emptied or put back to an earlier state. A
+/// server that has it takes the old session back at the next attempt, or says that it has expired. A server that does
+/// neither has an earlier state, and will never answer this session.
 void ClientState::on_serving(std::uint64_t change) {
   if (link_changes_ != change) return;
   const auto wait = connection_->longest_attempt(timeout_) + moment();

@@ -60,7 +60,7 @@ class ZooKeeperConnection : public RegistryConnection {
   }
 
   /// The client pings after a third of the time-out without traffic, and gives up a silent server after two thirds:
-  /// when it notices, the server may have heard nothing for two thirds already.
+  /// when the client notices that, the server may have heard nothing for two thirds, too.
   std::chrono::milliseconds certain_after_disconnect(std::chrono::milliseconds timeout) const override {
     return timeout / 3;
   }

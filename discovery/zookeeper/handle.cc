@@ -55,8 +55,9 @@ Status to_status(int code) {
   }
 }
 
-/// The rights on a node that this handle's user creates. With an identity the node belongs to its creator, or to whom
-/// RegistryAccess says, and others may read it or not; without one everybody may use it.
+/// The rights on a node that this handle's user creates. With an identity the node belongs to its creator or to the
+/// users that RegistryAccess names, and the settings say whether others may read it. Without an identity everybody may
+/// use it.
 class Handle::NewNodesRights {
  public:
   NewNodesRights(const Settings& settings, const std::string& path) {
