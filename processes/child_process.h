@@ -43,7 +43,8 @@ class ChildProcess {
  public:
   /// \param process its id. \param own whether it is a child of this process, so that its exit status is available.
   ChildProcess(int process, bool own);
-  /// A process of another account, which was started at `starter` in this run, or, with the other one, in an earlier.
+  /// A process of another account, which `starter` started: in this run (the first of these constructors) or in an
+  /// earlier one (the second).
   ChildProcess(ProcessStarter::Started started, std::shared_ptr<const ProcessStarter> starter);
   ChildProcess(int process, std::shared_ptr<const ProcessStarter> starter);
 

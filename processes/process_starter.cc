@@ -26,7 +26,7 @@ namespace {
 
 constexpr std::chrono::milliseconds answer_limit{10000}, status_limit{5000};
 constexpr std::string_view run_verb = "run", kill_verb = "kill";
-/// What belongs to the account, not to the daemon that asks.
+/// Variables of the account under which the process runs, not of the daemon that asks.
 constexpr std::array of_the_account = {"HOME", "USER", "LOGNAME"};
 constexpr std::size_t most_descriptors = 2;
 constexpr const char* acknowledged = "+";
@@ -111,8 +111,9 @@ void send_words(const OwnedDescriptor& socket, const std::vector<std::string>& w
   send_all(socket, frame(body_of(words)));
 }
 
-/// Runs the program, says its id, and how it ended, once the other side has taken up the id. The id stays its own until
-/// the other side has closed.
+/// Runs the program, and tells the other side its process id. When the program has ended and the other side has taken
+/// up the id, tells it how the program ended. The process is reaped only when the other side has closed the connection,
+/// so no other process gets the id before.
 int run(const OwnedDescriptor& connection, const std::string& program, std::vector<std::string> arguments,
         std::vector<std::string> environment, std::vector<OwnedDescriptor> descriptors) {
   arguments.front() = program;

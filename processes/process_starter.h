@@ -38,8 +38,8 @@ class ProcessStarter {
   const std::string socket_;
 };
 
-/// How a process that was started so has ended, as waitpid() says it; waits 5 s at most. nullopt: nobody says it any
-/// more.
+/// How a process that start() started has ended, as waitpid() says it; waits 5 s at most. nullopt: the other end does
+/// not say it any more.
 std::optional<int> status_of(const OwnedDescriptor& connection);
 
 /// The other end: does what one connection asks for, until its process has ended. Drops a request that is malformed.

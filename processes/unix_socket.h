@@ -10,8 +10,8 @@ namespace iotcloud::processes {
 /// A Unix domain socket with a name in a folder, whose path may have any length (the address uses the folder's
 /// descriptor), on which nobody listens yet. \throws config::Error when it cannot be made.
 OwnedDescriptor bind_in(const std::string& folder, const std::string& name);
-/// Listens on such a socket. peer_process() of those who connect to it is from then on this process, whoever made it.
-/// \throws config::Error when it cannot.
+/// Listens on such a socket. For clients that connect from then on, peer_process() is this process, whichever process
+/// made the socket. \throws config::Error when it cannot.
 void listen_on(const OwnedDescriptor& socket);
 /// Listens on a Unix domain socket in a folder, whose path may have any length (the address uses the folder's
 /// descriptor).
