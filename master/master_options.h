@@ -22,7 +22,8 @@ struct MasterOptions {
   /// True: an order for a lost gateway is recorded, and its outcome is `pending`. False: it is not recorded, and
   /// `failed`.
   bool record_for_lost_gateways = true;
-  /// Signs what gateways are ordered: gets the path of a node and its JSON, returns what is written. Empty: unsigned.
+  /// Signs orders to gateways: gets the path of the order's node and its JSON, and returns the bytes to write. Empty:
+  /// orders are not signed.
   std::function<std::string(const std::string& path, const std::string& bytes)> seal{};
   DirectGateways* direct = nullptr;  ///< gateways that are called, not ordered; outlives the master; null: none
 };

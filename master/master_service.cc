@@ -114,7 +114,8 @@ class MasterService final : public config::Service {
   }
 
   void reload() override {
-    if (audit_) audit_->reopen();  // first: a file that cannot be read keeps no moved log open
+    // The audit log comes first, so that an unreadable file below does not keep a log open that somebody has renamed.
+    if (audit_) audit_->reopen();
     if (tokens_) tokens_->reload();
     api_->reload();  // after the tokens: it closes connections whose token is gone
     if (metrics_) metrics_->reload();

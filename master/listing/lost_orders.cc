@@ -6,7 +6,8 @@ namespace iotcloud::master {
 
 namespace {
 
-/// The driver's name as far as an order tells it: a plugin's own name is known to those who load it.
+/// The driver's name as far as the order tells it. If the order names none, the plugin's file name stands for the
+/// plugin's own name, which only a process that loads the plugin knows.
 discovery::DriverName driver_of_order(const discovery::OrderRecord& order) {
   if (!order.driver.empty()) return order.driver;
   return discovery::DriverName(order.plugin.substr(0, order.plugin.rfind('.')));

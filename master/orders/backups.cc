@@ -110,7 +110,8 @@ Verdict Backups::place(const GatewayId& gateway, OrderRecord order, bool replace
   }
   order.epoch = there->epoch;
   order.given_ms = there->given_ms;
-  // Replacing signs an order that stands there unsigned, from before this fleet had keys.
+  // With `replace` an equal order is written again if this master signs: the present one may be unsigned, from before
+  // this fleet had keys.
   if (order == *there && !(replace && desk_.book.seals())) return unchanged;
   if (!replace) return another;
   const Located where{order.instance, gateway, {}, std::nullopt};

@@ -40,7 +40,8 @@ OrderResult Changes::change_selected(const InstanceSelection& selection, Change 
   std::vector<Located> instances;
   OrderDesk::DirectCalls calls;
   {
-    const config::ReadLock lock(desk_.placing);  // a drain sees the orders that are written here, or they see its mark
+    // With this lock either a drain sees the orders that are written here, or this code sees the drain's mark.
+    const config::ReadLock lock(desk_.placing);
     const auto known = desk_.gateways();
     if (auto refusal = desk_.book.find_selected(selection, known, instances)) return *refusal;
     for (const auto& where : instances) {

@@ -147,14 +147,16 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
     const bool runs = there.contains(order.instance);
     const auto before = runs ? desk_.book.get(id, order.instance) : std::nullopt;
     const bool ordered = before.has_value();
-    // What a frozen gateway runs without an order gets its order again, and goes on when the registry is adopted.
+    // An instance that a frozen gateway runs without an order gets its order again, and goes on when the registry is
+    // adopted.
     if (!runs || (!ordered && !gateway.frozen.empty())) {
       outcome.outcome = OrderOutcome::unknown;
       OrderDesk::set_verdict(outcome, this->order(gateway, order, watch));
     } else if (ordered && is_as_wanted(there.at(order.instance), *before, order)) {
       outcome.outcome = OrderOutcome::done;
       outcome.reason = "unchanged: it is deployed so already";
-      OrderDesk::set_verdict(outcome, waiting(gateway));  // a lost gateway's record says how it was
+      // If the gateway is lost, the instance's record is out of date, so the outcome is another one.
+      OrderDesk::set_verdict(outcome, waiting(gateway));
     } else if (ordered) {
       outcome.reason = fmt::format(
           "{} {} is deployed there already, and differs or is not in its state; `iotcloud apply` changes it, `iotcloud "

@@ -31,8 +31,8 @@ OrderResult Draining::drain_all(const GatewaySelection& selection, bool undo) {
                                 id));
   }
   {
-    const config::WriteLock lock(
-        desk_.placing);  // any deployment has written its orders before this, or sees the marks after it
+    // A deployment either has written its orders before this lock, or sees the marks after it.
+    const config::WriteLock lock(desk_.placing);
     for (const auto& id : selection.gateways) mark(id, undo, *lead);
   }
   const std::set<discovery::GatewayId> ids(selection.gateways.begin(), selection.gateways.end());
