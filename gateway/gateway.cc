@@ -242,8 +242,8 @@ void Gateway::Impl::joined() {
   feed.start();
 }
 
-/// Does nothing before the feed knows whether this is the registry that it knew: until then the records in it are
-/// needed as a witness.
+/// Writes the records, but not before the feed knows whether this is the registry that it knew: until then the feed
+/// needs the records in it to find that out.
 void Gateway::Impl::write_records() {
   if (stopping || !knows_registry) return;
   try {
@@ -299,12 +299,12 @@ void Gateway::Impl::await_return() {
     awaits_return = false;
     if (stopping) return;
     if (options.registry->session() != discovery::SessionState::connected) {
-      await_return();  // the same session may be connected again, which tells nobody of the node
+      await_return();  // when the same session is connected again, nothing tells whether the node is there
       return;
     }
     try {
       if (options.registry->get(options.paths.gateway_alive(options.id))) return;
-      restore_due = true;  // whoever removed it may have removed more
+      restore_due = true;  // who removed this node may have removed records, too
       membership.hold_again();
     } catch (const discovery::RegistryError& e) {
       logger.debug("whether this gateway shows that it lives is not known: {}", e.what());

@@ -64,8 +64,8 @@ class GatewayDaemon final : public config::Service {
       kill(getpid(), SIGTERM);
     };
     gateway_.emplace(std::move(options));
-    // Before it registers: a gateway that cannot have its ports leaves nothing in the registry, where it would stay
-    // lost.
+    // The ports are opened before the gateway registers: a gateway that cannot have them leaves no record in the
+    // registry, which would show it as lost for ever.
     service_.emplace(config_.thrift, *gateway_, *registry_, config_.gateway.paths);
     if (!config_.pages.address.empty())
       metrics_.emplace(config_.pages, config::process_metrics(), [this] { return trouble(); });

@@ -56,7 +56,7 @@ bool Membership::is_own_predecessor(const discovery::Node& alive) {
   return read_holder(alive).state == options_.state_id && !options_.state_id.empty();
 }
 
-/// Also remembers who it is, for messages.
+/// Reads who holds the place, and keeps the address for messages.
 discovery::GatewayLife Membership::read_holder(const discovery::Node& alive) {
   try {
     auto life = discovery::decode_life(alive.data, paths_.gateway_alive(options_.record.id));

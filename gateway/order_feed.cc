@@ -126,7 +126,7 @@ void OrderFeed::follow_all(const Found& found) {
   }
   if (!adopted) names.merge(just_gone(names));
   if (masters_) {
-    if (answer) unproven_.clear();  // a signed answer: all that is gone is meant to be gone
+    if (answer) unproven_.clear();  // a master's signed answer: all orders that are gone are meant to be gone
     if (!answer) names.merge(without_removal(names));
   }
   follow_names(names);
@@ -198,7 +198,8 @@ void OrderFeed::take_up_freeze(const discovery::Node& node) {
     record.reason = e.what();
     record.token = discovery::new_instance_id().str();
   }
-  record.lasting = true;  // that run's memory of the orders' node ended with it
+  // Only that run knew which node of the orders it had followed, so only an adoption ends this freeze.
+  record.lasting = true;
   logger.error("{}; since then this gateway follows no orders: `iotcloud registry adopt {}`", record.reason, gateway_);
   {
     const config::MutexLock lock(mutex_);
@@ -300,7 +301,7 @@ bool OrderFeed::is_handled(const discovery::InstanceId& instance, const discover
   return found != handled_.end() && found->second == std::make_pair(node.created, node.version);
 }
 
-/// Names that only come on top of others need no look at the rest: it is still the same registry.
+/// If all known orders are still there, it is still the same registry: then only the new orders are read.
 void OrderFeed::names_changed(const std::optional<std::vector<std::string>>& names) {
   if (stopped_) return;
   Instances now;

@@ -46,7 +46,8 @@ class OrderFeed {
     std::function<void(const Instances& names)> on_first;
     /// An order was given or changed; `version` is the node's.
     std::function<void(const discovery::OrderRecord& order, std::int64_t version)> on_order;
-    /// The order was removed, and it and its like have been gone for a moment.
+    /// The order was removed: it has been gone for `vanish_pause` and no other order went in that time, or it has been
+    /// gone for `longest_vanish_pause`.
     std::function<void(const discovery::InstanceId& instance)> on_gone;
     /// The instances that the gateway has, ordered in this run or adopted from an earlier one.
     std::function<Instances()> present;
@@ -79,7 +80,8 @@ class OrderFeed {
   void read_refused_again();
 
  private:
-  /// Orders that are gone take a look at their names only, so that one of thousands does not cost a read of all.
+  /// What to read: all orders, or only their names. When an order is gone only the names are read, so that the removal
+  /// of one of thousands does not cost a read of all.
   enum class Reading { all, names };
   struct Found;
   struct Objection {

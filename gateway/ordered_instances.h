@@ -62,7 +62,7 @@ class OrderedInstances {
   void restore_records() { records_.restore(); }
   /// Puts the records of adopted instances whose orders are not followed yet.
   void publish_adopted();
-  /// The instances that are here to stay, as far as orders are known: ordered ones, and adopted ones.
+  /// The ordered and the adopted instances, without those that are being removed for good.
   std::set<discovery::InstanceId> present() const;
   /// Those of these instances of which the registry once had a record by this gateway, and has none now.
   /// \throws discovery::RegistryError.

@@ -104,7 +104,7 @@ bool RecordWriter::write(const discovery::InstanceId& instance, Entry& entry) {
   } catch (const RegistryError& e) {
     if (!told_away_) logger.warn("the state of {} is not in the registry yet: {}", instance, e.what());
     told_away_ = true;
-    entry.channels.reset();  // an unknown part of it was written
+    entry.channels.reset();  // it is not known which channels were written
     entry.shown.reset();
     return false;
   }

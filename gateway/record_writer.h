@@ -15,8 +15,8 @@ namespace iotcloud::gateway {
 /// latest record of each instance, which flush() writes later. A record that says `active` always has its channels:
 /// they are written before the record says `active`, and removed after it says otherwise. Used on one thread.
 ///
-/// What the registry has of this gateway's records shows whether it is the registry that this gateway wrote to. So the
-/// writer is paused, from the beginning and whenever the connection is lost, until that has been looked at.
+/// The records of this gateway in the registry show whether it is the registry that this gateway wrote to. So the
+/// writer is paused, from the beginning and whenever the connection is lost, until the owner has looked at them.
 class RecordWriter {
  public:
   RecordWriter(discovery::Registry& registry, discovery::Paths paths) : registry_(registry), paths_(std::move(paths)) {}

@@ -82,7 +82,8 @@ int SiteService::port() const {
 }
 
 void SiteService::reload() {
-  if (impl_->access.audit) impl_->access.audit->reopen();  // first: a file that cannot be read keeps no moved log open
+  // The audit log comes first, so that an unreadable file below does not keep a log open that somebody has renamed.
+  if (impl_->access.audit) impl_->access.audit->reopen();
   if (impl_->access.tokens) impl_->access.tokens->reload();
   impl_->server->reload();  // after the tokens: it closes connections whose token is gone
 }
