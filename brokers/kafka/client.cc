@@ -33,10 +33,6 @@ int number_of(const std::string& name, const std::string& value, int smallest, i
                                   name, smallest, largest, value));
 }
 
-bool is_secured(const KafkaOptions& options) {
-  return options.urls.front().scheme == "kafkas";
-}
-
 std::string servers(const KafkaOptions& options) {
   std::string list;
   for (const BrokerUrl& url : options.urls) {
@@ -95,6 +91,10 @@ struct ConfDestroyer {
 using Conf = std::unique_ptr<rd_kafka_conf_t, ConfDestroyer>;
 
 }  // namespace
+
+bool is_secured(const KafkaOptions& options) {
+  return options.urls.front().scheme == "kafkas";
+}
 
 KafkaOptions kafka_options(const BrokerOptions& options, const std::vector<BrokerUrl>& urls) {
   KafkaOptions read{options, urls};

@@ -37,6 +37,9 @@ struct KafkaOptions {
 /// \throws config::Error for an unknown property or a bad value.
 KafkaOptions kafka_options(const BrokerOptions& options, const std::vector<BrokerUrl>& urls);
 
+/// Whether the connections are TLS ones.
+bool is_secured(const KafkaOptions& options);
+
 /// Settings by librdkafka's names.
 using Settings = std::map<std::string, std::string>;
 

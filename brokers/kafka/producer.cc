@@ -78,6 +78,11 @@ Producer::Producer(KafkaOptions options, Meters& meters, const config::Clock& cl
       clock_(clock),
       log_(log),
       core_(*this, meters, clock),
+      renewal_(options_,
+               [this] {
+                 return std::make_shared<Client>(RD_KAFKA_PRODUCER, options_, producer_settings(),
+                                                 RD_KAFKA_EVENT_DR | RD_KAFKA_EVENT_ERROR);
+               }),
       gathering_target_(std::make_shared<Gathering::Target>([this] { end_gathering(); })) {
   thread_ = std::thread([this] { run(); });
   pthread_setname_np(thread_.native_handle(), "kafka-publish");
@@ -107,7 +112,7 @@ void Producer::added(const std::shared_ptr<Outbox>& outbox) {
 }
 
 bool Producer::may_send() const {
-  return connected_ && !broken_ && !full_ && send_again_at_ == Instant{};
+  return connected_ && !broken_ && !full_ && renew_by_ == Instant{} && send_again_at_ == Instant{};
 }
 
 Gathering* Producer::gathering_for(const Outbox& outbox, const TopicLane& lane) const {
@@ -268,6 +273,7 @@ void Producer::run() {
     serve_events();
     if (client_) look_for_servers();
     if (client_ && broken_) end_client(last_error_);
+    if (client_) look_for_renewal();
     const Instant now = clock_.now();
     if (send_again_at_ != Instant{} && send_again_at_ <= now) send_again_at_ = {};
     if (connected_) topics_.ask(*client_, events_.get(), options_, now);
@@ -294,8 +300,7 @@ void Producer::start_client() {
   Queue events;
   try {
     const config::Unlocked unlocked(core_.mutex);
-    made = std::make_shared<Client>(RD_KAFKA_PRODUCER, options_, producer_settings(),
-                                    RD_KAFKA_EVENT_DR | RD_KAFKA_EVENT_ERROR);
+    made = renewal_.client();
     events.reset(rd_kafka_queue_get_main(made->get()));
     constexpr std::uint64_t one = 1;
     rd_kafka_queue_io_event_enable(events.get(), wake_event_.descriptor(), &one, sizeof(one));
@@ -307,7 +312,7 @@ void Producer::start_client() {
   client_ = std::move(made);
   events_ = std::move(events);
   broken_ = full_ = connected_ = false;
-  doubted_at_ = {};
+  doubted_at_ = renew_by_ = {};
 }
 
 void Producer::end_client(const std::string& reason) {
@@ -369,6 +374,27 @@ void Producer::look_for_servers() {
   last_error_.clear();
   log_.connected();
   for (const auto& outbox : core_.outboxes()) core_.make_runnable(outbox);
+}
+
+void Producer::look_for_renewal() {
+  bool ready = false;
+  {
+    const config::Unlocked unlocked(core_.mutex);  // without the mutex, because it may read files
+    ready = renewal_.ready(clock_.now());
+  }
+  const Instant now = clock_.now();
+  if (!ready) {
+    renew_by_ = {};
+  } else if (renew_by_ == Instant{}) {
+    renew_by_ = now + end_limit;
+  }
+  // What the present client has must be answered first: otherwise the next one might send it twice, and later messages
+  // before it. A client without a server gets no answers.
+  if (!ready || (connected_ && now < renew_by_ && !core_.under_way().empty())) return;
+  end_client("");
+  client_backoff_.reset();
+  next_attempt_ = {};
+  start_client();
 }
 
 void Producer::serve_events() {
@@ -460,6 +486,7 @@ milliseconds Producer::time_to_sleep() {
     }
   }
   if (connected_) until(topics_.next_look());
+  if (renewal_.pending()) limit = std::min(limit, look_again);
   if (core_.fire_timers()) return milliseconds(0);
   until(core_.next_timer());
   return limit;

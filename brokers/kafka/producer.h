@@ -15,6 +15,7 @@
 #include "iotcloud/brokers/kafka/client.h"
 #include "iotcloud/brokers/kafka/gathering.h"
 #include "iotcloud/brokers/kafka/producer_topics.h"
+#include "iotcloud/brokers/kafka/renewal.h"
 #include "iotcloud/brokers/meters.h"
 
 namespace iotcloud::brokers::kafka {
@@ -78,6 +79,7 @@ class Producer final : client::PublishTransport {
   void start_client() IOTCLOUD_REQUIRES(core_.mutex);
   void end_client(const std::string& reason) IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_servers() IOTCLOUD_REQUIRES(core_.mutex);
+  void look_for_renewal() IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_topics() IOTCLOUD_REQUIRES(core_.mutex);
   void serve_events() IOTCLOUD_REQUIRES(core_.mutex);
   void on_event(rd_kafka_event_t* event) IOTCLOUD_REQUIRES(core_.mutex);
@@ -102,6 +104,7 @@ class Producer final : client::PublishTransport {
   ConnectionLog& log_;
   WakeEvent wake_event_;
   PublishCore core_;
+  Renewal renewal_;  ///< only the producer's thread uses it
 
   /// Replaced by the producer's thread, with the core's Turn.
   std::shared_ptr<Client> client_ IOTCLOUD_GUARDED_BY(core_.mutex);
@@ -128,6 +131,9 @@ class Producer final : client::PublishTransport {
   Instant next_attempt_ IOTCLOUD_GUARDED_BY(core_.mutex){};
   Backoff client_backoff_ IOTCLOUD_GUARDED_BY(core_.mutex){std::chrono::milliseconds(20),
                                                            std::chrono::milliseconds(5000)};
+
+  /// A client with renewed files waits until the present one's messages are answered, but not longer. Zero: none waits.
+  Instant renew_by_ IOTCLOUD_GUARDED_BY(core_.mutex){};
 
   std::string complaint_ IOTCLOUD_GUARDED_BY(core_.mutex);  ///< why the last client could not go on, if it was logged
   const std::shared_ptr<Gathering::Target> gathering_target_;

@@ -1,5 +1,6 @@
 // Every broker with a server, behind TLS with client certificates, users and passwords.
 #include <atomic>
+#include <chrono>
 #include <cstddef>
 #include <cstdlib>
 #include <filesystem>
@@ -16,6 +17,7 @@
 #include <gtest/gtest.h>
 
 #include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/captured_log.h"
 #include "iotcloud/tests/servers/private_server.h"
 
 namespace iotcloud::brokers {
@@ -244,9 +246,30 @@ class BrokerRenewal : public BrokerSecurity {
     std::filesystem::remove(file("complete"));
     const std::string make =
         "import sys; sys.path.insert(0, sys.argv[1]); import certificates; "
-        "certificates.Certificates(sys.argv[2])";
+        "certificates.Certificates(sys.argv[2]).server_chain()";
+    run_python(make);
+  }
+  /// Renews everything, as often as this, while messages flow.
+  static void check_that_nothing_is_lost(int renewals);
+  /// What the authority signs for the same client once more, with another key: key and certificate fit each other only
+  /// when both are written.
+  static void renew_client() {
+    run_python(
+        "import sys; sys.path.insert(0, sys.argv[1]); import certificates; "
+        "certificates.Certificates(sys.argv[2]).make(\"client\", \"DNS:client\", \"clientAuth\")");
+  }
+  /// An authority that the server does not know, with a client, in the folder `other`.
+  static void make_other_authority() {
+    run_python(
+        "import os, sys; sys.path.insert(0, sys.argv[1]); import certificates; os.mkdir(sys.argv[2] + \"/other\"); "
+        "certificates.Certificates(sys.argv[2] + \"/other\")");
+  }
+  static void take(const char* from, const char* to) {
+    std::filesystem::copy_file(file(from), file(to), std::filesystem::copy_options::overwrite_existing);
+  }
+  static void run_python(const std::string& program) {
     const std::string command =
-        "/usr/bin/python3 -c '" + make + "' '" IOTCLOUD_TEST_SERVERS "' '" + server_->folder().string() + "'";
+        "/usr/bin/python3 -c '" + program + "' '" IOTCLOUD_TEST_SERVERS "' '" + server_->folder().string() + "'";
     ASSERT_EQ(std::system(command.c_str()), 0);
   }
   static bool has_after(Inbox& inbox, int number) {
@@ -255,7 +278,7 @@ class BrokerRenewal : public BrokerSecurity {
   }
 };
 
-TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates) {
+void BrokerRenewal::check_that_nothing_is_lost(int renewals) {
   const auto broker = make_broker(options());
   Topic durable = topic();
   durable.durable = true;
@@ -278,7 +301,7 @@ TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates)
         }
       }
     });
-    for (int round = 0; round < 2; ++round) {
+    for (int round = 0; round < renewals; ++round) {
       ASSERT_TRUE(has_after(inbox, sent));
       server_->kill();
       renew_everything();
@@ -296,8 +319,57 @@ TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates)
   EXPECT_THAT(complaint(old), HasSubstr("cannot connect"));
 }
 
+TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates) {
+  check_that_nothing_is_lost(2);
+}
+
 INSTANTIATE_TEST_SUITE_P(On, BrokerRenewal, testing::Values(kinds[0]),
                          [](const auto& kind) { return kind.param.name; });
+
+/// A client of Kafka reads its files only once, so another one takes over.
+class KafkaRenewal : public BrokerRenewal {};
+
+TEST_P(KafkaRenewal, OpenConnectionsAreReplacedWithoutARestartOfTheServer) {
+  tests::CapturedLog log;
+  const std::string taken = "a client with the renewed TLS files takes over";
+  const auto times_taken = [&] { return count(log.text(), taken); };
+  const auto broker = make_broker(options());
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  int sent = 0;
+  // Messages flow until the condition holds, each of them when the one before is there.
+  const auto flows_until = [&](const auto& condition) {
+    const auto end = std::chrono::steady_clock::now() + patience;
+    while (!condition() && std::chrono::steady_clock::now() < end) {
+      if (publisher->publish(text_message(std::to_string(++sent))).status != PublishStatus::accepted) return false;
+      if (!has_after(inbox, sent - 1)) return false;
+    }
+    return condition();
+  };
+  ASSERT_TRUE(flows_until([&] { return sent >= 100; }));
+
+  // A key that does not fit the certificate, as between the writing of the two: the present clients go on, and say why.
+  make_other_authority();
+  take("other/client.key", "client.key");
+  ASSERT_TRUE(flows_until([&] { return log.contains("of no use yet: "); })) << log.text();
+  // The server refuses a certificate of another authority: so they do.
+  take("other/client.pem", "client.pem");
+  ASSERT_TRUE(flows_until([&] { return log.contains("of no use yet: sasl_ssl"); })) << log.text();
+  EXPECT_EQ(times_taken(), 0U);
+
+  renew_client();
+  ASSERT_TRUE(flows_until([&] { return times_taken() >= 2; })) << log.text();  // of the producer, and of the group
+  const int before = sent;
+  ASSERT_TRUE(flows_until([&] { return sent >= before + 100; }));
+  EXPECT_TRUE(inbox.bodies() == numbered(1, sent)) << "lost, twice or out of order";
+}
+
+TEST_P(KafkaRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates) {
+  check_that_nothing_is_lost(1);
+}
+
+INSTANTIATE_TEST_SUITE_P(On, KafkaRenewal, testing::Values(kinds[1]), [](const auto& kind) { return kind.param.name; });
 
 }  // namespace
 }  // namespace iotcloud::brokers

@@ -69,7 +69,11 @@ Group::Group(const KafkaOptions& options, std::shared_ptr<Reader> reader, std::s
       clock_(clock),
       log_(log),
       wake_(wake),
-      session_(2 * options.broker.heartbeat) {}
+      session_(2 * options.broker.heartbeat),
+      renewal_(options, [this] {
+        return std::make_shared<Client>(RD_KAFKA_CONSUMER, options_, consumer_settings(member_->name, session_),
+                                        RD_KAFKA_EVENT_REBALANCE | RD_KAFKA_EVENT_OFFSET_COMMIT | RD_KAFKA_EVENT_ERROR);
+      }) {}
 
 Group::~Group() {
   end_client();
@@ -88,12 +92,15 @@ std::chrono::milliseconds Group::serve() {
   // loss of the new one.
   while (const Event event{rd_kafka_queue_poll(events_.get(), 0)}) on_event(event.get());
   look_for_servers();
-  if (broken_ || closed()) {
+  const Instant now = clock_.now();
+  if (!ending() && renewal_.ready(now)) renewing_ = true;
+  // Without a server there is no group to leave: its server notices by the session's time-out.
+  const bool left = rd_kafka_consumer_closed(client_->get()) != 0 || (renewing_ && !connected_);
+  if (broken_ || left) {
     end_client();
     return std::chrono::milliseconds(0);
   }
-  const Instant now = clock_.now();
-  if (closing_) return serve_closing(now);
+  if (ending()) return serve_closing(now);
   follow_subscriptions(now);
   commit_settled(now);
   return time_to_sleep(now);
@@ -106,6 +113,7 @@ std::chrono::milliseconds Group::time_to_sleep(Instant now) const {
     limit =
         std::clamp(std::chrono::ceil<std::chrono::milliseconds>(instant - now), std::chrono::milliseconds(0), limit);
   };
+  if (renewal_.pending()) limit = look_again;
   if (now < ask_topics_at_) until(ask_topics_at_);
   if (!subscription_is_taken_ && !(subscribed_.empty() && forgotten_.empty())) until(now + subscription_pause);
   if (reader_->dirty(*member_)) until(commit_at_);
@@ -114,8 +122,7 @@ std::chrono::milliseconds Group::time_to_sleep(Instant now) const {
 
 void Group::start_client() {
   if (clock_.now() < start_at_) return;
-  client_ = std::make_shared<Client>(RD_KAFKA_CONSUMER, options_, consumer_settings(member_->name, session_),
-                                     RD_KAFKA_EVENT_REBALANCE | RD_KAFKA_EVENT_OFFSET_COMMIT | RD_KAFKA_EVENT_ERROR);
+  client_ = renewal_.client();
   rd_kafka_poll_set_consumer(client_->get());
   events_.reset(rd_kafka_queue_get_consumer(client_->get()));
   watch(events_);
@@ -129,7 +136,8 @@ void Group::end_client() {
   assigned_.clear();
   unsaved_.clear();
   reader_->set_connected(*member_, false);
-  connected_ = false;
+  connected_ = renewing_ = leaving_ = false;
+  close_by_ = {};
   subscribed_.clear();
   forgotten_.clear();
   asked_.clear();
@@ -188,7 +196,7 @@ bool Group::cooperative() const {
 }
 
 void Group::look_for_servers() {
-  if ((connected_ && doubted_at_ == Instant{}) || closing_) return;
+  if ((connected_ && doubted_at_ == Instant{}) || ending()) return;
   const bool connected = client_->connected();
   if (!connected) client_->refresh_credentials(options_);
   if (!connected && connected_ && clock_.now() - doubted_at_ < longest_doubt) return;
@@ -294,7 +302,7 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
                    : error == RD_KAFKA_RESP_ERR_NO_ERROR ? RD_KAFKA_OFFSET_BEGINNING
                                                          : RD_KAFKA_OFFSET_STORED;
     assigned_.insert(key);
-    if (!closing_) reader_->assigned(std::make_shared<Feed>(reader_, member_, client_, key, std::move(progress)));
+    if (!ending()) reader_->assigned(std::make_shared<Feed>(reader_, member_, client_, key, std::move(progress)));
   }
   const bool all_read = unread().empty();
   join_again_at_ = all_read ? Instant{} : clock_.now() + join_backoff_.next();

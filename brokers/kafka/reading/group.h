@@ -12,6 +12,7 @@
 #include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/kafka/client.h"
 #include "iotcloud/brokers/kafka/reading/reader.h"
+#include "iotcloud/brokers/kafka/renewal.h"
 
 namespace iotcloud::brokers::kafka {
 
@@ -62,6 +63,8 @@ class Group {
   void commit_settled(Instant now);
   std::chrono::milliseconds serve_closing(Instant now);
   void leave_group();
+  /// Whether the present client is to leave its group.
+  bool ending() const { return closing_ || renewing_; }
   bool cooperative() const;
   PartitionList wanted(const rd_kafka_topic_partition_list_t& partitions) const;
 
@@ -73,12 +76,14 @@ class Group {
   client::WakeEvent& wake_;
 
   std::chrono::milliseconds session_;
+  Renewal renewal_;
   std::shared_ptr<Client> client_;
   Queue events_;
   bool connected_ = false;
   Instant doubted_at_{};  ///< when a connection failed; since then the group looks for a server. Zero: none failed
   bool broken_ = false;   ///< the client cannot be used any more
   bool closing_ = false;
+  bool renewing_ = false;  ///< leaving the group, for a client with renewed files to join it
   std::string last_error_;
   std::set<PartitionKey> assigned_;
   std::map<PartitionKey, Committed> unsaved_;  ///< to commit, for assigned partitions that are not read any more
@@ -94,8 +99,8 @@ class Group {
   Instant start_at_{};
   /// When to join again for topics of which this member got no partition; zero: there are none.
   Instant join_again_at_{};
-  bool leaving_ = false;  ///< closing, and the last commit was made or given up
-  Instant close_by_{};    ///< closing: the limit for the last commit, later the limit for leaving
+  bool leaving_ = false;  ///< ending, and the last commit was made or given up
+  Instant close_by_{};    ///< ending: the limit for the last commit, later the limit for leaving
   Backoff topic_backoff_{std::chrono::milliseconds(20), std::chrono::milliseconds(2000)};
   Backoff join_backoff_{std::chrono::milliseconds(1000), std::chrono::milliseconds(300'000)};
 };

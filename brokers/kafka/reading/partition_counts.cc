@@ -15,6 +15,12 @@ constexpr std::chrono::milliseconds longest_answer{2000};  // the destructor may
 
 }  // namespace
 
+// A consumer without a group: a producer's question would make the topic.
+PartitionCounts::PartitionCounts(const KafkaOptions& options, const config::Clock& clock)
+    : options_(options),
+      clock_(clock),
+      renewal_(options, [this] { return std::make_shared<Client>(RD_KAFKA_CONSUMER, options_, Settings{}, 0); }) {}
+
 PartitionCounts::~PartitionCounts() {
   std::thread thread;
   {
@@ -88,8 +94,7 @@ PartitionCounts::Instant PartitionCounts::ask_due(Instant now) {
 int PartitionCounts::ask(const std::string& topic) {
   on_thread_.assert_held();
   try {
-    // A consumer without a group: a producer's question would make the topic.
-    if (!client_) client_ = std::make_unique<Client>(RD_KAFKA_CONSUMER, options_, Settings{}, 0);
+    if (!client_ || renewal_.ready(clock_.now())) client_ = renewal_.client();
     if (!client_->connected()) {
       client_->refresh_credentials(options_);
       return 0;

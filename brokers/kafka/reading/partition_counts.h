@@ -8,6 +8,7 @@
 
 #include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/kafka/client.h"
+#include "iotcloud/brokers/kafka/renewal.h"
 #include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers::kafka {
@@ -16,7 +17,7 @@ namespace iotcloud::brokers::kafka {
 /// that begin with the first topic. Thread safe.
 class PartitionCounts {
  public:
-  PartitionCounts(const KafkaOptions& options, const config::Clock& clock) : options_(options), clock_(clock) {}
+  PartitionCounts(const KafkaOptions& options, const config::Clock& clock);
   ~PartitionCounts();
   PartitionCounts(const PartitionCounts&) = delete;
   PartitionCounts& operator=(const PartitionCounts&) = delete;
@@ -52,7 +53,8 @@ class PartitionCounts {
   int telling_ IOTCLOUD_GUARDED_BY(mutex_) = 0;  ///< the number of the follower whose callback runs; 0: none
   std::map<int, Follower> followers_ IOTCLOUD_GUARDED_BY(mutex_);
   config::ThreadRole on_thread_;
-  std::unique_ptr<Client> client_ IOTCLOUD_GUARDED_BY(on_thread_);
+  Renewal renewal_ IOTCLOUD_GUARDED_BY(on_thread_);
+  std::shared_ptr<Client> client_ IOTCLOUD_GUARDED_BY(on_thread_);
   std::thread thread_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 

@@ -1,0 +1,90 @@
+#include "iotcloud/brokers/kafka/renewal.h"
+
+#include <cstdint>
+#include <exception>
+#include <utility>
+
+#include <sys/stat.h>
+
+#include <iotcloud/brokers/kafka/logger.h>
+
+namespace iotcloud::brokers::kafka {
+
+Renewal::Renewal(const KafkaOptions& options, Make make) : options_(options), make_(std::move(make)) {}
+
+std::shared_ptr<Client> Renewal::client() {
+  if (next_ && next_->connected()) {
+    logger.info("{}: a client with the renewed TLS files takes over", printable_url(options_.broker.urls.front()));
+    used_ = std::exchange(of_next_, {});
+    return std::exchange(next_, nullptr);
+  }
+  next_.reset();
+  used_ = seen_ = mark();  // before the library reads them: a change meanwhile is noticed
+  return make_();
+}
+
+bool Renewal::ready(Instant now) {
+  if (!is_secured(options_)) return false;
+  if (now >= look_at_) {
+    look_at_ = now + look_period;
+    look();
+  }
+  if (!next_) return false;
+  serve_events();
+  return next_->connected();
+}
+
+Renewal::Mark Renewal::mark() const {
+  const Tls& files = options_.broker.tls;
+  Mark mark;
+  for (const std::string& file : {files.ca_file, files.certificate_file, files.key_file}) {
+    struct stat found {};
+    if (file.empty() || ::stat(file.c_str(), &found) != 0) found = {};
+    mark.insert(mark.end(), {static_cast<std::int64_t>(found.st_ino), static_cast<std::int64_t>(found.st_size),
+                             found.st_mtim.tv_sec, found.st_mtim.tv_nsec});
+  }
+  return mark;
+}
+
+void Renewal::look() {
+  const Mark now = mark();
+  const bool settled = std::exchange(seen_, now) == now;
+  if (!settled) complaints_.clear();
+  if (now == used_) {
+    next_.reset();
+  } else if (settled && (!next_ || of_next_ != now)) {
+    make_next(now);
+  }
+}
+
+void Renewal::make_next(const Mark& mark) {
+  next_.reset();
+  try {
+    next_ = make_();
+    of_next_ = mark;
+  } catch (const std::exception& error) {  // ClientError, config::Error: the next look tries again
+    complain(error.what());
+  }
+}
+
+/// Says why servers refuse the new files. What else fails is said by the present client, too.
+void Renewal::serve_events() {
+  const Queue events(rd_kafka_queue_get_main(next_->get()));
+  while (const Event event{rd_kafka_queue_poll(events.get(), 0)}) {
+    if (rd_kafka_event_type(event.get()) != RD_KAFKA_EVENT_ERROR) continue;
+    // A server that refuses the client's certificate ends the connection, which is an error of the transport.
+    const std::string why = lasting_words(event.get());
+    const bool refused = rd_kafka_event_error(event.get()) == RD_KAFKA_RESP_ERR__AUTHENTICATION;
+    if (refused || why.find("SSL") != std::string::npos) complain(why);
+  }
+}
+
+void Renewal::complain(const std::string& why) {
+  if (!complaints_.insert(why).second) return;
+  logger.warn(
+      "{}: the renewed TLS files (tls.ca, tls.certificate, tls.key) are of no use yet: {}; going on with those "
+      "from before",
+      printable_url(options_.broker.urls.front()), why);
+}
+
+}  // namespace iotcloud::brokers::kafka
