@@ -84,15 +84,17 @@ int RegistryAccess::of_gateway(const std::string& id, const std::string& path, c
   if (path == paths_.gateways) return read | create;
   if (!is_below(path, paths_.gateways)) return read;
   const GatewayId own(id);
-  if (is_at_or_below(path, paths_.orders(own))) return read;
+  if (is_at_or_below(path, paths_.orders(own)) || is_below(path, paths_.removals(own))) return read;
+  if (path == paths_.removals(own)) return read | remove;  // it takes away those that it has followed
   if (is_at_or_below(path, paths_.gateway(own))) return all;
   return is_of_orders(path) ? 0 : read;
 }
 
-/// Whether a node below a gateway's is that of its orders, or one of them.
+/// Whether a node below a gateway's is that of its orders or of their removals, or one of them.
 bool RegistryAccess::is_of_orders(const std::string& path) const {
   const auto name_end = std::min(path.find('/', paths_.gateways.size() + 1), path.size());
-  return is_at_or_below(path.substr(name_end), "/orders");
+  const std::string rest = path.substr(name_end);
+  return is_at_or_below(rest, "/orders") || is_at_or_below(rest, "/removals");
 }
 
 int RegistryAccess::of_worker(const std::string& path) const {

@@ -22,9 +22,9 @@ struct RegistryUser {
 /// with '#' are skipped. \throws config::Error with file and line.
 std::vector<RegistryUser> read_registry_users(const std::string& file);
 
-/// Who may do what with which nodes: only masters write orders, only a gateway (and masters) its own records, only a
-/// gateway and masters read its orders. Every process gives the nodes that it creates these rights, whoever they are
-/// for. Immutable: thread safe.
+/// Who may do what with which nodes: only masters write orders and removals of orders, only a gateway (and masters) its
+/// own records, only a gateway and masters read its orders. A gateway takes away the removals that it has followed.
+/// Every process gives the nodes that it creates these rights, whoever they are for. Immutable: thread safe.
 class RegistryAccess {
  public:
   /// Rights on one node, as ZooKeeper has them: `create` and `remove` are about its children.

@@ -106,6 +106,7 @@ class FleetAccess : public Access {
     put(gateway, paths_.channel("turtle"_driver, InstanceId(id.str()), "kinect"), "channel");
     put(gateway, paths_.instance("turtle"_driver, InstanceId(id.str())), "instance");
     put(master, paths_.order(id, "a"_instance), "order");
+    put(master, paths_.removal(id, "a"_instance), "removal");
   }
   const Paths paths_;
   std::shared_ptr<const RegistryAccess> access_;
@@ -122,11 +123,15 @@ TEST_P(FleetAccess, TheThiefOfOneGatewaysCredentialsReachesThatGatewayOnly) {
 
   const std::string order = paths_.order("g1"_gateway, "a"_instance);
   const std::string own_order = paths_.order("g2"_gateway, "a"_instance);
+  const std::string removal = paths_.removal("g1"_gateway, "a"_instance);
+  const std::string own_removal = paths_.removal("g2"_gateway, "a"_instance);
   const std::string instance = paths_.instance("turtle"_driver, "g1"_instance);
   const auto denied = [&](const std::function<void()>& call) { EXPECT_EQ(code_of(call), Code::denied); };
   denied([&] { thief->get(order); });
   denied([&] { thief->children(paths_.orders("g1"_gateway)); });
-  for (const std::string& path : {order, own_order, paths_.orders("g1"_gateway), paths_.gateway("g1"_gateway), instance,
+  denied([&] { thief->get(removal); });
+  for (const std::string& path : {order, own_order, removal, own_removal, paths_.removals("g1"_gateway),
+                                  paths_.orders("g1"_gateway), paths_.gateway("g1"_gateway), instance,
                                   instance + "/kinect", paths_.gateway_alive("g1"_gateway), paths_.masters() + "/m1"}) {
     denied([&] { thief->set(path, "stolen"); });
     denied([&] { thief->create(path + "/below", ""); });
@@ -135,11 +140,16 @@ TEST_P(FleetAccess, TheThiefOfOneGatewaysCredentialsReachesThatGatewayOnly) {
   denied([&] { thief->create(paths_.order("g2"_gateway, "b"_instance), "forged"); });
   denied([&] { thief->create(paths_.masters() + "/m0", "leads"); });
   denied([&] { thief->create(paths_.topology_order("t"_topology), "forged"); });
-  for (const std::string& path : {order, own_order, instance + "/kinect", paths_.gateway_alive("g1"_gateway)})
+  for (const GatewayId& gateway : {"g1"_gateway, "g2"_gateway}) {
+    denied([&] { thief->create(paths_.removal(gateway, "b"_instance), "forged"); });
+  }
+  for (const std::string& path : {order, own_order, removal, instance + "/kinect", paths_.gateway_alive("g1"_gateway)})
     denied([&] { thief->remove(path); });
 
   // Its own things it does as before, and reads what gateways read.
   EXPECT_EQ(thief->get(own_order)->data, "order");
+  EXPECT_EQ(thief->get(own_removal)->data, "removal");
+  thief->remove(own_removal);  // it has followed it
   put(*thief, paths_.gateway("g2"_gateway), "again");
   put(*thief, paths_.gateway("g2"_gateway) + "/frozen", "why");
   EXPECT_TRUE(thief->get(instance));
@@ -160,7 +170,13 @@ TEST_P(FleetAccess, MastersMayDoEverythingAndWorkersTheirTopologiesOnly) {
   EXPECT_TRUE(worker->get(paths_.channel("turtle"_driver, "g1"_instance, "kinect")));
   const auto denied = [&](const std::function<void()>& call) { EXPECT_EQ(code_of(call), Code::denied); };
   denied([&] { worker->set(paths_.topology_order("t"_topology), "forged"); });
-  denied([&] { worker->get(paths_.order("g1"_gateway, "a"_instance)); });
+  const std::string removal = paths_.removal("g1"_gateway, "a"_instance);
+  for (const std::string& path : {paths_.order("g1"_gateway, "a"_instance), removal}) {
+    denied([&] { worker->get(path); });
+    denied([&] { worker->set(path, "forged"); });
+    denied([&] { worker->remove(path); });
+  }
+  denied([&] { worker->create(paths_.removal("g1"_gateway, "b"_instance), "forged"); });
   denied([&] { worker->set(paths_.instance("turtle"_driver, "g1"_instance), "forged"); });
   denied([&] { worker->create(paths_.gateway("g9"_gateway), "forged"); });
 
