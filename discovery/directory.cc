@@ -34,7 +34,7 @@ struct Instance {
 /// It watches the driver's node for instances; for each instance its record and, unless one channel is wanted by name,
 /// the list of its channels; for each channel its record. Everything but begin() and end() runs on the dispatcher,
 /// while it holds `turn`.
-struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
+struct DriverDirectory::Impl : TakesTurns<Impl> {
   Impl(Registry& r, Paths p, DriverName d, std::string c, Callbacks cb, Selection w)
       : registry(r),
         paths(std::move(p)),
@@ -42,17 +42,6 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
         wanted(std::move(c)),
         callbacks(std::move(cb)),
         where(std::move(w)) {}
-
-  /// Makes a callback that holds `turn`, and does nothing once the directory has ended.
-  template <typename Function>
-  auto guarded(Function function) {
-    return [weak = weak_from_this(), function](const auto& argument) {
-      const auto self = weak.lock();
-      if (!self) return;
-      const TurnLock lock(self->turn);
-      if (!self->over) function(*self, argument);
-    };
-  }
 
   /// Does not lock `turn`, so that users may construct under a lock that their callbacks take as well.
   void begin() {
@@ -218,8 +207,6 @@ struct DriverDirectory::Impl : std::enable_shared_from_this<Impl> {
   const Callbacks callbacks;
   const Selection where;
 
-  Turn turn;
-  bool over IOTCLOUD_GUARDED_BY(turn) = false;
   GuardPtr list_watch;  ///< set by begin(), read by end() only
   std::map<InstanceId, Instance> instances IOTCLOUD_GUARDED_BY(turn);
 };

@@ -32,24 +32,13 @@ Names members_in_order(Names names) {
 /// watches only the one before it, so that a member that leaves wakes one other. With whoever_is_first all members try
 /// to hold the same node, and its holder leads. Uses watches only, no calls: nothing here waits, and nothing is lost
 /// while the registry is away. Everything but begin() and end() runs on the dispatcher, while it holds `turn`.
-struct Election::Impl : std::enable_shared_from_this<Impl> {
+struct Election::Impl : TakesTurns<Impl> {
   Impl(Registry& r, std::string p, std::string d, Callbacks c, Succession s)
       : registry(r),
         path(std::move(p)),
         data(std::move(d)),
         callbacks(std::move(c)),
         in_line(s == Succession::longest_standing) {}
-
-  /// Makes a callback that holds `turn`, and does nothing once the election has ended.
-  template <typename Function>
-  auto guarded(Function function) {
-    return [weak = weak_from_this(), function](const auto& argument) {
-      const auto self = weak.lock();
-      if (!self) return;
-      const TurnLock lock(self->turn);
-      if (!self->over) function(*self, argument);
-    };
-  }
 
   /// Does not lock `turn`, because a user may construct under a lock that the callbacks take as well. The first report
   /// of the session, which comes at once, does the rest.
@@ -189,8 +178,6 @@ struct Election::Impl : std::enable_shared_from_this<Impl> {
   mutable config::Mutex lead_mutex;
   std::optional<Lead> lead IOTCLOUD_GUARDED_BY(lead_mutex);  ///< nullopt: this member does not lead
 
-  Turn turn;
-  bool over IOTCLOUD_GUARDED_BY(turn) = false;
   std::string own_path IOTCLOUD_GUARDED_BY(turn);        ///< empty: this member does not stand
   std::int64_t own_epoch IOTCLOUD_GUARDED_BY(turn) = 0;  ///< 0: unknown
   bool first IOTCLOUD_GUARDED_BY(turn) = false;          ///< no member is before this one

@@ -8,16 +8,12 @@
 #include <utility>
 
 #include <iotcloud/brokers/limits.h>
+#include <iotcloud/brokers/metadata_names.h>
 
 namespace iotcloud::brokers::kafka {
 namespace {
 
-// The original system's names, as on RabbitMQ (docs/wire.md#message-metadata).
-constexpr std::string_view driver_header = "sensorID";
-constexpr std::string_view gateway_header = "siteID";
-constexpr std::string_view time_header = "time";
-// Names that only this project uses.
-constexpr std::string_view resent_header = "x-iotcloud-resent";
+// Only in this project: see RecordMarks::expires_ms.
 constexpr std::string_view expires_header = "x-iotcloud-expires";
 
 // A message's time that is further from now than this comes from a wrong clock of the device, or from a spooled
@@ -27,8 +23,7 @@ constexpr std::int64_t believable_ms = 3'600'000;
 constexpr std::size_t worth_keeping = 4096;
 
 bool reserved(std::string_view name) {
-  return name == driver_header || name == gateway_header || name == time_header || name == resent_header ||
-         name == expires_header;
+  return metadata::is_original(name) || name == metadata::resent_header || name == expires_header;
 }
 
 /// The library reads header names as C strings, so a zero byte is written as "%00", and "%" as "%25".
@@ -74,12 +69,12 @@ void add(const Headers& headers, std::string_view name, std::string_view value) 
 Headers headers_of(const Message& message, const RecordMarks& marks, bool native) {
   if (!native && !marks.resent && marks.expires_ms == 0) return nullptr;
   Headers headers(rd_kafka_headers_new(message.properties.size() + 5));
-  if (marks.resent) add(headers, resent_header, "1");
+  if (marks.resent) add(headers, metadata::resent_header, "1");
   if (marks.expires_ms != 0) add(headers, expires_header, std::to_string(marks.expires_ms));
   if (!native) return headers;
-  add(headers, driver_header, message.driver_id);
-  add(headers, gateway_header, message.gateway_id);
-  add(headers, time_header, std::to_string(message.time_ms));
+  add(headers, metadata::driver, message.driver_id);
+  add(headers, metadata::gateway, message.gateway_id);
+  add(headers, metadata::time, std::to_string(message.time_ms));
   for (const auto& [name, value] : message.properties) {
     if (!reserved(name)) add(headers, header_name(name), value);
   }
@@ -106,14 +101,14 @@ std::optional<RecordHeaders> read_headers(const rd_kafka_headers_t* headers) {
     if (i == max_received_properties) return std::nullopt;
     const std::string_view name(name_text);
     const std::string_view value(static_cast<const char*>(value_bytes), value_bytes != nullptr ? size : 0);
-    if (name == driver_header) {
+    if (name == metadata::driver) {
       read.message.driver_id = value;
       read.bare_body = true;
-    } else if (name == gateway_header) {
+    } else if (name == metadata::gateway) {
       read.message.gateway_id = value;
-    } else if (name == time_header) {
+    } else if (name == metadata::time) {
       read.time_ms = to_number(value);
-    } else if (name == resent_header) {
+    } else if (name == metadata::resent_header) {
       read.marks.resent = true;
     } else if (name == expires_header) {
       read.marks.expires_ms = to_number(value).value_or(0);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <memory>
 #include <mutex>
 
 #include <iotcloud/config/thread_safety.h>
@@ -35,6 +36,26 @@ class IOTCLOUD_SCOPED_CAPABILITY TurnLock {
 
  private:
   Turn& turn_;
+};
+
+/// Base of an object whose callbacks the dispatcher runs, each with the object's turn. \tparam Self the class that
+/// derives from it.
+template <typename Self>
+struct TakesTurns : std::enable_shared_from_this<Self> {
+  /// Makes a callback that takes one argument and calls `function(self, argument)` with the turn held; it does nothing
+  /// once `over` is set or the object is gone.
+  template <typename Function>
+  auto guarded(Function function) {
+    return [weak = this->weak_from_this(), function](const auto& argument) {
+      const auto self = weak.lock();
+      if (!self) return;
+      const TurnLock lock(self->turn);
+      if (!self->over) function(*self, argument);
+    };
+  }
+
+  Turn turn;
+  bool over IOTCLOUD_GUARDED_BY(turn) = false;  ///< the object has ended
 };
 
 }  // namespace iotcloud::discovery

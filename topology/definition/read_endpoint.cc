@@ -3,6 +3,7 @@
 #include <set>
 #include <utility>
 
+#include <iotcloud/brokers/metadata_names.h>
 #include <iotcloud/topology/definition/read_endpoint.h>
 
 namespace iotcloud::topology::internal {
@@ -35,8 +36,7 @@ FieldRole role_of(const std::string& name) {
 
 /// Refuses names under which messages carry other metadata (docs/wire.md#message-metadata).
 void check_property(const Section& mapping, const std::string& property) {
-  for (const char* own : {"sensorID", "siteID", "time"}) {
-    if (property != own) continue;
+  if (brokers::metadata::is_original(property)) {
     throw mapping.error("property", "\"" + property + "\" is no custom property but metadata of every message",
                         "use the field driverID, gatewayID or time");
   }

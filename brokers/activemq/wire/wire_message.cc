@@ -13,21 +13,17 @@
 #include "iotcloud/brokers/activemq/wire/amqp_value.h"
 #include "iotcloud/brokers/activemq/wire/sections.h"
 #include <iotcloud/brokers/limits.h>
+#include <iotcloud/brokers/metadata_names.h>
 
 namespace iotcloud::brokers::activemq {
 namespace {
 
-// The original system's names, so that its programs read these messages (docs/wire.md#message-metadata).
-constexpr std::string_view driver_property = "sensorID";
-constexpr std::string_view gateway_property = "siteID";
-constexpr std::string_view time_property = "time";
 // Names that only this project uses.
 constexpr std::string_view index_property = "iotcloud_properties";
 constexpr std::string_view resent_property = "iotcloud_resent";
 
 bool reserved(std::string_view name) {
-  return name == driver_property || name == gateway_property || name == time_property || name == index_property ||
-         name == resent_property;
+  return metadata::is_original(name) || name == index_property || name == resent_property;
 }
 
 /// Length of the UTF-8 character at the start of `text`; 0 when there is no valid one.
@@ -148,9 +144,9 @@ void apply_index(std::string_view index, Texts& texts, Message& message) {
       continue;
     }
     std::string value = percent_decode(entry.substr(equals + 1));
-    if (name == driver_property) {
+    if (name == metadata::driver) {
       message.driver_id = std::move(value);
-    } else if (name == gateway_property) {
+    } else if (name == metadata::gateway) {
       message.gateway_id = std::move(value);
     } else {
       message.properties.set(name, value);
@@ -222,9 +218,9 @@ void write_properties(AmqpWriter& writer, const Message& message, bool resent) {
       index.add(name, value);
     }
   };
-  put_id(driver_property, message.driver_id);
-  if (!message.gateway_id.empty()) put_id(gateway_property, message.gateway_id);
-  put(time_property, std::to_string(message.time_ms));
+  put_id(metadata::driver, message.driver_id);
+  if (!message.gateway_id.empty()) put_id(metadata::gateway, message.gateway_id);
+  put(metadata::time, std::to_string(message.time_ms));
   if (resent) put(resent_property, "1");
   for (const auto& [name, value] : message.properties) {
     if (reserved(name)) continue;
@@ -243,9 +239,9 @@ client::Arrived arrived_of(const Sections& sections, Payload payload) {
   client::Arrived arrived;
   arrived.message.payload = std::move(payload);
   Texts texts = properties_of(sections.application_properties);
-  arrived.message.driver_id = taken(texts, driver_property).value_or("");
-  arrived.message.gateway_id = taken(texts, gateway_property).value_or("");
-  arrived.message.time_ms = number_of(taken(texts, time_property).value_or(""));
+  arrived.message.driver_id = taken(texts, metadata::driver).value_or("");
+  arrived.message.gateway_id = taken(texts, metadata::gateway).value_or("");
+  arrived.message.time_ms = number_of(taken(texts, metadata::time).value_or(""));
   arrived.redelivered = !taken(texts, resent_property).value_or("").empty() || sections.delivery_count > 0;
   if (const auto index = taken(texts, index_property)) apply_index(*index, texts, arrived.message);
   for (const auto& [name, value] : texts) arrived.message.properties.set(name, value);

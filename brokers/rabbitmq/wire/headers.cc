@@ -6,15 +6,10 @@
 
 #include <fmt/format.h>
 
+#include <iotcloud/brokers/metadata_names.h>
+
 namespace iotcloud::brokers::rabbitmq {
 namespace {
-
-// The original system's names, so that its programs read these messages (docs/wire.md#message-metadata).
-constexpr std::string_view driver_header = "sensorID";
-constexpr std::string_view gateway_header = "siteID";
-constexpr std::string_view time_header = "time";
-// Only in this project: this copy was sent before on a connection that was lost.
-constexpr std::string_view resent_header = "x-iotcloud-resent";
 
 amqp_bytes_t view(std::string_view text) {
   amqp_bytes_t bytes;
@@ -28,7 +23,7 @@ std::string_view view(amqp_bytes_t bytes) {
 }
 
 bool reserved(std::string_view name) {
-  return name == driver_header || name == gateway_header || name == time_header || name == resent_header;
+  return metadata::is_original(name) || name == metadata::resent_header;
 }
 
 /// nullopt for kinds without a useful text: tables, arrays, decimals.
@@ -95,10 +90,10 @@ const amqp_basic_properties_t& MessageProperties::encode(const Message& message,
   properties_ = {};
   entries_.clear();
   entries_.reserve(message.properties.size() + 4);
-  add(view(driver_header), view(message.driver_id));
-  if (!message.gateway_id.empty()) add(view(gateway_header), view(message.gateway_id));
-  add(view(time_header), time_.of(message.time_ms));
-  if (options.resent) add(view(resent_header), view(std::string_view("1")));
+  add(view(metadata::driver), view(message.driver_id));
+  if (!message.gateway_id.empty()) add(view(metadata::gateway), view(message.gateway_id));
+  add(view(metadata::time), time_.of(message.time_ms));
+  if (options.resent) add(view(metadata::resent_header), view(std::string_view("1")));
   for (const auto& [name, value] : message.properties) {
     if (!reserved(name)) add(view(name), view(value));
   }
@@ -127,13 +122,13 @@ bool decode_properties(const amqp_basic_properties_t& properties, Message& messa
     const std::string_view name = view(entry.key);
     std::optional<std::string> value = text_of(entry.value);
     if (!value) continue;
-    if (name == driver_header) {
+    if (name == metadata::driver) {
       message.driver_id = std::move(*value);
-    } else if (name == gateway_header) {
+    } else if (name == metadata::gateway) {
       message.gateway_id = std::move(*value);
-    } else if (name == time_header) {
+    } else if (name == metadata::time) {
       message.time_ms = parsed<std::int64_t>(*value).value_or(0);
-    } else if (name == resent_header) {
+    } else if (name == metadata::resent_header) {
       resent = true;
     } else {
       message.properties.set(name, *value);
