@@ -106,7 +106,7 @@ discovery::Selection read_where(Section& section) {
 }  // namespace
 
 std::string require_name(Section& section, const std::string& key) {
-  const std::string name = section.require_string(key);
+  std::string name = section.require_string(key);
   const bool control = std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
   if (control || name == "." || name == ".." || name.find('/') != std::string::npos || name.size() > 200) {
     throw section.error(key, "\"" + name + "\" cannot be a name",
