@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <charconv>
 #include <cstdlib>
 #include <cstring>
 #include <utility>
@@ -18,6 +17,7 @@
 #include <iotcloud/processes/frames.h>
 #include <iotcloud/processes/logger.h>
 #include <iotcloud/processes/process_starter.h>
+#include <iotcloud/processes/starter_protocol.h>
 #include <iotcloud/processes/unix_socket.h>
 
 namespace iotcloud::processes {
@@ -25,33 +25,10 @@ namespace iotcloud::processes {
 namespace {
 
 constexpr std::chrono::milliseconds answer_limit{10000}, status_limit{5000};
-constexpr std::string_view run_verb = "run", kill_verb = "kill";
 /// Variables of the account under which the process runs, not of the daemon that asks.
 constexpr std::array of_the_account = {"HOME", "USER", "LOGNAME"};
 constexpr std::size_t most_descriptors = 2;
 constexpr const char* acknowledged = "+";
-
-/// Words of a request or an answer, each ended by a zero byte.
-std::string body_of(const std::vector<std::string>& words) {
-  std::string body;
-  for (const auto& word : words) (body += word) += '\0';
-  return body;
-}
-
-std::vector<std::string> words_of(const std::string& body) {
-  std::vector<std::string> words;
-  for (std::size_t begin = 0, end = 0; (end = body.find('\0', begin)) != std::string::npos; begin = end + 1) {
-    words.push_back(body.substr(begin, end - begin));
-  }
-  return words;
-}
-
-std::optional<int> number_in(const std::string& word) {
-  int number = 0;
-  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), number);
-  if (error != std::errc{} || end != word.data() + word.size()) return std::nullopt;
-  return number;
-}
 
 /// Sends a frame, its first byte with the descriptors.
 bool send_with(const OwnedDescriptor& socket, const std::string& bytes, const std::vector<int>& descriptors) {
@@ -95,11 +72,11 @@ std::vector<OwnedDescriptor> receive_first(const OwnedDescriptor& socket, FrameR
   return found;
 }
 
-/// The words of the next frame; nullopt when the other side closes the connection, or `limit` passes in silence.
-std::optional<std::vector<std::string>> next_words(const OwnedDescriptor& socket, FrameReader& frames,
-                                                   std::chrono::milliseconds limit) {
+/// The body of the next frame; nullopt when the other side closes the connection, or `limit` passes in silence.
+std::optional<std::string> next_body(const OwnedDescriptor& socket, FrameReader& frames,
+                                     std::chrono::milliseconds limit) {
   for (;;) {
-    if (const auto body = frames.next()) return words_of(*body);
+    if (auto body = frames.next()) return body;
     if (!wait_readable(socket.get(), limit)) return std::nullopt;
     const auto bytes = receive_some(socket);
     if (!bytes) return std::nullopt;
@@ -107,16 +84,19 @@ std::optional<std::vector<std::string>> next_words(const OwnedDescriptor& socket
   }
 }
 
-void send_words(const OwnedDescriptor& socket, const std::vector<std::string>& words) {
-  send_all(socket, frame(body_of(words)));
+std::optional<StarterAnswer> next_answer(const OwnedDescriptor& socket, std::chrono::milliseconds limit) {
+  FrameReader frames;
+  const auto body = next_body(socket, frames, limit);
+  return body ? std::optional(decode_answer(*body)) : std::nullopt;
 }
 
 /// Runs the program, and tells the other side its process id. When the program has ended and the other side has taken
 /// up the id, tells it how the program ended. The process is reaped only when the other side has closed the connection,
 /// so no other process gets the id before.
-int run(const OwnedDescriptor& connection, const std::string& program, std::vector<std::string> arguments,
-        std::vector<std::string> environment, std::vector<OwnedDescriptor> descriptors) {
-  arguments.front() = program;
+int run(const OwnedDescriptor& connection, const std::string& program, StarterRequest request,
+        std::vector<OwnedDescriptor> descriptors) {
+  request.arguments.front() = program;
+  auto& environment = request.environment;
   for (const char* name : of_the_account) {
     const std::string begin = std::string(name) + "=";
     environment.erase(std::remove_if(environment.begin(), environment.end(),
@@ -124,15 +104,17 @@ int run(const OwnedDescriptor& connection, const std::string& program, std::vect
                       environment.end());
     if (const char* value = std::getenv(name)) environment.push_back(begin + value);
   }
-  const int process = spawn(std::move(arguments), descriptors[0], descriptors[1], std::move(environment));
+  const int process = spawn(std::move(request.arguments), descriptors[0], descriptors[1], std::move(environment));
   descriptors.clear();  // nobody is to listen on its socket when it has ended
-  send_words(connection, {"started", std::to_string(process)});
+  send_all(connection, encode(StarterAnswer{StarterAnswer::Kind::started, process, {}}));
   siginfo_t ended{};
   while (waitid(P_PID, static_cast<id_t>(process), &ended, WEXITED | WNOWAIT) != 0 && errno == EINTR) {
   }
   const int status = ended.si_code == CLD_EXITED ? W_EXITCODE(ended.si_status, 0) : W_EXITCODE(0, ended.si_status);
   char received = 0;
-  if (recv(connection.get(), &received, 1, 0) == 1) send_words(connection, {"ended", std::to_string(status)});
+  if (recv(connection.get(), &received, 1, 0) == 1) {
+    send_all(connection, encode(StarterAnswer{StarterAnswer::Kind::ended, status, {}}));
+  }
   while (recv(connection.get(), &received, 1, 0) > 0) {
   }
   return 0;
@@ -163,18 +145,15 @@ ProcessStarter::Started ProcessStarter::start(const std::vector<std::string>& ar
     throw config::Error(fmt::format("nobody starts a process at {}: {}; is iotcloud-host.socket active?", socket_,
                                     std::strerror(errno)));
   }
-  std::vector<std::string> words = {std::string(run_verb), std::to_string(arguments.size())};
-  words.insert(words.end(), arguments.begin(), arguments.end());
-  words.insert(words.end(), environment.begin(), environment.end());
-  FrameReader frames;
-  if (send_with(connection, frame(body_of(words)), {log.get(), passed.get()})) {
-    const auto answer = next_words(connection, frames, answer_limit);
-    if (answer && answer->size() == 2 && answer->front() == "started") {
-      if (const auto process = number_in(answer->back()); process && send_all(connection, acknowledged)) {
-        return {*process, std::move(connection)};
-      }
+  const StarterRequest request{StarterRequest::Kind::run, arguments, environment};
+  if (send_with(connection, encode(request), {log.get(), passed.get()})) {
+    const auto answer = next_answer(connection, answer_limit);
+    if (answer && answer->kind == StarterAnswer::Kind::failed) throw config::Error(answer->reason);
+    // Not this process itself: the caller may end what is not of the account that it should be.
+    if (answer && answer->kind == StarterAnswer::Kind::started && answer->number != getpid() &&
+        send_all(connection, acknowledged)) {
+      return {answer->number, std::move(connection)};
     }
-    if (answer && answer->size() == 2) throw config::Error(answer->back());
   }
   throw config::Error(
       fmt::format("no process was started at {}; journalctl -u 'iotcloud-host@*' may say why", socket_));
@@ -182,42 +161,45 @@ ProcessStarter::Started ProcessStarter::start(const std::vector<std::string>& ar
 
 bool ProcessStarter::kill(int pidfd) const noexcept try {
   const OwnedDescriptor connection = connect();
-  FrameReader frames;
-  if (!connection || !send_with(connection, frame(body_of({std::string(kill_verb)})), {pidfd})) return false;
-  const auto answer = next_words(connection, frames, answer_limit);
-  return answer && answer->front() == "killed";
+  const StarterRequest request{StarterRequest::Kind::kill, {}, {}};
+  if (!connection || !send_with(connection, encode(request), {pidfd})) return false;
+  const auto answer = next_answer(connection, answer_limit);
+  return answer && answer->kind == StarterAnswer::Kind::killed;
 } catch (const std::exception& e) {
   logger.error("a process of another user cannot be killed at {}: {}", socket_, e.what());
   return false;
 }
 
-std::optional<int> status_of(const OwnedDescriptor& connection) {
-  FrameReader frames;
-  const auto words = next_words(connection, frames, status_limit);
-  if (!words || words->size() != 2 || words->front() != "ended") return std::nullopt;
-  return number_in(words->back());
+std::optional<int> status_of(const OwnedDescriptor& connection) try {
+  const auto answer = next_answer(connection, status_limit);
+  if (!answer || answer->kind != StarterAnswer::Kind::ended) return std::nullopt;
+  return answer->number;
+} catch (const config::Error& e) {
+  logger.error("how a process of another user ended is not known: {}", e.what());
+  return std::nullopt;
 }
 
 int serve_starter(OwnedDescriptor connection, const std::string& program) try {
   FrameReader frames;
   auto descriptors = receive_first(connection, frames);
-  auto words = next_words(connection, frames, answer_limit);
-  if (!words || words->empty()) throw config::Error("a request of the gateway did not come whole");
-  if (words->front() == kill_verb && words->size() == 1 && descriptors.size() == 1) {
-    const long sent = syscall(SYS_pidfd_send_signal, descriptors[0].get(), SIGKILL, nullptr, 0);
-    if (sent != 0) throw config::Error(fmt::format("the process cannot be killed: {}", std::strerror(errno)));
-    send_words(connection, {"killed"});
-    return 0;
+  const auto body = next_body(connection, frames, answer_limit);
+  if (!body) throw config::Error("a request of the gateway did not come whole");
+  StarterRequest request = decode_request(*body);
+  if (descriptors.size() != request.descriptors()) {
+    throw config::Error(fmt::format("a request of the gateway came with {} descriptors instead of {}",
+                                    descriptors.size(), request.descriptors()));
   }
-  const auto count = words->size() > 2 && words->front() == run_verb ? number_in((*words)[1]) : std::nullopt;
-  if (!count || *count < 1 || static_cast<std::size_t>(*count) > words->size() - 2 || descriptors.size() != 2) {
-    throw config::Error("this request of the gateway is none that this version knows");
+  if (request.kind == StarterRequest::Kind::run) {
+    return run(connection, program, std::move(request), std::move(descriptors));
   }
-  const auto first = words->begin() + 2;
-  return run(connection, program, {first, first + *count}, {first + *count, words->end()}, std::move(descriptors));
+  if (syscall(SYS_pidfd_send_signal, descriptors[0].get(), SIGKILL, nullptr, 0) != 0) {
+    throw config::Error(fmt::format("the process cannot be killed: {}", std::strerror(errno)));
+  }
+  send_all(connection, encode(StarterAnswer{StarterAnswer::Kind::killed, 0, {}}));
+  return 0;
 } catch (const config::Error& e) {
   logger.error("{}", e.what());
-  send_words(connection, {"failed", e.what()});
+  send_all(connection, encode(StarterAnswer{StarterAnswer::Kind::failed, 0, e.what()}));
   return 1;
 }
 

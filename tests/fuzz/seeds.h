@@ -15,7 +15,8 @@ Seeds all_seeds();
 
 /// Adds calls of the Thrift services, as clients write them, one or several on a connection, and manifests.
 void add_control_plane_seeds(Seeds& seeds);
-/// Adds what goes between gateway and driver host, headers of Kafka records, HTTP, tuples, signatures and audit lines.
+/// Adds what goes between gateway, driver host and what starts it, headers of Kafka records, HTTP, tuples, signatures
+/// and audit lines.
 void add_wire_seeds(Seeds& seeds);
 
 }  // namespace iotcloud::fuzz

@@ -2,6 +2,7 @@
 #include <vector>
 
 #include "iotcloud/gateway/host/protocol.h"
+#include "iotcloud/processes/starter_protocol.h"
 #include "iotcloud/security/audit_chain.h"
 #include "iotcloud/tests/fuzz/seeds.h"
 #include "iotcloud/topology/tuple_codec.h"
@@ -40,6 +41,19 @@ SeedsOfTarget host_protocol() {
           {"commands", '\x20' + encode(create) + encode(stop) + encode(host::HostCommand{})}};
 }
 
+SeedsOfTarget starter_protocol() {
+  using processes::StarterAnswer;
+  using processes::StarterRequest;
+  const StarterRequest run{StarterRequest::Kind::run, {"iotcloud-driver-host", "--plugin", "a.so"}, {"LANG=C", "TZ="}};
+  const StarterRequest kill{StarterRequest::Kind::kill, {}, {}};
+  return {{"run", '\x20' + encode(run)},
+          {"kill", '\x20' + encode(kill) + encode(kill)},
+          {"answers", '\x21' + encode(StarterAnswer{StarterAnswer::Kind::started, 4711, {}}) +
+                          encode(StarterAnswer{StarterAnswer::Kind::ended, 9, {}})},
+          {"refusals", '\x21' + encode(StarterAnswer{StarterAnswer::Kind::failed, 0, "no"}) +
+                           encode(StarterAnswer{StarterAnswer::Kind::killed, 0, {}})}};
+}
+
 std::string tuple() {
   topology::TupleRecord record;
   record.component = "decode";
@@ -56,6 +70,7 @@ std::string tuple() {
 void add_wire_seeds(Seeds& seeds) {
   const std::string hash(64, 'a');
   seeds["host_protocol"] = host_protocol();
+  seeds["starter_protocol"] = starter_protocol();
   seeds["kafka_headers"]["ours"] = header("sensorID", "01") + header("siteID", "gw") + header("time", "1700000000000") +
                                    header("x-iotcloud-expires", "9") + header("x-iotcloud-resent", "1");
   seeds["kafka_headers"]["others"] = header("traceparent", "00-1") + header("", "") + std::string("\x01n\xff", 3);
