@@ -109,6 +109,8 @@ class Publisher {
   virtual bool drain(std::chrono::milliseconds limit) = 0;
   /// Accepted messages without an outcome.
   virtual std::size_t pending() const = 0;
+  /// When the oldest of them was accepted, by the broker's clock; nullopt: there is none, or it is not known.
+  virtual std::optional<config::Clock::Instant> oldest() const { return std::nullopt; }
 };
 
 /// What a reader says of a message that it was handed.
@@ -216,6 +218,9 @@ class PartitionWatch {
 
 /// How a broker's connection is. `blocked`: connected, but the server takes no messages now (a memory or disk alarm).
 enum class ConnectionState { connecting, connected, blocked, closed };
+
+/// "connected", "away", or "takes no messages" (an alarm of the server).
+std::string to_string(ConnectionState state);
 
 /// One broker (a server or a cluster of them behind `urls`). Connects by itself, with back-off and jitter, says once
 /// that it cannot, and reconnects for ever. Thread safe. Publishers and subscriptions must die before it.

@@ -58,6 +58,19 @@ std::string broker_kind(const std::string& url) {
   return scheme_of(url).kind;
 }
 
+std::string to_string(ConnectionState state) {
+  switch (state) {
+    case ConnectionState::connected:
+      return "connected";
+    case ConnectionState::blocked:
+      return "takes no messages";
+    case ConnectionState::connecting:
+    case ConnectionState::closed:
+      break;
+  }
+  return "away";
+}
+
 std::unique_ptr<Broker> make_broker(const BrokerOptions& options) {
   if (options.urls.empty()) throw config::Error("a broker needs at least one URL");
   const Scheme& scheme = scheme_of(options.urls.front());

@@ -86,6 +86,61 @@ struct TSite {
   106: optional string trouble
 }
 
+// ---- new: how a person looks at a channel (discovery/channel_look.h says what each field is)
+
+struct TLookRequest {
+  1: string instance
+  2: string channel
+  3: string look
+  4: i32 most
+  5: i32 bytes
+  6: bool last
+}
+
+struct THandedMessage {
+  1: string instance
+  2: string channel
+  3: binary payload
+  4: map<string, string> properties
+}
+
+struct TSeenMessage {
+  1: i64 number
+  2: i64 seenMs
+  3: i64 timeMs
+  4: i64 size
+  5: binary payload
+  6: map<string, string> properties
+}
+
+struct TChannelState {
+  1: string name
+  2: TDirection direction
+  3: bool shared
+  4: string broker
+  5: string url
+  6: string brokerState
+  7: string brokerProblem
+  8: i64 waiting
+  9: i64 oldestMs
+}
+
+struct TChannelLook {
+  1: string problem
+  2: string state
+  3: string reason
+  4: list<TChannelState> channels
+  5: i64 elapsedUs
+  6: i64 count
+  7: i64 bytes
+  8: i64 missed
+  9: i64 shortestUs
+  10: i64 longestUs
+  11: i64 smallest
+  12: i64 largest
+  13: list<TSeenMessage> messages
+}
+
 struct TResponse {
   1: TResponseState state
   2: string statusMessage

@@ -144,6 +144,20 @@ void Gateway::show_trouble(const std::string& text) {
   });
 }
 
+discovery::ChannelLook Gateway::ask(const ChannelQuestion& question, milliseconds limit) {
+  auto told = std::make_shared<std::promise<discovery::ChannelLook>>();
+  auto answer = told->get_future();
+  impl_->loop.post([impl = impl_.get(), question, told] {
+    impl->instances.ask(question, [told](discovery::ChannelLook look) { told->set_value(std::move(look)); });
+  });
+  if (answer.wait_for(limit) == std::future_status::ready) return answer.get();
+  discovery::ChannelLook none;
+  none.problem =
+      fmt::format("the driver host of {} has not answered within {} ms{}", question.look.instance, limit.count(),
+                  question.message ? ": the message waits for its driver, and what becomes of it is not known" : "");
+  return none;
+}
+
 void Gateway::reload() {
   impl_->loop.post([impl = impl_.get()] { impl->feed.read_refused_again(); });
 }

@@ -88,6 +88,8 @@ class Gateway final : public config::Service {
   /// The latest changes of state of an instance, or of all instances (undeployed ones included) if the id is empty; the
   /// oldest first.
   std::vector<StateChange> changes(const discovery::InstanceId& instance) const;
+  /// Asks the instance's driver host, and waits for the answer. \return its `problem` says why there is none
+  discovery::ChannelLook ask(const ChannelQuestion& question, std::chrono::milliseconds limit);
   using AwaitedRecord = OrderedInstances::AwaitedRecord;
   using Condition = OrderedInstances::Condition;
   /// See OrderedInstances::wait_for().

@@ -72,6 +72,12 @@ service TSensorSiteService {
   list<TStateChange> getChanges(1: string instance) throws (1: TSiteError error)
   // A part of the log of the instance's driver host. position: that of an earlier answer; empty: the end of the log.
   TLogPart readLog(1: string instance, 2: string position, 3: i32 mostBytes) throws (1: TSiteError error)
+  // Shows what a channel of an instance carries: a sample of its messages, and their number since the look began. A
+  // look without a call for 10 s ends. An answer that names a problem is an answer.
+  records.TChannelLook lookAtChannel(1: records.TLookRequest request) throws (1: TSiteError error)
+  // Hands the instance a message as if it had come on an incoming channel. Answers when the driver has handled it; the
+  // answer's `problem` says why it has not.
+  records.TChannelLook handMessage(1: records.THandedMessage message) throws (1: TSiteError error)
   // Begins to send a plugin; its pieces must each fit into a message of 1 MB. The answer is the upload's id; empty: the
   // gateway has the plugin already. An upload without a call for a minute ends.
   string offerPlugin(1: TPluginOffer offer) throws (1: TSiteError error)

@@ -47,6 +47,8 @@ class OrderedInstances {
   void forget(const discovery::InstanceId& instance);
   /// The registry last confirmed the gateway's place at that time; instances with a lease run on it.
   void renew(config::Clock::Instant confirmed) { fleet_.renew(confirmed); }
+  /// See HostFleet::ask().
+  void ask(const ChannelQuestion& question, HostFleet::OnTold done) { fleet_.ask(question, std::move(done)); }
   /// Whether an instance has a lease.
   bool leased() const;
   /// Writes no record until resume_records(): the connection is lost, and the next one may lead to another state of the

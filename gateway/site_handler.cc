@@ -17,6 +17,7 @@ using discovery::wire::TResponseState;
 namespace {
 
 constexpr config::Logger site_logger{"gateway.thrift"};
+constexpr std::chrono::milliseconds answer_limit{2000};  ///< for a driver host
 
 }  // namespace
 
@@ -169,12 +170,34 @@ void SiteHandler::readLog(wire::TLogPart& answer, const std::string& text, const
   }
 }
 
+void SiteHandler::lookAtChannel(discovery::wire::TChannelLook& answer, const discovery::wire::TLookRequest& request) {
+  ChannelQuestion question;
+  discovery::fill_own(request, question.look);
+  discovery::fill_wire(gateway_.ask(question, answer_limit), answer);
+}
+
+void SiteHandler::handMessage(discovery::wire::TChannelLook& answer, const discovery::wire::THandedMessage& message) {
+  const auto handed = discovery::as_own<discovery::HandedMessage>(message);
+  taking(fmt::format("{} bytes for channel {} of {}", handed.payload.size(), handed.channel, handed.instance));
+  session_->note("refused");
+  ChannelQuestion question;
+  question.look.instance = handed.instance;
+  question.look.channel = handed.channel;
+  auto& by_hand = question.message.emplace();
+  by_hand.payload = brokers::Payload::copy(handed.payload);
+  for (const auto& [key, value] : handed.properties) by_hand.properties.set(key, value);
+  const auto look = gateway_.ask(question, answer_limit);
+  session_->note(look.problem.empty() ? "done" : look.problem);
+  discovery::fill_wire(look, answer);
+}
+
 void SiteHandler::ping(wire::TPing& answer) {
   answer.__set_gateway(gateway_.id());
   answer.__set_timeMs(config::system_clock().wall_ms());
 }
 
-/// Tells the audit log that a plugin is about to be taken. \throws wire::TSiteError if that cannot be written
+/// Tells the audit log that a plugin, or a message, is about to be taken. \throws wire::TSiteError if that cannot be
+/// written
 void SiteHandler::taking(const std::string& what) {
   try {
     session_->begins(what);

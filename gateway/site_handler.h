@@ -37,6 +37,8 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   void getChanges(std::vector<wire::TStateChange>& answer, const std::string& instance) override;
   void readLog(wire::TLogPart& answer, const std::string& instance, const std::string& position,
                std::int32_t most_bytes) override;
+  void lookAtChannel(discovery::wire::TChannelLook& answer, const discovery::wire::TLookRequest& request) override;
+  void handMessage(discovery::wire::TChannelLook& answer, const discovery::wire::THandedMessage& message) override;
   void offerPlugin(std::string& upload, const wire::TPluginOffer& offer) override;
   void sendPlugin(const std::string& upload, std::int64_t offset, const std::string& bytes) override {
     plugins_.add(upload, offset, bytes);

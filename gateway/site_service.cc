@@ -19,6 +19,8 @@ const rpc::MethodRules& SiteService::rules() {
       {"hearbeat", {Role::viewer}},
       {"getChanges", {Role::viewer, RefusalForm::error}},
       {"readLog", {Role::viewer, RefusalForm::error}},
+      {"lookAtChannel", {Role::viewer, RefusalForm::error}},
+      {"handMessage", {Role::operating, RefusalForm::error, true, true}},
       {"startSensor", {Role::operating, RefusalForm::response}},
       {"stopSensor", {Role::operating, RefusalForm::response}},
       {"deploySensor", {Role::admin, RefusalForm::response}},

@@ -316,6 +316,11 @@ service TMasterAPIService {
     throws (1: TMasterError error)
   // A page of a topology's worker, which the master reads. target: "/topology", or "/tap?..." as the worker takes it.
   string readWorkerPage(1: string topology, 2: string worker, 3: string target) throws (1: TMasterError error)
+  // The gateway's lookAtChannel() and handMessage(), which the master passes on.
+  records.TChannelLook lookAtChannel(1: string gateway, 2: records.TLookRequest request)
+    throws (1: TMasterError error)
+  records.TChannelLook handMessage(1: string gateway, 2: records.THandedMessage message)
+    throws (1: TMasterError error)
   TOrderResponse deploy(1: TDeployRequest request)
   TOrderResponse undeploy(1: TInstanceSelection selection)
   TOrderResponse start(1: TInstanceSelection selection)

@@ -126,6 +126,17 @@ std::size_t PublishCore::pending(const Outbox& outbox) const {
   return outbox.pending();
 }
 
+std::optional<Instant> PublishCore::oldest(const Outbox& outbox) const {
+  const config::MutexLock lock(mutex);
+  std::optional<Instant> oldest;
+  if (!outbox.idle()) oldest = outbox.next().accepted_at;
+  for (const UnderWay& message : under_way_) {
+    if (message.outbox.get() == &outbox && (!oldest || message.accepted.accepted_at < *oldest))
+      oldest = message.accepted.accepted_at;
+  }
+  return oldest;
+}
+
 PublishCore::Turn::Turn(PublishCore& core) : core_(core) {
   while (core.turn_taken_) core.changed_.wait(core.mutex);
   core.turn_taken_ = true;

@@ -6,6 +6,7 @@
 #include <deque>
 #include <list>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -45,6 +46,8 @@ class PublishCore {
   /// \return false if `limit` passed first, on the injected clock
   bool drain(std::shared_ptr<Outbox> outbox, std::chrono::milliseconds limit) IOTCLOUD_EXCLUDES(mutex);
   std::size_t pending(const Outbox& outbox) const IOTCLOUD_EXCLUDES(mutex);
+  /// When the publisher's oldest message that waits or is under way was accepted.
+  std::optional<Instant> oldest(const Outbox& outbox) const IOTCLOUD_EXCLUDES(mutex);
 
   // For the transport.
 
@@ -172,6 +175,7 @@ class CorePublisher final : public Publisher {
   }
   bool drain(std::chrono::milliseconds limit) override { return core_.drain(outbox_, limit); }
   std::size_t pending() const override { return core_.pending(*outbox_); }
+  std::optional<Instant> oldest() const override { return core_.oldest(*outbox_); }
 
  private:
   PublishCore& core_;

@@ -81,6 +81,12 @@ class EmbeddedPublisher final : public Publisher {
     return producer_->pending;
   }
 
+  std::optional<config::Clock::Instant> oldest() const override {
+    const config::MutexLock lock(server_.mutex);
+    if (producer_->waiting.empty()) return std::nullopt;
+    return producer_->waiting.front().accepted;
+  }
+
  private:
   void accept() IOTCLOUD_REQUIRES(server_.mutex) {
     ++producer_->last_number;

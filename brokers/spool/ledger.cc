@@ -23,8 +23,8 @@ std::uint64_t Ledger::number_before(std::uint64_t sequence) const {
   return shift == shifts_.rend() ? 0 : sequence - shift->less - 1;
 }
 
-void Ledger::note_sent(std::size_t bytes) {
-  under_way_.push_back({unsent_++, bytes, false});
+void Ledger::note_sent(std::size_t bytes, config::Clock::Instant accepted) {
+  under_way_.push_back({unsent_++, bytes, accepted, false});
   under_way_bytes_ += bytes;
 }
 

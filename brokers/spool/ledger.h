@@ -3,11 +3,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/clock.h>
 
 namespace iotcloud::brokers::spool {
 
@@ -46,7 +48,8 @@ class Ledger {
   /// were never stored. 0: there is none. \param sequence at least mark().
   std::uint64_t number_before(std::uint64_t sequence) const;
   /// Notes that the record unsent() is passed to the inner publisher, under that one's next number.
-  void note_sent(std::size_t bytes);
+  /// \param accepted when its message was accepted
+  void note_sent(std::size_t bytes, config::Clock::Instant accepted = {});
   /// Notes that the inner publisher did not take the record of the last note_sent(). If records behind it were dropped
   /// meanwhile, it is dropped too. \return whether it was dropped.
   bool note_not_taken(const char* reason);
@@ -60,6 +63,11 @@ class Ledger {
   /// All records below this are finished.
   std::uint64_t mark() const { return under_way_.empty() ? unsent_ : under_way_.front().sequence; }
   std::size_t under_way() const { return under_way_.size(); }
+  /// When the oldest message that the inner publisher has was accepted; nullopt: it has none.
+  std::optional<config::Clock::Instant> oldest() const {
+    if (under_way_.empty()) return std::nullopt;
+    return under_way_.front().accepted;
+  }
   std::size_t under_way_bytes() const { return under_way_bytes_; }
   /// Number of messages without an outcome, or with one that was not reported.
   std::size_t pending() const { return pending_; }
@@ -73,6 +81,7 @@ class Ledger {
   struct UnderWay {
     std::uint64_t sequence = 0;
     std::size_t bytes = 0;
+    config::Clock::Instant accepted{};
     bool done = false;
   };
   /// From record `from` on, a publish number is the sequence number minus `less`.

@@ -146,6 +146,11 @@ std::size_t SpoolQueue::pending() const {
   return ledger_.pending();
 }
 
+std::optional<config::Clock::Instant> SpoolQueue::oldest() const {
+  const config::MutexLock lock(mutex_);
+  return ledger_.oldest();
+}
+
 SpoolQueue::Stored SpoolQueue::store(const Message& message, std::int64_t now, Position& where) {
   bool dropped = false;
   for (;;) {
@@ -241,7 +246,7 @@ bool SpoolQueue::may_send() const {
 }
 
 bool SpoolQueue::send(Message message, const Past& past) {
-  ledger_.note_sent(message.payload.size());
+  ledger_.note_sent(message.payload.size(), clock_.now() - past.age);
   inner_full_ = true;  // set before the call, because on_writable may come before the call returns
   PublishStatus status = PublishStatus::closed;
   {

@@ -36,6 +36,7 @@ class SpoolQueue final : public Served, public std::enable_shared_from_this<Spoo
   Published publish(Message message);
   bool drain(std::chrono::milliseconds limit);
   std::size_t pending() const;
+  std::optional<config::Clock::Instant> oldest() const;
 
   std::optional<Time> serve() noexcept override;
 

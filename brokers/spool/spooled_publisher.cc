@@ -17,6 +17,7 @@ class SpooledPublisher final : public Publisher {
   Published publish(Message message) override { return queue_->publish(std::move(message)); }
   bool drain(std::chrono::milliseconds limit) override { return queue_->drain(limit); }
   std::size_t pending() const override { return queue_->pending(); }
+  std::optional<config::Clock::Instant> oldest() const override { return queue_->oldest(); }
 
  private:
   const std::shared_ptr<spool::SpoolQueue> queue_;

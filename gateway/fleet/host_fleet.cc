@@ -16,6 +16,7 @@ using discovery::InstanceId;
 namespace {
 
 constexpr std::chrono::milliseconds retire_limit{5000};
+constexpr std::size_t most_asked = 256;  ///< questions that hosts have not answered
 
 std::chrono::milliseconds next_delay(std::chrono::milliseconds last, const RestartPolicy& policy) {
   return last.count() == 0 ? policy.first : std::min(last * 2, policy.longest);
@@ -63,7 +64,8 @@ HostFleet::HostFleet(EventLoop& loop, HostLauncher& launcher, Placement placemen
       options_(std::move(options)),
       on_status_(std::move(on_status)),
       // Not the numbers of this gateway's earlier run, whose messages an adopted host may answer for.
-      last_passed_(options_.clock->wall_ms() * 1'000'000) {}
+      last_passed_(options_.clock->wall_ms() * 1'000'000),
+      last_asked_(last_passed_) {}
 
 HostFleet::~HostFleet() = default;
 
@@ -140,7 +142,60 @@ HostEvents HostFleet::events_of(const std::shared_ptr<Host>& host) {
       if (const auto alive = weak.lock()) answered(alive, number, answer);
     });
   };
+  events.on_told = [this, weak](std::int64_t number, const discovery::ChannelLook& look) {
+    loop_.post([this, weak, number, look] {
+      if (const auto alive = weak.lock()) told(alive, number, look);
+    });
+  };
   return events;
+}
+
+void HostFleet::ask(const ChannelQuestion& question, OnTold done) {
+  discovery::ChannelLook answer;
+  const auto found = members_.find(question.look.instance);
+  if (found == members_.end()) {
+    answer.problem = fmt::format("the gateway {} has no driver instance {}", options_.gateway, question.look.instance);
+    done(std::move(answer));
+    return;
+  }
+  const auto& host = found->second.host;
+  if (!host || !host->link) {
+    const InstanceStatus& status = found->second.status;
+    answer.state = to_string(status.state);
+    answer.reason = status.reason;
+    answer.problem = fmt::format("instance {} is {}{}{}", question.look.instance, answer.state,
+                                 status.reason.empty() ? "" : ": ", status.reason);
+    done(std::move(answer));
+    return;
+  }
+  if (asked_.size() >= most_asked) {
+    answer.problem = fmt::format("{} questions wait for the answers of driver hosts; try again later", asked_.size());
+    done(std::move(answer));
+    return;
+  }
+  asked_[++last_asked_] = {host, std::move(done)};
+  host->link->ask(last_asked_, question);
+}
+
+void HostFleet::told(const std::shared_ptr<Host>& by, std::int64_t number, discovery::ChannelLook look) {
+  const auto found = asked_.find(number);
+  if (found == asked_.end() || found->second.host.lock() != by) return;
+  const OnTold done = std::move(found->second.done);
+  asked_.erase(found);
+  done(std::move(look));
+}
+
+/// A host has ended: it answers no question any more.
+void HostFleet::lose_asked(const std::shared_ptr<Host>& host) {
+  std::vector<std::int64_t> lost;
+  for (const auto& [number, asked] : asked_) {
+    if (asked.host.lock() == host) lost.push_back(number);
+  }
+  for (const auto number : lost) {
+    discovery::ChannelLook look;
+    look.problem = "its driver host ended before it answered";
+    told(host, number, std::move(look));
+  }
 }
 
 /// Passes a message that one host has read to the host that runs its instance, which must be of the same driver.
@@ -372,6 +427,7 @@ void HostFleet::retire(const std::shared_ptr<Host>& host, std::chrono::milliseco
 void HostFleet::ended(const std::shared_ptr<Host>& host, const HostEnd& end) {
   host->link.reset();
   lose_passed(host);
+  lose_asked(host);
   retired_.erase(host);
   const bool serving = hosts_.contains(host->key) && hosts_.at(host->key) == host;
   if (!serving || shutting_down_) {

@@ -39,6 +39,7 @@ class HostFleet {
     const config::Clock* clock = nullptr;  ///< not null
   };
   using OnStatus = std::function<void(const InstanceStatus&)>;
+  using OnTold = std::function<void(discovery::ChannelLook)>;
   HostFleet(EventLoop& loop, HostLauncher& launcher, Placement placement, Options options, OnStatus on_status);
   ~HostFleet();
 
@@ -53,6 +54,8 @@ class HostFleet {
   /// Begins to remove the instance. on_status reports `undeployed` when it has ended; then the id may be used again.
   /// \param removal see DriverHost::remove()
   void remove(const discovery::InstanceId& instance, Removal removal);
+  /// Looks at a channel of an instance, or hands the instance a message. \param done called once, on the loop
+  void ask(const ChannelQuestion& question, OnTold done);
   /// Tells all hosts, and those that are started later, when the registry last confirmed the gateway's place.
   void renew(config::Clock::Instant confirmed);
   /// Ends all hosts; `done` is called once when they have ended. Instances are reported as `undeployed`. A second call
@@ -81,6 +84,12 @@ class HostFleet {
     std::weak_ptr<Host> to;
   };
 
+  /// A question that a host has not answered.
+  struct Asked {
+    std::weak_ptr<Host> host;
+    OnTold done;
+  };
+
   std::shared_ptr<Host> host_for(const discovery::OrderRecord& order);
   HostEvents events_of(const std::shared_ptr<Host>& host);
   void launch(const std::shared_ptr<Host>& host);
@@ -95,6 +104,8 @@ class HostFleet {
   void pass_on(const std::shared_ptr<Host>& from, PassedMessage message);
   void answered(const std::shared_ptr<Host>& by, std::int64_t number, PassAnswer answer);
   void lose_passed(const std::shared_ptr<Host>& host);
+  void told(const std::shared_ptr<Host>& by, std::int64_t number, discovery::ChannelLook look);
+  void lose_asked(const std::shared_ptr<Host>& host);
   void ended(const std::shared_ptr<Host>& host, const HostEnd& end);
   void crashed(const std::shared_ptr<Host>& host, const HostEnd& end);
   void give_up(const std::shared_ptr<Host>& host, const std::string& reason);
@@ -115,6 +126,8 @@ class HostFleet {
   std::set<std::shared_ptr<Host>> retired_;             ///< the hosts that are shutting down
   std::map<std::int64_t, UnderWay> passed_;             ///< messages passed to a host that has not answered
   std::int64_t last_passed_ = 0;                        ///< the greatest number in passed_ so far
+  std::map<std::int64_t, Asked> asked_;                 ///< see ask()
+  std::int64_t last_asked_ = 0;                         ///< the greatest number in asked_ so far
   std::optional<config::Clock::Instant> confirmed_;     ///< see renew()
   bool shutting_down_ = false;
   std::vector<std::function<void()>> on_all_ended_;

@@ -75,6 +75,14 @@ class InProcessLink final : public HostLink {
   void remove(const discovery::InstanceId& instance, Removal removal) override { host_.remove(instance, removal); }
   void deliver(const PassedMessage& passed) override { host_.deliver(passed); }
   void answer(std::int64_t number, PassAnswer answer) override { host_.answered(number, answer); }
+  void ask(std::int64_t number, const ChannelQuestion& question) override {
+    host_.ask(question, [events = events_, number](const discovery::ChannelLook& look) {
+      events->with([&](const HostEvents& of) {
+        if (of.on_told) of.on_told(number, look);
+        return true;
+      });
+    });
+  }
   void renew(config::Clock::Instant confirmed) override {
     host_.renew(confirmed);
     host_.enforce_leases();

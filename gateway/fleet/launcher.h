@@ -31,6 +31,8 @@ struct HostEvents {
   std::function<void(const PassedMessage&)> on_pass{};
   /// What became of a message of HostLink::deliver(). May be empty.
   std::function<void(std::int64_t number, PassAnswer)> on_answer{};
+  /// The answer to HostLink::ask(). May be empty.
+  std::function<void(std::int64_t number, discovery::ChannelLook)> on_told{};
 };
 
 /// A gateway's handle on one driver host. Commands return at once, are carried out in the order given, and may be given
@@ -57,6 +59,11 @@ class HostLink {
   /// The registry confirmed the gateway's place at that time (DriverHost::renew()); an older confirmation may be told
   /// again.
   virtual void renew(config::Clock::Instant confirmed) { static_cast<void>(confirmed); }
+  /// Looks at a channel, or hands an instance a message; on_told follows with that number, unless the host ends.
+  virtual void ask(std::int64_t number, const ChannelQuestion& question) {
+    static_cast<void>(number);
+    static_cast<void>(question);
+  }
   /// Removes all instances and ends the host, by force when `limit` has passed. Then calls on_ended.
   virtual void shutdown(std::chrono::milliseconds limit) = 0;
 };

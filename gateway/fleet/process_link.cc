@@ -105,6 +105,33 @@ void ProcessLink::renew(config::Clock::Instant confirmed) {
   send({HostCommand::Kind::renew, {}, {}, at.count()});
 }
 
+void ProcessLink::ask(std::int64_t number, const ChannelQuestion& question) {
+  std::string problem;
+  {
+    const config::MutexLock lock(mutex_);
+    if (!answers_) problem = "its driver host is just starting; try again";
+    if (answers_ && !*answers_) {
+      problem =
+          "its driver host was started by an earlier version of the gateway, which shows no channels: deploy the "
+          "instance again, or update its plugin";
+    }
+  }
+  HostCommand command;
+  command.kind = HostCommand::Kind::ask;
+  command.number = number;
+  command.question = question;
+  std::string bytes = encode(command);
+  if (problem.empty() && !processes::fits(bytes))
+    problem = "the message is too large: 4 MB, properties included, are the most";
+  if (problem.empty()) {
+    send(std::move(bytes));
+  } else if (events_.on_told) {
+    discovery::ChannelLook look;
+    look.problem = problem;
+    events_.on_told(number, std::move(look));
+  }
+}
+
 void ProcessLink::shutdown(milliseconds limit) {
   send({HostCommand::Kind::shutdown, {}, {}, std::max<std::int64_t>(1, limit.count())});
   const config::MutexLock lock(mutex_);
@@ -188,7 +215,10 @@ bool ProcessLink::receive() {
 
 void ProcessLink::heard(const HostReport& event) {
   switch (event.kind) {
-    case HostReport::Kind::hello:
+    case HostReport::Kind::hello: {
+      const config::MutexLock lock(mutex_);
+      answers_ = event.answers;
+    }
       for (const auto& instance : event.instances) {
         name_after(instance.status.instance);
         events_.on_status(instance.status);
@@ -213,6 +243,9 @@ void ProcessLink::heard(const HostReport& event) {
       break;
     case HostReport::Kind::answer:
       if (events_.on_answer) events_.on_answer(event.number, event.answer);
+      break;
+    case HostReport::Kind::told:
+      if (events_.on_told) events_.on_told(event.number, event.look);
       break;
   }
 }

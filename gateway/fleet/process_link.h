@@ -4,6 +4,7 @@
 #include <chrono>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -34,6 +35,7 @@ class ProcessLink final : public HostLink {
   void deliver(const PassedMessage& passed) override;
   void answer(std::int64_t number, PassAnswer answer) override;
   void renew(config::Clock::Instant confirmed) override;
+  void ask(std::int64_t number, const ChannelQuestion& question) override;
   void shutdown(std::chrono::milliseconds limit) override;
 
  private:
@@ -69,6 +71,7 @@ class ProcessLink final : public HostLink {
   config::Mutex mutex_;
   std::vector<std::string> waiting_ IOTCLOUD_GUARDED_BY(mutex_);  ///< frames to send
   bool shutting_down_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  std::optional<bool> answers_ IOTCLOUD_GUARDED_BY(mutex_);  ///< HostReport::answers; nullopt: no hello came yet
   Instant shutdown_deadline_ IOTCLOUD_GUARDED_BY(mutex_) = Instant::max();
 
   // Used on the link's thread only.

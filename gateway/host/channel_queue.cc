@@ -34,6 +34,12 @@ std::optional<ChannelQueue::Waiting> ChannelQueue::push(Waiting waiting) {
   return std::nullopt;
 }
 
+ChannelQueue::Backlog ChannelQueue::backlog(config::Clock::Instant now) const {
+  const config::MutexLock lock(mutex_);
+  if (waiting_.empty()) return {};
+  return {waiting_.size(), std::chrono::duration_cast<std::chrono::milliseconds>(now - waiting_.front().since)};
+}
+
 void ChannelQueue::drain() {
   for (std::size_t done = 0; done < batch; ++done) {
     config::UniqueLock lock(mutex_);

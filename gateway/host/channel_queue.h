@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -31,7 +32,7 @@ class ChannelQueue : public std::enable_shared_from_this<ChannelQueue> {
   };
   struct Waiting {
     brokers::Delivery delivery;
-    config::Clock::Instant since{};  ///< when it came to this host; read by whom close() returns it to
+    config::Clock::Instant since{};  ///< when it came to this host
     std::uint64_t place = 0;         ///< its place in the order in which the messages came; read likewise
     bool passed = false;             ///< another host has passed it to this one
   };
@@ -42,6 +43,12 @@ class ChannelQueue : public std::enable_shared_from_this<ChannelQueue> {
   /// Queues a delivery. It is accepted when the driver has handled it, and rejected if the driver failed on it.
   /// \return the delivery after close(), nothing before
   std::optional<Waiting> push(Waiting waiting);
+  /// How many messages wait, and for how long the first of them.
+  struct Backlog {
+    std::size_t waiting = 0;
+    std::chrono::milliseconds oldest{0};
+  };
+  Backlog backlog(config::Clock::Instant now) const;
   /// Ends the delivery. To be called on the loop's thread. \return the messages that the driver did not see, in order,
   /// without those that were passed, which go back
   std::deque<Waiting> close();
@@ -53,7 +60,7 @@ class ChannelQueue : public std::enable_shared_from_this<ChannelQueue> {
   const std::size_t keep_last_;
   config::Counter& superseded_;
   const Deliver deliver_;
-  config::Mutex mutex_;
+  mutable config::Mutex mutex_;
   std::deque<Waiting> waiting_ IOTCLOUD_GUARDED_BY(mutex_);
   bool scheduled_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   bool closed_ IOTCLOUD_GUARDED_BY(mutex_) = false;

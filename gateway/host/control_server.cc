@@ -141,6 +141,7 @@ void ControlServer::Impl::greet() {
   HostReport hello;
   hello.kind = HostReport::Kind::hello;
   hello.order = options.order;
+  hello.answers = true;
   if (host) hello.instances = host->list();
   bool taken = processes::send_all(gateway, encode(hello));
   if (taken && !refusal.empty()) {
@@ -231,6 +232,15 @@ void ControlServer::Impl::obey(const HostCommand& command) {
       break;
     case HostCommand::Kind::renew:
       host->renew(config::Clock::Instant(std::chrono::nanoseconds(command.number)));
+      break;
+    case HostCommand::Kind::ask:
+      host->ask(command.question, [this, number = command.number](discovery::ChannelLook look) {
+        HostReport event;
+        event.kind = HostReport::Kind::told;
+        event.number = number;
+        event.look = std::move(look);
+        tell(event);
+      });
       break;
     case HostCommand::Kind::shutdown:
     case HostCommand::Kind::ping:

@@ -335,6 +335,21 @@ void DriverHost::nobody_answers() {
   impl_->environment->shared_channels->nobody_answers();
 }
 
+void DriverHost::ask(ChannelQuestion question, const std::function<void(discovery::ChannelLook)>& done) {
+  std::shared_ptr<DriverInstance> instance;
+  {
+    const config::MutexLock lock(impl_->mutex);
+    instance = impl_->find(question.look.instance);
+  }
+  if (instance) {
+    instance->ask(std::move(question), done);
+    return;
+  }
+  discovery::ChannelLook answer;
+  answer.problem = fmt::format("instance {} does not run in its driver host now", question.look.instance);
+  done(std::move(answer));
+}
+
 std::vector<HostedInstance> DriverHost::list() const {
   const config::MutexLock lock(impl_->mutex);
   std::vector<HostedInstance> all;

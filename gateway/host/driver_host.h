@@ -9,6 +9,7 @@
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 #include <iotcloud/gateway/host/passed_message.h>
 #include <iotcloud/gateway/host/plugin.h>
@@ -64,6 +65,10 @@ class DriverHost {
   /// Stops the instances whose lease (`gateway/host/lease.h`) has run out. Call it regularly, and when the time that it
   /// returns has passed. \return until the next lease runs out; nullopt: none does.
   std::optional<std::chrono::milliseconds> enforce_leases();
+
+  /// Looks at a channel of an instance, or hands the instance a message. \param done called once, on any thread,
+  /// perhaps before this function returns
+  void ask(ChannelQuestion question, const std::function<void(discovery::ChannelLook)>& done);
 
   std::vector<HostedInstance> list() const;
   const Plugin& plugin() const;

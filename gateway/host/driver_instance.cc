@@ -40,6 +40,27 @@ void check_hang_limit(const drivers::PropertyMap& properties) {
                                   hang_limit_property, found->second));
 }
 
+/// Tells what became of a message that a person handed to the instance: settling its delivery is the answer.
+class HandedAnswer final : public brokers::Settler {
+ public:
+  explicit HandedAnswer(std::function<void(std::string problem)> done) : done_(std::move(done)) {}
+  void settle(std::uint64_t, brokers::Settlement settlement) noexcept override try {
+    switch (settlement) {
+      case brokers::Settlement::accept:
+        return done_("");
+      case brokers::Settlement::reject:
+        return done_("the driver failed on the message; `iotcloud logs` says why");
+      case brokers::Settlement::retry:
+        return done_("the instance ended before its driver saw the message; send it again when the instance is active");
+    }
+  } catch (const std::exception& e) {
+    host_logger.error("nobody is told what became of a message by hand: {}", e.what());
+  }
+
+ private:
+  const std::function<void(std::string problem)> done_;
+};
+
 }  // namespace
 
 struct DriverInstance::Incoming {
@@ -47,7 +68,8 @@ struct DriverInstance::Incoming {
   std::shared_ptr<brokers::Broker> broker;  ///< declared before the members that use it
   std::shared_ptr<ChannelQueue> queue;
   config::Counter& received;
-  config::Counter& failed;                              ///< messages that the driver failed on
+  config::Counter& failed;  ///< messages that the driver failed on
+  std::shared_ptr<ChannelLooks> looks;
   std::unique_ptr<brokers::Subscription> subscription;  ///< null: the channel uses a subscription that instances share
 };
 
@@ -202,6 +224,7 @@ void DriverInstance::open_outgoing(const PlannedChannel& channel) {
   auto outgoing = std::make_unique<OutgoingChannel>(*environment_, id_, channel, std::move(events));
   const config::WriteLock lock(channels_mutex_);
   outgoing_.emplace(name, std::move(outgoing));
+  open_channels_[name] = {channel.record, environment_->brokers->get(channel.address, channel.broker)};
 }
 
 void DriverInstance::open_incoming(const PlannedChannel& channel) {
@@ -213,7 +236,8 @@ void DriverInstance::open_incoming(const PlannedChannel& channel) {
   auto incoming = std::make_unique<Incoming>(
       Incoming{channel, environment_->brokers->get(channel.address, channel.broker), nullptr,
                metrics.counter("iotcloud_driver_received_total", "Messages handed to drivers", labels),
-               metrics.counter("iotcloud_driver_lost_total", lost_help, failed), nullptr});
+               metrics.counter("iotcloud_driver_lost_total", lost_help, failed),
+               std::make_shared<ChannelLooks>(*environment_->clock), nullptr});
   // The queue is closed before `incoming` goes, so the pointer is valid whenever it delivers.
   incoming->queue = std::make_shared<ChannelQueue>(
       loop_, channel.spec.keep_last,
@@ -225,6 +249,10 @@ void DriverInstance::open_incoming(const PlannedChannel& channel) {
       });
   // Stored before it subscribes, so that close_now() finds it even if subscribing throws.
   auto& kept = *incoming_.emplace_back(std::move(incoming));
+  {
+    const config::WriteLock lock(channels_mutex_);
+    open_channels_[name] = {channel.record, kept.broker, kept.queue, kept.looks};
+  }
   if (channel.spec.shared) {
     if (environment_->isolated) {
       throw config::Error(
@@ -242,7 +270,9 @@ void DriverInstance::open_incoming(const PlannedChannel& channel) {
   kept.subscription =
       kept.broker->subscribe(channel.topic, options,
                              // After close() the delivery is dropped, and goes back to the broker.
-                             [queue = kept.queue](brokers::Delivery delivery) { queue->push({std::move(delivery)}); });
+                             [queue = kept.queue, clock = environment_->clock](brokers::Delivery delivery) {
+                               queue->push({std::move(delivery), clock->now()});
+                             });
 }
 
 void DriverInstance::activate_now() {
@@ -277,6 +307,10 @@ void DriverInstance::close_now(DriverState final_state, const std::string& reaso
 
 /// What the driver has not seen goes back to the broker, or waits for the instance's return on a shared channel.
 void DriverInstance::close_incoming() {
+  {
+    const config::WriteLock lock(channels_mutex_);
+    open_channels_.clear();
+  }
   for (auto& incoming : incoming_) {
     // First: an open subscription would get again at once what the closed queue gives back to the broker.
     incoming->subscription.reset();
@@ -346,12 +380,115 @@ void DriverInstance::drain_then_report(DriverState final_state, const std::strin
 ChannelQueue::Handled DriverInstance::deliver(const Incoming& incoming, drivers::Message&& message) {
   if (!running()) return ChannelQueue::Handled::not_taken;
   incoming.received.add();
+  if (incoming.looks->watched()) incoming.looks->saw(message);
   const std::string& channel = incoming.plan.spec.name;
   if (call("on_message", [&](std::string& error) { shell_->on_message(channel, std::move(message), error); })) {
     return ChannelQueue::Handled::done;
   }
   incoming.failed.add();
   return ChannelQueue::Handled::failed;
+}
+
+// What people ask.
+
+void DriverInstance::ask(ChannelQuestion question, const std::function<void(discovery::ChannelLook)>& done) {
+  if (question.message) {
+    hand(question.look.channel, std::move(*question.message), done);
+    return;
+  }
+  discovery::ChannelLook answer;
+  look(question.look, answer);
+  done(std::move(answer));
+}
+
+void DriverInstance::add_state(discovery::ChannelLook& answer) const {
+  const InstanceStatus now = status();
+  answer.state = to_string(now.state);
+  answer.reason = now.reason;
+}
+
+std::vector<discovery::ChannelState> DriverInstance::channel_states() const {
+  std::vector<discovery::ChannelState> states;
+  const config::ReadLock lock(channels_mutex_);
+  for (const auto& [name, channel] : open_channels_) {
+    discovery::ChannelState state;
+    state.name = name;
+    state.direction = channel.record.direction;
+    state.shared = channel.record.shared;
+    state.broker = channel.record.transport;
+    state.url = brokers::printable_url(channel.record.broker_url);
+    state.broker_state = brokers::to_string(channel.broker->state());
+    state.broker_problem = channel.broker->problem();
+    if (const auto outgoing = outgoing_.find(name); outgoing != outgoing_.end()) outgoing->second->describe(state);
+    if (channel.queue) {
+      const auto backlog = channel.queue->backlog(environment_->clock->now());
+      state.waiting = static_cast<std::int64_t>(backlog.waiting);
+      state.oldest_ms = backlog.oldest.count();
+    }
+    states.push_back(std::move(state));
+  }
+  return states;
+}
+
+std::string DriverInstance::unknown_channel(const std::string& name) const {
+  std::string known;
+  for (const auto& [other, channel] : open_channels_) {
+    known += fmt::format("{}\"{}\" ({})", known.empty() ? "" : ", ", other,
+                         channel.record.direction == discovery::Direction::out ? "out" : "in");
+  }
+  return fmt::format("instance {} has no channel \"{}\"; it has {}", id_, name, known.empty() ? "none" : known);
+}
+
+void DriverInstance::look(const discovery::LookRequest& request, discovery::ChannelLook& answer) {
+  add_state(answer);
+  answer.channels = channel_states();
+  if (request.channel.empty()) return;
+  const config::ReadLock lock(channels_mutex_);
+  const auto found = open_channels_.find(request.channel);
+  if (found == open_channels_.end()) {
+    answer.problem = open_channels_.empty()
+                         ? fmt::format("instance {} is {} and has no open channel{}{}", id_, answer.state,
+                                       answer.reason.empty() ? "" : ": ", answer.reason)
+                         : unknown_channel(request.channel);
+  } else if (const auto outgoing = outgoing_.find(request.channel); outgoing != outgoing_.end()) {
+    outgoing->second->looks().answer(request, answer);
+  } else if (found->second.looks) {
+    found->second.looks->answer(request, answer);
+  }
+}
+
+void DriverInstance::hand(const std::string& channel, brokers::Message message,
+                          const std::function<void(discovery::ChannelLook)>& done) {
+  const auto tell = [weak = weak_from_this(), done](const std::string& problem) {
+    discovery::ChannelLook answer;
+    answer.problem = problem;
+    if (const auto self = weak.lock()) self->add_state(answer);
+    done(std::move(answer));
+  };
+  std::shared_ptr<ChannelQueue> queue;
+  std::string problem;
+  {
+    const config::ReadLock lock(channels_mutex_);
+    const auto found = open_channels_.find(channel);
+    if (found == open_channels_.end()) {
+      problem = unknown_channel(channel);
+    } else if (!found->second.queue) {
+      problem = fmt::format("channel \"{}\" of instance {} is outgoing: its driver sends on it, and receives nothing",
+                            channel, id_);
+    } else {
+      queue = found->second.queue;
+    }
+  }
+  if (!queue) {
+    tell(problem);
+    return;
+  }
+  message.driver_id = id_;
+  message.gateway_id = environment_->gateway;
+  if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();
+  // As one that another host has passed: it does not wait for the instance's next life.
+  queue->push({brokers::Delivery(std::move(message), false, std::make_shared<HandedAnswer>(tell), 0),
+               environment_->clock->now(), 0, true});
 }
 
 // HostInterface: what the driver calls.

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/channel_plan.h>
 #include <iotcloud/gateway/host/channel_queue.h>
 #include <iotcloud/gateway/host/host_environment.h>
@@ -36,6 +37,11 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   /// Closes, or is not opened at all, because its lease has run out. When it has closed it reports `inactive` with the
   /// reason, and then calls `closed`, on another thread. A failed or removed instance does neither.
   void suspend(const std::string& reason, std::function<void()> closed);
+
+  /// Looks at a channel, or hands the driver a message. \param done called once, on any thread
+  void ask(ChannelQuestion question, const std::function<void(discovery::ChannelLook)>& done);
+  /// All channels that are open, now. Thread safe.
+  std::vector<discovery::ChannelState> channel_states() const;
 
   InstanceSpec spec() const;
   InstanceStatus status() const;
@@ -67,6 +73,13 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
 
  private:
   struct Incoming;
+  /// An open channel, for those who look at it from other threads.
+  struct OpenChannel {
+    discovery::ChannelRecord record;
+    std::shared_ptr<brokers::Broker> broker;
+    std::shared_ptr<ChannelQueue> queue{};  ///< of an incoming channel
+    std::shared_ptr<ChannelLooks> looks{};  ///< of an incoming channel
+  };
   using OutgoingChannels = std::map<std::string, std::unique_ptr<OutgoingChannel>, std::less<>>;
 
   void open_now();
@@ -82,6 +95,11 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   ChannelQueue::Handled deliver(const Incoming& incoming, drivers::Message&& message);
   /// Calls the driver; an error makes the instance `failed`. \return whether the call succeeded.
   bool call(const char* what, const std::function<void(std::string&)>& driver_call);
+  void add_state(discovery::ChannelLook& answer) const;
+  std::string unknown_channel(const std::string& name) const IOTCLOUD_REQUIRES_SHARED(channels_mutex_);
+  void look(const discovery::LookRequest& request, discovery::ChannelLook& answer);
+  void hand(const std::string& channel, brokers::Message message,
+            const std::function<void(discovery::ChannelLook)>& done);
   void report(discovery::DriverState state, const std::string& reason);
   void report_metadata();
   void set_active(bool active);
@@ -104,8 +122,9 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   std::set<HandlerId> handlers_ IOTCLOUD_GUARDED_BY(mutex_);
   bool metadata_waits_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< report_metadata() is posted and has not run yet
 
-  config::SharedMutex channels_mutex_;
+  mutable config::SharedMutex channels_mutex_;
   OutgoingChannels outgoing_ IOTCLOUD_GUARDED_BY(channels_mutex_);
+  std::map<std::string, OpenChannel, std::less<>> open_channels_ IOTCLOUD_GUARDED_BY(channels_mutex_);
 
   // Used on the event thread only.
   bool closed_ = false;

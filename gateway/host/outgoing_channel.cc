@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <filesystem>
 
 #include <fmt/format.h>
@@ -89,6 +90,8 @@ OutgoingChannel::OutgoingChannel(const HostEnvironment& environment, discovery::
                                  const PlannedChannel& channel, Events events)
     : instance_(std::move(instance)),
       name_(channel.spec.name),
+      clock_(*environment.clock),
+      looks_(clock_),
       counters_(std::make_shared<OutcomeCounters>(*environment.metrics, channel.record)),
       broker_(environment.brokers->get(channel.address, channel.broker)) {
   brokers::PublisherOptions options;
@@ -121,6 +124,22 @@ OutgoingChannel::~OutgoingChannel() {
 }
 
 drivers::PublishStatus OutgoingChannel::publish(drivers::Message message) {
+  if (!looks_.watched()) return pass_on(std::move(message));
+  const drivers::Message seen = message;
+  const auto status = pass_on(std::move(message));
+  if (status == drivers::PublishStatus::accepted) looks_.saw(seen);
+  return status;
+}
+
+void OutgoingChannel::describe(discovery::ChannelState& state) const {
+  state.waiting = static_cast<std::int64_t>(publisher_->pending());
+  const auto oldest = publisher_->oldest();
+  if (!oldest) return;
+  const auto age = std::chrono::duration_cast<std::chrono::milliseconds>(clock_.now() - *oldest);
+  state.oldest_ms = std::max<std::int64_t>(0, age.count());
+}
+
+drivers::PublishStatus OutgoingChannel::pass_on(drivers::Message message) {
   switch (publisher_->publish(std::move(message)).status) {
     case brokers::PublishStatus::accepted:
       return drivers::PublishStatus::accepted;

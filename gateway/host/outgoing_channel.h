@@ -6,13 +6,14 @@
 #include <memory>
 #include <string>
 
+#include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/channel_plan.h>
 #include <iotcloud/gateway/host/host_environment.h>
 
 namespace iotcloud::gateway {
 
 /// A channel on which one instance sends: its publisher, a spool on disk if the channel asks for one, and metrics of
-/// the messages' outcomes. publish() is thread safe, the rest is not.
+/// the messages' outcomes. Thread safe are only those functions that say so.
 class OutgoingChannel {
  public:
   /// Called on threads of the broker client or of the spool.
@@ -26,7 +27,12 @@ class OutgoingChannel {
   /// Calls close().
   ~OutgoingChannel();
 
+  /// Thread safe.
   drivers::PublishStatus publish(drivers::Message message);
+  /// Fills in what waits to be confirmed. Thread safe.
+  void describe(discovery::ChannelState& state) const;
+  /// The looks at what is published here. Thread safe.
+  ChannelLooks& looks() { return looks_; }
   /// Whether unsent messages stay on disk until the channel is opened for this instance again.
   bool spooled() const { return !spool_folder_.empty(); }
   /// Waits until every accepted message has an outcome, at most `limit`.
@@ -37,8 +43,12 @@ class OutgoingChannel {
  private:
   class OutcomeCounters;
 
+  drivers::PublishStatus pass_on(drivers::Message message);
+
   const discovery::InstanceId instance_;
   const std::string name_;
+  const config::Clock& clock_;
+  ChannelLooks looks_;
   std::string spool_folder_;  ///< empty: the channel has no spool
   std::shared_ptr<OutcomeCounters> counters_;
   std::shared_ptr<brokers::Broker> broker_;        ///< declared before the publisher, which uses it

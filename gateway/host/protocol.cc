@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <map>
 #include <string_view>
 
 #include <fmt/format.h>
@@ -19,9 +20,9 @@ using nlohmann::json;
 
 namespace {
 
-constexpr std::array command_names = {"create", "activate", "deactivate", "remove", "shutdown",
-                                      "ping",   "metrics",  "deliver",    "answer", "renew"};
-constexpr std::array report_names = {"hello", "refused", "status", "pong", "metrics", "pass", "answer"};
+constexpr std::array command_names = {"create",  "activate", "deactivate", "remove", "shutdown", "ping",
+                                      "metrics", "deliver",  "answer",     "renew",  "ask"};
+constexpr std::array report_names = {"hello", "refused", "status", "pong", "metrics", "pass", "answer", "told"};
 constexpr std::array answer_names = {"handled", "failed", "comes", "nowhere"};
 
 template <typename Kind, typename Names>
@@ -159,6 +160,37 @@ PassedMessage passed_of(const json& body) {
   return passed;
 }
 
+using ByteMap = std::map<std::string, std::string>;
+
+ByteMap map_text(const ByteMap& bytes) {
+  ByteMap text;
+  for (const auto& [key, value] : bytes) text[text_of(key)] = text_of(value);
+  return text;
+}
+
+ByteMap map_bytes(const ByteMap& text) {
+  ByteMap bytes;
+  for (const auto& [key, value] : text) bytes[bytes_of(key)] = bytes_of(value);
+  return bytes;
+}
+
+json look_json(discovery::ChannelLook look) {
+  for (auto& message : look.messages) {
+    message.payload = text_of(message.payload);
+    message.properties = map_text(message.properties);
+  }
+  return to_json<json>(look);
+}
+
+discovery::ChannelLook look_of(const json& body) {
+  auto look = from_json<discovery::ChannelLook>(body, between);
+  for (auto& message : look.messages) {
+    message.payload = bytes_of(message.payload);
+    message.properties = map_bytes(message.properties);
+  }
+  return look;
+}
+
 PassAnswer answer_of(const json& body) {
   const auto name = body.at("answer").get<std::string>();
   for (std::size_t i = 0; i < answer_names.size(); ++i) {
@@ -193,6 +225,10 @@ std::string encode(const HostCommand& command) {
   if (command.kind == HostCommand::Kind::answer) {
     body["answer"] = answer_names[static_cast<std::size_t>(command.answer)];
   }
+  if (command.kind == HostCommand::Kind::ask) {
+    body["question"] = to_json<json>(command.question.look);
+    if (command.question.message) body["message"] = passed_json({0, "", *command.question.message});
+  }
   return frame(body);
 }
 
@@ -205,6 +241,10 @@ HostCommand decode_command(const std::string& bytes) {
     command.number = body.value("number", std::int64_t{0});
     if (command.kind == HostCommand::Kind::deliver) command.passed = passed_of(body.at("passed"));
     if (command.kind == HostCommand::Kind::answer) command.answer = answer_of(body);
+    if (command.kind == HostCommand::Kind::ask) {
+      command.question.look = from_json<discovery::LookRequest>(body.at("question"), between);
+      if (body.contains("message")) command.question.message = passed_of(body.at("message")).message;
+    }
     if (command.kind == HostCommand::Kind::create && !command.spec) throw config::Error("\"create\" without a spec");
     return command;
   });
@@ -219,6 +259,7 @@ std::string encode(const HostReport& event) {
         instances.push_back({{"spec", spec_json(i.spec)}, {"status", to_json<json>(i.status)}});
       body.update(to_json<json>(event.order));
       body.update({{"version", event.version},
+                   {"answers", event.answers},
                    {"found", {event.order.identity.sha256, event.order.identity.signed_by}},
                    {"instances", instances}});
       break;
@@ -243,6 +284,9 @@ std::string encode(const HostReport& event) {
     case HostReport::Kind::answer:
       body.update({{"number", event.number}, {"answer", answer_names[static_cast<std::size_t>(event.answer)]}});
       break;
+    case HostReport::Kind::told:
+      body.update({{"number", event.number}, {"look", look_json(event.look)}});
+      break;
   }
   return frame(body);
 }
@@ -256,6 +300,7 @@ HostReport decode_report(const std::string& bytes) {
         event.version = body.at("version");
         if (event.version != protocol::version) break;  // the other members may differ in that version
         event.order = from_json<HostOrder>(body, between);
+        event.answers = body.value("answers", false);
         if (body.contains("found")) event.order.identity = {body.at("found").at(0), body.at("found").at(1)};
         for (const auto& i : body.at("instances")) {
           event.instances.push_back({spec_of(i.at("spec")), from_json<InstanceStatus>(i.at("status"), between)});
@@ -280,6 +325,10 @@ HostReport decode_report(const std::string& bytes) {
       case HostReport::Kind::answer:
         event.number = body.at("number");
         event.answer = answer_of(body);
+        break;
+      case HostReport::Kind::told:
+        event.number = body.at("number");
+        event.look = look_of(body.at("look"));
         break;
     }
     return event;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 #include <iotcloud/gateway/host/passed_message.h>
 
@@ -20,7 +21,7 @@ inline constexpr int version = 4;
 
 /// A message from the gateway.
 struct HostCommand {
-  enum class Kind { create, activate, deactivate, remove, shutdown, ping, metrics, deliver, answer, renew };
+  enum class Kind { create, activate, deactivate, remove, shutdown, ping, metrics, deliver, answer, renew, ask };
   Kind kind = Kind::ping;
   discovery::InstanceId instance;    ///< activate, deactivate, remove
   std::optional<InstanceSpec> spec;  ///< create
@@ -28,24 +29,27 @@ struct HostCommand {
   /// see there; renew: when the registry confirmed the gateway's place, in nanoseconds of this machine's monotonic
   /// clock.
   std::int64_t number = 0;
-  PassedMessage passed{};  ///< deliver: a message that another host read
-  PassAnswer answer{};     ///< answer: to the message that the host has passed under that number
+  PassedMessage passed{};      ///< deliver: a message that another host read
+  PassAnswer answer{};         ///< answer: to the message that the host has passed under that number
+  ChannelQuestion question{};  ///< ask: `number` is in the answer
 };
 
 /// A message from the host.
 struct HostReport {
-  enum class Kind { hello, refused, status, pong, metrics, pass, answer };
+  enum class Kind { hello, refused, status, pong, metrics, pass, answer, told };
   Kind kind = Kind::pong;
   int version = protocol::version;        ///< hello
   HostOrder order;                        ///< hello
+  bool answers = false;                   ///< hello: it understands HostCommand::Kind::ask, which came later
   std::vector<HostedInstance> instances;  ///< hello
   std::string reason;                     ///< refused: why the plugin cannot be loaded
   InstanceStatus status;                  ///< status
-  std::int64_t number = 0;                ///< pong: the number of the ping; answer: of the delivered message
-  std::vector<Stall> stalls;              ///< pong: the event threads that are stuck
-  std::vector<config::Sample> samples;    ///< metrics: all samples of the process
-  PassedMessage passed{};                 ///< pass: a message for an instance of another host
-  PassAnswer answer{};                    ///< answer
+  std::int64_t number = 0;              ///< pong: of the ping; answer: of the delivered message; told: of the question
+  std::vector<Stall> stalls;            ///< pong: the event threads that are stuck
+  std::vector<config::Sample> samples;  ///< metrics: all samples of the process
+  PassedMessage passed{};               ///< pass: a message for an instance of another host
+  PassAnswer answer{};                  ///< answer
+  discovery::ChannelLook look{};        ///< told: the answer to the question of that number
 };
 
 /// Encodes a complete frame. Bytes that are not UTF-8 are replaced.

@@ -182,7 +182,7 @@ void SharedChannels::Hub::take(PassedMessage passed) {
     // Messages of an earlier time, when this host read the topic, come first.
     if (member != members.end() && !lines.contains(instance)) queue = member->second;
   }
-  if (queue) queue->push({std::move(delivery), {}, 0, true});
+  if (queue) queue->push({std::move(delivery), clock.now(), 0, true});
 }
 
 /// Puts a message into its place in the line.

@@ -152,6 +152,30 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     read([&] { out = read_worker_page(master_, workers_, discovery::TopologyName(topology), worker, target); });
   }
 
+  void lookAtChannel(discovery::wire::TChannelLook& out, const std::string& gateway,
+                     const discovery::wire::TLookRequest& request) override {
+    read([&] {
+      const auto asked = discovery::as_own<discovery::LookRequest>(request);
+      discovery::fill_wire(look_at_channel(master_, gateways_, GatewayId(gateway), asked), out);
+    });
+  }
+  void handMessage(discovery::wire::TChannelLook& out, const std::string& gateway,
+                   const discovery::wire::THandedMessage& message) override {
+    read([&] {
+      const auto handed = discovery::as_own<discovery::HandedMessage>(message);
+      session_->begins(
+          fmt::format("{} bytes for channel {} of {}", handed.payload.size(), handed.channel, handed.instance));
+      try {
+        const auto look = hand_message(master_, gateways_, GatewayId(gateway), handed);
+        session_->note(look.problem.empty() ? "done" : look.problem);
+        discovery::fill_wire(look, out);
+      } catch (const std::exception& e) {
+        session_->note(e.what());
+        throw;
+      }
+    });
+  }
+
   void deploy(wire::TOrderResponse& out, const wire::TDeployRequest& request) override {
     order<DeployRequest>(out, request, &Master::deploy);
   }

@@ -24,6 +24,7 @@ const MethodRules& api_rules() {
         {"getHistory", {Role::viewer, RefusalForm::error}},
         {"readLog", {Role::viewer, RefusalForm::error}},
         {"readWorkerPage", {Role::viewer, RefusalForm::error}},
+        {"lookAtChannel", {Role::viewer, RefusalForm::error}},
         // This also shows the properties that drivers were deployed with; only an admin sees the values of those that
         // look like secrets (listing/secret_properties.h).
         {"listOrders", {Role::operating, RefusalForm::error, false}},
@@ -34,6 +35,8 @@ const MethodRules& api_rules() {
         {"stopSiteSensors", {Role::operating, RefusalForm::response}},
         {"stopAllSensors", {Role::operating, RefusalForm::response}},
         {"orderTopology", {Role::operating, RefusalForm::order}},
+        // reaches a device, as a topology's command does
+        {"handMessage", {Role::operating, RefusalForm::error}},
         // decide which programs run
         {"deploySensor", {Role::admin, RefusalForm::response}},
         {"unDeploySensor", {Role::admin, RefusalForm::response}},

@@ -91,4 +91,16 @@ LogPart read_log(const Master& master, const GatewayAccess& access, const discov
   return site_read_log(address_of(find(known, gateway), access), gateway, instance, position, most_bytes, answer_limit);
 }
 
+discovery::ChannelLook look_at_channel(const Master& master, const GatewayAccess& access,
+                                       const discovery::GatewayId& gateway, const discovery::LookRequest& request) {
+  const auto known = master.gateways();
+  return site_look_at_channel(address_of(find(known, gateway), access), gateway, request, answer_limit);
+}
+
+discovery::ChannelLook hand_message(const Master& master, const GatewayAccess& access,
+                                    const discovery::GatewayId& gateway, const discovery::HandedMessage& message) {
+  const auto known = master.gateways();
+  return site_hand_message(address_of(find(known, gateway), access), gateway, message, answer_limit);
+}
+
 }  // namespace iotcloud::master

@@ -29,4 +29,12 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
 LogPart read_log(const Master& master, const GatewayAccess& access, const discovery::GatewayId& gateway,
                  const discovery::InstanceId& instance, const std::string& position, std::int32_t most_bytes);
 
+/// Looks at a channel of an instance, and hands an instance a message: the instance's driver host does both, and its
+/// gateway passes them on. The answer's `problem` says why nothing was done.
+/// \throws config::Error when the gateway cannot be asked, with the reason.
+discovery::ChannelLook look_at_channel(const Master& master, const GatewayAccess& access,
+                                       const discovery::GatewayId& gateway, const discovery::LookRequest& request);
+discovery::ChannelLook hand_message(const Master& master, const GatewayAccess& access,
+                                    const discovery::GatewayId& gateway, const discovery::HandedMessage& message);
+
 }  // namespace iotcloud::master

@@ -84,16 +84,7 @@ class OfOne : public Verb {
 
  protected:
   /// \throws Failed when there is none.
-  DriverRecord find(MasterClient& master) const {
-    const discovery::InstanceId id = full_id(ids_.front(), master);
-    for (auto& driver : master.drivers()) {
-      if (driver.instance == id) return std::move(driver);
-    }
-    throw Failed(
-        fmt::format("no driver instance \"{}\"; `iotcloud drivers` lists them, `iotcloud history` those that "
-                    "are gone too",
-                    ids_.front()));
-  }
+  DriverRecord find(MasterClient& master) const { return driver_of(ids_.front(), master); }
 
  private:
   std::vector<std::string> ids_;  ///< one id

@@ -41,6 +41,11 @@ std::vector<std::string> texts(const std::vector<discovery::GatewayId>& ids) {
   return {ids.begin(), ids.end()};
 }
 
+discovery::ChannelLook without_problem(discovery::ChannelLook look) {
+  if (!look.problem.empty()) throw Failed(look.problem);
+  return look;
+}
+
 rpc::HostAndPort split(const std::string& address) {
   try {
     return rpc::split_address(address);
@@ -132,6 +137,10 @@ struct MasterClient::Impl {
     } catch (const wire::TMasterError& e) {
       throw Failed(fmt::format("master {}: {}", address, e.reason));
     } catch (const TApplicationException& e) {
+      if (e.getType() == TApplicationException::UNKNOWN_METHOD) {
+        throw Failed(
+            fmt::format("master {} runs an older version, which does not know this question: update it", address));
+      }
       throw Failed(fmt::format("master {}: {}", address, e.what()));
     } catch (const TException& e) {
       client.reset();
@@ -254,6 +263,18 @@ DriverHistory MasterClient::history(const std::vector<std::string>& instances,
 LogPart MasterClient::read_log(const discovery::GatewayId& gateway, const discovery::InstanceId& instance,
                                const std::string& position, std::int32_t most_bytes) {
   return as_own<LogPart>(impl_->ask(&Client::readLog, gateway, instance, position, most_bytes));
+}
+
+discovery::ChannelLook MasterClient::look_at_channel(const discovery::GatewayId& gateway,
+                                                     const discovery::LookRequest& request) {
+  return without_problem(as_own<discovery::ChannelLook>(
+      impl_->ask(&Client::lookAtChannel, gateway.str(), as_wire<discovery::wire::TLookRequest>(request))));
+}
+
+discovery::ChannelLook MasterClient::hand_message(const discovery::GatewayId& gateway,
+                                                  const discovery::HandedMessage& message) {
+  return without_problem(as_own<discovery::ChannelLook>(
+      impl_->ask(&Client::handMessage, gateway.str(), as_wire<discovery::wire::THandedMessage>(message))));
 }
 
 std::string MasterClient::worker_page(const discovery::TopologyName& topology, const std::string& worker,

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/discovery/channel_look.h>
 #include <iotcloud/master/orders/answers.h>
 #include <iotcloud/master/topologies/topology_orders.h>
 #include <iotcloud/security/tls.h>
@@ -54,6 +55,10 @@ class MasterClient {
   LogPart read_log(const discovery::GatewayId& gateway, const discovery::InstanceId& instance,
                    const std::string& position, std::int32_t most_bytes);
 
+  /// Looks at a channel of an instance of this gateway, and hands an instance a message. \throws Unreachable, Failed,
+  /// also when the answer names a problem
+  discovery::ChannelLook look_at_channel(const discovery::GatewayId& gateway, const discovery::LookRequest& request);
+  discovery::ChannelLook hand_message(const discovery::GatewayId& gateway, const discovery::HandedMessage& message);
   /// A page of a topology's worker, read by a master. \param target "/topology" or "/tap?..."
   std::string worker_page(const discovery::TopologyName& topology, const std::string& worker,
                           const std::string& target);

@@ -227,6 +227,16 @@ discovery::InstanceId full_id(const std::string& word, MasterClient& master) {
   return completed(word, sorted_drivers(master));
 }
 
+DriverRecord driver_of(const std::string& word, MasterClient& master) {
+  auto drivers = sorted_drivers(master);
+  const discovery::InstanceId id = completed(word, drivers);
+  for (auto& driver : drivers) {
+    if (driver.instance == id) return std::move(driver);
+  }
+  throw Failed(fmt::format(
+      "no driver instance \"{}\"; `iotcloud drivers` lists them, `iotcloud history` those that are gone too", word));
+}
+
 std::vector<std::string> ids_of_names(const std::vector<std::string>& words, MasterClient& master) {
   if (words.empty()) return {};
   const auto drivers = sorted_drivers(master);

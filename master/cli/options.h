@@ -70,6 +70,9 @@ struct Choice {
 /// The id of the instance with this name ("meter/2", or "meter" if it is the only one), or the full id that begins with
 /// this text. \throws Ambiguous, Unreachable, Failed
 discovery::InstanceId full_id(const std::string& word, MasterClient& master);
+/// The record of the instance with this id, beginning of an id, or name. \throws as full_id(), and Failed when there is
+/// no record.
+discovery::DriverRecord driver_of(const std::string& word, MasterClient& master);
 /// The words, with the ids of present instances in place of names; ids, and beginnings of ids, stay as they are.
 std::vector<std::string> ids_of_names(const std::vector<std::string>& words, MasterClient& master);
 

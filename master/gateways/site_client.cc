@@ -44,6 +44,7 @@ TSensorSiteServiceClient connect(const SiteAddress& site, const discovery::Gatew
 template <typename Question>
 void put(const SiteAddress& site, const discovery::GatewayId& gateway, std::chrono::milliseconds limit,
          Question&& question) {
+  bool known = false;  // it has answered a question of ours
   try {
     auto client = connect(site, gateway, limit);
     gateway::wire::TPing answer;
@@ -54,15 +55,18 @@ void put(const SiteAddress& site, const discovery::GatewayId& gateway, std::chro
           "by a master of its own machine only: give it an address, TLS and tokens (config/gateway.yaml)",
           site.host, site.port, answer.gateway));
     }
+    known = true;
     question(client);
   } catch (const gateway::wire::TSiteError& e) {
     throw config::Error(e.reason);
   } catch (const TApplicationException& e) {
     if (e.getType() != TApplicationException::UNKNOWN_METHOD) throw config::Error(e.what());
+    // ping() is older than all other questions.
     throw config::Error(
-        fmt::format("gateway {} is of the original system, which tells neither history nor logs and takes no "
-                    "plugin files",
-                    gateway));
+        known ? fmt::format("gateway {} runs an older version, which does not know this question: update it", gateway)
+              : fmt::format("gateway {} is of the original system, which tells neither history nor logs, shows no "
+                            "channels and takes no plugin files",
+                            gateway));
   } catch (const apache::thrift::TException& e) {
     throw config::Error(
         fmt::format("gateway {} at {}:{} does not answer: {}", gateway, site.host, site.port, e.what()));
@@ -149,6 +153,22 @@ LogPart site_read_log(const SiteAddress& site, const discovery::GatewayId& gatew
   gateway::wire::TLogPart part;
   put(site, gateway, limit, [&](auto& client) { client.readLog(part, instance, position, most_bytes); });
   return discovery::as_own<LogPart>(part);
+}
+
+discovery::ChannelLook site_look_at_channel(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                            const discovery::LookRequest& request, std::chrono::milliseconds limit) {
+  discovery::wire::TChannelLook look;
+  put(site, gateway, limit,
+      [&](auto& client) { client.lookAtChannel(look, discovery::as_wire<discovery::wire::TLookRequest>(request)); });
+  return discovery::as_own<discovery::ChannelLook>(look);
+}
+
+discovery::ChannelLook site_hand_message(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                         const discovery::HandedMessage& message, std::chrono::milliseconds limit) {
+  discovery::wire::TChannelLook look;
+  put(site, gateway, limit,
+      [&](auto& client) { client.handMessage(look, discovery::as_wire<discovery::wire::THandedMessage>(message)); });
+  return discovery::as_own<discovery::ChannelLook>(look);
 }
 
 std::string site_offer_plugin(const SiteAddress& site, const discovery::GatewayId& gateway, const PluginOffer& offer,

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/discovery/channel_look.h>
 #include <iotcloud/master/orders/answers.h>
 #include <iotcloud/security/tls.h>
 
@@ -42,6 +43,11 @@ std::vector<DriverChange> site_changes(const SiteAddress& site, const discovery:
 LogPart site_read_log(const SiteAddress& site, const discovery::GatewayId& gateway,
                       const discovery::InstanceId& instance, const std::string& position, std::int32_t most_bytes,
                       std::chrono::milliseconds limit);
+
+discovery::ChannelLook site_look_at_channel(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                            const discovery::LookRequest& request, std::chrono::milliseconds limit);
+discovery::ChannelLook site_hand_message(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                         const discovery::HandedMessage& message, std::chrono::milliseconds limit);
 
 /// Send a plugin to a gateway (gateway.thrift), under the same rules. \return the upload's id; empty when the gateway
 /// has the plugin already.

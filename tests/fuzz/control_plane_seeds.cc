@@ -47,6 +47,25 @@ discovery::wire::TSensorDeployDescriptor descriptor() {
   return descriptor;
 }
 
+discovery::wire::TLookRequest look() {
+  discovery::wire::TLookRequest look;
+  look.__set_instance("0a1b");
+  look.__set_channel("readings");
+  look.__set_look("1");
+  look.__set_most(5);
+  look.__set_bytes(100);
+  return look;
+}
+
+discovery::wire::THandedMessage handed() {
+  discovery::wire::THandedMessage message;
+  message.__set_instance("0a1b");
+  message.__set_channel("control");
+  message.__set_payload("on");
+  message.__set_properties({{"unit", "C"}});
+  return message;
+}
+
 SeedsOfTarget api_seeds() {
   SeedsOfTarget seeds;
   using Client = master::wire::TMasterAPIServiceClient;
@@ -90,6 +109,8 @@ SeedsOfTarget api_seeds() {
     client.send_listTopologies();
     client.send_getHistory({"0a"}, {"lab1"}, 5);
     client.send_readLog("lab1", "0a1b", "", 100);
+    client.send_lookAtChannel("lab1", look());
+    client.send_handMessage("lab1", handed());
     client.send_readWorkerPage("echo", "w1", "/tap?id=1&component=in");
   });
   seeds["orders"] = sent<Client>([&](Client& client) {
@@ -167,6 +188,8 @@ SeedsOfTarget site_seeds() {
     client.send_ping();
     client.send_getChanges("");
     client.send_readLog("0a1b", "1:2", 100);
+    client.send_lookAtChannel(look());
+    client.send_handMessage(handed());
   });
   seeds["plugin"] = sent<Client>([](Client& client) {
     client.send_offerPlugin(offer<gateway::wire::TPluginOffer>());

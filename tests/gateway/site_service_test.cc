@@ -98,11 +98,19 @@ TEST_F(SiteServiceTest, TheGatewayWritesDownWhoGaveItOrders) {
   options.audit.file = folder / "audit.log";
   service_.emplace(options, *gateway_, *registry_, paths_);
   connect();
-  EXPECT_EQ(deploy().state, TResponseState::SUCCESS);
+  const auto deployed = deploy();
+  EXPECT_EQ(deployed.state, TResponseState::SUCCESS);
+  discovery::wire::THandedMessage message;
+  message.__set_instance(deployed.statusMessage);
+  message.__set_channel("control");
+  message.__set_payload("on");
+  discovery::wire::TChannelLook look;
+  client_->handMessage(look, message);
   std::ifstream in(options.audit.file);
   std::vector<std::string> lines;
   for (std::string line; std::getline(in, line);) lines.push_back(line);
-  ASSERT_EQ(lines.size(), 2u);
+  ASSERT_EQ(lines.size(), 4u);
+  EXPECT_THAT(lines[2], testing::AllOf(HasSubstr("handMessage"), HasSubstr("2 bytes for channel control of")));
   EXPECT_THAT(lines[0], testing::AllOf(HasSubstr("\"event\":\"begun\""), HasSubstr("probe.so")));
   EXPECT_THAT(lines[1], testing::AllOf(HasSubstr("\"event\":\"ended\""), HasSubstr("done")));
   EXPECT_TRUE(security::verify_audit({options.audit.file}, {}).findings.empty());
@@ -139,6 +147,60 @@ TEST_F(SiteServiceTest, TheChangesOfAnInstanceAreToldAndSoIsWhyThereIsNoLog) {
   EXPECT_GT(changes[2].timeMs, 0);
   wire::TLogPart part;
   EXPECT_THROW(client_->readLog(part, deployed.statusMessage, "", 100), wire::TSiteError);
+}
+
+TEST_F(SiteServiceTest, AChannelIsLookedAtAndAMessageIsHandedToTheDriver) {
+  const auto deployed = deploy();
+  ASSERT_EQ(deployed.state, TResponseState::SUCCESS) << deployed.statusMessage;
+  discovery::wire::TLookRequest request;
+  request.__set_instance(deployed.statusMessage);
+  request.__set_channel("readings");
+  request.__set_look("l");
+  request.__set_most(10);
+  request.__set_bytes(100);
+  discovery::wire::TChannelLook look;
+  client_->lookAtChannel(look, request);
+  EXPECT_EQ(look.problem, "");
+  EXPECT_EQ(look.state, "active");
+  ASSERT_EQ(look.channels.size(), 2U);
+  EXPECT_EQ(look.channels[0].name, "control");
+  EXPECT_EQ(look.channels[1].brokerState, "connected");
+  EXPECT_EQ(look.channels[1].waiting, 1) << "nobody reads what it sent when it was activated";
+  EXPECT_TRUE(look.messages.empty());
+
+  discovery::wire::THandedMessage message;
+  message.__set_instance(deployed.statusMessage);
+  message.__set_channel("control");
+  message.__set_payload(std::string("by\0hand", 7));
+  message.__set_properties({{"who", "anna"}});
+  client_->handMessage(look, message);
+  EXPECT_EQ(look.problem, "");
+  discovery::wire::TChannelLook echoed;  // the probe sends on what it gets
+  client_->lookAtChannel(echoed, request);
+  ASSERT_EQ(echoed.messages.size(), 1U);
+  EXPECT_EQ(echoed.messages[0].payload, message.payload);
+  EXPECT_EQ(echoed.messages[0].properties.at("who"), "anna");
+
+  message.__set_channel("readings");
+  client_->handMessage(look, message);
+  EXPECT_THAT(look.problem, HasSubstr("channel \"readings\" of instance"));
+  request.__set_channel("temprature");
+  discovery::wire::TChannelLook unknown;
+  client_->lookAtChannel(unknown, request);
+  EXPECT_THAT(unknown.problem, HasSubstr("has no channel \"temprature\"; it has \"control\" (in), \"readings\" (out)"));
+  request.__set_instance("nobody");
+  client_->lookAtChannel(unknown, request);
+  EXPECT_THAT(unknown.problem, HasSubstr("the gateway gw has no driver instance nobody"));
+}
+
+TEST_F(SiteServiceTest, AMessageThatTheDriverFailsOnIsAnsweredSo) {
+  const auto deployed = deploy({{"throw_in", "message"}});
+  discovery::wire::THandedMessage message;
+  message.__set_instance(deployed.statusMessage);
+  message.__set_channel("control");
+  discovery::wire::TChannelLook look;
+  client_->handMessage(look, message);
+  EXPECT_THAT(look.problem, HasSubstr("the driver failed on the message"));
 }
 
 TEST_F(SiteServiceTest, AJavaClassIsNotTakenForTheDriversName) {

@@ -1,11 +1,13 @@
 #!/usr/bin/python3
-"""What becomes of a driver instance is seen through the command line: `iotcloud describe`, `history` and `logs`, of a
+"""What becomes of a driver instance is seen through the command line: `iotcloud describe`, `history`, `logs` and `channel`, of a
 gateway whose driver host crashes, and of one that is frozen for a while.
 
 usage: driver_history_test.py BUILD_DIR
 """
 
+import json
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -55,6 +57,30 @@ def check_logs(fleet, instance):
     require(follower.returncode == 0, f"logs --follow ended with {follower.returncode} at Ctrl-C")
 
 
+def check_channels(fleet, instance):
+    """A channel is looked at, a message is handed to the driver by hand, and Ctrl-C ends a look in order."""
+    seen = [json.loads(line) for line in fleet.cli("channel", "echo", instance, "data", "-n", 3, "-o", "json").splitlines()]
+    require([one["number"] for one in seen] == [1, 2, 3] and all(one["size"] > 0 for one in seen), seen)
+    rate = json.loads(fleet.cli("channel", "hz", instance, "data", "--once", "--every", 2, "-o", "json"))["messages_per_s"]
+    require(1 < rate < 25, f"{rate} messages a second, of 5")
+    channels = {one["channel"]: one for one in fleet.json("channel", "list", instance)}
+    require(set(channels) == {"data", "echo"} and channels["data"]["broker_state"] == "connected", channels)
+    look = subprocess.Popen(fleet.command("channel", "echo", instance, "echo"), stdout=subprocess.PIPE, text=True)
+    wait_for("the message by hand is shown", lambda: fleet.cli("channel", "publish", instance, "echo", "by hand")
+             and select.select([look.stdout], [], [], 0.5)[0])
+    require("by hand" in look.stdout.readline(), "another message is shown")
+    look.send_signal(signal.SIGINT)
+    look.communicate(timeout=20)
+    require(look.returncode == 0, f"channel echo ended with {look.returncode} at Ctrl-C")
+    look = subprocess.Popen(fleet.command("channel", "echo", instance, "data"), stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True)
+    look.stdout.readline()
+    fleet.cli("stop", instance)
+    told = look.communicate(timeout=20)[1]
+    require(look.returncode == 1 and "is inactive" in told and "iotcloud start" in told, told)
+    fleet.cli("start", instance)
+
+
 def check_gone(fleet, instance):
     """An undeployed instance still has its history."""
     fleet.cli("undeploy", instance)
@@ -85,6 +111,7 @@ def main():
         fleet.wait_until_ready()
         instance, other = fleet.deploy("gateway-1"), fleet.deploy("gateway-2")
         check_crash(fleet, instance)
+        check_channels(fleet, instance)
         check_logs(fleet, instance)
         check_gone(fleet, instance)
         check_silent(fleet, dict(fleet.children)["gateway-2"], instance, other)

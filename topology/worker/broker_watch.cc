@@ -54,17 +54,4 @@ BrokerWatch::List links_of(std::shared_ptr<brokers::BrokerPool> pool) {
   };
 }
 
-std::string to_string(ConnectionState state) {
-  switch (state) {
-    case ConnectionState::connected:
-      return "connected";
-    case ConnectionState::blocked:
-      return "takes no messages";
-    case ConnectionState::connecting:
-    case ConnectionState::closed:
-      break;
-  }
-  return "away";
-}
-
 }  // namespace iotcloud::topology

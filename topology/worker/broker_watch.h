@@ -53,7 +53,4 @@ class BrokerWatch {
 /// Lists the brokers of a pool.
 BrokerWatch::List links_of(std::shared_ptr<brokers::BrokerPool> pool);
 
-/// "connected", "away", or "takes no messages" (an alarm of the server).
-std::string to_string(brokers::ConnectionState state);
-
 }  // namespace iotcloud::topology

@@ -52,6 +52,40 @@ TEST(HostProtocol, CarriesAPassedMessageOfAnyBytesInBothDirections) {
   expect_same(decode_command(body_of(encode(command))).passed, command.passed);
 }
 
+TEST(HostProtocol, CarriesQuestionsAboutChannelsAndTheirAnswers) {
+  HostCommand command;
+  command.kind = HostCommand::Kind::ask;
+  command.number = 7;
+  command.question.look.instance = discovery::InstanceId("a");
+  command.question.look.channel = "control";
+  command.question.look.most = 5;
+  command.question.message = passed_message().message;
+  const auto read = decode_command(body_of(encode(command)));
+  EXPECT_EQ(read.number, 7);
+  EXPECT_EQ(read.question.look.instance, "a");
+  EXPECT_EQ(read.question.look.channel, "control");
+  EXPECT_EQ(read.question.look.most, 5);
+  ASSERT_TRUE(read.question.message);
+  EXPECT_EQ(read.question.message->payload, command.question.message->payload);
+  command.question.message.reset();
+  EXPECT_FALSE(decode_command(body_of(encode(command))).question.message);
+
+  HostReport report;
+  report.kind = HostReport::Kind::told;
+  report.number = 7;
+  report.look.count = 9;
+  report.look.channels.emplace_back().name = "control";
+  auto& seen = report.look.messages.emplace_back();
+  seen.payload = passed_message().message.payload.text();
+  seen.properties["key"] = "\xFF";
+  const auto told = decode_report(body_of(encode(report)));
+  EXPECT_EQ(told.number, 7);
+  EXPECT_EQ(told.look.count, 9);
+  EXPECT_EQ(told.look.channels.at(0).name, "control");
+  EXPECT_EQ(told.look.messages.at(0).payload, seen.payload);
+  EXPECT_EQ(told.look.messages.at(0).properties.at("key"), "\xFF");
+}
+
 /// 4 MiB of zeros, most of them in the properties or in the payload.
 PassedMessage large_message(bool in_properties) {
   PassedMessage passed;

@@ -96,6 +96,8 @@ class OriginalGateway final : public gateway::wire::TSensorSiteServiceIf {
   void ping(gateway::wire::TPing&) override {}
   void getChanges(std::vector<gateway::wire::TStateChange>&, const std::string&) override {}
   void readLog(gateway::wire::TLogPart&, const std::string&, const std::string&, std::int32_t) override {}
+  void lookAtChannel(discovery::wire::TChannelLook&, const discovery::wire::TLookRequest&) override {}
+  void handMessage(discovery::wire::TChannelLook&, const discovery::wire::THandedMessage&) override {}
   void offerPlugin(std::string&, const gateway::wire::TPluginOffer&) override {}
   void sendPlugin(const std::string&, std::int64_t, const std::string&) override {}
   void finishPlugin(const std::string&) override {}

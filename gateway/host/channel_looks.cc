@@ -1,0 +1,106 @@
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <iotcloud/gateway/host/channel_looks.h>
+
+namespace iotcloud::gateway {
+
+using discovery::ChannelLook;
+using discovery::SeenMessage;
+
+namespace {
+
+std::int64_t us(config::Clock::Instant::duration time) {
+  return std::chrono::duration_cast<std::chrono::microseconds>(time).count();
+}
+
+/// The smaller of two numbers, of which 0 is none.
+std::int64_t least(std::int64_t known, std::int64_t number) {
+  return known == 0 ? number : std::min(known, number);
+}
+
+}  // namespace
+
+void ChannelLooks::saw(const brokers::Message& message) {
+  const auto now = clock_.now();
+  const auto size = static_cast<std::int64_t>(message.payload.size());
+  const config::MutexLock lock(mutex_);
+  end_silent_looks(now);
+  for (auto& [name, look] : looks_) {
+    ChannelLook& seen = look.seen;
+    if (look.last) {
+      const std::int64_t gap = std::max<std::int64_t>(1, us(now - *look.last));
+      seen.shortest_us = least(seen.shortest_us, gap);
+      seen.longest_us = std::max(seen.longest_us, gap);
+    }
+    look.last = now;
+    seen.smallest = least(seen.smallest, size);
+    seen.largest = std::max(seen.largest, size);
+    ++seen.count;
+    seen.bytes += size;
+    if (look.most == 0) continue;
+    const auto part = message.payload.text().substr(0, static_cast<std::size_t>(look.bytes));
+    std::size_t takes = part.size();
+    for (const auto& [key, value] : message.properties) takes += key.size() + value.size();
+    if (seen.messages.size() >= static_cast<std::size_t>(look.most) ||
+        look.kept_bytes + takes > static_cast<std::size_t>(discovery::most_seen_bytes)) {
+      ++seen.missed;
+      continue;
+    }
+    look.kept_bytes += takes;
+    SeenMessage kept;
+    kept.number = seen.count;
+    kept.seen_ms = clock_.wall_ms();
+    kept.time_ms = message.time_ms;
+    kept.size = size;
+    kept.payload = part;
+    for (const auto& [key, value] : message.properties) kept.properties[key] = value;
+    seen.messages.push_back(std::move(kept));
+  }
+}
+
+void ChannelLooks::answer(const discovery::LookRequest& request, ChannelLook& answer) {
+  const auto now = clock_.now();
+  const config::MutexLock lock(mutex_);
+  end_silent_looks(now);
+  auto found = looks_.find(request.look);
+  if (found == looks_.end()) {
+    if (request.last) return;
+    if (looks_.size() >= most_looks) {
+      answer.problem =
+          fmt::format("{} others look at channel \"{}\" now, and no more may; try again when one has ended",
+                      looks_.size(), request.channel);
+      return;
+    }
+    found = looks_.emplace(request.look, Look{}).first;
+    found->second.began = now;
+    watched_ = true;
+  }
+  Look& look = found->second;
+  look.asked = now;
+  look.most = std::clamp(request.most, 0, discovery::most_seen_messages);
+  look.bytes = std::clamp(request.bytes, 0, discovery::most_seen_bytes);
+  look.kept_bytes = 0;
+  ChannelLook& seen = look.seen;
+  answer.elapsed_us = us(now - look.began);
+  answer.count = seen.count;
+  answer.bytes = seen.bytes;
+  answer.missed = seen.missed;
+  answer.shortest_us = std::exchange(seen.shortest_us, 0);
+  answer.longest_us = std::exchange(seen.longest_us, 0);
+  answer.smallest = std::exchange(seen.smallest, 0);
+  answer.largest = std::exchange(seen.largest, 0);
+  answer.messages = std::exchange(seen.messages, {});
+  if (request.last) {
+    looks_.erase(found);
+    watched_ = !looks_.empty();
+  }
+}
+
+void ChannelLooks::end_silent_looks(config::Clock::Instant now) {
+  std::erase_if(looks_, [&](const auto& entry) { return now - entry.second.asked >= longest_silence; });
+  watched_ = !looks_.empty();
+}
+
+}  // namespace iotcloud::gateway
