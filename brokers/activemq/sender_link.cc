@@ -55,7 +55,7 @@ void SenderLink::added(const std::shared_ptr<Outbox>& outbox) {
   begin();
 }
 
-client::PublishTransport::Room SenderLink::room(const std::shared_ptr<Outbox>& outbox, std::size_t /*body*/,
+client::PublishTransport::Room SenderLink::room(const std::shared_ptr<Outbox>& outbox, const Message& /*next*/,
                                                 bool /*alone*/) {
   assert_held();
   if (!connected()) return Room::full;

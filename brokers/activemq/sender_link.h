@@ -58,7 +58,7 @@ class SenderLink final : client::PublishTransport, SenderCore, public ServerLink
     return std::make_shared<RoutedOutbox>(topic, options);
   }
   void added(const std::shared_ptr<Outbox>& outbox) override IOTCLOUD_REQUIRES(mutex_);
-  Room room(const std::shared_ptr<Outbox>& outbox, std::size_t body, bool alone) override IOTCLOUD_REQUIRES(mutex_);
+  Room room(const std::shared_ptr<Outbox>& outbox, const Message& next, bool alone) override IOTCLOUD_REQUIRES(mutex_);
   void send(UnderWay& message) override IOTCLOUD_REQUIRES(mutex_);
   void send_gathered() override IOTCLOUD_REQUIRES(mutex_);
   void broke(const char* why) noexcept override IOTCLOUD_REQUIRES(mutex_);

@@ -88,7 +88,7 @@ Published PublishCore::refuse(const std::shared_ptr<Outbox>& outbox, Message mes
 bool PublishCore::send_alone(const std::shared_ptr<Outbox>& outbox, AcceptedMessage& accepted) {
   bool begun = false;
   try {
-    if (transport_.room(outbox, accepted.message.payload.size(), true) != PublishTransport::Room::yes) return false;
+    if (transport_.room(outbox, accepted.message, true) != PublishTransport::Room::yes) return false;
     const Turn turn(*this);
     UnderWay& message = begin(outbox, std::move(accepted));
     begun = true;
@@ -170,7 +170,7 @@ void PublishCore::send_lane(Lane& lane, std::size_t most) {
     }
     Room room = Room::not_for_this_publisher;
     if (!outbox->idle() && outbox->may_send()) {
-      room = transport_.room(outbox, outbox->next().message.payload.size(), false);
+      room = transport_.room(outbox, outbox->next().message, false);
     }
     if (room == Room::full) break;
     lane.runnable.pop_front();

@@ -56,9 +56,8 @@ class PublishTransport {
     not_for_this_publisher,
   };
   /// Whether the next message of this publisher may be sent now.
-  /// \param body the size of its payload in bytes
   /// \param alone the message was just published, nothing waits before it, and send_alone() follows
-  virtual Room room(const std::shared_ptr<Outbox>& outbox, std::size_t body, bool alone) = 0;
+  virtual Room room(const std::shared_ptr<Outbox>& outbox, const Message& next, bool alone) = 0;
   /// Sends a message for which there was room, or gathers it until send_gathered(), which follows.
   virtual void send(UnderWay& message) = 0;
   /// Sends a message at once, on the thread that published it.

@@ -67,6 +67,18 @@ bool is_refusal_for_now(rd_kafka_resp_err_t error) {
   }
 }
 
+/// The library's report of a message, as an error or none. A server names the offset of what it stores. A success
+/// without one is a conclusion of the library's from the success of a later message, and may be wrong (see
+/// FirstMessages; a server also forgets producers that have sent nothing to a partition for a day).
+rd_kafka_resp_err_t outcome_of(const rd_kafka_message_t& report) {
+  if (report.err != RD_KAFKA_RESP_ERR_NO_ERROR || report.offset >= 0) return report.err;
+  logger.warn(
+      "topic {}, partition {}: librdkafka {} takes a message for stored whose place no server has named; it is "
+      "sent again",
+      rd_kafka_topic_name(report.rkt), report.partition, rd_kafka_version_str());
+  return RD_KAFKA_RESP_ERR__GAPLESS_GUARANTEE;
+}
+
 TopicLane& lane_of(const Outbox& outbox) {
   return static_cast<TopicLane&>(*outbox.lane);
 }
@@ -121,16 +133,19 @@ Gathering* Producer::gathering_for(const Outbox& outbox, const TopicLane& lane) 
   return watching_ && (gathering->more_follow() || !outbox.idle()) ? gathering : nullptr;
 }
 
-client::PublishTransport::Room Producer::room(const std::shared_ptr<Outbox>& outbox, std::size_t body, bool alone) {
+client::PublishTransport::Room Producer::room(const std::shared_ptr<Outbox>& outbox, const Message& next, bool alone) {
   if (!may_send()) return Room::full;
-  const TopicLane& lane = lane_of(*outbox);
-  if (alone) return gathering_for(*outbox, lane) == nullptr && lane.takes_one() ? Room::yes : Room::full;
-  if (wave_.empty()) {
+  TopicLane& lane = lane_of(*outbox);
+  const std::size_t body = next.payload.size();
+  if (alone) {
+    if (gathering_for(*outbox, lane) != nullptr || !lane.takes_one()) return Room::full;
+  } else if (wave_.empty()) {
     if (!lane.takes_wave(clock_.now())) return Room::full;
     wave_bytes_ = 0;
   } else if (wave_.size() >= lane.most_in_wave() || wave_bytes_ + body > TopicLane::most_bytes_in_wave) {
     return Room::full;
   }
+  if (!lane.first_messages.takes(next.driver_id, clock_)) return Room::full;
   wave_bytes_ += body;
   return Room::yes;
 }
@@ -146,14 +161,14 @@ void Producer::left_waiting(const std::shared_ptr<Outbox>& outbox, Instant now) 
 }
 
 void Producer::send(UnderWay& message) {
-  ++lane_of(*message.outbox).under_way;
+  lane_of(*message.outbox).sent(message.accepted.message.driver_id, clock_);
   wave_.push_back(&message);
 }
 
 void Producer::send_alone(UnderWay& message) {
   TopicLane& lane = lane_of(*message.outbox);
   const Now now{clock_.now(), clock_.wall_ms()};
-  ++lane.under_way;
+  lane.sent(message.accepted.message.driver_id, clock_);
   lane.handed_over_at = now.instant;
   prepare(message);
   const rd_kafka_resp_err_t error = hand_over(message, client_->get(), lane.topic.get(), now);
@@ -236,7 +251,7 @@ void Producer::end_gathering() {
 void Producer::settle(UnderWay& message, rd_kafka_resp_err_t error) {
   const std::shared_ptr<Outbox> outbox = message.outbox;
   TopicLane& lane = lane_of(*outbox);
-  lane.answered(clock_.now());
+  lane.answered(message.accepted.message.driver_id, error == RD_KAFKA_RESP_ERR_NO_ERROR, clock_.now());
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
     send_backoff_.reset();
     client_backoff_.reset();
@@ -415,7 +430,7 @@ void Producer::on_event(rd_kafka_event_t* event) {
     case RD_KAFKA_EVENT_DR:
       while (const rd_kafka_message_t* report = rd_kafka_event_message_next(event)) {
         full_ = false;
-        settle(*static_cast<UnderWay*>(report->_private), report->err);
+        settle(*static_cast<UnderWay*>(report->_private), outcome_of(*report));
       }
       return;
     case RD_KAFKA_EVENT_ERROR:
@@ -452,13 +467,13 @@ void Producer::look_for_topics() {
   if (!connected_) return;
   for (const std::string& name : topics_.unseen(clock_.now())) {
     const std::shared_ptr<Client> client = client_;
-    bool known = false;
+    int partitions = 0;
     {
       const config::Unlocked unlocked(core_.mutex);
-      known = client->partitions(name, options_.broker.rpc_timeout) > 0;
+      partitions = client->partitions(name, options_.broker.rpc_timeout);
     }
-    if (!known) return topics_.not_there(name, clock_.now());
-    topics_.there(name, *client);
+    if (partitions == 0) return topics_.not_there(name, clock_.now());
+    topics_.there(name, partitions, *client);
     const TopicLane& lane = topics_.lane(name);
     if (!lane.topic) continue;
     for (const auto& outbox : core_.outboxes()) {

@@ -45,11 +45,13 @@ void ProducerTopics::not_there(const std::string& name, Instant now) {
   ask_at_ = now + backoff_.next();
 }
 
-void ProducerTopics::there(const std::string& name, const Client& client) {
+void ProducerTopics::there(const std::string& name, int partitions, const Client& client) {
   backoff_.reset();
-  if (rd_kafka_topic_t* const made = rd_kafka_topic_new(client.get(), name.c_str(), nullptr)) {
-    lanes_[name].topic.reset(made, TopicDestroyer());
-  }
+  rd_kafka_topic_t* const made = rd_kafka_topic_new(client.get(), name.c_str(), nullptr);
+  if (made == nullptr) return;
+  TopicLane& lane = lanes_[name];
+  lane.topic.reset(made, TopicDestroyer());
+  lane.first_messages.begin_anew(partitions);
 }
 
 void ProducerTopics::gone(TopicLane& lane) {

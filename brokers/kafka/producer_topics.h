@@ -1,10 +1,12 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstddef>
 #include <map>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <librdkafka/rdkafka.h>
@@ -12,6 +14,7 @@
 #include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/client/publish_transport.h"
 #include "iotcloud/brokers/kafka/client.h"
+#include "iotcloud/brokers/kafka/first_messages.h"
 #include <iotcloud/config/clock.h>
 
 namespace iotcloud::brokers::kafka {
@@ -34,11 +37,17 @@ struct TopicLane final : client::Lane {
   bool takes_one() const { return under_way < most_singles; }
   bool takes_wave(Instant now) const { return under_way == 0 || now >= opens_at(); }
   /// The time from which a wave may go even if not all messages are answered.
-  Instant opens_at() const { return handed_over_at + longest_wait; }
+  Instant opens_at() const { return std::max(handed_over_at + longest_wait, first_messages.waits_until()); }
   /// The most messages in one wave.
   std::size_t most_in_wave() const { return answered_slowly ? most_in_slow_wave : most_in_quick_wave; }
-  /// One message was answered.
-  void answered(Instant now) {
+  /// The library gets a message with this key.
+  void sent(std::string_view key, const config::Clock& clock) {
+    ++under_way;
+    first_messages.sent(key, clock);
+  }
+  /// A message with this key was answered.
+  void answered(std::string_view key, bool stored, Instant now) {
+    first_messages.answered(key, stored);
     if (--under_way == 0) answered_slowly = now - handed_over_at > slow_answer;
   }
 
@@ -50,6 +59,7 @@ struct TopicLane final : client::Lane {
   bool made = false;                        ///< the request to make the topic succeeded
   std::shared_ptr<rd_kafka_topic_t> topic;  ///< null: no server is known to have the topic yet
   std::string complaint;                    ///< the last logged complaint
+  FirstMessages first_messages;             ///< begun when the topic was found
   std::size_t under_way = 0;                ///< messages that the library has
   Instant handed_over_at{};                 ///< when the library last got a message of the topic
   bool answered_slowly = false;             ///< the last messages took longer than slow_answer until all were answered
@@ -74,9 +84,9 @@ class ProducerTopics {
   void on_answer(rd_kafka_event_t* event, Instant now);
   /// The topics that were made but that no server lists yet, which takes a moment.
   std::vector<std::string> unseen(Instant now) const;
-  /// Reports whether one of them was found.
+  /// Reports whether one of them was found, and how many partitions it has.
   void not_there(const std::string& name, Instant now);
-  void there(const std::string& name, const Client& client);
+  void there(const std::string& name, int partitions, const Client& client);
   /// The servers report that they do not know the topic.
   static void gone(TopicLane& lane);
   /// When ask() or unseen() has something to do; Instant::max(): not before an answer comes.

@@ -93,10 +93,10 @@ void PublishChannel::added(const std::shared_ptr<Outbox>& outbox) {
   wake();
 }
 
-client::PublishTransport::Room PublishChannel::room(const std::shared_ptr<Outbox>& /*outbox*/, std::size_t body,
+client::PublishTransport::Room PublishChannel::room(const std::shared_ptr<Outbox>& /*outbox*/, const Message& next,
                                                     bool /*alone*/) {
   if (!connected_ || blocked_ || moving_since_ || broken_) return Room::full;
-  return std::exchange(writable_, false) || wire_->room_for(body) ? Room::yes : Room::full;
+  return std::exchange(writable_, false) || wire_->room_for(next.payload.size()) ? Room::yes : Room::full;
 }
 
 void PublishChannel::send(UnderWay& message) {

@@ -63,7 +63,7 @@ class PublishChannel final : client::PublishTransport {
 
   // The PublishTransport.
   void added(const std::shared_ptr<Outbox>& outbox) override IOTCLOUD_REQUIRES(core_.mutex);
-  Room room(const std::shared_ptr<Outbox>& outbox, std::size_t body, bool alone) override
+  Room room(const std::shared_ptr<Outbox>& outbox, const Message& next, bool alone) override
       IOTCLOUD_REQUIRES(core_.mutex);
   void send(UnderWay& message) override IOTCLOUD_REQUIRES(core_.mutex);
   void send_alone(UnderWay& message) override IOTCLOUD_REQUIRES(core_.mutex);

@@ -125,7 +125,7 @@ class CoreTransport final : public PublishTransport {
     outbox->ready = connected_;
     if (const auto lane = lanes.find(outbox->topic.name); lane != lanes.end()) outbox->lane = &lane->second;
   }
-  Room room(const std::shared_ptr<Outbox>& outbox, std::size_t /*body*/, bool /*alone*/) override {
+  Room room(const std::shared_ptr<Outbox>& outbox, const Message& /*next*/, bool /*alone*/) override {
     if (outbox->topic.name == nowhere) return Room::not_for_this_publisher;
     if (!connected_ || space == 0) return Room::full;
     const auto own = lane_space.find(outbox->topic.name);

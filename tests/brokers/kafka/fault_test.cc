@@ -94,6 +94,69 @@ TEST_F(KafkaFault, ErrorsThatPassAreNotSeenAndNothingIsLost) {
   EXPECT_THAT(arrived, testing::UnorderedElementsAreArray(numbered(0, 200)));
 }
 
+/// Publishes "1..." and "2". The first one is so large that each gets a request of its own, and both requests are under
+/// way when the server refuses the first and takes the second. A real server does so if it does not know the producer
+/// in that partition.
+void publish_two(Publisher& publisher, const std::string& driver) {
+  for (const auto& body : {std::string(1'100'000, '1'), std::string("2")}) {
+    Message message = text_message(body);
+    message.driver_id = driver;
+    publisher.publish(std::move(message));
+  }
+}
+
+/// The first letters of this driver's messages, with "again" for those that may be second copies.
+std::vector<std::string> arrivals(const Inbox& inbox, const std::string& driver) {
+  std::vector<std::string> arrived;
+  for (const auto& [body, message, redelivered] : inbox.all()) {
+    if (message.driver_id == driver) arrived.push_back(body.substr(0, 1) + (redelivered ? " again" : ""));
+  }
+  return arrived;
+}
+
+TEST_F(KafkaFault, ThatStrikesAProducersFirstMessageInAPartitionLosesNothingAndKeepsTheOrder) {
+  constexpr int partitions = 2;
+  rd_kafka_mock_topic_create(cluster(), "topic", partitions, nodes);
+  const auto partition_of = [](const std::string& driver) {
+    return rd_kafka_msg_partitioner_murmur2(nullptr, driver.data(), driver.size(), partitions, nullptr, nullptr);
+  };
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  const Message before = text_message("0");
+  publisher->publish(before);
+  ASSERT_TRUE(publisher->drain(patience));
+  std::string driver = "d";
+  while (partition_of(driver) == partition_of(before.driver_id)) driver += "d";
+  set_round_trip(100);
+  fail_next(produce_request, {RD_KAFKA_RESP_ERR_NOT_LEADER_FOR_PARTITION});
+  publish_two(*publisher, driver);
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(inbox.wait_for(3));
+  EXPECT_THAT(arrivals(inbox, driver), testing::ElementsAre("1", "2"));
+}
+
+TEST_F(KafkaFault, WhatTheLibraryOnlyTakesForStoredIsSentAgainAndMarked) {
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  PublisherOptions options;
+  Outcomes outcomes;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic(), options);
+  const Message before = text_message("0");
+  publisher->publish(before);
+  ASSERT_TRUE(publisher->drain(patience));
+  set_round_trip(100);
+  fail_next(produce_request, {RD_KAFKA_RESP_ERR_NOT_LEADER_FOR_PARTITION});
+  publish_two(*publisher, before.driver_id);
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_TRUE(outcomes.each_once());
+  ASSERT_TRUE(inbox.wait_for(3));
+  EXPECT_THAT(arrivals(inbox, before.driver_id), testing::ElementsAre("0", "2", "1 again"));
+}
+
 TEST_F(KafkaFault, WhatTheServerRefusesIsReportedAndTheRestGoesOn) {
   const auto broker = this->broker();
   PublisherOptions options;
