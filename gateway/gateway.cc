@@ -87,6 +87,7 @@ struct Gateway::Impl {
   const config::Clock& clock;
   Membership membership;
   bool told_away = false;
+  bool told_taken = false;
   bool stopping = false;
   bool awaits_return = false;
   std::optional<config::Clock::Instant> confirmed;  ///< when the registry was asked that last confirmed the place
@@ -221,6 +222,12 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first
       }
     });
     return;
+  }
+  if (!std::exchange(told_taken, true)) {
+    logger.warn(
+        "the id {} is held by a gateway at {}; this one waits up to {} ms, in which a dead one's place would become "
+        "free. If that one is alive, give this one an id of its own (id: in its file), or stop the other",
+        options.id, membership.holder_address(), membership.patience().count());
   }
   again(taken_pause, first);
 } catch (const std::exception& e) {

@@ -57,6 +57,7 @@ class GatewayDaemon final : public config::Service {
     options.registry = registry_.get();
     options.state_id = state_->id();
     options.history_file = state_->path() + "/history.jsonl";
+    config_.hosts.brokers = std::make_shared<gateway::HostBrokers>();
     options.launcher = std::make_shared<gateway::ProcessLauncher>(config_.hosts);
     options.plugins = config_.hosts.store;
     options.on_replaced = [](const std::string&) {  // it has said why in the log
@@ -70,7 +71,7 @@ class GatewayDaemon final : public config::Service {
     if (!config_.pages.address.empty())
       metrics_.emplace(config_.pages, config::process_metrics(), [this] { return trouble(); });
     gateway_->start();
-    if (config_.hosts.metrics) watching_ = std::jthread([this](const std::stop_token& stop) { watch_brokers(stop); });
+    watching_ = std::jthread([this](const std::stop_token& stop) { watch_brokers(stop); });
   }
 
   void reload() override {
@@ -106,12 +107,12 @@ class GatewayDaemon final : public config::Service {
   std::string trouble() const override {
     if (registry_->session() != discovery::SessionState::connected) return "the registry is away";
     const std::string text = gateway_->trouble();
-    return text.empty() && config_.hosts.metrics ? config_.hosts.metrics->brokers_away() : text;
+    return text.empty() ? config_.hosts.brokers->trouble(config::system_clock().wall_ms()) : text;
   }
 
  private:
   static constexpr std::chrono::milliseconds thrift_share{500};
-  static constexpr std::chrono::milliseconds look_pause{500};
+  static constexpr std::chrono::milliseconds look_pause{250};
 
   /// Shows in the gateway's record which brokers its drivers cannot reach, and since when, for `iotcloud gateways`.
   void watch_brokers(const std::stop_token& stop) {
@@ -120,10 +121,8 @@ class GatewayDaemon final : public config::Service {
     std::string shown;
     const config::MutexLock lock(mutex);
     while (!end.wait_for(mutex, stop, look_pause, [&] { return stop.stop_requested(); })) {
-      const std::string away = config_.hosts.metrics->brokers_away();
-      if (away == std::exchange(shown, away)) continue;
-      const auto now = static_cast<std::time_t>(config::system_clock().wall_ms() / 1000);
-      gateway_->show_trouble(away.empty() ? "" : fmt::format("{} since {:%FT%TZ}", away, fmt::gmtime(now)));
+      const std::string away = config_.hosts.brokers->trouble(config::system_clock().wall_ms());
+      if (away != std::exchange(shown, away)) gateway_->show_trouble(away);
     }
   }
 

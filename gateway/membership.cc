@@ -44,7 +44,7 @@ Membership::Result Membership::join() {
 }
 
 bool Membership::must_be_another() const {
-  return options_.clock->now() - first_try_ > options_.session_timeout + options_.session_timeout / 2;
+  return options_.clock->now() - first_try_ > patience();
 }
 
 void Membership::write_record() {

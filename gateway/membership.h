@@ -54,6 +54,8 @@ class Membership {
   /// After `taken`: join() has been tried for so long that a dead gateway's session must have expired, so another
   /// gateway is alive.
   bool must_be_another() const;
+  /// How long that takes from the first try on.
+  std::chrono::milliseconds patience() const { return options_.session_timeout + options_.session_timeout / 2; }
   /// Describes who holds the id, for the error message.
   const std::string& holder_address() const { return holder_address_; }
   void leave() { alive_.reset(); }

@@ -37,7 +37,7 @@ constexpr int pause_ms = 100;
 int listen_on(const std::string& host, int port) {
   const auto failed = [&](const std::string& why) {
     return config::Error(
-        fmt::format("cannot listen on {}:{}: {}; is another program using the port?", host, port, why));
+        fmt::format("cannot listen on {}:{}: {}; end the program that has the port (ss -ltnp names it), or choose another", host, port, why));
   };
   addrinfo hints{};
   hints.ai_socktype = SOCK_STREAM;

@@ -11,7 +11,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using std::chrono::milliseconds;
 
-constexpr milliseconds first_complaint{2000};
+constexpr milliseconds first_complaint{1000};
 constexpr milliseconds repeat_pause{20};
 constexpr milliseconds renew_pause{500};
 
@@ -93,7 +93,11 @@ void ClientState::open() {
     if (!connection_->open(std::move(events))) renew_later();
   });
   worker_.post_at(Clock::now() + first_complaint, [this] {
-    if (link_changes_ == 0) logger.warn("the registry {} cannot be reached yet; trying on", options_.url);
+    if (link_changes_ == 0)
+      logger.warn(
+          "the registry {} cannot be reached yet; trying on. Is its server running, and is this its address "
+          "(registry: in a daemon's file, zk.servers in a topology's)?",
+          options_.url);
   });
 }
 

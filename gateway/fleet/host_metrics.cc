@@ -1,7 +1,4 @@
-#include <set>
-
 #include <iotcloud/gateway/fleet/host_metrics.h>
-#include <iotcloud/gateway/host/broker_states.h>
 
 namespace iotcloud::gateway {
 
@@ -20,26 +17,6 @@ void HostMetrics::forget(const std::string& host, int process) {
 void HostMetrics::append(std::vector<config::Sample>& samples) const {
   const config::MutexLock lock(mutex_);
   for (const auto& [host, told] : hosts_) samples.insert(samples.end(), told.samples.begin(), told.samples.end());
-}
-
-std::string HostMetrics::brokers_away() const {
-  std::set<std::string> away;  // several hosts may use one broker
-  {
-    const config::MutexLock lock(mutex_);
-    for (const auto& [host, told] : hosts_) {
-      for (const auto& sample : told.samples) {
-        if (sample.name != broker_away_metric || sample.value == 0) continue;
-        const auto label = [&](const char* name) {
-          const auto found = sample.labels.find(name);
-          return found == sample.labels.end() ? std::string() : found->second;
-        };
-        away.insert("the broker " + label("broker") + " (" + label("url") + ") is away");
-      }
-    }
-  }
-  std::string text;
-  for (const auto& one : away) text += (text.empty() ? "" : "; ") + one;
-  return text;
 }
 
 }  // namespace iotcloud::gateway

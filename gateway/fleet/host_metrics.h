@@ -20,8 +20,6 @@ class HostMetrics {
   void forget(const std::string& host, int process);
   /// Appends all samples; usable as a config::Metrics::Source.
   void append(std::vector<config::Sample>& samples) const;
-  /// Which brokers the hosts cannot reach, or take no messages, for people; empty: none that is known.
-  std::string brokers_away() const;
 
  private:
   struct Told {

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/gateway/fleet/host_brokers.h>
 #include <iotcloud/gateway/fleet/host_metrics.h>
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/plugin_source.h>
@@ -44,6 +45,7 @@ class ProcessLauncher final : public HostLauncher {
     std::vector<std::string> environment;  ///< names of variables that hosts have besides the usual ones
     int log_limit_mb = 10;                 ///< the size at which a host's log is rotated
     int logs_kept = 3;                     ///< number of older logs that are kept
+    std::shared_ptr<HostBrokers> brokers;  ///< gets the hosts' brokers with each answer to a ping; null: nobody does
     /// Gets the hosts' metrics every `metrics_period`; null: they are not collected.
     std::shared_ptr<HostMetrics> metrics;
     std::chrono::milliseconds metrics_period{2000};

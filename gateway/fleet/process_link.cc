@@ -152,6 +152,7 @@ void ProcessLink::run() noexcept try {
 }
 
 void ProcessLink::tell_end(const HostEnd& end) {
+  if (options_.brokers) options_.brokers->forget(socket_name_);
   if (options_.metrics) options_.metrics->forget(name_, process_.id());
   if (!leaving_) events_.on_ended(end);
 }
@@ -233,6 +234,7 @@ void ProcessLink::heard(const HostReport& event) {
       shutdown(death_limit);
       break;
     case HostReport::Kind::pong:
+      if (options_.brokers) options_.brokers->put(socket_name_, event.brokers);
       judge(event.stalls);
       break;
     case HostReport::Kind::metrics:

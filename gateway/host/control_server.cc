@@ -199,7 +199,10 @@ void ControlServer::Impl::obey(const HostCommand& command) {
     HostReport pong;
     pong.kind = HostReport::Kind::pong;
     pong.number = command.number;
-    if (host) pong.stalls = host->stalls();
+    if (host) {
+      pong.stalls = host->stalls();
+      pong.brokers = host->brokers();
+    }
     tell(pong);
     return;
   }

@@ -50,7 +50,10 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
     environment->shared_channels = std::make_unique<SharedChannels>(environment->closing, *environment->clock,
                                                                     *environment->metrics, options.passing);
     shared_loop = std::make_shared<EventLoop>(environment->plugin->name());
-    broker_states = environment->metrics->add_source([this](auto& samples) { show_brokers(samples); });
+    own_samples = environment->metrics->add_source([this](auto& samples) {
+      show_brokers(samples);
+      show_backlogs(samples);
+    });
   }
 
   /// Appends for each broker that an instance uses whether it is away.
@@ -65,6 +68,39 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
       sample.kind = config::Sample::Kind::gauge;
       sample.value = broker->state() == brokers::ConnectionState::connected ? 0 : 1;
       samples.push_back(std::move(sample));
+    }
+  }
+
+  /// Appends for each channel what waits in it, of all instances together.
+  void show_backlogs(std::vector<config::Sample>& samples) const {
+    std::map<std::pair<std::string, std::string>, ChannelQueue::Backlog> backlogs;  // by driver and channel
+    std::vector<std::shared_ptr<DriverInstance>> open;
+    {
+      const config::MutexLock lock(mutex);
+      for (const auto& [id, instance] : instances) open.push_back(instance);
+    }
+    for (const auto& instance : open) {
+      instance->each_backlog([&](const discovery::ChannelRecord& channel, const ChannelQueue::Backlog& backlog) {
+        auto& sum = backlogs[{channel.driver, channel.name}];
+        sum.waiting += backlog.waiting;
+        sum.oldest = std::max(sum.oldest, backlog.oldest);
+      });
+    }
+    const auto add = [&](const char* name, const char* help, const auto& key, double value) {
+      config::Sample sample;
+      sample.name = name;
+      sample.help = help;
+      sample.labels = {{"driver", key.first}, {"channel", key.second}};
+      sample.kind = config::Sample::Kind::gauge;
+      sample.value = value;
+      samples.push_back(std::move(sample));
+    };
+    for (const auto& [key, backlog] : backlogs) {
+      add("iotcloud_driver_channel_waiting",
+          "Messages of a channel that the broker has not confirmed, or that the driver has not taken", key,
+          static_cast<double>(backlog.waiting));
+      add("iotcloud_driver_channel_oldest_seconds", "Age of the oldest of these messages", key,
+          std::chrono::duration<double>(backlog.oldest).count());
     }
   }
 
@@ -115,8 +151,9 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   Confirmation confirmation IOTCLOUD_GUARDED_BY(mutex);
   std::int64_t confirmed_ms IOTCLOUD_GUARDED_BY(mutex) = 0;  ///< wall time at which the latest confirmation came
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
-  std::string left IOTCLOUD_GUARDED_BY(mutex);        ///< why stop() returned false
-  config::Metrics::SourceRegistration broker_states;  ///< ends first, because it uses the environment
+  std::string left IOTCLOUD_GUARDED_BY(mutex);                      ///< why stop() returned false
+  std::vector<BrokerLink> seen_brokers IOTCLOUD_GUARDED_BY(mutex);  ///< see brokers()
+  config::Metrics::SourceRegistration own_samples;                  ///< ends first, because it uses the other members
 };
 
 /// Leaks the instances and what they share, because a stuck thread may use them until the process ends.
@@ -348,6 +385,24 @@ void DriverHost::ask(ChannelQuestion question, const std::function<void(discover
   discovery::ChannelLook answer;
   answer.problem = fmt::format("instance {} does not run in its driver host now", question.look.instance);
   done(std::move(answer));
+}
+
+std::vector<BrokerLink> DriverHost::brokers() {
+  const std::int64_t now = impl_->environment->clock->wall_ms();
+  std::vector<BrokerLink> links;
+  for (const auto& [address, broker] : impl_->environment->brokers->in_use()) {
+    links.push_back({address.broker, brokers::printable_url(broker->url()), brokers::to_string(broker->state()), now,
+                     broker->problem()});
+  }
+  const config::MutexLock lock(impl_->mutex);
+  for (auto& link : links) {
+    const auto before = std::find_if(impl_->seen_brokers.begin(), impl_->seen_brokers.end(), [&](const auto& seen) {
+      return seen.broker == link.broker && seen.url == link.url;
+    });
+    if (before != impl_->seen_brokers.end() && before->state == link.state) link.since_ms = before->since_ms;
+  }
+  impl_->seen_brokers = links;
+  return links;
 }
 
 std::vector<HostedInstance> DriverHost::list() const {

@@ -9,6 +9,7 @@
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/gateway/host/broker_states.h>
 #include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 #include <iotcloud/gateway/host/passed_message.h>
@@ -70,6 +71,9 @@ class DriverHost {
   /// perhaps before this function returns
   void ask(ChannelQuestion question, const std::function<void(discovery::ChannelLook)>& done);
 
+  /// The brokers that instances use. Looks at them; call it regularly, because that is how exact BrokerLink::since_ms
+  /// is.
+  std::vector<BrokerLink> brokers();
   std::vector<HostedInstance> list() const;
   const Plugin& plugin() const;
   /// The event threads that are stuck in a driver's callback. Each call also probes them, so call it regularly.

@@ -407,6 +407,18 @@ void DriverInstance::add_state(discovery::ChannelLook& answer) const {
   answer.reason = now.reason;
 }
 
+ChannelQueue::Backlog DriverInstance::backlog_of(const std::string& name, const OpenChannel& channel) const {
+  if (channel.queue) return channel.queue->backlog(environment_->clock->now());
+  const auto outgoing = outgoing_.find(name);
+  return outgoing == outgoing_.end() ? ChannelQueue::Backlog{} : outgoing->second->backlog();
+}
+
+void DriverInstance::each_backlog(
+    const std::function<void(const discovery::ChannelRecord&, const ChannelQueue::Backlog&)>& use) const {
+  const config::ReadLock lock(channels_mutex_);
+  for (const auto& [name, channel] : open_channels_) use(channel.record, backlog_of(name, channel));
+}
+
 std::vector<discovery::ChannelState> DriverInstance::channel_states() const {
   std::vector<discovery::ChannelState> states;
   const config::ReadLock lock(channels_mutex_);
@@ -419,12 +431,9 @@ std::vector<discovery::ChannelState> DriverInstance::channel_states() const {
     state.url = brokers::printable_url(channel.record.broker_url);
     state.broker_state = brokers::to_string(channel.broker->state());
     state.broker_problem = channel.broker->problem();
-    if (const auto outgoing = outgoing_.find(name); outgoing != outgoing_.end()) outgoing->second->describe(state);
-    if (channel.queue) {
-      const auto backlog = channel.queue->backlog(environment_->clock->now());
-      state.waiting = static_cast<std::int64_t>(backlog.waiting);
-      state.oldest_ms = backlog.oldest.count();
-    }
+    const auto backlog = backlog_of(name, channel);
+    state.waiting = static_cast<std::int64_t>(backlog.waiting);
+    state.oldest_ms = backlog.oldest.count();
     states.push_back(std::move(state));
   }
   return states;

@@ -40,8 +40,9 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
 
   /// Looks at a channel, or hands the driver a message. \param done called once, on any thread
   void ask(ChannelQuestion question, const std::function<void(discovery::ChannelLook)>& done);
-  /// All channels that are open, now. Thread safe.
-  std::vector<discovery::ChannelState> channel_states() const;
+  /// Calls `use` for each channel that is open. Thread safe.
+  void each_backlog(
+      const std::function<void(const discovery::ChannelRecord&, const ChannelQueue::Backlog&)>& use) const;
 
   InstanceSpec spec() const;
   InstanceStatus status() const;
@@ -96,6 +97,9 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   /// Calls the driver; an error makes the instance `failed`. \return whether the call succeeded.
   bool call(const char* what, const std::function<void(std::string&)>& driver_call);
   void add_state(discovery::ChannelLook& answer) const;
+  std::vector<discovery::ChannelState> channel_states() const;
+  ChannelQueue::Backlog backlog_of(const std::string& name, const OpenChannel& channel) const
+      IOTCLOUD_REQUIRES_SHARED(channels_mutex_);
   std::string unknown_channel(const std::string& name) const IOTCLOUD_REQUIRES_SHARED(channels_mutex_);
   void look(const discovery::LookRequest& request, discovery::ChannelLook& answer);
   void hand(const std::string& channel, brokers::Message message,

@@ -131,12 +131,13 @@ drivers::PublishStatus OutgoingChannel::publish(drivers::Message message) {
   return status;
 }
 
-void OutgoingChannel::describe(discovery::ChannelState& state) const {
-  state.waiting = static_cast<std::int64_t>(publisher_->pending());
-  const auto oldest = publisher_->oldest();
-  if (!oldest) return;
-  const auto age = std::chrono::duration_cast<std::chrono::milliseconds>(clock_.now() - *oldest);
-  state.oldest_ms = std::max<std::int64_t>(0, age.count());
+ChannelQueue::Backlog OutgoingChannel::backlog() const {
+  ChannelQueue::Backlog backlog{publisher_->pending()};
+  if (const auto oldest = publisher_->oldest()) {
+    const auto age = std::chrono::duration_cast<std::chrono::milliseconds>(clock_.now() - *oldest);
+    backlog.oldest = std::max(age, std::chrono::milliseconds{0});
+  }
+  return backlog;
 }
 
 drivers::PublishStatus OutgoingChannel::pass_on(drivers::Message message) {

@@ -29,8 +29,8 @@ class OutgoingChannel {
 
   /// Thread safe.
   drivers::PublishStatus publish(drivers::Message message);
-  /// Fills in what waits to be confirmed. Thread safe.
-  void describe(discovery::ChannelState& state) const;
+  /// What waits to be confirmed. Thread safe.
+  ChannelQueue::Backlog backlog() const;
   /// The looks at what is published here. Thread safe.
   ChannelLooks& looks() { return looks_; }
   /// Whether unsent messages stay on disk until the channel is opened for this instance again.

@@ -273,6 +273,7 @@ std::string encode(const HostReport& event) {
     case HostReport::Kind::pong:
       body.update({{"number", event.number}, {"stalls", json::array()}});
       for (const auto& stall : event.stalls) body["stalls"].push_back(to_json<json>(stall));
+      for (const auto& link : event.brokers) body["brokers"].push_back(to_json<json>(link));
       break;
     case HostReport::Kind::metrics:
       body["samples"] = json::array();
@@ -315,6 +316,7 @@ HostReport decode_report(const std::string& bytes) {
       case HostReport::Kind::pong:
         event.number = body.at("number");
         event.stalls = list_of<Stall>(body.at("stalls"));
+        if (body.contains("brokers")) event.brokers = list_of<BrokerLink>(body.at("brokers"));
         break;
       case HostReport::Kind::metrics:
         for (const auto& sample : body.at("samples")) event.samples.push_back(sample_of(sample));

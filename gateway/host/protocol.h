@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/gateway/host/broker_states.h>
 #include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 #include <iotcloud/gateway/host/passed_message.h>
@@ -46,6 +47,7 @@ struct HostReport {
   InstanceStatus status;                  ///< status
   std::int64_t number = 0;              ///< pong: of the ping; answer: of the delivered message; told: of the question
   std::vector<Stall> stalls;            ///< pong: the event threads that are stuck
+  std::vector<BrokerLink> brokers{};    ///< pong
   std::vector<config::Sample> samples;  ///< metrics: all samples of the process
   PassedMessage passed{};               ///< pass: a message for an instance of another host
   PassAnswer answer{};                  ///< answer

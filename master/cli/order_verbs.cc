@@ -1,5 +1,6 @@
 // deploy, undeploy, start, stop, restart, metadata, update; drain, undrain
 #include <algorithm>
+#include <optional>
 #include <ostream>
 #include <set>
 
@@ -13,6 +14,7 @@
 #include <iotcloud/master/cli/order_verbs.h>
 #include <iotcloud/master/cli/plugins/plugin_file.h>
 #include <iotcloud/master/cli/plugins/plugin_sending.h>
+#include <iotcloud/master/cli/waiting.h>
 
 namespace iotcloud::master::cli {
 
@@ -34,6 +36,12 @@ int show_order_and_failures(Call& call, OrderResult result, const SentPlugin& se
 
 std::string joined(const std::vector<std::string>& words) {
   return fmt::format("{}", fmt::join(words, ", "));
+}
+
+Waiting::Concerns is_one_of(const std::vector<discovery::InstanceId>& ids) {
+  return [&ids](const discovery::DriverRecord& driver) {
+    return std::find(ids.begin(), ids.end(), driver.instance) != ids.end();
+  };
 }
 
 class Deploy final : public Verb {
@@ -94,13 +102,25 @@ class Deploy final : public Verb {
       request_.plugin = sent.plugin;
       request_.sha256 = sent.sha256;
     }
-    return show_order_and_failures(call, master->deploy(request_), sent);
+    return show_order_and_failures(call, deploy(call, *master), sent);
   }
 
  private:
   static void add_words(CLI::App& options, const char* name, std::vector<std::string>& words, const std::string& what,
                         const char* type) {
     options.add_option(name, words, what)->allow_extra_args(false)->type_name(type);
+  }
+
+  OrderResult deploy(const Call& call, MasterClient& master) const {
+    const auto& gateways = request_.gateways;
+    const Waiting waiting(call, [&, begun = now_ms()](const discovery::DriverRecord& driver) {
+      const bool here =
+          gateways.empty() || std::find(gateways.begin(), gateways.end(), driver.gateway) != gateways.end();
+      if (!here) return false;
+      if (!request_.name.empty()) return driver.deployment == request_.name;
+      return driver.since_ms >= begun && (driver.plugin.empty() || driver.plugin == request_.plugin);
+    });
+    return master.deploy(request_);
   }
 
   /// Turns the choice for partitions into properties. \throws CLI::ValidationError
@@ -186,7 +206,11 @@ class ChangeInstances final : public ForInstances {
 
  private:
   int give(Call& call, MasterClient& master, const InstanceSelection& selection) override {
-    return show_order(call, (master.*order_)(selection));
+    return show_order(call, ordered(call, master, selection));
+  }
+  OrderResult ordered(const Call& call, MasterClient& master, const InstanceSelection& selection) const {
+    const Waiting waiting(call, is_one_of(selection.instances));
+    return (master.*order_)(selection);
   }
   const Order order_;
 };
@@ -201,7 +225,10 @@ class Restart final : public ForInstances {
   int give(Call& call, MasterClient& master, const InstanceSelection& selection) override {
     constexpr std::size_t steps = 2;
     const std::string order = discovery::to_json<Json>(selection).dump();
-    return show_order(call, master.give("restart", order, selection.wait, steps));
+    std::optional<Waiting> waiting(std::in_place, call, is_one_of(selection.instances));
+    const auto result = master.give("restart", order, selection.wait, steps);
+    waiting.reset();
+    return show_order(call, result);
   }
 };
 

@@ -43,6 +43,7 @@ TaskSnapshot Snapshot::component(const std::string& id) const {
     sum.errors += task.errors;
     sum.queue_depth += task.queue_depth;
     sum.pending += task.pending;
+    sum.oldest_seconds = std::max(sum.oldest_seconds, task.oldest_seconds);
     sum.late += task.late;
     sum.superseded += task.superseded;
     sum.busy_seconds += task.busy_seconds;

@@ -68,6 +68,7 @@ struct TaskSnapshot {
   std::uint64_t superseded = 0;   ///< bolts: waiting tuples that a newer one replaced (keep_last)
   std::size_t queue_depth = 0;    ///< bolts: tuples in the mailbox
   std::size_t pending = 0;        ///< spouts: trees under way
+  double oldest_seconds = 0;      ///< spouts: since the oldest of them was emitted. Of a component: of all its tasks
   std::string last_error;
   double busy_seconds = 0;  ///< time in user code
   /// Part of the last seconds in which the task was busy, 0 to 1. Of a component: that of its busiest task.

@@ -17,6 +17,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t shown_bytes = 16;
 constexpr std::size_t shown_text = 200;
+constexpr std::size_t most_text = 64 * 1024;  ///< a larger payload is not looked at
 constexpr std::chrono::seconds sweep_period{1};
 
 std::string to_text(const Json& json) {
@@ -50,6 +51,7 @@ Json to_json(const TaskSnapshot& task) {
           {"errors", task.errors},
           {"queue_depth", task.queue_depth},
           {"pending", task.pending},
+          {"oldest_s", task.oldest_seconds},
           {"capacity", task.capacity},
           {"execute", to_json(task.execute_latency)},
           {"process", to_json(task.process_latency)},
@@ -78,6 +80,21 @@ Json to_json(const ComponentSpec& component, const Topology& topology, const Sna
           {"streams", streams}};
 }
 
+/// Whether bytes are UTF-8 without control characters, but for line ends and TAB.
+bool is_text(std::string_view bytes) {
+  const auto controls = [](char c) {
+    const auto byte = static_cast<unsigned char>(c);
+    return byte == 0x7F || (byte < 0x20 && c != '\n' && c != '\r' && c != '\t');
+  };
+  if (bytes.empty() || bytes.size() > most_text || std::any_of(bytes.begin(), bytes.end(), controls)) return false;
+  try {
+    static_cast<void>(Json(bytes).dump());  // throws for what is not UTF-8
+    return true;
+  } catch (const Json::exception&) {
+    return false;
+  }
+}
+
 Json to_json(const Value& value) {
   struct Show {
     Json operator()(std::monostate) const { return nullptr; }
@@ -94,7 +111,9 @@ Json to_json(const Value& value) {
       for (const char byte : bytes.substr(0, shown_bytes)) {
         hex += fmt::format("{}{:02x}", hex.empty() ? "" : " ", static_cast<unsigned char>(byte));
       }
-      return {{"bytes", bytes.size()}, {"hex", hex}};
+      Json shown = {{"bytes", bytes.size()}, {"hex", hex}};
+      if (is_text(bytes)) shown["text"] = (*this)(std::string(bytes));
+      return shown;
     }
   };
   return std::visit(Show{}, value);

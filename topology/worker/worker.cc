@@ -148,7 +148,7 @@ struct Worker::Impl {
     const std::string path = services->paths.topology(services->topology) + "/alone";
     const auto patience = options.definition.registry.session_timeout + std::chrono::seconds(2);
     const auto deadline = std::chrono::steady_clock::now() + patience;
-    for (;;) {
+    for (bool told = false;;) {
       try {
         alone = options.registry->hold(path, services->worker);
         return;
@@ -169,6 +169,16 @@ struct Worker::Impl {
                 crossed,
             "if each worker should process its share only, give these bolts \"scope: worker\" (or write "
             "\"topology.scope: worker\"); otherwise run one worker, or use a key with driverID");
+      }
+      if (!std::exchange(told, true)) {
+        worker_logger.warn(
+            "topology {}: another worker holds the place of the only one; this one waits up to {} ms, in which the "
+            "place "
+            "of a dead worker would become free. If that one is alive, this one is refused: these inputs reach across "
+            "drivers, of which each worker would have only its share; \"scope: worker\" at these bolts says that this "
+            "is "
+            "meant:\n{}",
+            topology.name, patience.count(), crossed);
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(100));
     }

@@ -33,6 +33,12 @@ std::string latency(const Json& of, const char* name) {
          duration(one.at("max_us").get<double>());
 }
 
+/// The age of the oldest message that a spout waits for.
+std::string oldest(const Json& of) {
+  const double seconds = of.value("oldest_s", 0.0);
+  return seconds > 0 ? duration(seconds * 1e6) : "-";
+}
+
 }  // namespace
 
 TopologyPages::TopologyPages(const discovery::TopologyStatus& topology, MasterClient& master)
@@ -86,12 +92,14 @@ Json TopologyPages::sum(const std::string& component) const {
   }
   for (const char* count : counts) sum[count] = std::uint64_t{0};
   sum["capacity"] = 0.0;
+  sum["oldest_s"] = 0.0;
   for (const char* name : latencies) sum[name] = {{"count", 0U}, {"p50_us", 0.0}, {"p99_us", 0.0}, {"max_us", 0.0}};
   sum["last_error"] = "";
   std::map<std::string, std::uint64_t> most;
   for (const Json& task : tasks_of(component)) {
     for (const char* count : counts) sum[count] = sum[count].get<std::uint64_t>() + task.at(count).get<std::uint64_t>();
     sum["capacity"] = std::max(sum["capacity"].get<double>(), task.at("capacity").get<double>());
+    sum["oldest_s"] = std::max(sum["oldest_s"].get<double>(), task.value("oldest_s", 0.0));  // older workers: not there
     if (!task.at("last_error").get<std::string>().empty()) sum["last_error"] = task.at("last_error");
     for (const char* name : latencies) {
       const Json& one = task.at(name);
@@ -123,8 +131,9 @@ void print_metrics(std::ostream& out, const TopologyPages& pages) {
   const auto row = [&](const std::string& name, const std::string& task, const Json& of) {
     rows.push_back({name, task, of.at("emitted").dump(), of.at("transferred").dump(), of.at("executed").dump(),
                     of.at("acked").dump(), of.at("failed").dump(), of.at("late").dump(), of.at("superseded").dump(),
-                    of.at("queue_depth").dump(), fmt::format("{:.2f}", of.at("capacity").get<double>()),
-                    latency(of, "execute"), latency(of, "process"), latency(of, "complete"),
+                    of.at("queue_depth").dump(), of.at("pending").dump(), oldest(of),
+                    fmt::format("{:.2f}", of.at("capacity").get<double>()), latency(of, "execute"),
+                    latency(of, "process"), latency(of, "complete"),
                     printable(of.at("last_error").get<std::string>())});
   };
   const Json metrics = pages.metrics();
@@ -140,7 +149,7 @@ void print_metrics(std::ostream& out, const TopologyPages& pages) {
   }
   print_table(out,
               {"COMPONENT", "TASK", "EMITTED", "TRANSFERRED", "EXECUTED", "ACKED", "FAILED", "LATE", "SUPERSEDED",
-               "QUEUE", "CAPACITY", "EXECUTE p50/p99/max", "PROCESS", "COMPLETE", "LAST ERROR"},
+               "QUEUE", "PENDING", "OLDEST", "CAPACITY", "EXECUTE p50/p99/max", "PROCESS", "COMPLETE", "LAST ERROR"},
               rows);
   for (std::size_t i = 0; pages.workers() > 1 && i < workers.size(); ++i)
     out << fmt::format("worker {}: {}\n", i + 1, printable(workers[i]));

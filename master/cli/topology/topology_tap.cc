@@ -28,6 +28,7 @@ std::string new_tap_id() {
 
 std::string readable(const Json& value) {
   if (!value.is_object()) return value.dump(-1, ' ', false, Json::error_handler_t::replace);
+  if (value.contains("text")) return readable(value.at("text"));
   std::string text = fmt::format("<{} B", value.at("bytes").dump());
   if (const auto hex = value.at("hex").get<std::string>(); !hex.empty()) text += ": " + hex;
   return text + ">";

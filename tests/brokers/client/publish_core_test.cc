@@ -29,6 +29,7 @@ namespace iotcloud::brokers::client {
 namespace {
 
 using std::chrono::milliseconds;
+using testing::Contains;
 using testing::ElementsAre;
 using testing::IsEmpty;
 
@@ -208,6 +209,26 @@ class PublishCoreTest : public testing::Test {
   std::function<void()> on_outcome_;
   int writable_ = 0;
 };
+
+TEST_F(PublishCoreTest, TheOldestMessageWaitsOrIsUnderWay) {
+  const auto a = publisher("a"), b = publisher("b");
+  EXPECT_FALSE(a->oldest());
+  publish(*a);
+  const auto first = a->oldest();
+  ASSERT_TRUE(first);
+  EXPECT_EQ(*first, clock_.now());
+  clock_.advance(std::chrono::seconds(1));
+  publish(*a);
+  publish(*b);
+  EXPECT_EQ(a->oldest(), first);
+  EXPECT_EQ(b->oldest(), clock_.now());
+  transport_.connect();
+  transport_.work();
+  ASSERT_THAT(transport_.take_sent(), Contains("a 1"));
+  EXPECT_EQ(a->oldest(), first) << "it is under way";
+  transport_.answer_all();
+  EXPECT_EQ(a->oldest(), clock_.now()) << "the second one is the oldest now";
+}
 
 TEST_F(PublishCoreTest, ACallerSendsItsMessageItselfAndWakesNobody) {
   const auto a = publisher("a");

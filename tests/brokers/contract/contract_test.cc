@@ -147,12 +147,17 @@ TEST_P(BrokerContract, AMessageThatNobodyReadsWaitsForAReader) {
   PublisherOptions options;
   options.on_outcome = outcomes.callback();
   const auto publisher = broker->publisher(topic, options);
+  const auto begun = config::system_clock().now();
   for (const auto& body : numbered(1, 30)) ASSERT_EQ(publisher->publish(text_message(body)), PublishStatus::accepted);
   if (server().keeps_unread()) {
     EXPECT_TRUE(publisher->drain(patience));
   } else {
     EXPECT_FALSE(outcomes.wait_for(1, moment));
     EXPECT_EQ(publisher->pending(), 30U);
+    const auto oldest = publisher->oldest();
+    ASSERT_TRUE(oldest);
+    EXPECT_GE(*oldest, begun);
+    EXPECT_LE(*oldest, config::system_clock().now());
     EXPECT_FALSE(publisher->drain(std::chrono::milliseconds(1)));
   }
   Inbox inbox;
@@ -162,6 +167,7 @@ TEST_P(BrokerContract, AMessageThatNobodyReadsWaitsForAReader) {
   EXPECT_TRUE(publisher->drain(patience));
   EXPECT_EQ(outcomes.count(Outcome::confirmed), 30U);
   EXPECT_EQ(publisher->pending(), 0U);
+  EXPECT_FALSE(publisher->oldest());
 }
 
 TEST_P(BrokerContract, ATopicsOwnQueueKeepsWhatIsSentForAReaderThatComesMuchLater) {

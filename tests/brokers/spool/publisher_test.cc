@@ -100,6 +100,7 @@ TEST_F(SpoolPublisherTest, TheNextPublisherSendsFirstWhatTheLastOneLeftAndMarksI
   const auto subscription = subscribe();
   const auto publisher = this->publisher();
   EXPECT_EQ(publisher->pending(), 30u);
+  EXPECT_TRUE(eventually([&] { return publisher->oldest().has_value(); })) << "the broker's publisher has some of them";
   EXPECT_EQ(metric("iotcloud_spool_restored_total"), 30);
   send(*publisher, 31, 40);
   server().start();

@@ -210,6 +210,43 @@ TEST_F(DriverHostTest, ABrokerThatIsAwayIsShownInTheMetrics) {
   EXPECT_TRUE(tests::eventually([&] { return count("iotcloud_driver_broker_away") == 0; }));
 }
 
+TEST_F(DriverHostTest, WhatWaitsInAChannelIsShownWithTheAgeOfTheOldest) {
+  start_host(probe_);
+  const auto before = std::chrono::steady_clock::now();
+  host_->create(spec("a"));
+  host_->create(spec("b"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  ASSERT_TRUE(log_.wait_for("b", DriverState::active));
+  EXPECT_EQ(count("iotcloud_driver_channel_waiting"), 2U) << "nobody reads what each sent when it was activated";
+  double oldest = 0;
+  EXPECT_TRUE(tests::eventually([&] {
+    for (const auto& sample : metrics_.collect()) {
+      if (sample.name == "iotcloud_driver_channel_oldest_seconds" && sample.labels.at("channel") == "readings")
+        oldest = sample.value;
+    }
+    return oldest > 0;
+  }));
+  EXPECT_LE(oldest, std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count());
+  MessageLog reader(url_, {"probe", "gw.probe.a.readings", false}),
+      other(url_, {"probe", "gw.probe.b.readings", false});
+  EXPECT_TRUE(tests::eventually([&] { return count("iotcloud_driver_channel_waiting") == 0; }));
+}
+
+TEST_F(DriverHostTest, TheBrokersOfAHostSaySinceWhenTheyAreAway) {
+  start_host(probe_, &clock_);
+  host_->create(spec("a"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::active));
+  const auto connected = host_->brokers();
+  ASSERT_EQ(connected.size(), 1U);
+  EXPECT_EQ(connected[0].broker, "local");
+  EXPECT_EQ(connected[0].state, "connected");
+  clock_.advance(5s);
+  EXPECT_EQ(host_->brokers(), connected) << "it has been connected since then";
+  brokers::embedded::Server::named(url_.substr(url_.find("//") + 2)).stop();
+  ASSERT_TRUE(tests::eventually([&] { return host_->brokers().at(0).state == "away"; }));
+  EXPECT_EQ(host_->brokers()[0].since_ms, connected[0].since_ms + 5000);
+}
+
 TEST_F(DriverHostTest, AMessageOnAnExclusiveChannelReachesItsInstance) {
   start_host(probe_);
   host_->create(spec("a"));

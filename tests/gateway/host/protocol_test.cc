@@ -52,6 +52,15 @@ TEST(HostProtocol, CarriesAPassedMessageOfAnyBytesInBothDirections) {
   expect_same(decode_command(body_of(encode(command))).passed, command.passed);
 }
 
+TEST(HostProtocol, CarriesTheStatesOfBrokersWithAPong) {
+  HostReport report;
+  report.kind = HostReport::Kind::pong;
+  report.brokers = {{"red", "amqp://red/", "away", 1234, "connection refused"}};
+  EXPECT_EQ(decode_report(body_of(encode(report))).brokers, report.brokers);
+  report.brokers.clear();
+  EXPECT_TRUE(decode_report(body_of(encode(report))).brokers.empty());
+}
+
 TEST(HostProtocol, CarriesQuestionsAboutChannelsAndTheirAnswers) {
   HostCommand command;
   command.kind = HostCommand::Kind::ask;

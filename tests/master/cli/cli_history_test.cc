@@ -104,6 +104,20 @@ class CliHistory : public Cli {
   std::optional<rpc::ThriftServer> service_;
 };
 
+TEST_F(CliHistory, AnOrderSaysWhatItWaitsFor) {
+  lab1_.behave([](const discovery::OrderRecord&) -> std::optional<FakeGateway::Report> {
+    return std::pair(discovery::DriverState::starting, "its driver host crashed; it is started again in 500 ms");
+  });
+  const auto started = run({"deploy", "turtle.so", "--gateway", "lab1", "--name", "slow", "--wait", "2", "-o", "json"});
+  EXPECT_EQ(started.status, 1);
+  EXPECT_THAT(started.err, HasSubstr("iotcloud: waits: "));
+  EXPECT_THAT(started.err, HasSubstr(" on lab1 is starting: its driver host crashed; it is started again in 500 ms"));
+  EXPECT_EQ(started.err.find("waits"), started.err.rfind("waits")) << "once";
+  lab1_.behave(FakeGateway::say_nothing());
+  const auto silent = run({"deploy", "turtle.so", "--gateway", "lab1", "--name", "silent", "--wait", "2"});
+  EXPECT_THAT(silent.err, HasSubstr("iotcloud: waits: no gateway has reported on the order yet"));
+}
+
 TEST_F(CliHistory, DescribeShowsTheRecordTheChannelsAndEveryChangeWithTimeAndReason) {
   const auto id = deploy("lab1");
   site_->remember(id, "starting", 1'000'000'000'000, "its driver host crashed");

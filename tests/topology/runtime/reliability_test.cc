@@ -268,6 +268,22 @@ TEST_F(Reliability, AsksASpoutForNoMoreThanMayBePending) {
   EXPECT_EQ(runtime->snapshot().component("in").pending, 3U);
 }
 
+TEST_F(Reliability, TellsHowLongTheOldestMessageHasBeenUnderWay) {
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); },
+        bench.options());
+  const auto oldest = [this] { return runtime->snapshot().component("in").oldest_seconds; };
+  EXPECT_EQ(oldest(), 0);
+  source->put(Values(1));
+  pass(2s);
+  source->put(Values(2));
+  pass(1s);
+  EXPECT_DOUBLE_EQ(oldest(), 3);
+  settle(0, false);
+  EXPECT_DOUBLE_EQ(oldest(), 1);
+  settle(1, false);
+  EXPECT_EQ(oldest(), 0);
+}
+
 TEST_F(Reliability, MeasuresTheTimeToTheAckByTheTopologysClock) {
   start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); },
         bench.options());

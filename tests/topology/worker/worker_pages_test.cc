@@ -97,6 +97,7 @@ TEST(WorkerPages, ShowTuplesReadablyWithPayloadsAsSizeAndFirstBytes) {
   EXPECT_EQ(sample["fields"]["value"], 7);
   EXPECT_EQ(sample["fields"]["data"]["bytes"], 19);
   EXPECT_EQ(sample["fields"]["data"]["hex"], "30 31 32 33 34 35 36 37 38 39 61 62 63 64 65 66");
+  EXPECT_EQ(sample["fields"]["data"]["text"], "0123456789abcdefXYZ") << "it is text";
 }
 
 TEST(WorkerTaps, GiveEachSampleOnceAndKeepTheNewestWhenNobodyFetches) {

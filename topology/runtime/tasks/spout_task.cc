@@ -67,6 +67,10 @@ void SpoutTask::close() {
 
 void SpoutTask::fill(TaskSnapshot& snapshot) const {
   snapshot.pending = pending_.load(std::memory_order_relaxed);
+  const std::int64_t oldest = oldest_ns_.load(std::memory_order_relaxed);
+  constexpr double nanoseconds = 1e9;
+  if (oldest != 0)
+    snapshot.oldest_seconds = static_cast<double>(std::max<std::int64_t>(0, topology_ns() - oldest)) / nanoseconds;
   snapshot.complete_latency = complete_latency_.summary();
 }
 
@@ -100,6 +104,7 @@ bool SpoutTask::slice(Lane& given) {
   take_posted();
   const bool more = ask(lane);
   lane.flush(*this);
+  note_oldest();
   return more;
 }
 
@@ -291,13 +296,24 @@ void SpoutTask::link(Tree& tree, std::size_t slot) {
   tree.slot = slot;
   tree.newer = nullptr;
   tree.older = wheel_[slot];
-  if (tree.older != nullptr) tree.older->newer = &tree;
+  (tree.older != nullptr ? tree.older->newer : tails_[slot]) = &tree;
   wheel_[slot] = &tree;
 }
 
 void SpoutTask::unlink(Tree& tree) {
   (tree.newer != nullptr ? tree.newer->older : wheel_[tree.slot]) = tree.older;
-  if (tree.older != nullptr) tree.older->newer = tree.newer;
+  (tree.older != nullptr ? tree.older->newer : tails_[tree.slot]) = tree.newer;
+}
+
+/// A tree that reset_timeout() has moved is found only when it is the oldest of its new slot.
+void SpoutTask::note_oldest() {
+  std::int64_t oldest = 0;
+  if (pending_.load(std::memory_order_relaxed) > 0) {
+    for (const Tree* tail : tails_) {
+      if (tail != nullptr && (oldest == 0 || tail->emitted_ns < oldest)) oldest = tail->emitted_ns;
+    }
+  }
+  oldest_ns_.store(oldest, std::memory_order_relaxed);
 }
 
 std::int64_t SpoutTask::slot_width_ns() const {

@@ -77,6 +77,7 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   void turn_wheel();
   void expire(std::size_t slot, std::int64_t now);
   void arm_wheel();
+  void note_oldest();
   std::int64_t slot_width_ns() const;
 
   std::unique_ptr<Spout> spout_;
@@ -87,9 +88,10 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
 
   std::atomic<bool> woken_{false};  ///< wake() was called since next_tuple() was called last
   std::atomic<bool> wanted_active_{true};
-  std::atomic<Tree*> posted_{nullptr};     ///< a stack of trees that post() was called for
-  std::atomic<std::size_t> pending_{0};    ///< number of trees in the wheel
-  std::atomic<std::size_t> abandoned_{0};  ///< number of trees whose Tree::abandoned is set
+  std::atomic<Tree*> posted_{nullptr};      ///< a stack of trees that post() was called for
+  std::atomic<std::size_t> pending_{0};     ///< number of trees in the wheel
+  std::atomic<std::size_t> abandoned_{0};   ///< number of trees whose Tree::abandoned is set
+  std::atomic<std::int64_t> oldest_ns_{0};  ///< emitted_ns of the oldest tree, after the last slice; 0: there is none
 
   // Used only in a slice.
   EmittingLane* lane_ = nullptr;
@@ -104,6 +106,7 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   bool throttled_ = false;
   std::vector<MessageId> acked_at_once_;  ///< messages whose tuple has no receiver, or is not tracked (`acking` is off)
   std::array<Tree*, slots> wheel_{};      ///< the newest tree of each slot
+  std::array<Tree*, slots> tails_{};      ///< the oldest tree of each slot
   std::size_t slot_ = 0;                  ///< the slot that new trees go to
   std::int64_t slot_ends_ns_ = 0;         ///< when the wheel turns to the next slot, by the topology's clock
   bool wheel_armed_ = false;

@@ -127,6 +127,12 @@ void Task::collect(std::vector<config::Sample>& samples) const {
   add("iotcloud_task_busy_seconds_total", "Time in user code", config::Sample::Kind::counter, now.busy_seconds);
   add("iotcloud_task_queue_depth", "Tuples in the task's mailbox", config::Sample::Kind::gauge,
       static_cast<double>(now.queue_depth));
+  if (now.spout) {
+    add("iotcloud_spout_pending", "Messages of a spout that are not processed to the end", config::Sample::Kind::gauge,
+        static_cast<double>(now.pending));
+    add("iotcloud_spout_oldest_seconds", "Time since the oldest of these messages was emitted",
+        config::Sample::Kind::gauge, now.oldest_seconds);
+  }
   add("iotcloud_task_capacity", "Part of the last seconds in which the task was busy, 0 to 1",
       config::Sample::Kind::gauge, now.capacity);
 }

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <chrono>
+#include <map>
+#include <string>
+#include <vector>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/host/broker_states.h>
+
+namespace iotcloud::gateway {
+
+/// The brokers that a gateway's driver host processes use, as the hosts told last. Thread safe.
+class HostBrokers {
+ public:
+  /// A broker may be connecting for so long before it counts as trouble.
+  static constexpr std::chrono::milliseconds grace{300};
+
+  /// \param host names the host: the name of its socket
+  void put(const std::string& host, std::vector<BrokerLink> links);
+  /// The host has ended.
+  void forget(const std::string& host);
+  /// Which brokers the hosts cannot reach, or which take no messages, since when and why, for people; empty: none. The
+  /// text stays the same as long as nothing changes. \param now_ms wall time
+  std::string trouble(std::int64_t now_ms) const;
+
+ private:
+  mutable config::Mutex mutex_;
+  std::map<std::string, std::vector<BrokerLink>> hosts_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
+}  // namespace iotcloud::gateway

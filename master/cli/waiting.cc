@@ -1,0 +1,77 @@
+#include <chrono>
+#include <ostream>
+#include <set>
+#include <stdexcept>
+#include <stop_token>
+#include <string>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/master/cli/driver_verbs.h>
+#include <iotcloud/master/cli/verb.h>
+#include <iotcloud/master/cli/waiting.h>
+
+namespace iotcloud::master::cli {
+
+using discovery::DriverRecord;
+using discovery::DriverState;
+
+namespace {
+
+constexpr std::chrono::milliseconds pause_between{1000};
+
+/// What an instance that has not settled waits for; empty: it has settled.
+std::string words_of(const DriverRecord& driver) {
+  switch (driver.state) {
+    case DriverState::active:
+    case DriverState::inactive:
+    case DriverState::undeployed:
+      return "";
+    case DriverState::failed:
+      if (driver.reason.find("it is started again in") == std::string::npos) return "";
+      break;
+    case DriverState::ordered:
+      return fmt::format("{} is ordered, and its gateway {} has not answered yet", driver.instance,
+                         printable(driver.gateway));
+    case DriverState::deployed:
+    case DriverState::starting:
+    case DriverState::stopping:
+      break;
+  }
+  return fmt::format("{} on {} is {}{}{}", driver.instance, printable(driver.gateway), to_string(driver.state),
+                     driver.reason.empty() ? "" : ": ", printable(driver.reason));
+}
+
+void ask_and_tell(const std::stop_token& stop, const Call& call, const Waiting::Concerns& concerns) {
+  config::Mutex mutex;
+  config::StoppableConditionVariable end;
+  std::set<std::string> told;
+  const config::MutexLock lock(mutex);
+  while (!end.wait_for(mutex, stop, pause_between, [&] { return stop.stop_requested(); })) {
+    try {
+      const auto master = call.connect();
+      bool reported = false;
+      for (const auto& driver : master->drivers()) {
+        if (!concerns(driver)) continue;
+        reported = true;
+        const std::string words = words_of(driver);
+        if (!words.empty() && told.insert(words).second) call.err << "iotcloud: waits: " << words << '\n' << std::flush;
+      }
+      const std::string nothing =
+          "no gateway has reported on the order yet; `iotcloud gateways` shows whether they live";
+      if (!reported && told.insert(nothing).second) call.err << "iotcloud: waits: " << nothing << '\n' << std::flush;
+    } catch (const std::runtime_error&) {
+      continue;  // the order's own connection tells of a master that does not answer
+    }
+  }
+}
+
+}  // namespace
+
+Waiting::Waiting(const Call& call, Concerns concerns)
+    : asking_([&call, concerns = std::move(concerns)](const std::stop_token& stop) {
+        ask_and_tell(stop, call, concerns);
+      }) {}
+
+}  // namespace iotcloud::master::cli
