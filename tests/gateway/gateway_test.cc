@@ -3,6 +3,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/discovery/passing_registry.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
@@ -259,12 +260,14 @@ TEST_F(GatewayTest, ASecondGatewayOfTheSameIdIsRefused) {
   auto second = options();
   second.registry = other_session.get();
   Gateway twin(std::move(second));
+  const tests::CapturedLog log;
   try {
     twin.start();
     FAIL() << "it started";
   } catch (const config::Error& e) {
     EXPECT_THAT(e.what(), HasSubstr("another gateway with the id \"gw\" is alive (127.0.0.1:12905)"));
   }
+  EXPECT_THAT(log.text(), HasSubstr("the id gw is held by a gateway at 127.0.0.1:12905; this one waits up to 150 ms"));
 }
 
 TEST_F(GatewayTest, TheNodeOfItsDeadPredecessorIsTakenOverAtOnce) {

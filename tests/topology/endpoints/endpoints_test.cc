@@ -473,6 +473,7 @@ TEST_F(Endpoints, RefuseASecondWorkerWhereTuplesOfSeveralDriversAreToMeetUnlessT
   ComponentRegistry components;
   components.add_bolt<GateBolt>("Gate");
   run_yaml(yaml(""), components);
+  const tests::CapturedLog log;
   try {
     run_yaml(yaml(""), components);
     FAIL() << "two workers run";
@@ -480,6 +481,8 @@ TEST_F(Endpoints, RefuseASecondWorkerWhereTuplesOfSeveralDriversAreToMeetUnlessT
     EXPECT_THAT(error.what(),
                 AllOf(HasSubstr("another worker runs"), HasSubstr("gate <- in, global"), HasSubstr("scope: worker")));
   }
+  EXPECT_THAT(log.text(), HasSubstr("topology t: another worker holds the place of the only one; this one waits up to "
+                                    "2400 ms"));
   workers_.clear();
   run_yaml(yaml(", scope: worker"), components);
   run_yaml(yaml(", scope: worker"), components);
