@@ -1,4 +1,7 @@
+#include <charconv>
+#include <cstdint>
 #include <filesystem>
+#include <system_error>
 
 #include <fmt/format.h>
 #include <sys/resource.h>
@@ -11,6 +14,7 @@
 #include <iotcloud/gateway/fleet/plugin_folder.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/processes/landlock.h>
 
 namespace iotcloud::gateway {
 
@@ -119,6 +123,37 @@ void read_confinement(config::Section& file, ProcessLauncher::Options& hosts) {
   });
 }
 
+/// Reads the ports to which hosts may connect.
+void read_ports(config::Section& file, ProcessLauncher::Options& hosts) {
+  const std::string key = "host_ports";
+  auto section = file.optional_section(key);
+  if (!section) return;
+  constexpr int highest = 65535;
+  for (const std::string& plugin : section->names()) {
+    for (const std::string& text : section->strings_or(plugin, {})) {
+      int port = 0;
+      const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), port);
+      if (error != std::errc{} || end != text.data() + text.size() || port < 1 || port > highest) {
+        throw section->error(plugin, fmt::format("\"{}\" is no port", text), fmt::format("1 to {}", highest));
+      }
+      hosts.ports[plugin].push_back(static_cast<std::uint16_t>(port));
+    }
+  }
+  section->finish();
+  if (hosts.ports[ProcessLauncher::every_plugin].empty()) {
+    throw file.error(key, "it names no ports for every plugin, and hosts would not reach the brokers",
+                     fmt::format("{}: [5672]", ProcessLauncher::every_plugin));
+  }
+  if (!hosts.confinement.filter_calls) {
+    throw file.error(key, "hosts would get around it with the system calls that they then have",
+                     "host_call_filter: true");
+  }
+  if (processes::landlock_version() < processes::landlock_of_connections) {
+    throw file.error(key, "this kernel cannot restrict what its processes connect to: it takes Linux 6.7 with Landlock",
+                     "leave it out, and use a firewall or systemd's IPAddressAllow (deploy/README.md)");
+  }
+}
+
 void read_plugins(config::Section& file, GatewayConfig& config) {
   config.hosts.plugin_dir = file.require_string("plugins");
   checked(file, "plugins", [&] {
@@ -160,6 +195,7 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
   constexpr std::int64_t most_mb = 1 << 20;
   hosts.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("host_memory_limit_mb", 0, 0, most_mb)) << 20;
   read_confinement(file, hosts);
+  read_ports(file, hosts);
   hosts.environment = file.strings_or("host_environment", {});
   for (const auto& broker : config.gateway.brokers) {
     const auto& broker_options = broker.options;

@@ -4,10 +4,14 @@
 #include <cerrno>
 #include <cstring>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include <fmt/format.h>
+#include <netinet/in.h>
 #include <sched.h>
 #include <seccomp.h>
+#include <sys/socket.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/processes/confinement.h>
@@ -44,26 +48,72 @@ void check(int result, const std::string& what) {
   if (result < 0) throw config::Error(fmt::format("the filter for system calls: {}: {}", what, std::strerror(-result)));
 }
 
-}  // namespace
+using Filter = std::unique_ptr<void, decltype(&seccomp_release)>;
 
-void filter_system_calls() {
-  const std::unique_ptr<void, decltype(&seccomp_release)> filter(seccomp_init(SCMP_ACT_ALLOW), &seccomp_release);
+/// A filter that lets everything pass.
+Filter new_filter() {
+  Filter filter(seccomp_init(SCMP_ACT_ALLOW), &seccomp_release);
   if (!filter) throw config::Error("the filter for system calls: there is no memory for it");
   // Calls of another architecture (32 bit) have other numbers, so all of them are refused.
   check(seccomp_attr_set(filter.get(), SCMP_FLTATR_ACT_BADARCH, SCMP_ACT_ERRNO(EPERM)), "other architectures");
   check(seccomp_attr_set(filter.get(), SCMP_FLTATR_CTL_TSYNC, 1), "all threads");
+  return filter;
+}
+
+void apply(const Filter& filter) {
+  check(seccomp_load(filter.get()), "the kernel refuses it (it needs CONFIG_SECCOMP_FILTER)");
+}
+
+/// Refuses a call with such arguments.
+void refuse(const Filter& filter, int call, const std::vector<scmp_arg_cmp>& arguments, const char* what) {
+  check(seccomp_rule_add_array(filter.get(), SCMP_ACT_ERRNO(EPERM), call, static_cast<unsigned>(arguments.size()),
+                               arguments.data()),
+        what);
+}
+
+/// The kernel takes 32 bits of an argument that is an int; a caller may set the others to anything.
+scmp_arg_cmp is_int(unsigned argument, int value) {
+  return {argument, SCMP_CMP_MASKED_EQ, 0xffffffffU, static_cast<scmp_datum_t>(value)};
+}
+
+}  // namespace
+
+void filter_transports() {
+  const Filter filter = new_filter();
+  constexpr scmp_datum_t kind_of_socket = 0xf, data_before_connection = MSG_FASTOPEN;
+  for (const int family : {AF_INET, AF_INET6}) {
+    for (const int kind : {SOCK_DGRAM, SOCK_RAW, SOCK_RDM, SOCK_SEQPACKET, SOCK_DCCP, SOCK_PACKET}) {
+      const scmp_arg_cmp is_kind{1, SCMP_CMP_MASKED_EQ, kind_of_socket, static_cast<scmp_datum_t>(kind)};
+      refuse(filter, SCMP_SYS(socket), {is_int(0, family), is_kind}, "datagrams");
+    }
+    // Streams of others than TCP: MPTCP and SCTP among them, on which Landlock has no say.
+    refuse(filter, SCMP_SYS(socket), {is_int(0, family), {2, SCMP_CMP_GT, IPPROTO_TCP, 0}}, "other protocols");
+  }
+  for (const int family : {AF_SMC, AF_TIPC, AF_RDS, AF_VSOCK, AF_KCM, AF_XDP, AF_PACKET}) {
+    refuse(filter, SCMP_SYS(socket), {is_int(0, family)}, "other families");
+  }
+  const auto sends_first = [](unsigned argument) {
+    return scmp_arg_cmp{argument, SCMP_CMP_MASKED_EQ, data_before_connection, data_before_connection};
+  };
+  refuse(filter, SCMP_SYS(sendto), {sends_first(3)}, "sendto");
+  refuse(filter, SCMP_SYS(sendmsg), {sends_first(2)}, "sendmsg");
+  refuse(filter, SCMP_SYS(sendmmsg), {sends_first(3)}, "sendmmsg");
+  apply(filter);
+}
+
+void filter_system_calls() {
+  const Filter filter = new_filter();
   for (const char* name : refused_calls) {
     const int number = seccomp_syscall_resolve_name(name);
     if (number == __NR_SCMP_ERROR) continue;  // the library does not know this call
     check(seccomp_rule_add(filter.get(), SCMP_ACT_ERRNO(EPERM), number, 0), name);
   }
   for (const scmp_datum_t flag : name_spaces) {
-    const scmp_arg_cmp has_flag{0, SCMP_CMP_MASKED_EQ, flag, flag};
-    check(seccomp_rule_add_array(filter.get(), SCMP_ACT_ERRNO(EPERM), SCMP_SYS(clone), 1, &has_flag), "clone");
+    refuse(filter, SCMP_SYS(clone), {{0, SCMP_CMP_MASKED_EQ, flag, flag}}, "clone");
   }
   // clone3() has its flags in memory, which a filter cannot read. ENOSYS makes callers use clone() instead.
   check(seccomp_rule_add(filter.get(), SCMP_ACT_ERRNO(ENOSYS), SCMP_SYS(clone3), 0), "clone3");
-  check(seccomp_load(filter.get()), "the kernel refuses it (it needs CONFIG_SECCOMP_FILTER)");
+  apply(filter);
 }
 
 }  // namespace iotcloud::processes

@@ -76,6 +76,11 @@ void confine(const Confinement& confinement) {
   if (confinement.files && !restrict_files(*confinement.files)) {
     logger.warn("this kernel has no Landlock, so this process may reach all files of its user");
   }
+  if (confinement.ports) {
+    restrict_connections(*confinement.ports);
+    filter_transports();
+    setenv("RES_OPTIONS", "use-vc", 1);  // the C library asks for names by TCP
+  }
   if (confinement.filter_calls) filter_system_calls();
 }
 

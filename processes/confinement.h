@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <sys/types.h>
 
@@ -34,6 +35,9 @@ struct Confinement {
   /// The files that it may reach; nullopt: no restriction. Needs no_new_privileges. A kernel without Landlock restricts
   /// nothing, which the process logs.
   std::optional<FileAccess> files;
+  /// The TCP ports that it may connect to; it then has no other transport of the internet, and asks for names by TCP
+  /// (port 53). nullopt: no restriction. Needs no_new_privileges and filter_calls, and a kernel that can do it.
+  std::optional<std::vector<std::uint16_t>> ports;
 };
 
 /// Applies the confinement to this process, for good. Call it while the process has one thread.
@@ -44,5 +48,10 @@ void confine(const Confinement& confinement);
 /// look into other processes, mount, load code into the kernel, set the clock, open name spaces, restart the machine
 /// (call_filter.cc has the list). \throws config::Error when the kernel has no seccomp.
 void filter_system_calls();
+
+/// Of the internet's transports only TCP is left from now on, in all threads and in what they start, begun by
+/// connect(), which restrict_connections() controls: other kinds of sockets, and data that go with the first packet,
+/// fail with EPERM. \throws config::Error when the kernel has no seccomp.
+void filter_transports();
 
 }  // namespace iotcloud::processes

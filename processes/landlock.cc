@@ -20,7 +20,7 @@ namespace {
 // Debian 12's headers know the first versions only; these are from the kernel's uapi/linux/landlock.h.
 constexpr long create_ruleset = 444, add_rule = 445, restrict_self = 446;
 constexpr std::uint32_t ask_version = 1;
-constexpr std::uint32_t rule_path_beneath = 1;
+constexpr std::uint32_t rule_path_beneath = 1, rule_port = 2;
 
 constexpr std::uint64_t may_execute = 1U << 0U, may_write_file = 1U << 1U, may_read_file = 1U << 2U,
                         may_read_dir = 1U << 3U;
@@ -28,6 +28,7 @@ constexpr std::uint64_t may_refer = 1U << 13U, may_truncate = 1U << 14U, may_ioc
 /// remove_dir, remove_file, and all make_...
 constexpr std::uint64_t may_make_and_remove = 0x1ff0;
 constexpr std::uint64_t of_a_file = may_execute | may_write_file | may_read_file | may_truncate | may_ioctl_dev;
+constexpr std::uint64_t may_connect = 1U << 1U;
 constexpr std::uint64_t scope_signal = 1U << 1U;
 
 struct RulesetAttributes {
@@ -38,6 +39,11 @@ struct RulesetAttributes {
 struct [[gnu::packed]] PathBeneath {
   std::uint64_t allowed = 0;
   std::int32_t parent = -1;
+};
+
+struct Port {
+  std::uint64_t allowed = 0;
+  std::uint64_t port = 0;
 };
 
 /// What a kernel with this version can control.
@@ -86,6 +92,22 @@ bool restrict_files(const FileAccess& allowed) {
   for (const auto& path : allowed.write) allow(ruleset.get(), path, all);
   if (syscall(restrict_self, ruleset.get(), 0) != 0) throw landlock_error("the rules cannot be applied");
   return true;
+}
+
+void restrict_connections(const std::vector<std::uint16_t>& ports) {
+  if (landlock_version() < landlock_of_connections) {
+    throw config::Error("this kernel cannot restrict connections: it takes Linux 6.7 or newer with Landlock");
+  }
+  const RulesetAttributes attributes{0, may_connect, 0};
+  constexpr std::size_t size_before_scopes = 16;
+  const OwnedDescriptor ruleset(static_cast<int>(syscall(create_ruleset, &attributes, size_before_scopes, 0)));
+  if (!ruleset) throw landlock_error("no set of rules for connections can be made");
+  for (const std::uint16_t port : ports) {
+    const Port rule{may_connect, port};
+    if (syscall(add_rule, ruleset.get(), rule_port, &rule, 0) != 0) throw landlock_error(fmt::format("port {}", port));
+  }
+  if (syscall(restrict_self, ruleset.get(), 0) != 0)
+    throw landlock_error("the rules for connections cannot be applied");
 }
 
 }  // namespace iotcloud::processes

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -18,5 +19,12 @@ int landlock_version();
 /// send signals only to each other. Paths that do not exist are left out. Descriptors that are open stay usable. Needs
 /// no_new_privileges. \return false if the kernel has no Landlock; then nothing changes. \throws config::Error
 bool restrict_files(const FileAccess& allowed);
+
+/// The first version of Landlock that knows of connections.
+inline constexpr int landlock_of_connections = 4;
+
+/// From now on this process, all its threads and what they start connect by TCP to these ports only, of any machine.
+/// Other transports are not touched. Needs no_new_privileges. \throws config::Error, also if the kernel cannot do it.
+void restrict_connections(const std::vector<std::uint16_t>& ports);
 
 }  // namespace iotcloud::processes

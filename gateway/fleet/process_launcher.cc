@@ -38,6 +38,15 @@ void add_confinement(std::vector<std::string>& arguments, const processes::Confi
   if (confinement.filter_calls) arguments.emplace_back("--filter-calls");
 }
 
+/// The ports that hosts of this plugin may connect to.
+void add_ports(std::vector<std::string>& arguments, const ProcessLauncher::Ports& ports, const std::string& plugin) {
+  for (const std::string& of : {std::string(ProcessLauncher::every_plugin), plugin}) {
+    const auto found = ports.find(of);
+    if (found == ports.end()) continue;
+    for (const std::uint16_t port : found->second) arguments.push_back("--connect-to=" + std::to_string(port));
+  }
+}
+
 /// What every program reads: libraries, names of hosts and accounts, the system's certificates, itself in /proc. The
 /// folder of our own configuration is not among it.
 constexpr std::array readable_by_all = {"/usr",
@@ -235,6 +244,7 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
   add_confinement(arguments, options_.confinement);
   if (options_.confinement.files) add_files(arguments, *options_.confinement.files, options_, found.path);
+  add_ports(arguments, options_.ports, order.plugin);
   if (found.exactly) arguments.emplace_back("--exactly");
   if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
   if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -24,6 +26,9 @@ namespace iotcloud::gateway {
 /// this process has when it starts the host.
 class ProcessLauncher final : public HostLauncher {
  public:
+  /// TCP ports by the plugin whose hosts may connect to them; those of `every_plugin` are for all.
+  using Ports = std::map<std::string, std::vector<std::uint16_t>>;
+  static constexpr const char* every_plugin = "all";
   struct Options {
     std::string plugin_dir;
     std::shared_ptr<processes::PluginStore> store;       ///< the uploaded plugins; null: there are none
@@ -39,6 +44,7 @@ class ProcessLauncher final : public HostLauncher {
     std::chrono::milliseconds own_thread_hang_limit{60000};
     processes::VitalLimits limits;
     processes::Confinement confinement;
+    Ports ports;  ///< empty: hosts connect to whatever they like; otherwise each has some, see Confinement::ports
     /// The socket at which systemd starts hosts under the account `confinement.user` (processes::ProcessStarter);
     /// empty: this process starts them, and if it is root they change to that account.
     std::string starter;

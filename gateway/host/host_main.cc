@@ -93,11 +93,15 @@ int main(int argc, char** argv) {
   iotcloud::processes::FileAccess files;
   app.add_option("--readable", files.read, "a file or folder that it may read, if any is named");
   app.add_option("--writable", files.write, "a file or folder that it may change, if any is named");
+  std::vector<std::uint16_t> ports;
+  app.add_option("--connect-to", ports,
+                 "a TCP port that it may connect to, and then no other that is not named, nor UDP");
   app.add_flag("--no-new-privileges", confinement.no_new_privileges, "set-user-id programs gain nothing");
   app.add_flag("!--no-debugging", confinement.debuggable, "no core dumps, no debuggers of the same user");
   app.add_flag("--filter-calls", confinement.filter_calls, "refuse system calls that no driver needs");
   CLI11_PARSE(app, argc, argv);
   if (!files.read.empty() || !files.write.empty()) confinement.files = std::move(files);
+  if (!ports.empty()) confinement.ports = std::move(ports);
   if (log_limit_mb > 0) options.log.most_bytes = static_cast<std::uint64_t>(log_limit_mb) << 20;
   if (options.order.plugin.empty())
     options.order.plugin = options.plugin_path.substr(options.plugin_path.rfind('/') + 1);

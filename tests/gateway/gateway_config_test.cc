@@ -7,6 +7,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/gateway/gateway_config.h>
+#include <iotcloud/processes/landlock.h>
 #include <iotcloud/security/ed25519.h>
 
 namespace iotcloud::gateway {
@@ -75,6 +76,21 @@ TEST_F(GatewayConfigTest, WhatHostsGiveUpIsRead) {
   const auto loose = load(with("hosts", "host_call_filter: false\nhost_debugging: true\nhost_open_files: 100"));
   EXPECT_TRUE(loose.hosts.confinement.debuggable && !loose.hosts.confinement.filter_calls);
   EXPECT_EQ(loose.hosts.confinement.open_files, 100u);
+}
+
+TEST_F(GatewayConfigTest, ThePortsOfHostsAreForAllAndForSinglePlugins) {
+  EXPECT_TRUE(load(with("hosts", "")).hosts.ports.empty());
+  const std::string good = "host_ports: {all: [5672, 53], camera.so: [554]}";
+  if (processes::landlock_version() < processes::landlock_of_connections) {
+    EXPECT_THAT(error_of(with("hosts", good)), HasSubstr("cannot restrict"));
+  } else {
+    const ProcessLauncher::Ports expected{{"all", {5672, 53}}, {"camera.so", {554}}};
+    EXPECT_EQ(load(with("hosts", good)).hosts.ports, expected);
+  }
+  EXPECT_THAT(error_of(with("hosts", "host_ports: {camera.so: [554]}")), HasSubstr("all: [5672]"));
+  EXPECT_THAT(error_of(with("hosts", "host_ports: {all: [65536]}")), HasSubstr("no port"));
+  EXPECT_THAT(error_of(with("hosts", "host_ports: {all: [amqp]}")), HasSubstr("no port"));
+  EXPECT_THAT(error_of(with("hosts", "host_call_filter: false\n" + good)), HasSubstr("host_call_filter: true"));
 }
 
 TEST_F(GatewayConfigTest, TheUserOfHostsMustBeThereAndHaveFewerRights) {

@@ -2,6 +2,8 @@
 #include <map>
 #include <string>
 
+#include <netinet/in.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -18,6 +20,28 @@ namespace {
 using discovery::DriverState;
 using ::testing::HasSubstr;
 namespace fs = std::filesystem;
+
+/// Takes connections on a port of 127.0.0.1.
+class Listener {
+ public:
+  Listener() : socket_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t size = sizeof(address);
+    const bool listens = bind(socket_.get(), reinterpret_cast<sockaddr*>(&address), size) == 0 &&
+                         listen(socket_.get(), 16) == 0 &&
+                         getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &size) == 0;
+    EXPECT_TRUE(listens);
+    number_ = ntohs(address.sin_port);
+  }
+  std::uint16_t number() const { return number_; }
+  std::string port() const { return std::to_string(number_); }
+
+ private:
+  const processes::OwnedDescriptor socket_;
+  std::uint16_t number_ = 0;
+};
 
 class ConfinedHosts : public ProcessTest {
  protected:
@@ -89,6 +113,28 @@ TEST_F(ConfinedHosts, DoNotSeeTheSecretsInTheirGatewaysEnvironment) {
 TEST_F(ConfinedHosts, HaveAsManyProcessesAsTheyMay) {
   confinement_.processes = 3000;
   EXPECT_EQ(facts()["processes"], "3000");
+}
+
+TEST_F(ConfinedHosts, ConnectOnlyToThePortsThatTheyMay) {
+  if (processes::landlock_version() < processes::landlock_of_connections)
+    GTEST_SKIP() << "this kernel cannot restrict connections";
+  const Listener allowed, other;
+  const std::map<std::string, std::string> asks{
+      {"port", allowed.port()}, {"other_port", other.port()}, {"near", "127.0.0.1"}};
+  auto found = facts(asks);
+  for (const char* fact : {"port", "other_port", "other_port_by_first_data", "near"}) {
+    EXPECT_EQ(found[fact], "ok") << fact << ", the attack, without a confinement";
+  }
+  take_back("a");
+  gateway_.reset();
+  confinement_.no_new_privileges = confinement_.filter_calls = true;
+  ports_ = {{"all", {9}}, {"confined.so", {allowed.number()}}, {"another.so", {other.number()}}};
+  found = facts(asks);
+  EXPECT_EQ(found["port"], "ok") << "the configuration names it for this plugin";
+  EXPECT_EQ(found["other_port"], "EACCES");
+  EXPECT_EQ(found["other_port_by_mptcp"], "EPERM") << "which Landlock does not see";
+  EXPECT_EQ(found["other_port_by_first_data"], "EPERM") << "nor this";
+  EXPECT_EQ(found["near"], "EPERM") << "a datagram";
 }
 
 TEST_F(ConfinedHosts, ReachOnlyTheFilesThatTheyMay) {

@@ -50,6 +50,7 @@ class ProcessTest : public GatewayFixture {
     options.own_thread_hang_limit = own_thread_hang_limit_;
     options.limits = limits_;
     options.confinement = confinement_;
+    options.ports = ports_;
     options.starter = starter_;
     options.environment = environment_;
     options.log_limit_mb = 1;
@@ -88,6 +89,7 @@ class ProcessTest : public GatewayFixture {
   std::chrono::milliseconds hang_limit_{20000}, own_thread_hang_limit_{60000};
   processes::VitalLimits limits_;
   processes::Confinement confinement_;
+  ProcessLauncher::Ports ports_;
   std::vector<std::string> environment_;
   std::string starter_;
   const std::shared_ptr<HostMetrics> metrics_ = std::make_shared<HostMetrics>();

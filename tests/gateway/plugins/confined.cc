@@ -34,6 +34,7 @@ using namespace std::chrono_literals;
 ///   secret_variable: a variable of the environment that it looks for
 ///   victim: the id of a process that it tries to signal, to debug, and to read the memory and environment of
 ///   near, far: IPv4 addresses to which it sends a datagram
+///   port, other_port: of 127.0.0.1, to which it connects
 ///   chatter: "true": it writes 16 KiB to stdout every 2 ms
 class ConfinedDriver final : public drivers::Driver {
  public:
@@ -76,6 +77,13 @@ class ConfinedDriver final : public drivers::Driver {
     for (const char* place : {"near", "far"}) {
       if (const auto address = properties.find(place); address != properties.end()) {
         facts[place] = outcome(datagram(address->second));
+      }
+    }
+    for (const std::string place : {"port", "other_port"}) {
+      if (const auto port = properties.find(place); port != properties.end()) {
+        facts[place] = outcome(connection(port->second, 0));
+        facts[place + "_by_mptcp"] = outcome(connection(port->second, IPPROTO_MPTCP));
+        facts[place + "_by_first_data"] = outcome(connection(port->second, 0, true));
       }
     }
     if (const auto name = properties.find("secret_variable"); name != properties.end()) {
@@ -128,11 +136,31 @@ class ConfinedDriver final : public drivers::Driver {
     to.sin_port = htons(discard);
     inet_pton(AF_INET, address.c_str(), &to.sin_addr);
     const int socket = ::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+    if (socket < 0) return socket;
     const long sent = sendto(socket, "", 1, 0, reinterpret_cast<const sockaddr*>(&to), sizeof(to));
     const int error = errno;
     ::close(socket);
     errno = error;
     return sent;
+  }
+
+  /// \param by_data with data of the first packet, without connect()
+  static long connection(const std::string& port, int protocol, bool by_data = false) {
+    sockaddr_in to{};
+    to.sin_family = AF_INET;
+    to.sin_port = htons(static_cast<std::uint16_t>(std::stoi(port)));
+    to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    // A family of which the kernel ignores the upper half.
+    const long socket = syscall(SYS_socket, AF_INET | (1L << 32U), SOCK_STREAM | SOCK_CLOEXEC, protocol);
+    if (socket < 0) return socket;
+    const auto* const address = reinterpret_cast<const sockaddr*>(&to);
+    const int descriptor = static_cast<int>(socket);
+    const long result = by_data ? sendto(descriptor, "x", 1, MSG_FASTOPEN | MSG_NOSIGNAL, address, sizeof(to))
+                                : ::connect(descriptor, address, sizeof(to));
+    const int error = errno;
+    ::close(descriptor);
+    errno = error;
+    return result;
   }
 
   static long program() {
