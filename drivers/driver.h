@@ -95,7 +95,8 @@ class HostInterface {
   virtual ~HostInterface() = default;
   virtual const std::string& instance_id() const noexcept = 0;  ///< UUID without dashes
   virtual const std::string& gateway_id() const noexcept = 0;
-  virtual const PropertyMap& properties() const noexcept = 0;  ///< from the deployment
+  /// From the deployment, with the declared defaults of those that it does not give.
+  virtual const PropertyMap& properties() const noexcept = 0;
   /// Fills in driver_id and gateway_id, and time_ms when it is 0. Never blocks.
   virtual PublishStatus publish(std::string_view channel, Message message) noexcept = 0;
   /// Calls `callback` after `first`, then every `period` (0: once). Times are counted from the start: a late call does
@@ -136,6 +137,12 @@ class DriverContext {
   std::string property(const std::string& name, const std::string& fallback) const;
   double number(const std::string& name, double fallback) const;
   std::int64_t integer(const std::string& name, std::int64_t fallback) const;
+  /// The same of properties that the driver declares (declaration.h) with a default, or as required: the host has
+  /// checked them. \throws std::invalid_argument naming the property when it is missing.
+  std::string property(const std::string& name) const;
+  double number(const std::string& name) const;
+  std::int64_t integer(const std::string& name) const;
+  bool flag(const std::string& name) const { return property(name) == "true"; }
 
   /// Sends on an outgoing channel: HostInterface::publish(). Takes the message over, never blocks. Thread safe.
   PublishStatus publish(std::string_view channel, Message message) {
@@ -176,7 +183,7 @@ class DriverContext {
 class Driver {
  public:
   virtual ~Driver() = default;
-  /// The channels this instance wants, given its properties.
+  /// The channels this instance wants, given its properties: those of HostInterface::properties().
   virtual std::vector<ChannelSpec> channels(const PropertyMap& properties) = 0;
   /// Connects to the device. `context` lives until after the destructor.
   virtual void open(DriverContext& context) = 0;

@@ -36,6 +36,22 @@ std::int64_t DriverContext::integer(const std::string& name, std::int64_t fallba
   return parse_number(properties(), name, fallback, "a whole number");
 }
 
+std::string DriverContext::property(const std::string& name) const {
+  const auto found = properties().find(name);
+  if (found != properties().end()) return found->second;
+  throw std::invalid_argument("property \"" + name + "\" is missing, and the driver declares no default for it");
+}
+
+double DriverContext::number(const std::string& name) const {
+  static_cast<void>(property(name));  // throws when it is missing
+  return number(name, 0);
+}
+
+std::int64_t DriverContext::integer(const std::string& name) const {
+  static_cast<void>(property(name));  // throws when it is missing
+  return integer(name, 0);
+}
+
 std::function<void()> DriverContext::guarded(std::function<void()> callback) {
   return [this, callback = std::move(callback)] {
     try {

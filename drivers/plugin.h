@@ -7,12 +7,13 @@
 #include <string_view>
 #include <vector>
 
+#include <iotcloud/drivers/declaration.h>
 #include <iotcloud/drivers/driver.h>
 
 namespace iotcloud::drivers {
 
 /// Raised with every change of the SDK after which plugins must be compiled again.
-#define IOTCLOUD_DRIVER_SDK_VERSION 5
+#define IOTCLOUD_DRIVER_SDK_VERSION 6
 inline constexpr std::uint32_t sdk_version = IOTCLOUD_DRIVER_SDK_VERSION;
 
 /// Compiler, C++ library and ABI: a host loads a plugin only if both agree on the layout of C++ types.
@@ -51,6 +52,7 @@ struct Descriptor {
   bool own_thread;           ///< each instance needs an event thread of its own because it blocks or computes for long
   DriverShell* (*create)();  ///< nullptr on failure
   void (*destroy)(DriverShell*);
+  const char* declaration;  ///< JSON of properties and description, see declaration.h; nullptr: nothing is declared
 };
 
 /// This text, the version and a ';' stand in a plugin's bytes: what it was built with is known also when it cannot be
@@ -131,7 +133,8 @@ Descriptor describe(const char* name, const char* version, bool own_thread = fal
                     version,
                     own_thread,
                     &detail::create<UserDriver>,
-                    [](DriverShell* shell) { delete shell; }};
+                    [](DriverShell* shell) { delete shell; },
+                    detail::declaration_of<UserDriver>()};
 }
 
 }  // namespace iotcloud::drivers
@@ -145,7 +148,9 @@ Descriptor describe(const char* name, const char* version, bool own_thread = fal
     return &descriptor;                                                                           \
   }                                                                                               \
   extern "C" __attribute__((visibility("default"), used)) const char iotcloud_driver_sdk_mark[] = \
-      IOTCLOUD_DRIVER_SDK_MARK IOTCLOUD_STRINGIFY(IOTCLOUD_DRIVER_SDK_VERSION) ";";
+      IOTCLOUD_DRIVER_SDK_MARK IOTCLOUD_STRINGIFY(IOTCLOUD_DRIVER_SDK_VERSION) ";";               \
+  extern "C" __attribute__((visibility("default"), used)) const auto iotcloud_driver_card =       \
+      iotcloud::drivers::detail::card_with_mark(__VA_ARGS__);
 
 /// This text stands in a plugin's bytes, so that a gateway finds it without loading the plugin.
 #define IOTCLOUD_DRIVER_ISOLATION_MARK "iotcloud-plugin: isolation=instance"

@@ -22,7 +22,7 @@ constexpr double most_ticks = 1000;          // ticks a second; faster rates sen
 LoadGenerator::Options LoadGenerator::read_options(const PropertyMap& properties) {
   Options options;
   PropertyReader reader(properties);
-  options.size = static_cast<std::size_t>(reader.integer("size", 1024, sizeof(Head), 64 << 20));
+  options.size = static_cast<std::size_t>(reader.integer("size", 1024, least_size, 64 << 20));
   options.rate = reader.number("rate", options.rate, 0.01, 1e6);
   options.count = static_cast<std::uint64_t>(reader.integer("count", 0, 0, INT64_MAX));
   options.shared = reader.flag("shared", options.shared);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -9,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include <iotcloud/drivers/declaration.h>
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/loadgen/round_trips.h>
 
@@ -21,6 +23,36 @@ class LoadGenerator : public Driver {
  public:
   static constexpr std::string_view data_channel = "data";
   static constexpr std::string_view echo_channel = "echo";
+  static constexpr std::string_view description =
+      "Sends messages of a given size at a given rate on data, and measures when they come back on echo";
+  static constexpr std::size_t least_size = 32;  ///< what the head of a payload takes
+  static constexpr std::array declared_properties{
+      PropertySpec{.name = "size",
+                   .type = PropertyType::integer,
+                   .unit = "bytes",
+                   .min = least_size,
+                   .max = 64 << 20,
+                   .default_value = "1024",
+                   .text = "of each payload"},
+      PropertySpec{.name = "rate",
+                   .type = PropertyType::number,
+                   .unit = "1/s",
+                   .min = 0.01,
+                   .max = 1e6,
+                   .default_value = "10",
+                   .text = "messages a second; above 1000 a burst each millisecond"},
+      PropertySpec{.name = "count",
+                   .type = PropertyType::integer,
+                   .min = 0,
+                   .default_value = "0",
+                   .text = "how many messages; 0: no limit"},
+      PropertySpec{.name = "shared",
+                   .type = PropertyType::flag,
+                   .default_value = "false",
+                   .text = "all instances on the gateway share both channels"},
+      PropertySpec{.name = "broker", .text = "logical broker of both channels; the gateway's first"},
+      PropertySpec{.name = "report", .text = "JSON file, written when all of count are back, and at close; none"},
+  };
   using Clock = std::function<std::chrono::steady_clock::time_point()>;
 
   explicit LoadGenerator(Clock clock = &std::chrono::steady_clock::now) : clock_(std::move(clock)) {}
@@ -47,6 +79,7 @@ class LoadGenerator : public Driver {
     std::uint64_t run = 0, sequence = 0;
     std::int64_t intended_ns = 0;  ///< when the message was due, since open()
   };
+  static_assert(sizeof(Head) == least_size);
 
   static Options read_options(const PropertyMap& properties);
   void send_due();

@@ -4,6 +4,7 @@
 
 #include <poll.h>
 
+#include <iotcloud/config/declaration.h>
 #include <iotcloud/drivers/channel_names.h>
 #include <iotcloud/drivers/testing/mock_host.h>
 
@@ -188,7 +189,9 @@ std::string MockHost::failure() const {
 }
 
 MockInstance::MockInstance(const Descriptor& descriptor, PropertyMap properties)
-    : descriptor_(descriptor), host_(std::move(properties)), shell_(descriptor_.create()) {
+    : descriptor_(descriptor),
+      host_(config::with_defaults(std::move(properties), config::declaration_of(descriptor.declaration))),
+      shell_(descriptor_.create()) {
   if (!shell_) error_ = "the driver's constructor threw";
 }
 
@@ -208,6 +211,8 @@ bool MockInstance::start() {
 
 bool MockInstance::open() {
   if (!shell_) return false;
+  if (!note(config::text_of(config::problems_of(host_.properties(), config::declaration_of(descriptor_.declaration)))))
+    return false;
   std::string error;
   channels_ = shell_->channels(host_.properties(), error);
   if (!note(error)) return false;

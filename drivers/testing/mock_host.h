@@ -118,6 +118,8 @@ class MockHost final : public HostInterface {
 ///     EXPECT_EQ(robot.host().published("kinect").size(), 3);
 class MockInstance {
  public:
+  /// \param properties of the deployment; open() checks them against those that the driver declares, and the driver
+  /// gets the defaults that it declared.
   explicit MockInstance(const Descriptor& descriptor, PropertyMap properties = {});
   /// Closes the instance if it is open.
   ~MockInstance();

@@ -12,6 +12,7 @@
 ///
 ///     struct RosTurtle : TurtleDriver {
 ///       RosTurtle() : TurtleDriver(shipped_kinds().with(ros_kind())) {}
+///       static constexpr auto declared_properties = with_kind("ros", std::array{PropertySpec{.name = "ros_master"}});
 ///     };
 namespace iotcloud::drivers::turtle {
 

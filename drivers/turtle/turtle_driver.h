@@ -9,6 +9,7 @@
 
 #include <iotcloud/drivers/depth/depth_codec.h>
 #include <iotcloud/drivers/driver.h>
+#include <iotcloud/drivers/turtle/declared_properties.h>
 #include <iotcloud/drivers/turtle/device.h>
 #include <iotcloud/drivers/turtle/device_kinds.h>
 #include <iotcloud/drivers/turtle/frame_log.h>
@@ -22,6 +23,10 @@ class TurtleDriver : public Driver {
  public:
   static constexpr std::string_view frames_channel = "kinect";
   static constexpr std::string_view control_channel = "control";
+  static constexpr std::string_view description =
+      "A TurtleBot with a Kinect, real, simulated or recorded: sends depth frames on kinect, obeys velocities on "
+      "control";
+  static constexpr auto declared_properties = shipped_properties;
 
   TurtleDriver() : TurtleDriver(shipped_kinds()) {}
   explicit TurtleDriver(DeviceKinds kinds) : kinds_(std::move(kinds)) {}

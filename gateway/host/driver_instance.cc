@@ -77,7 +77,7 @@ DriverInstance::DriverInstance(std::shared_ptr<HostEnvironment> environment, Ins
                                std::shared_ptr<EventLoop> loop)
     : environment_(std::move(environment)),
       id_(spec.order.instance),
-      properties_(spec.order.properties),
+      properties_(config::with_defaults(spec.order.properties, environment_->plugin->declaration())),
       loop_(std::move(loop)),
       number_(next_number()),
       hang_limit_(hang_limit_of(properties_)),
@@ -165,6 +165,7 @@ void DriverInstance::suspend(const std::string& reason, std::function<void()> cl
 void DriverInstance::open_now() {
   report(DriverState::starting, "");
   try {
+    check_properties();
     check_hang_limit(properties_);
     shell_ = environment_->plugin->descriptor().create();
     if (shell_ == nullptr) {
@@ -182,6 +183,12 @@ void DriverInstance::open_now() {
   } else {
     report(DriverState::inactive, "");
   }
+}
+
+/// Compares what was ordered with what the driver declares. \throws config::Error that names all that is wrong
+void DriverInstance::check_properties() const {
+  const auto problems = config::problems_of(properties_, environment_->plugin->declaration());
+  if (!problems.empty()) throw config::Error(config::text_of(problems));
 }
 
 void DriverInstance::open_channels(const discovery::DriverName& driver) {

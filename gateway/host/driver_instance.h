@@ -84,6 +84,7 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   using OutgoingChannels = std::map<std::string, std::unique_ptr<OutgoingChannel>, std::less<>>;
 
   void open_now();
+  void check_properties() const;
   void open_channels(const discovery::DriverName& driver);
   void open_outgoing(const PlannedChannel& channel);
   void open_incoming(const PlannedChannel& channel);

@@ -10,6 +10,7 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
+#include <iotcloud/config/declaration.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/memory.h>
@@ -44,6 +45,10 @@ int check_plugin(const char* file) {
               {"sdk_version", descriptor.sdk_version},
               {"cxx_abi", descriptor.cxx_abi},
               {"own_thread", descriptor.own_thread}};
+    const auto declared = nlohmann::ordered_json::parse(iotcloud::config::to_json(plugin->declaration()));
+    for (const char* key : {"description", "properties"}) {
+      if (declared.contains(key)) answer[key] = declared[key];
+    }
   } catch (const std::exception& e) {
     answer = {{"error", e.what()}};
     status = 1;

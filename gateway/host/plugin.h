@@ -3,6 +3,7 @@
 #include <memory>
 #include <string>
 
+#include <iotcloud/config/declaration.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/drivers/plugin.h>
 
@@ -26,13 +27,18 @@ class Plugin {
 
   const drivers::Descriptor& descriptor() const { return *descriptor_; }
   std::string name() const { return descriptor_->name; }
+  /// What the driver declares of its properties.
+  const config::DriverDeclaration& declaration() const { return declaration_; }
   const std::string& origin() const { return origin_; }  ///< path, for messages
 
  private:
   static std::shared_ptr<const Plugin> open(const std::string& path, const std::string& origin);
   Plugin(const drivers::Descriptor* descriptor, std::string origin)
-      : descriptor_(descriptor), origin_(std::move(origin)) {}
+      : descriptor_(descriptor),
+        declaration_(config::declaration_of(descriptor->declaration)),
+        origin_(std::move(origin)) {}
   const drivers::Descriptor* descriptor_;
+  const config::DriverDeclaration declaration_;
   std::string origin_;
 };
 

@@ -4,8 +4,10 @@
 #include <dlfcn.h>
 #include <gmock/gmock.h>
 
+#include <iotcloud/config/declaration.h>
 #include <iotcloud/drivers/testing/mock_host.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/files.h>
 
 namespace iotcloud::drivers {
 namespace {
@@ -45,6 +47,21 @@ TEST_P(ShippedPlugin, is_found_by_its_one_symbol_and_runs_in_a_host) {
     instance.close();
     EXPECT_EQ(instance.error(), "");
   }
+  EXPECT_EQ(dlclose(library), 0);
+}
+
+TEST_P(ShippedPlugin, declares_in_its_bytes_what_its_descriptor_says) {
+  const auto read = config::declaration_in(tests::read_file(GetParam().file));
+  EXPECT_EQ(read.driver, GetParam().name);
+  EXPECT_EQ(read.version, "1.0");
+  EXPECT_EQ(read.sdk_version, sdk_version);
+  EXPECT_NE(read.description, "");
+  void* library = dlopen(GetParam().file, RTLD_NOW | RTLD_LOCAL);
+  ASSERT_NE(library, nullptr) << dlerror();
+  using Entry = const Descriptor* (*)();
+  const auto told = config::declaration_of(reinterpret_cast<Entry>(dlsym(library, descriptor_symbol))()->declaration);
+  ASSERT_TRUE(read.properties);
+  EXPECT_EQ(read.properties, told.properties);
   EXPECT_EQ(dlclose(library), 0);
 }
 

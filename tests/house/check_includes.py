@@ -25,6 +25,7 @@ ROOMS = {
 }
 # A part of a room with rules of its own. `None`: everything.
 PARTS = {
+    "drivers/testing": ["config", "brokers"],
     "topology/local": None,
     "topology/testing": None,
     "topology/runtime": ["config", "brokers"],

@@ -12,6 +12,12 @@ namespace iotcloud::drivers::turtle::ros {
 /// the channel `odometry`.
 class RosTurtle final : public TurtleDriver {
  public:
+  static constexpr auto declared_properties = with_kind(
+      "ros", std::array{PropertySpec{.name = "ros_master", .text = "ros: the master; $ROS_MASTER_URI"},
+                        PropertySpec{.name = "depth_topic", .text = "ros: of the camera; /camera/depth/image_raw"},
+                        PropertySpec{.name = "velocity_topic", .text = "ros: of the base; /cmd_vel"},
+                        PropertySpec{.name = "odometry_topic", .text = "ros: adds the channel odometry; none"}});
+
   RosTurtle();
   RosTurtle(const RosTurtle&) = delete;
   RosTurtle& operator=(const RosTurtle&) = delete;

@@ -172,9 +172,9 @@ TEST_F(LoadGeneratorTest, says_which_property_is_wrong) {
     EXPECT_FALSE(load.open());
     return load.error();
   };
-  EXPECT_THAT(error_with({{"siz", "1"}}), HasSubstr("broker, count, rate, report, shared, size"));
+  EXPECT_THAT(error_with({{"siz", "1"}}), HasSubstr("did you mean \"size\"?"));
   EXPECT_THAT(error_with({{"size", "31"}}), HasSubstr("from 32"));
-  EXPECT_THAT(error_with({{"shared", "yes"}}), HasSubstr("true, false"));
+  EXPECT_THAT(error_with({{"shared", "yes"}}), HasSubstr("true or false"));
   EXPECT_THAT(error_with({{"report", "/dev/null/r.json"}}), HasSubstr("/dev/null/r.json"));
 }
 

@@ -55,6 +55,7 @@ DeviceKind postcard_kind() {
 
 /// A plugin with additional kinds.
 struct Extended : TurtleDriver {
+  static constexpr auto declared_properties = with_kind("postcard", std::array{PropertySpec{.name = "text"}});
   Extended() : TurtleDriver(shipped_kinds().with(postcard_kind())) {}
 };
 

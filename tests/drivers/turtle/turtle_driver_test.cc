@@ -45,7 +45,7 @@ TEST(TurtleDriver, says_which_property_is_wrong_and_what_would_be_right) {
     EXPECT_FALSE(robot.open());
     return robot.error();
   };
-  EXPECT_THAT(error_with({{"sed", "1"}}), AllOf(HasSubstr("\"sed\""), HasSubstr("seed"), HasSubstr("watchdog_ms")));
+  EXPECT_THAT(error_with({{"sed", "1"}}), AllOf(HasSubstr("\"sed\""), HasSubstr("did you mean \"seed\"?")));
   EXPECT_THAT(error_with({{"source", "sonar"}}), AllOf(HasSubstr("source"), HasSubstr("simulator")));
   EXPECT_THAT(error_with({{"actuator", "ros"}}), AllOf(HasSubstr("actuator"), HasSubstr("simulator")));
   EXPECT_THAT(error_with({{"rate", "fast"}}), AllOf(HasSubstr("rate"), HasSubstr("fast"), HasSubstr("120")));

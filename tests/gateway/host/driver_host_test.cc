@@ -42,6 +42,14 @@ class BlockingDriver : public drivers::Driver {
   bool blocks_ = false;
 };
 
+/// Declares its properties, and tells in its metadata what it got.
+struct DeclaringDriver : drivers::Driver {
+  static constexpr std::array declared_properties{
+      drivers::PropertySpec{.name = "rate", .type = drivers::PropertyType::integer, .min = 1, .default_value = "7"}};
+  std::vector<drivers::ChannelSpec> channels(const drivers::PropertyMap&) override { return {}; }
+  void open(drivers::DriverContext& context) override { context.update_metadata({{"got", context.property("rate")}}); }
+};
+
 class DriverHostTest : public ::testing::Test {
  protected:
   void start_host(const drivers::Descriptor& descriptor, const config::Clock* clock = nullptr) {
@@ -100,6 +108,31 @@ TEST_F(DriverHostTest, AnInstanceLivesThroughItsStatesAndSaysSo) {
   EXPECT_THAT(log_.states("a"),
               ElementsAre(DriverState::starting, DriverState::active, DriverState::stopping, DriverState::inactive,
                           DriverState::starting, DriverState::active, DriverState::stopping, DriverState::undeployed));
+}
+
+TEST_F(DriverHostTest, ADriverGetsTheDefaultsThatItDeclaresAndNothingThatItDoesNot) {
+  const auto declaring = drivers::describe<DeclaringDriver>("declaring", "1");
+  start_host(declaring);
+  host_->create(spec("good", {{"channel.x.capacity", "5"}, {"hang_limit", "5s"}}));
+  host_->create(spec("bad", {{"rat", "5"}, {"rate", "0"}}));
+  const auto bad = log_.wait_for("bad", DriverState::failed);
+  ASSERT_TRUE(bad);
+  EXPECT_EQ(bad->reason,
+            "property \"rat\": unknown property; did you mean \"rate\"?; property \"rate\": \"0\"; it takes a whole "
+            "number from 1 on");
+  // It has no channel x, which the host says, not the declaration.
+  const auto good = log_.wait_for("good", DriverState::failed);
+  ASSERT_TRUE(good);
+  EXPECT_THAT(good->reason, HasSubstr("has no channel \"x\""));
+  host_->create(spec("plain"));
+  ASSERT_TRUE(log_.wait_for("plain", DriverState::active));
+  EXPECT_TRUE(tests::eventually([&] {
+    for (const auto& instance : host_->list()) {
+      if (instance.status.instance == "plain"_instance)
+        return instance.status.metadata.contains("got") && instance.status.metadata.at("got") == "7";
+    }
+    return false;
+  }));
 }
 
 TEST_F(DriverHostTest, AnInstanceStopsWhenItsLeaseRunsOutAndStartsAgainWithTheNext) {
