@@ -26,7 +26,7 @@ from private_cluster import require, wait_for  # noqa: E402
 
 PROJECT = "iotcloud-test"
 GATEWAYS = ["gateway-1", "gateway-2"]
-BOOKS = "/var/lib/iotcloud/books"
+BOOKS = "/var/lib/iotcloud/state/books"  # which driver hosts may write
 NEWER = 50  # messages that must have come back since the repair
 HEAL_LIMIT_S = 120
 
@@ -118,7 +118,7 @@ def check_confined(cluster):
     hidden = [(secrets / name).read_text().strip() for name in (
         "rabbitmq.password", "gateway-1.registry.password", "admin.token", "master-1.pages.token")]
     for file in secrets.iterdir():
-        require(file.suffix == ".pem" or file.stat().st_mode & 0o077 == 0, f"{file} is open to others")
+        require(file.suffix in (".pem", ".pub") or file.name == "registry.users" or file.stat().st_mode & 0o077 == 0, f"{file} is open to others")
     for service in ["master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"]:
         top = cluster.docker.docker("top", cluster.container(service), "-eo", "pid,uid,args").splitlines()[1:]
         require(top and all(line.split()[1] == "10001" for line in top), f"{service} runs as {top}")
