@@ -52,6 +52,19 @@ TEST(HostProtocol, CarriesAPassedMessageOfAnyBytesInBothDirections) {
   expect_same(decode_command(body_of(encode(command))).passed, command.passed);
 }
 
+TEST(HostProtocol, KnowsAHostThatAnswersNoQuestionsBecauseItIsOlder) {
+  HostReport hello;
+  hello.kind = HostReport::Kind::hello;
+  hello.answers = true;
+  std::string body = body_of(encode(hello));
+  EXPECT_TRUE(decode_report(body).answers);
+  const std::string key = "\"answers\":true,";
+  const auto at = body.find(key);
+  ASSERT_NE(at, std::string::npos) << body;
+  body.erase(at, key.size());
+  EXPECT_FALSE(decode_report(body).answers);
+}
+
 TEST(HostProtocol, CarriesTheStatesOfBrokersWithAPong) {
   HostReport report;
   report.kind = HostReport::Kind::pong;
