@@ -323,6 +323,11 @@ std::vector<std::string> Section::names() const {
   return names;
 }
 
+bool Section::is_list(const std::string& key) const {
+  const YAML::Node value = lookup(impl_->node, key);
+  return value.IsDefined() && value.IsSequence();
+}
+
 bool Section::is_mapping(const std::string& key) const {
   const YAML::Node value = lookup(impl_->node, key);
   return value.IsDefined() && value.IsMap();

@@ -52,6 +52,8 @@ class Section {
   std::map<std::string, std::string> string_map(const std::string& key);
   /// The names in this mapping, in file order.
   std::vector<std::string> names() const;
+  /// Whether the key holds a sequence.
+  bool is_list(const std::string& key) const;
   /// Whether the key holds a mapping.
   bool is_mapping(const std::string& key) const;
   /// A mapping of mappings, in file order (spouts, bolts, brokers). Missing: empty.

@@ -23,7 +23,7 @@ struct LookRequest {
   std::string look;        ///< names the look; the first question with a name begins it
   std::int32_t most = 0;   ///< messages in the answer at most, up to most_seen_messages; 0: they are only counted
   std::int32_t bytes = 0;  ///< of each message's payload at most, up to most_seen_bytes
-  bool last = false;        ///< this is the last question
+  bool last = false;       ///< this is the last question
   static constexpr const char* what = "a question about a channel";
   static constexpr auto fields =
       std::tuple{IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(channel, usual), IOTCLOUD_FIELD(look, usual),

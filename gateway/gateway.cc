@@ -380,6 +380,14 @@ processes::PluginStore* Gateway::plugins() const {
   return impl_->options.plugins.get();
 }
 
+std::vector<KnownPlugin> Gateway::known_plugins() const {
+  std::map<std::string, std::string> names;
+  for (const auto& record : instances()) {
+    if (!record.sha256.empty()) names[record.sha256] = record.plugin;
+  }
+  return impl_->options.launcher->plugins(names);
+}
+
 std::int64_t Gateway::epoch() const {
   return impl_->feed.epoch();
 }

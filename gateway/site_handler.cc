@@ -191,6 +191,10 @@ void SiteHandler::handMessage(discovery::wire::TChannelLook& answer, const disco
   discovery::fill_wire(look, answer);
 }
 
+void SiteHandler::listPlugins(std::vector<wire::TKnownPlugin>& answer) {
+  for (const auto& plugin : gateway_.known_plugins()) discovery::fill_wire(plugin, answer.emplace_back());
+}
+
 void SiteHandler::ping(wire::TPing& answer) {
   answer.__set_gateway(gateway_.id());
   answer.__set_timeMs(config::system_clock().wall_ms());

@@ -21,6 +21,7 @@ const rpc::MethodRules& SiteService::rules() {
       {"readLog", {Role::viewer, RefusalForm::error}},
       {"lookAtChannel", {Role::viewer, RefusalForm::error}},
       {"handMessage", {Role::operating, RefusalForm::error, true, true}},
+      {"listPlugins", {Role::viewer, RefusalForm::error}},
       {"startSensor", {Role::operating, RefusalForm::response}},
       {"stopSensor", {Role::operating, RefusalForm::response}},
       {"deploySensor", {Role::admin, RefusalForm::response}},

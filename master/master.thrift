@@ -49,6 +49,13 @@ struct TOrderResponse {
   4: optional string leader
 }
 
+// What one instance of a deployment has in addition to the deployment's properties.
+struct TInstanceProperties {
+  // Its number, from 1 on.
+  1: i32 index
+  2: map<string, string> properties
+}
+
 struct TDeployRequest {
   // Ids; empty: all registered gateways.
   1: list<string> gateways
@@ -73,6 +80,8 @@ struct TDeployRequest {
   11: string manager
   // false: the instances are deployed, but not started.
   12: bool active = true
+  // What some instances, on each gateway, have of their own.
+  13: list<TInstanceProperties> own
 }
 
 // The state that is ordered for an instance.
@@ -119,9 +128,16 @@ struct TInstanceSelection {
   3: i64 waitMs
 }
 
+// All properties that an instance is to have.
+struct TNewProperties {
+  1: string instance
+  2: map<string, string> properties
+}
+
 struct TUpdateRequest {
-  // waitMs is the limit for each step, and for the return to the old plugin.
+  // waitMs is the limit for each step, and for the return to what was before.
   1: TInstanceSelection selection
+  // Empty: each instance keeps its own.
   2: string plugin
   // As in TDeployRequest.
   3: string sha256
@@ -129,6 +145,8 @@ struct TUpdateRequest {
   4: i32 atOnce
   // How long the instances of a step must stay in their state before the next step, in milliseconds.
   5: i64 settleMs
+  // Instances that are not named keep their properties.
+  6: list<TNewProperties> properties
 }
 
 // A plugin that a client wants to send.
@@ -258,6 +276,25 @@ struct TDriverHistory {
   2: map<string, string> silent
 }
 
+// A plugin that a gateway has; see TKnownPlugin in gateway.thrift.
+struct TGatewayPlugin {
+  1: string gateway
+  2: string file
+  3: string sha256
+  4: i64 size
+  5: bool sent
+  6: string signedBy
+  7: i64 signedVersion
+  8: string problem
+  9: string declaration
+}
+
+struct TGatewayPlugins {
+  1: list<TGatewayPlugin> plugins
+  // By id of a gateway that could not be asked: the reason.
+  2: map<string, string> silent
+}
+
 struct TLogPart {
   // Whole lines, unless a line is longer than `mostBytes`.
   1: string text
@@ -314,6 +351,8 @@ service TMasterAPIService {
   // A part of the log of an instance's driver host. position: that of an earlier answer; empty: the end of the log.
   TLogPart readLog(1: string gateway, 2: string instance, 3: string position, 4: i32 mostBytes)
     throws (1: TMasterError error)
+  // The plugins that gateways have. gateways: empty: all.
+  TGatewayPlugins listPlugins(1: list<string> gateways) throws (1: TMasterError error)
   // A page of a topology's worker, which the master reads. target: "/topology", or "/tap?..." as the worker takes it.
   string readWorkerPage(1: string topology, 2: string worker, 3: string target) throws (1: TMasterError error)
   // The gateway's lookAtChannel() and handMessage(), which the master passes on.
@@ -344,8 +383,8 @@ service TMasterAPIService {
   TUploadResponse offerPlugin(1: TPluginOffer offer, 2: list<string> gateways)
   TUploadResponse sendPlugin(1: string upload, 2: i64 offset, 3: binary bytes)
   TUploadResponse finishPlugin(1: string upload)
-  // Gives instances another plugin. They keep id, properties and metadata. If one does not reach its state, all
-  // instances that were updated return to the old plugin.
+  // Gives instances another plugin, other properties, or both. They keep id and metadata. If one does not reach its
+  // state, all instances that were updated return to what they had.
   TOrderResponse update(1: TUpdateRequest request)
 }
 

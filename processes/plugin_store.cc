@@ -344,17 +344,21 @@ std::vector<std::string> PluginStore::Impl::take_unwanted(const std::vector<std:
   return unwanted;
 }
 
-void PluginStore::clean(const std::set<std::string>& named) {
-  auto& self = *impl_;
-  self.drop_idle(self.clock.now());
+std::vector<std::string> PluginStore::all() const {
   std::vector<std::string> kept;
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(self.options.folder, error)) {
+  for (const auto& entry : fs::directory_iterator(impl_->options.folder, error)) {
     std::string sha256 = entry.path().filename();
     if (security::is_sha256(sha256)) kept.push_back(std::move(sha256));
   }
-  if (error) logger.warn("{} cannot be read: {}", self.options.folder, error.message());
-  for (const std::string& sha256 : self.take_unwanted(kept, named)) {
+  if (error) logger.warn("{} cannot be read: {}", impl_->options.folder, error.message());
+  return kept;
+}
+
+void PluginStore::clean(const std::set<std::string>& named) {
+  auto& self = *impl_;
+  self.drop_idle(self.clock.now());
+  for (const std::string& sha256 : self.take_unwanted(all(), named)) {
     logger.info("removes the plugin with the SHA-256 {}: no order names it any more", sha256);
     self.remove_folder(self.kept(sha256));
     {

@@ -8,6 +8,7 @@
 #include <set>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/security/trusted_keys.h>
@@ -56,6 +57,8 @@ class PluginStore {
   /// \throws config::Error: bytes are missing or do not have the offered SHA-256, or a required signature is wrong.
   void finish(const std::string& upload);
 
+  /// The SHA-256 of all stored plugins.
+  std::vector<std::string> all() const;
   /// The path of a stored plugin; nullopt: the store does not have it. The caller must check the bytes that it uses.
   std::optional<std::string> path_of(const std::string& sha256) const;
   /// The path of the plugin's signature, which may not exist.

@@ -36,8 +36,9 @@ constexpr int pause_ms = 100;
 /// \return a socket that listens. \throws Error
 int listen_on(const std::string& host, int port) {
   const auto failed = [&](const std::string& why) {
-    return config::Error(
-        fmt::format("cannot listen on {}:{}: {}; end the program that has the port (ss -ltnp names it), or choose another", host, port, why));
+    return config::Error(fmt::format(
+        "cannot listen on {}:{}: {}; end the program that has the port (ss -ltnp names it), or choose another", host,
+        port, why));
   };
   addrinfo hints{};
   hints.ai_socktype = SOCK_STREAM;

@@ -1,9 +1,12 @@
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <filesystem>
 
 #include <fmt/format.h>
 #include <sys/stat.h>
 
+#include <iotcloud/config/declaration.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/gateway/fleet/plugin_folder.h>
@@ -13,6 +16,8 @@
 #include <iotcloud/security/sha256.h>
 
 namespace iotcloud::gateway {
+
+namespace fs = std::filesystem;
 
 PluginSource::PluginSource(std::string folder, std::shared_ptr<processes::PluginStore> store,
                            std::shared_ptr<const security::TrustedKeys> trust)
@@ -62,6 +67,56 @@ PluginSource::Found PluginSource::find(const HostOrder& order) {
   return found;
 }
 
+std::vector<KnownPlugin> PluginSource::all(const std::map<std::string, std::string>& names) {
+  constexpr std::size_t most = 500;                           // plugins in an answer
+  constexpr std::size_t most_text = std::size_t{512} * 1024;  // bytes of all declarations in an answer
+  std::vector<KnownPlugin> plugins;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(folder_, error)) {
+    if (entry.path().extension() != ".so" || !entry.is_regular_file(error)) continue;
+    HostOrder order;
+    order.plugin = entry.path().filename();
+    plugins.push_back(known(entry.path(), entry.path().string() + ".sig", order));
+  }
+  for (const auto& sha256 : store_ ? store_->all() : std::vector<std::string>{}) {
+    const auto path = store_->path_of(sha256);
+    if (!path) continue;
+    HostOrder order;
+    const auto name = names.find(sha256);
+    if (name != names.end()) order.plugin = name->second;
+    order.sha256 = sha256;
+    plugins.push_back(known(*path, store_->signature_path_of(sha256), order));
+  }
+  std::sort(plugins.begin(), plugins.end(),
+            [](const auto& a, const auto& b) { return std::tie(a.file, a.sha256) < std::tie(b.file, b.sha256); });
+  if (plugins.size() > most) plugins.resize(most);
+  std::size_t text = 0;
+  for (auto& plugin : plugins) {
+    text += plugin.declaration.size();
+    if (text > most_text) plugin.declaration.clear();
+  }
+  return plugins;
+}
+
+/// \param order names the plugin, and says whether it was sent.
+KnownPlugin PluginSource::known(const std::string& path, const std::string& signature_path, const HostOrder& order) {
+  KnownPlugin plugin;
+  plugin.file = order.plugin;
+  plugin.sent = !order.sha256.empty();
+  plugin.sha256 = order.sha256;
+  try {
+    const Examined found = examine(path, signature_path, order);
+    plugin.sha256 = found.identity.sha256;
+    plugin.signed_by = found.identity.signed_by;
+    plugin.signed_version = static_cast<std::int64_t>(found.signature.version);
+    plugin.size = found.size;
+    plugin.declaration = found.declaration;
+  } catch (const config::Error& e) {
+    plugin.problem = e.what();
+  }
+  return plugin;
+}
+
 PluginSource::Examined PluginSource::examine(const std::string& path, const std::string& signature_path,
                                              const HostOrder& order) {
   const Stamp signature_stamp = stamp_of(signature_path);
@@ -75,6 +130,8 @@ PluginSource::Examined PluginSource::examine(const std::string& path, const std:
   Examined found;
   PluginIdentity& identity = found.identity;
   identity.sha256 = security::sha256_hex(content);
+  found.size = static_cast<std::int64_t>(content.size());
+  found.declaration = config::to_json(config::declaration_in(content));
   found.isolated = content.find(IOTCLOUD_DRIVER_ISOLATION_MARK) != std::string::npos;
   if (!order.sha256.empty() && identity.sha256 != order.sha256)
     throw config::Error(

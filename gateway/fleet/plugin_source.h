@@ -6,8 +6,10 @@
 #include <string>
 #include <tuple>
 #include <utility>
+#include <vector>
 
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 #include <iotcloud/processes/plugin_store.h>
 #include <iotcloud/security/plugin_signature.h>
@@ -36,6 +38,9 @@ class PluginSource {
   /// \throws config::Error if the plugin is missing, is not the one that the order names, or lacks a required
   /// signature.
   Found find(const HostOrder& order);
+  /// All plugins of the folder, and all that were sent. They are read, not loaded. \param names as in
+  /// HostLauncher::plugins()
+  std::vector<KnownPlugin> all(const std::map<std::string, std::string>& names);
 
  private:
   /// Identifies a version of a file (see stamp_of()), so that an unchanged file is not read and checked again, which
@@ -46,7 +51,10 @@ class PluginSource {
     PluginIdentity identity;
     security::PluginSignature signature;
     bool isolated = false;
+    std::int64_t size = 0;
+    std::string declaration;  ///< JSON of config/declaration.h
   };
+  KnownPlugin known(const std::string& path, const std::string& signature_path, const HostOrder& order);
   Examined examine(const std::string& path, const std::string& signature_path, const HostOrder& order);
 
   const std::string folder_;

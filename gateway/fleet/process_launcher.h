@@ -62,6 +62,9 @@ class ProcessLauncher final : public HostLauncher {
 
   bool wants_isolation(const HostOrder& order) override;
   std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) override;
+  std::vector<KnownPlugin> plugins(const std::map<std::string, std::string>& names) override {
+    return source_.all(names);
+  }
   std::vector<RunningHost> running(const discovery::GatewayId& gateway) override;
   std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;
 

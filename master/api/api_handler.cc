@@ -147,6 +147,10 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     });
   }
 
+  void listPlugins(wire::TGatewayPlugins& out, const std::vector<std::string>& gateways) override {
+    read([&] { discovery::fill_wire(read_plugins(master_, gateways_, asks_, gateway_ids(gateways)), out); });
+  }
+
   void readWorkerPage(std::string& out, const std::string& topology, const std::string& worker,
                       const std::string& target) override {
     read([&] { out = read_worker_page(master_, workers_, discovery::TopologyName(topology), worker, target); });

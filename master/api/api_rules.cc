@@ -23,6 +23,7 @@ const MethodRules& api_rules() {
         {"listTopologies", {Role::viewer, RefusalForm::error}},
         {"getHistory", {Role::viewer, RefusalForm::error}},
         {"readLog", {Role::viewer, RefusalForm::error}},
+        {"listPlugins", {Role::viewer, RefusalForm::error}},
         {"readWorkerPage", {Role::viewer, RefusalForm::error}},
         {"lookAtChannel", {Role::viewer, RefusalForm::error}},
         // This also shows the properties that drivers were deployed with; only an admin sees the values of those that

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <chrono>
 #include <future>
+#include <iterator>
 #include <utility>
 
 #include <fmt/format.h>
@@ -15,7 +16,7 @@ namespace {
 
 constexpr std::chrono::milliseconds answer_limit{3000};
 /// For the answers of all gateways; those whose answers are missing by then are named.
-constexpr std::chrono::seconds history_limit{15};
+constexpr std::chrono::seconds all_limit{15};
 constexpr std::int32_t most_changes = 10'000;
 
 const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>& gateways,
@@ -26,56 +27,71 @@ const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>
 }
 
 std::string unanswered() {
-  return fmt::format("no answer within {} s, in which others were asked, too; ask for it alone", history_limit.count());
+  return fmt::format("no answer within {} s, in which others were asked, too; ask for it alone", all_limit.count());
 }
 
 /// What one gateway answered. An exception does not cross threads: they would share its text.
-struct GatewayHistory {
-  std::vector<DriverChange> changes;
+template <typename Item>
+struct GatewayAnswer {
+  std::vector<Item> items;
   std::string failure;  ///< why there is no answer; empty: there is one
 };
 
-}  // namespace
-
-DriverHistory read_history(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
-                           const std::vector<std::string>& instances, const std::vector<discovery::GatewayId>& gateways,
-                           std::int32_t most) {
+/// Puts a question to gateways, all at the same time. \param gateways empty: all. \return what all answered
+/// \param silent gets the gateways that did not answer
+template <typename Item, typename Question>
+std::vector<Item> ask_gateways(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
+                               const std::vector<discovery::GatewayId>& gateways,
+                               std::map<discovery::GatewayId, std::string>& silent, Question question) {
   const auto known = master.gateways();
   std::vector<const discovery::GatewayStatus*> asked;
   for (const auto& id : gateways) asked.push_back(&find(known, id));
   if (gateways.empty()) {
     for (const auto& gateway : known) asked.push_back(&gateway);
   }
-  // The gateways are asked for all instances: the beginning of an id may belong to an instance that is gone, which only
-  // they know.
-  std::vector<std::pair<discovery::GatewayId, std::future<GatewayHistory>>> answers;
-  const auto until = std::chrono::steady_clock::now() + history_limit;
+  std::vector<std::pair<discovery::GatewayId, std::future<GatewayAnswer<Item>>>> answers;
+  const auto until = std::chrono::steady_clock::now() + all_limit;
   for (const auto* gateway : asked) {
-    answers.emplace_back(gateway->record.id, asks.ask([gateway = *gateway, &access, until]() -> GatewayHistory {
-      if (std::chrono::steady_clock::now() >= until) return {{}, unanswered()};  // hardly anybody waits for it any more
-      try {
-        return {site_changes(address_of(gateway, access), gateway.record.id, {}, answer_limit), ""};
-      } catch (const config::Error& e) {
-        return {{}, e.what()};
-      }
-    }));
+    answers.emplace_back(gateway->record.id,
+                         asks.ask([gateway = *gateway, &access, until, question]() -> GatewayAnswer<Item> {
+                           if (std::chrono::steady_clock::now() >= until)
+                             return {{}, unanswered()};  // hardly anybody waits for it any more
+                           try {
+                             return {question(address_of(gateway, access), gateway.record.id), ""};
+                           } catch (const config::Error& e) {
+                             return {{}, e.what()};
+                           }
+                         }));
   }
-  const auto wanted = [&](const DriverChange& change) {
-    const auto begins = [&](const std::string& id) { return change.instance.str().starts_with(id); };
-    return instances.empty() || std::any_of(instances.begin(), instances.end(), begins);
-  };
-  DriverHistory history;
+  std::vector<Item> all;
   for (auto& [id, answer] : answers) {
     if (answer.wait_until(until) != std::future_status::ready) {
-      history.silent[id] = unanswered();
+      silent[id] = unanswered();
       continue;
     }
-    GatewayHistory told = answer.get();
-    if (!told.failure.empty()) history.silent[id] = std::move(told.failure);
-    for (auto& change : told.changes) {
-      if (wanted(change)) history.changes.push_back(std::move(change));
-    }
+    GatewayAnswer<Item> told = answer.get();
+    if (!told.failure.empty()) silent[id] = std::move(told.failure);
+    std::move(told.items.begin(), told.items.end(), std::back_inserter(all));
   }
+  return all;
+}
+
+}  // namespace
+
+DriverHistory read_history(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
+                           const std::vector<std::string>& instances, const std::vector<discovery::GatewayId>& gateways,
+                           std::int32_t most) {
+  DriverHistory history;
+  // The gateways are asked for all instances: the beginning of an id may belong to an instance that is gone, which only
+  // they know.
+  history.changes = ask_gateways<DriverChange>(master, access, asks, gateways, history.silent,
+                                               [](const SiteAddress& site, const discovery::GatewayId& gateway) {
+                                                 return site_changes(site, gateway, {}, answer_limit);
+                                               });
+  std::erase_if(history.changes, [&](const DriverChange& change) {
+    const auto begins = [&](const std::string& id) { return change.instance.str().starts_with(id); };
+    return !instances.empty() && std::none_of(instances.begin(), instances.end(), begins);
+  });
   std::stable_sort(history.changes.begin(), history.changes.end(),
                    [](const auto& a, const auto& b) { return a.time_ms < b.time_ms; });
   const auto kept = static_cast<std::size_t>(most <= 0 ? most_changes : std::min(most, most_changes));
@@ -83,6 +99,16 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
     history.changes.erase(history.changes.begin(), history.changes.end() - static_cast<std::ptrdiff_t>(kept));
   }
   return history;
+}
+
+GatewayPlugins read_plugins(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
+                            const std::vector<discovery::GatewayId>& gateways) {
+  GatewayPlugins answer;
+  answer.plugins = ask_gateways<GatewayPlugin>(master, access, asks, gateways, answer.silent,
+                                               [](const SiteAddress& site, const discovery::GatewayId& gateway) {
+                                                 return site_plugins(site, gateway, answer_limit);
+                                               });
+  return answer;
 }
 
 LogPart read_log(const Master& master, const GatewayAccess& access, const discovery::GatewayId& gateway,

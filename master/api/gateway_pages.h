@@ -23,6 +23,11 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
                            const std::vector<std::string>& instances, const std::vector<discovery::GatewayId>& gateways,
                            std::int32_t most);
 
+/// The plugins that gateways have. All gateways are asked at the same time. \param gateways as in read_history().
+/// \throws config::Error when the registry is away or a gateway is not registered.
+GatewayPlugins read_plugins(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
+                            const std::vector<discovery::GatewayId>& gateways);
+
 /// A part of the log of an instance's driver host. \param position from an earlier part, which this one continues;
 /// empty: the end of the log.
 /// \throws config::Error when the log cannot be read, with the reason.

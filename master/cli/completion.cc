@@ -8,8 +8,11 @@
 #include <sstream>
 
 #include <CLI/CLI.hpp>
+#include <fmt/format.h>
 
+#include <iotcloud/config/declaration.h>
 #include <iotcloud/master/cli/completion.h>
+#include <iotcloud/master/cli/plugins/plugin_file.h>
 
 namespace iotcloud::master::cli {
 
@@ -24,6 +27,8 @@ _iotcloud() {
   if [ "${COMPREPLY[0]-}" = :files ]; then
     COMPREPLY=()
     compopt -o default
+  elif [[ "${COMPREPLY[0]-}" == *= ]]; then
+    compopt -o nospace
   fi
 }
 complete -F _iotcloud iotcloud
@@ -37,6 +42,8 @@ _iotcloud() {
   found=("${(@f)$("${words[1]}" __complete "${(@)words[2,CURRENT]}" 2>/dev/null)}")
   if [[ "${found[1]}" == :files ]]; then
     _files
+  elif [[ "${found[1]}" == *= ]]; then
+    compadd -S '' -a found
   elif [[ -n "${found[1]}" ]]; then
     compadd -a found
   fi
@@ -53,6 +60,7 @@ struct Place {
   const CLI::App* app = nullptr;
   const CLI::Option* value_of = nullptr;  ///< an option that awaits its value
   std::size_t positionals = 0;            ///< number of positional words before the last word
+  std::string plugin;                     ///< the plugin that the verb is for, as far as the words say
   std::vector<std::string> global;        ///< options of the program itself, with their values, before the last word
 };
 
@@ -88,6 +96,7 @@ Place place_of_last(const CLI::App& root, const std::vector<std::string>& words)
     if (place.value_of != nullptr) {
       if (word == "=") continue;  // bash splits --option=value into three words
       if (is_global(place.value_of)) place.global.push_back(word);
+      if (place.value_of->check_name("--plugin")) place.plugin = word;
       place.value_of = nullptr;
       continue;
     }
@@ -96,6 +105,7 @@ Place place_of_last(const CLI::App& root, const std::vector<std::string>& words)
       const bool is_long = word.starts_with("--");
       const auto* option = find_option(place.app, is_long ? word.substr(0, equals) : word.substr(0, 2));
       if (option == nullptr || !takes_value(*option)) continue;
+      if (option->check_name("--plugin") && equals != std::string::npos) place.plugin = word.substr(equals + 1);
       const bool value_follows = is_long ? equals == std::string::npos : word.size() == 2;
       if (is_global(option)) place.global.push_back(word);
       if (value_follows) place.value_of = option;
@@ -106,14 +116,15 @@ Place place_of_last(const CLI::App& root, const std::vector<std::string>& words)
       place.app = verb;
     } else {
       ++place.positionals;
+      if (place.app->get_option_no_throw("PLUGIN") != nullptr) place.plugin = word;
     }
   }
   return place;
 }
 
 /// Asks a master for names of one kind.
-using NamesOf = std::vector<std::string> (*)(MasterClient&);
-using Names = std::function<std::vector<std::string>(NamesOf)>;
+using NamesOf = std::function<std::vector<std::string>(MasterClient&)>;
+using Names = std::function<std::vector<std::string>(const NamesOf&)>;
 
 template <typename Items, typename Name>
 std::vector<std::string> names_in(const Items& items, Name&& name) {
@@ -153,6 +164,36 @@ std::vector<std::string> values(const CLI::Option& option, const Names& names) {
   return {};
 }
 
+/// "rate=" for each property that the plugin declares, and "shared=true" for those with few values.
+std::vector<std::string> property_words(const std::string& plugin, const Names& names) {
+  const auto words_of = [](const config::DriverDeclaration& declaration) {
+    std::vector<std::string> words;
+    if (!declaration.properties) return words;
+    for (const auto& property : *declaration.properties) {
+      auto values = property.choices;
+      if (property.type == "flag") values = {"true", "false"};
+      if (values.empty()) words.push_back(property.name + "=");
+      for (const auto& value : values) words.push_back(fmt::format("{}={}", property.name, value));
+    }
+    return words;
+  };
+  if (is_local_plugin(plugin)) {
+    try {
+      return words_of(config::declaration_in(plugin_bytes(plugin)));
+    } catch (const std::exception&) {
+      return {};  // a shell that completes a word cannot show error messages
+    }
+  }
+  return names([&](MasterClient& master) {
+    std::vector<std::string> words;
+    for (const auto& known : master.plugins({}).plugins) {
+      if (known.file != plugin) continue;
+      for (auto& word : words_of(config::parse_declaration(known.declaration))) words.push_back(std::move(word));
+    }
+    return words;
+  });
+}
+
 /// The words that begin with `begun`. \param kept is put before each of them.
 std::vector<std::string> fitting(const std::vector<std::string>& words, const std::string& begun,
                                  const std::string& kept = "") {
@@ -184,6 +225,8 @@ std::vector<std::string> option_words(const CLI::App* app, const std::string& be
 }
 
 std::vector<std::string> candidates(const Place& place, std::string last, const Names& names) {
+  if (place.value_of != nullptr && place.value_of->check_name("--property") && !place.plugin.empty())
+    return fitting(property_words(place.plugin, names), last);
   if (place.value_of != nullptr) return value_words(*place.value_of, last == "=" ? "" : last, "", names);
   if (last.starts_with("-")) {
     const auto equals = last.find('=');
@@ -233,7 +276,7 @@ int answer_shell(CLI::App& app, const std::vector<std::string>& words, Call& cal
                  const std::function<void()>& identify) {
   if (words.empty()) return exit_ok;
   const auto place = place_of_last(app, words);
-  const auto names = [&](NamesOf names_of) -> std::vector<std::string> {
+  const auto names = [&](const NamesOf& names_of) -> std::vector<std::string> {
     try {
       auto global = place.global;
       global.push_back("status");  // the parser requires a verb

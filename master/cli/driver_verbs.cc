@@ -9,6 +9,7 @@
 #include <iotcloud/master/cli/driver_verbs.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/master/cli/watch.h>
 #include <iotcloud/master/listing/secret_properties.h>
 
 namespace iotcloud::master::cli {
@@ -19,25 +20,25 @@ using Rows = std::vector<std::vector<std::string>>;
 
 namespace {
 
-class Drivers final : public Verb {
+class Drivers final : public WatchedVerb {
  public:
   Drivers()
-      : Verb({"drivers", "List driver instances with their state, and why they are in it",
-              "iotcloud drivers --where 'site == \"lab\" and battery > 20'", security::Role::viewer}) {}
+      : WatchedVerb({"drivers", "List driver instances with their state, and why they are in it",
+                     "iotcloud drivers --where 'site == \"lab\" and battery > 20'", security::Role::viewer}) {}
 
   void declare(CLI::App& options) override {
+    WatchedVerb::declare(options);
     choice_.add_ids(options, "ids, or how they begin, or names (meter/2)");
     choice_.add_what_they_are(options, "only on these gateways");
   }
 
-  int run(Call& call) override {
-    const auto master = call.connect();
-    const auto drivers = choice_.drivers(*master);
+  int show(Call& call, MasterClient& master) override {
+    const auto drivers = choice_.drivers(master);
     Rows rows;
     Json json = Json::array();
     if (call.format == Format::table) {
       std::set<discovery::GatewayId> lost;
-      for (const auto& gateway : master->gateways())
+      for (const auto& gateway : master.gateways())
         if (!gateway.alive) lost.insert(gateway.record.id);
       for (const auto& driver : drivers)
         rows.push_back({driver.instance, printable(full_name(driver)), printable(driver.name),

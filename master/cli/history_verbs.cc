@@ -1,12 +1,10 @@
 // describe, history, logs
 #include <chrono>
-#include <ctime>
 #include <deque>
 #include <ostream>
 #include <sstream>
 
 #include <CLI/CLI.hpp>
-#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
@@ -28,13 +26,6 @@ namespace {
 
 constexpr std::int32_t most_log_bytes = 128 * 1024;
 constexpr std::chrono::milliseconds follow_pause{500};
-
-/// Formats wall time for people, in UTC.
-std::string moment(std::int64_t time_ms) {
-  if (time_ms <= 0) return "-";
-  constexpr std::int64_t ms = 1000;
-  return fmt::format("{:%Y-%m-%dT%H:%M:%S}.{:03}Z", fmt::gmtime(static_cast<std::time_t>(time_ms / ms)), time_ms % ms);
-}
 
 /// Prints the gateways that did not answer. \return the exit status: exit_failed if there are any.
 int name_silent(const DriverHistory& history, std::ostream& err) {

@@ -277,6 +277,10 @@ discovery::ChannelLook MasterClient::hand_message(const discovery::GatewayId& ga
       impl_->ask(&Client::handMessage, gateway.str(), as_wire<discovery::wire::THandedMessage>(message))));
 }
 
+GatewayPlugins MasterClient::plugins(const std::vector<discovery::GatewayId>& gateways) {
+  return as_own<GatewayPlugins>(impl_->ask(&Client::listPlugins, texts(gateways)));
+}
+
 std::string MasterClient::worker_page(const discovery::TopologyName& topology, const std::string& worker,
                                       const std::string& target) {
   return impl_->ask(&Client::readWorkerPage, topology.str(), worker, target);

@@ -59,6 +59,9 @@ class MasterClient {
   /// also when the answer names a problem
   discovery::ChannelLook look_at_channel(const discovery::GatewayId& gateway, const discovery::LookRequest& request);
   discovery::ChannelLook hand_message(const discovery::GatewayId& gateway, const discovery::HandedMessage& message);
+  /// \param gateways empty: all
+  GatewayPlugins plugins(const std::vector<discovery::GatewayId>& gateways);
+
   /// A page of a topology's worker, read by a master. \param target "/topology" or "/tap?..."
   std::string worker_page(const discovery::TopologyName& topology, const std::string& worker,
                           const std::string& target);

@@ -127,8 +127,11 @@ CLI::Option& add_seconds(CLI::App& options, const char* name, milliseconds& into
               ->type_name("SECONDS");
 }
 
-void add_gateways(CLI::App& options, std::vector<discovery::GatewayId>& gateways, const char* what) {
-  options.add_option("-g,--gateway", gateways, what)->delimiter(',')->allow_extra_args(false)->type_name("GATEWAY");
+CLI::Option& add_gateways(CLI::App& options, std::vector<discovery::GatewayId>& gateways, const char* what) {
+  return *options.add_option("-g,--gateway", gateways, what)
+              ->delimiter(',')
+              ->allow_extra_args(false)
+              ->type_name("GATEWAY");
 }
 
 void add_wait(CLI::App& options, WaitLimit& wait, const char* name, const char* what) {

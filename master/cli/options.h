@@ -28,7 +28,8 @@ std::map<std::string, std::string> pairs(const std::vector<std::string>& words, 
 /// Adds an option that takes a number of seconds from `least` to `longest`.
 CLI::Option& add_seconds(CLI::App& options, const char* name, std::chrono::milliseconds& into, double least,
                          double longest, const char* what);
-void add_gateways(CLI::App& options, std::vector<discovery::GatewayId>& gateways, const char* what);
+/// -g lab1,lab2 or -g lab1 -g lab2. A verb without ids may let its option take several words: -g lab1 lab2.
+CLI::Option& add_gateways(CLI::App& options, std::vector<discovery::GatewayId>& gateways, const char* what);
 void add_wait(CLI::App& options, WaitLimit& wait, const char* name = "--wait",
               const char* what = "seconds to wait for the outcome; the master decides when it is not given");
 /// For verbs that update drivers step by step.

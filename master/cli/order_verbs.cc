@@ -8,8 +8,11 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <iotcloud/config/declaration.h>
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/fleet/channel_options.h>
+#include <iotcloud/master/cli/fleet/plugin_declarations.h>
+#include <iotcloud/master/cli/fleet/property_check.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/order_verbs.h>
 #include <iotcloud/master/cli/plugins/plugin_file.h>
@@ -44,6 +47,17 @@ Waiting::Concerns is_one_of(const std::vector<discovery::InstanceId>& ids) {
   };
 }
 
+/// What a plugin that is a file of this machine declares. The file is read, not loaded.
+DeclaredPlugin declared_by_file(const std::string& path) {
+  return {path, config::declaration_in(plugin_bytes(path))};
+}
+
+/// \throws std::invalid_argument that says all that is wrong with the properties
+void refuse_wrong(const config::Properties& properties, const std::vector<DeclaredPlugin>& plugins) {
+  const auto problems = property_problems(properties, plugins);
+  if (!problems.empty()) throw std::invalid_argument(lines_of(problems));
+}
+
 class Deploy final : public Verb {
  public:
   Deploy()
@@ -55,7 +69,7 @@ class Deploy final : public Verb {
   void declare(CLI::App& options) override {
     add_plugin(options, request_.plugin);
     options.add_option("PLUGIN", request_.plugin, "as --plugin")->excludes("--plugin");
-    add_gateways(options, request_.gateways, "on these gateways");
+    add_gateways(options, request_.gateways, "on these gateways: -g lab1 lab2").allow_extra_args();
     options.add_flag("--all", all_, "on all gateways")->excludes("--gateway");
     options
         .add_option("--name", request_.name,
@@ -64,7 +78,9 @@ class Deploy final : public Verb {
         ->type_name("NAME");
     options.add_option("--driver", request_.driver, "the driver's name; the plugin's own when it is not given")
         ->type_name("DRIVER");
-    add_words(options, "-p,--property", properties_, "a property of the driver; may be repeated", "NAME=VALUE");
+    add_words(options, "-p,--property", properties_,
+              "a property of the driver; may be repeated. {index} in a value stands for the instance's number",
+              "NAME=VALUE");
     add_words(options, "-c,--channel", channels_,
               "what a channel's messages are worth, such as data.deadline_ms=100; may be repeated. Options: " +
                   joined(channel_options()),
@@ -84,6 +100,7 @@ class Deploy final : public Verb {
   }
 
   void check() override {
+    take_plugin_back();
     if (request_.gateways.empty() && !all_) throw CLI::RequiredError("--gateway GATEWAY or --all");
     request_.properties = pairs(properties_, "--property");
     add_channels(pairs(channels_, "--channel"));
@@ -94,6 +111,7 @@ class Deploy final : public Verb {
 
   int run(Call& call) override {
     const auto master = call.connect();
+    check_properties(call, *master);
     SentPlugin sent;
     if (is_local_plugin(request_.plugin)) {
       sent = send_plugin(request_.plugin, gateways_to_send_to(*master), *master, call.progress ? &call.err : nullptr);
@@ -106,6 +124,14 @@ class Deploy final : public Verb {
   }
 
  private:
+  /// In `deploy -g lab1 turtle.so` the option takes the plugin, too.
+  void take_plugin_back() {
+    if (!request_.plugin.empty() || request_.gateways.size() < 2) return;
+    const std::string last = request_.gateways.back();
+    if (!last.ends_with(".so") && !is_local_plugin(last)) return;
+    request_.plugin = last;
+    request_.gateways.pop_back();
+  }
   static void add_words(CLI::App& options, const char* name, std::vector<std::string>& words, const std::string& what,
                         const char* type) {
     options.add_option(name, words, what)->allow_extra_args(false)->type_name(type);
@@ -151,6 +177,25 @@ class Deploy final : public Verb {
                                                 when_full == request_.properties.end() ? "" : when_full->second);
       if (!problem.empty()) throw CLI::ValidationError("--channel", problem);
     }
+  }
+
+  /// Compares the properties with what the plugin declares. \throws std::invalid_argument that says all that is wrong
+  void check_properties(Call& call, MasterClient& master) {
+    for (int i = 1; i <= request_.count; ++i) {
+      if (auto own = config::numbered(request_.properties, i); !own.empty())
+        request_.own.push_back({i, std::move(own)});
+    }
+    PluginDeclarations on_gateways(master);
+    const auto plugins = is_local_plugin(request_.plugin)
+                             ? std::vector<DeclaredPlugin>{declared_by_file(request_.plugin)}
+                             : on_gateways.of(request_.plugin, request_.gateways);
+    auto properties = request_.properties;
+    if (!request_.own.empty()) {
+      // The numbers grow, so the last instance has the largest.
+      for (const auto& [name, value] : request_.own.back().properties) properties[name] = value;
+    }
+    refuse_wrong(properties, plugins);
+    if (!properties.empty()) tell_unchecked(on_gateways, call.err);
   }
 
   /// The gateways that get the plugin. A plugin for all gateways skips those that drain, as the order does.
@@ -269,13 +314,20 @@ class Update final : public ForInstances {
  public:
   Update()
       : ForInstances({"update",
-                      "Give driver instances another version of their plugin, one gateway after the other. When one "
-                      "does not come up with it, all go back to the version before",
-                      "iotcloud update --plugin ./turtle-2.so --driver turtle", Role::admin}) {}
+                      "Give driver instances another version of their plugin, other properties, or both, one gateway "
+                      "after the other. When one does not come up with it, all go back to what they had",
+                      "iotcloud update --plugin ./turtle-2.so --driver turtle\n"
+                      "  iotcloud update --property rate=5 --name meter",
+                      Role::admin}) {}
 
   void declare(CLI::App& options) override {
     ForInstances::declare(options);
     add_plugin(options, request_.plugin);
+    options
+        .add_option("-p,--property", words_,
+                    "a property to change; may be repeated. \"NAME=\" takes it away; the others stay")
+        ->allow_extra_args(false)
+        ->type_name("NAME=VALUE");
     options.add_option("--at-once", request_.at_once, "so many instances in one step, not all of one gateway")
         ->check(CLI::Range(1, UpdateRequest::max_at_once))
         ->type_name("N");
@@ -283,7 +335,8 @@ class Update final : public ForInstances {
   }
 
   void check() override {
-    if (request_.plugin.empty()) throw CLI::RequiredError("--plugin");
+    if (request_.plugin.empty() && words_.empty()) throw CLI::RequiredError("--plugin or --property");
+    changes_ = pairs(words_, "--property");
     ForInstances::check();
   }
 
@@ -295,7 +348,8 @@ class Update final : public ForInstances {
     for (const auto& driver : master.drivers()) {
       if (chosen.contains(driver.instance)) gateways.insert(driver.gateway);
     }
-    if (!gateways.empty()) {
+    set_properties(call, master, selection);
+    if (!gateways.empty() && !request_.plugin.empty()) {
       const auto sent =
           send_plugin(request_.plugin, {gateways.begin(), gateways.end()}, master, call.progress ? &call.err : nullptr);
       if (!sent.failures.empty()) {
@@ -311,7 +365,42 @@ class Update final : public ForInstances {
     return show_order(call, master.update(request_, steps));
   }
 
+  /// Works out the properties that each instance is to have, and checks them against what its plugin declares.
+  void set_properties(Call& call, MasterClient& master, const InstanceSelection& selection) {
+    const std::set<discovery::InstanceId> chosen(selection.instances.begin(), selection.instances.end());
+    PluginDeclarations on_gateways(master);
+    std::vector<DeclaredPlugin> by_file;
+    if (is_local_plugin(request_.plugin)) by_file.push_back(declared_by_file(request_.plugin));
+    for (const auto& placed : master.orders()) {
+      const auto& order = placed.order;
+      const bool here = selection.gateways.empty() || std::find(selection.gateways.begin(), selection.gateways.end(),
+                                                                placed.gateway) != selection.gateways.end();
+      if (!chosen.contains(order.instance) || !here) continue;
+      auto properties = order.properties;
+      for (const auto& [name, value] : changes_) {
+        if (value.empty()) {
+          properties.erase(name);
+        } else {
+          properties[name] = value;
+        }
+      }
+      for (auto& [name, value] : config::numbered(properties, order.index)) properties[name] = value;
+      const bool as_it_is = request_.plugin.empty();
+      if (!by_file.empty()) {
+        refuse_wrong(properties, by_file);
+      } else if (as_it_is && !order.sha256.empty()) {
+        refuse_wrong(properties, on_gateways.sent(order.sha256));
+      } else {
+        refuse_wrong(properties, on_gateways.of(as_it_is ? order.plugin : request_.plugin, {placed.gateway}));
+      }
+      if (!changes_.empty()) request_.properties.push_back({order.instance, std::move(properties)});
+    }
+    if (!changes_.empty()) tell_unchecked(on_gateways, call.err);
+  }
+
   UpdateRequest request_;
+  std::vector<std::string> words_;
+  std::map<std::string, std::string> changes_;
 };
 
 class Drain final : public Verb {

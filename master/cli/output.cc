@@ -2,6 +2,7 @@
 #include <cctype>
 #include <ostream>
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 #include <yaml-cpp/emitter.h>
@@ -100,6 +101,12 @@ void print(std::ostream& out, Format format, const std::vector<std::string>& hea
 
 std::int64_t now_ms() {
   return config::system_clock().wall_ms();
+}
+
+std::string moment(std::int64_t time_ms) {
+  if (time_ms <= 0) return "-";
+  constexpr std::int64_t ms = 1000;
+  return fmt::format("{:%Y-%m-%dT%H:%M:%S}.{:03}Z", fmt::gmtime(static_cast<std::time_t>(time_ms / ms)), time_ms % ms);
 }
 
 std::string age(std::int64_t since_ms, std::int64_t now_ms) {

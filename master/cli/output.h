@@ -29,6 +29,8 @@ void print_data(std::ostream& out, Format format, const nlohmann::ordered_json& 
 
 /// "12s", "5m", "3h", "2d" since `since_ms` (wall time); "-" when it is not known.
 std::string age(std::int64_t since_ms, std::int64_t now_ms);
+/// Wall time for people, in UTC.
+std::string moment(std::int64_t time_ms);
 /// Milliseconds since 1970, by the system's clock.
 std::int64_t now_ms();
 

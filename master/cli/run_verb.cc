@@ -20,7 +20,8 @@ class Run final : public Verb {
     options.add_option("FILE", file_, "the topology's YAML file")->required()->type_name("FILE");
     add(options, "--plugin", "a driver's plugin; again for each further one, all in one folder", "FILE");
     add(options, "-n,--count", "instances of each plugin", "N");
-    add(options, "--property", "for all instances; again for each further one", "KEY=VALUE");
+    add(options, "--property", "for all instances, {index} in it for each one's number; again for each further one",
+        "KEY=VALUE");
     add(options, "--broker", "a broker's URL in place of the embedded one", "URL");
     add(options, "--registry", "a registry's URL in place of the embedded one", "URL");
     add(options, "--seconds", "end after so many", "N");

@@ -10,6 +10,7 @@
 
 #include <iotcloud/master/cli/topology/topology_verbs.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/master/cli/watch.h>
 #include <iotcloud/rpc/http/http_client.h>
 
 namespace iotcloud::master::cli {
@@ -25,19 +26,13 @@ const char* state_of(const GatewayStatus& gateway) {
   return gateway.alive ? "ready" : "lost";
 }
 
-/// A verb without options.
-class PlainVerb : public Verb {
+class Gateways final : public WatchedVerb {
  public:
-  using Verb::Verb;
-  void declare(CLI::App&) override {}
-};
+  Gateways()
+      : WatchedVerb({"gateways", "List the gateways, and whether they live", "iotcloud gateways", Role::viewer}) {}
 
-class Gateways final : public PlainVerb {
- public:
-  Gateways() : PlainVerb({"gateways", "List the gateways, and whether they live", "iotcloud gateways", Role::viewer}) {}
-
-  int run(Call& call) override {
-    const auto gateways = call.connect()->gateways();
+  int show(Call& call, MasterClient& master) override {
+    const auto gateways = master.gateways();
     Rows rows;
     Json json = Json::array();
     for (const auto& gateway : gateways) {
@@ -69,14 +64,14 @@ std::vector<std::string> worker_names(const discovery::TopologyStatus& topology)
   return names;
 }
 
-class Topologies final : public PlainVerb {
+class Topologies final : public WatchedVerb {
  public:
-  using PlainVerb::PlainVerb;
+  using WatchedVerb::WatchedVerb;
 
-  int run(Call& call) override {
+  int show(Call& call, MasterClient& master) override {
     Rows rows;
     Json json = Json::array();
-    for (const auto& topology : call.connect()->topologies()) {
+    for (const auto& topology : master.topologies()) {
       const auto& record = topology.record;
       rows.push_back({printable(record.name), topology_state(topology), std::to_string(topology.workers.size()),
                       age(record.since_ms, now_ms()), printable(fmt::format("{}", fmt::join(record.spouts, ","))),
@@ -100,20 +95,19 @@ std::string role(const MasterStatus& status) {
   return status.leader.empty() ? "standby; no master leads" : fmt::format("standby; {} leads", status.leader);
 }
 
-class Status final : public PlainVerb {
+class Status final : public WatchedVerb {
  public:
   Status()
-      : PlainVerb({"status", "Show who leads, gateways, drivers by state, and topologies",
-                   "iotcloud --master lab1:12904,lab2:12904 status", Role::viewer}) {}
+      : WatchedVerb({"status", "Show who leads, gateways, drivers by state, and topologies",
+                     "iotcloud --master lab1:12904,lab2:12904 status", Role::viewer}) {}
 
-  int run(Call& call) override {
-    const auto master = call.connect();
-    const auto status = master->status();
+  int show(Call& call, MasterClient& master) override {
+    const auto status = master.status();
     const std::vector<std::string> head{
-        "master", fmt::format("{} at {} ({})", printable(status.id), master->address(), role(status))};
+        "master", fmt::format("{} at {} ({})", printable(status.id), master.address(), role(status))};
     Json json{{"master",
                {{"id", status.id},
-                {"address", master->address()},
+                {"address", master.address()},
                 {"leading", status.leading},
                 {"leader", status.leader},
                 {"epoch", status.epoch},
@@ -122,10 +116,10 @@ class Status final : public PlainVerb {
       print(call.out, call.format, head, {{"registry", "away; the master keeps trying to reach it"}}, json);
       return exit_failed;
     }
-    const auto gateways = master->gateways();
-    const auto topologies = master->topologies();
+    const auto gateways = master.gateways();
+    const auto topologies = master.topologies();
     std::map<std::string, int> drivers;
-    for (const auto& driver : master->drivers()) ++drivers[to_string(driver.state)];
+    for (const auto& driver : master.drivers()) ++drivers[to_string(driver.state)];
     const auto ready = std::count_if(gateways.begin(), gateways.end(), [](const auto& g) { return g.alive; });
     const auto lost = static_cast<std::ptrdiff_t>(gateways.size()) - ready;
     const auto frozen =

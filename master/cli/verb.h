@@ -108,6 +108,7 @@ class Verbs {
 void add_gateway_verbs(Verbs& verbs);
 void add_driver_verbs(Verbs& verbs);
 void add_history_verbs(Verbs& verbs);
+void add_event_verbs(Verbs& verbs);
 void add_status_verbs(Verbs& verbs);
 void add_order_verbs(Verbs& verbs);
 void add_fleet_verbs(Verbs& verbs);
@@ -120,9 +121,9 @@ void add_plugin_verbs(Verbs& verbs);
 void add_signing_verbs(Verbs& verbs);
 void add_security_verbs(Verbs& verbs);
 void add_completion_verbs(Verbs& verbs);
-inline constexpr auto families = {add_gateway_verbs, add_driver_verbs,   add_history_verbs,   add_status_verbs,
-                                  add_order_verbs,   add_fleet_verbs,    add_drain_verbs,     add_registry_verbs,
-                                  add_channel_verbs, add_topology_verbs, add_run_verbs,       add_plugin_verbs,
-                                  add_signing_verbs, add_security_verbs, add_completion_verbs};
+inline constexpr auto families = {add_gateway_verbs,  add_driver_verbs,  add_history_verbs,  add_event_verbs,
+                                  add_status_verbs,   add_order_verbs,   add_fleet_verbs,    add_drain_verbs,
+                                  add_registry_verbs, add_channel_verbs, add_topology_verbs, add_run_verbs,
+                                  add_plugin_verbs,   add_signing_verbs, add_security_verbs, add_completion_verbs};
 
 }  // namespace iotcloud::master::cli

@@ -64,8 +64,8 @@ void put(const SiteAddress& site, const discovery::GatewayId& gateway, std::chro
     // ping() is older than all other questions.
     throw config::Error(
         known ? fmt::format("gateway {} runs an older version, which does not know this question: update it", gateway)
-              : fmt::format("gateway {} is of the original system, which tells neither history nor logs, shows no "
-                            "channels and takes no plugin files",
+              : fmt::format("gateway {} is of the original system, which tells neither history nor logs, lists no "
+                            "plugins, shows no channels and takes no plugin files",
                             gateway));
   } catch (const apache::thrift::TException& e) {
     throw config::Error(
@@ -145,6 +145,19 @@ std::vector<DriverChange> site_changes(const SiteAddress& site, const discovery:
                        std::move(change.reason), change.timeMs});
   }
   return changes;
+}
+
+std::vector<GatewayPlugin> site_plugins(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                        std::chrono::milliseconds limit) {
+  std::vector<gateway::wire::TKnownPlugin> told;
+  put(site, gateway, limit, [&](auto& client) { client.listPlugins(told); });
+  std::vector<GatewayPlugin> plugins;
+  for (auto& plugin : told) {
+    plugins.push_back({gateway, std::move(plugin.file), std::move(plugin.sha256), plugin.size, plugin.sent,
+                       std::move(plugin.signedBy), plugin.signedVersion, std::move(plugin.problem),
+                       std::move(plugin.declaration)});
+  }
+  return plugins;
 }
 
 LogPart site_read_log(const SiteAddress& site, const discovery::GatewayId& gateway,

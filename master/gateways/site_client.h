@@ -40,6 +40,8 @@ SiteAnswer site_change(const SiteAddress& site, const discovery::InstanceId& ins
 /// \throws config::Error with the gateway's own words, or why it could not be asked.
 std::vector<DriverChange> site_changes(const SiteAddress& site, const discovery::GatewayId& gateway,
                                        const discovery::InstanceId& instance, std::chrono::milliseconds limit);
+std::vector<GatewayPlugin> site_plugins(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                        std::chrono::milliseconds limit);
 LogPart site_read_log(const SiteAddress& site, const discovery::GatewayId& gateway,
                       const discovery::InstanceId& instance, const std::string& position, std::int32_t most_bytes,
                       std::chrono::milliseconds limit);

@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <set>
+#include <utility>
 
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/master/orders/deployments.h>
@@ -13,6 +15,16 @@ using discovery::GatewayStatus;
 using discovery::OrderRecord;
 
 namespace {
+
+/// The properties of the instance with this number.
+std::map<std::string, std::string> properties_of(const DeployRequest& request, int index) {
+  auto properties = request.properties;
+  for (const auto& own : request.own) {
+    if (own.index != index) continue;
+    for (const auto& [name, value] : own.properties) properties[name] = value;
+  }
+  return properties;
+}
 
 OrderRecord order_for(const DeployRequest& request) {
   OrderRecord order;
@@ -41,7 +53,15 @@ std::optional<OrderResult> refuse_deployment(const DeployRequest& request) {
       return refuse(Refusal::bad_request,
                     fmt::format("an instance's number is {}, must be from 1 to {}", index, DeployRequest::max_count));
   }
-  const auto size = encode(order_for(request)).size();
+  auto largest = order_for(request);
+  std::size_t longest_own = 0;
+  for (const auto& own : request.own) {
+    std::size_t length = 0;
+    for (const auto& [name, value] : own.properties) length += name.size() + value.size();
+    if (length < std::exchange(longest_own, std::max(length, longest_own))) continue;
+    largest.properties = properties_of(request, own.index);
+  }
+  const auto size = encode(largest).size();
   if (size > largest_order)
     return refuse(Refusal::bad_request, fmt::format("properties and metadata take {} bytes, more than {}: pass large "
                                                     "things by the name of a file on the gateway",
@@ -100,7 +120,13 @@ OrderResult Deployments::place(const DeployRequest& request) {
     if (auto refusal = find_targets(request, known, targets)) return *refusal;
     for (const auto* gateway : targets) {
       const auto& id = gateway->record.id;
-      if (desk_.is_direct(id) && !request.sha256.empty()) {
+      if (desk_.is_direct(id) && !request.own.empty()) {
+        result.outcomes.push_back({id,
+                                   {},
+                                   OrderOutcome::failed,
+                                   "its gateway is of the original system, which takes no properties of single "
+                                   "instances: deploy them one by one"});
+      } else if (desk_.is_direct(id) && !request.sha256.empty()) {
         result.outcomes.push_back(
             {id, {}, OrderOutcome::failed, "its gateway is of the original system, which takes no plugin file"});
       } else if (!desk_.is_direct(id) || !gateway->alive) {
@@ -127,8 +153,9 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
   const auto& id = gateway.record.id;
   auto order = order_for(request);
   if (request.name.empty()) {
-    for (int i = 0; i < request.count; ++i) {
+    for (int i = 1; i <= request.count; ++i) {
       order.instance = discovery::new_instance_id();
+      order.properties = properties_of(request, i);
       InstanceOutcome outcome{id, order.instance, OrderOutcome::unknown, ""};
       OrderDesk::set_verdict(outcome, this->order(gateway, order, watch));
       result.outcomes.push_back(std::move(outcome));
@@ -142,6 +169,7 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
   const auto there = desk_.book.locate(instances, {gateway});
   for (const int index : indexes) {
     order.index = index;
+    order.properties = properties_of(request, index);
     order.instance = named_instance_id(id, request.name, index);
     InstanceOutcome outcome{id, order.instance, OrderOutcome::failed, ""};
     const bool runs = there.contains(order.instance);

@@ -89,7 +89,9 @@ std::string words(const GatewaySelection& selection) {
   return words(selection.gateways, "none");
 }
 std::string words(const UpdateRequest& update) {
-  return fmt::format("{} to {}{}", words(update.selection), update.plugin,
-                     update.sha256.empty() ? "" : ", SHA-256 " + update.sha256);
+  return fmt::format("{} to {}{}{}", words(update.selection),
+                     update.plugin.empty() ? "the plugin they have" : update.plugin,
+                     update.sha256.empty() ? "" : ", SHA-256 " + update.sha256,
+                     update.properties.empty() ? "" : ", with other properties");
 }
 }  // namespace iotcloud::master

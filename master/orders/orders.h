@@ -71,6 +71,15 @@ struct OrderResult {
 /// How long to wait for outcomes; nullopt: for MasterOptions::outcome_timeout.
 using WaitLimit = std::optional<std::chrono::milliseconds>;
 
+/// What one instance of a deployment has of its own.
+struct InstanceProperties {
+  int index = 0;  ///< the instance's number, from 1 on
+  /// In addition to the deployment's properties, and in place of those of the same name.
+  std::map<std::string, std::string> properties;
+  static constexpr const char* what = "an instance's own properties";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(index, required), IOTCLOUD_FIELD(properties, required)};
+};
+
 /// Instances to deploy. If the deployment has a name, the name, a gateway and a number from 1 to `count` identify each
 /// instance: one that exists already is not deployed again, and its outcome is `failed`.
 struct DeployRequest : discovery::Deployment {
@@ -78,12 +87,13 @@ struct DeployRequest : discovery::Deployment {
   int count = 1;                               ///< instances on each gateway, 1 to max_count
   std::vector<int> indexes;  ///< for deployments with a name: use these numbers instead of 1 to `count`
   WaitLimit wait;
+  std::vector<InstanceProperties> own{};  ///< what some instances, on each gateway, have of their own
   static constexpr int max_count = 10'000;
   static constexpr const char* what = "a deployment";
-  static constexpr auto fields =
-      std::tuple_cat(discovery::Deployment::fields,
-                     std::tuple{IOTCLOUD_FIELD(gateways, usual), IOTCLOUD_FIELD(count, usual),
-                                IOTCLOUD_FIELD(indexes, rare), IOTCLOUD_FIELD_AS(wait, rare, "wait_ms", waitMs)});
+  static constexpr auto fields = std::tuple_cat(
+      discovery::Deployment::fields,
+      std::tuple{IOTCLOUD_FIELD(gateways, usual), IOTCLOUD_FIELD(count, usual), IOTCLOUD_FIELD(indexes, rare),
+                 IOTCLOUD_FIELD_AS(wait, rare, "wait_ms", waitMs), IOTCLOUD_FIELD(own, rare)});
 };
 
 /// Changes what instances were deployed with. The instances keep their ids; those whose properties change are created
@@ -129,19 +139,32 @@ struct MetadataOrder : InstanceSelection {
       std::tuple_cat(InstanceSelection::fields, std::tuple{IOTCLOUD_FIELD(changes, required)});
 };
 
-/// An order to give deployed instances another version of their plugin; they keep id, properties and metadata.
+/// All properties that an instance is to have.
+struct NewProperties {
+  discovery::InstanceId instance;
+  std::map<std::string, std::string> properties;
+  static constexpr const char* what = "an instance's new properties";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(properties, usual)};
+};
+
+/// An order to give deployed instances another version of their plugin, other properties, or both, step by step; they
+/// keep id and metadata. If one does not come up, all that were changed go back.
 struct UpdateRequest {
   InstanceSelection selection;  ///< `wait`: how long each step may take, and as long again to go back
-  std::string plugin;           ///< as in discovery::Deployment
+  std::string plugin;           ///< as in discovery::Deployment; empty: each instance keeps its own
   std::string sha256{};         ///< as in discovery::Deployment
   int at_once = 0;              ///< instances in one step, up to max_at_once; 0: all of one gateway
   /// How long the instances of a step must stay up before the next step begins; at most ten minutes. 0: not at all.
   std::chrono::milliseconds settle{0};
+  std::vector<NewProperties> properties{};  ///< of instances of the selection; those not named keep theirs
   static constexpr int max_at_once = 10'000;
   static constexpr const char* what = "an update";
-  static constexpr auto fields = std::tuple{
-      IOTCLOUD_FIELD(selection, required), IOTCLOUD_FIELD(plugin, required), IOTCLOUD_FIELD(sha256, rare),
-      IOTCLOUD_FIELD_AS(at_once, rare, "at_once", atOnce), IOTCLOUD_FIELD_AS(settle, rare, "settle_ms", settleMs)};
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(selection, required),
+                                            IOTCLOUD_FIELD(plugin, required),
+                                            IOTCLOUD_FIELD(sha256, rare),
+                                            IOTCLOUD_FIELD_AS(at_once, rare, "at_once", atOnce),
+                                            IOTCLOUD_FIELD_AS(settle, rare, "settle_ms", settleMs),
+                                            IOTCLOUD_FIELD(properties, rare)};
 };
 
 /// An order in words, for the audit log, without secrets.

@@ -39,7 +39,7 @@ void OutcomeWatch::expect(const InstanceId& instance, const DriverName& driver, 
     config::MutexLock lock(mutex_);
     auto& expected = expected_[instance];
     if (before) expected.before = {before->created, before->version};
-    if (before && wanted_ == Wanted::anew) {
+    if (before && (wanted_ == Wanted::anew || version.anew)) {
       const auto record = discovery::decode_driver(before->data, instance);
       expected.state_before = {record.state, record.since_ms};
     }

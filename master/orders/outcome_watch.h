@@ -22,6 +22,7 @@ struct AwaitedVersion {
   std::string sha256;      ///< empty: any hash but `not_sha256`
   std::string not_sha256;  ///< hash of the previous version; may be empty
   bool active = true;      ///< the ordered state
+  bool anew = false;       ///< the state must have been reached after the order was written
 };
 
 /// Watches the records of some instances in the registry for the outcomes of one order, all at the same time. Use:

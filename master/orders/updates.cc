@@ -1,4 +1,5 @@
-// A rolling update: changes instances step by step, and rolls all of them back when a step fails.
+// A rolling update of plugins, properties or both: changes instances step by step, and rolls all of them back when a
+// step fails.
 #include <algorithm>
 #include <chrono>
 #include <map>
@@ -33,7 +34,9 @@ std::string name_of(const PluginVersion& version) {
 class RollingUpdate {
  public:
   RollingUpdate(OrderDesk& desk, InstancesUnderUpdate& under_update, const UpdateRequest& request)
-      : desk_(desk), under_update_(under_update), request_(request), wanted_{request.plugin, request.sha256} {}
+      : desk_(desk), under_update_(under_update), request_(request), wanted_{request.plugin, request.sha256} {
+    for (const auto& each : request.properties) properties_[each.instance] = &each.properties;
+  }
   ~RollingUpdate() {
     const config::MutexLock lock(under_update_.mutex);
     for (const auto& instance : reserved_) under_update_.ids.erase(instance);
@@ -44,13 +47,17 @@ class RollingUpdate {
   OrderResult run();
 
  private:
+  using Texts = std::map<std::string, std::string>;
   struct Step {
     Located where;
     InstanceOutcome outcome;
     discovery::DriverRecord record;  ///< before the update
     PluginVersion before;
-    bool active = true;    ///< the ordered state
-    bool ordered = false;  ///< the new version was written into its order, or may have been
+    Texts properties_before;
+    PluginVersion wanted;
+    const Texts* properties = nullptr;  ///< wanted; nullptr: they stay
+    bool active = true;                 ///< the ordered state
+    bool ordered = false;               ///< the change was written into its order, or may have been
   };
   using Steps = std::vector<Step>;
   using Range = std::pair<Steps::iterator, Steps::iterator>;
@@ -67,18 +74,25 @@ class RollingUpdate {
   bool abandoned() const { return desk_.leadership.closing().stop_requested() || !desk_.leadership.lead(); }
   void leave_out(Steps::iterator from, const std::string& why);
   OrderResult result() const;
+  std::string name() const;
+  static std::string former(const Step& step);
 
   OrderDesk& desk_;
   InstancesUnderUpdate& under_update_;
   const UpdateRequest& request_;
-  const PluginVersion wanted_;
+  const PluginVersion wanted_;  ///< an empty file: each instance keeps its plugin
+  std::map<InstanceId, const Texts*> properties_;
   std::vector<InstanceId> reserved_;
   Steps steps_;
   std::string failure_;  ///< what ended the update, and where
 };
 
 OrderResult RollingUpdate::run() {
-  if (auto refusal = refuse_plugin(request_.plugin, request_.sha256)) return *refusal;
+  if (request_.plugin.empty() && request_.properties.empty())
+    return refuse(Refusal::bad_request, "an update gives a plugin, properties or both");
+  if (!request_.plugin.empty()) {
+    if (auto refusal = refuse_plugin(request_.plugin, request_.sha256)) return *refusal;
+  }
   if (request_.at_once < 0 || request_.at_once > UpdateRequest::max_at_once)
     return refuse(Refusal::bad_request, fmt::format("{} instances at once: must be from 1 to {}", request_.at_once,
                                                     UpdateRequest::max_at_once));
@@ -121,6 +135,9 @@ std::optional<OrderResult> RollingUpdate::prepare() {
     Step step;
     step.outcome = {where.gateway, where.instance, OrderOutcome::unknown, ""};
     step.where = std::move(where);
+    step.wanted = wanted_;
+    if (const auto found = properties_.find(step.where.instance); found != properties_.end())
+      step.properties = found->second;
     steps_.push_back(std::move(step));
   }
   for (auto& step : steps_) {
@@ -143,6 +160,17 @@ std::string RollingUpdate::obstacle(Step& step, const std::vector<GatewayStatus>
   if (!step.where.record) return "its gateway has not taken it up yet; try again in a moment";
   step.record = discovery::decode_driver(step.where.record->data, step.where.instance);
   return "";
+}
+
+/// What the update brings, for people.
+std::string RollingUpdate::name() const {
+  if (wanted_.file.empty()) return "other properties";
+  return request_.properties.empty() ? name_of(wanted_) : name_of(wanted_) + " with other properties";
+}
+
+/// What an instance that goes back has again.
+std::string RollingUpdate::former(const Step& step) {
+  return step.before == step.wanted ? "its former properties" : name_of(step.before);
 }
 
 /// The instances of the next step.
@@ -171,8 +199,8 @@ bool RollingUpdate::advance(const Range& range) {
       failure_ = fmt::format("{} on {}: {}", step->where.instance, step->where.gateway, step->outcome.reason);
   }
   good = good && stays_up(range);
-  logger.info("update to {}: {} on {} and so on: {}", name_of(wanted_), range.first->where.instance,
-              range.first->where.gateway, good ? "done" : failure_);
+  logger.info("update to {}: {} on {} and so on: {}", name(), range.first->where.instance, range.first->where.gateway,
+              good ? "done" : failure_);
   return good;
 }
 
@@ -221,30 +249,42 @@ MaybeVerdict RollingUpdate::begin(Step& step, OutcomeWatch& watch) {
   return desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
     if (const auto order = desk_.book.get(step.where.gateway, step.where.instance)) {
       const auto state = order->active ? DriverState::active : DriverState::inactive;
-      if (order->version() == wanted_ && step.record.state == state)
-        return Verdict{OrderOutcome::done, "it runs this version already"};
+      if (wanted_.file.empty()) step.wanted = order->version();
+      const bool same_properties = step.properties == nullptr || *step.properties == order->properties;
+      if (order->version() == step.wanted && same_properties && step.record.state == state)
+        return Verdict{OrderOutcome::done, step.properties == nullptr ? "it runs this version already"
+                                                                      : "it has this version and properties already"};
     }
+    const auto record = step.properties == nullptr
+                            ? step.where.record
+                            : desk_.registry.get(desk_.options.paths.instance(step.where.driver, step.where.instance));
     step.ordered = true;  // set before the write, because its answer may be lost
     auto verdict = desk_.book.rewrite(step.where, lead, [&](OrderRecord& order) {
       step.before = order.version();
+      step.properties_before = order.properties;
       step.active = order.active;
       // The driver's name is part of its topics, so it must stay when the plugin's file has another name.
       if (order.driver.empty()) order.driver = step.where.driver;
+      if (step.properties != nullptr) order.properties = *step.properties;
+      if (wanted_.file.empty()) step.wanted = order.version();
+      if (order.version() == step.wanted) return;
       order.previous = order.version();
-      order.plugin = wanted_.file;
-      order.sha256 = wanted_.sha256;
+      order.plugin = step.wanted.file;
+      order.sha256 = step.wanted.sha256;
     });
     if (verdict) return verdict;
-    const bool same_name = wanted_.file == step.record.plugin && step.before != wanted_;
-    watch.expect(step.where.instance, step.where.driver, step.where.record,
-                 {wanted_.file, wanted_.sha256, same_name ? step.record.sha256 : "", step.active});
+    const bool other_version = step.before != step.wanted;
+    const bool same_name = step.wanted.file == step.record.plugin && other_version;
+    watch.expect(
+        step.where.instance, step.where.driver, record,
+        {step.wanted.file, step.wanted.sha256, same_name ? step.record.sha256 : "", step.active, !other_version});
     return std::nullopt;
   });
 }
 
 /// Rolls back the instances from the first step on. \param end of the instances that may have been updated.
 void RollingUpdate::go_back(Steps::iterator end) {
-  logger.warn("the update to {} goes back: {}", name_of(wanted_), failure_);
+  logger.warn("the update to {} goes back: {}", name(), failure_);
   OutcomeWatch watch(desk_.registry, desk_.options.paths, OutcomeWatch::Wanted::updated);
   std::map<InstanceId, Verdict> verdicts;
   for (auto step = steps_.begin(); step != end; ++step) {
@@ -259,8 +299,8 @@ void RollingUpdate::go_back(Steps::iterator end) {
     const std::string why = outcome.outcome == OrderOutcome::done ? "the update failed, " + failure_ : outcome.reason;
     outcome.outcome = OrderOutcome::failed;
     outcome.reason = found->second.outcome == OrderOutcome::done
-                         ? fmt::format("back on {}: {}", name_of(step->before), why)
-                         : fmt::format("{}; going back to {}: {}: {}", why, name_of(step->before),
+                         ? fmt::format("back on {}: {}", former(*step), why)
+                         : fmt::format("{}; going back to {}: {}: {}", why, former(*step),
                                        to_string(found->second.outcome), found->second.reason);
   }
 }
@@ -268,9 +308,17 @@ void RollingUpdate::go_back(Steps::iterator end) {
 MaybeVerdict RollingUpdate::begin_to_go_back(Step& step, OutcomeWatch& watch) {
   return desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
     bool ours = false;
+    // Without another plugin, only a state that is reached after the order shows that the instance is back.
+    const auto now = step.before == step.wanted
+                         ? desk_.registry.get(desk_.options.paths.instance(step.where.driver, step.where.instance))
+                         : std::nullopt;
     auto verdict = desk_.book.rewrite(step.where, lead, [&](OrderRecord& order) {
-      ours = order.version() == wanted_ && order.previous;
+      const bool other_version = step.before != step.wanted;
+      ours = order.version() == step.wanted && order.previous.has_value() == other_version &&
+             (step.properties == nullptr || order.properties == *step.properties);
       if (!ours) return;
+      if (step.properties != nullptr) order.properties = step.properties_before;
+      if (!other_version) return;
       step.before = *order.previous;
       order.plugin = step.before.file;
       order.sha256 = step.before.sha256;
@@ -279,8 +327,10 @@ MaybeVerdict RollingUpdate::begin_to_go_back(Step& step, OutcomeWatch& watch) {
     if (verdict) return verdict;
     if (!ours) return Verdict{OrderOutcome::failed, "another order was given for it meanwhile, which stands"};
     const bool known = !step.record.sha256.empty() && step.record.plugin == step.before.file;
-    watch.expect(step.where.instance, step.where.driver, std::nullopt,
-                 {step.before.file, known ? step.record.sha256 : step.before.sha256, wanted_.sha256, step.active});
+    const bool other_version = step.before != step.wanted;
+    const auto sha256 = known ? step.record.sha256 : step.before.sha256;
+    watch.expect(step.where.instance, step.where.driver, now,
+                 {step.before.file, sha256, other_version ? step.wanted.sha256 : "", step.active, !other_version});
     return std::nullopt;
   });
 }
@@ -288,10 +338,10 @@ MaybeVerdict RollingUpdate::begin_to_go_back(Step& step, OutcomeWatch& watch) {
 /// Ends a successful update: gateways need not keep the version before any more.
 void RollingUpdate::confirm() {
   for (auto& step : steps_) {
-    if (!step.ordered) continue;
+    if (!step.ordered || step.before == step.wanted) continue;
     const auto problem = desk_.leadership.written([&](const discovery::Lead& lead) {
       return desk_.book.rewrite(step.where, lead, [&](OrderRecord& order) {
-        if (order.version() == wanted_) order.previous.reset();
+        if (order.version() == step.wanted) order.previous.reset();
       });
     });
     if (problem) logger.warn("{} keeps the version before the update too: {}", step.where.instance, problem->reason);

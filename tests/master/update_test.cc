@@ -84,6 +84,51 @@ TEST_F(Update, InstancesRunTheNewVersionAndKeepAllElse) {
   for (const auto& driver : master->drivers()) EXPECT_EQ(driver.sha256, v2);
 }
 
+TEST_F(Update, OtherPropertiesComeStepByStepAndTheOthersKeepTheirs) {
+  FakeGateway lab1(url, "lab1"), lab2(url, "lab2");
+  const auto ids = deploy(1, {"lab1", "lab2"});
+  UpdateRequest request;
+  request.selection.instances = ids;
+  request.properties = {{ids[1], {{"rate", "7"}}}};
+  const auto before = order(lab2, ids[1]);
+  const auto result = master->update(request);
+  EXPECT_TRUE(result.all_done()) << result.summary();
+  auto expected = before;
+  expected.properties = {{"rate", "7"}};
+  EXPECT_EQ(order(lab2, ids[1]), expected) << "its plugin stays, and no version before is named";
+  EXPECT_EQ(order(lab1, ids[0]).properties.at("rate"), "5");
+  request = {};
+  request.selection.instances = ids;
+  EXPECT_EQ(master->update(request).refusal, Refusal::bad_request) << "it gives neither plugin nor properties";
+}
+
+TEST_F(Update, OtherPropertiesGoBackWhereAnInstanceDoesNotComeUpWithThem) {
+  FakeGateway lab1(url, "lab1"), lab2(url, "lab2");
+  const auto ids = deploy(1, {"lab1", "lab2"});
+  lab2.behave([](const OrderRecord& order) {
+    return order.properties.at("rate") == "7" ? FakeGateway::Report{DriverState::failed, "too fast"}
+                                              : *FakeGateway::obey(order);
+  });
+  UpdateRequest request;
+  request.selection.instances = ids;
+  for (const bool with_plugin : {false, true}) {
+    request.plugin = with_plugin ? "turtle-2.so" : "";
+    request.sha256 = with_plugin ? v2 : "";
+    request.properties = {{ids[0], {{"rate", "7"}}}, {ids[1], {{"rate", "7"}}}};
+    const auto result = master->update(request);
+    EXPECT_THAT(
+        result.outcomes[1].reason,
+        AllOf(HasSubstr(with_plugin ? "back on turtle.so" : "back on its former properties"), HasSubstr("too fast")));
+    EXPECT_EQ(result.outcomes[0].outcome, OrderOutcome::failed);
+    for (const auto* gateway : {&lab1, &lab2}) {
+      const auto now = order(*gateway, gateway == &lab1 ? ids[0] : ids[1]);
+      EXPECT_EQ(now.properties.at("rate"), "5");
+      EXPECT_EQ(now.sha256, v1);
+      EXPECT_FALSE(now.previous);
+    }
+  }
+}
+
 TEST_F(Update, OneGatewayComesAfterTheOther) {
   FakeGateway lab1(url, "lab1"), lab2(url, "lab2");
   const auto ids = deploy(1, {"lab1", "lab2"});

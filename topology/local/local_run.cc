@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include <iotcloud/config/declaration.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/topology/local/local_run.h>
 #include <iotcloud/topology/worker/pages.h>
@@ -86,6 +87,9 @@ LocalRun::LocalRun(const RunOptions& options)
     request.plugin = fs::path(plugin).filename();
     request.properties = options.properties;
     request.count = options.count;
+    for (int i = 1; i <= options.count; ++i) {
+      if (auto own = config::numbered(options.properties, i); !own.empty()) request.own.push_back({i, std::move(own)});
+    }
     const auto result = cluster_.master().deploy(request);
     if (!result.all_done())
       throw config::Error(fmt::format("{}: {}", plugin, result.text.empty() ? result.summary() : result.text));

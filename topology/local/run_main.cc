@@ -92,7 +92,8 @@ int main(int argc, char** argv) {
   app.add_option("--plugin", options.plugins, "a driver's plugin; again for each further one, all in one folder")
       ->allow_extra_args(false);
   app.add_option("-n,--count", options.count, "instances of each plugin")->check(CLI::Range(1, 10'000));
-  app.add_option("--property", properties, "KEY=VALUE, for all instances; again for each further one")
+  app.add_option("--property", properties,
+                 "KEY=VALUE, for all instances, {index} in it for each one's number; again for each further one")
       ->allow_extra_args(false);
   app.add_option("--broker", options.broker_url, "a broker's URL in place of the embedded one");
   app.add_option("--registry", options.registry_url, "a registry's URL in place of the embedded one");

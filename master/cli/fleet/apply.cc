@@ -27,6 +27,11 @@ constexpr std::chrono::milliseconds no_wait{1};
 using Steps = std::span<const Step>;
 using Outcomes = std::span<StepOutcome>;
 
+/// Whether the step is a part of its deployment's rolling update.
+bool rolls(const Step& step) {
+  return step.kind == StepKind::update || (step.kind == StepKind::change && !step.recorded_only);
+}
+
 bool needs_plugin(const Step& step) {
   return step.kind == StepKind::deploy || step.kind == StepKind::replace || step.kind == StepKind::update;
 }
@@ -54,7 +59,8 @@ void leave_out(const Plan& plan, std::size_t number, const discovery::GatewayId&
                Outcomes outcomes) {
   for (std::size_t i = 0; i < plan.steps.size(); ++i) {
     const auto& step = plan.steps[i];
-    if (step.kind > StepKind::update && step.deployment == number && (gateway.empty() || step.gateway == gateway))
+    if (step.kind > StepKind::update && step.deployment == number && outcomes[i].outcome.empty() &&
+        (gateway.empty() || step.gateway == gateway))
       outcomes[i] = {"failed", fmt::format("not begun, for its deployment was not updated: {}", why)};
   }
 }
@@ -84,24 +90,32 @@ void send_plugins(const Manifest& manifest, const Plan& plan, const ApplyOptions
   }
 }
 
-/// Runs the rolling update of one deployment, for those of its instances whose gateways have the plugin.
+/// Runs the rolling update of one deployment, of its plugin, its properties or both, for those of its instances whose
+/// gateways have the plugin.
 void roll(const Manifest& manifest, const Plan& plan, std::size_t number, const ApplyOptions& options,
           Outcomes outcomes) {
   const auto& deployment = manifest.deployments.at(number);
-  std::map<discovery::InstanceId, std::size_t> instances;  // their steps
+  std::map<discovery::InstanceId, std::vector<std::size_t>> instances;  // their steps
+  bool other_plugin = false;
   std::set<discovery::GatewayId> gateways;
   UpdateRequest request;
   for (std::size_t i = 0; i < plan.steps.size(); ++i) {
     const auto& step = plan.steps[i];
-    if (step.kind != StepKind::update || step.deployment != number || !outcomes[i].outcome.empty()) continue;
-    instances[step.instance] = i;
+    if (!rolls(step) || step.deployment != number || !outcomes[i].outcome.empty()) continue;
     gateways.insert(step.gateway);
-    request.selection.instances.push_back(step.instance);
+    auto& its = instances[step.instance];
+    if (its.empty()) request.selection.instances.push_back(step.instance);
+    its.push_back(i);
+    other_plugin = other_plugin || step.kind == StepKind::update;
+    if (step.kind == StepKind::change)
+      request.properties.push_back({step.instance, deployment.properties_of(step.index)});
   }
   if (instances.empty()) return;
   request.selection.wait = options.wait;
-  request.plugin = deployment.plugin;
-  request.sha256 = deployment.sha256;
+  if (other_plugin) {
+    request.plugin = deployment.plugin;
+    request.sha256 = deployment.sha256;
+  }
   request.settle = options.settle;
   StepOutcome untold{"unknown", "the master did not say what became of it"};
   try {
@@ -109,15 +123,18 @@ void roll(const Manifest& manifest, const Plan& plan, std::size_t number, const 
     if (answer.refusal != Refusal::none) untold = {"failed", answer.text};
     for (const auto& outcome : answer.outcomes) {
       const auto at = instances.find(outcome.instance);
-      if (at != instances.end()) outcomes[at->second] = {to_string(outcome.outcome), outcome.reason};
+      if (at == instances.end()) continue;
+      for (const auto i : at->second) outcomes[i] = {to_string(outcome.outcome), outcome.reason};
     }
   } catch (const std::exception& e) {  // Unreachable, Failed
     untold.reason = e.what();
   }
   std::string failure;
-  for (const auto& [instance, i] : instances) {
-    if (outcomes[i].outcome.empty()) outcomes[i] = untold;
-    if (failure.empty() && outcomes[i].outcome != "done") failure = outcomes[i].reason;
+  for (const auto& [instance, its] : instances) {
+    for (const auto i : its) {
+      if (outcomes[i].outcome.empty()) outcomes[i] = untold;
+      if (failure.empty() && outcomes[i].outcome != "done") failure = outcomes[i].reason;
+    }
   }
   if (!failure.empty()) leave_out(plan, number, {}, failure, outcomes);
 }
@@ -128,7 +145,8 @@ class GatewaySteps {
   GatewaySteps(const Manifest& manifest, Steps steps, Outcomes outcomes, const ApplyOptions& options)
       : manifest_(manifest), steps_(steps), outcomes_(outcomes), options_(options) {}
 
-  /// Does the steps that come before updates, or those that come after them. Skips steps that have an outcome already.
+  /// Does the steps that come before rolling updates, or those that come after them. Skips steps that have an outcome
+  /// already, as those of rolling updates have by then.
   /// \param did is called with the number of steps that were done.
   void run(MasterClient& master, bool after_updates, const std::function<void(std::size_t)>& did) {
     const auto bound = [&](auto reached) {
@@ -144,7 +162,7 @@ class GatewaySteps {
              outcomes_[end].outcome.empty() == open)
         ++end;
       if (open) give(master, begin, end - begin);
-      did(end - begin);
+      if (!rolls(steps_[begin])) did(end - begin);  // the rolling update has counted its steps
       begin = end;
     }
   }
@@ -152,7 +170,8 @@ class GatewaySteps {
  private:
   /// Whether one order can do both steps.
   static bool alike(const Step& a, const Step& b) {
-    return a.kind == b.kind && a.deployment == b.deployment && a.name == b.name && a.metadata == b.metadata;
+    return a.kind == b.kind && a.deployment == b.deployment && a.name == b.name && a.metadata == b.metadata &&
+           a.kind != StepKind::change;  // each instance may have properties of its own
   }
 
   void give(MasterClient& master, std::size_t begin, std::size_t count) {
@@ -210,7 +229,7 @@ class GatewaySteps {
         if (steps.front().kind == StepKind::adopt) {
           change.manager = manifest_.fleet;
         } else {
-          change.properties = deployment.at(steps.front().deployment).properties;
+          change.properties = deployment.at(steps.front().deployment).properties_of(steps.front().index);
         }
         return master.change_deployment(change);
       }
@@ -228,7 +247,11 @@ class GatewaySteps {
     request.manager = manifest_.fleet;
     request.gateways = {steps.front().gateway};
     request.wait = wait();
-    for (const auto& step : steps) request.indexes.push_back(step.index);
+    for (const auto& step : steps) {
+      request.indexes.push_back(step.index);
+      if (const auto own = deployment.own.find(step.index); own != deployment.own.end())
+        request.own.push_back({step.index, own->second});
+    }
     return master.deploy(request);
   }
 
@@ -278,11 +301,11 @@ std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const
   std::vector<StepOutcome> outcomes(plan.steps.size());
   send_plugins(manifest, plan, options, outcomes);
   std::vector<GatewaySteps> gateways;
-  std::map<std::size_t, std::size_t> updates;  // by deployment: the number of its update steps
+  std::map<std::size_t, std::size_t> updates;  // by deployment: the number of steps of its rolling update
   for (std::size_t begin = 0; begin < plan.steps.size();) {
     std::size_t end = begin;
     for (; end < plan.steps.size() && plan.steps[end].gateway == plan.steps[begin].gateway; ++end) {
-      if (plan.steps[end].kind == StepKind::update) ++updates[plan.steps[end].deployment];
+      if (rolls(plan.steps[end])) ++updates[plan.steps[end].deployment];
     }
     gateways.emplace_back(manifest, Steps(plan.steps).subspan(begin, end - begin),
                           Outcomes(outcomes).subspan(begin, end - begin), options);

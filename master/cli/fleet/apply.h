@@ -35,12 +35,11 @@ struct ApplyOptions {
 /// Does the steps of a plan. First it sends plugins that are files of this machine to the gateways that need them; when
 /// a gateway does not take a plugin, the steps there that need it fail, and what runs there stays. Then it does the
 /// steps of each gateway one after the other, and several gateways in parallel, so that a slow gateway delays no other.
-/// Only updates go gateway after gateway, as one order for each deployment: when an instance does not come up with the
-/// new plugin, all instances of its deployment go back, and nothing more is done to that deployment. Apart from that a
-/// failed step does not keep the others from being done; once a gateway has not answered in time, its remaining orders
-/// are given without waiting for their outcomes.
-/// \return the outcomes in the order of the steps. They also say what a master refused, or that no master answered:
-/// this function does not throw for either.
+/// Only updates of plugins and properties go gateway after gateway, as one order for each deployment: when an instance
+/// does not come up with what is new, all instances of its deployment go back, and nothing more is done to that
+/// deployment. Apart from that a failed step does not keep the others from being done; once a gateway has not answered
+/// in time, its remaining orders are given without waiting for their outcomes. \return the outcomes in the order of the
+/// steps. They also say what a master refused, or that no master answered: this function does not throw for either.
 std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const ApplyOptions& options);
 
 }  // namespace iotcloud::master::cli

@@ -13,6 +13,8 @@
 #include <iotcloud/master/cli/fleet/apply.h>
 #include <iotcloud/master/cli/fleet/manifest.h>
 #include <iotcloud/master/cli/fleet/plan.h>
+#include <iotcloud/master/cli/fleet/plugin_declarations.h>
+#include <iotcloud/master/cli/fleet/property_check.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/verb.h>
 
@@ -191,7 +193,9 @@ class OfManifest : public Verb {
   }
   int run(Call& call) override {
     const auto manifest = load_manifest(file_);
-    const auto plan = make_plan(manifest, read_fleet(*call.connect()), plan_options_);
+    const auto master = call.connect();
+    check_properties(call, manifest, *master);
+    const auto plan = make_plan(manifest, read_fleet(*master), plan_options_);
     return follow(call, manifest, plan);
   }
 
@@ -199,6 +203,15 @@ class OfManifest : public Verb {
   virtual int follow(Call& call, const Manifest& manifest, const Plan& plan) = 0;
 
  private:
+  static void check_properties(Call& call, const Manifest& manifest, MasterClient& master) {
+    PluginDeclarations on_gateways(master);
+    cli::check_properties(manifest, [&](const Deployment& deployment) -> std::vector<DeclaredPlugin> {
+      if (!deployment.declared.empty()) return {{deployment.file, deployment.declared.front()}};
+      return on_gateways.of(deployment.plugin, deployment.gateways);
+    });
+    tell_unchecked(on_gateways, call.err);
+  }
+
   std::string file_;
   PlanOptions plan_options_;
 };

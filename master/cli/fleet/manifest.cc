@@ -1,5 +1,9 @@
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
 #include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <set>
 
 #include <fmt/format.h>
@@ -28,6 +32,14 @@ std::string checked_name(Section& section, const std::string& key, const std::st
                       "1 to 200 characters, no slash and no control character");
 }
 
+std::string text_of_file(const std::string& path) {
+  std::ifstream in(path, std::ios::binary);
+  std::string text(std::istreambuf_iterator<char>(in), {});
+  if (!in || std::filesystem::is_directory(path))
+    throw std::invalid_argument(fmt::format("{} cannot be read: {}", path, std::strerror(errno)));
+  return text;
+}
+
 /// Reads and checks the plugin of a deployment; nothing else decides which plugins a manifest may name.
 void read_plugin(Section& section, const FindPlugin& find_plugin, Deployment& deployment) {
   const auto plugin = section.require_string("plugin");
@@ -38,6 +50,7 @@ void read_plugin(Section& section, const FindPlugin& find_plugin, Deployment& de
       deployment.plugin = std::filesystem::path(plugin).filename();
       deployment.file = std::move(found.path);
       deployment.sha256 = std::move(found.sha256);
+      deployment.declared = {std::move(found.declaration)};
     } catch (const std::exception& e) {
       throw section.error("plugin", e.what(), "");
     }
@@ -65,24 +78,80 @@ void read_gateways(Section& section, Deployment& deployment) {
   deployment.gateways = {gateways.begin(), gateways.end()};
 }
 
-/// Reads a YAML mapping of any keys to texts. \param may_be_empty whether the texts may be empty.
-std::map<std::string, std::string> read_texts(Section& section, const std::string& key, bool may_be_empty) {
-  std::map<std::string, std::string> texts;
+/// Reads a YAML mapping of any keys to texts.
+Texts read_texts(Section& section, const std::string& key) {
+  Texts texts;
   auto mapping = section.optional_section(key);
   if (!mapping) return texts;
   for (const auto& name : mapping->names()) {
     if (name.empty()) throw mapping->error(name, "a key has at least one character", "");
-    texts[name] = may_be_empty ? mapping->string_or(name, "") : mapping->require_string(name);
+    texts[name] = mapping->require_string(name);
   }
   return texts;
 }
 
 void read_properties(Section& section, Deployment& deployment) {
-  deployment.properties = read_texts(section, "properties", true);
-  for (const auto& [name, value] : deployment.properties) {
-    if (!name.starts_with("channel.")) continue;
-    throw section.require_section("properties")
-        .error(name, "this is of a channel", "say it under \"channels\": {data: {deadline_ms: 100}}");
+  deployment.places[""] = section.where();
+  auto mapping = section.optional_section("properties");
+  if (!mapping) return;
+  for (const auto& name : mapping->names()) {
+    if (name.empty()) throw mapping->error(name, "a key has at least one character", "");
+    if (name.starts_with("channel."))
+      throw mapping->error(name, "this is of a channel", "say it under \"channels\": {data: {deadline_ms: 100}}");
+    deployment.places[name] = mapping->where(name);
+    if (!mapping->is_list(name)) {
+      deployment.properties[name] = mapping->string_or(name, "");
+      continue;
+    }
+    const auto values = mapping->require_strings(name);
+    if (values.size() != static_cast<std::size_t>(deployment.count))
+      throw mapping->error(
+          name, fmt::format("a list of {} values for {} instances on each gateway", values.size(), deployment.count),
+          "one value for each instance, or one for all without brackets");
+    for (int index = 1; index <= deployment.count; ++index)
+      deployment.own[index][name] = values[static_cast<std::size_t>(index - 1)];
+  }
+}
+
+/// Reads the file that says what each instance has of its own.
+void read_each(Section& section, const ReadFile& read_file, Deployment& deployment) {
+  const auto file = section.optional_string("each");
+  if (!file) return;
+  if (!read_file) throw section.error("each", "this manifest may name no file", "");
+  std::vector<Texts> instances;
+  try {
+    instances = read_csv(read_file(*file), *file);
+  } catch (const std::exception& e) {
+    throw section.error("each", e.what(), "");
+  }
+  if (section.has("count") && deployment.count != static_cast<int>(instances.size()))
+    throw section.error("count",
+                        fmt::format("{} has {} instances, count says {}", *file, instances.size(), deployment.count),
+                        "leave count out");
+  if (instances.size() > static_cast<std::size_t>(most_instances))
+    throw section.error("each", fmt::format("{} has more than {} instances", *file, most_instances), "");
+  deployment.count = static_cast<int>(instances.size());
+  deployment.each_file = *file;
+  for (int index = 1; index <= deployment.count; ++index) {
+    for (auto& [name, value] : instances[static_cast<std::size_t>(index - 1)]) {
+      if (name.starts_with("channel."))
+        throw section.error("each", fmt::format("{} has the column {}, which is of a channel", *file, name),
+                            "say it under \"channels\"");
+      deployment.own[index][name] = std::move(value);
+    }
+  }
+}
+
+/// Puts the numbers of instances into the properties that ask for them.
+void read_index_marks(Deployment& deployment) {
+  for (int index = 1; index <= deployment.count; ++index) {
+    auto with_numbers = config::numbered(deployment.properties, index);
+    if (const auto own = deployment.own.find(index); own != deployment.own.end()) {
+      own->second.merge(config::numbered(deployment.properties, index));  // what is its own goes before
+      for (auto& [name, value] : config::numbered(own->second, index)) own->second[name] = value;
+    } else if (!with_numbers.empty()) {
+      deployment.own[index] = std::move(with_numbers);
+    }
   }
 }
 
@@ -103,7 +172,8 @@ void read_channels(Section& section, Deployment& deployment) {
   }
 }
 
-Deployment read_deployment(const std::string& name, Section& section, const FindPlugin& find_plugin) {
+Deployment read_deployment(const std::string& name, Section& section, const FindPlugin& find_plugin,
+                           const ReadFile& read_file) {
   Deployment deployment;
   deployment.name = checked_name(section, "", name);
   read_plugin(section, find_plugin, deployment);
@@ -112,33 +182,55 @@ Deployment read_deployment(const std::string& name, Section& section, const Find
   read_gateways(section, deployment);
   deployment.count = static_cast<int>(section.int_or("count", 1, 0, most_instances));
   deployment.active = section.choice_or("state", "active", {"active", "inactive"}) == "active";
+  read_each(section, read_file, deployment);
   read_properties(section, deployment);
+  read_index_marks(deployment);
   read_channels(section, deployment);
-  deployment.metadata = read_texts(section, "metadata", false);
+  deployment.metadata = read_texts(section, "metadata");
   section.finish();
   return deployment;
 }
 
 }  // namespace
 
-Manifest read_manifest(config::Section top, const FindPlugin& find_plugin) {
+Texts Deployment::properties_of(int index) const {
+  const auto found = own.find(index);
+  if (found == own.end()) return properties;
+  Texts all = found->second;
+  all.insert(properties.begin(), properties.end());  // its own go before
+  return all;
+}
+
+config::Location Deployment::place_of(const std::string& property, int index) const {
+  if (const auto found = places.find(property); found != places.end()) return found->second;
+  const auto its = own.find(index);
+  // The head of the CSV file is its first line.
+  if (its != own.end() && its->second.contains(property) && !each_file.empty()) return {each_file, index + 1, 0};
+  const auto whole = places.find("");
+  return whole == places.end() ? config::Location{} : whole->second;
+}
+
+Manifest read_manifest(config::Section top, const FindPlugin& find_plugin, const ReadFile& read_file) {
   Manifest manifest;
   manifest.fleet = checked_name(top, "fleet", top.require_string("fleet"));
   if (!top.has("deployments"))
     throw top.error("", "the key \"deployments\" is missing",
                     "add \"deployments:\"; {} takes everything away that this manifest deployed");
   for (auto& [name, section] : top.sections("deployments"))
-    manifest.deployments.push_back(read_deployment(name, section, find_plugin));
+    manifest.deployments.push_back(read_deployment(name, section, find_plugin, read_file));
   top.finish();
   return manifest;
 }
 
 Manifest load_manifest(const std::string& file) {
   const auto folder = std::filesystem::path(file).parent_path();
-  return read_manifest(config::Section::load_file(file), [&](const std::string& named) {
+  const auto find_plugin = [&](const std::string& named) {
     const std::string path = folder / named;
-    return PluginFile{path, security::sha256_hex(plugin_bytes(path))};
-  });
+    const std::string bytes = plugin_bytes(path);
+    return PluginFile{path, security::sha256_hex(bytes), config::declaration_in(bytes)};
+  };
+  return read_manifest(config::Section::load_file(file), find_plugin,
+                       [&](const std::string& named) { return text_of_file(folder / named); });
 }
 
 }  // namespace iotcloud::master::cli

@@ -17,7 +17,6 @@ namespace {
 using discovery::DriverName;
 using discovery::GatewayId;
 using discovery::InstanceId;
-using Texts = std::map<std::string, std::string>;
 using Key = std::tuple<GatewayId, std::string, int>;  ///< gateway, name, index
 
 constexpr const char* hidden = "***";
@@ -180,9 +179,14 @@ class Planner {
     }
     const std::size_t before = plan_.steps.size();
     if (other_plugin) to_do(StepKind::update).what = {plugins};
-    const Texts properties = known_properties(there, wanted);
-    const bool anew = properties != wanted.properties;
-    if (anew) to_do(StepKind::change).what = differences(properties, wanted.properties);
+    const Texts wanted_properties = wanted.properties_of(there.index);
+    const Texts properties = known_properties(there, wanted_properties);
+    const bool anew = properties != wanted_properties;
+    if (anew) {
+      auto& step = to_do(StepKind::change);
+      step.what = differences(properties, wanted_properties);
+      step.recorded_only = gateway.lost;
+    }
     if (there.metadata != wanted.metadata) {
       auto& step = to_do(StepKind::describe);
       step.what = differences(there.metadata, wanted.metadata);
@@ -197,11 +201,11 @@ class Planner {
   }
 
   /// The instance's properties. A hidden value is assumed to be the wanted one.
-  Texts known_properties(const Fleet::Instance& there, const Deployment& wanted) {
+  Texts known_properties(const Fleet::Instance& there, const Texts& wanted) {
     Texts known = there.properties;
     for (const auto& key : there.hidden) {
-      const auto found = wanted.properties.find(key);
-      known[key] = found == wanted.properties.end() ? hidden : found->second;
+      const auto found = wanted.find(key);
+      known[key] = found == wanted.end() ? hidden : found->second;
       plan_.not_compared.insert(key);
     }
     return known;

@@ -32,15 +32,15 @@ struct Fleet {
   std::vector<Instance> instances;
 };
 
-/// What is to be done to one instance, in the order in which a gateway's steps are done. An update is one order for all
-/// gateways, one after the other.
+/// What is to be done to one instance, in the order in which a gateway's steps are done. The updates and changes of
+/// a deployment are one order for all gateways, one after the other.
 enum class StepKind {
   undeploy,
   stop,
   adopt,     ///< it is marked as the manifest's from now on
   replace,   ///< another driver: it is undeployed, then deployed
   update,    ///< another plugin or changed bytes, under the same id; rolled back if it does not come up
-  change,    ///< other properties: it is created anew under the same id
+  change,    ///< other properties: it is created anew under the same id; rolled back if it does not come up
   describe,  ///< other metadata: it goes on running
   start,     ///< it was stopped, or has failed
   deploy,
@@ -57,6 +57,8 @@ struct Step {
   std::size_t deployment = 0;                   ///< index in Manifest::deployments; unused for `undeploy`
   std::vector<std::string> what;                ///< the differences, for people: "rate: 5 -> 10"; secrets are not shown
   std::map<std::string, std::string> metadata;  ///< for `describe`: the changes; an empty text removes the key
+  /// For `change`: the gateway is lost, so nobody can see how it goes; it follows when it comes back.
+  bool recorded_only = false;
 };
 
 /// Something that the manifest wants and that cannot be done.

@@ -125,18 +125,38 @@ Json TopologyPages::metrics() const {
   return {{"topology", topology_}, {"workers", pages_.size()}, {"components", components}};
 }
 
-void print_metrics(std::ostream& out, const TopologyPages& pages) {
+void add_rates(Json& metrics, const Json& before, double seconds) {
+  if (seconds <= 0) return;
+  for (Json& component : metrics.at("components")) {
+    for (const Json& was : before.at("components")) {
+      if (was.at("component") != component.at("component")) continue;
+      Json& sum = component.at("sum");
+      Json rate = Json::object();
+      for (const char* count : {"emitted", "executed"}) {
+        const auto now = sum.at(count).get<std::uint64_t>(), then = was.at("sum").at(count).get<std::uint64_t>();
+        if (now >= then) rate[count] = static_cast<double>(now - then) / seconds;
+      }
+      sum["rate"] = std::move(rate);
+    }
+  }
+}
+
+void print_metrics(std::ostream& out, const TopologyPages& pages, const Json& metrics) {
   std::vector<std::vector<std::string>> rows;
   std::vector<std::string> workers;
   const auto row = [&](const std::string& name, const std::string& task, const Json& of) {
-    rows.push_back({name, task, of.at("emitted").dump(), of.at("transferred").dump(), of.at("executed").dump(),
-                    of.at("acked").dump(), of.at("failed").dump(), of.at("late").dump(), of.at("superseded").dump(),
-                    of.at("queue_depth").dump(), of.at("pending").dump(), oldest(of),
+    const auto rate = [&](const char* count) -> std::string {
+      const auto rates = of.find("rate");
+      if (rates == of.end() || !rates->contains(count)) return "-";
+      return fmt::format("{:.1f}", rates->at(count).get<double>());
+    };
+    rows.push_back({name, task, rate("emitted"), rate("executed"), of.at("emitted").dump(), of.at("transferred").dump(),
+                    of.at("executed").dump(), of.at("acked").dump(), of.at("failed").dump(), of.at("late").dump(),
+                    of.at("superseded").dump(), of.at("queue_depth").dump(), of.at("pending").dump(), oldest(of),
                     fmt::format("{:.2f}", of.at("capacity").get<double>()), latency(of, "execute"),
                     latency(of, "process"), latency(of, "complete"),
                     printable(of.at("last_error").get<std::string>())});
   };
-  const Json metrics = pages.metrics();
   for (const Json& component : metrics.at("components")) {
     row(printable(component.at("component").get<std::string>()), "all", component.at("sum"));
     for (const Json& task : component.at("tasks")) {
@@ -148,8 +168,9 @@ void print_metrics(std::ostream& out, const TopologyPages& pages) {
     }
   }
   print_table(out,
-              {"COMPONENT", "TASK", "EMITTED", "TRANSFERRED", "EXECUTED", "ACKED", "FAILED", "LATE", "SUPERSEDED",
-               "QUEUE", "PENDING", "OLDEST", "CAPACITY", "EXECUTE p50/p99/max", "PROCESS", "COMPLETE", "LAST ERROR"},
+              {"COMPONENT", "TASK", "EMITS/S", "EXECUTES/S", "EMITTED", "TRANSFERRED", "EXECUTED", "ACKED", "FAILED",
+               "LATE", "SUPERSEDED", "QUEUE", "PENDING", "OLDEST", "CAPACITY", "EXECUTE p50/p99/max", "PROCESS",
+               "COMPLETE", "LAST ERROR"},
               rows);
   for (std::size_t i = 0; pages.workers() > 1 && i < workers.size(); ++i)
     out << fmt::format("worker {}: {}\n", i + 1, printable(workers[i]));

@@ -40,6 +40,9 @@ class TopologyPages {
 };
 
 /// Prints a row for each component, and one for each of its tasks.
-void print_metrics(std::ostream& out, const TopologyPages& pages);
+void print_metrics(std::ostream& out, const TopologyPages& pages, const TopologyPages::Json& metrics);
+/// Adds to the sum of each component what it did a second since an earlier answer: `rate` with `emitted` and
+/// `executed`. A component that began to count anew meanwhile has none.
+void add_rates(TopologyPages::Json& metrics, const TopologyPages::Json& before, double seconds);
 
 }  // namespace iotcloud::master::cli

@@ -1,21 +1,23 @@
 // topology ...: orders by way of the master; numbers and samples from the workers' own pages, or by way of the master,
 // too
 #include <cerrno>
+#include <chrono>
 #include <cstring>
 #include <filesystem>
+#include <optional>
 #include <ostream>
 #include <set>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <unistd.h>
 
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/topology/topology_pages.h>
 #include <iotcloud/master/cli/topology/topology_tap.h>
 #include <iotcloud/master/cli/topology/topology_verbs.h>
+#include <iotcloud/master/cli/watch.h>
 
 namespace iotcloud::master::cli {
 
@@ -177,38 +179,47 @@ class Metrics final : public OfTopology {
 
   void declare(CLI::App& options) override {
     OfTopology::declare(options);
-    options.add_option("--watch", watch_s_, "again every so many seconds until interrupted; 1 when none are given")
-        ->expected(0, 1)
-        ->default_str("1")
-        ->check(CLI::Range(0.1, 3600.0))
-        ->type_name("SECONDS");
+    watch_.declare(options);
+    options.add_flag("--rates", rates_, "measure for a second how much each component does; --watch always shows it");
   }
-  bool goes_on() const override { return watch_s_ > 0; }
+  bool goes_on() const override { return watch_.on(); }
 
   int run(Call& call) override {
     const auto master = call.connect();
-    auto& out = call.out;
-    int status = exit_ok;
-    do {
-      const TopologyPages pages(find_topology(name_, *master), *master);
+    if (rates_ && !watch_.on()) {
+      look(*master);
+      pause(std::chrono::seconds(1));
+    }
+    return watch_.run(call, [&] {
+      look(*master);
       if (call.format == Format::table) {
-        if (goes_on() && isatty(STDOUT_FILENO) == 1) out << "\033[H\033[2J";
-        print_metrics(out, pages);
-        if (goes_on()) out << '\n';
+        print_metrics(call.out, *pages_, metrics_);
       } else if (goes_on() && call.format == Format::json) {
-        out << discovery::to_text(pages.metrics()) << '\n';
+        call.out << discovery::to_text(metrics_) << '\n';
       } else {
-        if (goes_on()) out << "---\n";
-        print_data(out, call.format, pages.metrics());
+        print_data(call.out, call.format, metrics_);
       }
-      out.flush();
-      status = complain(pages, call.err);
-    } while (goes_on() && out && pause(std::chrono::duration<double>(watch_s_)));
-    return status;
+      call.out.flush();
+      return complain(*pages_, call.err);
+    });
   }
 
  private:
-  double watch_s_ = 0;  ///< 0: once
+  /// Asks the workers; from the second time on with what was done a second since the last time.
+  void look(MasterClient& master) {
+    pages_.emplace(find_topology(name_, master), master);
+    const auto now = std::chrono::steady_clock::now();
+    auto metrics = pages_->metrics();
+    if (!metrics_.is_null()) add_rates(metrics, metrics_, std::chrono::duration<double>(now - at_).count());
+    metrics_ = std::move(metrics);
+    at_ = now;
+  }
+
+  Watch watch_;
+  bool rates_ = false;
+  std::optional<TopologyPages> pages_;
+  TopologyPages::Json metrics_;
+  std::chrono::steady_clock::time_point at_{};
 };
 
 class Tap final : public OfTopology {

@@ -1,28 +1,35 @@
+#include <array>
 #include <chrono>
 #include <fstream>
 #include <string>
 
 #include <iotcloud/drivers/plugin.h>
-#include <iotcloud/drivers/property_reader.h>
 
 using namespace iotcloud::drivers;
 
 /// Sends a temperature every `period_ms` and keeps the heater's orders that come back in the file `log`.
 class Thermometer : public Driver {
  public:
-  std::vector<ChannelSpec> channels(const PropertyMap& properties) override {
-    PropertyReader reader(properties);
-    period_ = std::chrono::milliseconds(reader.integer("period_ms", 20, 1, 60'000));
-    log_file_ = reader.text("log", "/dev/null");
-    reader.finish();  // a misspelt property is an error
+  static constexpr std::string_view description = "A simulated thermometer, and a heater that obeys";
+  static constexpr std::array declared_properties{
+      PropertySpec{.name = "period_ms",
+                   .type = PropertyType::integer,
+                   .unit = "ms",
+                   .min = 1,
+                   .max = 60'000,
+                   .default_value = "20",
+                   .text = "time between two readings"},
+      PropertySpec{.name = "log", .default_value = "/dev/null", .text = "file of the heater's orders"}};
+
+  std::vector<ChannelSpec> channels(const PropertyMap&) override {
     return {{.name = "reading", .direction = Direction::out, .when_full = WhenFull::block},
             {.name = "heater", .direction = Direction::in}};
   }
 
   void open(DriverContext& context) override {
     context_ = &context;
-    log_.open(log_file_);
-    context.every(period_, [this] { send(); });
+    log_.open(context.property("log"));
+    context.every(std::chrono::milliseconds(context.integer("period_ms")), [this] { send(); });
   }
   void activate() override { active_ = true; }
   void deactivate() override { active_ = false; }
@@ -40,8 +47,6 @@ class Thermometer : public Driver {
   }
 
   DriverContext* context_ = nullptr;
-  std::chrono::milliseconds period_{0};
-  std::string log_file_;
   std::ofstream log_;
   bool active_ = false;
   int next_ = 0;

@@ -118,6 +118,46 @@ TEST_F(CliHistory, AnOrderSaysWhatItWaitsFor) {
   EXPECT_THAT(silent.err, HasSubstr("iotcloud: waits: no gateway has reported on the order yet"));
 }
 
+TEST_F(CliHistory, EventsShowTheLatestChangesByName) {
+  const auto named = run({"deploy", "turtle.so", "-g", "lab1", "--name", "station-29"});
+  ASSERT_EQ(named.status, 0) << named.err;
+  const std::string id = lab1_.orders().at(0).instance;
+  site_->remember(id, "starting", 1'000'000'000'000, "its driver host crashed");
+  site_->remember("another", "active", 1'000'000'000'001);
+  const auto done = run({"events"});
+  EXPECT_EQ(done.status, 0) << done.err;
+  EXPECT_THAT(done.out,
+              AllOf(HasSubstr("2001-09-09T01:46:40.000Z  driver    station-29/1 (turtle) on lab1  starting: its "
+                              "driver host crashed\n"),
+                    HasSubstr("another (turtle) on lab1  active\n")));
+  EXPECT_THAT(run({"events", "-n", "1"}).out, Not(HasSubstr("station-29")));
+  // Names stand wherever ids do.
+  for (const char* verb : {"describe", "history", "logs"}) {
+    const auto by_name = run({verb, "station-29"});
+    EXPECT_EQ(by_name.status, 0) << verb << ": " << by_name.err;
+    EXPECT_THAT(by_name.out, HasSubstr(id)) << verb;
+  }
+}
+
+TEST_F(CliHistory, FollowedEventsShowChangesOfDriversAndGatewaysOnce) {
+  RunningProgram events({IOTCLOUD_CLI, "events", "-f", "-o", "json"}, {{"IOTCLOUD_MASTER", address()}});
+  site_->remember("another", "active", 1'000'000'000'001);
+  EXPECT_TRUE(eventually([&] { return events.out().find("\"another") != std::string::npos; })) << events.out();
+  EXPECT_EQ(run({"drain", "lab1"}).status, 0);
+  EXPECT_TRUE(eventually([&] { return events.out().find("\"state\":\"ready, draining\"") != std::string::npos; }))
+      << events.out();
+  const auto out = events.out();
+  EXPECT_EQ(out.find("another"), out.rfind("another"));
+}
+
+TEST_F(CliHistory, AWatchedListIsShownAgain) {
+  RunningProgram watched({IOTCLOUD_CLI, "gateways", "--watch", "0.1"}, {{"IOTCLOUD_MASTER", address()}});
+  EXPECT_TRUE(eventually([&] {
+    const auto out = watched.out();
+    return out.find("GATEWAY") != out.rfind("GATEWAY");
+  }));
+}
+
 TEST_F(CliHistory, DescribeShowsTheRecordTheChannelsAndEveryChangeWithTimeAndReason) {
   const auto id = deploy("lab1");
   site_->remember(id, "starting", 1'000'000'000'000, "its driver host crashed");

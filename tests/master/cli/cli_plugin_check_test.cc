@@ -27,7 +27,7 @@ TEST(CliPluginCheck, SaysWhatADriverPluginIs) {
   const auto done = check(LOADGEN_PLUGIN);
   EXPECT_EQ(done.status, 0) << done.err;
   EXPECT_THAT(done.out, AllOf(HasSubstr("loadgen.so: a driver plugin that can be loaded"), HasSubstr("loadgen\n"),
-                              HasSubstr("sdk_version")));
+                              HasSubstr("sdk_version"), HasSubstr("a number from 0.01 to")));
 }
 
 TEST(CliPluginCheck, SaysWhatAComponentLibraryRegisters) {

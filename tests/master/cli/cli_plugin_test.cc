@@ -276,5 +276,130 @@ TEST_F(CliPlugin, AGatewayThatDrainsIsPassedByWhenAFileGoesToAll) {
   EXPECT_THAT(none.err, HasSubstr("all gateways are draining"));
 }
 
+constexpr const char* meter =
+    R"({"driver":"meter","version":"1.2","sdk_version":6,"description":"A meter","properties":[)"
+    R"({"name":"rate","type":"number","unit":"1/s","min":0.1,"max":1000,"default":"10","text":"readings"},)"
+    R"({"name":"mode","type":"text","choices":["fast","slow"]},{"name":"base","type":"text"}]})";
+
+class DeclaredProperties : public FleetOfFiles {
+ protected:
+  DeclaredProperties() {
+    lab1_.site->have("meter.so", meter);
+    lab2_.site->have("meter.so", meter);
+  }
+};
+
+TEST_F(DeclaredProperties, AWrongOneIsRefusedBeforeAnythingIsOrdered) {
+  const auto done = run({"deploy", "meter.so", "--all", "-n", "11", "-p", "rat=5", "-p", "mode=medium"});
+  EXPECT_EQ(done.status, 2);
+  EXPECT_THAT(done.err, AllOf(HasSubstr("property \"rat\": unknown property; did you mean \"rate\"? (meter.so)"),
+                              HasSubstr("property \"mode\": \"medium\"; it takes one of fast, slow")));
+  EXPECT_THAT(lab1_.gateway.orders(), SizeIs(0));
+  manifest("  meter:\n    plugin: meter.so\n    gateways: all\n    count: 11\n    properties: {rat: 5}\n");
+  for (const char* verb : {"diff", "apply"}) {
+    const auto of_manifest = fleet(verb);
+    EXPECT_EQ(of_manifest.status, 2) << verb;
+    EXPECT_THAT(of_manifest.err, HasSubstr("fleet.yaml:7:18: deployments.meter.properties.rat: unknown property; did "
+                                           "you mean \"rate\"? (meter.so)"));
+  }
+  EXPECT_THAT(lab1_.gateway.orders(), SizeIs(0));
+  EXPECT_EQ(run({"deploy", "-g", "lab1", "lab2", "meter.so", "-p", "rate=5"}).status, 0) << "the last is no gateway";
+}
+
+TEST_F(DeclaredProperties, AFileOfThisMachineIsCheckedBeforeItIsSent) {
+  const auto done = run({"deploy", LOADGEN_PLUGIN, "--all", "-p", "rat=5"});
+  EXPECT_EQ(done.status, 2);
+  EXPECT_THAT(done.err, HasSubstr("did you mean \"rate\"?"));
+  EXPECT_EQ(lab1_.site->offers(), 0U);
+}
+
+TEST_F(DeclaredProperties, APluginThatDeclaresNothingAndAnUnknownOneAreAcceptedAsBefore) {
+  const auto done = run({"deploy", "turtle.so", "-g", "lab1", "-p", "any=thing"});
+  EXPECT_EQ(done.status, 0) << done.err;
+  EXPECT_EQ(done.err, "");
+}
+
+TEST_F(DeclaredProperties, TheNumberOfAnInstanceStandsForItsMark) {
+  const auto done = run({"deploy", "meter.so", "-g", "lab1", "lab2", "--name", "m", "-n", "2", "-p", "base=r{index}"});
+  EXPECT_EQ(done.status, 0) << done.err;
+  for (auto* lab : {&lab1_, &lab2_}) {
+    std::map<int, std::string> bases;
+    for (const auto& order : lab->gateway.orders()) bases[order.index] = order.properties.at("base");
+    EXPECT_EQ(bases, (std::map<int, std::string>{{1, "r1"}, {2, "r2"}}));
+  }
+  const auto again = run({"deploy", "meter.so", "-g", "lab1", "--name", "m", "-n", "2", "-p", "base=r{index}"});
+  EXPECT_EQ(again.status, 0) << again.err;
+  EXPECT_THAT(again.out, HasSubstr("unchanged"));
+}
+
+TEST_F(DeclaredProperties, AManifestMayGiveEachInstanceItsOwn) {
+  write("each.csv", "base,rate\nroof,5\ncellar,\n");
+  manifest("  m: {plugin: meter.so, gateways: [lab1], each: each.csv}\n");
+  ASSERT_EQ(fleet("apply").status, 0);
+  std::map<int, std::map<std::string, std::string>> properties;
+  for (const auto& order : lab1_.gateway.orders()) properties[order.index] = order.properties;
+  EXPECT_EQ(properties[1], (std::map<std::string, std::string>{{"base", "roof"}, {"rate", "5"}}));
+  EXPECT_EQ(properties[2], (std::map<std::string, std::string>{{"base", "cellar"}}));
+  EXPECT_EQ(fleet("diff").status, 0);
+  write("each.csv", "base,rate\nroof,5\ncellar,7\n");
+  EXPECT_THAT(fleet("diff").out, HasSubstr("rate: - -> 7"));
+  ASSERT_EQ(fleet("apply").status, 0);
+  EXPECT_EQ(fleet("diff").status, 0);
+}
+
+TEST_F(DeclaredProperties, AChangeGoesStepByStepAndBackWhenAnInstanceDoesNotComeUp) {
+  manifest("  m: {plugin: meter.so, gateways: all, properties: {base: roof}}\n");
+  ASSERT_EQ(fleet("apply").status, 0);
+  lab2_.gateway.behave([](const discovery::OrderRecord& order) {
+    return order.properties.at("base") == "cellar" ? FakeGateway::Report{discovery::DriverState::failed, "too damp"}
+                                                   : *FakeGateway::obey(order);
+  });
+  manifest("  m: {plugin: meter.so, gateways: all, properties: {base: cellar}, metadata: {site: lab}}\n");
+  const auto done = run({"apply", "-f", folder_ / "fleet.yaml", "--settle", "0"});
+  EXPECT_EQ(done.status, 1);
+  EXPECT_THAT(done.out, AllOf(HasSubstr("back on its former properties"), HasSubstr("too damp"),
+                              HasSubstr("not begun, for its deployment was not updated")));
+  for (auto* lab : {&lab1_, &lab2_}) EXPECT_EQ(lab->gateway.orders().at(0).properties.at("base"), "roof");
+}
+
+TEST_F(DeclaredProperties, UpdateChangesSomeAndKeepsTheOthers) {
+  ASSERT_EQ(run({"deploy", "meter.so", "--all", "--name", "m", "-p", "base=roof", "-p", "rate=5"}).status, 0);
+  const auto wrong = run({"update", "--name", "m", "-p", "rate=0"});
+  EXPECT_EQ(wrong.status, 2);
+  EXPECT_THAT(wrong.err, HasSubstr("it takes a number from 0.1 to 1000 (1/s)"));
+  const auto done = run({"update", "--name", "m", "-p", "rate=7", "--settle", "0"});
+  EXPECT_EQ(done.status, 0) << done.out << done.err;
+  for (auto* lab : {&lab1_, &lab2_}) {
+    EXPECT_EQ(lab->gateway.orders().at(0).properties,
+              (std::map<std::string, std::string>{{"base", "roof"}, {"rate", "7"}}));
+    EXPECT_EQ(lab->gateway.orders().at(0).plugin, "meter.so");
+  }
+  const auto again = run({"update", "--name", "m", "-p", "rate=7", "--settle", "0"});
+  EXPECT_EQ(again.status, 0);
+  EXPECT_THAT(again.out, HasSubstr("it has this version and properties already"));
+}
+
+TEST_F(DeclaredProperties, ListAndDescribeShowWhatGatewaysHave) {
+  const auto list = run({"plugin", "list"});
+  EXPECT_EQ(list.status, 0) << list.err;
+  EXPECT_THAT(list.out, AllOf(HasSubstr("meter.so"), HasSubstr("1.2"), HasSubstr("lab key, version 3"),
+                              HasSubstr("folder"), HasSubstr("lab1, lab2")));
+  const auto described = run({"plugin", "describe", "meter.so"});
+  EXPECT_EQ(described.status, 0) << described.err;
+  EXPECT_THAT(described.out, AllOf(HasSubstr("A meter"), HasSubstr("rate"), HasSubstr("a number from 0.1 to 1000"),
+                                   HasSubstr("one of fast, slow"), HasSubstr("readings")));
+  EXPECT_EQ(run_json({"plugin", "describe", "meter.so"})[0]["properties"][1]["choices"][0], "fast");
+  EXPECT_EQ(run({"plugin", "describe", "absent.so"}).status, 1);
+  const auto file = run({"plugin", "describe", LOADGEN_PLUGIN});
+  EXPECT_EQ(file.status, 0) << file.err;
+  EXPECT_THAT(file.out, AllOf(HasSubstr("loadgen"), HasSubstr("a whole number from 32 to")));
+}
+
+TEST_F(DeclaredProperties, AreCompleted) {
+  EXPECT_EQ(run({"__complete", "deploy", "meter.so", "--property", "r"}).out, "rate=\n");
+  EXPECT_EQ(run({"__complete", "deploy", "--plugin", LOADGEN_PLUGIN, "-p", "sh"}).out, "shared=false\nshared=true\n");
+  EXPECT_EQ(run({"__complete", "update", "--plugin", "meter.so", "-p", "mode=f"}).out, "mode=fast\n");
+}
+
 }  // namespace
 }  // namespace iotcloud::master::test

@@ -46,6 +46,22 @@ class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
     finished_ = offers_.back().sha256;
   }
 
+  void listPlugins(std::vector<gateway::wire::TKnownPlugin>& answer) override {
+    const std::lock_guard lock(mutex_);
+    answer = known_;
+  }
+
+  /// It has a plugin in its folder, which declares this.
+  void have(const std::string& file, const std::string& declaration) {
+    const std::lock_guard lock(mutex_);
+    auto& plugin = known_.emplace_back();
+    plugin.__set_file(file);
+    plugin.__set_sha256(security::sha256_hex(declaration));
+    plugin.__set_size(7);
+    plugin.__set_signedBy("lab key");
+    plugin.__set_signedVersion(3);
+    plugin.__set_declaration(declaration);
+  }
   /// It has no plugin any more.
   void forget() {
     const std::lock_guard lock(mutex_);
@@ -83,6 +99,7 @@ class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
   std::vector<gateway::wire::TPluginOffer> offers_;  ///< guarded by mutex_
   std::string received_, finished_, refusal_;        ///< guarded by mutex_
   int pieces_ = 0;                                   ///< guarded by mutex_
+  std::vector<gateway::wire::TKnownPlugin> known_;   ///< guarded by mutex_
 };
 
 /// Sets the port of the service in the gateway's record.
