@@ -4,7 +4,6 @@
 #include <exception>
 #include <iterator>
 #include <span>
-#include <string_view>
 #include <utility>
 
 #include <iotcloud/brokers/kafka/logger.h>
@@ -51,6 +50,11 @@ PartitionList list_of(const std::vector<CommitOf>& commits) {
     std::copy(commit.committed.metadata.begin(), commit.committed.metadata.end(), static_cast<char*>(entry->metadata));
   }
   return list;
+}
+
+/// Not rd_kafka_rebalance_protocol(), which may wait for ever while a client leaves its group (librdkafka issue 4041).
+bool cooperative() {
+  return is_cooperative(rd_kafka_version());
 }
 
 void check(rd_kafka_error_t* error, const char* doing) {
@@ -189,12 +193,6 @@ bool Group::closed() const {
   return closing_ && (!client_ || rd_kafka_consumer_closed(client_->get()) != 0);
 }
 
-bool Group::cooperative() const {
-  // Null if a closing client has left its group already; then both ways of giving up partitions work.
-  const char* protocol = rd_kafka_rebalance_protocol(client_->get());
-  return protocol != nullptr && std::string_view(protocol) == "COOPERATIVE";
-}
-
 void Group::look_for_servers() {
   if ((connected_ && doubted_at_ == Instant{}) || ending()) return;
   const bool connected = client_->connected();
@@ -220,7 +218,10 @@ void Group::on_event(rd_kafka_event_t* event) {
     case RD_KAFKA_EVENT_REBALANCE: {
       const rd_kafka_topic_partition_list_t* partitions = rd_kafka_event_topic_partition_list(event);
       if (rd_kafka_event_error(event) == RD_KAFKA_RESP_ERR__ASSIGN_PARTITIONS) {
-        on_assign(*partitions);
+        // In an eager group the library has withdrawn an assignment that came before it was told to leave. It would
+        // take the answer for that to the revocation which follows, and end while that is answered: the answer, a
+        // request to a thread that has ended, may then wait for ever (librdkafka issues 4041 and 4884).
+        if (!leaving_ || cooperative()) on_assign(*partitions);
       } else {
         on_revoke(*partitions);
       }

@@ -65,7 +65,6 @@ class Group {
   void leave_group();
   /// Whether the present client is to leave its group.
   bool ending() const { return closing_ || renewing_; }
-  bool cooperative() const;
   PartitionList wanted(const rd_kafka_topic_partition_list_t& partitions) const;
 
   const KafkaOptions& options_;

@@ -13,6 +13,8 @@ TEST(KafkaAssignment, IsCooperativeOnlyWithALibraryThatSurvivesIt) {
       << "2.5.3, the last one whose leader may compute for ever";
   EXPECT_STREQ(assignment_strategy(0x020600ff), "cooperative-sticky") << "2.6.0";
   EXPECT_STREQ(assignment_strategy(0x030000ff), "cooperative-sticky");
+  EXPECT_FALSE(is_cooperative(0x020503ff));
+  EXPECT_TRUE(is_cooperative(0x020600ff));
 }
 
 }  // namespace

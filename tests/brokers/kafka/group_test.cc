@@ -55,7 +55,8 @@ class KafkaGroup : public testing::Test {
     rd_kafka_queue_t* const answers = rd_kafka_queue_new(operating);
     rd_kafka_DeleteTopic_t* topic = rd_kafka_DeleteTopic_new(name.c_str());
     rd_kafka_DeleteTopics(operating, &topic, 1, nullptr, answers);
-    rd_kafka_event_t* const answer = rd_kafka_queue_poll(answers, static_cast<int>(patience.count()));
+    constexpr int limit_ms = std::chrono::milliseconds(patience).count();
+    rd_kafka_event_t* const answer = rd_kafka_queue_poll(answers, limit_ms);
     EXPECT_EQ(rd_kafka_event_error(answer), RD_KAFKA_RESP_ERR_NO_ERROR);
     rd_kafka_event_destroy(answer);
     rd_kafka_DeleteTopic_destroy(topic);
