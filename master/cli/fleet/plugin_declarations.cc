@@ -11,6 +11,7 @@ namespace iotcloud::master::cli {
 
 void PluginDeclarations::ask() {
   known_.emplace();
+  if (master_.status().registry_away) return;  // the order that follows says so, and needs no time-out for it
   std::vector<discovery::GatewayId> living;
   for (const auto& gateway : master_.gateways()) {
     if (gateway.alive && !gateway.original) living.push_back(gateway.record.id);

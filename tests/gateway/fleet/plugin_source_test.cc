@@ -63,6 +63,22 @@ TEST_F(PluginSourceTest, WhatWasAdmittedIsCheckedAgainWhenTheKeysWereReadAgain) 
   EXPECT_THAT(error_of([&] { checked.find(wants("turtle.so")); }), HasSubstr("a key that is trusted here"));
 }
 
+TEST_F(PluginSourceTest, AllPluginsAreListedWithWhatTheirBytesDeclareAndNoneIsLoaded) {
+  const std::string mark = "iotcloud-plugin: driver=";
+  write("a.so", "no library" + mark + R"({"name":"meter","version":"2"})" + std::string(1, '\0'));
+  write("notes.txt", "no plugin");
+  const auto listed = source(false).all({});
+  ASSERT_EQ(listed.size(), 1U);
+  EXPECT_EQ(listed[0].file, "a.so");
+  EXPECT_FALSE(listed[0].sent);
+  EXPECT_EQ(listed[0].sha256.size(), 64U);
+  EXPECT_GT(listed[0].size, 10);
+  EXPECT_THAT(listed[0].declaration, HasSubstr(R"("driver":"meter","version":"2")"));
+  const auto refused = source(true).all({});
+  ASSERT_EQ(refused.size(), 1U);
+  EXPECT_THAT(refused[0].problem, HasSubstr("a.so"));
+}
+
 TEST_F(PluginSourceTest, WhatIsNotThereIsNamedWithItsFolder) {
   auto checked = source(false);
   EXPECT_THAT(error_of([&] { checked.find(wants("absent.so")); }),
