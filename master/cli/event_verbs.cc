@@ -22,7 +22,7 @@ using Json = nlohmann::ordered_json;
 
 namespace {
 
-constexpr std::chrono::seconds pause_between{1};
+constexpr std::chrono::seconds pause_between_questions{1};
 
 /// Something that happened: to a driver instance, a gateway or a topology.
 struct Event {
@@ -89,7 +89,7 @@ class Events final : public Verb {
     const auto master = call.connect();
     Present before = follow_ ? present(*master) : Present();
     int status = show_changes(call, *master, lines_, true);
-    while (follow_ && call.out && pause(pause_between)) {
+    while (follow_ && call.out && pause(pause_between_questions)) {
       try {
         Present now = present(*master);
         for (const auto& event : differences(before, now)) print(call, event);

