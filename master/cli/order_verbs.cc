@@ -371,7 +371,14 @@ class Update final : public ForInstances {
     PluginDeclarations on_gateways(master);
     std::vector<DeclaredPlugin> by_file;
     if (is_local_plugin(request_.plugin)) by_file.push_back(declared_by_file(request_.plugin));
-    for (const auto& placed : master.orders()) {
+    std::vector<ListedOrder> all;
+    try {
+      all = master.orders();
+    } catch (const Failed&) {
+      // Whoever may not list orders may not update either. The answer to the update says which role that takes.
+      if (!changes_.empty()) throw;
+    }
+    for (const auto& placed : all) {
       const auto& order = placed.order;
       const bool here = selection.gateways.empty() || std::find(selection.gateways.begin(), selection.gateways.end(),
                                                                 placed.gateway) != selection.gateways.end();

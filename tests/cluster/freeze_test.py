@@ -1,7 +1,8 @@
 #!/usr/bin/python3
 """A worker frozen (SIGSTOP) past its session's time-out, and continued (SIGCONT). The events' own times must show that
 the broker cut it off before anybody else read its drivers. What it had in hand (each driver's last message, in a bolt that
-holds it) went to its successor, so it must not be sent when the worker goes on.
+holds it) went to its successor, so it must not be sent when the worker goes on. With several rounds, no message may take longer than a session's end and some
+grace.
 
 usage: freeze_test.py BUILD_DIR [--rounds N] [--broker kafka]
 """
@@ -133,7 +134,8 @@ def main():
     finish("frozen and continued", totals)
     if totals["furthest_back"] >= rate * SESSION_S:
         raise SystemExit(f"a message came {totals['furthest_back']} numbers late: it was sent by the worker that was frozen")
-    if totals["max_s"] > LIMIT_S:
+    # A single round runs beside other tests, where the longest round trip says how busy the machine is.
+    if given.rounds > 1 and totals["max_s"] > LIMIT_S:
         raise SystemExit(f"a message took {totals['max_s']:.1f} s; {LIMIT_S} s are allowed")
 
 

@@ -353,6 +353,8 @@ TEST_F(Access, EveryOrderIsWrittenDownBeforeItIsCarriedOut) {
   client.finishPlugin(upload, "x");
   std::string backup;
   client.exportOrders(backup);
+  discovery::wire::TChannelLook look;
+  EXPECT_THROW(client.handMessage(look, "nowhere", {}), wire::TMasterError);
   std::map<std::string, int> begun, ended;
   for (const auto& line : all_lines()) ++(line["event"] == "begun" ? begun : ended)[line["order"]];
   EXPECT_EQ(begun, ended);
