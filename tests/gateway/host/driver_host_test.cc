@@ -111,7 +111,7 @@ TEST_F(DriverHostTest, AnInstanceLivesThroughItsStatesAndSaysSo) {
 }
 
 TEST_F(DriverHostTest, ADriverGetsTheDefaultsThatItDeclaresAndNothingThatItDoesNot) {
-  const auto declaring = drivers::describe<DeclaringDriver>("declaring", "1");
+  static const auto declaring = drivers::describe<DeclaringDriver>("declaring", "1");
   start_host(declaring);
   host_->create(spec("good", {{"channel.x.capacity", "5"}, {"hang_limit", "5s"}}));
   host_->create(spec("bad", {{"rat", "5"}, {"rate", "0"}}));
