@@ -75,17 +75,17 @@ TEST_F(GatewayTest, AnOrderBecomesAnActiveInstanceWithItsRecords) {
 
 TEST_F(GatewayTest, WhoSeesTheRecordOfAnActiveInstanceHearsTheSameFromTheGateway) {
   WatchedRegistry watched(new_session());
-  std::atomic<int> seen{0};
-  std::atomic<int> heard{0};
-  watched.written = [&](const std::string& path, const std::string& data) {
-    if (path != paths_.instance("probe"_driver, "a"_instance)) return;
-    if (discovery::decode_driver(data, path).state != DriverState::active) return;
-    ++seen;
-    for (const auto& instance : gateway_->instances()) heard += instance.state == DriverState::active ? 1 : 0;
-  };
   auto with = options();
   with.registry = &watched;
   gateway_.emplace(std::move(with));
+  std::atomic<int> heard{0};
+  std::atomic<int> seen{0};
+  watched.written = [&, &gateway = *gateway_](const std::string& path, const std::string& data) {
+    if (path != paths_.instance("probe"_driver, "a"_instance)) return;
+    if (discovery::decode_driver(data, path).state != DriverState::active) return;
+    for (const auto& instance : gateway.instances()) heard += instance.state == DriverState::active ? 1 : 0;
+    ++seen;  // last, because the test then ends the gateway
+  };
   gateway_->start();
   give(order("a"));
   EXPECT_TRUE(eventually([&] { return seen > 0; }));
