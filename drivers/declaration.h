@@ -137,11 +137,12 @@ struct DeclarationWriter {
     int decimals = 0;
     double scale = 1;
     constexpr int most_decimals = 9;
-    const auto rounded = [&] { return static_cast<double>(static_cast<std::uint64_t>(value * scale + 0.5)) / scale; };
-    for (; rounded() != value; scale *= 10, ++decimals)
+    // std::lround() is not constexpr.
+    const auto scaled = [&] { return (static_cast<std::uint64_t>(2 * value * scale) + 1) / 2; };
+    for (; static_cast<double>(scaled()) / scale != value; scale *= 10, ++decimals)
       refuse_declaration_unless(decimals < most_decimals && value * scale < most / 10,
                                 "a bound of a property has more decimals than a declaration can hold");
-    const auto all = static_cast<std::uint64_t>(value * scale + 0.5);
+    const auto all = scaled();
     const auto split = static_cast<std::uint64_t>(scale);
     whole(all / split, 1);
     if (decimals == 0) return;
