@@ -141,6 +141,25 @@ struct TChannelLook {
   13: list<TSeenMessage> messages
 }
 
+// A plugin that a gateway has.
+struct TKnownPlugin {
+  // As orders name it; empty: it was sent, and no instance runs it.
+  1: string file
+  // SHA-256 of its bytes.
+  2: string sha256
+  3: i64 size
+  // It was sent; false: it is in the gateway's plugin folder.
+  4: bool sent
+  // The trusted key that signed it; empty: none.
+  5: string signedBy
+  // The version that the signer gave; 0: none.
+  6: i64 signedVersion
+  // Why it would not run there; empty: nothing is known.
+  7: string problem
+  // What it declares of itself: JSON with driver, version, sdk_version, description and properties.
+  8: string declaration
+}
+
 struct TResponse {
   1: TResponseState state
   2: string statusMessage

@@ -380,7 +380,7 @@ processes::PluginStore* Gateway::plugins() const {
   return impl_->options.plugins.get();
 }
 
-std::vector<KnownPlugin> Gateway::known_plugins() const {
+std::vector<discovery::KnownPlugin> Gateway::known_plugins() const {
   std::map<std::string, std::string> names;
   for (const auto& record : instances()) {
     if (!record.sha256.empty()) names[record.sha256] = record.plugin;

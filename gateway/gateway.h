@@ -82,7 +82,7 @@ class Gateway final : public config::Service {
   /// The store of uploaded plugins; null: the gateway takes no uploads.
   processes::PluginStore* plugins() const;
   /// All plugins that this gateway has, for people and for checks of orders.
-  std::vector<KnownPlugin> known_plugins() const;
+  std::vector<discovery::KnownPlugin> known_plugins() const;
   /// The highest epoch of all orders so far. An order that this gateway's Thrift service writes must have it.
   std::int64_t epoch() const;
   /// The current record of each instance.

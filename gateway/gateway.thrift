@@ -42,25 +42,6 @@ struct TPluginOffer {
   4: binary signature
 }
 
-// A plugin that a gateway has.
-struct TKnownPlugin {
-  // As orders name it; empty: it was sent, and no instance runs it.
-  1: string file
-  // SHA-256 of its bytes.
-  2: string sha256
-  3: i64 size
-  // It was sent; false: it is in the gateway's plugin folder.
-  4: bool sent
-  // The trusted key that signed it; empty: none.
-  5: string signedBy
-  // The version that the signer gave; 0: none.
-  6: i64 signedVersion
-  // Why it would not run here; empty: nothing is known.
-  7: string problem
-  // What it declares of itself: JSON with driver, version, sdk_version, description and properties.
-  8: string declaration
-}
-
 // The gateway cannot answer the question.
 exception TSiteError {
   1: string reason
@@ -98,7 +79,7 @@ service TSensorSiteService {
   // answer's `problem` says why it has not.
   records.TChannelLook handMessage(1: records.THandedMessage message) throws (1: TSiteError error)
   // The plugins that this gateway has, in its plugin folder and among those that were sent: 500 at most.
-  list<TKnownPlugin> listPlugins() throws (1: TSiteError error)
+  list<records.TKnownPlugin> listPlugins() throws (1: TSiteError error)
   // Begins to send a plugin; its pieces must each fit into a message of 1 MB. The answer is the upload's id; empty: the
   // gateway has the plugin already. An upload without a call for a minute ends.
   string offerPlugin(1: TPluginOffer offer) throws (1: TSiteError error)

@@ -191,7 +191,7 @@ void SiteHandler::handMessage(discovery::wire::TChannelLook& answer, const disco
   discovery::fill_wire(look, answer);
 }
 
-void SiteHandler::listPlugins(std::vector<wire::TKnownPlugin>& answer) {
+void SiteHandler::listPlugins(std::vector<discovery::wire::TKnownPlugin>& answer) {
   for (const auto& plugin : gateway_.known_plugins()) discovery::fill_wire(plugin, answer.emplace_back());
 }
 

@@ -276,17 +276,9 @@ struct TDriverHistory {
   2: map<string, string> silent
 }
 
-// A plugin that a gateway has; see TKnownPlugin in gateway.thrift.
 struct TGatewayPlugin {
   1: string gateway
-  2: string file
-  3: string sha256
-  4: i64 size
-  5: bool sent
-  6: string signedBy
-  7: i64 signedVersion
-  8: string problem
-  9: string declaration
+  2: records.TKnownPlugin plugin
 }
 
 struct TGatewayPlugins {

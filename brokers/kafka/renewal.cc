@@ -1,10 +1,7 @@
 #include "iotcloud/brokers/kafka/renewal.h"
 
-#include <cstdint>
 #include <exception>
 #include <utility>
-
-#include <sys/stat.h>
 
 #include <iotcloud/brokers/kafka/logger.h>
 
@@ -36,14 +33,7 @@ bool Renewal::ready(Instant now) {
 
 Renewal::Mark Renewal::mark() const {
   const Tls& files = options_.broker.tls;
-  Mark mark;
-  for (const std::string& file : {files.ca_file, files.certificate_file, files.key_file}) {
-    struct stat found {};
-    if (file.empty() || ::stat(file.c_str(), &found) != 0) found = {};
-    mark.insert(mark.end(), {static_cast<std::int64_t>(found.st_ino), static_cast<std::int64_t>(found.st_size),
-                             found.st_mtim.tv_sec, found.st_mtim.tv_nsec});
-  }
-  return mark;
+  return {config::stamp_of(files.ca_file), config::stamp_of(files.certificate_file), config::stamp_of(files.key_file)};
 }
 
 void Renewal::look() {

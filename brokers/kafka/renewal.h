@@ -1,14 +1,15 @@
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <functional>
 #include <memory>
 #include <set>
 #include <string>
-#include <vector>
 
 #include "iotcloud/brokers/kafka/client.h"
 #include <iotcloud/config/clock.h>
+#include <iotcloud/config/file_stamp.h>
 
 namespace iotcloud::brokers::kafka {
 
@@ -36,8 +37,7 @@ class Renewal {
   /// after the other.
   static constexpr std::chrono::milliseconds look_period{1000};
 
-  /// What tells one version of the files from the next: the size, number and time of each.
-  using Mark = std::vector<std::int64_t>;
+  using Mark = std::array<config::FileStamp, 3>;
   Mark mark() const;
   void look();
   void make_next(const Mark& mark);
@@ -46,9 +46,9 @@ class Renewal {
 
   const KafkaOptions& options_;
   const Make make_;
-  Mark used_;  ///< of the present client
-  Mark seen_;  ///< at the last look
-  Mark of_next_;
+  Mark used_{};  ///< of the present client
+  Mark seen_{};  ///< at the last look
+  Mark of_next_{};
   Instant look_at_{};
   std::shared_ptr<Client> next_;
   std::set<std::string> complaints_;  ///< those that the log has, since the files changed

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include <iotcloud/discovery/description/fields.h>
+#include <iotcloud/discovery/known_plugin.h>
 #include <iotcloud/gateway/host/driver_host.h>
 
 namespace iotcloud::gateway {
@@ -81,27 +81,6 @@ struct RunningHost {
   std::vector<HostedInstance> instances;
 };
 
-/// A plugin that this gateway has.
-struct KnownPlugin {
-  std::string file;                 ///< as orders name it; empty: it was sent, and no instance runs it
-  std::string sha256;               ///< of its bytes
-  std::int64_t size = 0;            ///< bytes
-  bool sent = false;                ///< false: it is in the gateway's plugin folder
-  std::string signed_by{};          ///< the trusted key that signed it; empty: none
-  std::int64_t signed_version = 0;  ///< the version that the signer gave; 0: none
-  std::string problem{};            ///< why it would not run here; empty: nothing is known
-  std::string declaration{};        ///< what it declares: JSON of config/declaration.h
-  static constexpr const char* what = "a plugin of a gateway";
-  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(file, usual),
-                                            IOTCLOUD_FIELD(sha256, usual),
-                                            IOTCLOUD_FIELD(size, usual),
-                                            IOTCLOUD_FIELD(sent, usual),
-                                            IOTCLOUD_FIELD_AS(signed_by, usual, "signed_by", signedBy),
-                                            IOTCLOUD_FIELD_AS(signed_version, usual, "signed_version", signedVersion),
-                                            IOTCLOUD_FIELD(problem, usual),
-                                            IOTCLOUD_FIELD(declaration, usual)};
-};
-
 /// Starts driver hosts, as separate processes or inside this process.
 class HostLauncher {
  public:
@@ -116,7 +95,7 @@ class HostLauncher {
   virtual std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) = 0;
   /// The plugins that launch() would find. They are read, not loaded. \param names by SHA-256: how orders call a plugin
   /// that was sent
-  virtual std::vector<KnownPlugin> plugins(const std::map<std::string, std::string>& names) {
+  virtual std::vector<discovery::KnownPlugin> plugins(const std::map<std::string, std::string>& names) {
     static_cast<void>(names);
     return {};
   }

@@ -25,15 +25,6 @@ PluginSource::PluginSource(std::string folder, std::shared_ptr<processes::Plugin
       store_(std::move(store)),
       trust_(trust ? std::move(trust) : std::make_shared<const security::TrustedKeys>()) {}
 
-/// Reads the file's stamp; all zero if the file is missing.
-PluginSource::Stamp PluginSource::stamp_of(const std::string& path) {
-  struct stat status {};
-  if (stat(path.c_str(), &status) != 0) return {};
-  constexpr std::int64_t second = 1'000'000'000;
-  return {status.st_dev, status.st_ino, status.st_size, status.st_mtim.tv_sec * second + status.st_mtim.tv_nsec,
-          status.st_ctim.tv_sec * second + status.st_ctim.tv_nsec};
-}
-
 PluginSource::Found PluginSource::find(const HostOrder& order) {
   check_plugin_file_name(order.plugin);
   Found found;
@@ -67,10 +58,10 @@ PluginSource::Found PluginSource::find(const HostOrder& order) {
   return found;
 }
 
-std::vector<KnownPlugin> PluginSource::all(const std::map<std::string, std::string>& names) {
+std::vector<discovery::KnownPlugin> PluginSource::all(const std::map<std::string, std::string>& names) {
   constexpr std::size_t most = 500;                           // plugins in an answer
   constexpr std::size_t most_text = std::size_t{512} * 1024;  // bytes of all declarations in an answer
-  std::vector<KnownPlugin> plugins;
+  std::vector<discovery::KnownPlugin> plugins;
   std::error_code error;
   for (const auto& entry : fs::directory_iterator(folder_, error)) {
     if (entry.path().extension() != ".so" || !entry.is_regular_file(error)) continue;
@@ -99,8 +90,9 @@ std::vector<KnownPlugin> PluginSource::all(const std::map<std::string, std::stri
 }
 
 /// \param order names the plugin, and says whether it was sent.
-KnownPlugin PluginSource::known(const std::string& path, const std::string& signature_path, const HostOrder& order) {
-  KnownPlugin plugin;
+discovery::KnownPlugin PluginSource::known(const std::string& path, const std::string& signature_path,
+                                           const HostOrder& order) {
+  discovery::KnownPlugin plugin;
   plugin.file = order.plugin;
   plugin.sent = !order.sha256.empty();
   plugin.sha256 = order.sha256;
@@ -119,8 +111,8 @@ KnownPlugin PluginSource::known(const std::string& path, const std::string& sign
 
 PluginSource::Examined PluginSource::examine(const std::string& path, const std::string& signature_path,
                                              const HostOrder& order) {
-  const Stamp signature_stamp = stamp_of(signature_path);
-  const Basis basis{stamp_of(path), signature_stamp, trust_->generation()};
+  const auto signature_stamp = config::stamp_of(signature_path);
+  const Basis basis{config::stamp_of(path), signature_stamp, trust_->generation()};
   {
     const config::MutexLock lock(mutex_);
     const auto known = examined_.find(path);
@@ -138,7 +130,7 @@ PluginSource::Examined PluginSource::examine(const std::string& path, const std:
         fmt::format("{}: it was sent with the SHA-256 {}, but {} has another now; send it again: iotcloud "
                     "update --plugin ./{} ID",
                     order.plugin, security::short_sha256(order.sha256), path, order.plugin));
-  const std::string signature = signature_stamp == Stamp{} ? "" : processes::read_file(signature_path, 0);
+  const std::string signature = signature_stamp == config::FileStamp{} ? "" : processes::read_file(signature_path, 0);
   identity.signed_by = trust_->admit(order.plugin, content, signature);
   if (!identity.signed_by.empty()) found.signature = security::parse_plugin_signature(signature);
   const config::MutexLock lock(mutex_);

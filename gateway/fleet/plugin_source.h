@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include <iotcloud/config/file_stamp.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/host/instance_spec.h>
@@ -40,13 +41,9 @@ class PluginSource {
   Found find(const HostOrder& order);
   /// All plugins of the folder, and all that were sent. They are read, not loaded. \param names as in
   /// HostLauncher::plugins()
-  std::vector<KnownPlugin> all(const std::map<std::string, std::string>& names);
+  std::vector<discovery::KnownPlugin> all(const std::map<std::string, std::string>& names);
 
  private:
-  /// Identifies a version of a file (see stamp_of()), so that an unchanged file is not read and checked again, which
-  /// takes a tenth of a second.
-  using Stamp = std::tuple<std::uint64_t, std::uint64_t, std::int64_t, std::int64_t, std::int64_t>;
-  static Stamp stamp_of(const std::string& path);
   struct Examined {
     PluginIdentity identity;
     security::PluginSignature signature;
@@ -54,7 +51,7 @@ class PluginSource {
     std::int64_t size = 0;
     std::string declaration;  ///< JSON of config/declaration.h
   };
-  KnownPlugin known(const std::string& path, const std::string& signature_path, const HostOrder& order);
+  discovery::KnownPlugin known(const std::string& path, const std::string& signature_path, const HostOrder& order);
   Examined examine(const std::string& path, const std::string& signature_path, const HostOrder& order);
 
   const std::string folder_;
@@ -63,7 +60,7 @@ class PluginSource {
   config::Mutex mutex_;
   /// What the result of examine() depends on: the stamps of the plugin's file and of its signature's file, and
   /// TrustedKeys::generation().
-  using Basis = std::tuple<Stamp, Stamp, std::uint64_t>;
+  using Basis = std::tuple<config::FileStamp, config::FileStamp, std::uint64_t>;
   std::map<std::string, std::pair<Basis, Examined>> examined_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by path
 };
 

@@ -62,7 +62,7 @@ class ProcessLauncher final : public HostLauncher {
 
   bool wants_isolation(const HostOrder& order) override;
   std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) override;
-  std::vector<KnownPlugin> plugins(const std::map<std::string, std::string>& names) override {
+  std::vector<discovery::KnownPlugin> plugins(const std::map<std::string, std::string>& names) override {
     return source_.all(names);
   }
   std::vector<RunningHost> running(const discovery::GatewayId& gateway) override;

@@ -186,7 +186,7 @@ std::vector<std::string> property_words(const std::string& plugin, const Names& 
   }
   return names([&](MasterClient& master) {
     std::vector<std::string> words;
-    for (const auto& known : master.plugins({}).plugins) {
+    for (const auto& [gateway, known] : master.plugins({}).plugins) {
       if (known.file != plugin) continue;
       for (auto& word : words_of(config::parse_declaration(known.declaration))) words.push_back(std::move(word));
     }

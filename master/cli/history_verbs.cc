@@ -27,13 +27,6 @@ namespace {
 constexpr std::int32_t most_log_bytes = 128 * 1024;
 constexpr std::chrono::milliseconds follow_pause{500};
 
-/// Prints the gateways that did not answer. \return the exit status: exit_failed if there are any.
-int name_silent(const DriverHistory& history, std::ostream& err) {
-  for (const auto& [gateway, why] : history.silent)
-    err << fmt::format("iotcloud: the history of {} is missing: {}\n", printable(gateway), printable(why));
-  return history.silent.empty() ? exit_ok : exit_failed;
-}
-
 /// The plugin that the instance runs, and which trusted key signed it, if any.
 std::string plugin_words(const DriverRecord& driver) {
   if (driver.plugin.empty()) return "-";
@@ -96,7 +89,7 @@ class Describe final : public OfOne {
       Json json = driver_json(driver);
       json["history"] = discovery::json_of<Json>(history.changes);
       print_data(call.out, call.format, json);
-      return name_silent(history, call.err);
+      return name_silent(history.silent, "the history", call.err);
     }
     print_record(driver, call.out);
     if (!history.changes.empty()) {
@@ -106,7 +99,7 @@ class Describe final : public OfOne {
         rows.push_back({moment(change.time_ms), change.state, printable(change.reason)});
       print_table(call.out, {"TIME", "STATE", "REASON"}, rows);
     }
-    return name_silent(history, call.err);
+    return name_silent(history.silent, "the history", call.err);
   }
 };
 
@@ -142,7 +135,7 @@ class History final : public Verb {
     }
     print(call.out, call.format, {"TIME", "INSTANCE", "DRIVER", "GATEWAY", "STATE", "REASON"}, rows,
           discovery::json_of<Json>(history.changes));
-    return name_silent(history, call.err);
+    return name_silent(history.silent, "the history", call.err);
   }
 
  private:

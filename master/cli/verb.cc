@@ -1,8 +1,10 @@
 #include <algorithm>
 #include <csignal>
+#include <ostream>
 #include <thread>
 
 #include <CLI/CLI.hpp>
+#include <fmt/format.h>
 
 #include <iotcloud/master/cli/verb.h>
 
@@ -24,6 +26,12 @@ bool pause(std::chrono::duration<double> time) {
   while (interrupted == 0 && std::chrono::steady_clock::now() < until)
     std::this_thread::sleep_for(std::min<Seconds>(until - std::chrono::steady_clock::now(), Seconds(0.05)));
   return interrupted == 0;
+}
+
+int name_silent(const std::map<discovery::GatewayId, std::string>& silent, std::string_view what, std::ostream& err) {
+  for (const auto& [gateway, why] : silent)
+    err << fmt::format("iotcloud: {} of {} is missing: {}\n", what, printable(gateway), printable(why));
+  return silent.empty() ? exit_ok : exit_failed;
 }
 
 std::unique_ptr<MasterClient> Call::connect() const {

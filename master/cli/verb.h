@@ -3,9 +3,11 @@
 #include <chrono>
 #include <deque>
 #include <iosfwd>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -78,6 +80,10 @@ class Verb {
 void interrupt();
 /// Waits for `time`. \return false if interrupt() was called.
 bool pause(std::chrono::duration<double> time);
+
+/// Prints the gateways that did not answer. \param what they should have told: "the history"
+/// \return the exit status: exit_failed if there are any
+int name_silent(const std::map<discovery::GatewayId, std::string>& silent, std::string_view what, std::ostream& err);
 
 /// The verbs of the program, or those of a group of them ("topology").
 class Verbs {

@@ -73,6 +73,16 @@ void put(const SiteAddress& site, const discovery::GatewayId& gateway, std::chro
   }
 }
 
+/// Calls a method that answers with what is known of a channel.
+template <typename Asked>
+discovery::ChannelLook ask_of_channel(
+    const SiteAddress& site, const discovery::GatewayId& gateway, std::chrono::milliseconds limit,
+    void (TSensorSiteServiceClient::*method)(discovery::wire::TChannelLook&, const Asked&), const Asked& asked) {
+  discovery::wire::TChannelLook look;
+  put(site, gateway, limit, [&](auto& client) { (client.*method)(look, asked); });
+  return discovery::as_own<discovery::ChannelLook>(look);
+}
+
 template <typename Call>
 SiteAnswer ask(const SiteAddress& site, std::chrono::milliseconds limit, Call&& call) {
   bool connected = false;
@@ -149,14 +159,10 @@ std::vector<DriverChange> site_changes(const SiteAddress& site, const discovery:
 
 std::vector<GatewayPlugin> site_plugins(const SiteAddress& site, const discovery::GatewayId& gateway,
                                         std::chrono::milliseconds limit) {
-  std::vector<gateway::wire::TKnownPlugin> told;
+  std::vector<discovery::wire::TKnownPlugin> told;
   put(site, gateway, limit, [&](auto& client) { client.listPlugins(told); });
   std::vector<GatewayPlugin> plugins;
-  for (auto& plugin : told) {
-    plugins.push_back({gateway, std::move(plugin.file), std::move(plugin.sha256), plugin.size, plugin.sent,
-                       std::move(plugin.signedBy), plugin.signedVersion, std::move(plugin.problem),
-                       std::move(plugin.declaration)});
-  }
+  for (const auto& plugin : told) plugins.push_back({gateway, discovery::as_own<discovery::KnownPlugin>(plugin)});
   return plugins;
 }
 
@@ -170,18 +176,14 @@ LogPart site_read_log(const SiteAddress& site, const discovery::GatewayId& gatew
 
 discovery::ChannelLook site_look_at_channel(const SiteAddress& site, const discovery::GatewayId& gateway,
                                             const discovery::LookRequest& request, std::chrono::milliseconds limit) {
-  discovery::wire::TChannelLook look;
-  put(site, gateway, limit,
-      [&](auto& client) { client.lookAtChannel(look, discovery::as_wire<discovery::wire::TLookRequest>(request)); });
-  return discovery::as_own<discovery::ChannelLook>(look);
+  return ask_of_channel(site, gateway, limit, &TSensorSiteServiceClient::lookAtChannel,
+                        discovery::as_wire<discovery::wire::TLookRequest>(request));
 }
 
 discovery::ChannelLook site_hand_message(const SiteAddress& site, const discovery::GatewayId& gateway,
                                          const discovery::HandedMessage& message, std::chrono::milliseconds limit) {
-  discovery::wire::TChannelLook look;
-  put(site, gateway, limit,
-      [&](auto& client) { client.handMessage(look, discovery::as_wire<discovery::wire::THandedMessage>(message)); });
-  return discovery::as_own<discovery::ChannelLook>(look);
+  return ask_of_channel(site, gateway, limit, &TSensorSiteServiceClient::handMessage,
+                        discovery::as_wire<discovery::wire::THandedMessage>(message));
 }
 
 std::string site_offer_plugin(const SiteAddress& site, const discovery::GatewayId& gateway, const PluginOffer& offer,

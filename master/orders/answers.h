@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/known_plugin.h>
 #include <iotcloud/master/orders/orders.h>
 
 /// A master's answers to questions and to clients that send plugins; the daemon and its clients share these structs.
@@ -63,27 +64,12 @@ struct LogPart {
   static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(text, usual), IOTCLOUD_FIELD(position, usual)};
 };
 
-/// A plugin that a gateway has.
+/// A plugin, and a gateway that has it.
 struct GatewayPlugin {
   discovery::GatewayId gateway;
-  std::string file;                 ///< as orders name it; empty: it was sent, and no instance runs it
-  std::string sha256;               ///< of its bytes
-  std::int64_t size = 0;            ///< bytes
-  bool sent = false;                ///< false: it is in the gateway's plugin folder
-  std::string signed_by;            ///< the trusted key that signed it; empty: none
-  std::int64_t signed_version = 0;  ///< the version that the signer gave; 0: none
-  std::string problem;              ///< why it would not run there; empty: nothing is known
-  std::string declaration;          ///< what it declares: JSON of config/declaration.h
+  discovery::KnownPlugin plugin;
   static constexpr const char* what = "a plugin of a gateway";
-  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(gateway, usual),
-                                            IOTCLOUD_FIELD(file, usual),
-                                            IOTCLOUD_FIELD(sha256, usual),
-                                            IOTCLOUD_FIELD(size, usual),
-                                            IOTCLOUD_FIELD(sent, usual),
-                                            IOTCLOUD_FIELD_AS(signed_by, usual, "signed_by", signedBy),
-                                            IOTCLOUD_FIELD_AS(signed_version, usual, "signed_version", signedVersion),
-                                            IOTCLOUD_FIELD(problem, usual),
-                                            IOTCLOUD_FIELD(declaration, usual)};
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(gateway, usual), IOTCLOUD_FIELD(plugin, usual)};
 };
 
 /// The plugins of several gateways.

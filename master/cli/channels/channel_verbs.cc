@@ -289,7 +289,10 @@ class Meter : public OfChannel {
   }
 
  protected:
+  /// What came between two looks, of which the second has seen more messages.
   virtual std::string words(const ChannelLook& before, const ChannelLook& now) const = 0;
+  /// All that came since the look began.
+  virtual std::string total(const ChannelLook& now) const = 0;
   /// \return a second, from counts of the host's microseconds
   static double rate(std::int64_t count, std::int64_t us) {
     return us <= 0 ? 0 : static_cast<double>(count) * 1e6 / static_cast<double>(us);
@@ -297,11 +300,14 @@ class Meter : public OfChannel {
 
  private:
   void show(Call& call, const ChannelLook& before, const ChannelLook& now) const {
+    const auto us = now.elapsed_us - before.elapsed_us;
     if (call.format == Format::table) {
-      call.out << words(before, now) << '\n';
+      const std::string came = now.count == before.count
+                                   ? fmt::format("no message in {:.1f} s", static_cast<double>(us) / 1e6)
+                                   : words(before, now);
+      call.out << came << "; " << total(now) << " since the start\n";
       return;
     }
-    const auto us = now.elapsed_us - before.elapsed_us;
     const Json json = {{"messages_per_s", rate(now.count - before.count, us)},
                        {"bytes_per_s", rate(now.bytes - before.bytes, us)},
                        {"average_messages_per_s", rate(now.count, now.elapsed_us)},
@@ -332,15 +338,14 @@ class Hz final : public Meter {
  private:
   std::string words(const ChannelLook& before, const ChannelLook& now) const override {
     const auto us = now.elapsed_us - before.elapsed_us;
-    if (now.count == before.count)
-      return fmt::format("no message in {:.1f} s; {} since the start", static_cast<double>(us) / 1e6, now.count);
     std::string text = fmt::format("{:.1f} messages/s, average {:.1f}/s", rate(now.count - before.count, us),
                                    rate(now.count, now.elapsed_us));
     if (now.longest_us > 0)
       text += fmt::format(", {:.1f} to {:.1f} ms apart", static_cast<double>(now.shortest_us) / 1e3,
                           static_cast<double>(now.longest_us) / 1e3);
-    return text + fmt::format("; {} since the start", now.count);
+    return text;
   }
+  std::string total(const ChannelLook& now) const override { return std::to_string(now.count); }
 };
 
 class Bw final : public Meter {
@@ -352,14 +357,11 @@ class Bw final : public Meter {
  private:
   std::string words(const ChannelLook& before, const ChannelLook& now) const override {
     const auto us = now.elapsed_us - before.elapsed_us;
-    if (now.count == before.count)
-      return fmt::format("no message in {:.1f} s; {} since the start", static_cast<double>(us) / 1e6,
-                         byte_words(static_cast<double>(now.bytes)));
-    return fmt::format("{}/s, average {}/s, messages of {} to {}; {} since the start",
-                       byte_words(rate(now.bytes - before.bytes, us)), byte_words(rate(now.bytes, now.elapsed_us)),
-                       byte_words(static_cast<double>(now.smallest)), byte_words(static_cast<double>(now.largest)),
-                       byte_words(static_cast<double>(now.bytes)));
+    return fmt::format("{}/s, average {}/s, messages of {} to {}", byte_words(rate(now.bytes - before.bytes, us)),
+                       byte_words(rate(now.bytes, now.elapsed_us)), byte_words(static_cast<double>(now.smallest)),
+                       byte_words(static_cast<double>(now.largest)));
   }
+  std::string total(const ChannelLook& now) const override { return byte_words(static_cast<double>(now.bytes)); }
 };
 
 /// The bytes of hexadecimal digits, which may have blanks between them. \throws CLI::ValidationError

@@ -34,13 +34,12 @@ std::vector<DeclaredPlugin> PluginDeclarations::of(const std::string& plugin,
     std::vector<discovery::GatewayId> gateways;
   };
   std::map<std::string, Group> groups;  // by declaration
-  for (const auto& known : *known_) {
-    const bool wanted =
-        gateways.empty() || std::find(gateways.begin(), gateways.end(), known.gateway) != gateways.end();
+  for (const auto& [gateway, known] : *known_) {
+    const bool wanted = gateways.empty() || std::find(gateways.begin(), gateways.end(), gateway) != gateways.end();
     if (known.sent || known.file != plugin || !wanted) continue;
     auto& group = groups[known.declaration];
     if (group.gateways.empty()) group.declaration = config::parse_declaration(known.declaration);
-    group.gateways.push_back(known.gateway);
+    group.gateways.push_back(gateway);
   }
   std::vector<DeclaredPlugin> plugins;
   for (auto& [text, group] : groups) {
@@ -53,7 +52,7 @@ std::vector<DeclaredPlugin> PluginDeclarations::of(const std::string& plugin,
 
 std::vector<DeclaredPlugin> PluginDeclarations::sent(const std::string& sha256) {
   if (!known_) ask();
-  for (const auto& known : *known_) {
+  for (const auto& [gateway, known] : *known_) {
     if (known.sent && known.sha256 == sha256) return {{known.file, config::parse_declaration(known.declaration)}};
   }
   return {};

@@ -80,7 +80,7 @@ void print_properties(std::ostream& out, const config::DriverDeclaration& declar
 
 /// The same plugin on some gateways.
 struct SamePlugin {
-  GatewayPlugin plugin;
+  discovery::KnownPlugin plugin;
   config::DriverDeclaration declaration;
   std::vector<discovery::GatewayId> gateways;
 };
@@ -88,26 +88,20 @@ struct SamePlugin {
 std::vector<SamePlugin> grouped(const std::vector<GatewayPlugin>& plugins) {
   using Key = std::tuple<std::string, std::string, std::string, std::string, bool>;
   std::map<Key, SamePlugin> groups;
-  for (const auto& plugin : plugins) {
+  for (const auto& [gateway, plugin] : plugins) {
     auto& group = groups[{plugin.file, plugin.sha256, plugin.signed_by, plugin.problem, plugin.sent}];
     if (group.gateways.empty()) {
       group.plugin = plugin;
       group.declaration = config::parse_declaration(plugin.declaration);
     }
-    group.gateways.push_back(plugin.gateway);
+    group.gateways.push_back(gateway);
   }
   std::vector<SamePlugin> all;
   for (auto& [key, group] : groups) all.push_back(std::move(group));
   return all;
 }
 
-int name_silent(const GatewayPlugins& answer, std::ostream& err) {
-  for (const auto& [gateway, why] : answer.silent)
-    err << fmt::format("iotcloud: the plugins of {} are missing: {}\n", printable(gateway), printable(why));
-  return answer.silent.empty() ? exit_ok : exit_failed;
-}
-
-std::string signer(const GatewayPlugin& plugin) {
+std::string signer(const discovery::KnownPlugin& plugin) {
   if (plugin.signed_by.empty()) return "-";
   return plugin.signed_version == 0 ? plugin.signed_by
                                     : fmt::format("{}, version {}", plugin.signed_by, plugin.signed_version);
@@ -145,7 +139,7 @@ class ListPlugins final : public Verb {
     }
     print(call.out, call.format, {"PLUGIN", "DRIVER", "VERSION", "SHA-256", "SIGNED BY", "FROM", "GATEWAYS", "PROBLEM"},
           rows, json);
-    return name_silent(answer, call.err);
+    return name_silent(answer.silent, "the list of plugins", call.err);
   }
 
  private:
@@ -185,11 +179,11 @@ class DescribePlugin final : public Verb {
       return one.plugin.file != plugin_ && !one.plugin.sha256.starts_with(plugin_);
     });
     if (found.empty()) {
-      static_cast<void>(name_silent(answer, call.err));
+      static_cast<void>(name_silent(answer.silent, "the list of plugins", call.err));
       throw Failed(fmt::format("no gateway has a plugin \"{}\"; `iotcloud plugin list` lists them", plugin_));
     }
     show(call, found, master->drivers());
-    return name_silent(answer, call.err);
+    return name_silent(answer.silent, "the list of plugins", call.err);
   }
 
  private:

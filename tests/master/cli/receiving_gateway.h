@@ -46,7 +46,7 @@ class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
     finished_ = offers_.back().sha256;
   }
 
-  void listPlugins(std::vector<gateway::wire::TKnownPlugin>& answer) override {
+  void listPlugins(std::vector<discovery::wire::TKnownPlugin>& answer) override {
     const std::lock_guard lock(mutex_);
     answer = known_;
   }
@@ -96,10 +96,10 @@ class ReceivingSite final : public gateway::wire::TSensorSiteServiceNull {
   }
   const std::string gateway_;
   std::mutex mutex_;
-  std::vector<gateway::wire::TPluginOffer> offers_;  ///< guarded by mutex_
-  std::string received_, finished_, refusal_;        ///< guarded by mutex_
-  int pieces_ = 0;                                   ///< guarded by mutex_
-  std::vector<gateway::wire::TKnownPlugin> known_;   ///< guarded by mutex_
+  std::vector<gateway::wire::TPluginOffer> offers_;   ///< guarded by mutex_
+  std::string received_, finished_, refusal_;         ///< guarded by mutex_
+  int pieces_ = 0;                                    ///< guarded by mutex_
+  std::vector<discovery::wire::TKnownPlugin> known_;  ///< guarded by mutex_
 };
 
 /// Sets the port of the service in the gateway's record.
