@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <cmath>
 #include <cstring>
 #include <list>
 #include <map>
@@ -15,15 +14,14 @@
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/metrics.h>
-#include <iotcloud/config/mutex.h>
 #include <iotcloud/rpc/connection.h>
 #include <iotcloud/rpc/logger.h>
 #include <iotcloud/rpc/refusal_log.h>
+#include <iotcloud/security/server_tls.h>
 
 namespace iotcloud::rpc {
 
@@ -108,8 +106,8 @@ struct ThriftServer::Impl {
       : options(o),
         service(std::move(s)),
         listener(listen_on(o.host, o.port)),
-        wake(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
-    reload();
+        wake(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
+        tls(o.name, o.tls) {
     acceptor = std::jthread([this](const std::stop_token& stop) { accept_all(stop); });
   }
 
@@ -122,48 +120,18 @@ struct ThriftServer::Impl {
   }
 
   void reload() {
-    if (!options.tls.empty()) {
-      const auto read_of = stamps();
-      auto read = std::make_shared<const security::TlsContext>(options.tls, security::TlsContext::Side::server);
-      const config::MutexLock lock(mutex);
-      tls = std::move(read);
-      known = read_of;
-    }
+    tls.reload();
     look_now = true;
     eventfd_write(wake.get(), 1);
-  }
-
-  /// What changes when somebody replaces one of the TLS files.
-  std::vector<std::int64_t> stamps() const {
-    std::vector<std::int64_t> all;
-    for (const auto& file : {options.tls.ca, options.tls.certificate, options.tls.key, options.tls.revoked}) {
-      struct stat status {};
-      if (file.empty() || stat(file.c_str(), &status) != 0) continue;
-      all.insert(all.end(), {static_cast<std::int64_t>(status.st_ino), status.st_size, status.st_mtim.tv_sec,
-                             status.st_mtim.tv_nsec});
-    }
-    return all;
   }
 
   /// Reads TLS files that were replaced, and cuts those who may not keep their connections. Used by the thread that
   /// accepts.
   void look() {
-    if (!options.tls.empty()) {
-      const auto now = stamps();
-      bool changed = false;
-      {
-        const config::MutexLock lock(mutex);
-        changed = now != known;
-        known = now;
-      }
-      try {
-        if (changed) reload();
-      } catch (const config::Error& e) {
-        thrift_logger.error("{}: it goes on with the certificate that it had: {}", options.name, e.what());
-      }
-      days_left.set(static_cast<std::int64_t>(std::floor(current_tls()->days_left())));
+    if (const auto problem = tls.look(); !problem.empty()) {
+      thrift_logger.error("{}: it goes on with the certificate that it had: {}", options.name, problem);
     }
-    const auto present = current_tls();
+    const auto present = tls.context();
     for (auto& client : clients) {
       if (client.evicted) continue;
       const std::string why = client.connection.distrust(present.get());
@@ -173,11 +141,6 @@ struct ThriftServer::Impl {
       count_refusal(options.name, "revoked");
       log.refused("revoked", fmt::format("{}: {} is cut off: {}", options.name, client.connection.address(), why));
     }
-  }
-
-  std::shared_ptr<const security::TlsContext> current_tls() {
-    const config::MutexLock lock(mutex);
-    return tls;
   }
 
   void accept_all(const std::stop_token& stop) {
@@ -214,7 +177,7 @@ struct ThriftServer::Impl {
                   fmt::format("{}: a connection is refused: there are {} already", options.name, clients.size()));
       return;
     }
-    auto& client = clients.emplace_back(options, service, current_tls(), descriptor, log);
+    auto& client = clients.emplace_back(options, service, tls.context(), descriptor, log);
     try {
       client.thread = std::jthread([this, &client] {
         client.connection.serve();
@@ -299,15 +262,9 @@ struct ThriftServer::Impl {
   RefusalLog log{thrift_logger};
   const Descriptor listener;
   const Descriptor wake;  ///< wakes the thread that accepts
+  security::ServerTls tls;
   std::atomic<bool> look_now{false};
   Stream::Clock::time_point next_look = Stream::Clock::now();  ///< used by the thread that accepts
-  config::Gauge& days_left = config::process_metrics().gauge("iotcloud_certificate_days_left",
-                                                             "Days until the certificate of a Thrift service expires",
-                                                             {{"service", options.name}});
-  config::Mutex mutex;
-  std::vector<std::int64_t> known IOTCLOUD_GUARDED_BY(mutex);  ///< stamps() of the files that were read
-  /// For new connections; null: no TLS.
-  std::shared_ptr<const security::TlsContext> tls IOTCLOUD_GUARDED_BY(mutex);
   /// In order of arrival; used by the thread that accepts, and after its end by the destructor.
   std::list<Client> clients;
   std::jthread acceptor;

@@ -144,7 +144,7 @@ class RenewCertificates final : public OfCertificates {
   RenewCertificates()
       : OfCertificates({"renew",
                         "Make certificates anew, for the same keys, before they expire. Copy them to their machines: "
-                        "daemons take them within seconds (their HTTP pages at SIGHUP), without a restart",
+                        "daemons take them within seconds, without a restart",
                         "iotcloud certs renew certs lab1 lab2", std::nullopt, false}) {}
   void declare(CLI::App& options) override {
     OfCertificates::declare(options);
@@ -165,12 +165,10 @@ class RenewCertificates final : public OfCertificates {
 class RevokeCertificates final : public OfCertificates {
  public:
   RevokeCertificates()
-      : OfCertificates(
-            {"revoke",
-             "Put certificates on the list DIR/revoked.pem. Daemons whose files name a copy of it (tls: "
-             "{revoked: ...}) refuse them within seconds, also on open connections; their HTTP pages refuse new "
-             "connections from the next SIGHUP on",
-             "iotcloud certs revoke certs lab2", std::nullopt, false}) {}
+      : OfCertificates({"revoke",
+                        "Put certificates on the list DIR/revoked.pem. Daemons whose files name a copy of it (tls: "
+                        "{revoked: ...}) refuse them within seconds, also on open connections",
+                        "iotcloud certs revoke certs lab2", std::nullopt, false}) {}
   int run(Call& call) override {
     for (const auto& holder : holders_) security::revoke_certificate(authority(), holder);
     call.out << fmt::format("{}: copy it to each machine with a daemon\n", security::revocations_file(authority()));

@@ -1,13 +1,16 @@
 #include <charconv>
 #include <functional>
 #include <list>
+#include <memory>
 #include <optional>
 #include <string_view>
 #include <thread>
 #include <type_traits>
+#include <vector>
 
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/post.hpp>
 #include <boost/asio/ssl/context.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/beast/core.hpp>
@@ -119,6 +122,8 @@ class Connection {
     open_ = false;
     close();
   }
+  /// Why the reader's certificate counts no longer; empty: it counts, or there is none.
+  virtual std::string distrust(const security::TlsContext& tls) = 0;
 
  protected:
   virtual void close() = 0;
@@ -142,6 +147,15 @@ class ConnectionOver final : public Connection, public std::enable_shared_from_t
   template <typename... Rest>
   ConnectionOver(Shared& shared, tcp::socket socket, Rest&... rest)
       : Connection(shared), stream_(std::move(socket), rest...) {}
+
+  std::string distrust(const security::TlsContext& tls) override {
+    if constexpr (secure) {
+      const std::unique_ptr<X509, decltype(&X509_free)> certificate(SSL_get1_peer_certificate(stream_.native_handle()),
+                                                                    &X509_free);
+      if (certificate) return tls.distrust(*certificate);
+    }
+    return "";
+  }
 
   void start() {
     if constexpr (secure) {
@@ -260,7 +274,11 @@ class ConnectionOver final : public Connection, public std::enable_shared_from_t
 
 struct HttpServer::Impl {
   Impl(const PageSettings& settings, Pages handlers)
-      : pages(std::move(handlers)), guard(settings), host(HttpAddress(settings.address).host), acceptor(io) {
+      : pages(std::move(handlers)),
+        guard(settings),
+        host(HttpAddress(settings.address).host),
+        look_period(settings.look_period),
+        acceptor(io) {
     shared.refused = [this](const auto& reason, const auto& text) { refused(reason, text); };
     tcp::resolver resolver(io);
     const auto found = resolver.resolve(host, HttpAddress(settings.address).port,
@@ -272,6 +290,7 @@ struct HttpServer::Impl {
     acceptor.listen();
     bound_port = acceptor.local_endpoint().port();
     accept();
+    look();
     thread = std::thread([this] { io.run(); });
   }
   ~Impl() {
@@ -298,11 +317,31 @@ struct HttpServer::Impl {
   }
 
   void serve(tcp::socket socket) {
-    const auto tls = guard.tls();
+    const auto tls = guard.tls().context();
     if (!tls) return std::make_shared<ConnectionOver<PlainStream>>(shared, std::move(socket))->start();
     SSL_CTX_up_ref(tls->get());
     asio::ssl::context context(tls->get());  // owns the reference
     std::make_shared<ConnectionOver<TlsStream>>(shared, std::move(socket), context)->start();
+  }
+
+  /// Reads TLS files that were replaced, cuts readers whose certificate counts no longer, and looks again later.
+  void look() {
+    if (const auto problem = guard.tls().look(); !problem.empty()) {
+      logger.error("the pages at port {} go on with the certificate that they had: {}", bound_port, problem);
+    }
+    const auto tls = guard.tls().context();
+    if (!tls) return;
+    const std::vector<Connection*> open(shared.connections.begin(), shared.connections.end());
+    for (Connection* const connection : open) {
+      const std::string why = connection->distrust(*tls);
+      if (why.empty()) continue;
+      refused("revoked", "a reader is cut off: its certificate is " + why);
+      connection->cut();
+    }
+    looking.expires_after(look_period);
+    looking.async_wait([this](error_code ended) {
+      if (!ended) look();
+    });
   }
 
   /// If there are too many connections, cuts the one that has been the longest at its request, or at taking its answer:
@@ -327,12 +366,14 @@ struct HttpServer::Impl {
   const Pages pages;
   PageGuard guard;
   const std::string host;
+  const std::chrono::milliseconds look_period;
   std::uint16_t bound_port = 0;
-  RefusalLog log{config::Logger{"http"}};
+  const config::Logger logger{"http"};
+  RefusalLog log{logger};
   Shared shared{pages, guard, {}, {}};  ///< declared before `io`, whose destructor destroys connections
   asio::io_context io{1};
   tcp::acceptor acceptor;
-  asio::steady_timer pause{io};
+  asio::steady_timer pause{io}, looking{io};
   std::thread thread;
 };
 
@@ -354,6 +395,7 @@ std::string HttpServer::address() const {
 
 void HttpServer::reload() {
   impl_->guard.reload();
+  asio::post(impl_->io, [impl = impl_.get()] { impl->look(); });
 }
 
 }  // namespace iotcloud::rpc

@@ -44,7 +44,8 @@ class HttpServer {
   ~HttpServer();
 
   std::string address() const;  ///< "host:port" with the real port
-  /// Reads certificates again, for new connections, then tokens: open connections are not served without theirs.
+  /// Reads certificates again, then tokens: open connections are cut whose certificate counts no longer, and not served
+  /// without their token. The server does so for certificates by itself within PageSettings::look_period.
   /// \throws Error that names an unusable file; that file and later ones count as they were read before.
   void reload();
 

@@ -5,24 +5,14 @@
 
 namespace iotcloud::rpc {
 
-PageGuard::PageGuard(PageSettings settings) : settings_(std::move(settings)) {
+PageGuard::PageGuard(PageSettings settings) : settings_(std::move(settings)), tls_("pages", settings_.tls) {
   if (const std::string problem = exposure(settings_); !problem.empty()) throw config::Error(problem);
   if (!settings_.tokens.empty()) tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens, "pages");
-  reload();
 }
 
 void PageGuard::reload() {
-  if (!settings_.tls.empty()) {
-    auto read = std::make_shared<const security::TlsContext>(settings_.tls, security::TlsContext::Side::server);
-    const config::MutexLock lock(mutex_);
-    tls_ = std::move(read);
-  }
+  tls_.reload();
   if (tokens_) tokens_->reload();
-}
-
-std::shared_ptr<const security::TlsContext> PageGuard::tls() const {
-  const config::MutexLock lock(mutex_);
-  return tls_;
 }
 
 std::optional<security::TokenEntry> PageGuard::reader(std::string_view authorization,

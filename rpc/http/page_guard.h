@@ -5,8 +5,8 @@
 #include <string>
 #include <string_view>
 
-#include <iotcloud/config/mutex.h>
 #include <iotcloud/rpc/http/page_settings.h>
+#include <iotcloud/security/server_tls.h>
 #include <iotcloud/security/tokens.h>
 
 namespace iotcloud::rpc {
@@ -19,7 +19,7 @@ class PageGuard {
   /// Reads certificates again, then tokens. \throws config::Error; an unusable file and later ones count as before.
   void reload();
 
-  std::shared_ptr<const security::TlsContext> tls() const;  ///< for new connections; null: no TLS
+  security::ServerTls& tls() { return tls_; }
   bool asks_for_token() const { return tokens_ != nullptr; }
   /// Who shows this header "Authorization"; nullopt: nobody who may read. Takes some ten milliseconds.
   /// \param certificate the subject of the reader's certificate; empty: none
@@ -30,8 +30,7 @@ class PageGuard {
  private:
   const PageSettings settings_;
   std::unique_ptr<security::TokenKeeper> tokens_;  ///< null: readers need no token
-  mutable config::Mutex mutex_;
-  std::shared_ptr<const security::TlsContext> tls_ IOTCLOUD_GUARDED_BY(mutex_);
+  security::ServerTls tls_;
 };
 
 }  // namespace iotcloud::rpc

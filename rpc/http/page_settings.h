@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <string>
 
 #include <iotcloud/config/yaml.h>
@@ -12,6 +13,8 @@ struct PageSettings {
   std::string address;     ///< host:port; empty: no pages
   security::TlsFiles tls;  ///< if not empty, readers show a certificate of its authority
   std::string tokens;      ///< file of tokens (security/tokens.h); empty: readers need none. Every role may read
+  /// How often the server looks whether the TLS files have changed, and whether readers' certificates still count.
+  std::chrono::milliseconds look_period{5'000};
 };
 
 /// Reads `metrics: {address, tls: {ca, certificate, key}, tokens}`. Without the section there are no pages.

@@ -1,4 +1,8 @@
+#include <array>
 #include <atomic>
+#include <csignal>
+#include <filesystem>
+#include <fstream>
 #include <memory>
 #include <vector>
 
@@ -6,14 +10,17 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <netinet/tcp.h>
+#include <openssl/ssl.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/rpc/http/http_client.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
+#include <iotcloud/security/renewals.h>
 #include <iotcloud/security/tokens.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/eventually.h>
@@ -51,6 +58,7 @@ class Client {
     to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     EXPECT_EQ(connect(fd_, reinterpret_cast<const sockaddr*>(&to), sizeof to), 0);
   }
+  int descriptor() const { return fd_; }
   /// \return false if the server has closed the connection
   bool say(const std::string& bytes) const {
     return send(fd_, bytes.data(), bytes.size(), MSG_NOSIGNAL) == static_cast<ssize_t>(bytes.size());
@@ -197,6 +205,7 @@ TEST(HttpServer, RefusesAnAddressThatIsTakenOrNone) {
 /// Pages behind TLS and a token, at an address that other machines can reach.
 class GuardedPages : public testing::Test {
  protected:
+  static void SetUpTestSuite() { signal(SIGPIPE, SIG_IGN); }  // OpenSSL's, when a connection was cut
   GuardedPages()
       : token_(security::add_token(folder_ / "tokens", "prometheus", security::Role::viewer)),
         settings_{"0.0.0.0:0", certificates_.of("lab1"), folder_ / "tokens"} {}
@@ -259,6 +268,77 @@ TEST_F(GuardedPages, AreClosedAtOnceToWhomATokenIsTakenFrom) {
   ASSERT_TRUE(security::remove_token(settings_.tokens, "prometheus"));
   server.reload();
   EXPECT_THAT(read(server, {certificates_.of("operator"), token_}), HasSubstr("Authorization: Bearer"));
+}
+
+/// A connection with a certificate that is kept after each answer.
+class KeptConnection {
+ public:
+  KeptConnection(const HttpServer& server, const security::TlsFiles& certificate, std::string token)
+      : client_(server),
+        context_(certificate, security::TlsContext::Side::client),
+        ssl_(SSL_new(context_.get()), &SSL_free),
+        token_(std::move(token)) {
+    SSL_set_fd(ssl_.get(), client_.descriptor());
+    EXPECT_EQ(SSL_connect(ssl_.get()), 1);
+  }
+  /// \return false if the connection was cut
+  bool reads_the_page() {
+    const std::string request = "GET /p HTTP/1.1\r\nHost: here\r\nAuthorization: Bearer " + token_ + "\r\n\r\n";
+    if (SSL_write(ssl_.get(), request.data(), static_cast<int>(request.size())) <= 0) return false;
+    std::string answer;
+    std::array<char, 4096> buffer{};
+    while (answer.find("the page") == std::string::npos) {
+      const int count = SSL_read(ssl_.get(), buffer.data(), static_cast<int>(buffer.size()));
+      if (count <= 0) return false;
+      answer.append(buffer.data(), static_cast<std::size_t>(count));
+    }
+    return true;
+  }
+
+ private:
+  const Client client_;
+  const security::TlsContext context_;
+  const std::unique_ptr<SSL, decltype(&SSL_free)> ssl_;
+  const std::string token_;
+};
+
+TEST_F(GuardedPages, OpenConnectionsOfARevokedCertificateAreCutByThemselvesAndOthersGoOn) {
+  certificates_.authority().certify_caller("thief");
+  security::make_revocations(certificates_.authority());
+  auto settings = settings_;
+  settings.tls.revoked = security::revocations_file(certificates_.authority());
+  settings.look_period = std::chrono::milliseconds(5);
+  const HttpServer server(settings, pages_);
+  KeptConnection stolen(server, certificates_.of("thief"), token_);
+  KeptConnection honest(server, certificates_.of("operator"), token_);
+  EXPECT_TRUE(stolen.reads_the_page()) << "the attack";
+  EXPECT_TRUE(stolen.reads_the_page()) << "the connection is kept";
+  EXPECT_TRUE(honest.reads_the_page());
+  security::revoke_certificate(certificates_.authority(), "thief");
+  EXPECT_TRUE(tests::eventually([&] { return !stolen.reads_the_page(); }));
+  EXPECT_THAT(read(server, {certificates_.of("thief"), token_}), HasSubstr("does not answer"));
+  EXPECT_TRUE(honest.reads_the_page());
+}
+
+TEST_F(GuardedPages, ShowARenewedCertificateByThemselvesAndKeepTheOldOneWhileTheNewIsOfNoUse) {
+  security::renew_certificate(certificates_.authority(), "lab1", 3);
+  auto settings = settings_;
+  settings.look_period = std::chrono::milliseconds(5);
+  const tests::CapturedLog log;
+  const HttpServer server(settings, pages_);
+  auto& days = config::process_metrics().gauge("iotcloud_certificate_days_left", "", {{"service", "pages"}});
+  KeptConnection early(server, certificates_.of("operator"), token_);
+  EXPECT_TRUE(tests::eventually([&] { return days.value() == 2; })) << days.value();
+  const std::string aside = folder_ / "lab1.pem";
+  std::filesystem::copy_file(settings.tls.certificate, aside);
+  std::ofstream(settings.tls.certificate) << "half of a cert";
+  EXPECT_TRUE(tests::eventually([&] { return log.contains("go on with the certificate that they had"); }));
+  EXPECT_EQ(read(server, {certificates_.of("operator"), token_}), "the page");
+  std::filesystem::rename(aside, settings.tls.certificate);
+  security::renew_certificate(certificates_.authority(), "lab1");
+  EXPECT_TRUE(tests::eventually([&] { return days.value() > 700; })) << days.value();
+  EXPECT_EQ(read(server, {certificates_.of("operator"), token_}), "the page");
+  EXPECT_TRUE(early.reads_the_page());
 }
 
 TEST_F(GuardedPages, AreAskedForByTlsOnlyWhenTheyAreOnAnotherMachine) {
