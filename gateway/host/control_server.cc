@@ -124,8 +124,11 @@ bool ControlServer::Impl::send(std::string frame) {
 
 void ControlServer::Impl::accept_gateway() {
   processes::OwnedDescriptor fresh = processes::accept_from(listener);
-  // one gateway at a time: a dead gateway's connection ends before its next run connects
-  if (!fresh || gateway) return;
+  if (!fresh) return;
+  // A host has one gateway at a time. A dead gateway's connection ended before its next run connected, but commands
+  // that it sent before its end may still stand before that end.
+  while (gateway && processes::wait_readable(gateway.get(), milliseconds{0})) receive();
+  if (gateway) return;
   gateway = std::move(fresh);
   frames = {};
   {
@@ -273,7 +276,7 @@ int ControlServer::run(int signals) {
     self.log_file.rotate_if_too_long();
     if (on[2].revents != 0) self.shutdown_limit = stop_limit;
     if (on[1].revents != 0) self.send_waiting();
-    if (on[3].revents != 0) self.receive();
+    if (on[3].revents != 0 && self.gateway) self.receive();
     if (on[0].revents != 0) self.accept_gateway();
     if (self.gateway || (self.host && !self.host->list().empty())) {
       self.useful = clock.now();

@@ -76,6 +76,13 @@ class Client {
   const int fd_;
 };
 
+/// As many connections as a server has.
+std::vector<std::unique_ptr<Client>> all_connections(const HttpServer& server) {
+  std::vector<std::unique_ptr<Client>> clients(64);
+  for (auto& client : clients) client = std::make_unique<Client>(server);
+  return clients;
+}
+
 /// All that comes back for these bytes until the server closes.
 std::string talk(const HttpServer& server, const std::string& bytes) {
   const Client client(server);
@@ -130,15 +137,13 @@ TEST(HttpServer, AnswersAHeadWithoutTheBody) {
 
 TEST(HttpServer, AnswersAProbeWhileOthersHoldAllConnectionsAndAskForNothing) {
   const HttpServer server("127.0.0.1:0", {{"/healthz", [](const HttpRequest&) { return HttpAnswer{}; }}});
-  std::vector<std::unique_ptr<Client>> silent;
-  for (int i = 0; i < 64; ++i) silent.push_back(std::make_unique<Client>(server));
+  const auto silent = all_connections(server);
   for (int i = 0; i < 3; ++i) EXPECT_THAT(get(server, "/healthz"), StartsWith("HTTP/1.1 200"));
 }
 
 TEST(HttpServer, AnswersAProbeWhileOthersHoldAllConnectionsAndSendTheirRequestsInDrops) {
   const HttpServer server("127.0.0.1:0", {{"/healthz", [](const HttpRequest&) { return HttpAnswer{}; }}});
-  std::vector<std::unique_ptr<Client>> slow;
-  for (int i = 0; i < 64; ++i) slow.push_back(std::make_unique<Client>(server));
+  const auto slow = all_connections(server);
   for (const char* drop : {"GET /healthz", " HTTP/1.1\r\n", "X: y\r\n"}) {
     for (const auto& client : slow) client->say(drop);
     EXPECT_THAT(get(server, "/healthz"), StartsWith("HTTP/1.1 200"));

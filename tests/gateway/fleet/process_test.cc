@@ -303,6 +303,40 @@ TEST_F(ProcessTest, AHostThatStandsStillForLessThanTheHangLimitIsAdoptedAndNotKi
   EXPECT_EQ(host_process(), process);
 }
 
+TEST_F(ProcessTest, AGatewaysLastCommandsDoNotKeepAHostFromTheNextGateway) {
+  StatusLog first_life;
+  {
+    const auto launcher = new_launcher();
+    auto link = launcher->launch({"probe.so", "gw"_gateway, false},
+                                 {[&](const auto& s) { first_life.add(s); }, [](const auto&) {}});
+    InstanceSpec spec;
+    spec.order = quiet("a");
+    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
+    link->create(spec);
+    ASSERT_TRUE(first_life.wait_for("a", DriverState::active));
+  }
+  const int process = host_process();
+  ASSERT_GT(process, 0);
+  const std::string socket = sockets().at(0);
+  const auto hears = [](const processes::OwnedDescriptor& connection) {
+    return processes::wait_readable(connection.get(), tests::patience) &&
+           processes::receive_some(connection).has_value();
+  };
+  // While the host stands still, one gateway sends a command and ends, and the next one connects: the host finds all
+  // of it at once.
+  auto first = processes::connect_in(state_, socket);
+  ASSERT_TRUE(first && hears(first));
+  kill(process, SIGSTOP);
+  protocol::HostCommand ping;
+  ping.kind = protocol::HostCommand::Kind::ping;
+  ASSERT_TRUE(processes::send_all(first, encode(ping)));
+  first.reset();
+  const auto second = processes::connect_in(state_, socket);
+  kill(process, SIGCONT);
+  ASSERT_TRUE(second);
+  EXPECT_TRUE(hears(second));
+}
+
 TEST_F(ProcessTest, AHostLogsAsItsGatewayDoesWhenItStartsIt) {
   const auto before = config::log_level();
   config::set_log_format(config::LogFormat::json);
