@@ -40,6 +40,22 @@ discovery::GatewayRecord record_of(const GatewayOptions& options) {
   return record;
 }
 
+/// What start() waits for: whether the gateway was registered, or why not. All but wait() is called on the loop.
+class StartOutcome {
+ public:
+  /// \param refusal empty: start() returns. \return whether this is the first outcome; later ones count for nothing.
+  bool tell(const std::string& refusal) {
+    if (std::exchange(told_, true)) return false;
+    outcome_.set_value(refusal);
+    return true;
+  }
+  std::string wait() { return outcome_.get_future().get(); }
+
+ private:
+  std::promise<std::string> outcome_;
+  bool told_ = false;
+};
+
 }  // namespace
 
 struct Gateway::Impl {
@@ -73,7 +89,7 @@ struct Gateway::Impl {
   }
 
   // These functions run on the loop.
-  void join(const std::shared_ptr<std::promise<std::string>>& first);
+  void join(const std::shared_ptr<StartOutcome>& first);
   void joined();
   void write_records();
   void renew_leases();
@@ -175,24 +191,26 @@ const discovery::GatewayId& Gateway::id() const {
   return impl_->options.id;
 }
 
-void Gateway::start() {
+void Gateway::start(const std::stop_token& stop) {
   {
     const config::MutexLock lock(impl_->mutex);
     impl_->started = true;
   }
-  auto first = std::make_shared<std::promise<std::string>>();
-  auto outcome = first->get_future();
+  auto first = std::make_shared<StartOutcome>();
   impl_->loop.post([impl = impl_.get(), first] {
     impl->instances.adopt();
     impl->join(first);
   });
-  const std::string refusal = outcome.get();
+  const std::stop_callback cut_short(stop, [impl = impl_.get(), first] {
+    impl->loop.post([impl, first] { impl->stopping = first->tell("") || impl->stopping; });
+  });
+  const std::string refusal = first->wait();
   if (!refusal.empty()) throw config::Error(refusal);
 }
 
 /// \param first gets the outcome of start(): empty, or why it failed; null once start() has returned.
-void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first) try {
-  const auto again = [&](milliseconds pause, const std::shared_ptr<std::promise<std::string>>& waiting) {
+void Gateway::Impl::join(const std::shared_ptr<StartOutcome>& first) try {
+  const auto again = [&](milliseconds pause, const std::shared_ptr<StartOutcome>& waiting) {
     loop.start_timer(pause, milliseconds{0}, [this, waiting] {
       if (!stopping) join(waiting);
     });
@@ -202,12 +220,12 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first
     case Membership::Result::joined:
       confirmed = asked;
       joined();
-      if (first) first->set_value("");
+      if (first) first->tell("");
       return;
     case Membership::Result::away:
       if (!told_away) logger.warn("the registry is away; the gateway {} registers when it comes", options.id);
       told_away = true;
-      if (first) first->set_value("");
+      if (first) first->tell("");
       again(options.retry_pause, nullptr);
       return;
     case Membership::Result::taken:
@@ -216,7 +234,7 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first
   if (membership.must_be_another()) {
     end_replaced([this, first](const std::string& why) {
       if (first) {
-        first->set_value(why);
+        first->tell(why);
       } else if (options.on_replaced) {
         options.on_replaced(why);
       }
@@ -232,7 +250,7 @@ void Gateway::Impl::join(const std::shared_ptr<std::promise<std::string>>& first
   again(taken_pause, first);
 } catch (const std::exception& e) {
   logger.error("the gateway cannot register: {}", e.what());
-  if (first) first->set_value(e.what());
+  if (first) first->tell(e.what());
 }
 
 void Gateway::Impl::joined() {

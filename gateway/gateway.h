@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <stop_token>
 #include <string>
 #include <vector>
 
@@ -60,8 +61,10 @@ class Gateway final : public config::Service {
 
   /// Adopts running hosts and registers the gateway. Returns when the gateway is registered, or when the registry is
   /// unreachable; then the gateway keeps trying. \throws config::Error if another gateway with this id is alive, which
-  /// is certain only after the session of a dead one would have expired; the adopted hosts have ended then.
-  void start() override;
+  /// is certain only after the session of a dead one would have expired; the adopted hosts have ended then. A stop that
+  /// is asked for ends this wait: the gateway is not registered then, and stop() ends the adopted hosts.
+  void start(const std::stop_token& stop) override;
+  using config::Service::start;
   /// Stops the instances (their records say `inactive`), ends their hosts and leaves the registry. Orders stay.
   void stop(std::chrono::milliseconds limit) override;
 

@@ -33,7 +33,7 @@ class GatewayDaemon final : public config::Service {
  public:
   explicit GatewayDaemon(gateway::GatewayConfig config) : config_(std::move(config)) {}
 
-  void start() override {
+  void start(const std::stop_token& stop) override {
     state_.emplace(config_.hosts.state_dir);
     config_.hosts.state_dir = state_->path();
     config_.thrift.log_folder = state_->path();
@@ -70,8 +70,8 @@ class GatewayDaemon final : public config::Service {
     service_.emplace(config_.thrift, *gateway_, *registry_, config_.gateway.paths);
     if (!config_.pages.address.empty())
       metrics_.emplace(config_.pages, config::process_metrics(), [this] { return trouble(); });
-    gateway_->start();
-    watching_ = std::jthread([this](const std::stop_token& stop) { watch_brokers(stop); });
+    gateway_->start(stop);
+    watching_ = std::jthread([this](const std::stop_token& end) { watch_brokers(end); });
   }
 
   void reload() override {

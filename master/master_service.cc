@@ -69,7 +69,7 @@ class MasterService final : public config::Service {
  public:
   explicit MasterService(MasterDaemonConfig config) : config_(std::move(config)) {}
 
-  void start() override {
+  void start(const std::stop_token&) override {
     if (const auto problem = rpc::exposure(config_.api); !problem.empty()) throw config::Error(problem);
     if (!config_.api.tokens.empty()) tokens_ = std::make_shared<security::TokenKeeper>(config_.api.tokens, "api");
     if (!config_.audit.file.empty()) audit_ = std::make_shared<security::AuditLog>(config_.audit);

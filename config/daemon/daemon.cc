@@ -88,6 +88,50 @@ class StopWatchdog {
   std::thread thread_;  // last, because it uses the other members
 };
 
+/// While it lives, SIGTERM and SIGINT ask a service that starts to stop; a second one ends the process at once.
+class SignalsOfStart {
+ public:
+  SignalsOfStart() {
+    sigset_t before, end;
+    sigemptyset(&end);
+    sigaddset(&end, end_signal);
+    pthread_sigmask(SIG_BLOCK, &end, &before);  // the thread inherits this, so that the signal waits for it
+    thread_ = std::thread([this] { listen(); });
+    pthread_sigmask(SIG_SETMASK, &before, nullptr);
+  }
+  ~SignalsOfStart() { end(); }
+
+  std::stop_token token() const { return stop_.get_token(); }
+  /// Listens no longer. \return the signal that came; 0 if none did.
+  int end() {
+    if (thread_.joinable()) {
+      pthread_kill(thread_.native_handle(), end_signal);
+      thread_.join();
+    }
+    return received_;
+  }
+
+ private:
+  static constexpr int end_signal = SIGUSR1;
+
+  void listen() {
+    sigset_t signals;
+    sigemptyset(&signals);
+    for (const int each : {SIGTERM, SIGINT, end_signal}) sigaddset(&signals, each);
+    for (;;) {
+      const int received = await_signal(signals, {});
+      if (received == end_signal) return;
+      if (received_ != 0) _exit(exit_failed);
+      received_ = received;
+      stop_.request_stop();
+    }
+  }
+
+  std::stop_source stop_;
+  int received_ = 0;  ///< read when the thread has ended
+  std::thread thread_;
+};
+
 /// From now on a second signal ends the process at once.
 void end_at_second_signal() {
   struct sigaction action {};
@@ -150,15 +194,19 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   }
 
   const ServiceManager manager;
+  int received = 0;
   try {
-    service->start();
+    SignalsOfStart during_start;
+    service->start(during_start.token());
+    received = during_start.end();
   } catch (const std::exception& e) {
     log.error("cannot start: {}", e.what());
     return exit_failed;
   }
-  log.info("ready");
-  manager.ready();
-  int received = 0;
+  if (received == 0) {
+    log.info("ready");
+    manager.ready();
+  }
   while (received == 0 || received == SIGHUP) {
     received = await_signal(signals, manager.period());
     if (received == 0) {

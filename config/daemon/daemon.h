@@ -3,6 +3,7 @@
 #include <chrono>
 #include <functional>
 #include <memory>
+#include <stop_token>
 #include <string>
 
 namespace iotcloud::config {
@@ -11,9 +12,12 @@ namespace iotcloud::config {
 class Service {
  public:
   virtual ~Service() = default;
-  /// Returns once the service runs (it may still be connecting). \throws Error if it cannot start.
-  virtual void start() = 0;
-  /// Drains and stops. The main thread calls it once; it must return within `limit`.
+  /// Returns once the service runs (it may still be connecting), or, if it waits for something, soon after another
+  /// thread asked for a stop: then the service may not run, and stop() is next. \throws Error if it cannot start.
+  virtual void start(const std::stop_token& stop) = 0;
+  /// A start that nobody cuts short.
+  void start() { start({}); }
+  /// Drains and stops. The main thread calls it once, after start(); it must return within `limit`.
   virtual void stop(std::chrono::milliseconds limit) = 0;
   /// Called on SIGHUP: reads again what may change while the service runs, such as tokens. The main thread calls it
   /// between start() and stop(). \throws Error if it cannot read something, whose old value then stays; the rest is
@@ -36,12 +40,11 @@ struct DaemonOptions {
 };
 
 /// The frame that every daemon shares: `--config FILE`, `--check-config`, `--log-level`, `--log-format`, `--version`,
-/// `--help`. It ignores SIGPIPE; SIGTERM and SIGINT stop the service in order, a second signal ends the process at
-/// once; SIGHUP reads the section `log` of the configuration again (log_settings.h) and calls reload(). When the
-/// service runs, it logs "NAME ready" and tells systemd; it answers systemd's watchdog as long as trouble() returns. It
-/// blocks the signals before any other thread starts, so call it first in main().
-/// \return the exit status: 0 stopped in order, 1 failed to start or to stop in time, 2 wrong arguments or bad
-/// configuration.
+/// `--help`. It ignores SIGPIPE; SIGTERM and SIGINT stop the service in order, also while it starts, and a second
+/// signal ends the process at once; SIGHUP reads the section `log` of the configuration again (log_settings.h) and
+/// calls reload(). When the service runs, it logs "NAME ready" and tells systemd; it answers systemd's watchdog as long
+/// as trouble() returns. It blocks the signals before any other thread starts, so call it first in main(). \return the
+/// exit status: 0 stopped in order, 1 failed to start or to stop in time, 2 wrong arguments or bad configuration.
 int run_daemon(int argc, char** argv, const DaemonOptions& options);
 
 }  // namespace iotcloud::config

@@ -29,13 +29,13 @@ class Daemon(unittest.TestCase):
     def run_to_end(self, *words):
         return subprocess.run([PROGRAM, *words], capture_output=True, text=True, timeout=30)
 
-    def start(self, text, **environment):
+    def start(self, text, ready="ready", **environment):
         daemon = subprocess.Popen([PROGRAM, "--config", self.config(text)], stderr=subprocess.PIPE, text=True,
                                   env={**os.environ, **environment})
         self.addCleanup(daemon.stderr.close)
         self.addCleanup(daemon.wait)
         self.addCleanup(daemon.kill)
-        self.await_line(daemon, "ready")
+        self.await_line(daemon, ready)
         return daemon
 
     def await_line(self, daemon, word):
@@ -66,6 +66,16 @@ class Daemon(unittest.TestCase):
         daemon = self.start("stop: at once")
         daemon.send_signal(signal.SIGTERM)
         self.assertEqual(daemon.wait(30), 0)
+
+    def test_sigterm_ends_the_waits_of_a_start(self):
+        for ending in "at once", "hang":
+            daemon = self.start(f"start: wait\nstop: {ending}", ready="waits")
+            daemon.send_signal(signal.SIGTERM)
+            said = self.await_line(daemon, "SIGTERM received, stopping")
+            self.assertNotIn("ready", said)
+            if ending == "hang":
+                daemon.send_signal(signal.SIGTERM)
+            self.assertEqual(daemon.wait(30), 1 if ending == "hang" else 0)
 
     def test_sigpipe_is_ignored(self):
         daemon = self.start("stop: at once")

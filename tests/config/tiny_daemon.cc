@@ -20,6 +20,7 @@ class TinyService : public Service {
  public:
   explicit TinyService(const std::string& file) {
     auto top = Section::load_file(file);
+    start_ = top.choice_or("start", "at once", {"at once", "wait"});
     stop_ = top.choice_or("stop", "at once", {"at once", "hang"});
     metrics_ = top.optional_string("metrics");
     trouble_ = top.string_or("trouble", "");
@@ -27,7 +28,11 @@ class TinyService : public Service {
     iotcloud::config::read_log_settings(top);
     top.finish();
   }
-  void start() override {
+  void start(const std::stop_token& stop) override {
+    if (start_ == "wait") {
+      iotcloud::config::log_line(iotcloud::config::LogLevel::info, "tiny", "waits");
+      while (!stop.stop_requested()) std::this_thread::yield();
+    }
     iotcloud::config::process_metrics().counter("tiny_total", "Tiny things", {{"kind", "a"}}).add(3);
     iotcloud::config::process_metrics().histogram("tiny_seconds", "Tiny times").record_ns(2'000'000);
     if (metrics_)
@@ -44,6 +49,7 @@ class TinyService : public Service {
   std::string trouble() const override { return trouble_; }
 
  private:
+  std::string start_;
   std::string stop_;
   std::string trouble_;
   std::string unreadable_;  ///< the error of reload(); empty: none

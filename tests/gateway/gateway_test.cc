@@ -270,6 +270,26 @@ TEST_F(GatewayTest, ASecondGatewayOfTheSameIdIsRefused) {
   EXPECT_THAT(log.text(), HasSubstr("the id gw is held by a gateway at 127.0.0.1:12905; this one waits up to 150 ms"));
 }
 
+TEST_F(GatewayTest, AStopEndsTheWaitForAnIdThatAnotherOneHasAndLeavesThatOneAlone) {
+  start_gateway();
+  const auto other_session = new_session();
+  auto second = options();
+  second.registry = other_session.get();
+  second.session_timeout = 1h;
+  Gateway twin(std::move(second));
+  std::stop_source stop;
+  const tests::CapturedLog log;
+  std::jthread asks([&] {
+    EXPECT_TRUE(eventually([&] { return log.text().find("this one waits up to") != std::string::npos; }));
+    stop.request_stop();
+  });
+  twin.start(stop.get_token());
+  twin.stop(20s);
+  EXPECT_FALSE(twin.has_joined());
+  give(order("a"));
+  EXPECT_TRUE(comes_to("a", DriverState::active)) << "the first one follows orders as before";
+}
+
 TEST_F(GatewayTest, TheNodeOfItsDeadPredecessorIsTakenOverAtOnce) {
   const auto dead_session = new_session();
   const auto dead =

@@ -48,14 +48,14 @@ class WorkerService final : public config::Service {
  public:
   explicit WorkerService(topology::WorkerOptions options)
       : settings_(pages_of(options.definition)), worker_(std::move(options)) {}
-  void start() override {
+  void start(const std::stop_token& stop) override {
     pages_.emplace(settings_, std::map<std::string, rpc::HttpHandler>{
                                   {"/metrics", rpc::metrics_page(config::process_metrics())},
                                   {"/healthz", rpc::health_page([this] { return trouble(); })},
                                   {"/topology", [this](const auto&) { return describe(); }},
                                   {"/tap", [this](const auto& request) { return tap(request); }}});
     worker_.show_http_address(reached_at(settings_.address, pages_->address()), !settings_.tls.empty());
-    worker_.start();
+    worker_.start(stop);
     started_ = true;
   }
   void stop(std::chrono::milliseconds limit) override { worker_.stop(limit); }

@@ -101,21 +101,23 @@ struct Worker::Impl {
     }
   }
 
-  void start() {
+  void start(const std::stop_token& stop) {
     if (options.registry == nullptr) {
       own_registry = discovery::make_registry(options.definition.registry);
       options.registry = own_registry.get();
     }
     services->registry = options.registry;
-    if (standstill.count() > 0) heart = std::jthread([this](const std::stop_token& stop) { beat(stop); });
-    if (const std::string crossed = crossings(options.definition, topology); !crossed.empty()) stay_alone(crossed);
+    if (standstill.count() > 0) heart = std::jthread([this](const std::stop_token& end) { beat(end); });
+    if (const std::string crossed = crossings(options.definition, topology);
+        !crossed.empty() && !stay_alone(crossed, stop))
+      return;
     runtime = std::make_unique<Runtime>(topology, runtime_options(options));
     taps = std::make_unique<TapDesk>(*runtime, TapDesk::Options{.clock = options.clock});
     runtime->deactivate();  // WorkerControl activates it when it knows the orders
     runtime->start();
     running = true;
     control = std::make_unique<WorkerControl>(control_options());
-    watching = std::jthread([this](const std::stop_token& stop) { watch_brokers(stop); });
+    watching = std::jthread([this](const std::stop_token& end) { watch_brokers(end); });
     control->start();  // after everything that a kill order ends
     worker_logger.info("topology {} runs as worker {}", topology.name, services->worker);
   }
@@ -142,22 +144,31 @@ struct Worker::Impl {
     }
   }
 
+  /// \return whether a stop was asked for before the time was over
+  static bool pause(std::chrono::milliseconds time, const std::stop_token& stop) {
+    config::Mutex mutex;
+    config::StoppableConditionVariable end;
+    const config::MutexLock lock(mutex);
+    return end.wait_for(mutex, stop, time, [&] { return stop.stop_requested(); });
+  }
+
   /// Makes sure that this is the topology's only worker, by an ephemeral node that only one worker can hold. The node
-  /// of a worker that was killed stays until its session expires, so this waits that long for it.
-  void stay_alone(const std::string& crossed) {
+  /// of a worker that was killed stays until its session expires, so this waits that long for it. \return false if a
+  /// stop was asked for meanwhile.
+  bool stay_alone(const std::string& crossed, const std::stop_token& stop) {
     const std::string path = services->paths.topology(services->topology) + "/alone";
     const auto patience = options.definition.registry.session_timeout + std::chrono::seconds(2);
     const auto deadline = std::chrono::steady_clock::now() + patience;
     for (bool told = false;;) {
       try {
         alone = options.registry->hold(path, services->worker);
-        return;
+        return true;
       } catch (const discovery::RegistryError& error) {
         if (error.code() == discovery::RegistryErrorCode::away) {
           worker_logger.warn("topology {}: the registry is away, so this worker cannot tell whether another one runs",
                              topology.name);
           alone = options.registry->hold_eventually(path, services->worker);
-          return;
+          return true;
         }
         if (error.code() != discovery::RegistryErrorCode::exists) throw;
       }
@@ -180,7 +191,7 @@ struct Worker::Impl {
             "meant:\n{}",
             topology.name, patience.count(), crossed);
       }
-      std::this_thread::sleep_for(std::chrono::milliseconds(100));
+      if (pause(std::chrono::milliseconds(100), stop)) return false;
     }
   }
 
@@ -262,8 +273,8 @@ Worker::~Worker() {
   }
 }
 
-void Worker::start() {
-  impl_->start();
+void Worker::start(const std::stop_token& stop) {
+  impl_->start(stop);
 }
 
 void Worker::stop(std::chrono::milliseconds limit) {

@@ -49,8 +49,10 @@ class Worker final : public config::Service {
   ~Worker() override;
 
   /// Returns when the topology runs. If the registry or brokers are away, the worker begins to read when they are
-  /// there. \throws config::Error if a component cannot be opened.
-  void start() override;
+  /// there. A stop that is asked for while the worker waits to be the topology's only one ends the wait, and then the
+  /// topology does not run. \throws config::Error if a component cannot be opened.
+  void start(const std::stop_token& stop) override;
+  using config::Service::start;
   /// Takes no more messages, waits until the tuples under way are done, and leaves the registry, within `limit`.
   void stop(std::chrono::milliseconds limit) override;
   std::string trouble() const override;

@@ -124,7 +124,8 @@ class Endpoints : public ::testing::Test {
     return run_yaml(yaml, std::move(components));
   }
 
-  Worker& run_yaml(const std::string& yaml, ComponentRegistry components) {
+  /// \param stop ends the worker's wait to be the topology's only one
+  Worker& run_yaml(const std::string& yaml, ComponentRegistry components, const std::stop_token& stop = {}) {
     WorkerOptions options{.definition = TopologyDefinition::parse(yaml, "t.yaml"),
                           .components = std::move(components),
                           .library_folders = {},
@@ -132,7 +133,7 @@ class Endpoints : public ::testing::Test {
                           .clock = nullptr,
                           .metrics = &metrics_};
     workers_.push_back(std::make_unique<Worker>(std::move(options)));
-    workers_.back()->start();
+    workers_.back()->start(stop);
     return *workers_.back();
   }
 

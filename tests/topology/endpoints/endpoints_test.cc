@@ -488,6 +488,24 @@ TEST_F(Endpoints, RefuseASecondWorkerWhereTuplesOfSeveralDriversAreToMeetUnlessT
   run_yaml(yaml(", scope: worker"), components);
 }
 
+TEST_F(Endpoints, AStopEndsTheWaitOfAWorkerThatMustBeTheOnlyOne) {
+  const std::string yaml =
+      "topology.name: t\nregistry.session_timeout: 120s\nspouts:\n"
+      "  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], builder: text}\nbolts:\n"
+      "  gate: {class: Gate, inputs: {from: in, grouping: global}}\n";
+  ComponentRegistry components;
+  components.add_bolt<GateBolt>("Gate");
+  run_yaml(yaml, components);
+  std::stop_source stop;
+  const tests::CapturedLog log;
+  std::jthread asks([&] {
+    EXPECT_TRUE(eventually([&] { return log.text().find("this one waits up to") != std::string::npos; }));
+    stop.request_stop();
+  });
+  const Worker& second = run_yaml(yaml, components, stop.get_token());
+  EXPECT_TRUE(second.snapshot().tasks.empty()) << "it does not run";
+}
+
 TEST_F(Endpoints, RefuseAWorkerWithoutRegistry) {
   WorkerOptions options{
       .definition = TopologyDefinition::parse(
