@@ -362,7 +362,12 @@ class Update final : public ForInstances {
     request_.selection = selection;
     const auto per_step = static_cast<std::size_t>(request_.at_once);
     const std::size_t steps = per_step == 0 ? gateways.size() : (chosen.size() + per_step - 1) / per_step;
-    return show_order(call, master.update(request_, steps));
+    return show_order(call, update(call, master, steps));
+  }
+
+  OrderResult update(const Call& call, MasterClient& master, std::size_t steps) const {
+    const Waiting waiting(call, is_one_of(request_.selection.instances));
+    return master.update(request_, steps);
   }
 
   /// Works out the properties that each instance is to have, and checks them against what its plugin declares.

@@ -2,12 +2,10 @@
 #include <ostream>
 #include <set>
 #include <stdexcept>
-#include <stop_token>
 #include <string>
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/mutex.h>
 #include <iotcloud/master/cli/driver_verbs.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/master/cli/waiting.h>
@@ -43,35 +41,41 @@ std::string words_of(const DriverRecord& driver) {
                      driver.reason.empty() ? "" : ": ", printable(driver.reason));
 }
 
-void ask_and_tell(const std::stop_token& stop, const Call& call, const Waiting::Concerns& concerns) {
+}  // namespace
+
+Waiting::Waiting(const Call& call, Concerns concerns)
+    : call_(call),
+      concerns_(std::move(concerns)),
+      asking_([this](const std::stop_token& stop) { ask_and_tell(stop); }) {}
+
+void Waiting::say(const std::string& line) {
+  const config::MutexLock lock(writing_);
+  call_.err << line << std::flush;
+}
+
+void Waiting::ask_and_tell(const std::stop_token& stop) {
   config::Mutex mutex;
   config::StoppableConditionVariable end;
   std::set<std::string> told;
+  const auto tell = [&](const std::string& words) {
+    if (told.insert(words).second) say(fmt::format("iotcloud: waits: {}\n", words));
+  };
   const config::MutexLock lock(mutex);
   while (!end.wait_for(mutex, stop, pause_between, [&] { return stop.stop_requested(); })) {
     try {
-      const auto master = call.connect();
+      const auto master = call_.connect();
       bool reported = false;
       for (const auto& driver : master->drivers()) {
-        if (!concerns(driver)) continue;
+        if (!concerns_(driver)) continue;
         reported = true;
         const std::string words = words_of(driver);
-        if (!words.empty() && told.insert(words).second) call.err << "iotcloud: waits: " << words << '\n' << std::flush;
+        if (!words.empty()) tell(words);
       }
-      const std::string nothing =
-          "no gateway has reported on the order yet; `iotcloud gateways` shows whether they live";
-      if (!reported && told.insert(nothing).second) call.err << "iotcloud: waits: " << nothing << '\n' << std::flush;
+      if (!reported) tell("no gateway has reported on the order yet; `iotcloud gateways` shows whether they live");
     } catch (const std::runtime_error&) {
       continue;  // the order's own connection tells of a master that does not answer
     }
   }
 }
-
-}  // namespace
-
-Waiting::Waiting(const Call& call, Concerns concerns)
-    : asking_([&call, concerns = std::move(concerns)](const std::stop_token& stop) {
-        ask_and_tell(stop, call, concerns);
-      }) {}
 
 }  // namespace iotcloud::master::cli

@@ -300,6 +300,7 @@ void run_beside(std::vector<GatewaySteps>& gateways, bool after_updates, const A
 std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const ApplyOptions& options) {
   std::vector<StepOutcome> outcomes(plan.steps.size());
   send_plugins(manifest, plan, options, outcomes);
+  if (options.on_orders) options.on_orders();
   std::vector<GatewaySteps> gateways;
   std::map<std::size_t, std::size_t> updates;  // by deployment: the number of steps of its rolling update
   for (std::size_t begin = 0; begin < plan.steps.size();) {

@@ -29,6 +29,7 @@ struct ApplyOptions {
   std::chrono::milliseconds settle{0};
   /// Called whenever some steps were done: on any thread, but one call at a time.
   std::function<void(std::size_t done, std::size_t all)> progress;
+  std::function<void()> on_orders;   ///< called once, when the plugins are sent and the first order comes next
   std::ostream* terminal = nullptr;  ///< shows the progress of sending a plugin; nullptr: nobody sees it
 };
 

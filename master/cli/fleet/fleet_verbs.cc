@@ -1,6 +1,7 @@
 // diff, apply
 #include <chrono>
 #include <map>
+#include <optional>
 #include <ostream>
 #include <set>
 #include <utility>
@@ -17,6 +18,7 @@
 #include <iotcloud/master/cli/fleet/property_check.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/verb.h>
+#include <iotcloud/master/cli/waiting.h>
 
 namespace iotcloud::master::cli {
 
@@ -168,12 +170,27 @@ int show_outcomes(Call& call, const Manifest& manifest, const Plan& plan, const 
 }
 
 /// Reports progress, at most once a second.
-std::function<void(std::size_t, std::size_t)> progress_to(std::ostream& err) {
+std::function<void(std::size_t, std::size_t)> progress_to(std::optional<Waiting>& waiting) {
   using Clock = std::chrono::steady_clock;
-  return [&err, last = Clock::now()](std::size_t done, std::size_t all) mutable {
+  return [&waiting, last = Clock::now()](std::size_t done, std::size_t all) mutable {
     if (done == all || Clock::now() - last < std::chrono::seconds(1)) return;
     last = Clock::now();
-    err << fmt::format("iotcloud: {} of {} changes\n", done, all) << std::flush;
+    waiting->say(fmt::format("iotcloud: {} of {} changes\n", done, all));
+  };
+}
+
+/// \return whether a plan changes an instance.
+Waiting::Concerns is_changed_by(const Plan& plan) {
+  std::set<discovery::InstanceId> there;
+  std::set<std::pair<discovery::GatewayId, std::string>> deployed;
+  for (const auto& step : plan.steps) {
+    if (step.kind == StepKind::deploy || step.kind == StepKind::replace)
+      deployed.emplace(step.gateway, full_name(step));
+    if (!step.instance.empty()) there.insert(step.instance);
+  }
+  return [there = std::move(there), deployed = std::move(deployed)](const discovery::DriverRecord& driver) {
+    return there.contains(driver.instance) ||
+           deployed.contains({driver.gateway, fmt::format("{}/{}", driver.deployment, driver.index)});
   };
 }
 
@@ -248,9 +265,15 @@ class Apply final : public OfManifest {
   int follow(Call& call, const Manifest& manifest, const Plan& plan) override {
     if (dry_run_) return show_plan(call, manifest, plan);
     apply_options_.connect = [&call] { return call.connect(); };
-    apply_options_.progress = progress_to(call.err);
     if (call.progress) apply_options_.terminal = &call.err;
-    return show_outcomes(call, manifest, plan, apply(manifest, plan, apply_options_));
+    std::optional<Waiting> waiting;
+    apply_options_.on_orders = [&] {
+      if (!plan.steps.empty()) waiting.emplace(call, is_changed_by(plan));
+    };
+    apply_options_.progress = progress_to(waiting);
+    const auto outcomes = apply(manifest, plan, apply_options_);
+    waiting.reset();
+    return show_outcomes(call, manifest, plan, outcomes);
   }
 
   bool dry_run_ = false;

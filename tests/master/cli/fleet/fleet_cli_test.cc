@@ -46,6 +46,20 @@ class CliFleet : public Cli {
   FakeGateway lab2{url, "lab2"};
 };
 
+TEST_F(CliFleet, AnUpdateAndAnApplySayWhatTheyWaitFor) {
+  ASSERT_EQ(run({"deploy", "turtle.so", "--gateway", "lab1", "--name", "slow"}).status, 0);
+  lab1.behave([](const discovery::OrderRecord&) -> std::optional<FakeGateway::Report> {
+    return std::pair(discovery::DriverState::starting, "its device does not answer");
+  });
+  const std::string waits = " on lab1 is starting: its device does not answer";
+  EXPECT_THAT(run({"update", "--name", "slow", "--property", "rate=2", "--wait", "2"}).err, HasSubstr(waits));
+  write("  fresh: {plugin: meter.so, gateways: [lab1]}\n");
+  const auto applied = apply({"--wait", "2"});
+  EXPECT_EQ(applied.status, 1);
+  EXPECT_THAT(applied.err, HasSubstr(waits));
+  EXPECT_EQ(applied.err.find("waits"), applied.err.rfind("waits")) << "not of instances that it does not change";
+}
+
 TEST_F(CliFleet, ApplyDeploysAndASecondTimeChangesNothing) {
   write(
       "  meter: {plugin: meter.so, gateways: all, count: 2, channels: {data: {priority: 5}}, metadata: {site: lab}}\n"
