@@ -34,9 +34,9 @@ constexpr std::size_t field_head = 3;
 constexpr std::size_t length_size = 4;
 constexpr int deepest = 32;  // nested structs and containers in skipped fields
 
-class Writer {
+class EnvelopeWriter {
  public:
-  explicit Writer(std::byte* at) : at_(at) {}
+  explicit EnvelopeWriter(std::byte* at) : at_(at) {}
   void field(Type type, Field id) {
     number(static_cast<std::uint8_t>(type));
     number(static_cast<std::uint16_t>(id));
@@ -59,9 +59,9 @@ class Writer {
 };
 
 /// Takes bytes from the front; after the first error every call fails.
-class Reader {
+class EnvelopeReader {
  public:
-  explicit Reader(std::span<const std::byte> bytes) : rest_(bytes) {}
+  explicit EnvelopeReader(std::span<const std::byte> bytes) : rest_(bytes) {}
   bool good() const { return good_; }
   std::size_t left() const { return rest_.size(); }
 
@@ -108,7 +108,7 @@ class Reader {
   bool good_ = true;
 };
 
-void Reader::skip(Type type, int depth) {
+void EnvelopeReader::skip(Type type, int depth) {
   if (depth > deepest) {
     fail();
     return;
@@ -166,7 +166,7 @@ std::optional<std::int64_t> to_time(std::string_view text) {
   return number;
 }
 
-void read_properties(Reader& reader, OpenedEnvelope& opened) {
+void read_properties(EnvelopeReader& reader, OpenedEnvelope& opened) {
   const Type key_type = reader.type();
   const Type value_type = reader.type();
   const std::size_t entries = reader.count(2 * length_size);
@@ -200,7 +200,7 @@ EnvelopeBytes encode_envelope(const Message& message) {
     size += 2 * length_size + name.size() + value.size();
   }
   EnvelopeBytes encoded{std::unique_ptr<std::byte[]>(new std::byte[size]), size};
-  Writer writer(encoded.data.get());
+  EnvelopeWriter writer(encoded.data.get());
   writer.field(Type::string, sensor_id);
   writer.string(message.driver_id);
   writer.field(Type::string, site);
@@ -223,7 +223,7 @@ EnvelopeBytes encode_envelope(const Message& message) {
 }
 
 std::optional<OpenedEnvelope> open_envelope(std::span<const std::byte> bytes) {
-  Reader reader(bytes);
+  EnvelopeReader reader(bytes);
   OpenedEnvelope opened;
   for (Type type = reader.type(); reader.good() && type != Type::stop; type = reader.type()) {
     const auto id = reader.number<std::uint16_t>();

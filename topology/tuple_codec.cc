@@ -40,9 +40,9 @@ std::size_t value_size(const Value& value) {
 }
 
 /// Writes a tuple's parts. The caller has reserved enough memory.
-class Writer {
+class TupleWriter {
  public:
-  explicit Writer(std::byte* at) : at_(at) {}
+  explicit TupleWriter(std::byte* at) : at_(at) {}
   void byte(std::byte value) { *at_++ = value; }
   void count(std::uint64_t value) {
     for (; value >= 0x80; value >>= 7) byte(static_cast<std::byte>(value | 0x80));
@@ -90,7 +90,7 @@ void encode(std::string_view component, std::string_view stream, int source_task
   for (const Value& value : values) size += value_size(value);
   const std::size_t begin = out.size();
   out.resize(begin + size);
-  Writer writer(out.data() + begin);
+  TupleWriter writer(out.data() + begin);
   writer.byte(magic);
   writer.byte(version);
   writer.bytes(component.data(), component.size());
@@ -103,9 +103,9 @@ void encode(std::string_view component, std::string_view stream, int source_task
 }
 
 /// Reads a tuple's parts; throws instead of reading beyond its bytes.
-class Reader {
+class TupleReader {
  public:
-  explicit Reader(std::span<const std::byte> bytes) : bytes_(bytes) {}
+  explicit TupleReader(std::span<const std::byte> bytes) : bytes_(bytes) {}
   std::size_t offset() const { return at_; }
   std::size_t left() const { return bytes_.size() - at_; }
 
@@ -167,7 +167,7 @@ class Reader {
   std::size_t at_ = 0;
 };
 
-Value read_value(Reader& reader, const Payload& whole) {
+Value read_value(TupleReader& reader, const Payload& whole) {
   const std::size_t begin = reader.offset();
   const auto kind = reader.byte("a value's kind");
   switch (static_cast<Kind>(kind)) {
@@ -211,7 +211,7 @@ TupleRecord decode_tuple(const Payload& bytes, const TupleLimits& limits) {
     throw TupleFormatError(limits.bytes, "they are " + std::to_string(bytes.size()) + " bytes, the limit is " +
                                              std::to_string(limits.bytes));
   }
-  Reader reader(bytes.bytes());
+  TupleReader reader(bytes.bytes());
   if (reader.byte("the magic byte") != magic) throw TupleFormatError(0, "a tuple begins with 0xC7");
   if (const auto found = reader.byte("the version"); found != version) {
     throw TupleFormatError(1, "the encoding has version " + std::to_string(std::to_integer<int>(found)) +

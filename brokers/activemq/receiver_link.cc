@@ -39,7 +39,7 @@ std::shared_ptr<SessionReader> shared(SessionReader& reader) {
 
 SessionReader::SessionReader(std::shared_ptr<ReceiverLink> link, std::string link_name, Topic to,
                              SubscriptionOptions how, Handler what)
-    : OwnInbox(std::move(to), std::move(how), std::move(what)),
+    : OwnDeliveryStream(std::move(to), std::move(how), std::move(what)),
       name(std::move(link_name)),
       queue(queue_of(topic.name, options.group)),
       link_(std::move(link)) {}
@@ -132,7 +132,7 @@ void ReceiverLink::settle(SessionReader& reader, std::uint64_t public_tag, Settl
   core_.settle(reader, public_tag, settlement);
 }
 
-void ReceiverLink::settled(client::Inbox& /*inbox*/, bool /*first*/) noexcept {
+void ReceiverLink::settled(client::DeliveryStream& /*stream*/, bool /*first*/) noexcept {
   assert_held();
   // The serving thread sends settlements after the handlers that it runs; otherwise wake it.
   if (!(loop_.serves() && core_.hands_on_here())) wake();
@@ -416,8 +416,8 @@ void ReceiverLink::send_settlements(SessionReader& reader) {
 
 void ReceiverLink::send_all_settlements() {
   assert_held();
-  for (const auto& inbox : core_.take_dirty()) {
-    auto& reader = static_cast<SessionReader&>(*inbox);
+  for (const auto& stream : core_.take_dirty()) {
+    auto& reader = static_cast<SessionReader&>(*stream);
     if (reader.phase == SessionReader::Phase::active) send_settlements(reader);
   }
 }

@@ -63,7 +63,7 @@ class ReceiverLink final : client::ReadTransport,
   void assert_held() const IOTCLOUD_ASSERT_CAPABILITY(core_.mutex) {}
 
   // The ReadTransport.
-  void settled(client::Inbox& inbox, bool first) noexcept override IOTCLOUD_REQUIRES(mutex_);
+  void settled(client::DeliveryStream& stream, bool first) noexcept override IOTCLOUD_REQUIRES(mutex_);
   void wake() noexcept override IOTCLOUD_REQUIRES(mutex_) { ServerLink::wake(); }
 
   // The ServerLink's events.

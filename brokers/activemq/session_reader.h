@@ -18,7 +18,7 @@ namespace iotcloud::brokers::activemq {
 class ReceiverLink;
 
 /// One subscription as its connection sees it. Guarded by the link's mutex, except for the constants.
-class SessionReader final : public client::OwnInbox {
+class SessionReader final : public client::OwnDeliveryStream {
  public:
   enum class Phase {
     idle,     ///< no session: not connected, or waiting for `retry_at`

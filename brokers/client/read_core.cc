@@ -12,22 +12,22 @@ ReadCore::ReadCore(ReadTransport& transport, Meters& meters, const config::Clock
                    std::chrono::milliseconds gathering_time)
     : transport_(transport), meters_(meters), clock_(clock), gathering_time_(gathering_time) {}
 
-void ReadCore::settle(Inbox& inbox, std::uint64_t public_tag, Settlement settlement) noexcept {
+void ReadCore::settle(DeliveryStream& stream, std::uint64_t public_tag, Settlement settlement) noexcept {
   constexpr std::uint64_t tag_mask = (std::uint64_t{1} << 48U) - 1;
   const std::uint64_t tag = public_tag & tag_mask;
-  if (public_tag != inbox.public_tag(tag) || !inbox.subscriber || inbox.subscriber->closed) return;
-  if (!inbox.window.settle(tag, settlement)) return;
+  if (public_tag != stream.public_tag(tag) || !stream.subscriber || stream.subscriber->closed) return;
+  if (!stream.window.settle(tag, settlement)) return;
   if (settlement == Settlement::retry) {
-    make_ready(inbox);
+    make_ready(stream);
     transport_.wake();
   } else {
-    transport_.settled(inbox, make_dirty(inbox));
+    transport_.settled(stream, make_dirty(stream));
   }
 }
 
-void ReadCore::resume(Inbox& inbox) {
-  if (inbox.subscriber) inbox.subscriber->paused = false;
-  make_ready(inbox);
+void ReadCore::resume(DeliveryStream& stream) {
+  if (stream.subscriber) stream.subscriber->paused = false;
+  make_ready(stream);
   transport_.wake();
 }
 
@@ -36,46 +36,46 @@ void ReadCore::await_handler(const Subscriber& subscriber) {
   while (subscriber.running) handler_ended_.wait(mutex);
 }
 
-void ReadCore::await_handlers(const std::vector<std::shared_ptr<Inbox>>& inboxes, config::Clock::Instant end) {
-  const auto runs = [](const std::shared_ptr<Inbox>& inbox) { return inbox->running; };
-  while (std::any_of(inboxes.begin(), inboxes.end(), runs)) {
+void ReadCore::await_handlers(const std::vector<std::shared_ptr<DeliveryStream>>& streams, config::Clock::Instant end) {
+  const auto runs = [](const std::shared_ptr<DeliveryStream>& stream) { return stream->running; };
+  while (std::any_of(streams.begin(), streams.end(), runs)) {
     if (handler_ended_.wait_until(mutex, clock_, end) == std::cv_status::timeout) return;
   }
 }
 
-bool ReadCore::arrived(Inbox& inbox, Arrived arrived) {
-  if (!inbox.window.delivered(std::move(arrived))) return false;
-  make_ready(inbox);
+bool ReadCore::arrived(DeliveryStream& stream, Arrived arrived) {
+  if (!stream.window.delivered(std::move(arrived))) return false;
+  make_ready(stream);
   return true;
 }
 
-void ReadCore::skipped(Inbox& inbox) {
-  inbox.window.skipped();
-  make_dirty(inbox);
+void ReadCore::skipped(DeliveryStream& stream) {
+  stream.window.skipped();
+  make_dirty(stream);
 }
 
-void ReadCore::make_ready(Inbox& inbox) {
-  if (inbox.in_ready || !inbox.has_work()) return;
-  inbox.in_ready = true;
-  ready_.push_back(inbox.shared_from_this());
+void ReadCore::make_ready(DeliveryStream& stream) {
+  if (stream.in_ready || !stream.has_work()) return;
+  stream.in_ready = true;
+  ready_.push_back(stream.shared_from_this());
 }
 
-bool ReadCore::make_dirty(Inbox& inbox) {
-  if (inbox.in_dirty) return false;
-  inbox.in_dirty = true;
-  dirty_.push_back(inbox.shared_from_this());
+bool ReadCore::make_dirty(DeliveryStream& stream) {
+  if (stream.in_dirty) return false;
+  stream.in_dirty = true;
+  dirty_.push_back(stream.shared_from_this());
   return true;
 }
 
-void ReadCore::accept(Inbox& inbox, std::uint64_t tag) {
-  inbox.window.settle(tag, Settlement::accept);
-  transport_.settled(inbox, make_dirty(inbox));
+void ReadCore::accept(DeliveryStream& stream, std::uint64_t tag) {
+  stream.window.settle(tag, Settlement::accept);
+  transport_.settled(stream, make_dirty(stream));
 }
 
-void ReadCore::conflate(Inbox& inbox) {
-  const std::size_t newest = inbox.subscriber->options.keep_last;
-  while (newest > 0 && inbox.window.waiting() > newest) {
-    accept(inbox, inbox.window.next().tag);
+void ReadCore::conflate(DeliveryStream& stream) {
+  const std::size_t newest = stream.subscriber->options.keep_last;
+  while (newest > 0 && stream.window.waiting() > newest) {
+    accept(stream, stream.window.next().tag);
     meters_.conflated();
   }
 }
@@ -90,27 +90,27 @@ ReadCore::Turn::~Turn() {
   core_.handler_ended_.notify_all();
 }
 
-Inbox* ReadCore::take(Turn& turn) {
+DeliveryStream* ReadCore::take(Turn& turn) {
   while (has_ready()) {
-    std::shared_ptr<Inbox> inbox = std::move(ready_.front());
+    std::shared_ptr<DeliveryStream> stream = std::move(ready_.front());
     ready_.pop_front();
-    inbox->in_ready = false;
-    if (!inbox->has_work()) continue;
-    const bool again = inbox->more && transport_.fetch(*inbox);
-    if (inbox->window.waiting() == 0 || inbox->subscriber->paused) {
-      if (again) make_ready(*inbox);
+    stream->in_ready = false;
+    if (!stream->has_work()) continue;
+    const bool again = stream->more && transport_.fetch(*stream);
+    if (stream->window.waiting() == 0 || stream->subscriber->paused) {
+      if (again) make_ready(*stream);
       continue;
     }
-    conflate(*inbox);
-    turn.arrived_ = inbox->window.next();
+    conflate(*stream);
+    turn.arrived_ = stream->window.next();
     meters_.received(turn.arrived_.redelivered);
-    turn.public_tag_ = inbox->public_tag(turn.arrived_.tag);
-    if (inbox->subscriber->options.automatic_ack) accept(*inbox, turn.arrived_.tag);
-    make_ready(*inbox);  // the inboxes take turns
-    turn.subscriber_ = inbox->subscriber;
-    turn.subscriber_->running = inbox->running = true;
-    turn.inbox_ = std::move(inbox);
-    return turn.inbox_.get();
+    turn.public_tag_ = stream->public_tag(turn.arrived_.tag);
+    if (stream->subscriber->options.automatic_ack) accept(*stream, turn.arrived_.tag);
+    make_ready(*stream);  // the streams take turns
+    turn.subscriber_ = stream->subscriber;
+    turn.subscriber_->running = stream->running = true;
+    turn.stream_ = std::move(stream);
+    return turn.stream_.get();
   }
   return nullptr;
 }
@@ -119,10 +119,10 @@ void ReadCore::run(Turn& turn) {
   {
     const config::Unlocked unlocked(mutex);
     std::shared_ptr<Settler> settler;
-    if (!turn.subscriber_->options.automatic_ack) settler = turn.inbox_;
+    if (!turn.subscriber_->options.automatic_ack) settler = turn.stream_;
     call(*turn.subscriber_, std::move(turn.arrived_), std::move(settler), turn.public_tag_);
   }
-  turn.subscriber_->running = turn.inbox_->running = false;
+  turn.subscriber_->running = turn.stream_->running = false;
   handler_ended_.notify_all();
 }
 
@@ -143,35 +143,35 @@ void ReadCore::call(const Subscriber& subscriber, Arrived arrived, std::shared_p
 bool ReadCore::settlements_due() const {
   if (dirty_.empty()) return false;
   if (gathered_at() <= clock_.now()) return true;
-  return std::any_of(dirty_.begin(), dirty_.end(), [](const std::shared_ptr<Inbox>& inbox) {
-    return inbox->subscriber && inbox->window.settled() > inbox->patience();
+  return std::any_of(dirty_.begin(), dirty_.end(), [](const std::shared_ptr<DeliveryStream>& stream) {
+    return stream->subscriber && stream->window.settled() > stream->patience();
   });
 }
 
-std::vector<std::shared_ptr<Inbox>> ReadCore::take_dirty() {
+std::vector<std::shared_ptr<DeliveryStream>> ReadCore::take_dirty() {
   if (dirty_.empty()) return {};
   told_at_ = clock_.now();
-  std::vector<std::shared_ptr<Inbox>> dirty = std::exchange(dirty_, {});
-  for (const auto& inbox : dirty) inbox->in_dirty = false;
+  std::vector<std::shared_ptr<DeliveryStream>> dirty = std::exchange(dirty_, {});
+  for (const auto& stream : dirty) stream->in_dirty = false;
   return dirty;
 }
 
-void ReadCore::take_dirty(Inbox& inbox) {
-  if (!std::exchange(inbox.in_dirty, false)) return;
-  std::erase_if(dirty_, [&](const std::shared_ptr<Inbox>& one) { return one.get() == &inbox; });
+void ReadCore::take_dirty(DeliveryStream& stream) {
+  if (!std::exchange(stream.in_dirty, false)) return;
+  std::erase_if(dirty_, [&](const std::shared_ptr<DeliveryStream>& one) { return one.get() == &stream; });
 }
 
-void ReadCore::forget(Inbox& inbox) {
-  const auto is_it = [&](const std::shared_ptr<Inbox>& one) { return one.get() == &inbox; };
+void ReadCore::forget(DeliveryStream& stream) {
+  const auto is_it = [&](const std::shared_ptr<DeliveryStream>& one) { return one.get() == &stream; };
   std::erase_if(ready_, is_it);
   std::erase_if(dirty_, is_it);
-  inbox.in_ready = inbox.in_dirty = false;
+  stream.in_ready = stream.in_dirty = false;
 }
 
 void ReadCore::connection_lost() {
-  for (const auto& inbox : ready_) inbox->in_ready = false;
+  for (const auto& stream : ready_) stream->in_ready = false;
   ready_.clear();
-  for (const auto& inbox : dirty_) inbox->in_dirty = false;
+  for (const auto& stream : dirty_) stream->in_dirty = false;
   dirty_.clear();
 }
 

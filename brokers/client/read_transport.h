@@ -26,19 +26,19 @@ struct Subscriber {
 
 /// A stream of messages that are handed on in order, to one subscription at a time: those of a RabbitMQ channel, an
 /// ActiveMQ session or a Kafka partition. It is the Settler of its deliveries. Guarded by the core's mutex.
-class Inbox : public Settler, public std::enable_shared_from_this<Inbox> {
+class DeliveryStream : public Settler, public std::enable_shared_from_this<DeliveryStream> {
  public:
-  /// \param own_window lives as long as the inbox
-  Inbox(std::shared_ptr<Subscriber> reader, AckWindow& own_window)
+  /// \param own_window lives as long as the stream
+  DeliveryStream(std::shared_ptr<Subscriber> reader, AckWindow& own_window)
       : subscriber(std::move(reader)), window(own_window) {}
-  Inbox(const Inbox&) = delete;
-  Inbox& operator=(const Inbox&) = delete;
+  DeliveryStream(const DeliveryStream&) = delete;
+  DeliveryStream& operator=(const DeliveryStream&) = delete;
 
   std::shared_ptr<Subscriber> subscriber;  ///< the subscription that reads it now; null: none
   AckWindow& window;
   /// Counts lost channels and partitions, so that late settlements of earlier deliveries are recognized.
   std::uint64_t generation = 0;
-  bool withheld = false;  ///< nothing of this inbox is handed on for now
+  bool withheld = false;  ///< nothing of this stream is handed on for now
   bool more = false;      ///< the transport may have more for it: see ReadTransport::fetch()
   bool running = false;   ///< a handler runs with a message of it
   bool in_ready = false;  ///< listed in the core's ready_
@@ -66,18 +66,18 @@ class Inbox : public Settler, public std::enable_shared_from_this<Inbox> {
   }
 };
 
-/// A base class, so that the window is constructed before the inbox that refers to it.
+/// A base class, so that the window is constructed before the stream that refers to it.
 struct OwnWindow {
   AckWindow own_window;
 };
 
 /// A subscription that has one stream of its own for its whole life.
-class OwnInbox : public Subscriber, OwnWindow, public Inbox {
+class OwnDeliveryStream : public Subscriber, OwnWindow, public DeliveryStream {
  protected:
-  OwnInbox(Topic to, SubscriptionOptions how, Handler what)
+  OwnDeliveryStream(Topic to, SubscriptionOptions how, Handler what)
       : Subscriber(std::move(to), std::move(how), std::move(what)),
         // A non-owning pointer to itself.
-        Inbox(std::shared_ptr<Subscriber>(std::shared_ptr<void>(), this), own_window) {}
+        DeliveryStream(std::shared_ptr<Subscriber>(std::shared_ptr<void>(), this), own_window) {}
 };
 
 /// One connection to one kind of broker, which a ReadCore uses. The transport asks the server for messages, passes
@@ -90,15 +90,15 @@ class ReadTransport {
  public:
   virtual ~ReadTransport() = default;
 
-  /// One more message of this inbox is settled, and the server may be told. On threads other than the one that hands
+  /// One more message of this stream is settled, and the server may be told. On threads other than the one that hands
   /// on, the function may release the mutex. \param first whether it is the first settlement since the server was last
   /// told
-  virtual void settled(Inbox& inbox, bool first) noexcept = 0;
+  virtual void settled(DeliveryStream& stream, bool first) noexcept = 0;
   /// Wakes the thread that hands on, because there is a message to hand on.
   virtual void wake() noexcept = 0;
-  /// Moves received messages into an inbox that has Inbox::more set, as long as it has room. Called on the thread that
-  /// hands on, before each message of the inbox. \return whether the inbox has room for more
-  virtual bool fetch(Inbox& /*inbox*/) { return false; }
+  /// Moves received messages into an stream that has DeliveryStream::more set, as long as it has room. Called on the
+  /// thread that hands on, before each message of the stream. \return whether the stream has room for more
+  virtual bool fetch(DeliveryStream& /*stream*/) { return false; }
 };
 
 }  // namespace iotcloud::brokers::client

@@ -15,10 +15,11 @@ const config::Logger logger{"brokers.embedded"};
 
 }  // namespace
 
-Reader::Reader(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> owner, Handler handler_to_run)
+HandlerConsumer::HandlerConsumer(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> owner,
+                                 Handler handler_to_run)
     : handler(std::move(handler_to_run)), server_(std::move(server)), owner_(std::move(owner)) {}
 
-void Reader::settle(std::uint64_t tag, Settlement settlement) noexcept {
+void HandlerConsumer::settle(std::uint64_t tag, Settlement settlement) noexcept {
   WakeList wake;
   const config::MutexLock lock(server_->mutex);
   const auto found = unsettled.find(tag);
@@ -107,7 +108,7 @@ void Connection::run() {
 
 bool Connection::deliver_next() {
   if (ready.empty()) return false;
-  const std::shared_ptr<Reader> reader = std::static_pointer_cast<Reader>(std::move(ready.front()));
+  const std::shared_ptr<HandlerConsumer> reader = std::static_pointer_cast<HandlerConsumer>(std::move(ready.front()));
   ready.pop_front();
   reader->in_ready = false;
   if (!reader->can_take()) return true;
@@ -138,7 +139,7 @@ bool Connection::deliver_next() {
   return true;
 }
 
-void Connection::run_handler(const std::shared_ptr<Reader>& reader, Stored stored, std::uint64_t tag) {
+void Connection::run_handler(const std::shared_ptr<HandlerConsumer>& reader, Stored stored, std::uint64_t tag) {
   std::shared_ptr<Settler> settler;
   if (!reader->options.automatic_ack) settler = reader;
   try {

@@ -13,9 +13,9 @@
 namespace iotcloud::brokers::embedded {
 
 /// A subscription: a consumer of the server with its handler, which also settles the handler's deliveries.
-class Reader final : public Settler, public Consumer, public std::enable_shared_from_this<Reader> {
+class HandlerConsumer final : public Settler, public Consumer, public std::enable_shared_from_this<HandlerConsumer> {
  public:
-  Reader(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> owner, Handler handler_to_run);
+  HandlerConsumer(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> owner, Handler handler_to_run);
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
 
   const Handler handler;
@@ -50,7 +50,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   /// thread calls this producer's callbacks already, waits until it has done so.
   void report(const std::shared_ptr<Producer>& producer) IOTCLOUD_REQUIRES(server->mutex);
 
-  std::vector<std::shared_ptr<Reader>> consumers IOTCLOUD_GUARDED_BY(server->mutex);
+  std::vector<std::shared_ptr<HandlerConsumer>> consumers IOTCLOUD_GUARDED_BY(server->mutex);
   std::deque<std::shared_ptr<Consumer>> ready IOTCLOUD_GUARDED_BY(server->mutex);  ///< consumers with messages to take
   std::vector<Producer*> producers IOTCLOUD_GUARDED_BY(server->mutex);
   std::deque<std::shared_ptr<Producer>> to_report IOTCLOUD_GUARDED_BY(server->mutex);
@@ -64,7 +64,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void run();
   bool deliver_next() IOTCLOUD_REQUIRES(server->mutex);
   static void call_back(const Producer& producer, const std::vector<Producer::Event>& events, bool writable);
-  void run_handler(const std::shared_ptr<Reader>& reader, Stored stored, std::uint64_t tag);
+  void run_handler(const std::shared_ptr<HandlerConsumer>& reader, Stored stored, std::uint64_t tag);
   std::optional<Instant> next_deadline(Instant now) IOTCLOUD_REQUIRES(server->mutex);
   void sleep(std::optional<Instant> until);
 

@@ -131,7 +131,7 @@ class EmbeddedSubscription final : public Subscription {
                        Handler handler)
       : connection_(std::move(connection)),
         server_(*connection_->server),
-        reader_(std::make_shared<Reader>(connection_->server, connection_, std::move(handler))) {
+        reader_(std::make_shared<HandlerConsumer>(connection_->server, connection_, std::move(handler))) {
     reader_->topic = topic;
     reader_->options = options;
     reader_->connection = connection_.get();
@@ -184,7 +184,7 @@ class EmbeddedSubscription final : public Subscription {
  private:
   const std::shared_ptr<Connection> connection_;
   ServerState& server_;
-  const std::shared_ptr<Reader> reader_;
+  const std::shared_ptr<HandlerConsumer> reader_;
 };
 
 class EmbeddedBroker final : public Broker {

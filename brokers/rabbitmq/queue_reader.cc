@@ -74,7 +74,7 @@ std::string queue_of(const Topic& topic, const SubscriptionOptions& options) {
 }  // namespace
 
 QueueReader::QueueReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what)
-    : OwnInbox(std::move(to), std::move(how), std::move(what)),
+    : OwnDeliveryStream(std::move(to), std::move(how), std::move(what)),
       queue(queue_of(topic, options)),
       connection_(std::move(link)) {}
 

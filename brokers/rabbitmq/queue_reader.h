@@ -50,7 +50,7 @@ class Assembly {
 /// One subscription as its connection sees it. Guarded by the mutex of its connection, except for the constants. The
 /// members of its channel are changed only by the thread that holds that mutex and has the connection's WireTurn, so a
 /// thread with the WireTurn may read them without the mutex.
-class QueueReader final : public client::OwnInbox {
+class QueueReader final : public client::OwnDeliveryStream {
  public:
   enum class Phase {
     idle,     ///< no channel: not connected, or waiting for `retry_at`

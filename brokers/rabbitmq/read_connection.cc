@@ -179,10 +179,10 @@ void ReadConnection::settle(QueueReader& reader, std::uint64_t public_tag, Settl
   if (reads_here(reader)) core_.settle(reader, public_tag, settlement);
 }
 
-void ReadConnection::settled(client::Inbox& inbox, bool /*first*/) noexcept {
+void ReadConnection::settled(client::DeliveryStream& stream, bool /*first*/) noexcept {
   // Normally the connection's thread sends settlements after its handlers. This thread does if that thread sleeps, or
   // is busy while unsent settlements use up much of the prefetch.
-  if (core_.hands_on_here() || (!sleeping_ && inbox.window.settled() <= inbox.patience())) return;
+  if (core_.hands_on_here() || (!sleeping_ && stream.window.settled() <= stream.patience())) return;
   if (!wire_ || broken_) return;
   if (core_.settlements_due()) {
     write_or_leave();
@@ -558,8 +558,8 @@ void ReadConnection::check_timers() {
 }
 
 void ReadConnection::gather() {
-  for (const auto& inbox : core_.take_dirty()) {
-    auto& reader = static_cast<QueueReader&>(*inbox);
+  for (const auto& stream : core_.take_dirty()) {
+    auto& reader = static_cast<QueueReader&>(*stream);
     if (!reader.closed && reader.channel != 0) channels_.settle(reader, reader.patience());
   }
   for (const auto& reader : std::exchange(raised_, {})) {

@@ -92,7 +92,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   };
 
   // The ReadTransport.
-  void settled(client::Inbox& inbox, bool first) noexcept override IOTCLOUD_REQUIRES(core_.mutex);
+  void settled(client::DeliveryStream& stream, bool first) noexcept override IOTCLOUD_REQUIRES(core_.mutex);
   void wake() noexcept override IOTCLOUD_REQUIRES(core_.mutex);
 
   bool reads_here(const QueueReader& reader) const { return reader.connection().get() == this; }

@@ -19,7 +19,7 @@ TIME_OF_DAY = {
 }
 # Where wall_ms() is compared or calculated with: times that another process wrote, or that outlive this one.
 STAMPS_OF_OTHERS = {
-    "brokers/kafka/reading/reader.cc": "a message's deadline, which its sender wrote",
+    "brokers/kafka/reading/partition_reader.cc": "a message's deadline, which its sender wrote",
     "master/topologies/topology_service.cc": "an order says until when its master waits, whichever process reads it",
     "security/tokens.cc": "a token's end is a day of the calendar, which its file says",
     "topology/windows/windowed_bolt.cc": "event times that are time stamps, by the steady clock from the first look on",

@@ -21,7 +21,8 @@ ConsumerGroups::ConsumerGroups(KafkaOptions options, Meters& meters, const confi
     : options_(std::move(options)),
       clock_(clock),
       log_(log),
-      reader_(std::make_shared<Reader>(options_.native_headers, meters, clock, [this] { wake_event_.signal(); })) {}
+      reader_(std::make_shared<PartitionReader>(options_.native_headers, meters, clock,
+                                                [this] { wake_event_.signal(); })) {}
 
 ConsumerGroups::~ConsumerGroups() {
   std::thread thread;

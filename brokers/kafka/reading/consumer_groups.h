@@ -10,7 +10,7 @@
 
 #include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/kafka/reading/group.h"
-#include "iotcloud/brokers/kafka/reading/reader.h"
+#include "iotcloud/brokers/kafka/reading/partition_reader.h"
 #include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers::kafka {
@@ -29,7 +29,7 @@ class ConsumerGroups {
   /// Adds a subscription. The first one starts the threads.
   std::shared_ptr<Subscriber> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
   void remove(const std::shared_ptr<Subscriber>& subscriber);
-  Reader& reader() { return *reader_; }
+  PartitionReader& reader() { return *reader_; }
   ConnectionState state() const;  ///< `connected` also when there is no subscription
 
  private:
@@ -41,7 +41,7 @@ class ConsumerGroups {
   const config::Clock& clock_;
   ConnectionLog& log_;
   client::WakeEvent wake_event_;
-  const std::shared_ptr<Reader> reader_;
+  const std::shared_ptr<PartitionReader> reader_;
 
   mutable config::Mutex mutex_;
   bool closing_ IOTCLOUD_GUARDED_BY(mutex_) = false;

@@ -15,7 +15,7 @@
 
 namespace iotcloud::brokers::kafka {
 
-class Reader;
+class PartitionReader;
 struct Member;
 
 /// One subscription. Guarded by the reader's mutex, except for the constants.
@@ -29,21 +29,21 @@ struct Subscriber : client::Subscriber {
 /// A topic and one of its partitions.
 using PartitionKey = std::pair<std::string, std::int32_t>;
 
-/// A base class, so that the window is constructed before the inbox that refers to it.
+/// A base class, so that the window is constructed before the stream that refers to it.
 struct FeedProgress {
   Progress progress;
 };
 
-/// One partition that the group assigned to this process. Inbox::more is set from a signal of its queue until the queue
-/// was found empty. Guarded by the reader's mutex, except for the constants.
-class Feed final : public FeedProgress, public client::Inbox {
+/// One partition that the group assigned to this process. DeliveryStream::more is set from a signal of its queue until
+/// the queue was found empty. Guarded by the reader's mutex, except for the constants.
+class Feed final : public FeedProgress, public client::DeliveryStream {
  public:
-  Feed(std::shared_ptr<Reader> to, std::shared_ptr<Member> of, std::shared_ptr<Client> from, PartitionKey what,
+  Feed(std::shared_ptr<PartitionReader> to, std::shared_ptr<Member> of, std::shared_ptr<Client> from, PartitionKey what,
        Progress how_far);
   ~Feed() override = default;
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
 
-  const std::shared_ptr<Reader> reader;
+  const std::shared_ptr<PartitionReader> reader;
   const std::shared_ptr<Member> member;
   const PartitionKey key;
 

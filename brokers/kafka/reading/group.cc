@@ -65,7 +65,7 @@ void check(rd_kafka_error_t* error, const char* doing) {
 
 }  // namespace
 
-Group::Group(const KafkaOptions& options, std::shared_ptr<Reader> reader, std::shared_ptr<Member> member,
+Group::Group(const KafkaOptions& options, std::shared_ptr<PartitionReader> reader, std::shared_ptr<Member> member,
              const config::Clock& clock, ConnectionLog& log, client::WakeEvent& wake)
     : options_(options),
       reader_(std::move(reader)),

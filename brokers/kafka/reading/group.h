@@ -11,7 +11,7 @@
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/client/wake_event.h"
 #include "iotcloud/brokers/kafka/client.h"
-#include "iotcloud/brokers/kafka/reading/reader.h"
+#include "iotcloud/brokers/kafka/reading/partition_reader.h"
 #include "iotcloud/brokers/kafka/renewal.h"
 
 namespace iotcloud::brokers::kafka {
@@ -27,7 +27,7 @@ using Instant = config::Clock::Instant;
 class Group {
  public:
   /// \param wake is signalled when there is an event to serve
-  Group(const KafkaOptions& options, std::shared_ptr<Reader> reader, std::shared_ptr<Member> member,
+  Group(const KafkaOptions& options, std::shared_ptr<PartitionReader> reader, std::shared_ptr<Member> member,
         const config::Clock& clock, ConnectionLog& log, client::WakeEvent& wake);
   ~Group();
   Group(const Group&) = delete;
@@ -68,7 +68,7 @@ class Group {
   PartitionList wanted(const rd_kafka_topic_partition_list_t& partitions) const;
 
   const KafkaOptions& options_;
-  const std::shared_ptr<Reader> reader_;
+  const std::shared_ptr<PartitionReader> reader_;
   const std::shared_ptr<Member> member_;
   const config::Clock& clock_;
   ConnectionLog& log_;

@@ -21,11 +21,11 @@ constexpr std::size_t length_bytes = 4;
 enum FrameFlags : std::uint8_t { has_truth = 1, is_repeated = 2, in_lock_step = 4, is_visible = 8, is_in_box = 16 };
 constexpr std::uint8_t all_flags = 31;
 
-class Writer {
+class BodyWriter {
  public:
-  explicit Writer(Kind kind) : bytes_(length_bytes, '\0') { add(static_cast<std::uint8_t>(kind)); }
+  explicit BodyWriter(Kind kind) : bytes_(length_bytes, '\0') { add(static_cast<std::uint8_t>(kind)); }
   template <typename Number>
-  Writer& add(Number number) {
+  BodyWriter& add(Number number) {
     if constexpr (std::is_floating_point_v<Number>) {
       return add(std::bit_cast<std::uint64_t>(static_cast<double>(number)));
     } else {
@@ -35,11 +35,11 @@ class Writer {
       return *this;
     }
   }
-  Writer& add_bytes(std::span<const std::byte> bytes) {
+  BodyWriter& add_bytes(std::span<const std::byte> bytes) {
     bytes_.append(reinterpret_cast<const char*>(bytes.data()), bytes.size());
     return *this;
   }
-  Writer& add_text(std::string_view text) {
+  BodyWriter& add_text(std::string_view text) {
     bytes_ += text;
     return *this;
   }
@@ -54,9 +54,9 @@ class Writer {
   std::string bytes_;
 };
 
-class Reader {
+class BodyReader {
  public:
-  explicit Reader(const Incoming& message) : rest_(*message.body) {}
+  explicit BodyReader(const Incoming& message) : rest_(*message.body) {}
   template <typename Number>
   Number take() {
     if constexpr (std::is_floating_point_v<Number>) {
@@ -106,7 +106,7 @@ std::string printable(std::span<const std::byte> bytes, std::size_t most) {
 
 std::string write_hello(const Hello& hello) {
   const auto name = std::string_view(hello.name).substr(0, most_name_bytes);
-  return Writer(Kind::hello)
+  return BodyWriter(Kind::hello)
       .add_text(magic)
       .add(hello.version)
       .add(hello.silence_ms)
@@ -116,34 +116,38 @@ std::string write_hello(const Hello& hello) {
 }
 
 std::string write_challenge(const Challenge& challenge) {
-  return Writer(Kind::challenge).add(challenge.silence_ms).add_bytes(challenge.nonce).add_bytes(challenge.proof).done();
+  return BodyWriter(Kind::challenge)
+      .add(challenge.silence_ms)
+      .add_bytes(challenge.nonce)
+      .add_bytes(challenge.proof)
+      .done();
 }
 
 std::string write_proof(const Proof& proof) {
-  return Writer(Kind::proof).add_bytes(proof).done();
+  return BodyWriter(Kind::proof).add_bytes(proof).done();
 }
 
 std::string write_refused(std::string_view reason) {
-  return Writer(Kind::refused).add_text(reason.substr(0, most_before_proof / 2)).done();
+  return BodyWriter(Kind::refused).add_text(reason.substr(0, most_before_proof / 2)).done();
 }
 
 std::string write_drive(const Velocity& velocity) {
-  return Writer(Kind::drive).add(velocity.linear).add(velocity.angular).done();
+  return BodyWriter(Kind::drive).add(velocity.linear).add(velocity.angular).done();
 }
 
 std::string write_number(Kind kind, std::uint64_t number) {
-  return Writer(kind).add(number).done();
+  return BodyWriter(kind).add(number).done();
 }
 
 std::string write_bare(Kind kind) {
-  return Writer(kind).done();
+  return BodyWriter(kind).done();
 }
 
 std::string write_frame_head(const FrameHead& head, std::size_t encoded_bytes) {
   const auto& truth = head.truth;
   const int flags = (truth ? has_truth : 0) | (head.repeated ? is_repeated : 0) | (head.lock_step ? in_lock_step : 0) |
                     (truth && truth->visible ? is_visible : 0) | (truth && truth->in_box ? is_in_box : 0);
-  Writer writer(Kind::frame);
+  BodyWriter writer(Kind::frame);
   writer.add(head.number).add(head.age_us).add(head.device_time_s).add(static_cast<std::uint8_t>(flags));
   if (truth) {
     writer.add(truth->robot_x).add(truth->robot_y).add(truth->robot_heading);
@@ -153,7 +157,7 @@ std::string write_frame_head(const FrameHead& head, std::size_t encoded_bytes) {
 }
 
 Hello read_hello(const Incoming& message) {
-  Reader reader(message);
+  BodyReader reader(message);
   const auto found = reader.take_bytes(magic.size());
   if (std::memcmp(found.data(), magic.data(), magic.size()) != 0) throw ProtocolError("this is no iotcloud-robot");
   Hello hello;
@@ -169,7 +173,7 @@ Hello read_hello(const Incoming& message) {
 }
 
 Challenge read_challenge(const Incoming& message) {
-  Reader reader(message);
+  BodyReader reader(message);
   Challenge challenge;
   challenge.silence_ms = reader.take<std::uint32_t>();
   challenge.nonce = reader.take_array<sizeof(Nonce)>();
@@ -179,7 +183,7 @@ Challenge read_challenge(const Incoming& message) {
 }
 
 Proof read_proof(const Incoming& message) {
-  Reader reader(message);
+  BodyReader reader(message);
   const auto proof = reader.take_array<proof_bytes>();
   reader.finish();
   return proof;
@@ -190,7 +194,7 @@ std::string read_refused(const Incoming& message) {
 }
 
 Velocity read_drive(const Incoming& message) {
-  Reader reader(message);
+  BodyReader reader(message);
   Velocity velocity;
   velocity.linear = reader.take<double>();
   velocity.angular = reader.take<double>();
@@ -199,14 +203,14 @@ Velocity read_drive(const Incoming& message) {
 }
 
 std::uint64_t read_number(const Incoming& message) {
-  Reader reader(message);
+  BodyReader reader(message);
   const auto number = reader.take<std::uint64_t>();
   reader.finish();
   return number;
 }
 
 FrameHead read_frame(const Incoming& message, Payload& encoded) {
-  Reader reader(message);
+  BodyReader reader(message);
   FrameHead head;
   head.number = reader.take<std::uint64_t>();
   head.age_us = reader.take<std::uint32_t>();

@@ -45,10 +45,10 @@ class ReadClock final : public config::Clock {
 class ReadLink;
 
 /// A subscription on its own channel, as RabbitMQ's.
-class LinkReader final : public OwnInbox {
+class LinkReader final : public OwnDeliveryStream {
  public:
   LinkReader(ReadLink& link, const std::string& name, SubscriptionOptions how, Handler what)
-      : OwnInbox(Topic{"", name, false}, std::move(how), std::move(what)), link_(link) {}
+      : OwnDeliveryStream(Topic{"", name, false}, std::move(how), std::move(what)), link_(link) {}
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
 
   std::deque<std::string> in_server;  ///< what fetch() takes from
@@ -80,8 +80,8 @@ class ReadLink final : public ReadTransport {
   std::vector<std::string> tell() {
     const config::MutexLock lock(core.mutex);
     std::vector<std::string> told;
-    for (const auto& inbox : core.take_dirty()) {
-      for (const AckWindow::Action& action : inbox->window.take(0)) {
+    for (const auto& stream : core.take_dirty()) {
+      for (const AckWindow::Action& action : stream->window.take(0)) {
         told.push_back((action.kind == AckWindow::Kind::reject ? "-" : "") + std::string(action.multiple ? "<=" : "") +
                        std::to_string(action.tag));
       }
@@ -132,13 +132,13 @@ class ReadLink final : public ReadTransport {
   int room = 0;                            ///< messages that fetch() may take
 
  private:
-  void settled(Inbox& /*inbox*/, bool first) noexcept override {
+  void settled(DeliveryStream& /*stream*/, bool first) noexcept override {
     ++settlements;
     if (first) ++first_settlements;
   }
   void wake() noexcept override { ++wakes_; }
-  bool fetch(Inbox& inbox) override IOTCLOUD_REQUIRES(core.mutex) {
-    auto& reader = static_cast<LinkReader&>(inbox);
+  bool fetch(DeliveryStream& stream) override IOTCLOUD_REQUIRES(core.mutex) {
+    auto& reader = static_cast<LinkReader&>(stream);
     for (; room > 0 && !reader.in_server.empty(); --room) {
       take(reader, reader.in_server.front(), false);
       reader.in_server.pop_front();
@@ -330,7 +330,7 @@ TEST_F(ReadCoreTest, TheEndOfASubscriptionWaitsForItsHandlerOnAnotherThread) {
   EXPECT_THAT(seen(), ElementsAre("a 1")) << "nothing is handed on behind the end";
 }
 
-TEST_F(ReadCoreTest, ManyInboxesMayWaitForTheirHandlersAndGiveUpAtTheirLimit) {
+TEST_F(ReadCoreTest, ManyStreamsMayWaitForTheirHandlersAndGiveUpAtTheirLimit) {
   const auto a = reader("a"), b = reader("b");
   deliver(*a, {"1"});
   deliver(*b, {"1"});
@@ -347,7 +347,7 @@ TEST_F(ReadCoreTest, ManyInboxesMayWaitForTheirHandlersAndGiveUpAtTheirLimit) {
     const config::MutexLock lock(link_.core.mutex);
     link_.core.await_handlers({b}, clock_.now() + std::chrono::hours(1));  // does not run
     link_.core.await_handlers({a, b}, clock_.now());
-    EXPECT_TRUE(a->Inbox::running);
+    EXPECT_TRUE(a->DeliveryStream::running);
   }
   given_up = true;
   {

@@ -29,14 +29,14 @@ struct CommitOf {
 /// Takes records from the partitions that the groups assigned to this process, and runs the handlers, all on one
 /// thread: the transport of a ReadCore. Group serves the group protocol on another thread, so a handler that runs long
 /// does not delay it. Thread safe.
-class Reader final : client::ReadTransport, public std::enable_shared_from_this<Reader> {
+class PartitionReader final : client::ReadTransport, public std::enable_shared_from_this<PartitionReader> {
  public:
   /// \param native every record has a bare body. \param on_dirty called from any thread when there is something new to
   /// commit; must not call the reader.
-  Reader(bool native, Meters& meters, const config::Clock& clock, std::function<void()> on_dirty);
-  ~Reader() override = default;
-  Reader(const Reader&) = delete;
-  Reader& operator=(const Reader&) = delete;
+  PartitionReader(bool native, Meters& meters, const config::Clock& clock, std::function<void()> on_dirty);
+  ~PartitionReader() override = default;
+  PartitionReader(const PartitionReader&) = delete;
+  PartitionReader& operator=(const PartitionReader&) = delete;
   void start();
   /// Ends the thread. Not to be called from a handler.
   void close();
@@ -75,9 +75,9 @@ class Reader final : client::ReadTransport, public std::enable_shared_from_this<
 
  private:
   // The ReadTransport.
-  void settled(client::Inbox& inbox, bool first) noexcept override IOTCLOUD_REQUIRES(core_.mutex);
+  void settled(client::DeliveryStream& stream, bool first) noexcept override IOTCLOUD_REQUIRES(core_.mutex);
   void wake() noexcept override IOTCLOUD_REQUIRES(core_.mutex);
-  bool fetch(client::Inbox& inbox) override IOTCLOUD_REQUIRES(core_.mutex);
+  bool fetch(client::DeliveryStream& stream) override IOTCLOUD_REQUIRES(core_.mutex);
 
   void run();
   void take_news() IOTCLOUD_REQUIRES(core_.mutex);

@@ -1,4 +1,4 @@
-#include "iotcloud/brokers/kafka/reading/reader.h"
+#include "iotcloud/brokers/kafka/reading/partition_reader.h"
 
 #include <algorithm>
 #include <utility>
@@ -35,10 +35,10 @@ void on_news(rd_kafka_t*, void* opaque) {
 
 }  // namespace
 
-Feed::Feed(std::shared_ptr<Reader> to, std::shared_ptr<Member> of, std::shared_ptr<Client> from, PartitionKey what,
-           Progress how_far)
+Feed::Feed(std::shared_ptr<PartitionReader> to, std::shared_ptr<Member> of, std::shared_ptr<Client> from,
+           PartitionKey what, Progress how_far)
     : FeedProgress{std::move(how_far)},
-      Inbox(nullptr, progress.window()),
+      DeliveryStream(nullptr, progress.window()),
       reader(std::move(to)),
       member(std::move(of)),
       key(std::move(what)),
@@ -49,19 +49,20 @@ void Feed::settle(std::uint64_t tag, Settlement settlement) noexcept {
   reader->settle(*this, tag, settlement);
 }
 
-Reader::Reader(bool native, Meters& meters, const config::Clock& clock, std::function<void()> on_dirty)
+PartitionReader::PartitionReader(bool native, Meters& meters, const config::Clock& clock,
+                                 std::function<void()> on_dirty)
     : native_(native),
       meters_(meters),
       clock_(clock),
       on_dirty_(std::move(on_dirty)),
       core_(*this, meters, clock, std::chrono::milliseconds(0)) {}
 
-void Reader::start() {
+void PartitionReader::start() {
   thread_ = std::thread([this] { run(); });
   pthread_setname_np(thread_.native_handle(), "kafka-consume");
 }
 
-void Reader::close() {
+void PartitionReader::close() {
   {
     const config::MutexLock lock(core_.mutex);
     closing_ = true;
@@ -76,7 +77,7 @@ void Reader::close() {
   news_.clear();
 }
 
-void Reader::news(std::shared_ptr<Feed> feed) {
+void PartitionReader::news(std::shared_ptr<Feed> feed) {
   {
     const config::MutexLock lock(news_mutex_);
     news_.push_back(std::move(feed));
@@ -85,11 +86,11 @@ void Reader::news(std::shared_ptr<Feed> feed) {
   wake_event_.signal();
 }
 
-void Reader::wake() noexcept {
+void PartitionReader::wake() noexcept {
   if (std::exchange(sleeping_, false)) wake_event_.signal();
 }
 
-bool Reader::has_room(const Feed& feed) {
+bool PartitionReader::has_room(const Feed& feed) {
   if (feed.window.size() >= longest_window) return false;
   const Subscriber& subscriber = *feed.reads_it();
   const std::size_t prefetch = std::max<std::size_t>(subscriber.prefetch, 1);
@@ -98,13 +99,13 @@ bool Reader::has_room(const Feed& feed) {
   return subscriber.unsettled - newest < prefetch;
 }
 
-void Reader::settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept {
+void PartitionReader::settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept {
   const config::MutexLock lock(core_.mutex);
   core_.settle(feed, public_tag, settlement);
 }
 
-void Reader::settled(client::Inbox& inbox, bool first) noexcept {
-  auto& feed = static_cast<Feed&>(inbox);
+void PartitionReader::settled(client::DeliveryStream& stream, bool first) noexcept {
+  auto& feed = static_cast<Feed&>(stream);
   --feed.reads_it()->unsettled;
   if (first) on_dirty_();
   // Other partitions of the subscription may wait for the same room.
@@ -114,7 +115,7 @@ void Reader::settled(client::Inbox& inbox, bool first) noexcept {
   if (core_.has_ready()) wake();
 }
 
-void Reader::run() {
+void PartitionReader::run() {
   Gathering gathering;  // for all messages that the handlers publish until nothing is left to hand on
   const config::MutexLock lock(core_.mutex);
   while (!closing_) {
@@ -134,7 +135,7 @@ void Reader::run() {
   }
 }
 
-void Reader::take_news() {
+void PartitionReader::take_news() {
   std::vector<std::shared_ptr<Feed>> news;
   {
     const config::MutexLock lock(news_mutex_);
@@ -146,8 +147,8 @@ void Reader::take_news() {
   }
 }
 
-bool Reader::fetch(client::Inbox& inbox) {
-  auto& feed = static_cast<Feed&>(inbox);
+bool PartitionReader::fetch(client::DeliveryStream& stream) {
+  auto& feed = static_cast<Feed&>(stream);
   for (std::size_t i = 0; i < records_in_a_row && has_room(feed); ++i) {
     rd_kafka_message_t* record = rd_kafka_consume_queue(feed.queue.get(), 0);
     if (record == nullptr) {
@@ -161,7 +162,7 @@ bool Reader::fetch(client::Inbox& inbox) {
   return has_room(feed);
 }
 
-void Reader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) {
+void PartitionReader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) {
   if (record->err != RD_KAFKA_RESP_ERR_NO_ERROR) {
     logger.warn("topic {}, partition {}: {}", feed.key.first, feed.key.second, rd_kafka_message_errstr(record.get()));
     return;
@@ -199,15 +200,15 @@ void Reader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) 
   core_.conflate(feed);
 }
 
-void Reader::skip(Feed& feed, std::int64_t offset) {
+void PartitionReader::skip(Feed& feed, std::int64_t offset) {
   feed.progress.skipped(offset);
   if (core_.make_dirty(feed)) on_dirty_();
 }
 
-void Reader::hand_on(Gathering& gathering) {
+void PartitionReader::hand_on(Gathering& gathering) {
   ReadCore::Turn turn(core_);
   for (std::size_t i = 0; i < batch; ++i) {
-    const client::Inbox* const feed = core_.take(turn);
+    const client::DeliveryStream* const feed = core_.take(turn);
     if (feed == nullptr) return;
     gathering.more_follow(feed->window.waiting() > 0);
     core_.run(turn);
@@ -217,7 +218,7 @@ void Reader::hand_on(Gathering& gathering) {
   }
 }
 
-void Reader::give_to(Feed& feed, std::shared_ptr<Subscriber> subscriber) {
+void PartitionReader::give_to(Feed& feed, std::shared_ptr<Subscriber> subscriber) {
   if (feed.subscriber == subscriber) return;
   if (feed.subscriber) feed.reads_it()->unsettled -= feed.progress.unsettled();
   feed.take_back();
@@ -226,7 +227,7 @@ void Reader::give_to(Feed& feed, std::shared_ptr<Subscriber> subscriber) {
   core_.make_ready(feed);
 }
 
-void Reader::add(const std::shared_ptr<Subscriber>& subscriber) {
+void PartitionReader::add(const std::shared_ptr<Subscriber>& subscriber) {
   const config::MutexLock lock(core_.mutex);
   Member& member = *subscriber->member;
   member.subscribers.push_back(subscriber);
@@ -236,7 +237,7 @@ void Reader::add(const std::shared_ptr<Subscriber>& subscriber) {
   wake();
 }
 
-void Reader::remove(const std::shared_ptr<Subscriber>& subscriber) {
+void PartitionReader::remove(const std::shared_ptr<Subscriber>& subscriber) {
   const config::MutexLock lock(core_.mutex);
   Member& member = *subscriber->member;
   core_.end(*subscriber);
@@ -248,12 +249,12 @@ void Reader::remove(const std::shared_ptr<Subscriber>& subscriber) {
   core_.await_handler(*subscriber);
 }
 
-void Reader::pause(Subscriber& subscriber) {
+void PartitionReader::pause(Subscriber& subscriber) {
   const config::MutexLock lock(core_.mutex);
   core_.pause(subscriber);
 }
 
-bool Reader::raise_prefetch(Subscriber& subscriber, std::uint16_t prefetch) {
+bool PartitionReader::raise_prefetch(Subscriber& subscriber, std::uint16_t prefetch) {
   if (prefetch > subscriber.options.prefetch_limit) return false;
   const config::MutexLock lock(core_.mutex);
   subscriber.prefetch = std::max(subscriber.prefetch, prefetch);
@@ -264,7 +265,7 @@ bool Reader::raise_prefetch(Subscriber& subscriber, std::uint16_t prefetch) {
   return true;
 }
 
-void Reader::resume(Subscriber& subscriber) {
+void PartitionReader::resume(Subscriber& subscriber) {
   const config::MutexLock lock(core_.mutex);
   subscriber.paused = false;
   for (const auto& [key, feed] : subscriber.member->feeds) {
@@ -272,7 +273,7 @@ void Reader::resume(Subscriber& subscriber) {
   }
 }
 
-bool Reader::active(const Subscriber& subscriber) const {
+bool PartitionReader::active(const Subscriber& subscriber) const {
   const config::MutexLock lock(core_.mutex);
   const auto& feeds = subscriber.member->feeds;
   return subscriber.member->connected && !subscriber.closed &&
@@ -281,20 +282,20 @@ bool Reader::active(const Subscriber& subscriber) const {
          });
 }
 
-std::set<std::string> Reader::topics(const Member& member) const {
+std::set<std::string> PartitionReader::topics(const Member& member) const {
   const config::MutexLock lock(core_.mutex);
   std::set<std::string> names;
   for (const auto& subscriber : member.subscribers) names.insert(subscriber->topic.name);
   return names;
 }
 
-std::int64_t Reader::handed_on(const Member& member, const PartitionKey& key) const {
+std::int64_t PartitionReader::handed_on(const Member& member, const PartitionKey& key) const {
   const config::MutexLock lock(core_.mutex);
   const auto found = handed_on_.find({member.name, key});
   return found == handed_on_.end() ? 0 : found->second;
 }
 
-void Reader::assigned(const std::shared_ptr<Feed>& feed) {
+void PartitionReader::assigned(const std::shared_ptr<Feed>& feed) {
   const config::MutexLock lock(core_.mutex);
   Member& member = *feed->member;
   member.feeds[feed->key] = feed;
@@ -309,10 +310,10 @@ void Reader::assigned(const std::shared_ptr<Feed>& feed) {
   on_dirty_();
 }
 
-std::vector<CommitOf> Reader::leave(Member& member, const std::set<PartitionKey>& keys,
-                                    std::chrono::milliseconds limit) {
+std::vector<CommitOf> PartitionReader::leave(Member& member, const std::set<PartitionKey>& keys,
+                                             std::chrono::milliseconds limit) {
   const config::MutexLock lock(core_.mutex);
-  std::vector<std::shared_ptr<client::Inbox>> leaving;
+  std::vector<std::shared_ptr<client::DeliveryStream>> leaving;
   for (const auto& [key, feed] : member.feeds) {
     if (!keys.contains(key)) continue;
     feed->leaving = feed->withheld = true;
@@ -320,8 +321,8 @@ std::vector<CommitOf> Reader::leave(Member& member, const std::set<PartitionKey>
   }
   core_.await_handlers(leaving, clock_.now() + limit);
   std::vector<CommitOf> commits;
-  for (const auto& inbox : leaving) {
-    auto& feed = static_cast<Feed&>(*inbox);
+  for (const auto& stream : leaving) {
+    auto& feed = static_cast<Feed&>(*stream);
     give_to(feed, nullptr);
     core_.forget(feed);
     handed_on_[{member.name, feed.key}] = feed.progress.handed_on();
@@ -334,7 +335,7 @@ std::vector<CommitOf> Reader::leave(Member& member, const std::set<PartitionKey>
   return commits;
 }
 
-std::vector<CommitOf> Reader::take_commits(Member& member) {
+std::vector<CommitOf> PartitionReader::take_commits(Member& member) {
   const config::MutexLock lock(core_.mutex);
   std::vector<CommitOf> commits;
   for (const auto& [key, feed] : member.feeds) {
@@ -347,18 +348,18 @@ std::vector<CommitOf> Reader::take_commits(Member& member) {
   return commits;
 }
 
-bool Reader::dirty(const Member& member) const {
+bool PartitionReader::dirty(const Member& member) const {
   const config::MutexLock lock(core_.mutex);
   return std::any_of(member.feeds.begin(), member.feeds.end(),
                      [](const auto& entry) { return entry.second->in_dirty; });
 }
 
-bool Reader::connected(const Member& member) const {
+bool PartitionReader::connected(const Member& member) const {
   const config::MutexLock lock(core_.mutex);
   return member.connected;
 }
 
-void Reader::commit_failed(Member& member, const PartitionKey& key) {
+void PartitionReader::commit_failed(Member& member, const PartitionKey& key) {
   const config::MutexLock lock(core_.mutex);
   const auto found = member.feeds.find(key);
   if (found == member.feeds.end()) return;
@@ -366,7 +367,7 @@ void Reader::commit_failed(Member& member, const PartitionKey& key) {
   core_.make_dirty(*found->second);
 }
 
-void Reader::set_connected(Member& member, bool connected) {
+void PartitionReader::set_connected(Member& member, bool connected) {
   const config::MutexLock lock(core_.mutex);
   if (std::exchange(member.connected, connected) == connected) return;
   for (const auto& [key, feed] : member.feeds) {
