@@ -13,11 +13,9 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/placement/reading_group.h>
-#include <iotcloud/topology/endpoints/placement/task_loads.h>
 #include <iotcloud/topology/endpoints/receiving/prefetch_report.h>
 #include <iotcloud/topology/endpoints/receiving/split_topics.h>
-#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
-#include <iotcloud/topology/endpoints/receiving/unit_readers.h>
+#include <iotcloud/topology/endpoints/receiving/spout_units.h>
 #include <iotcloud/topology/endpoints/receiving/verdicts.h>
 #include <iotcloud/topology/endpoints/services.h>
 
@@ -49,39 +47,6 @@ class SpoutPlacement {
   std::shared_ptr<const Verdicts> verdicts() const { return verdicts_; }
 
  private:
-  /// Where a unit moves. Its readers are drained: they stay subscribed and take no message until those that they
-  /// brought are settled or drain_limit has passed. Then the unit's next task or worker reads it.
-  enum class Move { none, to_task, to_worker };
-  static constexpr std::chrono::milliseconds look_period{10}, drain_limit{2000};
-  /// A unit whose last channel is gone has been read to its end when it has brought nothing for `end_silence`, and no
-  /// message is in hand. It is given up after `end_limit` in any case.
-  static constexpr std::chrono::milliseconds end_silence{1000}, end_limit{30'000};
-  struct Unit {
-    explicit Unit(std::size_t& reader_count) : readers(reader_count) {}
-
-    UnitKind kind = UnitKind::instance;
-    std::optional<std::int32_t> partition;  ///< of the topics; nullopt: all of it
-    std::map<discovery::InstanceId, discovery::ChannelRecord> channels;
-    std::unique_ptr<discovery::Election> election;  ///< null: the unit is another worker's share
-    bool leads = false;
-    bool frozen = false;  ///< leadership was lost because the registry is away: reading goes on until it is back
-    int task = -1;        ///< index of the task that reads it; -1: it is not read here
-    Move move = Move::none;
-    int looks_left = 0;  ///< while it moves or ends: how often look_at_moves() or look_at_ends() still waits for it
-    // While it ends:
-    discovery::InstanceId instance;         ///< whose exclusive channel it had; empty: its channels were shared
-    std::optional<UnitReaders::Key> topic;  ///< of that channel
-    bool undeployed = false;                ///< that instance's record is gone
-    int last_task = -1;                     ///< the task that reads it
-    int silent_looks = 0;                   ///< how often in a row look_at_ends() has seen nothing new
-    std::size_t taken = 0;                  ///< UnitReaders::taken() at the last look
-    UnitReaders readers;
-  };
-  /// When the reading of a unit ends whose last channel is gone.
-  enum class End {
-    when_silent,  ///< see end_silence
-    at_once,      ///< the broker keeps its messages
-  };
   struct Search;  ///< all that tells what to read: session, reading group, drivers, fence
 
   /// Runs a callback of the registry, unless leave() was called. No lock is held meanwhile: the callback opens and
@@ -91,10 +56,10 @@ class SpoutPlacement {
     if (!begin_turn()) return;
     const TurnEnd end(*this);
     dispatcher_.assert_held();
-    // destroyed at the end, because they wait for their callbacks
-    std::vector<std::unique_ptr<discovery::Election>> dying;
     function();
-    dying.swap(resigned_);
+    plan_what_follows();
+    report();
+    units_.take_resigned();  // destroyed here, at the end, because they wait for their callbacks
   }
   /// \return false: everything is over
   bool begin_turn() IOTCLOUD_EXCLUDES(mutex_);
@@ -114,9 +79,8 @@ class SpoutPlacement {
   void place(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
   void add_to_unit(const discovery::ChannelRecord& channel, std::optional<std::int32_t> partition)
       IOTCLOUD_REQUIRES(dispatcher_);
-  void remove_from_unit(const discovery::ChannelRecord& channel, const std::string& name, End end)
+  void displace(const discovery::ChannelRecord& channel, int first_partition, SpoutUnits::End end)
       IOTCLOUD_REQUIRES(dispatcher_);
-  void displace(const discovery::ChannelRecord& channel, int first_partition, End end) IOTCLOUD_REQUIRES(dispatcher_);
   void follow_no_more(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
   UnitReaders::Key key_of(const discovery::ChannelRecord& channel) const;
   void on_partitions() IOTCLOUD_REQUIRES(dispatcher_);
@@ -126,35 +90,33 @@ class SpoutPlacement {
   void remove_queue(const UnitReaders::Key& topic) IOTCLOUD_REQUIRES(dispatcher_);
   void on_missing(const std::vector<discovery::ChannelRecord>& channels) IOTCLOUD_REQUIRES(dispatcher_);
   void warn_of_missing() IOTCLOUD_REQUIRES(dispatcher_);
-  void look_for_limit() IOTCLOUD_REQUIRES(dispatcher_);
-  void look_for_limit_soon() IOTCLOUD_REQUIRES(dispatcher_);
   bool queues_are_empty() IOTCLOUD_EXCLUDES(mutex_);
   void on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) IOTCLOUD_REQUIRES(dispatcher_);
-  void on_elected(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void on_lost(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void on_session(discovery::SessionState state) IOTCLOUD_REQUIRES(dispatcher_);
-  void subscribe_anew() IOTCLOUD_REQUIRES(dispatcher_);
   bool fits(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
-  void share_out_soon() IOTCLOUD_REQUIRES(dispatcher_);
-  void share_out() IOTCLOUD_REQUIRES(dispatcher_);
-  void stand(const std::string& name, Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
-  void move(const std::string& name, Unit& unit, Move where) IOTCLOUD_REQUIRES(dispatcher_);
-  void look_soon() IOTCLOUD_REQUIRES(dispatcher_);
-  void look_at_moves() IOTCLOUD_REQUIRES(dispatcher_);
-  void read_to_the_end(const std::string& name) IOTCLOUD_REQUIRES(dispatcher_);
-  void look_at_ends() IOTCLOUD_REQUIRES(dispatcher_);
-  void begin_again(const std::string& name) IOTCLOUD_REQUIRES(dispatcher_);
-  void release(const std::string& name, Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
-  void stop_reading(const std::string& name, Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
-  void read(Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
-  void balance() IOTCLOUD_REQUIRES(dispatcher_);
+  discovery::GuardPtr run_for_leader(const std::string& unit);
   std::shared_ptr<TopicReader> open_reader(const discovery::ChannelRecord& channel, const UnitReaders::Key& key,
-                                           const Unit& unit) IOTCLOUD_REQUIRES(dispatcher_);
+                                           std::optional<std::int32_t> partition, int task)
+      IOTCLOUD_REQUIRES(dispatcher_);
   void report() IOTCLOUD_REQUIRES(dispatcher_);
-  void tell_soon() IOTCLOUD_REQUIRES(dispatcher_);
-  bool alone() const IOTCLOUD_REQUIRES(dispatcher_) {
-    return sharers_.size() == 1 && sharers_.front().worker == services_->worker;
-  }
+
+  /// A call that a timer of the registry makes.
+  struct Plan {
+    bool made = false;  ///< and the call has not begun
+    discovery::GuardPtr timer;
+  };
+  struct Plans {
+    Plan sharing, looking, telling, limit, missing;
+  };
+  /// Plans a call, unless it is planned already.
+  void plan(Plan& plan, std::chrono::milliseconds pause, void (SpoutPlacement::*call)()) IOTCLOUD_REQUIRES(dispatcher_);
+  /// Plans the calls that the units need after what a callback did to them.
+  void plan_what_follows() IOTCLOUD_REQUIRES(dispatcher_);
+  void share_out() IOTCLOUD_REQUIRES(dispatcher_);
+  void look() IOTCLOUD_REQUIRES(dispatcher_);
+  void look_for_limit() IOTCLOUD_REQUIRES(dispatcher_);
+  void tell() IOTCLOUD_REQUIRES(dispatcher_);
 
   const EndpointServicesPtr services_;
   const std::string component_;
@@ -168,40 +130,24 @@ class SpoutPlacement {
   bool in_turn_ IOTCLOUD_GUARDED_BY(mutex_) = false;                               ///< a callback runs
   std::map<int, std::shared_ptr<SpoutQueue>> queues_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by task index
   bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
-  /// Timer that calls subscribe_anew(); null: no such call is planned.
+  /// Timer that calls SpoutUnits::read_anew(); null: no such call is planned.
   discovery::GuardPtr anew_ IOTCLOUD_GUARDED_BY(mutex_);
 
   /// The registry's dispatcher, in in_turn(); before it the last join(), after it the first leave().
   config::ThreadRole dispatcher_;
-  std::vector<Sharer> sharers_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< empty: not known yet
   /// Channels that the directory shows, read or not.
   std::map<discovery::InstanceId, discovery::ChannelRecord> channels_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::unique_ptr<SplitTopics> split_topics_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< set by the last join()
-  std::map<std::string, Unit> units_ IOTCLOUD_GUARDED_BY(dispatcher_);
-  std::map<std::string, Unit> ending_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< without channels, read to their end
+  SpoutUnits units_ IOTCLOUD_GUARDED_BY(dispatcher_);
   /// Topics of exclusive channels that were read here to their end, by instance, until the channel or its record goes.
   std::map<discovery::InstanceId, UnitReaders::Key> left_queues_ IOTCLOUD_GUARDED_BY(dispatcher_);
   /// Instances whose record was not read in this session. When it is not there, the registry may have lost its data.
   std::set<discovery::InstanceId> unconfirmed_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::set<std::string> complained_ IOTCLOUD_GUARDED_BY(dispatcher_);
-  TaskLoads loads_ IOTCLOUD_GUARDED_BY(dispatcher_);
-  std::size_t reader_count_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;
-  std::vector<std::unique_ptr<discovery::Election>> resigned_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< of released units
-  bool sharing_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;     ///< a call of share_out() is planned
-  discovery::GuardPtr sharing_ IOTCLOUD_GUARDED_BY(dispatcher_);   ///< timer that calls share_out()
-  std::set<std::string> moving_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< names of units that move
-  bool looking_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;     ///< a call of the next function is planned
-  discovery::GuardPtr looking_ IOTCLOUD_GUARDED_BY(dispatcher_);   ///< timer: look_at_moves(), look_at_ends()
-  std::size_t taken_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;     ///< number of units taken since the last line in the log
-  std::size_t given_up_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;  ///< number of units given up since then
-  bool telling_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;    ///< a line in the log is planned
-  discovery::GuardPtr telling_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< timer that writes that line
-  /// Outgoing channels of instances that do not have the wanted one; a timer calls warn_of_missing().
+  Plans plans_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  /// Outgoing channels of instances that do not have the wanted one; the plan `missing` calls warn_of_missing().
   std::set<std::string> others_ IOTCLOUD_GUARDED_BY(dispatcher_);
   bool warned_of_missing_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;  ///< or the call is planned
-  discovery::GuardPtr missing_ IOTCLOUD_GUARDED_BY(dispatcher_);
-  discovery::GuardPtr limit_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< timer that calls look_for_limit()
-  bool limit_soon_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;    ///< that call is planned
   PrefetchReport prefetch_report_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< why this worker has no share
   std::unique_ptr<Search> search_;                        ///< set by the last join(), taken by the first leave()

@@ -1,0 +1,172 @@
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/registry.h>
+#include <iotcloud/topology/endpoints/placement/fair_shares.h>
+#include <iotcloud/topology/endpoints/placement/task_loads.h>
+#include <iotcloud/topology/endpoints/receiving/unit_readers.h>
+
+namespace iotcloud::topology {
+
+/// The units of placement that one spout component has in one worker: decides for which of them the worker runs for
+/// leader, which task reads each unit that it leads, and when a unit's readers are opened, drained and closed.
+///
+/// It knows no registry, broker or timer. Its owner says what happened (channels that come and go, elections, workers
+/// that share), calls look() every look_period while needs_look(), and share_out() soon when needs_sharing(). All waits
+/// are counted in looks, so a process that stood still does not give up a unit for the time in which it ran nothing.
+/// Not thread safe.
+class SpoutUnits {
+ public:
+  static constexpr std::chrono::milliseconds look_period{10}, drain_limit{2000};
+  /// A unit whose last channel is gone has been read to its end when it has brought nothing for `end_silence`, and no
+  /// message is in hand. It is given up after `end_limit` in any case.
+  static constexpr std::chrono::milliseconds end_silence{1000}, end_limit{30'000};
+
+  struct Options {
+    std::string component;  ///< for the log
+    std::string worker;     ///< this worker's name among the sharers
+    /// Runs for leader of the unit of this name until the guard is destroyed. The owner passes the results to
+    /// on_elected() and on_lost().
+    std::function<discovery::GuardPtr(const std::string& unit)> run_for_leader;
+    /// Opens a reader of a topic for a task; null: it cannot be opened now. `partition`: nullopt is the whole topic.
+    std::function<std::shared_ptr<TopicReader>(const discovery::ChannelRecord& channel, const UnitReaders::Key& topic,
+                                               std::optional<std::int32_t> partition, int task)>
+        open_reader;
+  };
+  /// When the reading of a unit ends whose last channel is gone.
+  enum class End {
+    when_silent,  ///< see end_silence
+    at_once,      ///< the broker keeps its messages
+  };
+  /// An exclusive channel that was read to its end, or given up.
+  struct EndedTopic {
+    discovery::InstanceId instance;
+    UnitReaders::Key topic;
+    bool undeployed = false;  ///< undeployed() was called for that instance meanwhile
+  };
+  /// How many units were taken and given up.
+  struct Changes {
+    std::size_t taken = 0, given_up = 0;
+  };
+
+  explicit SpoutUnits(Options options) : options_(std::move(options)) {}
+  SpoutUnits(const SpoutUnits&) = delete;
+  SpoutUnits& operator=(const SpoutUnits&) = delete;
+
+  /// To be called before all others. \param tasks of the spout in this worker
+  void begin(std::size_t tasks) { loads_ = TaskLoads(tasks); }
+
+  /// Puts a channel into a unit, which is made if it is not there.
+  void add(const std::string& name, const discovery::ChannelRecord& channel, const UnitReaders::Key& topic,
+           std::optional<std::int32_t> partition);
+  void remove(const std::string& name, const discovery::InstanceId& instance, End end);
+  bool contains(const std::string& name) const { return units_.contains(name); }
+  /// The instance's record is gone: EndedTopic::undeployed of its unit that is being read to its end.
+  void undeployed(const discovery::InstanceId& instance);
+
+  /// The workers that share the units changed. Takes effect with share_out().
+  void set_sharers(std::vector<Sharer> sharers) { sharers_ = std::move(sharers); }
+  /// Runs for leader of the units of this worker's fair share, and gives the others up.
+  void share_out();
+  /// Moves units between this worker's tasks while they are uneven.
+  void balance();
+  void on_elected(const std::string& name);
+  /// \param registry_away leadership was lost because the registry is away: reading goes on until it is back.
+  void on_lost(const std::string& name, bool registry_away);
+  /// The registry is back: gives up the units that were kept without it, unless this worker leads them again.
+  void registry_back();
+  /// Closes and opens all readers after the fence was raised: the broker then delivers only to the reader that it
+  /// accepts now.
+  void read_anew();
+  /// Continues moves and ends. \return the exclusive channels whose units ended
+  std::vector<EndedTopic> look();
+  /// Closes all readers, and resigns everywhere.
+  void close();
+
+  /// Whether look() is to be called in look_period.
+  bool needs_look() const { return !moving_.empty() || !ending_.empty(); }
+  /// Whether units came or went since the last share_out().
+  bool needs_sharing() const { return needs_sharing_; }
+  /// Guards of run_for_leader() of units that were given up. Destroying them may wait for their callbacks.
+  std::vector<discovery::GuardPtr> take_resigned() { return std::exchange(resigned_, {}); }
+  /// Whether take_changes() has any.
+  bool has_changes() const { return changes_.taken + changes_.given_up > 0; }
+  Changes take_changes() { return std::exchange(changes_, {}); }
+  std::size_t size() const { return units_.size(); }
+  std::size_t read_here() const;  ///< number of units that a task of this worker reads
+  std::size_t readers() const { return reader_count_; }
+  /// Whether the broker does not deliver to a reader of this worker.
+  bool cut_off() const;
+  /// The instances with exclusive channels that are being read to their end.
+  std::set<discovery::InstanceId> ending_instances() const;
+  /// How many readers get no more messages until some are settled.
+  std::size_t at_limit() const;
+  /// The greatest prefetch of a reader; 0: there is none.
+  std::size_t prefetch() const;
+
+ private:
+  /// Where a unit moves. Its readers are drained: they stay subscribed and take no message until those that they
+  /// brought are settled or drain_limit has passed. Then the unit's next task or worker reads it.
+  enum class Move { none, to_task, to_worker };
+  struct Channel {
+    discovery::ChannelRecord record;
+    UnitReaders::Key topic;
+  };
+  struct Unit {
+    explicit Unit(std::size_t& reader_count) : readers(reader_count) {}
+
+    UnitKind kind = UnitKind::instance;
+    std::optional<std::int32_t> partition;  ///< of the topics; nullopt: all of it
+    std::map<discovery::InstanceId, Channel> channels;
+    discovery::GuardPtr candidacy;  ///< of run_for_leader(); null: the unit is another worker's share
+    bool leads = false;
+    bool frozen = false;  ///< leadership was lost because the registry is away: reading goes on until it is back
+    int task = -1;        ///< index of the task that reads it; -1: it is not read here
+    Move move = Move::none;
+    int looks_left = 0;  ///< while it moves or ends: how often look() still waits for it
+    // While it ends:
+    discovery::InstanceId instance;         ///< whose exclusive channel it had; empty: its channels were shared
+    std::optional<UnitReaders::Key> topic;  ///< of that channel
+    bool undeployed = false;                ///< that instance's record is gone
+    int last_task = -1;                     ///< the task that reads it
+    int silent_looks = 0;                   ///< how often in a row look() has seen nothing new
+    std::size_t taken = 0;                  ///< UnitReaders::taken() at the last look
+    UnitReaders readers;
+  };
+
+  bool alone() const { return sharers_.size() == 1 && sharers_.front().worker == options_.worker; }
+  void run_for_leader(const std::string& name, Unit& unit);
+  void move(const std::string& name, Unit& unit, Move where);
+  void look_at_moves();
+  std::vector<EndedTopic> look_at_ends();
+  void read_to_the_end(const std::string& name);
+  void begin_again(const std::string& name);
+  void release(const std::string& name, Unit& unit);
+  void stop_reading(const std::string& name, Unit& unit);
+  void read(Unit& unit);
+
+  const Options options_;
+  std::vector<Sharer> sharers_;  ///< empty: not known yet
+  std::size_t reader_count_ = 0;
+  std::map<std::string, Unit> units_;
+  std::map<std::string, Unit> ending_;  ///< without channels, read to their end
+  std::set<std::string> moving_;        ///< names of units that move
+  TaskLoads loads_;
+  std::vector<discovery::GuardPtr> resigned_;  ///< of released units
+  bool needs_sharing_ = false;
+  Changes changes_;
+};
+
+}  // namespace iotcloud::topology
