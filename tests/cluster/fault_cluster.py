@@ -21,9 +21,11 @@ from private_cluster import PrivateCluster, StartError, free_port  # noqa: E402,
 
 SESSION_S = 4  # the workers' registry.session_timeout
 HEARTBEAT_S = 1
-GRACE_S = 2  # a rebalance takes at most the session's time-out and this long
+PAUSE_S = SESSION_S + 2  # by then a killed worker's drivers are usually read elsewhere
 
-LIMIT_S = SESSION_S + GRACE_S
+# How long something may take, by name. A test that runs beside others measures how busy the machine is: it prints the time,
+# and only a test that is told to (`--judge`) fails for it.
+LIMITS = json.loads((HERE / "limits.json").read_text())
 
 TOPOLOGY = f"""
 zk.servers: [{{zookeeper}}]
@@ -228,6 +230,19 @@ def sentence(name, totals):
     return (f"{name}: {totals['sent']} sent, {totals['lost']} lost, {totals['duplicated']} duplicated, "
             f"{totals['out_of_order']} out of order, {totals['damaged']} damaged; a message or duplicate came at most "
             f"{totals['furthest_back']} numbers late; the longest round trip took {totals['max_s']:.1f} s")
+
+
+def add_judge(parser):
+    parser.add_argument("--judge", action="store_true",
+                        help="fail if something took longer than limits.json allows: only where no other test runs")
+
+
+def judge(given, name, seconds):
+    """Prints a time beside its limit; with `--judge`, ends the test if it is longer."""
+    limit, what = LIMITS[name]["limit"], LIMITS[name]["of"]
+    print(f"{name} {seconds:.2f} s of {limit} s ({what})", flush=True)
+    if given.judge and seconds > limit:
+        raise SystemExit(f"{name}: {seconds:.2f} s is longer than tests/cluster/limits.json allows")
 
 
 def finish(name, totals):

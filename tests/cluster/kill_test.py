@@ -1,9 +1,9 @@
 #!/usr/bin/python3
 """Random kill -9 of workers, of the processes that run drivers, and of the ZooKeeper server (its leader, in the long
-form), under load. Nothing may be lost, and what a killed worker read is read elsewhere within the session's time-out plus
-two seconds.
+form), under load. Nothing may be lost, and what a killed worker read is read elsewhere. How long that took is printed, and
+judged with --judge.
 
-usage: kill_test.py BUILD_DIR [--seconds N] [--long] [--seed N] [--broker kafka]
+usage: kill_test.py BUILD_DIR [--seconds N] [--long] [--seed N] [--broker kafka] [--judge]
 
 Killing a driver's process ends that driver's run; the new process counts anew, so that what is reported is the last
 run's. Therefore drivers' processes are killed in the first half only.
@@ -18,7 +18,7 @@ import random
 import statistics
 import time
 
-from fault_cluster import GRACE_S, LIMIT_S, FaultCluster, finish
+from fault_cluster import PAUSE_S, FaultCluster, add_judge, finish, judge
 
 WORKERS, DRIVERS, RATE = 3, 6, 100
 
@@ -43,8 +43,7 @@ def take_overs(events, kills, disturbances):
     return found
 
 
-def report(found):
-    """Prints the times and judges them."""
+def report(given, found):
     alone = [total for total, _, only in found if only]
     meanwhile = [total for total, _, only in found if not only]
     starts = [start for _, start, _ in found]
@@ -55,11 +54,8 @@ def report(found):
                   f"{max(times):.2f} s", flush=True)
     if not found:
         raise SystemExit("no worker was killed that read a driver: nothing was shown")
-    if statistics.median(alone or meanwhile) > LIMIT_S:
-        raise SystemExit(f"that is more than {LIMIT_S} s")
-    # On a busy machine a single expiry may come late; the time after it depends on this system only.
-    if max(starts) > GRACE_S:
-        raise SystemExit(f"a driver was read only {max(starts):.1f} s after its election; {GRACE_S} s are allowed")
+    judge(given, "read_elsewhere_s", statistics.median(alone or meanwhile))
+    judge(given, "read_after_election_s", max(starts))
 
 
 def main():
@@ -69,6 +65,7 @@ def main():
     parser.add_argument("--long", action="store_true", help="three ZooKeeper servers, of which the leader is killed")
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--broker", choices=("rabbitmq", "kafka"), default="rabbitmq")
+    add_judge(parser)
     given = parser.parse_args()
     choose = random.Random(given.seed)
     print(f"seed {given.seed}", flush=True)
@@ -82,7 +79,7 @@ def main():
         workers = [cluster.worker() for _ in range(WORKERS)]
         cluster.wait_until_ready()
         cluster.wait_for_workers(WORKERS)
-        cluster.drivers(DRIVERS, (given.seconds + 2 * LIMIT_S) * RATE, RATE)
+        cluster.drivers(DRIVERS, (given.seconds + 2 * PAUSE_S) * RATE, RATE)
         cluster.wait_until_all_read()
         begin = time.monotonic()
         kinds = ["worker"]  # first only workers
@@ -101,7 +98,7 @@ def main():
             elif not cluster.kill_drivers():
                 continue
             killed[kind] += 1
-            pause = LIMIT_S if len(kinds) == 1 else choose.uniform(0.5, 3)
+            pause = PAUSE_S if len(kinds) == 1 else choose.uniform(0.5, 3)
             if kind != "worker":
                 disturbances.append(time.time())
             time.sleep(pause)
@@ -111,7 +108,7 @@ def main():
         events = cluster.timeline()
     print("killed: " + ", ".join(f"{count} x {kind}" for kind, count in killed.items()))
     finish("random kill -9", totals)
-    report(take_overs(events, kills, disturbances))
+    report(given, take_overs(events, kills, disturbances))
 
 
 if __name__ == "__main__":

@@ -2,11 +2,12 @@
 """Three masters, of which the leader is killed (kill -9), or frozen past its session's time-out (SIGSTOP) and continued,
 again and again, while orders are given through the CLI and load generators run through a topology.
 
-usage: leaders_test.py BUILD_DIR [--kills N] [--stops N] [--seed N]
+usage: leaders_test.py BUILD_DIR [--kills N] [--stops N] [--seed N] [--judge]
 
-Judged: how long until another one leads (the session's time-out plus two seconds); that the orders of a leader that was
-frozen, given to it before it knew better, are followed by nobody and stand nowhere; that the CLI, which is told of all masters, finds the
-one that leads by itself; and that the data plane notices nothing: no message lost, none late.
+Checked: that another one leads; that the orders of a leader that was frozen, given to it before it knew better, are followed
+by nobody and stand nowhere; that the CLI, which is told of all masters, finds the one that leads by itself; and that the data
+plane loses no message. Printed, and judged with --judge: how long until another one leads, and the longest round trip of the
+data plane.
 """
 
 import argparse
@@ -17,14 +18,14 @@ import statistics
 import threading
 import time
 
-from fault_cluster import GRACE_S, LIMIT_S, SESSION_S, FaultCluster, StartError, finish, sentence, wait_for
+from fault_cluster import (PAUSE_S, SESSION_S, FaultCluster, StartError, add_judge, finish, judge, sentence,
+                           wait_for)
 from master_api import MasterApi, compile_idl
 from private_server import freeze
 
 DRIVERS, RATE = 4, 100
-# The data plane waits for nothing. A busy machine adds far less than a session's time-out.
-LATE_S = SESSION_S / 2
-KILL_S, STOP_S = LIMIT_S + 2, LIMIT_S + 6  # the longest time from a fault to the next one
+KILL_S, STOP_S = PAUSE_S + 2, PAUSE_S + 6  # how long the drivers send for each fault
+LEADERLESS_S = 60  # how long the test waits for the next leader
 STALE = 5  # orders to each frozen leader
 
 
@@ -107,12 +108,12 @@ class Masters(FaultCluster):
     def next_leader(self, former, epoch, since):
         """The next leader, and how long the change took."""
         others, found = [name for name in self.apis if name != former], []
-        deadline = since + 3 * LIMIT_S
+        deadline = since + LEADERLESS_S
         while not found and time.monotonic() < deadline:
             time.sleep(0.02)
             found = self.leader(others, epoch) or []
         if not found:
-            raise SystemExit(f"no other master led within {3 * LIMIT_S} s; see {self.out}")
+            raise SystemExit(f"no other master led within {LEADERLESS_S} s; see {self.out}")
         return found, time.monotonic() - since
 
     def purposes(self):
@@ -167,14 +168,11 @@ def stop_leader(cluster, orders, leader):
     return following, took, answers
 
 
-def judge(name, times):
+def report(given, name, times):
     if not times:
         return
-    print(f"{name} {len(times)} times: another one led after {statistics.median(times):.2f} s (median), "
-          f"{max(times):.2f} s at the latest; {LIMIT_S} s are allowed (session's time-out {SESSION_S} s + {GRACE_S} s)",
-          flush=True)
-    if max(times) > LIMIT_S:
-        raise SystemExit("that is too long")
+    print(f"{name} {len(times)} times: another one led after {statistics.median(times):.2f} s (median)", flush=True)
+    judge(given, "next_leader_s", max(times))
 
 
 def judge_stale(cluster, answers):
@@ -197,6 +195,7 @@ def main():
     parser.add_argument("--kills", type=int, default=2)
     parser.add_argument("--stops", type=int, default=1)
     parser.add_argument("--seed", type=int, default=int(time.time()))
+    add_judge(parser)
     given = parser.parse_args()
     compile_idl(given.build)
     choose = random.Random(given.seed)
@@ -229,8 +228,8 @@ def main():
         cluster.require_alive()
         judge_stale(cluster, answers)
         totals = cluster.totals(seconds + 60)
-    judge("leader killed", killed)
-    judge("leader frozen", stopped)
+    report(given, "leader killed", killed)
+    report(given, "leader frozen", stopped)
     print(f"orders meanwhile: {orders.done} done, {len(orders.failed)} not, or not known" + (", such as:" if orders.failed else ""))
     for text in orders.failed[:5]:
         print("  " + " ".join(text.split())[:240])
@@ -239,9 +238,7 @@ def main():
         raise SystemExit("a gateway was lost with a master")
     print(sentence("with nothing wrong", usual))
     finish("masters killed and frozen", totals)
-    if totals["max_s"] > LATE_S:
-        raise SystemExit(f"a message took {totals['max_s']:.2f} s; {LATE_S:.0f} s are allowed: the data plane waited for a "
-                         "master")
+    judge(given, "without_a_master_s", totals["max_s"])
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import signal
 import socket
 import time
 
-from fault_cluster import LIMIT_S, SESSION_S, FaultCluster, finish, wait_for
+from fault_cluster import PAUSE_S, SESSION_S, FaultCluster, finish, wait_for
 from private_server import freeze
 
 WORKERS, DRIVERS, RATE = 3, 6, 50
@@ -74,7 +74,7 @@ class Faults:
                 self.cluster.kill(victim)
             else:
                 self.cluster.end(victim, signal.SIGTERM)
-            time.sleep(self.choose.uniform(0, LIMIT_S))
+            time.sleep(self.choose.uniform(0, PAUSE_S))
             self.workers[place] = self.cluster.worker()
         self.done[kind] += 1
 
@@ -94,7 +94,7 @@ def main():
         faults = Faults(cluster, choose)
         cluster.wait_until_ready()
         cluster.wait_for_workers(WORKERS)
-        count = (given.seconds + 2 * LIMIT_S) * RATE
+        count = (given.seconds + 2 * PAUSE_S) * RATE
         cluster.drivers(DRIVERS, count, RATE)
         cluster.wait_until_all_read()
         instances = [driver["instance"] for driver in cluster.json("drivers")]
