@@ -5,6 +5,7 @@
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/discovery/client/registry_client.h>
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/discovery/logger.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/zookeeper/connection.h>
 
@@ -29,6 +30,15 @@ void refuse_exposed(const zookeeper::Url& url) {
   }
 }
 
+void warn_of_open(const std::string& url) {
+  logger.warn(
+      "{}: without a user every process of this machine may write to the registry: give orders for any gateway and "
+      "topology, and change or remove any record. Give \"registry.user\" and \"registry.password_file\" to every "
+      "process "
+      "(discovery/README.md), or say \"registry.open: true\" if it is meant",
+      url);
+}
+
 }  // namespace
 
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
@@ -40,7 +50,10 @@ std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
   if (options.url.starts_with("zookeeper://")) {
     zookeeper::Settings settings;
     settings.url = zookeeper::parse_url(options.url);
-    if (options.user.empty()) refuse_exposed(settings.url);
+    if (options.user.empty()) {
+      refuse_exposed(settings.url);
+      if (!options.open) warn_of_open(options.url);
+    }
     settings.session_timeout = options.session_timeout;
     if (!options.user.empty()) settings.identity = options.user + ":" + options.password;
     settings.user = options.user;

@@ -139,10 +139,12 @@ struct RegistryOptions {
   std::shared_ptr<const RegistryAccess> access{};
   /// Clients without that password may read this process's nodes.
   bool others_may_read = false;
+  /// That every process of this machine may write to a ZooKeeper without a user is meant, so the log does not warn.
+  bool open = false;
 };
 
 /// Returns at once and connects in the background, without a limit in time. \throws config::Error for a malformed URL,
-/// and for a server of another machine without a user.
+/// and for a server of another machine without a user. Warns of one on this machine without a user.
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options);
 
 /// Sets a node's data; creates the node and its parents if they are missing.

@@ -60,6 +60,7 @@ RegistryOptions read_registry_options(config::Section& top) {
   options.user = top.string_or("registry.user", "");
   options.password = read_password(top);
   options.others_may_read = top.bool_or("registry.others_may_read", false);
+  options.open = top.bool_or("registry.open", false);
   if (options.user.empty() != options.password.empty()) {
     throw top.error(options.user.empty() ? "" : "registry.user",
                     "a user of the registry and a password belong together",
@@ -72,6 +73,10 @@ RegistryOptions read_registry_options(config::Section& top) {
   if (options.others_may_read && options.user.empty()) {
     throw top.error("registry.others_may_read", "without a user everybody may read and write anyway",
                     "add \"registry.user\", or remove this");
+  }
+  if (options.open && !options.user.empty()) {
+    throw top.error("registry.open", "it is for a registry without a user",
+                    "remove it, or \"registry.user\" and what goes with it");
   }
   return options;
 }

@@ -7,8 +7,8 @@ namespace iotcloud::discovery {
 
 /// Reads the keys for the registry that every process has besides its URL: `registry.session_timeout`, `registry.user`,
 /// `registry.password_file` (the password is its first line) or `registry.password_variable` (of the environment), and
-/// `registry.users` (a file, access.h) and `registry.others_may_read`. They are at the top of a file, with the dot in
-/// the key. Leaves the URL empty. \throws config::ConfigError
+/// `registry.users` (a file, access.h), `registry.others_may_read` and `registry.open`. They are at the top of a file,
+/// with the dot in the key. Leaves the URL empty. \throws config::ConfigError
 RegistryOptions read_registry_options(config::Section& top);
 
 }  // namespace iotcloud::discovery

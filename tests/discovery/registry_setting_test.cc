@@ -38,6 +38,8 @@ TEST(RegistrySetting, NothingIsNeeded) {
   EXPECT_EQ(options.session_timeout, std::chrono::seconds(10));
   EXPECT_TRUE(options.user.empty());
   EXPECT_FALSE(options.others_may_read);
+  EXPECT_FALSE(options.open);
+  EXPECT_TRUE(read("registry.open: true").open);
 }
 
 TEST(RegistrySetting, ReadsUserAndTheFirstLineOfThePasswordFile) {
@@ -89,6 +91,8 @@ TEST(RegistrySetting, WhatCannotBeIsRefusedWithARemedy) {
               HasSubstr("IOTCLOUD_NO_SUCH_VARIABLE"));
   EXPECT_THAT(error_of("registry.password_file: /a\nregistry.password_variable: B"), HasSubstr("remove one"));
   EXPECT_THAT(error_of("registry.others_may_read: true"), HasSubstr("registry.user"));
+  EXPECT_THAT(error_of("registry.open: true\nregistry.user: u\nregistry.password_variable: HOME"),
+              HasSubstr("registry.open"));
   EXPECT_THAT(error_of("registry.session_timeout: 1ms"), HasSubstr("10s is usual"));
 }
 

@@ -3,9 +3,14 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/zookeeper/url.h>
+#include <iotcloud/tests/captured_log.h>
 
 namespace iotcloud::discovery {
 namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
 
 TEST(RegistryUrl, NamesHostsPortsAndChroot) {
   const auto plain = zookeeper::parse_url("zookeeper://localhost");
@@ -26,13 +31,33 @@ TEST(RegistryUrl, AServerThatOtherMachinesReachNeedsAUser) {
       make_registry(options);
       ADD_FAILURE() << url << ": anybody there could give orders";
     } catch (const config::Error& error) {
-      EXPECT_THAT(error.what(), testing::HasSubstr("registry.user"));
+      EXPECT_THAT(error.what(), HasSubstr("registry.user"));
     }
   }
   for (const char* url : {"zookeeper://127.0.0.1:1", "zookeeper://localhost:1,[::1]:1/x"}) {
     options.url = url;
     EXPECT_TRUE(make_registry(options)) << url;
   }
+}
+
+TEST(RegistryUrl, AServerOfThisMachineWithoutAUserIsWarnedOfUnlessItIsMeant) {
+  const auto said = [](const RegistryOptions& options) {
+    const iotcloud::tests::CapturedLog log;
+    make_registry(options);
+    return log.text();
+  };
+  RegistryOptions options;
+  options.url = "zookeeper://localhost:1/x";
+  EXPECT_THAT(said(options), AllOf(HasSubstr(options.url), HasSubstr("every process of this machine"),
+                                   HasSubstr("registry.user"), HasSubstr("registry.open: true")));
+  const auto not_warned = Not(HasSubstr("every process of this machine"));
+  options.open = true;
+  EXPECT_THAT(said(options), not_warned);
+  options.open = false;
+  options.user = "gateway-1";
+  options.password = "secret";
+  EXPECT_THAT(said(options), not_warned);
+  EXPECT_THAT(said({.url = "embedded://not-warned"}), not_warned);
 }
 
 TEST(RegistryUrl, WhatCannotBeReadIsRefusedWithTheFormThatIsRight) {
@@ -43,8 +68,8 @@ TEST(RegistryUrl, WhatCannotBeReadIsRefusedWithTheFormThatIsRight) {
       make_registry({.url = url});
       ADD_FAILURE() << url;
     } catch (const config::Error& error) {
-      EXPECT_THAT(error.what(), testing::HasSubstr("zookeeper://host:port"));
-      EXPECT_THAT(error.what(), testing::HasSubstr(url));
+      EXPECT_THAT(error.what(), HasSubstr("zookeeper://host:port"));
+      EXPECT_THAT(error.what(), HasSubstr(url));
     }
   }
   EXPECT_THROW(make_registry({.url = "etcd://a"}), config::Error);
