@@ -17,7 +17,7 @@ SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "maste
 DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
 RUN_ONCE = {"bench", "cli", "secrets"}  # by a person, or by ./dev cluster
 # What gateways may share with others: all but the broker's password is public.
-SHARED = {"ca.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "rabbitmq.password"}
+SHARED = {"ca.pem", "revoked.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "rabbitmq.password"}
 FORBIDDEN = ["privileged", "pid", "ipc", "userns_mode", "devices", "cgroup_parent", "env_file"]
 SECRET_WORD = re.compile(r"(?i)(password|passwd|pass|token|secret|credential)[a-z_]*$")
 
@@ -63,8 +63,8 @@ def ways_around_the_tunnel(file):
             if service["command"][0] != "iotcloud-with-registry-tunnel":
                 yield f"{name} has no tunnel to the registry"
             targets = {secret["target"] for secret in service["secrets"] if isinstance(secret, dict)}
-            if not {"host.pem", "host.key"} <= targets or "ca.pem" not in secrets_of(service):
-                yield f"{name} has no certificate for its tunnel"
+            if not {"host.pem", "host.key"} <= targets or not {"ca.pem", "revoked.pem"} <= secrets_of(service):
+                yield f"{name} has no certificate, authority or list of revoked certificates for its tunnel"
 
 
 def directives(file):

@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """The shipped configurations of the tunnel to the registry, that of the units and those of docker-compose.yml: what goes in
-comes out at a server of the same authority that has the name which was asked for, and nowhere else.
+comes out at a server of the same authority that has the name which was asked for, and nowhere else; a certificate that is
+revoked opens nothing.
 
 usage: registry_tunnel_test.py DEPLOY_FOLDER IOTCLOUD
 """
@@ -77,6 +78,9 @@ class Tunnel(unittest.TestCase):
         subprocess.run([IOTCLOUD, "certs", verb, self.folder, "--host", ",".join(hosts)], check=True, capture_output=True,
                        timeout=60)
 
+    def revoke(self, host):
+        subprocess.run([IOTCLOUD, "certs", "revoke", self.folder, host], check=True, capture_output=True, timeout=60)
+
     def start(self, port, name="localhost"):
         """Starts stunnel with the shipped file, on ports of this test, to a server that must have this name."""
         accept = free_port()
@@ -94,6 +98,7 @@ class Tunnel(unittest.TestCase):
         tunnel = subprocess.Popen(["/usr/bin/stunnel4", file], stderr=subprocess.DEVNULL)
         self.addCleanup(tunnel.wait)
         self.addCleanup(tunnel.terminate)
+        return tunnel
 
     def of_cluster(self, name, host, places):
         """Starts stunnel with a configuration of docker-compose.yml, as a container that has this certificate."""
@@ -101,7 +106,7 @@ class Tunnel(unittest.TestCase):
         for there, here in {"/run/secrets/host": f"{self.folder}/{host}", "/run/secrets": str(self.folder), **places}.items():
             self.assertIn(there, text)
             text = text.replace(there, here)
-        self.stunnel(name, text)
+        return self.stunnel(name, text)
 
     def ask(self, port):
         """What comes back through the tunnel; empty: the connection ended."""
@@ -134,6 +139,11 @@ class Tunnel(unittest.TestCase):
         self.assertEqual(self.ask(self.start(foreign.port)), b"")
         self.assertEqual(named.heard + foreign.heard, b"")
 
+    def test_it_does_not_lead_to_a_server_whose_certificate_is_revoked(self):
+        server = Server(self.folder, "localhost")
+        self.revoke("localhost")
+        self.assertEqual(self.ask(self.start(server.port)), b"")
+        self.assertEqual(server.heard, b"")
 
     def test_the_clusters_two_ends_fit_and_take_no_strangers(self):
         behind = PlainServer()
@@ -150,6 +160,34 @@ class Tunnel(unittest.TestCase):
         self.of_cluster("registry-tunnel.conf", "master-1", client)
         self.assertEqual(self.ask(stranger), b"")
         self.assertEqual(behind.heard, b"ruok")
+
+
+    def test_the_clusters_end_takes_no_revoked_certificate_once_it_was_started_again(self):
+        behind = PlainServer()
+        inner = free_port()
+        server = {"accept = 2281": f"accept = 127.0.0.1:{inner}", "zookeeper:2181": f"127.0.0.1:{behind.port}"}
+        self.certs("add", "registry-tls", "gateway-1", "gateway-2")
+        before = self.of_cluster("registry-tls.conf", "registry-tls", server)
+        ends = {}
+        for gateway in ("gateway-1", "gateway-2"):
+            ends[gateway] = free_port()
+            self.of_cluster("registry-tunnel.conf", gateway, {"127.0.0.1:2181": f"127.0.0.1:{ends[gateway]}",
+                                                              "connect = registry-tls:2281": f"connect = 127.0.0.1:{inner}"})
+            self.assertEqual(self.ask(ends[gateway]), b"RUOK")
+        self.revoke("gateway-1")
+        before.terminate()
+        before.wait(LIMIT_S)
+        self.of_cluster("registry-tls.conf", "registry-tls", server)
+        self.assertEqual(self.ask_until_answered(ends["gateway-2"]), b"RUOK")
+        self.assertEqual(self.ask(ends["gateway-1"]), b"")
+
+    def ask_until_answered(self, port):
+        """As ask(), while the tunnel's other end may still be starting."""
+        deadline = time.monotonic() + LIMIT_S
+        while not (answer := self.ask(port)):
+            self.assertLess(time.monotonic(), deadline)
+            time.sleep(0.05)
+        return answer
 
 
 if __name__ == "__main__":
