@@ -1,9 +1,11 @@
 // Who gets in through TLS, and who does not.
+#include <atomic>
 #include <csignal>
 #include <filesystem>
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <thread>
 
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
@@ -65,6 +67,36 @@ class OtherClient {
  private:
   const int descriptor_;
   const std::unique_ptr<SSL_CTX, decltype(&SSL_CTX_free)> context_{SSL_CTX_new(TLS_client_method()), SSL_CTX_free};
+};
+
+/// Calls without a pause, on one connection and now and then on a new one, until a call fails.
+class Caller {
+ public:
+  explicit Caller(const ThriftClientOptions& options)
+      : thread_([this, options](const std::stop_token& stop) { call(options, stop); }) {}
+  bool failed() const { return failed_; }
+  /// Whether so many more calls are answered.
+  bool goes_on(int calls) const {
+    const int goal = answered_ + calls;
+    return tests::eventually([&] { return failed_ || answered_ >= goal; }) && !failed_;
+  }
+
+ private:
+  void call(const ThriftClientOptions& options, const std::stop_token& stop) {
+    try {
+      const ThriftClient kept(options);
+      while (!stop.stop_requested()) {
+        ask(kept);
+        if (++answered_ % 20 == 0) ask(ThriftClient(options));
+      }
+    } catch (const apache::thrift::TException&) {
+      failed_ = true;
+    }
+  }
+
+  std::atomic<int> answered_{0};
+  std::atomic<bool> failed_{false};
+  std::jthread thread_;  ///< last: it uses the others
 };
 
 class Tls : public testing::Test {
@@ -262,6 +294,27 @@ TEST_F(Tls, ARevokedCertificateIsCutOffAtOnceAlsoOnAnOpenConnectionAndOthersGoOn
   EXPECT_NE(error_of(client(own.of("thief"))), "");
   EXPECT_EQ(ask(honest), "hello");
   EXPECT_EQ(ask(ThriftClient(client(own.of("operator")))), "hello");
+}
+
+TEST_F(Tls, UnderLoadARevokedCertificateIsCutOffAndARenewedOneShownAndNoOtherCallIsLost) {
+  const security::test::Certificates own;
+  own.authority().certify_caller("thief");
+  security::make_revocations(own.authority());
+  security::renew_certificate(own.authority(), "lab1", 3);
+  options_.tls = own.of("lab1");
+  options_.tls.revoked = security::revocations_file(own.authority());
+  options_.look_period = std::chrono::milliseconds(20);
+  serve();
+  auto& days = config::process_metrics().gauge("iotcloud_certificate_days_left", "", {{"service", options_.name}});
+  const Caller honest(client(own.of("operator")));
+  const Caller stolen(client(own.of("thief")));
+  ASSERT_TRUE(honest.goes_on(100));
+  ASSERT_TRUE(stolen.goes_on(100)) << "the attack";
+  security::revoke_certificate(own.authority(), "thief");
+  security::renew_certificate(own.authority(), "lab1");
+  ASSERT_TRUE(tests::eventually([&] { return stolen.failed() && days.value() > 700; }));
+  EXPECT_NE(error_of(client(own.of("thief"))), "");
+  EXPECT_TRUE(honest.goes_on(100));
 }
 
 TEST_F(Tls, ARenewedCertificateIsShownByItselfAndNoCallIsLost) {
