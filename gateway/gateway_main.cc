@@ -1,6 +1,7 @@
 // iotcloud-gateway: connects the devices of one place to the brokers, by way of driver hosts.
 #include <atomic>
 #include <cstdlib>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -20,6 +21,7 @@
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/processes/state_folder.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
+#include <iotcloud/security/certificate_days.h>
 
 namespace {
 
@@ -52,6 +54,9 @@ class GatewayDaemon final : public config::Service {
       of_hosts_ = config::process_metrics().add_source(
           [hosts = config_.hosts.metrics](std::vector<config::Sample>& samples) { hosts->append(samples); });
     }
+    std::map<std::string, std::string> certificates;
+    for (const auto& broker : config_.gateway.brokers) certificates[broker.name] = broker.options.tls.certificate_file;
+    certificate_days_.emplace(std::move(certificates), config::process_metrics());
     registry_ = discovery::make_registry(config_.registry);
     auto options = config_.gateway;
     options.registry = registry_.get();
@@ -128,6 +133,7 @@ class GatewayDaemon final : public config::Service {
 
   gateway::GatewayConfig config_;
   config::Metrics::SourceRegistration of_hosts_;
+  std::optional<security::CertificateDays> certificate_days_;  ///< of those that driver hosts show to brokers
   std::optional<processes::StateFolder> state_;
   std::unique_ptr<discovery::Registry> registry_;
   std::optional<gateway::Gateway> gateway_;

@@ -1,5 +1,7 @@
 #include <algorithm>
 #include <atomic>
+#include <map>
+#include <string>
 #include <thread>
 
 #include <fmt/format.h>
@@ -10,6 +12,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/security/certificate_days.h>
 #include <iotcloud/security/trusted_keys.h>
 #include <iotcloud/topology/definition/describe.h>
 #include <iotcloud/topology/endpoints/endpoints.h>
@@ -81,6 +84,9 @@ struct Worker::Impl {
     services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
     watch.emplace(links_of(services->brokers), *services->clock, *services->metrics,
                   config::Labels{{"topology", services->topology.str()}});
+    std::map<std::string, std::string> certificates;
+    for (const auto& [name, broker] : definition.brokers) certificates[name] = broker.tls.certificate_file;
+    certificate_days.emplace(std::move(certificates), *services->metrics);
     if (!definition.order_keys.empty()) trust_masters(definition);
     topology = assemble(definition, options.components, endpoint_factories(services));
     services->keepers = keepers_by_spout(topology);
@@ -248,7 +254,8 @@ struct Worker::Impl {
   std::shared_ptr<security::TrustedKeys> masters;  ///< whose orders are followed; null: orders need no signature
   Topology topology;
   std::optional<BrokerWatch> watch;
-  std::chrono::milliseconds standstill{0};  ///< the fence's limit; 0: no fence
+  std::optional<security::CertificateDays> certificate_days;  ///< of those that brokers are shown
+  std::chrono::milliseconds standstill{0};                    ///< the fence's limit; 0: no fence
   std::unique_ptr<discovery::Registry> own_registry;
   discovery::GuardPtr alone;  ///< the place of the only worker, for a topology that allows only one
   std::string http_address;   ///< constant after start(), as http_tls
