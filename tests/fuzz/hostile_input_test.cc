@@ -1,7 +1,7 @@
-// Runs the fuzz targets without libFuzzer: each gets its seeds, and then mutations of them that are the same in each
-// run.
+// Runs the fuzz targets without libFuzzer: each gets the files of its folder in corpus/, and then mutations of them
+// that are the same in each run.
 //
-// A target that dies or hangs reports the input: the number of a seed or, after the seeds, of a mutation. To give a
+// A target that dies or hangs reports the input: the number of a file or, after the files, of a mutation. To give a
 // target only that input, and to find its bytes in the file TARGET-NUMBER:
 //   IOTCLOUD_HOSTILE_INPUT=NUMBER hostile_input_test --gtest_filter=*/TARGET
 // A target whose server outlives an input may also need the earlier inputs; then only the whole run reproduces it.
@@ -10,6 +10,7 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <fstream>
 #include <memory>
 #include <optional>
@@ -22,7 +23,7 @@
 
 #include "iotcloud/tests/fuzz/fuzz_target.h"
 #include "iotcloud/tests/fuzz/mutations.h"
-#include "iotcloud/tests/fuzz/seeds.h"
+#include <iotcloud/tests/files.h>
 
 // Sanitizer errors end in SIGABRT, like everything else that ends a target. The sanitizers look these functions up by
 // name.
@@ -79,9 +80,17 @@ std::vector<std::string> names_of_targets() {
   return names;
 }
 
-fuzz::Seeds& seeds_of_all() {
-  static fuzz::Seeds all = fuzz::all_seeds();
-  return all;
+const std::filesystem::path corpus = IOTCLOUD_FUZZ_CORPUS;
+
+/// The files of a target, in the order of their names.
+std::vector<std::string> seeds_of(const std::string& target) {
+  std::vector<std::filesystem::path> files;
+  if (!std::filesystem::exists(corpus / target)) return {};
+  for (const auto& file : std::filesystem::directory_iterator(corpus / target)) files.push_back(file.path());
+  std::sort(files.begin(), files.end());
+  std::vector<std::string> seeds;
+  for (const auto& file : files) seeds.push_back(tests::read_file(file));
+  return seeds;
 }
 
 class HostileInput : public testing::TestWithParam<std::string> {
@@ -109,9 +118,9 @@ class HostileInput : public testing::TestWithParam<std::string> {
 
 TEST_P(HostileInput, DoesNoHarm) {
   const fuzz::Target& target = fuzz::targets().at(GetParam());
-  std::vector<std::string> seeds;
-  for (const auto& [name, bytes] : seeds_of_all()[GetParam()]) seeds.push_back(bytes);
-  ASSERT_FALSE(seeds.empty()) << "seeds.cc has none for it";
+  const std::vector<std::string> seeds = seeds_of(GetParam());
+  ASSERT_FALSE(seeds.empty()) << "there is no file in " << corpus / GetParam()
+                              << "; add inputs to seeds.h's functions, and `./dev fuzz --seeds` writes them";
   const auto input = [&](std::size_t number) {
     return number < seeds.size() ? seeds[number] : fuzz::mutation(seeds, number);
   };
@@ -131,8 +140,16 @@ TEST_P(HostileInput, DoesNoHarm) {
 INSTANTIATE_TEST_SUITE_P(Of, HostileInput, testing::ValuesIn(names_of_targets()),
                          [](const auto& target) { return target.param; });
 
-TEST(HostileInputs, AreOfTargetsThatThereAre) {
-  for (const auto& [name, seeds] : seeds_of_all()) EXPECT_TRUE(fuzz::targets().contains(name)) << name;
+TEST(HostileInputs, AreOfTargetsThatThereAreAndSmall) {
+  std::uintmax_t size = 0;
+  for (const auto& file : std::filesystem::recursive_directory_iterator(corpus)) {
+    if (file.is_directory()) {
+      EXPECT_TRUE(fuzz::targets().contains(file.path().filename())) << file.path();
+    } else {
+      size += file.file_size();
+    }
+  }
+  EXPECT_LT(size, 200'000U);
 }
 
 }  // namespace

@@ -32,7 +32,7 @@ void take(const std::string& bytes, Record (*decode)(const std::string&, const s
 IOTCLOUD_FUZZ_TARGET(registry_records, 15'000) {
   if (size == 0) return;
   const std::string bytes(fuzz::text(data + 1, size - 1));
-  switch (*data % 12) {
+  switch (*data % 13) {
     case 0:
       return take(bytes, discovery::decode_order);
     case 1:
@@ -55,7 +55,9 @@ IOTCLOUD_FUZZ_TARGET(registry_records, 15'000) {
       return take(bytes, discovery::decode_freeze);
     case 10:
       return take(bytes, discovery::decode_adoption);
-    default:
+    case 11:
       return take(bytes, discovery::decode_gateway);
+    default:
+      return take(bytes, discovery::decode_removal);
   }
 }

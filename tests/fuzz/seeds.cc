@@ -55,14 +55,14 @@ std::string mark(std::uint64_t value) {
   return bytes;
 }
 
-/// A slope with gaps; `step` is how much its pixels differ.
+/// A slope with gaps and a few rough lines; `step` is how much the pixels of these differ.
 std::string depth_frame(depth::Codec codec, int step) {
   std::vector<std::uint16_t> frame(depth::frame_pixels);
   for (std::size_t i = 0; i < frame.size(); ++i) {
     const std::size_t u = i % depth::frame_width, v = i / depth::frame_width;
     const bool gap = step > 0 && u % 97 < 3;
     frame[i] =
-        gap ? depth::no_reading : static_cast<std::uint16_t>(600 + v / 4 + (v % 16 < 2 ? u * v / 64 % 3 * step : 0));
+        gap ? depth::no_reading : static_cast<std::uint16_t>(600 + v / 4 + (v % 160 < 2 ? u * v / 64 % 3 * step : 0));
   }
   depth::DepthEncoder encoder(codec);
   const auto payload = encoder.encode(depth::FrameView(frame));
@@ -154,6 +154,7 @@ SeedsOfTarget registry_records() {
       {"freeze", '\x09' + encode(discovery::FreezeRecord{"emptied", 5, "token", true})},
       {"adoption", '\x0a' + encode(discovery::Adoption{"token", 7})},
       {"gateway", '\x0b' + encode(gateway)},
+      {"removal", '\x0c' + encode(discovery::OrderRemoval{order.instance, 7, 1'700'000'000'000})},
   };
 }
 
