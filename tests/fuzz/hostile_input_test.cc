@@ -80,7 +80,7 @@ std::vector<std::string> names_of_targets() {
   return names;
 }
 
-const std::filesystem::path corpus = IOTCLOUD_FUZZ_CORPUS;
+const std::filesystem::path corpus = std::filesystem::path(IOTCLOUD_TEST_SERVERS).parent_path() / "fuzz/corpus";
 
 /// The files of a target, in the order of their names.
 std::vector<std::string> seeds_of(const std::string& target) {
