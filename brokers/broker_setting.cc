@@ -9,7 +9,7 @@ namespace {
 std::string file_of(config::Section& section, const std::string& key) {
   std::string file = section.string_or(key, "");
   if (!file.empty() && !std::filesystem::exists(file)) {
-    throw section.error(key, "the file \"" + file + "\" is not there", "make it, or name another");
+    section.refuse(key, "the file \"" + file + "\" is not there", "make it, or name another");
   }
   return file;
 }
@@ -20,7 +20,7 @@ Tls read_tls(config::Section section) {
   tls.certificate_file = file_of(section, "certificate");
   tls.key_file = file_of(section, "key");
   if (tls.certificate_file.empty() != tls.key_file.empty()) {
-    throw section.error("", "a client certificate needs both \"certificate\" and \"key\"", "give both, or none");
+    section.refuse("", "a client certificate needs both \"certificate\" and \"key\"", "give both, or none");
   }
   section.finish();
   return tls;
@@ -36,24 +36,24 @@ BrokerOptions read_broker_options(config::Section& section, std::chrono::millise
     try {
       static_cast<void>(broker_kind(url));
     } catch (const config::Error& error) {
-      throw section.error("urls", error.what());
+      section.refuse("urls", error.what());
     }
   }
   options.user = section.string_or("user", "");
   options.password_file = file_of(section, "password_file");
   options.password_variable = section.string_or("password_variable", "");
   if (!options.password_file.empty() && !options.password_variable.empty()) {
-    throw section.error("password_variable", "the password is in \"password_file\" already", "remove one of the two");
+    section.refuse("password_variable", "the password is in \"password_file\" already", "remove one of the two");
   }
   if (auto tls = section.optional_section("tls")) options.tls = read_tls(*tls);
   const milliseconds most = session_timeout / 2;
   options.heartbeat =
       std::chrono::duration_cast<milliseconds>(section.duration_or("heartbeat", usual_heartbeat(session_timeout)));
   if (options.heartbeat > most || options.heartbeat < milliseconds(100)) {
-    throw section.error("heartbeat",
-                        "it must be from 100 ms to half of the registry's session time-out, " +
-                            std::to_string(most.count()) + " ms, so that a reader that froze is cut off in time",
-                        "leave it out, or lengthen registry.session_timeout");
+    section.refuse("heartbeat",
+                   "it must be from 100 ms to half of the registry's session time-out, " +
+                       std::to_string(most.count()) + " ms, so that a reader that froze is cut off in time",
+                   "leave it out, or lengthen registry.session_timeout");
   }
   options.properties = section.string_map("properties");
   return options;

@@ -1,7 +1,9 @@
 #include <algorithm>
 #include <charconv>
+#include <exception>
 #include <fstream>
 #include <set>
+#include <utility>
 
 #include <fmt/format.h>
 #include <yaml-cpp/yaml.h>
@@ -16,17 +18,41 @@
 
 namespace iotcloud::config {
 
+namespace {
+
+/// What all sections of a file share.
+struct Document {
+  std::string file;
+  std::string source;    ///< the whole file
+  bool keeping = false;  ///< all_errors() runs: errors are noted, not thrown
+  std::vector<ConfigError> errors;
+  std::set<std::string> failed;  ///< dotted keys whose values are stand-ins
+
+  void note(const ConfigError& error) {
+    const auto is_it = [&](const ConfigError& other) { return std::string_view(other.what()) == error.what(); };
+    if (errors.size() < internal::most_errors && std::none_of(errors.begin(), errors.end(), is_it)) {
+      errors.push_back(error);
+    }
+  }
+};
+
+}  // namespace
+
 struct Section::Impl {
   YAML::Node node;  ///< a mapping
-  std::string file;
+  std::shared_ptr<Document> document;
   std::string path;
-  std::string pattern;  ///< as `path`, with `<name>` for names that the user chooses: see AskedKey
-  std::shared_ptr<const std::string> source;  ///< the whole file
+  std::string pattern;     ///< as `path`, with `<name>` for names that the user chooses: see AskedKey
+  bool stand_in = false;   ///< for a section that is missing or no mapping: its keys are not asked for
+  bool cut_short = false;  ///< a part of its reader ended early: not all keys were asked for
   /// Keys that were asked for. All copies of a section share it, so that finish() sees what every reader asked for.
   std::set<std::string> asked;
 
   void note(const std::string& key, std::string kind, std::string fallback = "", std::string allowed = "");
   void note_required(const std::string& key, std::string kind, std::string allowed = "");
+  /// Notes or throws an error of the value of a key. \param item of a sequence, as "[2]".
+  void fail(const std::string& key, const ConfigError& error, const std::string& item = "") const;
+  void fail_missing(const std::string& key, const std::string& example) const;
   /// A section inside this one.
   std::shared_ptr<Impl> inner(const YAML::Node& mapping, std::string inner_path, std::string inner_pattern) const;
 };
@@ -86,19 +112,38 @@ void Section::Impl::note_required(const std::string& key, std::string kind, std:
 std::shared_ptr<Section::Impl> Section::Impl::inner(const YAML::Node& mapping, std::string inner_path,
                                                     std::string inner_pattern) const {
   auto impl = std::make_shared<Impl>();
-  impl->file = file;
-  impl->source = source;
+  impl->document = document;
+  impl->stand_in = stand_in;
   impl->path = std::move(inner_path);
   impl->pattern = std::move(inner_pattern);
   impl->node = mapping;
   return impl;
 }
 
+void Section::Impl::fail(const std::string& key, const ConfigError& error, const std::string& item) const {
+  if (!document->keeping) throw error;
+  const std::string full = join(path, key);
+  if (stand_in || (!item.empty() && !document->failed.insert(full + item).second)) return;
+  if (document->failed.insert(full).second || !item.empty()) document->note(error);
+}
+
+void Section::Impl::fail_missing(const std::string& key, const std::string& example) const {
+  fail(key, ConfigError(location(document->file, node.Mark()), path, "the key \"" + key + "\" is missing",
+                        "add " + example));
+}
+
 Section Section::parse(std::string_view text, const std::string& name) {
+  Section top = parse_keeping(text, name);
+  if (!top.impl_->document->errors.empty()) throw together(std::exchange(top.impl_->document->errors, {}));
+  return top;
+}
+
+Section Section::parse_keeping(std::string_view text, const std::string& name) {
   auto impl = std::make_shared<Impl>();
-  impl->file = name;
-  impl->source = std::make_shared<const std::string>(internal::checked_text(text, name));
-  impl->node = internal::read_document(*impl->source, name);
+  impl->document = std::make_shared<Document>();
+  impl->document->file = name;
+  impl->document->source = internal::checked_text(text, name);
+  impl->node = internal::read_document(impl->document->source, name, impl->document->errors);
   if (!impl->node.IsMap()) {
     throw ConfigError({name, 1, 1}, "", std::string("a mapping is expected at the top, not ") + kind_of(impl->node),
                       "write lines of the form \"key: value\"");
@@ -106,7 +151,9 @@ Section Section::parse(std::string_view text, const std::string& name) {
   return Section(std::move(impl));
 }
 
-Section Section::load_file(const std::string& path) {
+namespace {
+
+std::string text_of(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   std::string text(internal::most_text_bytes + 1, '\0');  // one byte more than allowed is enough to refuse a file
   if (file) file.read(text.data(), static_cast<std::streamsize>(text.size()));
@@ -114,10 +161,8 @@ Section Section::load_file(const std::string& path) {
     throw ConfigError({path, 0, 0}, "", "this file cannot be read", "check its name and permissions");
   }
   text.resize(static_cast<std::size_t>(file.gcount()));
-  return parse(text, path);
+  return text;
 }
-
-namespace {
 
 /// The value of a key, or an undefined node; a key without a value counts as missing.
 YAML::Node lookup(const YAML::Node& node, const std::string& key) {
@@ -128,6 +173,73 @@ YAML::Node lookup(const YAML::Node& node, const std::string& key) {
 
 }  // namespace
 
+Section Section::load_file(const std::string& path) {
+  return parse(text_of(path), path);
+}
+
+void Section::read_file(const std::string& path, const std::function<void(Section&)>& read) {
+  read_text(text_of(path), path, read);
+}
+
+void Section::read_text(std::string_view text, const std::string& name, const std::function<void(Section&)>& read) {
+  Section top = parse_keeping(text, name);
+  top.all_errors([&] { read(top); });
+}
+
+void Section::all_errors(const std::function<void()>& read) const {
+  Document& document = *impl_->document;
+  if (document.keeping) {
+    read();
+    return;
+  }
+  document.keeping = true;
+  std::exception_ptr other;
+  try {
+    part(read);
+  } catch (...) {
+    other = std::current_exception();
+  }
+  document.keeping = false;
+  document.failed.clear();
+  auto errors = std::exchange(document.errors, {});
+  if (errors.empty()) {
+    if (other) std::rethrow_exception(other);
+    return;
+  }
+  // `other` comes from a stand-in.
+  std::stable_sort(errors.begin(), errors.end(), [](const ConfigError& a, const ConfigError& b) {
+    return std::pair(a.where().line, a.where().column) < std::pair(b.where().line, b.where().column);
+  });
+  throw together(errors);
+}
+
+bool Section::has_errors() const {
+  return !impl_->document->errors.empty();
+}
+
+bool Section::is_wrong(const std::string& key) const {
+  return impl_->document->failed.contains(join(impl_->path, key));
+}
+
+void Section::part(const std::function<void()>& read) const {
+  try {
+    read();
+  } catch (const ConfigError& error) {
+    impl_->cut_short = true;
+    refuse(error);
+  }
+}
+
+void Section::refuse(const std::string& key, const std::string& problem, const std::string& remedy) const {
+  refuse(error(key, problem, remedy));
+}
+
+void Section::refuse(const ConfigError& error) const {
+  Document& document = *impl_->document;
+  if (!document.keeping) throw error;
+  if (!impl_->stand_in && !document.failed.contains(error.key())) document.note(error);
+}
+
 bool Section::has(const std::string& key) const {
   return lookup(impl_->node, key).IsDefined();
 }
@@ -135,10 +247,10 @@ bool Section::has(const std::string& key) const {
 Location Section::where(const std::string& key) const {
   if (!key.empty()) {
     for (const auto& entry : impl_->node) {
-      if (entry.first.Scalar() == key) return location(impl_->file, entry.first.Mark());
+      if (entry.first.Scalar() == key) return location(impl_->document->file, entry.first.Mark());
     }
   }
-  return location(impl_->file, impl_->node.Mark());
+  return location(impl_->document->file, impl_->node.Mark());
 }
 
 const std::string& Section::path() const {
@@ -152,9 +264,9 @@ ConfigError Section::error(const std::string& key, const std::string& problem, c
 ConfigError Section::error_within(const std::string& key, std::size_t offset, const std::string& problem) const {
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined() || !value.IsScalar()) return error(key, problem);
-  const Location begin = location(impl_->file, value.Mark());
-  return ConfigError(internal::place_in_scalar(*impl_->source, begin, value.Scalar(), offset), join(impl_->path, key),
-                     problem, "");
+  const Location begin = location(impl_->document->file, value.Mark());
+  return ConfigError(internal::place_in_scalar(impl_->document->source, begin, value.Scalar(), offset),
+                     join(impl_->path, key), problem, "");
 }
 
 std::optional<std::string> Section::optional_string(const std::string& key) {
@@ -162,7 +274,8 @@ std::optional<std::string> Section::optional_string(const std::string& key) {
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return std::nullopt;
   if (!value.IsScalar()) {
-    throw error(key, std::string("a single value is expected here, not ") + kind_of(value), "");
+    impl_->fail(key, error(key, std::string("a single value is expected here, not ") + kind_of(value), ""));
+    return std::nullopt;
   }
   return value.Scalar();
 }
@@ -170,9 +283,9 @@ std::optional<std::string> Section::optional_string(const std::string& key) {
 std::string Section::require_string(const std::string& key) {
   impl_->note_required(key, "text");
   auto value = optional_string(key);
-  if (!value) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ": ...\"");
-  if (value->empty()) throw error(key, "this must not be empty", "");
-  return *value;
+  if (!value) impl_->fail_missing(key, "\"" + key + ": ...\"");
+  if (value && value->empty()) impl_->fail(key, error(key, "this must not be empty", ""));
+  return value.value_or("");
 }
 
 std::string Section::string_or(const std::string& key, const std::string& fallback) {
@@ -186,8 +299,10 @@ std::int64_t Section::int_or(const std::string& key, std::int64_t fallback, std:
   if (!text) return fallback;
   std::int64_t value = 0;
   if (!parse_whole(*text, value) || value < min || value > max) {
-    throw error(key, "\"" + *text + "\" does not fit",
-                "a whole number from " + std::to_string(min) + " to " + std::to_string(max) + " is expected");
+    impl_->fail(key,
+                error(key, "\"" + *text + "\" does not fit",
+                      "a whole number from " + std::to_string(min) + " to " + std::to_string(max) + " is expected"));
+    return fallback;
   }
   return value;
 }
@@ -195,7 +310,7 @@ std::int64_t Section::int_or(const std::string& key, std::int64_t fallback, std:
 std::int64_t Section::require_int(const std::string& key, std::int64_t min, std::int64_t max) {
   impl_->note_required(key, "whole number", range_of(min, max));
   static_cast<void>(require_string(key));
-  return int_or(key, 0, min, max);
+  return int_or(key, min, min, max);
 }
 
 double Section::double_or(const std::string& key, double fallback, double min, double max) {
@@ -204,7 +319,9 @@ double Section::double_or(const std::string& key, double fallback, double min, d
   if (!text) return fallback;
   double value = 0;
   if (!parse_whole(*text, value) || !(value >= min && value <= max)) {
-    throw error(key, "\"" + *text + "\" does not fit", fmt::format("a number from {} to {} is expected", min, max));
+    impl_->fail(
+        key, error(key, "\"" + *text + "\" does not fit", fmt::format("a number from {} to {} is expected", min, max)));
+    return fallback;
   }
   return value;
 }
@@ -215,7 +332,8 @@ bool Section::bool_or(const std::string& key, bool fallback) {
   if (!text) return fallback;
   if (*text == "true" || *text == "yes" || *text == "on") return true;
   if (*text == "false" || *text == "no" || *text == "off") return false;
-  throw error(key, "\"" + *text + "\" does not fit", "true or false is expected");
+  impl_->fail(key, error(key, "\"" + *text + "\" does not fit", "true or false is expected"));
+  return fallback;
 }
 
 std::chrono::microseconds Section::duration_or(const std::string& key, std::chrono::microseconds fallback) {
@@ -224,7 +342,9 @@ std::chrono::microseconds Section::duration_or(const std::string& key, std::chro
   if (!text) return fallback;
   const auto value = parse_duration(*text);
   if (!value) {
-    throw error(key, "\"" + *text + "\" is not a duration", "write a number and a unit: 250ms, 2s, 5m, 1h or 10us");
+    impl_->fail(
+        key, error(key, "\"" + *text + "\" is not a duration", "write a number and a unit: 250ms, 2s, 5m, 1h or 10us"));
+    return fallback;
   }
   return *value;
 }
@@ -236,9 +356,10 @@ std::string Section::choice_or(const std::string& key, const std::string& fallba
   if (!value) return fallback;
   if (std::find(choices.begin(), choices.end(), *value) == choices.end()) {
     const std::string guess = nearest(*value, choices);
-    throw error(
-        key, "\"" + *value + "\" is not known",
-        (guess.empty() ? "" : "did you mean \"" + guess + "\"? ") + std::string("use one of ") + list_of(choices));
+    impl_->fail(key, error(key, "\"" + *value + "\" is not known",
+                           (guess.empty() ? "" : "did you mean \"" + guess + "\"? ") + std::string("use one of ") +
+                               list_of(choices)));
+    return fallback;
   }
   return *value;
 }
@@ -254,13 +375,19 @@ std::vector<std::string> Section::strings_or(const std::string& key, const std::
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return fallback;
   if (value.IsScalar()) return {value.Scalar()};
-  if (!value.IsSequence())
-    throw error(key, std::string("a sequence is expected here, not ") + kind_of(value), "[a, b]");
+  if (!value.IsSequence()) {
+    impl_->fail(key, error(key, std::string("a sequence is expected here, not ") + kind_of(value), "[a, b]"));
+    return fallback;
+  }
   std::vector<std::string> strings;
-  for (const auto& item : value) {
+  for (std::size_t i = 0; i < value.size(); ++i) {
+    const YAML::Node item = value[i];
     if (!item.IsScalar()) {
-      throw ConfigError(location(impl_->file, item.Mark()), join(impl_->path, key),
-                        std::string("single values are expected in this sequence, not ") + kind_of(item), "");
+      impl_->fail(key,
+                  ConfigError(location(impl_->document->file, item.Mark()), join(impl_->path, key),
+                              std::string("single values are expected in this sequence, not ") + kind_of(item), ""),
+                  "[" + std::to_string(i) + "]");
+      continue;
     }
     strings.push_back(item.Scalar());
   }
@@ -270,19 +397,26 @@ std::vector<std::string> Section::strings_or(const std::string& key, const std::
 std::vector<std::string> Section::require_strings(const std::string& key) {
   impl_->note_required(key, "list of texts");
   auto strings = strings_or(key, {});
-  if (!has(key)) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ": [...]\"");
-  if (strings.empty()) throw error(key, "this must not be empty", "");
+  if (!has(key)) {
+    impl_->fail_missing(key, "\"" + key + ": [...]\"");
+  } else if (strings.empty()) {
+    impl_->fail(key, error(key, "this must not be empty", ""));
+  }
   return strings;
 }
 
 std::vector<Section::Item> Section::require_items(const std::string& key) {
   impl_->note_required(key, "list of texts and mappings");
   const YAML::Node value = lookup(impl_->node, key);
-  if (!value.IsDefined()) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ": [...]\"");
   std::vector<Item> items;
+  if (!value.IsDefined()) {
+    impl_->fail_missing(key, "\"" + key + ": [...]\"");
+    return items;
+  }
   if (value.IsScalar()) return {Item{value.Scalar(), std::nullopt}};
   if (!value.IsSequence()) {
-    throw error(key, std::string("a sequence is expected here, not ") + kind_of(value), "[a, b]");
+    impl_->fail(key, error(key, std::string("a sequence is expected here, not ") + kind_of(value), "[a, b]"));
+    return items;
   }
   const std::string path = join(impl_->path, key);
   for (std::size_t i = 0; i < value.size(); ++i) {
@@ -293,11 +427,13 @@ std::vector<Section::Item> Section::require_items(const std::string& key) {
     } else if (item.IsMap()) {
       items.push_back({"", Section(impl_->inner(item, item_path, join(impl_->pattern, key) + "[]"))});
     } else {
-      throw ConfigError(location(impl_->file, item.Mark()), item_path,
-                        std::string("a single value or a mapping is expected here, not ") + kind_of(item), "");
+      impl_->fail(key,
+                  ConfigError(location(impl_->document->file, item.Mark()), item_path,
+                              std::string("a single value or a mapping is expected here, not ") + kind_of(item), ""),
+                  "[" + std::to_string(i) + "]");
     }
   }
-  if (items.empty()) throw error(key, "this must not be empty", "");
+  if (items.empty()) impl_->fail(key, error(key, "this must not be empty", ""));
   return items;
 }
 
@@ -306,11 +442,18 @@ std::map<std::string, std::string> Section::string_map(const std::string& key) {
   const YAML::Node value = lookup(impl_->node, key);
   std::map<std::string, std::string> map;
   if (!value.IsDefined()) return map;
-  if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
+  if (!value.IsMap()) {
+    impl_->fail(key, error(key, std::string("a mapping is expected here, not ") + kind_of(value), ""));
+    return map;
+  }
   for (const auto& entry : value) {
     if (!entry.second.IsScalar()) {
-      throw ConfigError(location(impl_->file, entry.second.Mark()), join(join(impl_->path, key), entry.first.Scalar()),
-                        std::string("a single value is expected here, not ") + kind_of(entry.second), "");
+      impl_->fail(key,
+                  ConfigError(location(impl_->document->file, entry.second.Mark()),
+                              join(join(impl_->path, key), entry.first.Scalar()),
+                              std::string("a single value is expected here, not ") + kind_of(entry.second), ""),
+                  "." + entry.first.Scalar());
+      continue;
     }
     map[entry.first.Scalar()] = entry.second.Scalar();
   }
@@ -338,13 +481,19 @@ std::vector<std::pair<std::string, Section>> Section::sections(const std::string
   const YAML::Node value = lookup(impl_->node, key);
   std::vector<std::pair<std::string, Section>> result;
   if (!value.IsDefined()) return result;
-  if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
+  if (!value.IsMap()) {
+    impl_->fail(key, error(key, std::string("a mapping is expected here, not ") + kind_of(value), ""));
+    return result;
+  }
   for (const auto& entry : value) {
     const std::string& name = entry.first.Scalar();
     const std::string path = join(join(impl_->path, key), name);
     if (!entry.second.IsMap()) {
-      throw ConfigError(location(impl_->file, entry.first.Mark()), path,
-                        std::string("a mapping is expected here, not ") + kind_of(entry.second), "");
+      impl_->fail(key,
+                  ConfigError(location(impl_->document->file, entry.first.Mark()), path,
+                              std::string("a mapping is expected here, not ") + kind_of(entry.second), ""),
+                  "." + name);
+      continue;
     }
     result.emplace_back(name, Section(impl_->inner(entry.second, path, join(join(impl_->pattern, key), "<name>"))));
   }
@@ -358,8 +507,11 @@ std::vector<Section> Section::section_list(const std::string& key) {
   if (!value.IsDefined()) return result;
   const auto add = [&](const YAML::Node& item, const std::string& path) {
     if (!item.IsMap()) {
-      throw ConfigError(location(impl_->file, item.Mark()), path,
-                        std::string("a mapping is expected here, not ") + kind_of(item), "");
+      impl_->fail(key,
+                  ConfigError(location(impl_->document->file, item.Mark()), path,
+                              std::string("a mapping is expected here, not ") + kind_of(item), ""),
+                  path.substr(path.rfind('[') == std::string::npos ? path.size() : path.rfind('[')));
+      return;
     }
     result.push_back(Section(impl_->inner(item, path, join(impl_->pattern, key) + "[]")));
   };
@@ -376,28 +528,34 @@ std::optional<Section> Section::optional_section(const std::string& key) {
   impl_->note(key, "mapping");
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return std::nullopt;
-  if (!value.IsMap()) throw error(key, std::string("a mapping is expected here, not ") + kind_of(value), "");
+  if (!value.IsMap()) {
+    impl_->fail(key, error(key, std::string("a mapping is expected here, not ") + kind_of(value), ""));
+    return std::nullopt;
+  }
   return Section(impl_->inner(value, join(impl_->path, key), join(impl_->pattern, key)));
 }
 
 Section Section::require_section(const std::string& key) {
   impl_->note_required(key, "mapping");
   auto section = optional_section(key);
-  if (!section) throw error("", "the key \"" + key + "\" is missing", "add \"" + key + ":\" and what belongs below it");
-  return *section;
+  if (section) return *section;
+  impl_->fail_missing(key, "\"" + key + ":\" and what belongs below it");
+  auto stand_in = impl_->inner(YAML::Node(YAML::NodeType::Map), join(impl_->path, key), join(impl_->pattern, key));
+  stand_in->stand_in = true;
+  return Section(std::move(stand_in));
 }
 
 void Section::finish() const {
+  if (impl_->cut_short) return;
   const std::vector<std::string> known(impl_->asked.begin(), impl_->asked.end());
-  std::vector<ConfigError> errors;
-  for (const auto& entry : impl_->node) {
-    const std::string& key = entry.first.Scalar();
-    if (impl_->asked.contains(key)) continue;
-    const std::string guess = nearest(key, known);
-    errors.push_back(
-        error(key, "unknown key", guess.empty() ? "known are " + list_of(known) : "did you mean \"" + guess + "\"?"));
-  }
-  if (!errors.empty()) throw together(errors);
+  all_errors([&] {
+    for (const auto& entry : impl_->node) {
+      const std::string& key = entry.first.Scalar();
+      if (impl_->asked.contains(key)) continue;
+      const std::string guess = nearest(key, known);
+      refuse(key, "unknown key", guess.empty() ? "known are " + list_of(known) : "did you mean \"" + guess + "\"?");
+    }
+  });
 }
 
 }  // namespace iotcloud::config

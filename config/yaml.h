@@ -19,6 +19,10 @@ namespace iotcloud::config {
 /// nearest known key. Wrong types, missing keys and values out of range throw ConfigError with file, line, column, the
 /// dotted key and what would be right. Duplicate keys are errors. Not thread safe; cheap to copy (copies share the
 /// document).
+///
+/// While a reader runs in read_file(), read_text() or all_errors(), an error is noted instead of thrown, and the key's
+/// fallback is returned (without one: an empty or the least value, a section without keys), so that reading goes on; at
+/// the end all errors are thrown together, a line for each.
 class Section {
  public:
   /// \throws ConfigError if the file cannot be read, is not YAML, or has no mapping at the top; and if it is not UTF-8,
@@ -26,6 +30,26 @@ class Section {
   static Section load_file(const std::string& path);
   /// \param name stands for the file in messages.
   static Section parse(std::string_view text, const std::string& name);
+
+  /// Lets `read` read a whole file, and throws all errors of the file together. \throws ConfigError as load_file()
+  /// does, too.
+  static void read_file(const std::string& path, const std::function<void(Section&)>& read);
+  static void read_text(std::string_view text, const std::string& name, const std::function<void(Section&)>& read);
+  /// Runs `read`, and throws all errors that this document's sections met in it together. Inside of another call of it
+  /// for this document the outermost one throws.
+  void all_errors(const std::function<void()>& read) const;
+  /// Whether all_errors() runs and has met an error: what was read may be a stand-in.
+  bool has_errors() const;
+  /// Whether all_errors() runs and this key's value is a stand-in.
+  bool is_wrong(const std::string& key) const;
+  /// Runs a part of all_errors() that throws its errors. When it does, the error is noted, the part ends, and finish()
+  /// of this section no longer knows all keys, and reports none. Outside of all_errors() the error goes on.
+  void part(const std::function<void()>& read) const;
+  /// Notes (in all_errors()) or throws error(key, problem, remedy), for the caller's own checks. What was read of a key
+  /// that has an error already gets no other one.
+  void refuse(const std::string& key, const std::string& problem, const std::string& remedy = "") const;
+  /// Notes (in all_errors()) or throws an error of error_within() or error().
+  void refuse(const ConfigError& error) const;
 
   bool has(const std::string& key) const;
 
@@ -77,6 +101,8 @@ class Section {
 
  private:
   struct Impl;
+  /// As parse(), but duplicate keys are noted in the document for all_errors().
+  static Section parse_keeping(std::string_view text, const std::string& name);
   explicit Section(std::shared_ptr<Impl> impl) : impl_(std::move(impl)) {}
   std::shared_ptr<Impl> impl_;
 };

@@ -13,8 +13,8 @@ std::string read_password(config::Section& top) {
   const auto file = top.optional_string("registry.password_file");
   const auto variable = top.optional_string("registry.password_variable");
   if (file && variable) {
-    throw top.error("registry.password_variable", "the password is in \"registry.password_file\" already",
-                    "remove one of the two");
+    top.refuse("registry.password_variable", "the password is in \"registry.password_file\" already",
+               "remove one of the two");
   }
   if (file) {
     std::ifstream in(*file);
@@ -22,14 +22,14 @@ std::string read_password(config::Section& top) {
     std::getline(in, password);
     if (password.ends_with('\r')) password.pop_back();
     if (!password.empty()) return password;
-    throw top.error("registry.password_file", "the file \"" + *file + "\" cannot be read, or its first line is empty",
-                    "a file that this process may read, with the registry's password as its first line");
+    top.refuse("registry.password_file", "the file \"" + *file + "\" cannot be read, or its first line is empty",
+               "a file that this process may read, with the registry's password as its first line");
   }
   if (variable) {
     const char* value = std::getenv(variable->c_str());
     if (value != nullptr && *value != '\0') return value;
-    throw top.error("registry.password_variable", "the environment variable " + *variable + " is not set",
-                    "set it to the registry's password");
+    top.refuse("registry.password_variable", "the environment variable " + *variable + " is not set",
+               "set it to the registry's password");
   }
   return {};
 }
@@ -41,10 +41,12 @@ std::shared_ptr<const RegistryAccess> read_access(config::Section& top, const st
                                                          Paths(top.string_or("zk.root", "/iot/sensors")));
     if (access->knows(user)) return access;
   } catch (const config::Error& e) {
-    throw top.error("registry.users", e.what());
+    top.refuse("registry.users", e.what());
+    return nullptr;
   }
-  throw top.error("registry.users", "the file \"" + file + "\" has no user \"" + user + "\"",
-                  "make it with `iotcloud registry user`, and name it in \"registry.user\"");
+  top.refuse("registry.users", "the file \"" + file + "\" has no user \"" + user + "\"",
+             "make it with `iotcloud registry user`, and name it in \"registry.user\"");
+  return nullptr;
 }
 
 }  // namespace
@@ -55,28 +57,28 @@ RegistryOptions read_registry_options(config::Section& top) {
   options.session_timeout =
       std::chrono::duration_cast<milliseconds>(top.duration_or(timeout_key, options.session_timeout));
   if (options.session_timeout < milliseconds(400) || options.session_timeout > std::chrono::minutes(10)) {
-    throw top.error(timeout_key, "it must be from 400 ms to 10 min", "10s is usual");
+    top.refuse(timeout_key, "it must be from 400 ms to 10 min", "10s is usual");
   }
   options.user = top.string_or("registry.user", "");
   options.password = read_password(top);
   options.others_may_read = top.bool_or("registry.others_may_read", false);
   options.open = top.bool_or("registry.open", false);
-  if (options.user.empty() != options.password.empty()) {
-    throw top.error(options.user.empty() ? "" : "registry.user",
-                    "a user of the registry and a password belong together",
-                    "give both \"registry.user\" and \"registry.password_file\", or neither");
+  const bool password_given = top.has("registry.password_file") || top.has("registry.password_variable");
+  if (options.user.empty() == password_given) {
+    top.refuse(options.user.empty() ? "" : "registry.user", "a user of the registry and a password belong together",
+               "give both \"registry.user\" and \"registry.password_file\", or neither");
   }
   if (options.user.find(':') != std::string::npos) {
-    throw top.error("registry.user", "a user's name cannot have a colon", "choose another name");
+    top.refuse("registry.user", "a user's name cannot have a colon", "choose another name");
   }
   if (const auto file = top.optional_string("registry.users")) options.access = read_access(top, *file, options.user);
   if (options.others_may_read && options.user.empty()) {
-    throw top.error("registry.others_may_read", "without a user everybody may read and write anyway",
-                    "add \"registry.user\", or remove this");
+    top.refuse("registry.others_may_read", "without a user everybody may read and write anyway",
+               "add \"registry.user\", or remove this");
   }
   if (options.open && !options.user.empty()) {
-    throw top.error("registry.open", "it is for a registry without a user",
-                    "remove it, or \"registry.user\" and what goes with it");
+    top.refuse("registry.open", "it is for a registry without a user",
+               "remove it, or \"registry.user\" and what goes with it");
   }
   return options;
 }

@@ -1,6 +1,7 @@
 #include <charconv>
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <system_error>
 
 #include <fmt/format.h>
@@ -23,6 +24,18 @@ using std::chrono::milliseconds;
 
 namespace {
 
+/// Runs a check; reports its error as an error of this configuration key.
+template <typename Check>
+void checked(const config::Section& section, const std::string& key, Check&& check) {
+  try {
+    check();
+  } catch (const config::ConfigError& e) {
+    section.refuse(e);
+  } catch (const config::Error& e) {
+    section.refuse(key, e.what());
+  }
+}
+
 std::vector<brokers::BrokerSetting> read_brokers(config::Section& file, milliseconds session_timeout) {
   std::vector<brokers::BrokerSetting> brokers;
   for (auto& [name, section] : file.sections("brokers")) {
@@ -31,34 +44,24 @@ std::vector<brokers::BrokerSetting> read_brokers(config::Section& file, millisec
     broker.type = section.choice_or("type", name, brokers::broker_kinds());
     broker.options = brokers::read_broker_options(section, session_timeout);
     section.finish();
-    if (broker.options.urls.empty()) throw section.error("urls", "there is none", "give the broker's URL");
+    if (broker.options.urls.empty()) section.refuse("urls", "there is none", "give the broker's URL");
     if (broker.type == "embedded") {
-      throw section.error("type", "the embedded broker is inside one process, and driver hosts are others",
-                          "use a broker that is a server, or local mode");
+      section.refuse("type", "the embedded broker is inside one process, and driver hosts are others",
+                     "use a broker that is a server, or local mode");
     }
     for (const std::string& url : broker.options.urls) {
-      if (const std::string kind = brokers::broker_kind(url); kind != broker.type) {
+      checked(section, "urls", [&] {
+        const std::string kind = brokers::broker_kind(url);
+        if (kind == broker.type) return;
         throw section.error("urls",
                             "\"" + brokers::printable_url(url) + "\" is a URL of " + kind + ", not of " + broker.type,
                             "give a URL of the broker's type, or another type");
-      }
+      });
     }
     brokers.push_back(std::move(broker));
   }
-  if (brokers.empty()) throw file.error("brokers", "there is none", "name at least one, for drivers to publish to");
+  if (brokers.empty()) file.refuse("brokers", "there is none", "name at least one, for drivers to publish to");
   return brokers;
-}
-
-/// Runs a check; reports its error as an error of this configuration key.
-template <typename Check>
-void checked(const config::Section& section, const std::string& key, Check&& check) {
-  try {
-    check();
-  } catch (const config::ConfigError&) {
-    throw;
-  } catch (const config::Error& e) {
-    throw section.error(key, e.what());
-  }
 }
 
 void read_thrift(config::Section& file, GatewayConfig& config) {
@@ -73,7 +76,7 @@ void read_thrift(config::Section& file, GatewayConfig& config) {
   config.gateway.host = listen.host;
   config.gateway.port = listen.port;
   config.gateway.tls = !listen.tls.empty();
-  if (listen.port == 0) return;
+  if (listen.port == 0 || file.has_errors()) return;
   const auto reached = rpc::split_address(listen.advertise);
   config.gateway.host = reached.host;
   config.gateway.port = reached.port;
@@ -89,13 +92,13 @@ void read_confinement(config::Section& file, ProcessLauncher::Options& hosts) {
   confinement.user = file.string_or("host_user", "");
   hosts.starter = file.string_or("host_starter", "");
   if (!hosts.starter.empty() && confinement.user.empty()) {
-    throw file.error("host_starter", "it starts driver hosts as a user of their own, which is not named",
-                     "host_user: iotcloud-host");
+    file.refuse("host_starter", "it starts driver hosts as a user of their own, which is not named",
+                "host_user: iotcloud-host");
   }
   constexpr std::int64_t fewest_files = 64, most_files = 1 << 20;
   confinement.open_files = static_cast<std::uint64_t>(file.int_or("host_open_files", 0, 0, most_files));
   if (confinement.open_files > 0 && confinement.open_files < fewest_files) {
-    throw file.error("host_open_files", "a driver host alone needs some", fmt::format("at least {}", fewest_files));
+    file.refuse("host_open_files", "a driver host alone needs some", fmt::format("at least {}", fewest_files));
   }
   constexpr std::int64_t most_processes = 1 << 22;
   confinement.processes = static_cast<std::uint64_t>(file.int_or("host_processes", 0, 0, most_processes));
@@ -108,8 +111,7 @@ void read_confinement(config::Section& file, ProcessLauncher::Options& hosts) {
   rlimit now{};
   getrlimit(RLIMIT_NOFILE, &now);
   if (geteuid() != 0 && confinement.open_files > now.rlim_max) {
-    throw file.error("host_open_files",
-                     fmt::format("only root may give more than the {} that this user has", now.rlim_max));
+    file.refuse("host_open_files", fmt::format("only root may give more than the {} that this user has", now.rlim_max));
   }
   if (confinement.user.empty()) return;
   checked(file, "host_user", [&] {
@@ -134,35 +136,33 @@ void read_ports(config::Section& file, ProcessLauncher::Options& hosts) {
       int port = 0;
       const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), port);
       if (error != std::errc{} || end != text.data() + text.size() || port < 1 || port > highest) {
-        throw section->error(plugin, fmt::format("\"{}\" is no port", text), fmt::format("1 to {}", highest));
+        section->refuse(plugin, fmt::format("\"{}\" is no port", text), fmt::format("1 to {}", highest));
+        continue;
       }
       hosts.ports[plugin].push_back(static_cast<std::uint16_t>(port));
     }
   }
   section->finish();
   if (hosts.ports[ProcessLauncher::every_plugin].empty()) {
-    throw file.error(key, "it names no ports for every plugin, and hosts would not reach the brokers",
-                     fmt::format("{}: [5672]", ProcessLauncher::every_plugin));
+    file.refuse(key, "it names no ports for every plugin, and hosts would not reach the brokers",
+                fmt::format("{}: [5672]", ProcessLauncher::every_plugin));
   }
   if (!hosts.confinement.filter_calls) {
-    throw file.error(key, "hosts would get around it with the system calls that they then have",
-                     "host_call_filter: true");
+    file.refuse(key, "hosts would get around it with the system calls that they then have", "host_call_filter: true");
   }
   if (processes::landlock_version() < processes::landlock_of_connections) {
-    throw file.error(key, "this kernel cannot restrict what its processes connect to: it takes Linux 6.7 with Landlock",
-                     "leave it out, and use a firewall or systemd's IPAddressAllow (deploy/README.md)");
+    file.refuse(key, "this kernel cannot restrict what its processes connect to: it takes Linux 6.7 with Landlock",
+                "leave it out, and use a firewall or systemd's IPAddressAllow (deploy/README.md)");
   }
 }
 
 void read_plugins(config::Section& file, GatewayConfig& config) {
   config.hosts.plugin_dir = file.require_string("plugins");
-  checked(file, "plugins", [&] {
-    if (!std::filesystem::is_directory(config.hosts.plugin_dir)) {
-      throw file.error("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there",
-                       "make it, or name another");
-    }
-    check_plugin_folder(config.hosts.plugin_dir);
-  });
+  if (!std::filesystem::is_directory(config.hosts.plugin_dir)) {
+    file.refuse("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there", "make it, or name another");
+  } else {
+    checked(file, "plugins", [&] { check_plugin_folder(config.hosts.plugin_dir); });
+  }
   constexpr std::int64_t usual_mb = 64, most_mb = 4096;
   config.plugin_upload_limit = file.int_or("plugins.upload_limit_mb", usual_mb, 1, most_mb) << 20;
   security::TrustedKeys::Options trust;
@@ -222,10 +222,7 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
   restart->finish();
 }
 
-}  // namespace
-
-GatewayConfig GatewayConfig::load(const std::string& path) {
-  auto file = config::Section::load_file(path);
+GatewayConfig read_gateway(config::Section& file) {
   GatewayConfig config;
   auto& gateway = config.gateway;
   gateway.id = discovery::GatewayId(file.require_string("id"));
@@ -248,6 +245,14 @@ GatewayConfig GatewayConfig::load(const std::string& path) {
   config::read_log_settings(file);
   file.finish();
   return config;
+}
+
+}  // namespace
+
+GatewayConfig GatewayConfig::load(const std::string& path) {
+  std::optional<GatewayConfig> config;
+  config::Section::read_file(path, [&](config::Section& file) { config = read_gateway(file); });
+  return *std::move(config);
 }
 
 }  // namespace iotcloud::gateway

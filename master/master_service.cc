@@ -39,11 +39,11 @@ void read_original_address(config::Section& section, rpc::ListenSettings& addres
   address.host = section.string_or("host", address.host);
   address.port = static_cast<int>(section.int_or("port", address.port, 1, 65535));
   if (config::is_loopback(address.host)) return;
-  throw section.error("host",
-                      fmt::format("{} can be reached from other machines, and gateways of the original system speak no "
-                                  "TLS: anybody there could register one",
-                                  address.host),
-                      "127.0.0.1; from elsewhere use a tunnel, for example ssh -L 12903:127.0.0.1:12903 HOST");
+  section.refuse("host",
+                 fmt::format("{} can be reached from other machines, and gateways of the original system speak no "
+                             "TLS: anybody there could register one",
+                             address.host),
+                 "127.0.0.1; from elsewhere use a tunnel, for example ssh -L 12903:127.0.0.1:12903 HOST");
 }
 
 rpc::ThriftServerOptions server_options(const char* name, const rpc::ListenSettings& settings) {
@@ -61,7 +61,7 @@ void check_key(const config::Section& section, const std::string& key, Check&& c
   try {
     check();
   } catch (const config::Error& e) {
-    throw section.error(key, e.what());
+    section.refuse(key, e.what());
   }
 }
 
@@ -152,10 +152,7 @@ class MasterService final : public config::Service {
   std::unique_ptr<rpc::MetricsEndpoint> metrics_;
 };
 
-}  // namespace
-
-MasterDaemonConfig load_master_config(const std::string& file) {
-  auto top = config::Section::load_file(file);
+MasterDaemonConfig read_master(config::Section& top) {
   MasterDaemonConfig config;
   config.id = top.string_or("id", "master");
   config.registry = discovery::read_registry_options(top);
@@ -168,12 +165,12 @@ MasterDaemonConfig load_master_config(const std::string& file) {
     config.gateway_token_file = api->string_or("gateway_token_file", "");
     const bool for_each = config.gateway_token_file.find("{gateway}") != std::string::npos;
     if (!config.gateway_token_file.empty() && !for_each && !std::filesystem::exists(config.gateway_token_file))
-      throw api->error("gateway_token_file", "the file \"" + config.gateway_token_file + "\" is not there",
-                       "a file whose first line is a token that the gateways know");
+      api->refuse("gateway_token_file", "the file \"" + config.gateway_token_file + "\" is not there",
+                  "a file whose first line is a token that the gateways know");
     config.worker_token_file = api->string_or("worker_token_file", "");
     if (!config.worker_token_file.empty() && !std::filesystem::exists(config.worker_token_file))
-      throw api->error("worker_token_file", "the file \"" + config.worker_token_file + "\" is not there",
-                       "a file whose first line is a token that the pages of topologies' workers take");
+      api->refuse("worker_token_file", "the file \"" + config.worker_token_file + "\" is not there",
+                  "a file whose first line is a token that the pages of topologies' workers take");
     api->finish();
   }
   if (config.api.advertise.empty()) config.api.advertise = fmt::format("{}:{}", config.api.host, config.api.port);
@@ -197,6 +194,14 @@ MasterDaemonConfig load_master_config(const std::string& file) {
   config::read_log_settings(top);  // only checks these keys: the frame of the daemon (config/) applies them
   top.finish();
   return config;
+}
+
+}  // namespace
+
+MasterDaemonConfig load_master_config(const std::string& file) {
+  std::optional<MasterDaemonConfig> config;
+  config::Section::read_file(file, [&](config::Section& top) { config = read_master(top); });
+  return *std::move(config);
 }
 
 std::unique_ptr<config::Service> make_master_service(MasterDaemonConfig config) {

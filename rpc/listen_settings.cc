@@ -32,31 +32,32 @@ void read_listen_settings(config::Section& section, ListenSettings& settings, in
   settings.tls = security::read_tls(section);
   settings.tokens = section.string_or("tokens", settings.tokens);
   if (const std::string problem = exposure(settings); !problem.empty()) {
-    throw section.error(
+    section.refuse(
         "host", problem,
         "tls: {ca, certificate, key} (`iotcloud certs init` makes them) and tokens: FILE (`iotcloud token add`), "
         "or 127.0.0.1");
   }
   if (!settings.tokens.empty() && !std::filesystem::exists(settings.tokens)) {
-    throw section.error("tokens", "the file \"" + settings.tokens + "\" is not there",
-                        "`iotcloud token add NAME --role admin --file " + settings.tokens + "` makes it");
+    section.refuse("tokens", "the file \"" + settings.tokens + "\" is not there",
+                   "`iotcloud token add NAME --role admin --file " + settings.tokens + "` makes it");
+    settings.tokens.clear();
   }
   settings.users = section.strings_or("users", {});
   settings.open = section.bool_or("open", false);
   if (!settings.tokens.empty() && (settings.open || !settings.users.empty())) {
-    throw section.error(settings.open ? "open" : "users", "with tokens it is they that say who may act",
-                        "leave out one of the two");
+    section.refuse(settings.open ? "open" : "users", "with tokens it is they that say who may act",
+                   "leave out one of the two");
   }
   if (const auto advertise = section.optional_string("advertise")) {
     try {
       static_cast<void>(split_address(*advertise));
     } catch (const config::Error& e) {
-      throw section.error("advertise", e.what());
+      section.refuse("advertise", e.what());
     }
     settings.advertise = *advertise;
   } else if (settings.host == "0.0.0.0" || settings.host == "::") {
-    throw section.error("host", settings.host + " is every address, and others must be told one",
-                        "advertise: \"HOST:PORT\", a name of this machine that is in its certificate");
+    section.refuse("host", settings.host + " is every address, and others must be told one",
+                   "advertise: \"HOST:PORT\", a name of this machine that is in its certificate");
   } else {
     settings.advertise = settings.host.find(':') == std::string::npos
                              ? fmt::format("{}:{}", settings.host, settings.port)

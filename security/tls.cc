@@ -104,7 +104,7 @@ TlsFiles read_tls(config::Section& section) {
   try {
     const TlsContext tried(files, TlsContext::Side::server);
   } catch (const config::Error& e) {
-    throw section.error("tls", e.what(), "`iotcloud certs init` makes such files");
+    section.refuse("tls", e.what(), "`iotcloud certs init` makes such files");
   }
   return files;
 }

@@ -70,7 +70,7 @@ class BasicBolt {
 namespace detail {
 
 /// Wraps a BasicBolt as a Bolt.
-class BasicBoltExecutor final : public Bolt {
+class BasicBoltExecutor : public Bolt {
  public:
   explicit BasicBoltExecutor(std::unique_ptr<BasicBolt> basic) : basic_(std::move(basic)) {}
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override { basic_->declare_output_fields(declarer); }
@@ -90,12 +90,33 @@ class BasicBoltExecutor final : public Bolt {
   OutputCollector* collector_ = nullptr;
 };
 
+/// A class that checks its configuration before a topology starts.
+template <typename T>
+concept ChecksConf = requires(const Config& config) {
+  T::check_conf(config);
+};
+
+/// Asks the class to check its configuration when the topology asks the bolt for its ticks.
+template <ChecksConf T>
+class CheckedBasicBoltExecutor final : public BasicBoltExecutor {
+ public:
+  using BasicBoltExecutor::BasicBoltExecutor;
+  std::chrono::microseconds tick_period(const Config& config) const override {
+    T::check_conf(config);
+    return BasicBoltExecutor::tick_period(config);
+  }
+};
+
 }  // namespace detail
 
-/// Makes a Bolt of class T; a T that is a BasicBolt is wrapped.
+/// Makes a Bolt of class T; a T that is a BasicBolt is wrapped. Such a T may have `static void check_conf(const
+/// Config&)`, which throws what is wrong with the configuration (ConfCheck in conf_keys.h): the check of the topology's
+/// file says it, and so does the start. A T that is a Bolt throws it in tick_period().
 template <typename T, typename... Args>
 std::unique_ptr<Bolt> make_bolt(Args&&... args) {
-  if constexpr (std::is_base_of_v<BasicBolt, T>) {
+  if constexpr (std::is_base_of_v<BasicBolt, T> && detail::ChecksConf<T>) {
+    return std::make_unique<detail::CheckedBasicBoltExecutor<T>>(std::make_unique<T>(std::forward<Args>(args)...));
+  } else if constexpr (std::is_base_of_v<BasicBolt, T>) {
     return std::make_unique<detail::BasicBoltExecutor>(std::make_unique<T>(std::forward<Args>(args)...));
   } else {
     return std::make_unique<T>(std::forward<Args>(args)...);

@@ -1,20 +1,37 @@
 #include <algorithm>
-#include <stdexcept>
+#include <utility>
 
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/conf_keys.h>
 
 namespace iotcloud::topology {
 
-void refuse_unknown_keys(const Config& config, const std::string& prefix, const std::vector<std::string>& known) {
+namespace {
+
+std::string lines_of(const std::map<std::string, std::string>& keys) {
+  std::string lines;
+  for (const auto& [key, text] : keys) lines += (lines.empty() ? "conf: " : "\nconf: ") + key + ": " + text;
+  return lines;
+}
+
+}  // namespace
+
+ConfErrors::ConfErrors(std::map<std::string, std::string> keys)
+    : std::invalid_argument(lines_of(keys)), keys_(std::move(keys)) {}
+
+void ConfCheck::refuse_unknown_keys(const Config& config, const std::string& prefix,
+                                    const std::vector<std::string>& known) {
   for (const auto& [key, value] : config) {
     if (!key.starts_with(prefix) || std::find(known.begin(), known.end(), key) != known.end()) continue;
     const std::string guess = config::nearest(key, known);
     std::string list;
     for (const auto& each : known) list += (list.empty() ? "" : ", ") + each;
-    throw std::invalid_argument("conf: " + key + ": unknown key; " +
-                                (guess.empty() ? "known are " + list : "did you mean \"" + guess + "\"?"));
+    refuse(key, "unknown key; " + (guess.empty() ? "known are " + list : "did you mean \"" + guess + "\"?"));
   }
+}
+
+void ConfCheck::finish() const {
+  if (!keys_.empty()) throw ConfErrors(keys_);
 }
 
 }  // namespace iotcloud::topology

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <set>
 
+#include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/topology_builder.h>
 
 namespace iotcloud::topology {
@@ -27,26 +28,35 @@ class Declarations final : public OutputFieldsDeclarer {
 };
 
 /// Asks a component for its streams, for how long it keeps tuples, and for its tick period if the topology sets none.
-std::map<std::string, StreamSpec> ask(ComponentSpec& spec, const Config& topology_config) {
+std::map<std::string, StreamSpec> declared(ComponentSpec& spec, const Config& topology_config) {
   Declarations declarations(spec.id);
+  if (spec.spout) {
+    spec.spout()->declare_output_fields(declarations);
+    return declarations.streams;
+  }
+  const auto bolt = spec.bolt();
+  bolt->declare_output_fields(declarations);
+  Config config = spec.config;
+  config.insert(topology_config.begin(), topology_config.end());
+  const auto wished = bolt->tick_period(config);
+  if (spec.tick.count() == 0) spec.tick = wished;
+  spec.holds = bolt->holds_tuples_for(config);
+  return declarations.streams;
+}
+
+std::string cannot_be_asked(const std::string& component, const std::exception& why) {
+  return component + " could not be made and asked for its fields and ticks: " + why.what();
+}
+
+/// As declared(). \throws TopologyError only.
+std::map<std::string, StreamSpec> ask(ComponentSpec& spec, const Config& topology_config) {
   try {
-    if (spec.spout) {
-      spec.spout()->declare_output_fields(declarations);
-    } else {
-      const auto bolt = spec.bolt();
-      bolt->declare_output_fields(declarations);
-      Config config = spec.config;
-      config.insert(topology_config.begin(), topology_config.end());
-      const auto wished = bolt->tick_period(config);
-      if (spec.tick.count() == 0) spec.tick = wished;
-      spec.holds = bolt->holds_tuples_for(config);
-    }
+    return declared(spec, topology_config);
   } catch (const TopologyError&) {
     throw;
   } catch (const std::exception& e) {
-    throw TopologyError(spec.id, spec.id + " could not be made and asked for its fields and ticks: " + e.what());
+    throw TopologyError(spec.id, cannot_be_asked(spec.id, e));
   }
-  return declarations.streams;
 }
 
 void check_source(const ComponentSpec& bolt, const InputSpec& input, const Topology& topology) {
@@ -280,6 +290,23 @@ BoltDeclarer TopologyBuilder::bolt(const std::string& id) {
     if (component->id == id && component->bolt) return BoltDeclarer(*component);
   }
   throw TopologyError(id, "there is no bolt \"" + id + "\" to connect");
+}
+
+std::vector<ComponentTrouble> TopologyBuilder::troubles(const Config& config) const {
+  std::vector<ComponentTrouble> all;
+  for (const auto& component : components_) {
+    ComponentSpec spec = *component;
+    try {
+      static_cast<void>(declared(spec, config));
+    } catch (const ConfErrors& errors) {
+      for (const auto& [key, text] : errors.keys()) all.push_back({spec.id, key, text});
+    } catch (const TopologyError& e) {
+      all.push_back({spec.id, "", e.what()});
+    } catch (const std::exception& e) {
+      all.push_back({spec.id, "", cannot_be_asked(spec.id, e)});
+    }
+  }
+  return all;
 }
 
 Topology TopologyBuilder::build(const std::string& name, const Config& config) const {

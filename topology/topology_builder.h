@@ -28,6 +28,13 @@ class TopologyError : public config::Error {
   std::string component_;
 };
 
+/// What a component says against its own settings when it is asked for its fields and ticks.
+struct ComponentTrouble {
+  std::string component;
+  std::string conf_key;  ///< the key of its configuration; empty if it is not about one
+  std::string text;
+};
+
 /// One input of a bolt.
 struct InputSpec {
   std::string from;
@@ -147,6 +154,8 @@ class TopologyBuilder {
   BoltDeclarer bolt(const std::string& id);
   bool has(const std::string& id) const;
 
+  /// Asks all components for their fields and ticks: what those say that refuse.
+  std::vector<ComponentTrouble> troubles(const Config& config = {}) const;
   /// Checks the graph. \throws TopologyError for an unknown source or stream, a key field that the source does not
   /// declare, a bolt without input, a graph without spout, and a cycle (which it names).
   Topology build(const std::string& name, const Config& config = {}) const;

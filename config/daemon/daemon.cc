@@ -62,6 +62,16 @@ void read_again(const std::string& file, Service& service, const Logger& log) {
   }
 }
 
+/// Reads how to log. If that fails, the service's own reader says all errors of the file.
+LogSettings first_log_settings(const std::string& file, const DaemonOptions& options) {
+  try {
+    return load_log_settings(file);
+  } catch (const ConfigError&) {
+    static_cast<void>(options.build(file));
+    throw;
+  }
+}
+
 /// Ends the process when stopping exceeds the limit: a service that hangs cannot be asked to end.
 class StopWatchdog {
  public:
@@ -175,7 +185,7 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   std::vector<AskedKey> keys;
   if (list_keys) record_asked_keys(&keys);
   try {
-    LogSettings settings = load_log_settings(file);
+    LogSettings settings = first_log_settings(file, options);
     if (!level.empty()) settings.level = parse_log_level(level);
     if (!format.empty()) settings.format = parse_log_format(format);
     apply(settings);

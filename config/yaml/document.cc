@@ -118,8 +118,10 @@ std::string join(const std::string& path, const std::string& key) {
   return path.empty() ? key : path + "." + key;
 }
 
-/// Refuses duplicate keys anywhere below `node`: yaml-cpp would silently take the first.
-void refuse_duplicates(const YAML::Node& node, const std::string& file, const std::string& path) {
+/// Finds duplicate keys anywhere below `node`: yaml-cpp would silently take the first.
+void find_duplicates(const YAML::Node& node, const std::string& file, const std::string& path,
+                     std::vector<ConfigError>& errors) {
+  if (errors.size() >= most_errors) return;
   if (node.IsMap()) {
     std::set<std::string> seen;
     for (const auto& entry : node) {
@@ -128,14 +130,14 @@ void refuse_duplicates(const YAML::Node& node, const std::string& file, const st
       }
       const std::string& key = entry.first.Scalar();
       if (!seen.insert(key).second) {
-        throw ConfigError(location(file, entry.first.Mark()), join(path, key), "this key stands here twice",
-                          "remove one of them");
+        errors.emplace_back(location(file, entry.first.Mark()), join(path, key), "this key stands here twice",
+                            "remove one of them");
       }
-      refuse_duplicates(entry.second, file, join(path, key));
+      find_duplicates(entry.second, file, join(path, key), errors);
     }
   } else if (node.IsSequence()) {
     for (std::size_t i = 0; i < node.size(); ++i) {
-      refuse_duplicates(node[i], file, path + "[" + std::to_string(i) + "]");
+      find_duplicates(node[i], file, path + "[" + std::to_string(i) + "]", errors);
     }
   }
 }
@@ -159,7 +161,7 @@ Location location(const std::string& file, const YAML::Mark& mark) {
   return {file, mark.line + 1, mark.column + 1};
 }
 
-YAML::Node read_document(const std::string& text, const std::string& name) {
+YAML::Node read_document(const std::string& text, const std::string& name, std::vector<ConfigError>& duplicates) {
   YAML::Node document;
   try {
     std::istringstream stream(text);
@@ -175,7 +177,7 @@ YAML::Node read_document(const std::string& text, const std::string& name) {
     refuse_tab(text, name, location(name, e.mark).line);
     throw ConfigError(location(name, e.mark), "", "this is not YAML: " + e.msg, "");
   }
-  refuse_duplicates(document, name, "");
+  find_duplicates(document, name, "", duplicates);
   return document;
 }
 

@@ -51,6 +51,8 @@ FOR_ANY_FILE = {
 CLASSES = (
     ("Windowed bolts", "window.", "topology/windows/window_options.cc", "topology/windows/README.md"),
     ("Bolts with state", "state.", "topology/state/stateful_bolt.cc", "topology/state/README.md"),
+    ("The follower's bolt turtlebot.Follow", "", "examples/turtlebot_follower/follower_options.cc",
+     "examples/turtlebot_follower/README.md"),
 )
 
 HEAD = """\
@@ -200,16 +202,19 @@ def section(program, file, readme, binaries):
 
 def conf_section(name, prefix, source, readme):
     """The keys of `conf` that a class takes, as its code lists them, with the rows of its README's table."""
-    known = re.search(rf'refuse_unknown_keys\(config, "{prefix}",\s*\{{(.*?)\}}\)', (ROOT / source).read_text(), re.DOTALL)
+    keys_of = rf'refuse_unknown_keys\(config, "{prefix}",\s*\{{(.*?)\}}\)' if prefix else r"const Key keys\[\] = (.*?);"
+    known = re.search(keys_of, (ROOT / source).read_text(), re.DOTALL)
+    others = f"Any other key that begins with `{prefix}`" if prefix else "Any other key"
     if not known:
-        sys.exit(f"{source}: the keys that begin with {prefix} are not where they were")
+        sys.exit(f"{source}: the keys that it knows are not where they were")
     keys = sorted(re.findall(r'"([\w.]+)"', known[1]))
-    rows = {row[1]: row[0] for row in re.finditer(r"^\| `([\w.]+)` \|.*\|$", (ROOT / readme).read_text(), re.MULTILINE)
-            if row[1].startswith(prefix)}
+    told = (ROOT / readme).read_text()
+    told = told[max(told.find("| key of `conf` |"), 0):]
+    rows = {row[1]: row[0] for row in re.finditer(r"^\| `([\w.]+)` \|.*\|$", told, re.MULTILINE) if row[1].startswith(prefix)}
     if keys != sorted(rows):
         sys.exit(f"{readme}: its table has {', '.join(sorted(rows)) or 'no keys'}; {source} takes {', '.join(keys)}")
     table = "\n".join(["| key of `conf` | value | default | meaning |", "|---|---|---|---|", *rows.values()])
-    return f"## {name}: `conf`\n\n[{readme}](../../{readme}) says more. Any other key that begins with `{prefix}` is refused.\n\n{table}\n"
+    return f"## {name}: `conf`\n\n[{readme}](../../{readme}) says more. {others} is refused.\n\n{table}\n"
 
 
 def main():

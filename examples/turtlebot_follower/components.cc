@@ -73,6 +73,7 @@ class Follow : public BasicBolt {
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     declarer.declare(Fields{"control", "driverID", "time"});
   }
+  static void check_conf(const Config& config) { static_cast<void>(read_options(config)); }
   void prepare(const Config& config, const TopologyContext&) override { follower_ = Follower(read_options(config)); }
   void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
     const Payload& depth_mm = tuple.get<Payload>("depth");

@@ -28,8 +28,8 @@ struct FollowerOptions {
   Box box;
 };
 
-/// Reads the options of a component's `conf`; README.md lists the keys. \throws std::invalid_argument for an unknown
-/// key, a value out of range or an empty box; the message says what would be right.
+/// Reads the options of a component's `conf`; README.md lists the keys. \throws iotcloud::topology::ConfErrors for
+/// unknown keys, values out of range and an empty box; the message says what would be right.
 FollowerOptions read_options(const std::map<std::string, std::string>& conf);
 
 /// Finds the person in a depth frame and steers towards a fixed distance: it computes the centroid of the points in a

@@ -1,16 +1,18 @@
-#include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <iterator>
-#include <stdexcept>
+#include <string>
+#include <vector>
 
 #include <fmt/format.h>
 
 #include <iotcloud/examples/turtlebot_follower/follower.h>
+#include <iotcloud/topology/conf_keys.h>
 
 namespace turtlebot_follower {
 
 namespace {
+
+using iotcloud::topology::ConfCheck;
 
 /// One key of `conf`: its value's destination and range.
 struct Key {
@@ -19,21 +21,24 @@ struct Key {
   double min, max;
 };
 
-double parse(const Key& key, const std::string& text) {
+void parse(ConfCheck& check, const Key& key, const std::string& text) {
   double value = 0;
   const char* end = text.data() + text.size();
   const auto [stop, status] = std::from_chars(text.data(), end, value);
   if (status != std::errc{} || stop != end || !(value >= key.min && value <= key.max)) {
-    throw std::invalid_argument(
-        fmt::format("{}: \"{}\"; it takes a number from {} to {}", key.name, text, key.min, key.max));
+    check.refuse(key.name, fmt::format("\"{}\"; it takes a number from {} to {}", text, key.min, key.max));
+    return;
   }
-  return value;
+  *key.value = value;
 }
 
-void require_inside(const char* axis, double min, double max) {
+/// \param conf says which of the two borders the error is about.
+void require_inside(ConfCheck& check, const std::map<std::string, std::string>& conf, const std::string& axis,
+                    double min, double max) {
   if (min < max) return;
-  throw std::invalid_argument(fmt::format(
-      "{0}_min is {1} and {0}_max is {2}: nothing is between; make {0}_min the smaller one", axis, min, max));
+  check.refuse(axis + (conf.contains(axis + "_min") ? "_min" : "_max"),
+               fmt::format("{0}_min is {1} and {0}_max is {2}: nothing is between; make {0}_min the smaller one", axis,
+                           min, max));
 }
 
 }  // namespace
@@ -56,25 +61,22 @@ FollowerOptions read_options(const std::map<std::string, std::string>& conf) {
                       {"y_max", &box.y_max, -farthest_box, farthest_box},
                       {"z_min", &box.z_min, 0, farthest_box},
                       {"z_max", &box.z_max, 0, farthest_box}};
-  std::string known;
+  ConfCheck check;
+  std::vector<std::string> known;
   for (const Key& key : keys) {
-    known += (known.empty() ? "" : ", ") + key.name;
+    known.push_back(key.name);
     const auto given = conf.find(key.name);
-    if (given != conf.end()) *key.value = parse(key, given->second);
+    if (given != conf.end()) parse(check, key, given->second);
   }
-  for (const auto& [name, value] : conf) {
-    const auto is_it = [&name = name](const Key& key) { return key.name == name; };
-    if (std::none_of(std::begin(keys), std::end(keys), is_it)) {
-      throw std::invalid_argument(fmt::format("unknown key \"{}\" in conf; the follower knows: {}", name, known));
-    }
-  }
+  check.refuse_unknown_keys(conf, "", known);
   if (min_points != std::floor(min_points)) {
-    throw std::invalid_argument(fmt::format("min_points: \"{}\"; it takes a whole number", min_points));
+    check.refuse("min_points", fmt::format("\"{}\"; it takes a whole number", min_points));
   }
   options.min_points = static_cast<std::uint32_t>(min_points);
-  require_inside("x", box.x_min, box.x_max);
-  require_inside("y", box.y_min, box.y_max);
-  require_inside("z", box.z_min, box.z_max);
+  require_inside(check, conf, "x", box.x_min, box.x_max);
+  require_inside(check, conf, "y", box.y_min, box.y_max);
+  require_inside(check, conf, "z", box.z_min, box.z_max);
+  check.finish();
   return options;
 }
 

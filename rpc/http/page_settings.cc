@@ -18,17 +18,23 @@ PageSettings read_page_settings(config::Section& file) {
   settings.address = section->require_string("address");
   settings.tls = security::read_tls(*section);
   settings.tokens = section->string_or("tokens", "");
-  if (const std::string problem = exposure(settings); !problem.empty()) {
-    throw section->error(
-        "address", problem,
-        "tls: {ca, certificate, key} (`iotcloud certs init` makes them) and tokens: FILE (`iotcloud token add`), "
-        "or an address on 127.0.0.1");
+  try {
+    if (const std::string problem = exposure(settings); !problem.empty()) {
+      section->refuse(
+          "address", problem,
+          "tls: {ca, certificate, key} (`iotcloud certs init` makes them) and tokens: FILE (`iotcloud token add`), "
+          "or an address on 127.0.0.1");
+    }
+  } catch (const config::ConfigError&) {
+    throw;
+  } catch (const config::Error& e) {
+    section->refuse("address", e.what());
   }
   if (!settings.tokens.empty()) {
     try {
       security::read_tokens(settings.tokens);
     } catch (const config::Error& e) {
-      throw section->error("tokens", e.what(), "`iotcloud token add NAME --role viewer --file FILE` makes one");
+      section->refuse("tokens", e.what(), "`iotcloud token add NAME --role viewer --file FILE` makes one");
     }
   }
   section->finish();

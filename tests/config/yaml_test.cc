@@ -1,4 +1,7 @@
+#include <algorithm>
 #include <functional>
+#include <stdexcept>
+#include <string>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,6 +12,7 @@ namespace iotcloud::config {
 namespace {
 
 using std::chrono_literals::operator""ms;
+using std::chrono_literals::operator""s;
 using std::chrono_literals::operator""us;
 using testing::ElementsAre;
 using testing::HasSubstr;
@@ -129,6 +133,54 @@ TEST(Yaml, names_a_key_that_is_missing) {
   auto top = yaml("a: {b: 1}");
   EXPECT_THAT(message_of([&] { top.require_section("a").require_string("c"); }),
               HasSubstr("a: the key \"c\" is missing"));
+}
+
+TEST(Yaml, tells_all_errors_of_a_text_in_its_order) {
+  const std::string text = R"(count: many
+count: 3
+wait: 5
+list: [[a], b, [c]]
+inner: {port: 0, colour: red}
+nested: {a: x}
+)";
+  const auto read = [](Section& top) {
+    EXPECT_EQ(top.int_or("count", 7, 0, 9), 7);
+    EXPECT_EQ(top.duration_or("wait", 2s), 2s);
+    EXPECT_THAT(top.require_strings("list"), ElementsAre("b"));
+    auto inner = top.require_section("inner");
+    EXPECT_EQ(inner.require_int("port", 1, 65535), 1);
+    inner.refuse("port", "this is about a value that nobody wrote");
+    inner.finish();
+    top.part([&] { throw top.require_section("nested").error("a", "not this"); });
+    auto missing = top.require_section("missing");
+    EXPECT_EQ(missing.require_string("of_no_interest"), "");
+  };
+  EXPECT_EQ(message_of([&] { Section::read_text(text, "t.yaml", read); }),
+            "t.yaml:1:1: count: \"many\" does not fit; a whole number from 0 to 9 is expected\n"
+            "t.yaml:1:1: the key \"missing\" is missing; add \"missing:\" and what belongs below it\n"
+            "t.yaml:2:1: count: this key stands here twice; remove one of them\n"
+            "t.yaml:3:1: wait: \"5\" is not a duration; write a number and a unit: 250ms, 2s, 5m, 1h or 10us\n"
+            "t.yaml:4:8: list: single values are expected in this sequence, not a sequence\n"
+            "t.yaml:4:16: list: single values are expected in this sequence, not a sequence\n"
+            "t.yaml:5:9: inner.port: \"0\" does not fit; a whole number from 1 to 65535 is expected\n"
+            "t.yaml:5:18: inner.colour: unknown key; known are \"port\"\n"
+            "t.yaml:6:10: nested.a: not this");
+}
+
+TEST(Yaml, tells_what_a_reader_throws_unless_it_comes_from_a_stand_in) {
+  const auto read = [](Section& top) {
+    top.require_string("name");
+    throw std::runtime_error("the empty name");
+  };
+  EXPECT_THROW(Section::read_text("name: x", "t.yaml", read), std::runtime_error);
+  EXPECT_THAT(message_of([&] { Section::read_text("other: x", "t.yaml", read); }), HasSubstr("\"name\" is missing"));
+}
+
+TEST(Yaml, tells_the_first_hundred_errors_of_a_text) {
+  std::string text;
+  for (int i = 0; i < 1000; ++i) text += "k" + std::to_string(i) + ": 1\n";
+  const std::string told = message_of([&] { Section::read_text(text, "t.yaml", [](Section& top) { top.finish(); }); });
+  EXPECT_EQ(std::count(told.begin(), told.end(), '\n'), 99);
 }
 
 TEST(Yaml, refuses_a_key_that_stands_twice_at_any_depth) {

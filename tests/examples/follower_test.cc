@@ -209,16 +209,18 @@ std::string refusal(const std::map<std::string, std::string>& conf) {
 
 TEST(FollowerOptions, refuse_what_is_unknown_or_out_of_range_and_say_what_would_be_right) {
   using testing::HasSubstr;
-  EXPECT_THAT(refusal({{"goal_distanze", "1"}}), HasSubstr("unknown key \"goal_distanze\" in conf; the follower knows: "
-                                                           "goal_distance, max_linear,"));
-  EXPECT_EQ(refusal({{"max_linear", "-1"}}), "max_linear: \"-1\"; it takes a number from 0 to 10");
-  EXPECT_EQ(refusal({{"max_linear", "fast"}}), "max_linear: \"fast\"; it takes a number from 0 to 10");
-  EXPECT_EQ(refusal({{"max_linear", "nan"}}), "max_linear: \"nan\"; it takes a number from 0 to 10");
-  EXPECT_EQ(refusal({{"z_max", "0.5m"}}), "z_max: \"0.5m\"; it takes a number from 0 to 10");
+  EXPECT_EQ(refusal({{"goal_distanze", "1"}}), "conf: goal_distanze: unknown key; did you mean \"goal_distance\"?");
+  EXPECT_EQ(refusal({{"max_linear", "-1"}}), "conf: max_linear: \"-1\"; it takes a number from 0 to 10");
+  EXPECT_EQ(refusal({{"max_linear", "fast"}}), "conf: max_linear: \"fast\"; it takes a number from 0 to 10");
+  EXPECT_EQ(refusal({{"max_linear", "nan"}}), "conf: max_linear: \"nan\"; it takes a number from 0 to 10");
+  EXPECT_EQ(refusal({{"z_max", "0.5m"}}), "conf: z_max: \"0.5m\"; it takes a number from 0 to 10");
   EXPECT_THAT(refusal({{"min_points", "0.5"}}), HasSubstr("min_points"));
   EXPECT_EQ(refusal({{"x_min", "0.2"}}),
-            "x_min is 0.2 and x_max is 0.2: nothing is between; make x_min the smaller one");
+            "conf: x_min: x_min is 0.2 and x_max is 0.2: nothing is between; make x_min the smaller one");
   EXPECT_THAT(refusal({{"z_min", "1.5"}}), HasSubstr("z_min is 1.5 and z_max is 1"));
+  EXPECT_EQ(refusal({{"max_linear", "-1"}, {"turn_gian", "2"}}),
+            "conf: max_linear: \"-1\"; it takes a number from 0 to 10\n"
+            "conf: turn_gian: unknown key; did you mean \"turn_gain\"?");
 }
 
 TEST(Follower, ignores_a_frame_of_another_size) {

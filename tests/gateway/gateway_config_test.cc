@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <string>
@@ -53,6 +54,19 @@ class GatewayConfigTest : public ::testing::Test {
 
   std::filesystem::path folder_;
 };
+
+TEST_F(GatewayConfigTest, AllErrorsOfAFileAreSaidAtOnce) {
+  const std::string text =
+      error_of(with("id", "id: \"\"\nhost_hang_limit: 3\nhost_open_files: 5\nmetrisc: {}") +
+               "thrift: {port: 99999, prot: 1}\nhost_restart: {first: soon}\nlog: {level: loud}\n");
+  EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), 7) << text;
+  for (const char* part :
+       {"id: this must not be empty", "host_hang_limit: \"3\" is not a duration",
+        "host_open_files: ", "metrisc: unknown key; did you mean \"metrics\"?", "thrift.port: \"99999\"",
+        "thrift.prot: unknown key", "host_restart.first: \"soon\"", "log.level: \"loud\""}) {
+    EXPECT_THAT(text, HasSubstr(part));
+  }
+}
 
 TEST_F(GatewayConfigTest, WhatHostsMayTakeAndHowTheyAreStartedAgainIsRead) {
   const auto config = load(with("hosts",

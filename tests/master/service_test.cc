@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdio>
 #include <fstream>
 
@@ -44,6 +45,17 @@ TEST(MasterConfig, TheShippedFileIsGood) {
   EXPECT_EQ(config.api.port, 12904);
   EXPECT_FALSE(config.gateways);
   EXPECT_EQ(config.sensors_root, "/iot/sensors");
+}
+
+TEST(MasterConfig, AllErrorsOfAFileAreSaidAtOnce) {
+  const std::string text = error_of(
+      "registri: x\napi: {port: none, token: x}\norders: {wait: 5, for_lost_gateways: recrd}\nlog: {format: xml}\n");
+  EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), 6) << text;
+  for (const char* part : {"the key \"registry\" is missing", "registri: unknown key; did you mean \"registry\"?",
+                           "api.port: \"none\"", "api.token: unknown key; did you mean \"tokens\"?",
+                           "orders.wait: \"5\" is not a duration", "did you mean \"record\"?", "log.format: \"xml\""}) {
+    EXPECT_THAT(text, testing::HasSubstr(part));
+  }
 }
 
 TEST(MasterConfig, ThePortForGatewaysOfTheOriginalIsOnOnlyIfItsKeyIsThere) {

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <map>
 
-#include <iotcloud/config/yaml/errors.h>
 #include <iotcloud/topology/definition/assemble.h>
 #include <iotcloud/topology/definition/describe.h>
 
@@ -105,26 +104,43 @@ void apply(const ComponentRegistry::Application& application, TopologyBuilder& b
   }
 }
 
-/// The first input whose source is missing, or nullptr.
-const InputDefinition* unknown_input(const TopologyDefinition& definition, const TopologyBuilder& builder) {
-  for (const auto& bolt : definition.bolts) {
-    for (const auto& input : bolt.inputs) {
-      if (!builder.has(input.from)) return &input;
-    }
-  }
-  return nullptr;
+void refuse_unknown_source(const InputDefinition& input, const std::vector<std::string>& known) {
+  const std::string guess = config::nearest(input.from, known);
+  std::string list;
+  for (const auto& name : known) list += (list.empty() ? "\"" : ", \"") + name + "\"";
+  input.section.refuse("from", "there is no component \"" + input.from + "\"",
+                       guess.empty() ? "the file has " + list : "did you mean \"" + guess + "\"?");
 }
 
-[[noreturn]] void refuse_unknown_source(const TopologyDefinition& definition, const InputDefinition& input) {
+void refuse_unknown_sources(const TopologyDefinition& definition, const TopologyBuilder& builder) {
   std::vector<std::string> known;
   for (const auto* group : {&definition.spouts, &definition.bolts}) {
     for (const auto& component : *group) known.push_back(component.id);
   }
-  const std::string guess = config::nearest(input.from, known);
-  std::string list;
-  for (const auto& name : known) list += (list.empty() ? "\"" : ", \"") + name + "\"";
-  throw input.section.error("from", "there is no component \"" + input.from + "\"",
-                            guess.empty() ? "the file has " + list : "did you mean \"" + guess + "\"?");
+  for (const auto& bolt : definition.bolts) {
+    for (const auto& input : bolt.inputs) {
+      const bool in_file = std::find(known.begin(), known.end(), input.from) != known.end();
+      if (!in_file && !builder.has(input.from)) refuse_unknown_source(input, known);
+    }
+  }
+}
+
+/// Refuses what components say of themselves, such as keys of `conf` that they do not take, at the key's own place.
+void refuse_troubled_components(const TopologyDefinition& definition, const TopologyBuilder& builder) {
+  for (const ComponentTrouble& trouble : builder.troubles(definition.conf)) {
+    const auto is_it = [&](const ComponentDefinition& component) { return component.id == trouble.component; };
+    const auto refuse_in = [&](const std::vector<ComponentDefinition>& group) {
+      const auto component = std::find_if(group.begin(), group.end(), is_it);
+      if (component == group.end()) return false;
+      const bool own = component->conf.contains(trouble.conf_key);
+      if (!own && !definition.conf.contains(trouble.conf_key)) return false;
+      config::Section owner = own ? component->section : definition.root;
+      owner.require_section("conf").refuse(trouble.conf_key, trouble.text);
+      return true;
+    };
+    if (refuse_in(definition.spouts) || refuse_in(definition.bolts)) continue;
+    definition.root.refuse(at_its_place(definition, TopologyError(trouble.component, trouble.text)));
+  }
 }
 
 /// Checks that a sending bolt's inputs have the fields that it sends.
@@ -137,8 +153,8 @@ void check_sent_fields(const TopologyDefinition& definition, const Topology& top
       const Fields& given = topology.streams.at(input.from).at(input.stream).fields;
       for (const auto& field : bolt.endpoint->fields) {
         if (given.find(field)) continue;
-        throw bolt.section.error("fields", "its input \"" + input.from + "\" has no field \"" + field + "\"",
-                                 "its fields are: " + given.list());
+        bolt.section.refuse("fields", "its input \"" + input.from + "\" has no field \"" + field + "\"",
+                            "its fields are: " + given.list());
       }
     }
   }
@@ -204,30 +220,49 @@ void check_holds(const TopologyDefinition& definition, const Topology& topology)
 
 Topology assemble(const TopologyDefinition& definition, const ComponentRegistry& components,
                   const EndpointFactories& endpoints) {
-  TopologyBuilder builder;
-  try {
-    std::vector<config::ConfigError> errors;
-    const auto add = [&](auto&& component) {
+  Topology topology;
+  const config::Section& root = definition.root;
+  // Runs a step of which another one does not depend, and notes its error.
+  const auto step = [&](const auto& make) {
+    root.part([&] {
       try {
-        component();
-      } catch (const config::ConfigError& error) {
-        errors.push_back(error);
+        make();
+      } catch (const TopologyError& error) {
+        throw at_its_place(definition, error);
       }
+    });
+  };
+  root.all_errors([&] {
+    TopologyBuilder builder;
+    // Of a component with neither class nor broker the reader has said so.
+    const auto known = [](const ComponentDefinition& component) {
+      return component.endpoint || !component.class_name.empty();
     };
-    for (const auto& spout : definition.spouts) add([&] { add_spout(builder, spout, components, endpoints); });
-    for (const auto& bolt : definition.bolts) add([&] { add_bolt(builder, bolt, components, endpoints); });
-    if (!errors.empty()) throw config::together(errors);
-    if (components.application()) apply(components.application(), builder, definition);
-    for (const auto& bolt : definition.bolts) connect_inputs(builder, bolt, components);
-    if (const auto* input = unknown_input(definition, builder)) refuse_unknown_source(definition, *input);
-    auto topology = builder.build(definition.name, definition.conf);
-    check_sent_fields(definition, topology);
-    check_shared_spouts(definition, topology);
-    check_holds(definition, topology);
-    return topology;
-  } catch (const TopologyError& error) {
-    throw at_its_place(definition, error);
-  }
+    for (const auto& spout : definition.spouts) {
+      if (known(spout)) step([&] { add_spout(builder, spout, components, endpoints); });
+    }
+    for (const auto& bolt : definition.bolts) {
+      if (known(bolt)) step([&] { add_bolt(builder, bolt, components, endpoints); });
+    }
+    // The application expects all components of the file.
+    if (components.application() && !root.has_errors()) {
+      step([&] { apply(components.application(), builder, definition); });
+    }
+    for (const auto& bolt : definition.bolts) {
+      if (builder.has(bolt.id)) step([&] { connect_inputs(builder, bolt, components); });
+    }
+    if (!components.application() || !root.has_errors()) refuse_unknown_sources(definition, builder);
+    refuse_troubled_components(definition, builder);
+    // What follows needs the whole graph.
+    if (root.has_errors()) return;
+    step([&] {
+      topology = builder.build(definition.name, definition.conf);
+      check_sent_fields(definition, topology);
+      check_shared_spouts(definition, topology);
+      check_holds(definition, topology);
+    });
+  });
+  return topology;
 }
 
 }  // namespace iotcloud::topology

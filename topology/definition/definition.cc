@@ -1,10 +1,10 @@
 #include <algorithm>
+#include <optional>
 #include <set>
 #include <tuple>
 
 #include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/log_settings.h>
-#include <iotcloud/config/yaml/errors.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/definition/read_endpoint.h>
@@ -34,22 +34,24 @@ ComponentDefinition read_component(const std::string& id, Section section, const
                                 .section = section};
   component.class_name = section.string_or("class", "");
   if (component.class_name.empty()) {
-    if (!section.has("broker")) {
-      throw section.error("", "neither \"broker\" nor \"class\" is given",
-                          "\"broker\", \"driver\", \"channel\" and \"fields\" for one that faces a broker, or "
-                          "\"class\" for one of a component library");
+    if (section.has("broker")) {
+      component.endpoint = read_endpoint(section, brokers);
+    } else {
+      section.refuse("", "neither \"broker\" nor \"class\" is given",
+                     "\"broker\", \"driver\", \"channel\" and \"fields\" for one that faces a broker, or "
+                     "\"class\" for one of a component library");
     }
-    component.endpoint = read_endpoint(section, brokers);
   } else if (section.has("broker")) {
-    throw section.error("class", "a component that faces a broker has no class", "remove \"class\" or \"broker\"");
+    section.refuse("class", "a component that faces a broker has no class", "remove \"class\" or \"broker\"");
+    component.endpoint = read_endpoint(section, brokers);
   }
   component.parallelism = static_cast<int>(section.int_or("parallelism", 1, 1, most_tasks));
   component.tasks = static_cast<int>(section.int_or("tasks", component.parallelism, 1, most_tasks));
   if (component.tasks < component.parallelism) {
-    throw section.error("tasks",
-                        std::to_string(component.tasks) + " tasks cannot keep the " +
-                            std::to_string(component.parallelism) + " executors of \"parallelism\" busy",
-                        "name as many tasks or more: parallelism can grow up to it while the topology runs");
+    section.refuse("tasks",
+                   std::to_string(component.tasks) + " tasks cannot keep the " + std::to_string(component.parallelism) +
+                       " executors of \"parallelism\" busy",
+                   "name as many tasks or more: parallelism can grow up to it while the topology runs");
   }
   component.conf = section.string_map("conf");
   return component;
@@ -67,7 +69,7 @@ ComponentDefinition read_spout(const std::string& id, Section section, const std
   }
   for (const char* key : {"tick", "deadline"}) {
     if (!section.has(key)) continue;
-    throw section.error(key, "a spout has none: it executes no tuples", "set it on the bolts that its tuples go to");
+    section.refuse(key, "a spout has none: it executes no tuples", "set it on the bolts that its tuples go to");
   }
   section.finish();
   return spout;
@@ -79,22 +81,23 @@ void read_grouping(Section& section, InputDefinition& input) {
   input.grouping = section.choice_or("grouping", "shuffle", names);
   input.grouping_class = section.string_or("class", "");
   if (input.grouping == "custom" && input.grouping_class.empty()) {
-    throw section.error("grouping", "a custom grouping is a class of a component library",
-                        "add \"class: my.Grouping\", with the name that the library registers it by");
+    section.refuse("grouping", "a custom grouping is a class of a component library",
+                   "add \"class: my.Grouping\", with the name that the library registers it by");
   }
   if (input.grouping != "custom" && !input.grouping_class.empty()) {
-    throw section.error("class", "the grouping \"" + input.grouping + "\" has no class",
-                        "remove \"class\", or write \"grouping: custom\"");
+    section.refuse("class", "the grouping \"" + input.grouping + "\" has no class",
+                   "remove \"class\", or write \"grouping: custom\"");
   }
   input.fields = Fields(section.strings_or("fields", {}));
+  if (section.is_wrong("grouping")) return;
   const bool keyed = input.grouping == "fields" || input.grouping == "partial_key";
   if (keyed && input.fields.empty()) {
-    throw section.error("grouping", "the grouping \"" + input.grouping + "\" needs a key",
-                        "add \"fields: [driverID]\", for example");
+    section.refuse("grouping", "the grouping \"" + input.grouping + "\" needs a key",
+                   "add \"fields: [driverID]\", for example");
   }
   if (!keyed && !input.fields.empty()) {
-    throw section.error("fields", "the grouping \"" + input.grouping + "\" has no key",
-                        "remove \"fields\", or write \"grouping: fields\"");
+    section.refuse("fields", "the grouping \"" + input.grouping + "\" has no key",
+                   "remove \"fields\", or write \"grouping: fields\"");
   }
 }
 
@@ -111,8 +114,8 @@ InputDefinition read_input(Section section) {
   input.keep_last = static_cast<std::size_t>(section.int_or("keep_last", 0, 0, 1'000'000));
   input.keep_key = Fields(section.strings_or("keep_key", {}));
   if (!input.keep_key.empty() && input.keep_last == 0) {
-    throw section.error("keep_key", "this is the key of \"keep_last\", which is not given",
-                        "add \"keep_last: 1\", for example, or remove \"keep_key\"");
+    section.refuse("keep_key", "this is the key of \"keep_last\", which is not given",
+                   "add \"keep_last: 1\", for example, or remove \"keep_key\"");
   }
   section.finish();
   return input;
@@ -124,13 +127,13 @@ void read_deadline(Section& section, ComponentDefinition& bolt) {
   bolt.late_stream = section.string_or("late_stream", "");
   if (bolt.late_stream.empty()) return;
   if (bolt.late_stream == default_stream) {
-    throw section.error("late_stream", "late tuples need a stream of their own", "\"late_stream: late\", for example");
+    section.refuse("late_stream", "late tuples need a stream of their own", "\"late_stream: late\", for example");
   }
   const bool input_deadline = std::any_of(bolt.inputs.begin(), bolt.inputs.end(),
                                           [](const InputDefinition& input) { return input.deadline.count() > 0; });
   if (bolt.deadline.count() == 0 && !input_deadline) {
-    throw section.error("late_stream", "no tuple is late without a deadline",
-                        "add \"deadline: 50ms\", for example, to the bolt or one of its inputs");
+    section.refuse("late_stream", "no tuple is late without a deadline",
+                   "add \"deadline: 50ms\", for example, to the bolt or one of its inputs");
   }
 }
 
@@ -140,16 +143,16 @@ ComponentDefinition read_bolt(const std::string& id, Section section, const std:
     read_sending_options(section, bolt.endpoint->sending);
     bolt.tick = std::chrono::seconds(1);  // BrokerBolt needs this tick
     if (!std::count(bolt.endpoint->roles.begin(), bolt.endpoint->roles.end(), FieldRole::driver_id)) {
-      throw section.error("fields", "no field says which driver a tuple is for", "add \"driverID\"");
+      section.refuse("fields", "no field says which driver a tuple is for", "add \"driverID\"");
     }
     for (std::size_t i = 0; i < bolt.endpoint->roles.size(); ++i) {
       const FieldRole role = bolt.endpoint->roles[i];
       if (role != FieldRole::gateway_id && role != FieldRole::channel && role != FieldRole::redelivered) continue;
-      throw section.error("fields", "a bolt does not send \"" + bolt.endpoint->fields[i] + "\"",
-                          "remove it: a message gets its gateway and channel from the driver that it goes to");
+      section.refuse("fields", "a bolt does not send \"" + bolt.endpoint->fields[i] + "\"",
+                     "remove it: a message gets its gateway and channel from the driver that it goes to");
     }
     if (section.has("tick")) {
-      throw section.error("tick", "a bolt that sends to a broker ticks by itself", "remove \"tick\"");
+      section.refuse("tick", "a bolt that sends to a broker ticks by itself", "remove \"tick\"");
     }
   } else {
     bolt.tick = section.duration_or("tick", bolt.tick);
@@ -170,7 +173,7 @@ std::string read_registry_url(Section& root) {
   for (const auto& server : servers) {
     const auto colon = server.rfind(':');
     if (colon == std::string::npos || colon == 0 || colon + 1 == server.size()) {
-      throw root.error("zk.servers", "\"" + server + "\" is not a server", "host:port is expected (2181 is usual)");
+      root.refuse("zk.servers", "\"" + server + "\" is not a server", "host:port is expected (2181 is usual)");
     }
     url += (url.back() == '/' ? "" : ",") + server;
   }
@@ -197,10 +200,10 @@ RunSettings read_runtime(Section& root) {
 /// record says so.
 void refuse_aimless_credentials(const Section& broker, const brokers::BrokerOptions& options) {
   if (!options.urls.empty() || !brokers::are_credentials_given(options)) return;
-  throw broker.error("urls",
-                     "user, password and TLS are given here, but no address: they would go to whatever address a "
-                     "channel's record in the registry names",
-                     "list the broker's own addresses, for example \"urls: [amqps://broker:5671/]\"");
+  broker.refuse("urls",
+                "user, password and TLS are given here, but no address: they would go to whatever address a "
+                "channel's record in the registry names",
+                "list the broker's own addresses, for example \"urls: [amqps://broker:5671/]\"");
 }
 
 /// Brokers by logical name: a URL, or a mapping of connection options. Without credentials both may leave the URL to
@@ -241,6 +244,7 @@ void refuse_double_readers(const std::vector<ComponentDefinition>& spouts) {
   for (const auto& spout : spouts) {
     if (!spout.endpoint) continue;
     const EndpointDefinition& endpoint = *spout.endpoint;
+    if (endpoint.driver.empty() || endpoint.channel.empty()) continue;  // their errors are said already
     const auto [first, fresh] =
         readers.emplace(std::tuple(endpoint.driver, endpoint.channel, endpoint.group), spout.id);
     if (!fresh) {
@@ -250,36 +254,9 @@ void refuse_double_readers(const std::vector<ComponentDefinition>& spouts) {
   }
 }
 
-/// Reads the parts of a file one after the other, and throws their errors together: a person sees at once all that is
-/// to be mended.
-class Parts {
- public:
-  template <typename Read>
-  bool read(Read&& part) {
-    try {
-      part();
-      return true;
-    } catch (const config::ConfigError& error) {
-      errors_.push_back(error);
-      return false;
-    }
-  }
-  /// The same for keys at the top. When one fails, others may not have been asked for.
-  template <typename Read>
-  void read_top(Read&& part) {
-    if (!read(part)) top_is_read_ = false;
-  }
-  bool top_is_read() const { return top_is_read_; }
-  void refuse() const {
-    if (!errors_.empty()) throw config::together(errors_);
-  }
+}  // namespace
 
- private:
-  std::vector<config::ConfigError> errors_;
-  bool top_is_read_ = true;
-};
-
-TopologyDefinition read(Section root, const std::string& file) {
+TopologyDefinition TopologyDefinition::read(Section& root, const std::string& file) {
   TopologyDefinition definition{.file = file,
                                 .name = {},
                                 .registry = {},
@@ -294,41 +271,28 @@ TopologyDefinition read(Section root, const std::string& file) {
                                 .spouts = {},
                                 .bolts = {},
                                 .root = root};
-  Parts parts;
-  parts.read_top([&] { definition.name = discovery::TopologyName(require_name(root, "topology.name")); });
-  parts.read_top([&] {
-    definition.registry = discovery::read_registry_options(root);
-    definition.registry.url = read_registry_url(root);
-    definition.zk_root = root.string_or("zk.root", "/iot/sensors");
-    if (definition.zk_root.size() < 2 || definition.zk_root.front() != '/' || definition.zk_root.back() == '/') {
-      throw root.error("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
-    }
-  });
-  parts.read_top([&] { definition.order_keys = root.strings_or("orders.trusted_keys", {}); });
-  parts.read_top([&] { definition.worker_scope = root.choice_or("topology.scope", "", {"worker"}) == "worker"; });
-  parts.read_top([&] { definition.libraries = root.strings_or("topology.library", {}); });
-  parts.read([&] { definition.brokers = read_brokers(root, definition.registry.session_timeout); });
-  parts.read_top([&] { definition.conf = root.string_map("conf"); });
-  parts.read([&] { definition.runtime = read_runtime(root); });
-  parts.read([&] { definition.pages = rpc::read_page_settings(root); });
-  parts.read_top([&] { config::read_log_settings(root); });  // the daemons' frame applies them
+  definition.name = discovery::TopologyName(require_name(root, "topology.name"));
+  definition.registry = discovery::read_registry_options(root);
+  definition.registry.url = read_registry_url(root);
+  definition.zk_root = root.string_or("zk.root", "/iot/sensors");
+  if (definition.zk_root.size() < 2 || definition.zk_root.front() != '/' || definition.zk_root.back() == '/') {
+    root.refuse("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
+  }
+  definition.order_keys = root.strings_or("orders.trusted_keys", {});
+  definition.worker_scope = root.choice_or("topology.scope", "", {"worker"}) == "worker";
+  definition.libraries = root.strings_or("topology.library", {});
+  definition.brokers = read_brokers(root, definition.registry.session_timeout);
+  definition.conf = root.string_map("conf");
+  definition.runtime = read_runtime(root);
+  definition.pages = rpc::read_page_settings(root);
+  config::read_log_settings(root);  // the daemons' frame applies them
   const auto names = broker_names(definition.brokers);
-  const auto read_components = [&](const char* group, auto read_one, std::vector<ComponentDefinition>& components) {
-    parts.read([&] {
-      for (auto& [id, section] : root.sections(group)) {
-        parts.read([&, &name = id, &of = section] { components.push_back(read_one(name, of, names)); });
-      }
-    });
-  };
-  read_components("spouts", read_spout, definition.spouts);
-  read_components("bolts", read_bolt, definition.bolts);
-  if (parts.top_is_read()) parts.read([&] { root.finish(); });
-  parts.refuse();
+  for (auto& [id, section] : root.sections("spouts")) definition.spouts.push_back(read_spout(id, section, names));
+  for (auto& [id, section] : root.sections("bolts")) definition.bolts.push_back(read_bolt(id, section, names));
+  root.finish();
   refuse_double_readers(definition.spouts);
   return definition;
 }
-
-}  // namespace
 
 Fields payload_fields(const EndpointDefinition& endpoint) {
   std::vector<std::string> names;
@@ -344,11 +308,15 @@ const std::vector<std::string>& built_in_builders() {
 }
 
 TopologyDefinition TopologyDefinition::load(const std::string& file) {
-  return read(Section::load_file(file), file);
+  std::optional<TopologyDefinition> definition;
+  Section::read_file(file, [&](Section& root) { definition = read(root, file); });
+  return *std::move(definition);
 }
 
 TopologyDefinition TopologyDefinition::parse(std::string_view text, const std::string& name) {
-  return read(Section::parse(text, name), name);
+  std::optional<TopologyDefinition> definition;
+  Section::read_text(text, name, [&](Section& root) { definition = read(root, name); });
+  return *std::move(definition);
 }
 
 }  // namespace iotcloud::topology

@@ -134,6 +134,9 @@ struct TopologyDefinition {
   static TopologyDefinition load(const std::string& file);
   /// \param name stands for the file in messages.
   static TopologyDefinition parse(std::string_view text, const std::string& name);
+  /// Reads a file's sections in Section::all_errors(), so that what is checked afterwards adds to its errors. When
+  /// there are errors, parts of what is returned are stand-ins.
+  static TopologyDefinition read(config::Section& root, const std::string& file);
 
   std::string file;
   discovery::TopologyName name;

@@ -19,7 +19,7 @@ std::string require_driver(Section& section) {
     return require_name(section, "sensor");
   }
   if (section.has("sensor")) {
-    throw section.error("sensor", "both \"driver\" and the older \"sensor\" are given", "remove \"sensor\"");
+    section.refuse("sensor", "both \"driver\" and the older \"sensor\" are given", "remove \"sensor\"");
   }
   static_cast<void>(section.optional_string("sensor"));
   return require_name(section, "driver");
@@ -37,11 +37,11 @@ FieldRole role_of(const std::string& name) {
 /// Refuses names under which messages carry other metadata (docs/wire.md#message-metadata).
 void check_property(const Section& mapping, const std::string& property) {
   if (brokers::metadata::is_original(property)) {
-    throw mapping.error("property", "\"" + property + "\" is no custom property but metadata of every message",
-                        "use the field driverID, gatewayID or time");
+    mapping.refuse("property", "\"" + property + "\" is no custom property but metadata of every message",
+                   "use the field driverID, gatewayID or time");
   }
   if (property.starts_with("x-iotcloud-") || property.starts_with("iotcloud_")) {
-    throw mapping.error("property", "names that begin with \"x-iotcloud-\" or \"iotcloud_\" are the system's own");
+    mapping.refuse("property", "names that begin with \"x-iotcloud-\" or \"iotcloud_\" are the system's own");
   }
 }
 
@@ -60,7 +60,7 @@ Field read_field(Section::Item& item) {
   std::string name = mapping.string_or("as", property);
   mapping.finish();
   if (role_of(name) == FieldRole::driver_id || role_of(name) == FieldRole::time) {
-    throw mapping.error("as", "\"" + name + "\" is a field of another meaning", "choose another name for this one");
+    mapping.refuse("as", "\"" + name + "\" is a field of another meaning", "choose another name for this one");
   }
   return {std::move(name), FieldRole::property, property};
 }
@@ -75,19 +75,20 @@ void read_fields(Section& section, EndpointDefinition& endpoint) {
   for (auto& item : section.require_items("fields")) {
     const auto [name, role, property] = read_field(item);
     if (std::find(names.begin(), names.end(), name) != names.end()) {
-      throw section.error("fields", "the field \"" + name + "\" is named twice");
+      section.refuse("fields", "the field \"" + name + "\" is named twice");
+      continue;
     }
     const bool several =
         role == FieldRole::property || (role == FieldRole::payload && endpoint.form == PayloadForm::built);
     if (!roles.insert(role).second && !several) {
-      throw section.error("fields", "\"" + name + "\" is a second field of the same meaning", field_words);
+      section.refuse("fields", "\"" + name + "\" is a second field of the same meaning", field_words);
     }
     names.push_back(name);
     endpoint.roles.push_back(role);
     endpoint.properties.push_back(property);
   }
   if (!roles.contains(FieldRole::payload)) {
-    throw section.error("fields", "no field takes the message's payload", field_words);
+    section.refuse("fields", "no field takes the message's payload", field_words);
   }
   endpoint.fields = Fields(std::move(names));
 }
@@ -99,7 +100,8 @@ discovery::Selection read_where(Section& section) {
   try {
     return discovery::Selection::parse(*text);
   } catch (const discovery::SelectionError& error) {
-    throw section.error_within("where", error.offset(), error.problem() + "\n" + error.pointer_lines());
+    section.refuse(section.error_within("where", error.offset(), error.problem() + "\n" + error.pointer_lines()));
+    return {};
   }
 }
 
@@ -109,8 +111,8 @@ std::string require_name(Section& section, const std::string& key) {
   std::string name = section.require_string(key);
   const bool control = std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
   if (control || name == "." || name == ".." || name.find('/') != std::string::npos || name.size() > 200) {
-    throw section.error(key, "\"" + name + "\" cannot be a name",
-                        "1 to 200 characters without slash and control characters are expected");
+    section.refuse(key, "\"" + name + "\" cannot be a name",
+                   "1 to 200 characters without slash and control characters are expected");
   }
   return name;
 }
@@ -125,8 +127,8 @@ void read_reading_options(Section& section, ReadingOptions& options) {
   options.max_tries = static_cast<int>(properties->int_or("maxTries", options.max_tries, 1, 1000));
   if (properties->optional_string("deadLetter")) options.dead_letter = require_name(*properties, "deadLetter");
   if (!options.dead_letter.empty() && options.automatic_ack) {
-    throw properties->error("deadLetter", "with \"ackMode: auto\" the spout does not learn that a tuple failed",
-                            "remove \"deadLetter\", or write \"ackMode: manual\"");
+    properties->refuse("deadLetter", "with \"ackMode: auto\" the spout does not learn that a tuple failed",
+                       "remove \"deadLetter\", or write \"ackMode: manual\"");
   }
   options.keep_last = static_cast<int>(properties->int_or("keepLast", options.keep_last, 0, 1'000'000));
   properties->finish();

@@ -16,16 +16,19 @@ namespace {
 const config::Logger state_logger{"topology.state"};
 
 StateOptions configured(StateOptions options, const Config& config) {
-  refuse_unknown_keys(config, "state.", {"state.store", "state.checkpoint"});
+  ConfCheck check;
+  check.refuse_unknown_keys(config, "state.", {"state.store", "state.checkpoint"});
   if (const auto store = config.find("state.store"); store != config.end()) options.store = store->second;
   if (const auto period = config.find("state.checkpoint"); period != config.end()) {
     const auto duration = config::parse_duration(period->second);
     if (!duration || *duration < std::chrono::milliseconds(1)) {
-      throw std::invalid_argument("state.checkpoint: \"" + period->second +
-                                  "\" is no period; write a number and a unit, 1ms or more: 500ms, 2s, 1m");
+      check.refuse("state.checkpoint",
+                   "\"" + period->second + "\" is no period; write a number and a unit, 1ms or more: 500ms, 2s, 1m");
+    } else {
+      options.checkpoint = std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
     }
-    options.checkpoint = std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
   }
+  check.finish();
   if (options.store.empty()) {
     throw std::invalid_argument(
         "a stateful bolt needs a store (StateOptions::store, or conf state.store): "

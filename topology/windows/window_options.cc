@@ -11,8 +11,8 @@ namespace iotcloud::topology {
 
 namespace {
 
-[[noreturn]] void refuse(const std::string& key, const std::string& text, const std::string& remedy) {
-  throw std::invalid_argument(key + ": \"" + text + "\" cannot be read; " + remedy);
+void refuse(ConfCheck& check, const std::string& key, const std::string& text, const std::string& remedy) {
+  check.refuse(key, "\"" + text + "\" cannot be read; " + remedy);
 }
 
 std::optional<std::chrono::milliseconds> parse_duration(const std::string& text) {
@@ -21,15 +21,18 @@ std::optional<std::chrono::milliseconds> parse_duration(const std::string& text)
   return std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
 }
 
-void read_duration(const Config& config, const std::string& key, std::chrono::milliseconds& value) {
+void read_duration(ConfCheck& check, const Config& config, const std::string& key, std::chrono::milliseconds& value) {
   const auto found = config.find(key);
   if (found == config.end()) return;
   const auto duration = parse_duration(found->second);
-  if (!duration) refuse(key, found->second, "write a number and a unit: 250ms, 2s, 5m or 1h");
-  value = *duration;
+  if (duration) {
+    value = *duration;
+  } else {
+    refuse(check, key, found->second, "write a number and a unit: 250ms, 2s, 5m or 1h");
+  }
 }
 
-void read_extent(const Config& config, const std::string& key, WindowExtent& value) {
+void read_extent(ConfCheck& check, const Config& config, const std::string& key, WindowExtent& value) {
   const auto found = config.find(key);
   if (found == config.end()) return;
   const std::string& text = found->second;
@@ -40,21 +43,23 @@ void read_extent(const Config& config, const std::string& key, WindowExtent& val
   } else if (const auto duration = parse_duration(text); duration && duration->count() > 0) {
     value = WindowExtent(*duration);
   } else {
-    refuse(key, text, "write a number of tuples (100) or a duration (250ms, 2s, 5m, 1h), more than zero");
+    refuse(check, key, text, "write a number of tuples (100) or a duration (250ms, 2s, 5m, 1h), more than zero");
   }
 }
 
 }  // namespace
 
 WindowOptions configured(WindowOptions options, const Config& config) {
-  refuse_unknown_keys(config, "window.",
-                      {"window.length", "window.slide", "window.lag", "window.watermark_interval", "window.idle_source",
-                       "window.timestamp_field"});
-  read_extent(config, "window.length", options.length);
-  read_extent(config, "window.slide", options.slide);
-  read_duration(config, "window.lag", options.lag);
-  read_duration(config, "window.watermark_interval", options.watermark_interval);
-  read_duration(config, "window.idle_source", options.idle_source);
+  ConfCheck check;
+  check.refuse_unknown_keys(config, "window.",
+                            {"window.length", "window.slide", "window.lag", "window.watermark_interval",
+                             "window.idle_source", "window.timestamp_field"});
+  read_extent(check, config, "window.length", options.length);
+  read_extent(check, config, "window.slide", options.slide);
+  read_duration(check, config, "window.lag", options.lag);
+  read_duration(check, config, "window.watermark_interval", options.watermark_interval);
+  read_duration(check, config, "window.idle_source", options.idle_source);
+  check.finish();
   if (const auto field = config.find("window.timestamp_field"); field != config.end()) {
     options.timestamp_field = field->second;
     options.timestamp = nullptr;

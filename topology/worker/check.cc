@@ -42,14 +42,19 @@ void load_libraries(const TopologyDefinition& definition, const std::vector<std:
 
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
                            ComponentRegistry components) {
-  const auto definition = TopologyDefinition::load(file);
-  load_libraries(definition, folders, components);
-  config::Metrics unused;
-  const auto services = std::make_shared<EndpointServices>();
-  services->topology = definition.name;
-  services->clock = &config::system_clock();
-  services->metrics = &unused;
-  return describe(definition, assemble(definition, components, endpoint_factories(services)));
+  std::string description;
+  config::Section::read_file(file, [&](config::Section& root) {
+    const auto definition = TopologyDefinition::read(root, file);
+    load_libraries(definition, folders, components);
+    config::Metrics unused;
+    const auto services = std::make_shared<EndpointServices>();
+    services->topology = definition.name;
+    services->clock = &config::system_clock();
+    services->metrics = &unused;
+    const Topology topology = assemble(definition, components, endpoint_factories(services));
+    if (!root.has_errors()) description = describe(definition, topology);
+  });
+  return description;
 }
 
 std::string check_library(const std::string& file) {

@@ -27,9 +27,11 @@ bool is_name(const std::string& text) {
 }
 
 std::string checked_name(Section& section, const std::string& key, const std::string& text) {
-  if (is_name(text)) return text;
-  throw section.error(key, fmt::format("\"{}\" cannot be a name", text),
-                      "1 to 200 characters, no slash and no control character");
+  if (!is_name(text)) {
+    section.refuse(key, fmt::format("\"{}\" cannot be a name", text),
+                   "1 to 200 characters, no slash and no control character");
+  }
+  return text;
 }
 
 std::string text_of_file(const std::string& path) {
@@ -52,14 +54,14 @@ void read_plugin(Section& section, const FindPlugin& find_plugin, Deployment& de
       deployment.sha256 = std::move(found.sha256);
       deployment.declared = {std::move(found.declaration)};
     } catch (const std::exception& e) {
-      throw section.error("plugin", e.what(), "");
+      section.refuse("plugin", e.what());
+      return;
     }
   }
   if (is_name(deployment.plugin)) return;
-  throw section.error(
-      "plugin", fmt::format("\"{}\" is no plugin", plugin),
-      "the name of a file in the gateways' plugin folder, such as turtle.so; or a file of this machine, "
-      "such as ./turtle.so, which is sent");
+  section.refuse("plugin", fmt::format("\"{}\" is no plugin", plugin),
+                 "the name of a file in the gateways' plugin folder, such as turtle.so; or a file of this machine, "
+                 "such as ./turtle.so, which is sent");
 }
 
 void read_gateways(Section& section, Deployment& deployment) {
@@ -71,9 +73,9 @@ void read_gateways(Section& section, Deployment& deployment) {
   }
   std::set<std::string> seen;
   for (const auto& id : gateways) {
-    if (id == all) throw section.error("gateways", "\"all\" stands beside others", "all, or a list of gateways' ids");
+    if (id == all) section.refuse("gateways", "\"all\" stands beside others", "all, or a list of gateways' ids");
     checked_name(section, "gateways", id);
-    if (!seen.insert(id).second) throw section.error("gateways", fmt::format("{} stands here twice", id), "");
+    if (!seen.insert(id).second) section.refuse("gateways", fmt::format("{} stands here twice", id), "");
   }
   deployment.gateways = {gateways.begin(), gateways.end()};
 }
@@ -84,7 +86,7 @@ Texts read_texts(Section& section, const std::string& key) {
   auto mapping = section.optional_section(key);
   if (!mapping) return texts;
   for (const auto& name : mapping->names()) {
-    if (name.empty()) throw mapping->error(name, "a key has at least one character", "");
+    if (name.empty()) mapping->refuse(name, "a key has at least one character", "");
     texts[name] = mapping->require_string(name);
   }
   return texts;
@@ -95,19 +97,22 @@ void read_properties(Section& section, Deployment& deployment) {
   auto mapping = section.optional_section("properties");
   if (!mapping) return;
   for (const auto& name : mapping->names()) {
-    if (name.empty()) throw mapping->error(name, "a key has at least one character", "");
-    if (name.starts_with("channel."))
-      throw mapping->error(name, "this is of a channel", "say it under \"channels\": {data: {deadline_ms: 100}}");
+    if (name.empty()) mapping->refuse(name, "a key has at least one character", "");
+    if (name.starts_with("channel.")) {
+      mapping->refuse(name, "this is of a channel", "say it under \"channels\": {data: {deadline_ms: 100}}");
+    }
     deployment.places[name] = mapping->where(name);
     if (!mapping->is_list(name)) {
       deployment.properties[name] = mapping->string_or(name, "");
       continue;
     }
     const auto values = mapping->require_strings(name);
-    if (values.size() != static_cast<std::size_t>(deployment.count))
-      throw mapping->error(
+    if (values.size() != static_cast<std::size_t>(deployment.count)) {
+      mapping->refuse(
           name, fmt::format("a list of {} values for {} instances on each gateway", values.size(), deployment.count),
           "one value for each instance, or one for all without brackets");
+      continue;
+    }
     for (int index = 1; index <= deployment.count; ++index)
       deployment.own[index][name] = values[static_cast<std::size_t>(index - 1)];
   }
@@ -117,26 +122,32 @@ void read_properties(Section& section, Deployment& deployment) {
 void read_each(Section& section, const ReadFile& read_file, Deployment& deployment) {
   const auto file = section.optional_string("each");
   if (!file) return;
-  if (!read_file) throw section.error("each", "this manifest may name no file", "");
+  if (!read_file) {
+    section.refuse("each", "this manifest may name no file", "");
+    return;
+  }
   std::vector<Texts> instances;
   try {
     instances = read_csv(read_file(*file), *file);
   } catch (const std::exception& e) {
-    throw section.error("each", e.what(), "");
+    section.refuse("each", e.what(), "");
+    return;
   }
   if (section.has("count") && deployment.count != static_cast<int>(instances.size()))
-    throw section.error("count",
-                        fmt::format("{} has {} instances, count says {}", *file, instances.size(), deployment.count),
-                        "leave count out");
-  if (instances.size() > static_cast<std::size_t>(most_instances))
-    throw section.error("each", fmt::format("{} has more than {} instances", *file, most_instances), "");
+    section.refuse("count",
+                   fmt::format("{} has {} instances, count says {}", *file, instances.size(), deployment.count),
+                   "leave count out");
+  if (instances.size() > static_cast<std::size_t>(most_instances)) {
+    section.refuse("each", fmt::format("{} has more than {} instances", *file, most_instances), "");
+    return;
+  }
   deployment.count = static_cast<int>(instances.size());
   deployment.each_file = *file;
   for (int index = 1; index <= deployment.count; ++index) {
     for (auto& [name, value] : instances[static_cast<std::size_t>(index - 1)]) {
       if (name.starts_with("channel."))
-        throw section.error("each", fmt::format("{} has the column {}, which is of a channel", *file, name),
-                            "say it under \"channels\"");
+        section.refuse("each", fmt::format("{} has the column {}, which is of a channel", *file, name),
+                       "say it under \"channels\"");
       deployment.own[index][name] = std::move(value);
     }
   }
@@ -160,14 +171,12 @@ void read_channels(Section& section, Deployment& deployment) {
     checked_name(section, "channels", channel);
     for (const auto& option : options.names()) {
       const auto value = options.string_or(option, "");
-      if (auto problem = channel_option_problem(option, value); !problem.empty())
-        throw options.error(option, problem, "");
+      if (auto problem = channel_option_problem(option, value); !problem.empty()) options.refuse(option, problem, "");
       deployment.properties[channel_property(channel, option)] = value;
     }
     const auto when_full = options.string_or("when_full", "");
     for (const auto& option : options.names()) {
-      if (auto problem = spool_option_problem(option, when_full); !problem.empty())
-        throw options.error(option, problem, "");
+      if (auto problem = spool_option_problem(option, when_full); !problem.empty()) options.refuse(option, problem, "");
     }
   }
 }
@@ -210,15 +219,25 @@ config::Location Deployment::place_of(const std::string& property, int index) co
   return whole == places.end() ? config::Location{} : whole->second;
 }
 
-Manifest read_manifest(config::Section top, const FindPlugin& find_plugin, const ReadFile& read_file) {
+namespace {
+
+Manifest read(Section& top, const FindPlugin& find_plugin, const ReadFile& read_file) {
   Manifest manifest;
   manifest.fleet = checked_name(top, "fleet", top.require_string("fleet"));
   if (!top.has("deployments"))
-    throw top.error("", "the key \"deployments\" is missing",
-                    "add \"deployments:\"; {} takes everything away that this manifest deployed");
+    top.refuse("", "the key \"deployments\" is missing",
+               "add \"deployments:\"; {} takes everything away that this manifest deployed");
   for (auto& [name, section] : top.sections("deployments"))
     manifest.deployments.push_back(read_deployment(name, section, find_plugin, read_file));
   top.finish();
+  return manifest;
+}
+
+}  // namespace
+
+Manifest read_manifest(config::Section top, const FindPlugin& find_plugin, const ReadFile& read_file) {
+  Manifest manifest;
+  top.all_errors([&] { manifest = read(top, find_plugin, read_file); });
   return manifest;
 }
 
@@ -229,8 +248,11 @@ Manifest load_manifest(const std::string& file) {
     const std::string bytes = plugin_bytes(path);
     return PluginFile{path, security::sha256_hex(bytes), config::declaration_in(bytes)};
   };
-  return read_manifest(config::Section::load_file(file), find_plugin,
-                       [&](const std::string& named) { return text_of_file(folder / named); });
+  Manifest manifest;
+  config::Section::read_file(file, [&](Section& top) {
+    manifest = read(top, find_plugin, [&](const std::string& named) { return text_of_file(folder / named); });
+  });
+  return manifest;
 }
 
 }  // namespace iotcloud::master::cli

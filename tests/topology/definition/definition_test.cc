@@ -276,7 +276,7 @@ void PrintTo(const Wrong& wrong, std::ostream* out) {
 class WrongFile : public ::testing::TestWithParam<Wrong> {};
 
 TEST_P(WrongFile, IsRefusedWithPlaceAndRemedy) {
-  EXPECT_THAT(error_of(GetParam().text), AllOf(StartsWith(GetParam().place), HasSubstr(GetParam().remedy)));
+  EXPECT_THAT(error_of(GetParam().text), AllOf(HasSubstr(GetParam().place), HasSubstr(GetParam().remedy)));
 }
 
 INSTANTIATE_TEST_SUITE_P(

@@ -1,8 +1,10 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <sstream>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -16,6 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 using testing::AllOf;
+using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::StartsWith;
 
@@ -75,6 +78,37 @@ TEST_F(Check, SaysWhatIsWrongAndWhereAndEndsWithTwo) {
   EXPECT_EQ(status, 2);
   EXPECT_THAT(text, AllOf(StartsWith("iotcloud-topology: " + file + ":8:10: bolts.echo.class: "),
                           HasSubstr("did you mean \"good.Echo\"?")));
+}
+
+TEST_F(Check, SaysAllErrorsOfTheFileAtOnceWithTheirPlaces) {
+  const std::string file = write(R"(topology.name: t
+topology.library: "turtlebot_follower.so"
+runtime: {message_timeout: 30}
+spouts:
+  in: {broker: rabbitmq, driver: d, channel: up, fields: [frame, driverID], prefech: 5, parallelism: none}
+bolts:
+  decode: {class: turtlebot.Decodr, inputs: {from: inn}}
+  follow:
+    class: turtlebot.Follow
+    conf: {goal_distanze: 1, max_linear: fast}
+    inputs: {from: decode, grouping: fileds, fields: [driverID]}
+)");
+  const auto [status, text] = run("--check " + file);
+  EXPECT_EQ(status, 2);
+  std::vector<std::string> lines;
+  std::istringstream printed(text);
+  for (std::string line; std::getline(printed, line);) lines.push_back(line);
+  const auto at = [&](const std::string& place) { return HasSubstr(file + place); };
+  EXPECT_THAT(lines,
+              ElementsAre(AllOf(at(":3:11: runtime.message_timeout:"), HasSubstr("a number and a unit")),
+                          AllOf(at(":5:77: spouts.in.prefech: unknown key"), HasSubstr("known are")),
+                          AllOf(at(":5:89: spouts.in.parallelism: \"none\""), HasSubstr("whole number")),
+                          AllOf(at(":7:12: bolts.decode.class:"), HasSubstr("did you mean \"turtlebot.Decoder\"?")),
+                          AllOf(at(":7:46: bolts.decode.inputs.from:"), HasSubstr("did you mean \"in\"?")),
+                          AllOf(at(":10:12: bolts.follow.conf.goal_distanze:"), HasSubstr("\"goal_distance\"?")),
+                          AllOf(at(":10:30: bolts.follow.conf.max_linear:"), HasSubstr("a number from 0 to 10")),
+                          AllOf(at(":11:28: bolts.follow.inputs.grouping:"), HasSubstr("\"fields\"?"))))
+      << text;
 }
 
 TEST_F(Check, SaysThatALibraryIsMissing) {

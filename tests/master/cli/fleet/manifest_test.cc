@@ -1,3 +1,6 @@
+#include <algorithm>
+#include <string>
+
 #include <gmock/gmock.h>
 
 #include <iotcloud/config/error.h>
@@ -35,6 +38,22 @@ std::string error_of_whole(const std::string& text) {
     return e.what();
   }
   return "";
+}
+
+TEST(Manifest, TellsAllErrorsAtOnce) {
+  const std::string text = error_of_whole(R"(fleet: a/b
+deployments:
+  one: {plugin: a.so, gateways: [x, all, x], count: many, metadat: {a: b}}
+  two: {gateways: all, state: off, channels: {data: {deadline_ms: soon}}}
+)");
+  EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), 7) << text;
+  for (const char* part :
+       {"fleet.yaml:1:1: fleet: \"a/b\" cannot be a name", "deployments.one.gateways: \"all\" stands beside others",
+        "deployments.one.gateways: x stands here twice", "deployments.one.count: \"many\"",
+        "deployments.one.metadat: unknown key; did you mean \"metadata\"?", "the key \"plugin\" is missing",
+        "deployments.two.state: \"off\" is not known", "deployments.two.channels.data.deadline_ms:"}) {
+    EXPECT_THAT(text, HasSubstr(part));
+  }
 }
 
 TEST(Manifest, SaysDeploymentsWithWhatTheirInstancesAreToBe) {
