@@ -73,9 +73,11 @@ std::string queue_of(const Topic& topic, const SubscriptionOptions& options) {
 
 }  // namespace
 
-QueueReader::QueueReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what)
+QueueReader::QueueReader(std::shared_ptr<ReadConnection> link, QueueType of_durable, Topic to, SubscriptionOptions how,
+                         Handler what)
     : OwnDeliveryStream(std::move(to), std::move(how), std::move(what)),
       queue(queue_of(topic, options)),
+      type(topic.durable ? of_durable : QueueType::classic),
       connection_(std::move(link)) {}
 
 void QueueReader::settle(std::uint64_t tag, Settlement settlement) noexcept {
@@ -92,7 +94,7 @@ void QueueReader::move_to(std::shared_ptr<ReadConnection> link) {
   connection_ = std::move(link);
 }
 
-void QueueReader::request(AmqpLink& wire, amqp_channel_t on, QueueType type, std::uint16_t now) const {
+void QueueReader::request(AmqpLink& wire, amqp_channel_t on, std::uint16_t now) const {
   wire.send(on, AMQP_CHANNEL_OPEN_METHOD, amqp_channel_open_t{});
   const std::string& exchange = exchange_of(topic);
   if (must_declare(topic)) {

@@ -58,7 +58,9 @@ class QueueReader final : public client::OwnDeliveryStream {
     active,   ///< reads
   };
 
-  QueueReader(std::shared_ptr<ReadConnection> link, Topic to, SubscriptionOptions how, Handler what);
+  /// \param of_durable the type of durable topics' queues
+  QueueReader(std::shared_ptr<ReadConnection> link, QueueType of_durable, Topic to, SubscriptionOptions how,
+              Handler what);
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
   /// The connection through which it reads. It moves to another one if the server has no channel left for it. Thread
   /// safe.
@@ -67,6 +69,7 @@ class QueueReader final : public client::OwnDeliveryStream {
   void move_to(std::shared_ptr<ReadConnection> link) IOTCLOUD_EXCLUDES(connection_mutex_);
 
   const std::string queue;
+  const QueueType type;  ///< of its queue, unless that is used as it is (`passive_queue`)
 
   Phase phase = Phase::idle;
   std::optional<config::Clock::Instant> retry_at;
@@ -87,11 +90,14 @@ class QueueReader final : public client::OwnDeliveryStream {
   ResentMarks resent;
 
   /// Whether its prefetch can be raised. RabbitMQ lets a client change the limit of a channel (qos with `global`) and
-  /// not that of a consumer, and its quorum queues, which are all durable, know no limit of a channel.
-  bool may_raise() const { return options.prefetch_limit > options.prefetch && !topic.durable; }
+  /// not that of a consumer, and its quorum queues know no limit of a channel. A queue that is used as it is may be
+  /// one.
+  bool may_raise() const {
+    return options.prefetch_limit > options.prefetch && type == QueueType::classic && !passive_queue;
+  }
   /// Requests the channel, the queue and its messages; only the last answer, consume-ok, matters. \param on the
   /// channel's number. \param now its prefetch. \throws LinkError
-  void request(AmqpLink& wire, amqp_channel_t on, QueueType type, std::uint16_t now) const;
+  void request(AmqpLink& wire, amqp_channel_t on, std::uint16_t now) const;
   /// Sets the limit of its channel. \pre may_raise(). \throws LinkError
   static void limit_channel(AmqpLink& wire, amqp_channel_t on, std::uint16_t now);
   /// The server has answered consume-ok: reading begins.

@@ -1,5 +1,6 @@
 #include "iotcloud/brokers/rabbitmq/rabbitmq_broker.h"
 
+#include <optional>
 #include <utility>
 
 #include "iotcloud/brokers/letter_box.h"
@@ -38,10 +39,10 @@ class RabbitMqSubscription final : public Subscription {
     }
   }
   bool raise_prefetch(std::uint16_t prefetch) override {
-    if (prefetch > reader_->options.prefetch_limit || !reader_->may_raise()) return false;
-    while (!reader_->connection()->raise_prefetch(reader_, prefetch)) {
-    }
-    return true;
+    if (prefetch > reader_->options.prefetch_limit) return false;
+    std::optional<bool> raised;
+    while (!raised) raised = reader_->connection()->raise_prefetch(reader_, prefetch);
+    return *raised;
   }
   bool active() const override { return reader_->connection()->active(*reader_); }
 

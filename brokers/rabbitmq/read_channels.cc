@@ -73,7 +73,7 @@ void ReadChannels::clear() {
 void ReadChannels::write_method(AmqpLink& wire, const Outgoing& what) const {
   switch (what.kind) {
     case Outgoing::Kind::request:
-      return what.reader->request(wire, what.channel, queue_type_, static_cast<std::uint16_t>(what.tag));
+      return what.reader->request(wire, what.channel, static_cast<std::uint16_t>(what.tag));
     case Outgoing::Kind::limit:
       return QueueReader::limit_channel(wire, what.channel, static_cast<std::uint16_t>(what.tag));
     case Outgoing::Kind::acknowledge: {

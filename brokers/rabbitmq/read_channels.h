@@ -19,9 +19,6 @@ namespace iotcloud::brokers::rabbitmq {
 /// the connection writes without it.
 class ReadChannels {
  public:
-  /// \param type how queues are declared
-  explicit ReadChannels(QueueType type) : queue_type_(type) {}
-
   /// The number of channels that are open, or about to be opened or closed.
   std::size_t size() const { return readers_.size(); }
   /// Who reads on a channel; null: this client has requested the channel's end; nullopt: there is no such channel.
@@ -64,7 +61,6 @@ class ReadChannels {
   amqp_channel_t lowest_free() const;
   void write_method(AmqpLink& wire, const Outgoing& what) const;
 
-  const QueueType queue_type_;
   std::map<amqp_channel_t, std::shared_ptr<QueueReader>> readers_;
   std::vector<Outgoing> outgoing_;
   bool writable_ = false;  ///< see socket_has_room()

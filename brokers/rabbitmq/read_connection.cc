@@ -49,7 +49,6 @@ ReadConnection::ReadConnection(const Cluster& cluster, const char* purpose, Mete
       clock_(clock),
       log_(log),
       core_(*this, meters, clock, gathering_time),
-      channels_(cluster.queue_type()),
       channel_limit_(static_cast<std::size_t>(cluster.channels())),
       servers_(cluster.size()) {}
 
@@ -70,7 +69,8 @@ void ReadConnection::close() {
 
 std::shared_ptr<QueueReader> ReadConnection::add(const Topic& topic, const SubscriptionOptions& options,
                                                  Handler handler) {
-  auto reader = std::make_shared<QueueReader>(shared_from_this(), topic, options, std::move(handler));
+  auto reader =
+      std::make_shared<QueueReader>(shared_from_this(), cluster_.queue_type(), topic, options, std::move(handler));
   const config::MutexLock lock(core_.mutex);
   readers_.push_back(reader);
   set_timer(*reader, clock_.now());
@@ -144,9 +144,10 @@ bool ReadConnection::pause(QueueReader& reader) {
   return true;
 }
 
-bool ReadConnection::raise_prefetch(const std::shared_ptr<QueueReader>& reader, std::uint16_t prefetch) {
+std::optional<bool> ReadConnection::raise_prefetch(const std::shared_ptr<QueueReader>& reader, std::uint16_t prefetch) {
   const config::MutexLock lock(core_.mutex);
-  if (!reads_here(*reader)) return false;
+  if (!reads_here(*reader)) return std::nullopt;
+  if (!reader->may_raise()) return false;
   if (prefetch <= reader->prefetch) return true;
   reader->prefetch = prefetch;
   if (reader->phase == QueueReader::Phase::idle) return true;  // its next request names the new prefetch
@@ -563,7 +564,7 @@ void ReadConnection::gather() {
     if (!reader.closed && reader.channel != 0) channels_.settle(reader, reader.patience());
   }
   for (const auto& reader : std::exchange(raised_, {})) {
-    if (!reads_here(*reader) || reader->closed || reader->channel == 0) continue;
+    if (!reads_here(*reader) || reader->closed || reader->channel == 0 || !reader->may_raise()) continue;
     channels_.limit(*reader);
   }
   for (const auto& reader : std::exchange(leaving_, {})) {

@@ -53,12 +53,13 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   /// Adds a subscription. The first one starts the thread, which connects.
   std::shared_ptr<QueueReader> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
   /// Ends a subscription; returns when its handler has returned, unless called from it.
-  /// This and the next four functions do nothing and return false if the subscription has moved to another connection:
-  /// ask its connection().
+  /// This and the next four functions do nothing and return false (raise_prefetch(): nullopt) if the subscription has
+  /// moved to another connection: ask its connection().
   bool remove(const std::shared_ptr<QueueReader>& reader);
   bool pause(QueueReader& reader);
   bool resume(QueueReader& reader);
-  bool raise_prefetch(const std::shared_ptr<QueueReader>& reader, std::uint16_t prefetch);
+  /// \return whether its queue allows it.
+  std::optional<bool> raise_prefetch(const std::shared_ptr<QueueReader>& reader, std::uint16_t prefetch);
   bool active(const QueueReader& reader) const;
   void settle(QueueReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept;
   ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection

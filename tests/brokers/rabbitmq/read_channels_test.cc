@@ -15,12 +15,12 @@ class RabbitMqReadChannels : public testing::Test {
   std::shared_ptr<QueueReader> open(const std::string& queue) {
     Topic topic;
     topic.name = queue;
-    auto reader = std::make_shared<QueueReader>(nullptr, topic, SubscriptionOptions{}, Handler{});
+    auto reader = std::make_shared<QueueReader>(nullptr, QueueType::classic, topic, SubscriptionOptions{}, Handler{});
     channels_.open(reader);
     return reader;
   }
 
-  ReadChannels channels_{QueueType::classic};
+  ReadChannels channels_;
 };
 
 TEST_F(RabbitMqReadChannels, ANumberIsGivenAgainOnlyWhenTheServerHasAnsweredItsClose) {

@@ -179,6 +179,33 @@ TEST_P(RabbitMqServer, APublisherThatIsQuietOrOnlyPublishesKeepsItsConnection) {
   for (const auto& received : inbox.all()) EXPECT_FALSE(received.redelivered) << received.body;
 }
 
+TEST_P(RabbitMqServer, ThePrefetchOfADurableTopicIsRaisedUnlessItsQueueIsAQuorumQueue) {
+  for (const std::string type : {"classic", "quorum"}) {
+    BrokerOptions connection;
+    connection.urls = {server().url()};
+    connection.properties["queue_type"] = type;
+    const auto broker = make_broker(connection);
+    Topic topic = this->topic();
+    topic.name += type;
+    topic.exchange.clear();  // the tests' own exchange is not durable
+    topic.durable = true;
+    Holder holder;
+    SubscriptionOptions options;
+    options.prefetch = 5;
+    options.prefetch_limit = 40;
+    const auto subscription = broker->subscribe(topic, options, holder.handler());
+    const auto publisher = broker->publisher(topic, {});
+    publish_numbers(*publisher, 1, 30);
+    ASSERT_TRUE(holder.wait_for(5));
+    EXPECT_EQ(subscription->raise_prefetch(20), type == "classic");
+    if (type == "classic") {
+      ASSERT_TRUE(holder.wait_for(20));
+    }
+    EXPECT_FALSE(holder.wait_for(type == "classic" ? 21 : 6, moment));
+    holder.drop_all();
+  }
+}
+
 TEST_P(RabbitMqServer, ABodyThatFillsItsFramesIsNotKeptBack) {
   // librabbitmq marks the last full frame with "more follows", and the kernel would then wait 200 ms each time.
   constexpr std::size_t frame = 131072 - 8;
