@@ -42,7 +42,7 @@ struct Published {
   friend bool operator==(const Published& published, PublishStatus other) { return published.status == other; }
 };
 
-/// What became of a message that was accepted.
+/// The outcome of a message that was accepted.
 enum class Outcome {
   confirmed,  ///< the broker has it
   refused,    ///< the broker will never take it: it is too large, or a header is
@@ -50,7 +50,7 @@ enum class Outcome {
   unknown,    ///< the publisher was closed before the broker answered
 };
 
-/// What to do when more is accepted than the broker takes (it is away, slow, or nobody reads the topic yet).
+/// The policies for more messages than the broker takes (it is away, slow, or nobody reads the topic yet).
 enum class WhenFull {
   keep_newest,  ///< drop the oldest that waits: for frames, where stale is worse than none
   block,        ///< answer would_block: for readings, where lost is worse than late
@@ -87,7 +87,7 @@ struct PublisherOptions {
   std::function<void()> on_writable;
 };
 
-/// What a message went through before this publisher gets it.
+/// The history of a message before this publisher gets it.
 struct Past {
   bool possibly_sent = false;        ///< an earlier process may have sent it: the receiver sees `redelivered`
   std::chrono::milliseconds age{0};  ///< the deadline counts from so long ago
@@ -113,7 +113,7 @@ class Publisher {
   virtual std::optional<config::Clock::Instant> oldest() const { return std::nullopt; }
 };
 
-/// What a reader says of a message that it was handed.
+/// A reader's answer to a message that it was handed.
 enum class Settlement {
   accept,  ///< done with it
   retry,   ///< deliver it again, before what follows in the topic where the broker can
@@ -188,7 +188,7 @@ struct SubscriptionOptions {
   /// a group of its own, `<group>#<partition>`; that of partition 0 is `<group>`. nullopt: all partitions of the topic
   /// that this reader gets its share of. Other brokers ignore it.
   std::optional<std::int32_t> partition{};
-  /// What Subscription::raise_prefetch() may raise `prefetch` to; 0: it stays as it is.
+  /// The limit to which Subscription::raise_prefetch() may raise `prefetch`; 0: it stays as it is.
   std::uint16_t prefetch_limit = 0;
 };
 
@@ -276,7 +276,7 @@ struct BrokerOptions {
   std::string password_file;
   std::string password_variable;
   Tls tls;
-  /// What only one kind of broker knows; each kind's README names them. An unknown one is an error.
+  /// Settings that only one kind of broker knows; each kind's README names them. An unknown one is an error.
   std::map<std::string, std::string> properties;
   std::chrono::milliseconds heartbeat{4000};    ///< a peer that is silent for two to three of these is given up
   std::chrono::milliseconds rpc_timeout{5000};  ///< for connecting, and for each answer of the server

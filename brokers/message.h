@@ -88,7 +88,7 @@ class Properties {
   std::vector<Entry> entries_;
 };
 
-/// What travels: a payload and its metadata (docs/wire.md#message-metadata says how it travels).
+/// The unit of transport: a payload and its metadata (docs/wire.md#message-metadata says how it travels).
 struct Message {
   Payload payload;           ///< any bytes; 128 MiB at most (brokers/limits.h)
   std::string driver_id;     ///< id of the driver instance that sent it or is to get it

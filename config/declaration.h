@@ -7,7 +7,7 @@
 #include <string_view>
 #include <vector>
 
-/// What a driver plugin declares of itself, read from its bytes: the plugin is not loaded, and none of its code runs.
+/// A driver plugin's declaration of itself, read from its bytes: the plugin is not loaded, and none of its code runs.
 /// drivers/declaration.h is how a driver's author writes it.
 namespace iotcloud::config {
 
@@ -37,7 +37,8 @@ struct DriverDeclaration {
   friend bool operator==(const DriverDeclaration&, const DriverDeclaration&) = default;
 };
 
-/// What the bytes of a plugin's file declare. Text that cannot be read counts as none: what a plugin says is input.
+/// Reads the declaration in the bytes of a plugin's file. Text that cannot be read counts as none: what a plugin says
+/// is input.
 DriverDeclaration declaration_in(std::string_view bytes);
 /// The same of the JSON in a plugin's descriptor. \param json nullptr: it declares nothing
 DriverDeclaration declaration_of(const char* json);
@@ -48,7 +49,7 @@ DriverDeclaration parse_declaration(std::string_view json);
 
 using Properties = std::map<std::string, std::string>;
 
-/// What is wrong with one property of a deployment.
+/// A fault of one property of a deployment.
 struct PropertyProblem {
   std::string property;
   std::string text;  ///< what is wrong, and what would be right; it begins with the value or the word "missing"

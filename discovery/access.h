@@ -11,7 +11,7 @@ namespace iotcloud::discovery {
 /// A process's identity at ZooKeeper: one line "ROLE USER:DIGEST" of the users' file, the digest as ZooKeeper has it
 /// (base64 of SHA-1 of "USER:PASSWORD").
 struct RegistryUser {
-  /// What a process is. A gateway's user has the gateway's id as its name.
+  /// The kinds of processes. A gateway's user has the gateway's id as its name.
   enum class Role { master, gateway, worker };
   Role role = Role::worker;
   std::string name;
@@ -22,14 +22,14 @@ struct RegistryUser {
 /// with '#' are skipped. \throws config::Error with file and line.
 std::vector<RegistryUser> read_registry_users(const std::string& file);
 
-/// Who may do what with which nodes: only masters write orders and removals of orders, only a gateway (and masters) its
-/// own records, only a gateway and masters read its orders. A gateway takes away the removals that it has followed.
-/// Every process gives the nodes that it creates these rights, whoever they are for. Immutable: thread safe.
+/// The access rules of the registry's nodes: only masters write orders and removals of orders, only a gateway (and
+/// masters) its own records, only a gateway and masters read its orders. A gateway takes away the removals that it has
+/// followed. Every process gives the nodes that it creates these rights, whoever they are for. Immutable: thread safe.
 class RegistryAccess {
  public:
   /// Rights on one node, as ZooKeeper has them: `create` and `remove` are about its children.
   static constexpr int read = 1, write = 2, create = 4, remove = 8, all = 31;
-  /// What one user may do with a node.
+  /// The permissions of one user for a node.
   struct Grant {
     std::string id;  ///< "USER:DIGEST"
     int rights = 0;

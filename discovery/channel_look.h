@@ -81,7 +81,7 @@ struct ChannelState {
                                             IOTCLOUD_FIELD_AS(oldest_ms, usual, "oldest_ms", oldestMs)};
 };
 
-/// What a driver host answers to a look, and to a message by hand.
+/// A driver host's answer to a look, and to a message by hand.
 struct ChannelLook {
   std::string problem;  ///< why nothing was done; empty: all below counts
   std::string state;    ///< the instance's state, as DriverState spells it; empty: not known

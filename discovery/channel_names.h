@@ -6,7 +6,7 @@
 
 namespace iotcloud::discovery {
 
-/// What stands before a channel's names on the wire (docs/wire.md#topics): "<gateway>.<driver>.<instance>.", or of a
+/// The prefix of a channel's names on the wire (docs/wire.md#topics): "<gateway>.<driver>.<instance>.", or of a
 /// shared channel "<gateway>.<driver>.".
 std::string wire_prefix(const ChannelRecord& channel);
 

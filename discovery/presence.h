@@ -6,7 +6,7 @@
 #include <iotcloud/discovery/description/fields.h>
 #include <iotcloud/discovery/ids.h>
 
-/// What processes say of themselves in nodes that are theirs, in JSON.
+/// The nodes in which processes describe themselves, in JSON.
 namespace iotcloud::discovery {
 
 /// The process that is a gateway: its ephemeral node Paths::gateway_alive().

@@ -132,7 +132,8 @@ struct PluginVersion {
   friend bool operator==(const PluginVersion&, const PluginVersion&) = default;
 };
 
-/// What an instance is deployed with. It is a part of requests to a master, of orders in the registry and of listings.
+/// The plugin and the settings that an instance is deployed with. It is a part of requests to a master, of orders in
+/// the registry and of listings.
 struct Deployment {
   DriverName driver;   ///< empty: the plugin's own
   std::string plugin;  ///< file name ("turtle.so"), in the gateway's plugin folder unless `sha256` is given
@@ -152,7 +153,7 @@ struct Deployment {
   friend bool operator==(const Deployment&, const Deployment&) = default;
 };
 
-/// What the master wants of one instance on one gateway: `/iot/gateways/<id>/orders/<instance>`, JSON.
+/// The master's order for one instance on one gateway: `/iot/gateways/<id>/orders/<instance>`, JSON.
 /// The gateway makes it so and reports in the DriverRecord. Removing the node is the order to undeploy.
 struct OrderRecord : Deployment {
   InstanceId instance;
@@ -218,9 +219,9 @@ struct TopologyKill {
   friend bool operator==(const TopologyKill&, const TopologyKill&) = default;
 };
 
-/// What is wanted of a running topology: persistent node `/iot/topologies/<name>/wanted`, JSON. Every worker, also one
-/// that starts later, follows the order and reports the revision in its WorkerRecord. Without the node a topology is
-/// active, with the parallelism that its YAML says.
+/// The wanted state of a running topology: persistent node `/iot/topologies/<name>/wanted`, JSON. Every worker, also
+/// one that starts later, follows the order and reports the revision in its WorkerRecord. Without the node a topology
+/// is active, with the parallelism that its YAML says.
 struct TopologyOrder {
   std::int64_t revision = 0;  ///< grows with every order
   std::int64_t epoch = 0;     ///< fencing token: the epoch of the master that gave the order
@@ -238,7 +239,7 @@ struct TopologyOrder {
 
 /// One worker, and what it does: ephemeral `/iot/topologies/<name>/workers/<worker>`, JSON.
 struct WorkerRecord {
-  /// What runs of one component in this worker, as it is now.
+  /// The tasks of one component in this worker, as they are now.
   struct Component {
     int parallelism = 1;
     int tasks = 1;
@@ -319,7 +320,8 @@ struct Paths {
   std::string topology_order(const TopologyName& topology) const;  ///< `/iot/topologies/<name>/wanted`
   /// Below it each worker that was killed leaves a persistent node of its name: empty, or why it did not drain.
   std::string ended_workers(const TopologyName& topology) const;
-  /// Who reads a driver's channel as one group, and who of them reads what: `/iot/groups/<group>/<driver>/<channel>`.
+  /// The readers that read a driver's channel as one group, and which of them reads what:
+  /// `/iot/groups/<group>/<driver>/<channel>`.
   std::string readers(const std::string& group, const DriverName& driver, const std::string& channel) const;
   std::string sensors, gateways, topologies, groups;
 };

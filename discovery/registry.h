@@ -134,8 +134,8 @@ struct RegistryOptions {
   /// servers that other machines can reach.
   std::string user{};
   std::string password{};
-  /// What the other users of a fleet may do with the nodes that this process creates; `user` is one of them. Null: only
-  /// clients with the same user and password may use them.
+  /// The permissions of a fleet's other users for the nodes that this process creates; `user` is one of them. Null:
+  /// only clients with the same user and password may use them.
   std::shared_ptr<const RegistryAccess> access{};
   /// Clients without that password may read this process's nodes.
   bool others_may_read = false;
@@ -152,7 +152,7 @@ void put(Registry& registry, const std::string& path, const std::string& data, c
 /// Removes a node and everything below it; missing nodes are no error.
 void remove_tree(Registry& registry, const std::string& path, const Fence& fence = {});
 
-/// Who leads next.
+/// The rule by which the next leader is chosen.
 enum class Succession {
   longest_standing,  ///< each member has a node below `path`; the oldest leads
   /// The leader's node is `path` itself; when it is gone, the first to create it leads. One write and one read for each
@@ -160,7 +160,7 @@ enum class Succession {
   whoever_is_first,
 };
 
-/// What a leader adds to its writes.
+/// The proof of leadership that a leader adds to its writes.
 struct Lead {
   std::int64_t epoch = 0;  ///< as told to Election::Callbacks::on_elected
   Fence fence;             ///< is gone before another member leads

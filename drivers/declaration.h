@@ -12,7 +12,7 @@
 /// How a driver declares its properties, so that orders are checked against them before anything is ordered.
 namespace iotcloud::drivers {
 
-/// What values of a property look like.
+/// The types of a property's values.
 enum class PropertyType { text, number, integer, flag };
 
 /// The values that a text may have; none: any.

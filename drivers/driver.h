@@ -23,7 +23,8 @@ using PropertyMap = std::map<std::string, std::string>;
 /// A channel's direction as seen from the driver: messages of an `out` channel go from the driver to the broker.
 enum class Direction { in, out };
 
-/// What publish() does on an outgoing channel whose queue is full: the broker is away or slow, or has no reader yet.
+/// The policies of publish() on an outgoing channel whose queue is full: the broker is away or slow, or has no reader
+/// yet.
 enum class WhenFull {
   keep_newest,  ///< drops the oldest waiting message (frames: a stale one is worse than none)
   block,        ///< publish() answers would_block (readings: a lost one is worse than a late one)
@@ -87,9 +88,9 @@ enum class LogLevel { debug, info, warn, error };
 /// Names a timer or a descriptor's watch, to stop it. Valid until stopped or until the instance closes.
 using HandlerId = std::uint64_t;
 
-/// What the driver host offers an instance. The host implements it, and mocks do in tests. The instance's event thread
-/// may call everything; any thread may call publish, post, log, fail and update_metadata. No call throws. Callbacks run
-/// on the instance's event thread, never two at a time, and none after close() began.
+/// The interface of the driver host to an instance. The host implements it, and mocks do in tests. The instance's event
+/// thread may call everything; any thread may call publish, post, log, fail and update_metadata. No call throws.
+/// Callbacks run on the instance's event thread, never two at a time, and none after close() began.
 class HostInterface {
  public:
   virtual ~HostInterface() = default;

@@ -41,8 +41,8 @@ class DriverShell {
   virtual void on_stored(std::string_view channel, std::uint64_t count, std::string& error) noexcept = 0;
 };
 
-/// What the plugin's one C symbol returns. The first three members never move: a host checks them before its first C++
-/// call, and refuses a plugin that does not fit with a message that names both sides.
+/// The description that the plugin's one C symbol returns. The first three members never move: a host checks them
+/// before its first C++ call, and refuses a plugin that does not fit with a message that names both sides.
 struct Descriptor {
   std::uint32_t sdk_version;
   std::uint32_t size;  ///< the plugin's sizeof(Descriptor)

@@ -21,7 +21,7 @@
 
 namespace iotcloud::gateway {
 
-/// What a gateway is and what it uses.
+/// A gateway's settings, and the objects that it uses.
 struct GatewayOptions {
   discovery::GatewayId id;
   std::string host = "127.0.0.1";  ///< the host under which others reach the gateway's Thrift service

@@ -33,7 +33,7 @@ class Membership {
 
   Membership(discovery::Registry& registry, discovery::Paths paths, Options options);
 
-  /// Who has the place.
+  /// The holder of the place.
   enum class Holder {
     self,
     /// The node was removed, or its session has expired and this process's node is not there again yet. Or it is that
@@ -43,7 +43,7 @@ class Membership {
   };
 
   Result join();
-  /// Who wrote the ephemeral node, after join() has returned `joined`.
+  /// The process that wrote the ephemeral node, after join() has returned `joined`.
   Holder holder(const std::optional<discovery::Node>& alive);
   /// After `nobody`: makes the ephemeral node again, as soon as that is possible.
   void hold_again();

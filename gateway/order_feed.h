@@ -80,8 +80,8 @@ class OrderFeed {
   void read_refused_again();
 
  private:
-  /// What to read: all orders, or only their names. When an order is gone only the names are read, so that the removal
-  /// of one of thousands does not cost a read of all.
+  /// Whether to read all orders, or only their names. When an order is gone only the names are read, so that the
+  /// removal of one of thousands does not cost a read of all.
   enum class Reading { all, names };
   struct Found;
   struct Objection {

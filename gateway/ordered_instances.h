@@ -105,8 +105,8 @@ class OrderedInstances {
     bool removing = false;
     std::optional<discovery::OrderRecord> next;  ///< the order to carry out when the current instance has ended
   };
-  /// What other threads see of an instance: its record, the version of the order that the record reflects, and whether
-  /// the record was given to the writer. all() shows it before that, wait_for() after it.
+  /// The part of an instance that other threads see: its record, the version of the order that the record reflects, and
+  /// whether the record was given to the writer. all() shows it before that, wait_for() after it.
   struct Told {
     discovery::DriverRecord record;
     std::int64_t order_version = -1;

@@ -21,7 +21,7 @@ struct Account {
 /// \throws config::Error when there is no account of that name.
 Account find_account(const std::string& name);
 
-/// What a process gives up before it runs somebody else's code. The default is nothing.
+/// The rights that a process gives up before it runs somebody else's code. By default it gives up none.
 struct Confinement {
   /// The account to change to, with its groups; empty: no change. Only root can change the account.
   std::string user;

@@ -12,7 +12,7 @@ struct FileAccess {
   std::vector<std::string> write;  ///< also make, change, rename and remove; devices are opened and controlled
 };
 
-/// What the kernel's Landlock can do: 0 if it has none.
+/// The version of the kernel's Landlock; 0: it has none.
 int landlock_version();
 
 /// From now on this process, all its threads and what they start reach only these files, and with version 6 of Landlock

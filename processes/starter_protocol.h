@@ -4,13 +4,13 @@
 #include <string>
 #include <vector>
 
-/// What a daemon and the other end of a ProcessStarter's socket send each other, as frames (frames.h). Each end takes
-/// what the other says for input, not for truth: they run under different accounts.
+/// The messages that a daemon and the other end of a ProcessStarter's socket send each other, as frames (frames.h).
+/// Each end takes what the other says for input, not for truth: they run under different accounts.
 namespace iotcloud::processes {
 
-/// What a daemon asks for: that a process is run, or that one is killed.
+/// A daemon's request: that a process is run, or that one is killed.
 struct StarterRequest {
-  /// What is to be done.
+  /// The kinds of requests.
   enum class Kind { run, kill };
   Kind kind = Kind::run;
   std::vector<std::string> arguments;    ///< to run: those of the process, at least one
@@ -20,9 +20,9 @@ struct StarterRequest {
   std::size_t descriptors() const { return kind == Kind::run ? 2 : 1; }
 };
 
-/// What became of a request. To one that runs a process there are two answers: `started`, and later `ended`.
+/// The answer to a request. To one that runs a process there are two answers: `started`, and later `ended`.
 struct StarterAnswer {
-  /// What happened to the process, or that the request failed.
+  /// The kinds of answers: an event of the process, or that the request failed.
   enum class Kind { started, ended, killed, failed };
   Kind kind = Kind::failed;
   int number = 0;      ///< of the process that was started (above 1), or how it ended, see ChildProcess::status()

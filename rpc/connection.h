@@ -31,7 +31,7 @@ class ThriftConnection {
   void cut() { stream_.cut(); }
   bool is_stranger() const { return !trusted_; }
 
-  /// Whose it is, and since when it waits for its next message. Any thread.
+  /// The connection's user, and since when it waits for its next message. Any thread.
   struct Standing {
     std::string identity;
     bool named = false;      ///< the identity is more than an address

@@ -24,7 +24,7 @@ enum class RefusalForm {
   error,     ///< the method throws the exception of its field 1, whose own field 1 is the reason
 };
 
-/// Who may call a method, and how it answers others.
+/// The role that a method asks of its caller, and its answer to others.
 struct MethodRule {
   security::Role role = security::Role::admin;
   RefusalForm form = RefusalForm::failure;
@@ -36,7 +36,7 @@ struct MethodRule {
 /// its role.
 using MethodRules = std::map<std::string, MethodRule, std::less<>>;
 
-/// Who may do what with one service.
+/// The access rules of one service.
 struct AccessOptions {
   std::string service;  ///< the same as ThriftServerOptions::name
   MethodRules rules;

@@ -39,14 +39,14 @@ struct AuditLink {
 /// \return nullopt if the line has no place in a chain
 std::optional<AuditLink> parse_audit_link(std::string_view line);
 
-/// What is wrong at one place of an audit log.
+/// A fault at one place of an audit log.
 struct AuditFinding {
   std::string file;
   std::size_t line = 0;  ///< of the file, from 1; 0: the file as a whole
   std::string text;
 };
 
-/// What verify_audit() found.
+/// The result of verify_audit().
 struct AuditVerdict {
   std::uint64_t first = 0;      ///< number of the first line of the chain; 0: there is none
   AuditHead head;               ///< the last line

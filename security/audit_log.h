@@ -15,14 +15,14 @@
 
 namespace iotcloud::security {
 
-/// What a line of the audit log is about.
+/// The kinds of lines of the audit log.
 enum class AuditEvent {
   begun,    ///< an order that is about to be carried out
   ended,    ///< what became of an order
   refused,  ///< a call of somebody who was not authenticated, or not allowed
 };
 
-/// Who did what, with which outcome.
+/// One line of the audit log: who did what, with which outcome.
 struct AuditEntry {
   AuditEvent event = AuditEvent::ended;
   std::string who;          ///< the token's name, or "user anna" where no token is asked for; empty: not known
@@ -36,7 +36,7 @@ struct AuditEntry {
 
 /// Where a daemon writes down orders, and what it does when it cannot.
 struct AuditSettings {
-  /// What happens to an order whose line cannot be written (a full disk).
+  /// The policies for an order whose line cannot be written (a full disk).
   enum class WhenFull {
     go_on,   ///< it is carried out; the ordinary log has an error and the line
     refuse,  ///< it is refused

@@ -37,7 +37,7 @@ inline void must(bool done, const char* what) {
   if (!done) throw config::Error(fmt::format("OpenSSL cannot {}: {}", what, tls_error()));
 }
 
-/// What was written into a BIO of memory.
+/// The bytes that were written into a BIO of memory.
 inline std::string written_to(BIO* memory) {
   char* data = nullptr;
   const auto size = BIO_get_mem_data(memory, &data);

@@ -4,7 +4,7 @@
 
 namespace iotcloud::security {
 
-/// What a user of the registry is known by.
+/// The credentials of a user of the registry.
 struct RegistryPassword {
   std::string password;  ///< 64 hexadecimal digits: nobody finds it by its digest
   std::string digest;    ///< as ZooKeeper's digest authentication has it: base64 of SHA-1 of "USER:PASSWORD"

@@ -4,7 +4,7 @@
 
 #include <iotcloud/security/certificates.h>
 
-/// What happens to certificates after they were made. All functions throw Error.
+/// Renews and revokes certificates. All functions throw Error.
 namespace iotcloud::security {
 
 inline constexpr int usual_days = 730;  ///< of a certificate

@@ -27,8 +27,8 @@ struct TlsFiles {
 /// no TLS. \throws ConfigError if one is missing or unusable, with file, line and remedy.
 TlsFiles read_tls(config::Section& section);
 
-/// What all connections of one side share: TLS 1.2 or later; both sides show a certificate of the authority. Sessions
-/// are not resumed, so that every connection is checked anew. Thread safe.
+/// The settings that all connections of one side share: TLS 1.2 or later; both sides show a certificate of the
+/// authority. Sessions are not resumed, so that every connection is checked anew. Thread safe.
 class TlsContext {
  public:
   /// Which end of a connection it is for.

@@ -12,7 +12,7 @@
 
 namespace iotcloud::security {
 
-/// What a user may do. Each role includes those before it, but an operator may not pass on plugins.
+/// The roles of users. Each role includes those before it, but an operator may not pass on plugins.
 enum class Role {
   anyone,     ///< not authenticated
   viewer,     ///< reads

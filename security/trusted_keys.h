@@ -12,7 +12,7 @@
 
 namespace iotcloud::security {
 
-/// Who may sign plugins that run here. Thread safe.
+/// The keys of those who may sign plugins that run here. Thread safe.
 class TrustedKeys {
  public:
   struct Options {

@@ -88,8 +88,8 @@ inline constexpr const char* cxx_abi = "itanium;libstdc++;cxx11=1";
 inline constexpr const char* cxx_abi = "another C++ library";
 #endif
 
-/// What a component library's one C function returns. The worker checks version, size and ABI before it makes its first
-/// C++ call into the library.
+/// The description that a component library's one C function returns. The worker checks version, size and ABI before it
+/// makes its first C++ call into the library.
 struct LibraryDescriptor {
   std::uint32_t sdk_version;
   std::uint32_t size;

@@ -18,7 +18,7 @@ using Config = std::map<std::string, std::string>;
 /// Wakes one spout task from any thread. A copy wakes the same task. It may outlive the runtime, and then does nothing.
 class SpoutWaker {
  public:
-  /// What a waker wakes; implemented by the runtime that runs the task.
+  /// The target of a waker; implemented by the runtime that runs the task.
   class Target {
    public:
     virtual ~Target() = default;

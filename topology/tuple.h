@@ -18,7 +18,7 @@ struct Tree;
 
 namespace detail {
 
-/// What all tuples of one stream have in common, and point to; lives as long as the topology.
+/// The common part of all tuples of one stream, to which each points; it lives as long as the topology.
 struct StreamInfo {
   std::string component;
   std::string stream;

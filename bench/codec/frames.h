@@ -10,7 +10,7 @@ namespace iotcloud::bench {
 /// 640 x 480 disparities of a Kinect, row by row.
 using Frame = std::vector<std::uint16_t>;
 
-/// What the simulated Kinect sees while its robot follows a walking person: `each` frames, one a second, of each of
+/// Simulated frames of a Kinect whose robot follows a walking person: `each` frames, one a second, of each of
 /// `worlds` worlds (seeds 1, 2, ...).
 std::vector<Frame> simulated_frames(int worlds, int each);
 

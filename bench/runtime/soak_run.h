@@ -39,7 +39,7 @@ class Soak {
   /// \param progress called about once a second; may be empty.
   void run(const std::function<void(const SoakCounts&, std::chrono::milliseconds left)>& progress = {});
   SoakCounts counts() const;
-  /// What is wrong after run(), one line for each fault; empty if every tuple is accounted for and no key was out of
+  /// The faults after run(), one line for each; empty if every tuple is accounted for and no key was out of
   /// order.
   std::vector<std::string> violations() const;
 

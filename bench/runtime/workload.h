@@ -140,7 +140,7 @@ class Payloads {
   std::vector<brokers::Payload> all_;
 };
 
-/// What the engine's components share in one measurement.
+/// The objects that the engine's components share in one measurement.
 struct Workload {
   explicit Workload(const Options& o) : options(o), feed(o) {}
   const Options options;

@@ -17,7 +17,7 @@ struct RecordMarks {
   std::int64_t expires_ms = 0;  ///< since 1970 UTC: the reader drops the record after this time. 0 = never
 };
 
-/// What a record's headers say.
+/// The contents of a record's headers.
 struct RecordHeaders {
   Message message;  ///< the metadata of a record with a bare body; without the body
   std::optional<std::int64_t> time_ms;

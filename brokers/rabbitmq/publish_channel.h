@@ -124,7 +124,7 @@ class PublishChannel final : client::PublishTransport {
   bool connected_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   /// The server asked us to publish nothing (memory or disk alarm).
   bool blocked_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  /// What a caller's send failed with; the channel's thread cleans up. Null: none did.
+  /// The exception with which a caller's send failed; the channel's thread cleans up. Null: none failed.
   std::exception_ptr broken_ IOTCLOUD_GUARDED_BY(core_.mutex);
   bool sleeping_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   /// Poll reported room, so one message can be sent without asking again.

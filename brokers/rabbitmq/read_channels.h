@@ -15,13 +15,13 @@ namespace iotcloud::brokers::rabbitmq {
 
 /// The channels of one consuming connection: which subscription reads on which, and the methods that are still to be
 /// sent on them (requests, limits, settlements, closes). Only the thread that has the connection's WireTurn uses it.
-/// What changes a subscription (open, close, settle) needs the mutex of its connection, too; writing does not, so that
-/// the connection writes without it.
+/// Functions that change a subscription (open, close, settle) need the mutex of its connection, too; writing does not,
+/// so that the connection writes without it.
 class ReadChannels {
  public:
   /// The number of channels that are open, or about to be opened or closed.
   std::size_t size() const { return readers_.size(); }
-  /// Who reads on a channel; null: this client has requested the channel's end; nullopt: there is no such channel.
+  /// The reader of a channel; null: this client has requested the channel's end; nullopt: there is no such channel.
   std::optional<QueueReader*> find(amqp_channel_t channel) const;
 
   /// Gives a subscription a channel, and requests there what it reads.

@@ -27,7 +27,7 @@ enum class SpoolSync {
   always,
 };
 
-/// What publish() does when the spool has no room.
+/// The policies of publish() when the spool has no room.
 enum class SpoolFull {
   block,        ///< publish() answers would_block
   drop_oldest,  ///< the oldest messages are dropped, a sixteenth of the spool at a time, with reason::spool_full

@@ -29,7 +29,7 @@ class Service {
   virtual std::string trouble() const { return {}; }
 };
 
-/// What one daemon is: its name, and how its service is made.
+/// The description of one daemon: its name, and how its service is made.
 struct DaemonOptions {
   std::string name;         ///< "iotcloud-gateway"
   std::string description;  ///< one sentence for --help

@@ -91,7 +91,7 @@ class DepthEncoder {
   std::unique_ptr<groups::PlaneEncoder<groups::DisparityPlane>> lossless_;
 };
 
-/// What is wrong with a payload.
+/// The faults of a payload.
 enum class DecodeError {
   none,
   not_snappy,     ///< neither tagged nor a raw Snappy block, or a block that is cut off or damaged

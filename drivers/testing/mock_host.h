@@ -140,7 +140,7 @@ class MockInstance {
 
   MockHost& host() { return host_; }
   const std::vector<ChannelSpec>& channels() const { return channels_; }
-  /// What the driver threw first; empty when it threw nothing.
+  /// The text of the first exception that the driver threw; empty when it threw none.
   const std::string& error() const { return error_; }
 
  private:

@@ -9,7 +9,7 @@
 #include <iotcloud/drivers/depth/depth_codec.h>
 #include <iotcloud/drivers/driver.h>
 
-/// What a TurtleBot consists of, as its driver sees it: a source of depth frames and an actuator, each interchangeable.
+/// The parts of a TurtleBot, as its driver sees them: a source of depth frames and an actuator, each interchangeable.
 namespace iotcloud::drivers::turtle {
 
 /// Where things really are, which only a simulated world knows. Metres and radians; heading counter-clockwise from x.
@@ -56,7 +56,7 @@ struct Velocity {
   double angular = 0;  ///< rad/s
 };
 
-/// What moves the robot. All calls come from the instance's event thread.
+/// The actuator, which moves the robot. All calls come from the instance's event thread.
 class Actuator {
  public:
   virtual ~Actuator() = default;

@@ -32,7 +32,7 @@ struct HostEvents {
   std::function<void(const HostEnd&)> on_ended;  ///< called once, after all other events
   /// The host has read a message for an instance that it does not run; HostLink::answer() must follow. May be empty.
   std::function<void(const PassedMessage&)> on_pass{};
-  /// What became of a message of HostLink::deliver(). May be empty.
+  /// Called with the outcome of a message of HostLink::deliver(). May be empty.
   std::function<void(std::int64_t number, PassAnswer)> on_answer{};
   /// The answer to HostLink::ask(). May be empty.
   std::function<void(std::int64_t number, discovery::ChannelLook)> on_told{};

@@ -58,8 +58,8 @@ class PluginSource {
   const std::shared_ptr<processes::PluginStore> store_;
   const std::shared_ptr<const security::TrustedKeys> trust_;
   config::Mutex mutex_;
-  /// What the result of examine() depends on: the stamps of the plugin's file and of its signature's file, and
-  /// TrustedKeys::generation().
+  /// The inputs of examine(), by which its result is cached: the stamps of the plugin's file and of its signature's
+  /// file, and TrustedKeys::generation().
   using Basis = std::tuple<config::FileStamp, config::FileStamp, std::uint64_t>;
   std::map<std::string, std::pair<Basis, Examined>> examined_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by path
 };

@@ -8,9 +8,9 @@
 
 namespace iotcloud::gateway {
 
-/// What in a host's report about an instance contradicts what this gateway knows: names that are not the instance's, a
-/// broker or an address that its configuration does not list. A host runs foreign code, and readers of the records
-/// follow them. \return for people; empty: nothing.
+/// Finds what in a host's report about an instance contradicts what this gateway knows: names that are not the
+/// instance's, a broker or an address that its configuration does not list. A host runs foreign code, and readers of
+/// the records follow them. \return for people; empty: nothing.
 std::string contradiction(const InstanceStatus& told, const discovery::OrderRecord& order,
                           const discovery::GatewayId& gateway, const std::vector<brokers::BrokerSetting>& brokers);
 

@@ -13,7 +13,7 @@
 
 namespace iotcloud::gateway {
 
-/// What a person asks of a channel: to look at it or, with a message, to hand that to its instance.
+/// A person's request to a channel: to look at it or, with a message, to hand that to its instance.
 struct ChannelQuestion {
   discovery::LookRequest look;
   std::optional<brokers::Message> message{};

@@ -24,7 +24,7 @@ inline constexpr const char* lost_help = "Received messages that no driver handl
 /// Thread safe.
 class ChannelQueue : public std::enable_shared_from_this<ChannelQueue> {
  public:
-  /// What became of a message that was to be delivered.
+  /// The outcome of a message that was to be delivered.
   enum class Handled {
     done,       ///< the driver has handled it
     failed,     ///< the driver failed on it

@@ -55,7 +55,7 @@ class DriverHost {
   /// Hands a message that another host has passed to its instance. Passing::answer says later, on any thread, what
   /// became of it.
   void deliver(PassedMessage passed);
-  /// What became of a message that this host has passed.
+  /// Reports the outcome of a message that this host has passed.
   void answered(std::int64_t number, PassAnswer answer);
   /// The gateway is gone: messages that were passed and not answered wait here again.
   void nobody_answers();

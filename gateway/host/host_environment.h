@@ -15,7 +15,8 @@
 
 namespace iotcloud::gateway {
 
-/// What all instances of a host share. The instances share ownership, so that a hanging instance may outlive the host.
+/// The objects that all instances of a host share. The instances own them together, so that a hanging instance may
+/// outlive the host.
 struct HostEnvironment {
   discovery::GatewayId gateway;
   bool isolated = false;  ///< this host runs one instance only; other instances of the driver run in other hosts

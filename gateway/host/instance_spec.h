@@ -61,7 +61,7 @@ struct PluginIdentity {
   friend bool operator==(const PluginIdentity&, const PluginIdentity&) = default;
 };
 
-/// What a host is started with.
+/// The arguments with which a gateway starts a host.
 struct HostOrder {
   std::string plugin;  ///< plain file name ("turtle.so")
   discovery::GatewayId gateway;
@@ -75,7 +75,7 @@ struct HostOrder {
                                             IOTCLOUD_FIELD(isolated, required), IOTCLOUD_FIELD(sha256, usual)};
 };
 
-/// What a driver host reports about one instance.
+/// A driver host's report about one instance.
 struct InstanceStatus {
   discovery::InstanceId instance;
   discovery::DriverName driver;  ///< the order's name, or else the plugin's own

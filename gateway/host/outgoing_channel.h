@@ -29,7 +29,7 @@ class OutgoingChannel {
 
   /// Thread safe.
   drivers::PublishStatus publish(drivers::Message message);
-  /// What waits to be confirmed. Thread safe.
+  /// The messages that wait to be confirmed. Thread safe.
   ChannelQueue::Backlog backlog() const;
   /// The looks at what is published here. Thread safe.
   ChannelLooks& looks() { return looks_; }

@@ -18,7 +18,7 @@ struct PassedMessage {
   brokers::Message message;  ///< driver_id names the instance
 };
 
-/// What became of a passed message.
+/// The outcome of a passed message.
 enum class PassAnswer {
   handled,  ///< the driver has handled it
   failed,   ///< the driver failed on it
@@ -26,7 +26,7 @@ enum class PassAnswer {
   nowhere,  ///< no driver saw it; no host of this gateway runs its instance
 };
 
-/// What a message takes on its way, in bytes: its payload, ids and properties.
+/// The size of a message on its way, in bytes: its payload, ids and properties.
 inline std::size_t size_of(const brokers::Message& message) {
   constexpr std::size_t around_a_property = 64;  ///< what the encoding adds, rounded up
   std::size_t size = message.payload.size() + message.driver_id.size() + message.gateway_id.size();

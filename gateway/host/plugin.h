@@ -27,7 +27,7 @@ class Plugin {
 
   const drivers::Descriptor& descriptor() const { return *descriptor_; }
   std::string name() const { return descriptor_->name; }
-  /// What the driver declares of its properties.
+  /// The properties that the driver declares.
   const config::DriverDeclaration& declaration() const { return declaration_; }
   const std::string& origin() const { return origin_; }  ///< path, for messages
 

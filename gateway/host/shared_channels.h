@@ -60,7 +60,7 @@ class SharedChannels {
 
   /// Takes a message that another host has passed; Passing::answer says what became of it.
   void take(PassedMessage passed);
-  /// What became of a message that was passed from here.
+  /// Reports the outcome of a message that was passed from here.
   void answered(std::int64_t number, PassAnswer answer);
   /// No answer follows to what was passed: it waits here again.
   void nobody_answers();

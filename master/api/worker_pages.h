@@ -9,7 +9,7 @@ namespace iotcloud::master {
 
 class Master;
 
-/// What a master shows to workers.
+/// The credentials with which a master reads workers' pages.
 struct WorkerAccess {
   security::TlsFiles tls;  ///< empty: this master reads no worker's pages
   std::string token_file;  ///< its first line is the token; empty: this master reads no worker's pages

@@ -49,7 +49,7 @@ struct Call {
 /// is used once, because the command line's values are in its members.
 class Verb {
  public:
-  /// What the help says about the verb.
+  /// The verb's text in the help.
   struct Card {
     const char* name;
     const char* what;

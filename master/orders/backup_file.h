@@ -9,7 +9,7 @@
 
 namespace iotcloud::master {
 
-/// What is ordered of one gateway.
+/// The orders of one gateway.
 struct GatewayBackup {
   discovery::GatewayId gateway;
   bool draining = false;
@@ -20,7 +20,7 @@ struct GatewayBackup {
   friend bool operator==(const GatewayBackup&, const GatewayBackup&) = default;
 };
 
-/// What is ordered of one topology.
+/// The order of one topology.
 struct TopologyBackup {
   discovery::TopologyName topology;
   discovery::TopologyOrder order;

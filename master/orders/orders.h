@@ -11,7 +11,7 @@
 
 namespace iotcloud::master {
 
-/// What became of an order for one instance on one gateway. Numbers are those of TOutcome.
+/// The outcome of an order for one instance on one gateway. Numbers are those of TOutcome.
 enum class OrderOutcome {
   done,     ///< the gateway reported the wanted state
   failed,   ///< the gateway reported a failure, or the order could not be written
@@ -23,7 +23,7 @@ inline std::string json_value(OrderOutcome outcome) {
   return to_string(outcome);
 }
 
-/// What became of an order for one instance.
+/// The outcome of an order for one instance.
 struct InstanceOutcome {
   discovery::GatewayId gateway;
   discovery::InstanceId instance;
@@ -35,7 +35,7 @@ struct InstanceOutcome {
   friend bool operator==(const InstanceOutcome&, const InstanceOutcome&) = default;
 };
 
-/// What an order asks of an instance that is deployed.
+/// The kinds of orders to an instance that is deployed.
 enum class Change { undeploy, start, stop };
 std::string to_string(Change change);
 
@@ -71,7 +71,7 @@ struct OrderResult {
 /// How long to wait for outcomes; nullopt: for MasterOptions::outcome_timeout.
 using WaitLimit = std::optional<std::chrono::milliseconds>;
 
-/// What one instance of a deployment has of its own.
+/// The part of a deployment in which its instances differ.
 struct InstanceProperties {
   int index = 0;  ///< the instance's number, from 1 on
   /// In addition to the deployment's properties, and in place of those of the same name.

@@ -9,7 +9,7 @@
 
 namespace iotcloud::master {
 
-/// What became of an order in one place: an instance, a gateway or a worker.
+/// The outcome of an order in one place: an instance, a gateway or a worker.
 struct Verdict {
   OrderOutcome outcome = OrderOutcome::unknown;
   std::string reason;

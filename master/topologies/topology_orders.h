@@ -9,7 +9,7 @@
 
 namespace iotcloud::master {
 
-/// What an order asks of a running topology. Numbers are those of TTopologyChange.
+/// The kinds of orders to a running topology. Numbers are those of TTopologyChange.
 enum class TopologyChange { activate, deactivate, rebalance, kill };
 std::string to_string(TopologyChange change);
 
@@ -26,7 +26,7 @@ struct TopologyRequest {
       IOTCLOUD_FIELD_AS(drain, usual, "drain_ms", drainMs), IOTCLOUD_FIELD_AS(wait, rare, "wait_ms", waitMs)};
 };
 
-/// What became of an order in one worker.
+/// The outcome of an order in one worker.
 struct WorkerOutcome {
   std::string worker;
   std::string host;

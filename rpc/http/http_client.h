@@ -13,7 +13,7 @@ struct HttpError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// Who reads pages.
+/// The credentials with which a client reads pages.
 struct HttpReader {
   security::TlsFiles tls;                 ///< empty: no TLS, and only pages of this machine are read
   std::string token;                      ///< empty: none is shown

@@ -16,7 +16,7 @@ struct HttpRequest {
   std::map<std::string, std::string> query;  ///< decoded
 };
 
-/// What is sent back.
+/// The response.
 struct HttpAnswer {
   int status = 200;
   std::string content_type = "application/json";
@@ -29,8 +29,8 @@ using HttpHandler = std::function<HttpAnswer(const HttpRequest&)>;
 /// A small HTTP/1.1 server for a daemon's own pages, from construction to destruction: GET and HEAD, one thread, at
 /// most 64 connections. One more makes the server cut off the connection that has been the longest at sending its
 /// request or taking its answer; so slow clients keep nobody away. Counted: iotcloud_http_refused_total{reason}.
-/// What other machines can reach has TLS 1.2+ and takes a token ("Authorization: Bearer TOKEN"; 401 without), see
-/// page_settings.h. Only daemons link it. Thread safe.
+/// An address that other machines can reach has TLS 1.2+ and takes a token ("Authorization: Bearer TOKEN"; 401
+/// without), see page_settings.h. Only daemons link it. Thread safe.
 class HttpServer {
  public:
   /// \param settings with an address "host:port", for example "127.0.0.1:9100"; port 0: any free port.

@@ -21,7 +21,7 @@ class PageGuard {
 
   security::ServerTls& tls() { return tls_; }
   bool asks_for_token() const { return tokens_ != nullptr; }
-  /// Who shows this header "Authorization"; nullopt: nobody who may read. Takes some ten milliseconds.
+  /// The user whom this header "Authorization" proves; nullopt: nobody who may read. Takes some ten milliseconds.
   /// \param certificate the subject of the reader's certificate; empty: none
   std::optional<security::TokenEntry> reader(std::string_view authorization, const std::string& certificate) const;
   /// Whether the token still counts.

@@ -45,7 +45,7 @@ class Book {
   int descriptor_ = -1;
 };
 
-/// What a message of the ledger driver says: "INSTANCE RUN NUMBER".
+/// The text of a message of the ledger driver: "INSTANCE RUN NUMBER".
 struct Entry {
   std::string instance;
   std::string run_and_number;

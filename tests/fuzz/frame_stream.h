@@ -35,7 +35,7 @@ void read_frames(std::string_view input, One&& read_one, Other&& read_other) try
 } catch (const config::Error&) {  // NOLINT(bugprone-empty-catch): a frame that is too long ends the connection
 }
 
-/// What was read can be written and read again as the same.
+/// Checks that a message that was read can be written, and reads as the same again.
 template <typename Decode>
 void read_again(const std::string& body, Decode&& decode) try {
   const std::string once = encode(decode(body));

@@ -30,7 +30,7 @@ using tests::eventually;
 /// A gateway that follows orders as a real one does, and reports what the test says.
 class FakeGateway {
  public:
-  /// What the gateway reports for an order; nullopt: nothing.
+  /// The gateway's report for an order; nullopt: none.
   using Report = std::pair<discovery::DriverState, std::string>;
   using Behaviour = std::function<std::optional<Report>(const discovery::OrderRecord&)>;
   /// Follows the order.

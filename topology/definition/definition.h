@@ -18,7 +18,7 @@
 
 namespace iotcloud::topology {
 
-/// What a field of a spout or bolt that faces a broker stands for (docs/wire.md#topology-files).
+/// The meanings of a field of a spout or bolt that faces a broker (docs/wire.md#topology-files).
 enum class FieldRole {
   payload,      ///< the message's bytes, or what a builder makes of them
   driver_id,    ///< "driverID", or the older "sensorID": the driver instance that sent the message or shall get it
@@ -29,7 +29,7 @@ enum class FieldRole {
   property,     ///< {property: NAME}: a custom property of the message; null if the message has none
 };
 
-/// Who turns the payload into fields and back (`builder`).
+/// The converter between the payload and the fields (`builder`).
 enum class PayloadForm {
   bytes,  ///< a spout emits a Payload; a bolt takes a Payload or a string
   text,   ///< a spout emits a string; a bolt writes any value as text
@@ -47,7 +47,7 @@ struct ReadingOptions {
   int keep_last = 0;           ///< keepLast: only the newest N waiting messages are emitted; 0: all
 };
 
-/// What a bolt does with a tuple for a driver that does not exist.
+/// The policies of a bolt for a tuple to a driver that does not exist.
 enum class UnknownDriver { ack, fail };
 
 /// When a sending bolt acks a tuple.

@@ -18,7 +18,8 @@
 
 namespace iotcloud::topology {
 
-/// What the endpoints of a worker share. The worker fills it before the topology starts; it is constant from then on.
+/// The objects that the endpoints of a worker share. The worker fills it before the topology starts; it is constant
+/// from then on.
 struct EndpointServices {
   discovery::TopologyName topology;         ///< also the name of a spout's group if YAML sets none
   std::string worker;                       ///< this worker's name below Paths::workers(topology)

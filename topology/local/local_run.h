@@ -8,7 +8,7 @@
 
 namespace iotcloud::local {
 
-/// What `iotcloud run` runs.
+/// The drivers and the topology that `iotcloud run` runs.
 struct RunOptions {
   std::string topology;              ///< its YAML file
   std::vector<std::string> plugins;  ///< files of driver plugins, all in one folder
@@ -29,7 +29,7 @@ class LocalRun {
   /// Starts all of it; returns when the instances are active. \throws config::Error, config::ConfigError.
   explicit LocalRun(const RunOptions& options);
 
-  /// What happened since the last call, a line for each: how many instances are in which state, and what each component
+  /// The events since the last call, a line for each: how many instances are in which state, and what each component
   /// of the topology took and emitted a second, with its newest tuple.
   std::vector<std::string> news();
   /// \return false when something did not stop within the limit.

@@ -77,7 +77,7 @@ struct TimedInput {
   Values values;
 };
 
-/// What complete_topology() puts in, and how long it runs.
+/// The tuples that complete_topology() puts in, and how long it runs.
 struct CompleteOptions {
   /// By id of a spout, which is replaced: the tuples that it emits at the start, tracked, on its default stream. Its
   /// tasks take turns.

@@ -78,7 +78,7 @@ struct TaskSnapshot {
   config::Histogram::Summary complete_latency;  ///< spouts: from emit to the ack of the whole tree
 };
 
-/// What all tasks of a topology have done so far.
+/// The counts of all tasks of a topology so far.
 struct Snapshot {
   std::string topology;
   bool active = false;

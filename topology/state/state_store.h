@@ -47,7 +47,7 @@ struct StoredState {
   std::map<std::string, std::string, std::less<>> entries;
 };
 
-/// What a shared store has of one key.
+/// The entry of one key in a shared store.
 struct ClaimedValue {
   std::optional<std::string> value;  ///< empty: the key does not exist
   std::uint64_t changes = 0;         ///< number of checkpoints that have changed it

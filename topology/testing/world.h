@@ -14,7 +14,7 @@
 /// Tests a topology without servers and devices: link iotcloud::topology_testing.
 namespace iotcloud::topology::testing {
 
-/// What a World consists of.
+/// The contents of a World.
 struct WorldOptions {
   /// The drivers that the test plays itself, by name, with the channels of each instance.
   std::map<std::string, std::vector<drivers::ChannelSpec>> fakes{};

@@ -7,8 +7,8 @@
 
 namespace iotcloud::bench::paper {
 
-/// What all drivers of a measurement send, and when. Times are those of the machine's monotonic clock (now_ns()), so
-/// driver hosts that read the same order send in step.
+/// The messages that all drivers of a measurement send, and when. Times are those of the machine's monotonic clock
+/// (now_ns()), so driver hosts that read the same order send in step.
 struct Order {
   std::uint64_t id = 0;  ///< counts up from 1
   std::size_t size = 0;  ///< bytes of a message

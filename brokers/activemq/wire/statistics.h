@@ -7,7 +7,7 @@
 
 namespace iotcloud::brokers::activemq {
 
-/// What a server's statistics plug-in reports about one of its queues.
+/// The report of a server's statistics plug-in about one of its queues.
 struct QueueFacts {
   std::string name;
   std::uint64_t readers = 0;

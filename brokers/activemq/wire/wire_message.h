@@ -12,7 +12,7 @@
 
 namespace iotcloud::brokers::activemq {
 
-/// What the wire message carries besides the message's own metadata.
+/// The fields of the wire message besides the message's own metadata.
 struct Envelope {
   std::string to;  ///< the address, see send_address()
   bool durable = false;

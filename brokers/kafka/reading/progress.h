@@ -54,7 +54,7 @@ class Progress {
   /// The first offset that was not handed on.
   std::int64_t handed_on() const;
 
-  /// What to commit now; nothing if that was committed already. \param final nothing more is handed on
+  /// The offset to commit now; nullopt if it was committed already. \param final nothing more is handed on
   std::optional<Committed> to_commit(bool final);
   /// The last commit did not reach the server.
   void commit_failed() { committed_.reset(); }

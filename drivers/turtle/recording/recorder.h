@@ -8,7 +8,7 @@
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/turtle/recording/images.h>
 
-/// What iotcloud-record does. Each call reports its progress to `out`, and ends early, with a complete recording, on
+/// The work of iotcloud-record. Each call reports its progress to `out`, and ends early, with a complete recording, on
 /// SIGINT and SIGTERM (which must be blocked in all threads). \throws std::exception with a message for the user.
 namespace iotcloud::drivers::turtle::recording {
 

@@ -41,7 +41,7 @@ struct NodeOdometry {
   std::array<double, 3> linear{}, angular{};
 };
 
-/// What a node reports, on its own thread.
+/// The reports of a node, on the node's own thread.
 struct NodeEvents {
   std::function<void(const NodeImage&)> on_image;
   std::function<void(const NodeOdometry&)> on_odometry;

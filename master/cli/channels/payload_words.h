@@ -9,7 +9,7 @@
 
 namespace iotcloud::master::cli {
 
-/// What a payload looks like to a person: `auto_` finds out.
+/// The forms in which a person can read a payload. `auto_` picks one by the bytes.
 enum class PayloadFormat { auto_, text, json, hex, image };
 
 /// "JPEG", 640, 480.

@@ -15,7 +15,7 @@ namespace iotcloud::master::cli {
 
 class MasterClient;
 
-/// What became of one step of a plan.
+/// The outcome of one step of a plan.
 struct StepOutcome {
   std::string outcome;  ///< "done", "failed", "pending", "unknown"
   std::string reason;   ///< for people; empty when there is nothing to say

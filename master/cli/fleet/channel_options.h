@@ -10,17 +10,17 @@ namespace iotcloud::master::cli {
 /// anything is ordered. Whether the driver has such a channel only its gateway knows.
 const std::vector<std::string>& channel_options();
 
-/// What is wrong with an option or its value, and what would be right; empty: nothing.
+/// Says what is wrong with an option or its value, and how to mend it. \return empty: nothing is wrong
 std::string channel_option_problem(const std::string& option, const std::string& value);
 
-/// What is wrong with the options of one channel together; empty: nothing. \param when_full that option of the channel;
+/// Says why a spool option does not fit the channel; empty: it fits. \param when_full that option of the channel;
 /// empty: it is not set.
 std::string spool_option_problem(const std::string& option, const std::string& when_full);
 
 /// The name of the property that sets the option.
 std::string channel_property(const std::string& channel, const std::string& option);
 
-/// What is wrong with such a property (of the form `<channel>.<option>`, as in `--channel`) and its value; empty:
+/// Says what is wrong with such a property (of the form `<channel>.<option>`, as in `--channel`) and its value; empty:
 /// nothing.
 std::string channel_setting_problem(const std::string& setting, const std::string& value);
 

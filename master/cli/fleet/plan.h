@@ -32,8 +32,8 @@ struct Fleet {
   std::vector<Instance> instances;
 };
 
-/// What is to be done to one instance, in the order in which a gateway's steps are done. The updates and changes of
-/// a deployment are one order for all gateways, one after the other.
+/// The kinds of steps, each for one instance, in the order in which a gateway's steps are done. The updates and changes
+/// of a deployment are one order for all gateways, one after the other.
 enum class StepKind {
   undeploy,
   stop,
@@ -68,7 +68,7 @@ struct Problem {
   std::string text;  ///< the problem, and how to mend it
 };
 
-/// What differs between a manifest and a fleet.
+/// The differences between a manifest and a fleet.
 struct Plan {
   std::vector<Step> steps;  ///< sorted by gateway, then in the order of StepKind
   std::vector<Problem> problems;
@@ -81,7 +81,7 @@ struct Plan {
   std::set<std::string> not_compared;
 };
 
-/// What a plan may do beyond what the manifest names.
+/// Permissions for a plan to change things that the manifest does not name.
 struct PlanOptions {
   bool prune = true;   ///< undeploy instances that the manifest deployed and names no more
   bool adopt = false;  ///< take over instances that others deployed under names of the manifest

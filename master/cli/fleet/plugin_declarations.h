@@ -11,15 +11,15 @@
 
 namespace iotcloud::master::cli {
 
-/// What the plugins in gateways' folders declare, asked of a master when it is first needed. Used by one thread.
+/// The declarations of the plugins in gateways' folders. It asks a master when one is first needed. Used by one thread.
 class PluginDeclarations {
  public:
   explicit PluginDeclarations(MasterClient& master) : master_(master) {}
 
-  /// What the plugin of this name declares on gateways. A gateway that is lost, of the original system, or does not
-  /// have the plugin says nothing. \param gateways empty: all
+  /// The declarations of the plugin of this name on gateways. A gateway that is lost, of the original system, or does
+  /// not have the plugin says nothing. \param gateways empty: all
   std::vector<DeclaredPlugin> of(const std::string& plugin, const std::vector<discovery::GatewayId>& gateways);
-  /// What a plugin that was sent declares, as the gateways that keep it say.
+  /// The declarations of a plugin that was sent, as the gateways that keep it say.
   std::vector<DeclaredPlugin> sent(const std::string& sha256);
   /// The gateways that live and could not be asked, each with the reason.
   const std::map<discovery::GatewayId, std::string>& silent() const { return silent_; }

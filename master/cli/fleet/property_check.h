@@ -10,15 +10,15 @@
 /// Checks properties against what plugins declare, before anything is ordered.
 namespace iotcloud::master::cli {
 
-/// What a plugin declares.
+/// A plugin's declaration.
 struct DeclaredPlugin {
   std::string where;  ///< for messages: "./station.so", "station.so on lab1"
   config::DriverDeclaration declaration;
 };
-/// What the plugin of a deployment declares: it may differ from gateway to gateway.
+/// The declarations of a deployment's plugin: they may differ from gateway to gateway.
 using FindDeclarations = std::function<std::vector<DeclaredPlugin>(const Deployment&)>;
 
-/// What is wrong with the properties of one instance, each problem once. \return a line for each: empty, nothing
+/// Finds what is wrong with the properties of one instance, each problem once. \return a line for each: empty, nothing
 std::vector<config::PropertyProblem> property_problems(const config::Properties& properties,
                                                        const std::vector<DeclaredPlugin>& plugins);
 

@@ -11,7 +11,7 @@
 
 namespace iotcloud::master::cli {
 
-/// What the workers of one topology report about their tasks, read once.
+/// The reports of one topology's workers about their tasks, read once.
 class TopologyPages {
  public:
   using Json = nlohmann::ordered_json;

@@ -9,8 +9,8 @@
 
 namespace iotcloud::topology {
 
-/// What the spouts of a worker have taken from brokers and not settled: how many bytes, within which limit their
-/// prefetch may grow, and whose prefetch is the limit now. Thread safe.
+/// Counts the messages that the spouts of a worker have taken from brokers and not settled: how many bytes, within
+/// which limit their prefetch may grow, and whose prefetch is the limit now. Thread safe.
 class HeldMessages {
  public:
   /// Of all spouts of a worker together. A prefetch that would need more is not raised.
@@ -24,7 +24,7 @@ class HeldMessages {
 
   /// Says why a spout gets no more messages; empty: it gets what there is.
   void set_limit(const std::string& component, const std::string& text);
-  /// What set_limit() said, for people: "in: prefetchCount ..."; empty: there is no limit.
+  /// The limit as set_limit() put it, for people: "in: prefetchCount ..."; empty: there is no limit.
   std::string limits() const;
 
  private:

@@ -32,7 +32,7 @@ class SplitTopics {
     /// Called on the registry's dispatcher when take_changes() has news. One call may stand for several changes.
     std::function<void()> on_change;
   };
-  /// What the spout has to place anew.
+  /// The channels that the spout has to place anew.
   struct Changes {
     bool all = false;  ///< all shared channels: the channels of a driver on a gateway agree no longer, or again
     std::set<discovery::InstanceId> instances;  ///< the topics of their channels have another number of partitions now

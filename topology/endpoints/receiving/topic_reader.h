@@ -17,7 +17,7 @@ namespace iotcloud::topology {
 /// Reads one topic into a SpoutQueue. Its owner must call close(). Thread safe.
 class TopicReader : public std::enable_shared_from_this<TopicReader> {
  public:
-  /// Who sends the messages that do not name their sender: the driver instance is empty for a shared channel.
+  /// The sender of the messages that do not name theirs: the driver instance is empty for a shared channel.
   struct Sender {
     discovery::GatewayId gateway;
     discovery::InstanceId driver;

@@ -66,7 +66,7 @@ class RouteTable {
     OutputCollector* collector;
     Instant since;
   };
-  /// What an instance's record says, and since when.
+  /// The state in an instance's record, and since when it is so.
   struct Known {
     discovery::DriverState state;
     Instant since;

@@ -8,8 +8,8 @@ namespace iotcloud::topology::internal {
 class Executors;
 class Lane;
 
-/// What a scheduler runs; the runtime's tasks derive from it. It works in slices, which never overlap, each on the
-/// thread whose run list it is on. It must outlive its scheduler's threads.
+/// A unit of work for a scheduler; the runtime's tasks derive from it. It works in slices, which never overlap, each on
+/// the thread whose run list it is on. It must outlive its scheduler's threads.
 class Runnable {
  public:
   /// \param executors the runnable holds one of these while it runs a slice; must outlive the runnable.

@@ -12,7 +12,7 @@
 
 namespace iotcloud::topology::internal {
 
-/// What a SpoutWaker wakes. It passes wake() on to its task until shut(), so that wakers may outlive the task.
+/// The target of a SpoutWaker. It passes wake() on to its task until shut(), so that wakers may outlive the task.
 class WakeGate final : public SpoutWaker::Target {
  public:
   void wake() noexcept override;

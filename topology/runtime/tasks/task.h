@@ -18,7 +18,7 @@ namespace iotcloud::topology::internal {
 class Scheduler;
 class Timers;
 
-/// What the tasks of a runtime share.
+/// The objects that the tasks of a runtime share.
 struct TaskEnvironment {
   Scheduler* scheduler = nullptr;
   Timers* timers = nullptr;
