@@ -38,7 +38,9 @@ void checked(const config::Section& section, const std::string& key, Check&& che
 
 std::vector<brokers::BrokerSetting> read_brokers(config::Section& file, milliseconds session_timeout) {
   std::vector<brokers::BrokerSetting> brokers;
-  for (auto& [name, section] : file.sections("brokers")) {
+  for (auto& named : file.sections("brokers")) {
+    const std::string& name = named.first;
+    config::Section& section = named.second;
     brokers::BrokerSetting broker;
     broker.name = name;
     broker.type = section.choice_or("type", name, brokers::broker_kinds());
