@@ -20,6 +20,8 @@ namespace {
 // How often a connection is checked if no event arrives.
 constexpr std::chrono::milliseconds look_period{250};
 constexpr std::chrono::seconds goodbye{1};
+/// How many times `rpc_timeout` an answer may take while the server sends something else.
+constexpr int times_longer_while_heard = 12;
 constexpr int answers_at_once = 1000;
 
 /// The first bytes of a client, which the server answers with the same bytes. Empty under TLS, which would need a
@@ -92,6 +94,7 @@ void ServerLink::serve(bool readable, bool writable) {
   guarded([&] {
     mutex_.assert_held();
     if (engine_) engine_->receive(readable, writable);
+    if (readable) heard_ = now();
     dispatch();
     if (now() >= next_look_ || phase_ == Phase::away) look_after();
     armed_ = Instant::max();
@@ -147,11 +150,19 @@ void ServerLink::look_after() {
     }
     return;
   }
-  if (!questions_.empty() && now() - questions_.begin()->second.asked > options_.rpc_timeout) {
+  if (!questions_.empty() && has_waited_too_long(questions_.begin()->second.asked)) {
     abandon("no answer to a question about its queues");
     return;
   }
   look_after_preferred();
+}
+
+/// A busy server answers late, and to connect again would only give it more to do: all messages under way would come
+/// once more. So a server that sends anything, if only heartbeats, is waited for longer.
+bool ServerLink::has_waited_too_long(Instant asked) const {
+  const auto waited = now() - asked;
+  const bool silent = now() - heard_ > options_.rpc_timeout;
+  return waited > (silent ? 1 : times_longer_while_heard) * options_.rpc_timeout;
 }
 
 void ServerLink::look_after_preferred() {

@@ -131,6 +131,8 @@ class ServerLink : public IoLoop::Service {
   void greet() IOTCLOUD_REQUIRES(mutex_);
   void greeted() IOTCLOUD_REQUIRES(mutex_);
   void answered(std::string_view message) IOTCLOUD_REQUIRES(mutex_);
+  /// Whether the answer to a question that was asked then is overdue.
+  bool has_waited_too_long(Instant asked) const IOTCLOUD_REQUIRES(mutex_);
   void lost(const std::string& why) IOTCLOUD_REQUIRES(mutex_);
   void finish() IOTCLOUD_REQUIRES(mutex_);
 
@@ -150,6 +152,7 @@ class ServerLink : public IoLoop::Service {
   client::ServerList servers_ IOTCLOUD_GUARDED_BY(mutex_);
   client::ServerProbe probe_;  ///< of the preferred server, while the link is connected to another
   std::size_t server_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  Instant heard_ IOTCLOUD_GUARDED_BY(mutex_){};  ///< when the server last sent something
   Instant attempt_ends_ IOTCLOUD_GUARDED_BY(mutex_){};
   bool blamed_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< the server closed the connection with an error
   bool moving_back_ IOTCLOUD_GUARDED_BY(mutex_) = false;
