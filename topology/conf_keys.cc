@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <utility>
 
+#include <fmt/format.h>
+
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/conf_keys.h>
 
@@ -10,7 +12,7 @@ namespace {
 
 std::string lines_of(const std::map<std::string, std::string>& keys) {
   std::string lines;
-  for (const auto& [key, text] : keys) lines += (lines.empty() ? "conf: " : "\nconf: ") + key + ": " + text;
+  for (const auto& [key, text] : keys) lines += fmt::format("{}conf: {}: {}", lines.empty() ? "" : "\n", key, text);
   return lines;
 }
 

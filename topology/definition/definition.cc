@@ -167,7 +167,7 @@ ComponentDefinition read_bolt(const std::string& id, Section section, const std:
 /// Makes a registry URL from zk.servers; the key `registry` overrides it.
 std::string read_registry_url(Section& root) {
   const auto servers = root.strings_or("zk.servers", {});
-  const auto registry = root.string_or("registry", "");
+  auto registry = root.string_or("registry", "");
   if (!registry.empty() || servers.empty()) return registry;
   std::string url = "zookeeper://";
   for (const auto& server : servers) {
@@ -309,13 +309,13 @@ const std::vector<std::string>& built_in_builders() {
 
 TopologyDefinition TopologyDefinition::load(const std::string& file) {
   std::optional<TopologyDefinition> definition;
-  Section::read_file(file, [&](Section& root) { definition = read(root, file); });
+  Section::read_file(file, [&](Section& top) { definition = read(top, file); });
   return *std::move(definition);
 }
 
 TopologyDefinition TopologyDefinition::parse(std::string_view text, const std::string& name) {
   std::optional<TopologyDefinition> definition;
-  Section::read_text(text, name, [&](Section& root) { definition = read(root, name); });
+  Section::read_text(text, name, [&](Section& top) { definition = read(top, name); });
   return *std::move(definition);
 }
 
