@@ -89,6 +89,7 @@ std::vector<std::string> seeds_of(const std::string& target) {
   for (const auto& file : std::filesystem::directory_iterator(corpus / target)) files.push_back(file.path());
   std::sort(files.begin(), files.end());
   std::vector<std::string> seeds;
+  seeds.reserve(files.size());
   for (const auto& file : files) seeds.push_back(tests::read_file(file));
   return seeds;
 }

@@ -14,7 +14,7 @@
 namespace iotcloud::topology {
 namespace {
 
-using std::chrono_literals::operator""s;
+using namespace std::chrono_literals;
 
 /// Counts the tuples of its windows.
 class CountingWindow final : public WindowedBolt {
