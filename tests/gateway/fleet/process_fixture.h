@@ -13,6 +13,7 @@
 #include <iotcloud/gateway/fleet/process_launcher.h>
 #include <iotcloud/processes/unix_socket.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
+#include <iotcloud/tests/gateway/status_log.h>
 
 namespace iotcloud::gateway {
 
@@ -80,6 +81,19 @@ class ProcessTest : public GatewayFixture {
   int host_process() const {
     const auto names = sockets();
     return names.size() == 1 ? processes::peer_process(processes::connect_in(state_, names.front())) : 0;
+  }
+  /// Starts a host with the active instance "a", whose gateway then ends. \return the host's process; 0 if there is
+  /// none
+  int host_without_gateway() {
+    StatusLog log;
+    const auto launcher = new_launcher();
+    const auto link = launcher->launch({"probe.so", discovery::GatewayId("gw"), false},
+                                       {[&](const auto& status) { log.add(status); }, [](const auto&) {}});
+    InstanceSpec spec;
+    spec.order = quiet("a");
+    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
+    link->create(spec);
+    return log.wait_for("a", discovery::DriverState::active) ? host_process() : 0;
   }
   bool has_ended(int process) const {
     return eventually([&] { return kill(process, 0) != 0; });

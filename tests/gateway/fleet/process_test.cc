@@ -281,18 +281,7 @@ TEST_F(ProcessTest, AHostStopsAnInstanceWhoseLeaseNobodyRenewsAlsoWithoutAGatewa
 }
 
 TEST_F(ProcessTest, AHostThatStandsStillForLessThanTheHangLimitIsAdoptedAndNotKilled) {
-  StatusLog first_life;
-  {
-    const auto launcher = new_launcher();
-    auto link = launcher->launch({"probe.so", "gw"_gateway, false},
-                                 {[&](const auto& s) { first_life.add(s); }, [](const auto&) {}});
-    InstanceSpec spec;
-    spec.order = quiet("a");
-    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
-    link->create(spec);
-    ASSERT_TRUE(first_life.wait_for("a", DriverState::active));
-  }
-  const int process = host_process();
+  const int process = host_without_gateway();
   ASSERT_GT(process, 0);
   kill(process, SIGSTOP);
   const auto launcher = new_launcher();
@@ -304,18 +293,7 @@ TEST_F(ProcessTest, AHostThatStandsStillForLessThanTheHangLimitIsAdoptedAndNotKi
 }
 
 TEST_F(ProcessTest, AGatewaysLastCommandsDoNotKeepAHostFromTheNextGateway) {
-  StatusLog first_life;
-  {
-    const auto launcher = new_launcher();
-    auto link = launcher->launch({"probe.so", "gw"_gateway, false},
-                                 {[&](const auto& s) { first_life.add(s); }, [](const auto&) {}});
-    InstanceSpec spec;
-    spec.order = quiet("a");
-    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
-    link->create(spec);
-    ASSERT_TRUE(first_life.wait_for("a", DriverState::active));
-  }
-  const int process = host_process();
+  const int process = host_without_gateway();
   ASSERT_GT(process, 0);
   const std::string socket = sockets().at(0);
   const auto hears = [](const processes::OwnedDescriptor& connection) {
@@ -356,18 +334,8 @@ TEST_F(ProcessTest, AHostLogsAsItsGatewayDoesWhenItStartsIt) {
 }
 
 TEST_F(ProcessTest, AGatewayThatStoodStillDoesNotTakeItsHostsForHung) {
-  StatusLog before, after;
-  {
-    const auto launcher = new_launcher();
-    auto link = launcher->launch({"probe.so", "gw"_gateway, false},
-                                 {[&](const auto& s) { before.add(s); }, [](const auto&) {}});
-    InstanceSpec spec;
-    spec.order = quiet("a");
-    spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
-    link->create(spec);
-    ASSERT_TRUE(before.wait_for("a", DriverState::active));
-  }
-  const int process = host_process();
+  StatusLog after;
+  const int process = host_without_gateway();
   ASSERT_GT(process, 0);
   ProcessLauncher::Options options;
   options.state_dir = state_;
