@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <cctype>
-#include <charconv>
 #include <optional>
 #include <string_view>
 
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers {
 namespace {
@@ -43,12 +43,9 @@ std::string decode(std::string_view part, const std::string& url) {
 }
 
 std::uint16_t parse_port(std::string_view text, const std::string& url) {
-  unsigned port = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), port);
-  if (error != std::errc() || end != text.data() + text.size() || port == 0 || port > 65535) {
-    fail(url, "the port is not a number from 1 to 65535");
-  }
-  return static_cast<std::uint16_t>(port);
+  const auto port = config::parse_number<std::uint16_t>(text);
+  if (!port || *port == 0) fail(url, "the port is not a number from 1 to 65535");
+  return *port;
 }
 
 void parse_host(std::string_view text, BrokerUrl& parsed, const std::string& url) {

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include <iotcloud/brokers/limits.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers {
 namespace {
@@ -159,13 +160,6 @@ void EnvelopeReader::skip(Type type, int depth) {
   }
 }
 
-std::optional<std::int64_t> to_time(std::string_view text) {
-  std::int64_t number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return number;
-}
-
 void read_properties(EnvelopeReader& reader, OpenedEnvelope& opened) {
   const Type key_type = reader.type();
   const Type value_type = reader.type();
@@ -177,7 +171,7 @@ void read_properties(EnvelopeReader& reader, OpenedEnvelope& opened) {
     const std::string_view value = reader.text();
     if (!reader.good()) return;
     if (key == time_property) {
-      opened.time_ms = to_time(value);
+      opened.time_ms = config::parse_number<std::int64_t>(value);
     } else {
       opened.message.properties.set(key, value);
     }

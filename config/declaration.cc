@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/config/declaration.h>
+#include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
 
 namespace iotcloud::config {
@@ -104,16 +105,12 @@ std::uint32_t sdk_version_in(std::string_view bytes) {
 }
 
 std::optional<double> number_in(const std::string& value) {
-  double number = 0;
-  const auto [end, status] = std::from_chars(value.data(), value.data() + value.size(), number);
-  if (status != std::errc{} || end != value.data() + value.size() || !std::isfinite(number)) return std::nullopt;
-  return number;
+  const auto number = parse_number<double>(value);
+  return number && std::isfinite(*number) ? number : std::nullopt;
 }
 
 bool is_whole(const std::string& value) {
-  std::int64_t number = 0;
-  const auto [end, status] = std::from_chars(value.data(), value.data() + value.size(), number);
-  return status == std::errc{} && end == value.data() + value.size();
+  return parse_number<std::int64_t>(value).has_value();
 }
 
 bool fits(const std::string& value, const DeclaredProperty& property) {

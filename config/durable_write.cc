@@ -1,5 +1,4 @@
 #include <cerrno>
-#include <charconv>
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
@@ -12,6 +11,7 @@
 
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::config {
 
@@ -58,10 +58,8 @@ void remove_left_ones(const std::string& file) {
        entry.increment(error)) {
     const std::string name = entry->path().filename();
     if (!name.starts_with(prefix)) continue;
-    pid_t process = 0;
-    const auto [rest, problem] = std::from_chars(name.data() + prefix.size(), name.data() + name.size(), process);
-    const bool id = problem == std::errc() && rest == name.data() + name.size() && process > 0;
-    if (id && kill(process, 0) != 0 && errno == ESRCH) unlink(entry->path().c_str());
+    const auto process = parse_number<pid_t>(std::string_view(name).substr(prefix.size()));
+    if (process && *process > 0 && kill(*process, 0) != 0 && errno == ESRCH) unlink(entry->path().c_str());
   }
 }
 

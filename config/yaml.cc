@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <charconv>
 #include <exception>
 #include <fstream>
 #include <set>
@@ -8,6 +7,7 @@
 #include <fmt/format.h>
 #include <yaml-cpp/yaml.h>
 
+#include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/config/yaml/asked_keys.h>
 #include <iotcloud/config/yaml/document.h>
@@ -93,8 +93,9 @@ std::string range_of(const auto& min, const auto& max) {
 
 template <typename Number>
 bool parse_whole(const std::string& text, Number& value) {
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
-  return status == std::errc{} && end == text.data() + text.size();
+  const auto number = parse_number<Number>(text);
+  value = number.value_or(value);
+  return number.has_value();
 }
 
 }  // namespace

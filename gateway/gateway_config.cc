@@ -1,4 +1,3 @@
-#include <charconv>
 #include <cstdint>
 #include <filesystem>
 #include <optional>
@@ -10,6 +9,7 @@
 
 #include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/log_settings.h>
+#include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/gateway/fleet/plugin_folder.h>
@@ -135,13 +135,12 @@ void read_ports(config::Section& file, ProcessLauncher::Options& hosts) {
   constexpr int highest = 65535;
   for (const std::string& plugin : section->names()) {
     for (const std::string& text : section->strings_or(plugin, {})) {
-      int port = 0;
-      const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), port);
-      if (error != std::errc{} || end != text.data() + text.size() || port < 1 || port > highest) {
+      const auto port = config::parse_number<std::uint16_t>(text);
+      if (!port || *port == 0) {
         section->refuse(plugin, fmt::format("\"{}\" is no port", text), fmt::format("1 to {}", highest));
         continue;
       }
-      hosts.ports[plugin].push_back(static_cast<std::uint16_t>(port));
+      hosts.ports[plugin].push_back(*port);
     }
   }
   section->finish();

@@ -1,8 +1,8 @@
-#include <charconv>
 #include <optional>
 #include <system_error>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 #include <iotcloud/processes/frames.h>
 #include <iotcloud/processes/starter_protocol.h>
 
@@ -25,13 +25,6 @@ std::vector<std::string> words_of(const std::string& body) {
     words.push_back(body.substr(begin, end - begin));
   }
   return words;
-}
-
-std::optional<int> number_in(const std::string& word) {
-  int number = 0;
-  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), number);
-  if (error != std::errc{} || end != word.data() + word.size()) return std::nullopt;
-  return number;
 }
 
 }  // namespace
@@ -61,7 +54,7 @@ std::string encode(const StarterAnswer& answer) {
 StarterRequest decode_request(const std::string& body) {
   const auto words = words_of(body);
   if (words.size() == 1 && words.front() == "kill") return {StarterRequest::Kind::kill, {}, {}};
-  const auto count = words.size() > 2 && words.front() == "run" ? number_in(words[1]) : std::nullopt;
+  const auto count = words.size() > 2 && words.front() == "run" ? config::parse_number<int>(words[1]) : std::nullopt;
   if (!count || *count < 1 || static_cast<std::size_t>(*count) > words.size() - 2) {
     throw config::Error("this request of the gateway is none that this version knows");
   }
@@ -73,7 +66,7 @@ StarterAnswer decode_answer(const std::string& body) {
   const auto words = words_of(body);
   if (words.size() == 1 && words.front() == "killed") return {StarterAnswer::Kind::killed, 0, {}};
   if (words.size() == 2 && words.front() == "failed") return {StarterAnswer::Kind::failed, 0, words.back()};
-  const auto number = words.size() == 2 ? number_in(words.back()) : std::nullopt;
+  const auto number = words.size() == 2 ? config::parse_number<int>(words.back()) : std::nullopt;
   if (number && *number > 1 && words.front() == "started") return {StarterAnswer::Kind::started, *number, {}};
   if (number && words.front() == "ended") return {StarterAnswer::Kind::ended, *number, {}};
   throw config::Error("what starts hosts for the gateway gives an answer that this version does not know");

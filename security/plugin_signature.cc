@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <cctype>
-#include <charconv>
 
 #include <fmt/format.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 #include <iotcloud/security/plugin_signature.h>
 
 namespace iotcloud::security {
@@ -30,11 +30,8 @@ PluginSignature parse_plugin_signature(std::string_view text) {
   const std::string_view words = text.substr(head_word.size(), end - head_word.size());
   const auto space = std::min(words.find(' '), words.size());
   const std::string_view number = words.substr(std::min(space + 1, words.size()));
-  std::uint64_t version = 0;
-  const auto [last, problem] = std::from_chars(number.data(), number.data() + number.size(), version);
-  if (problem != std::errc{} || last != number.data() + number.size() || version == 0 ||
-      !is_plugin_name(words.substr(0, space)))
-    return signature;
+  const auto version = config::parse_number<std::uint64_t>(number).value_or(0);
+  if (version == 0 || !is_plugin_name(words.substr(0, space))) return signature;
   signature.name = words.substr(0, space);
   signature.version = version;
   signature.head = text.substr(0, end + 1);

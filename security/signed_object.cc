@@ -1,4 +1,3 @@
-#include <charconv>
 #include <fstream>
 #include <sstream>
 #include <string_view>
@@ -7,6 +6,7 @@
 #include <sys/stat.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 #include <iotcloud/security/signed_object.h>
 
 namespace iotcloud::security {
@@ -60,11 +60,9 @@ std::string signer_of_object(const TrustedKeys& keys, const std::string& place, 
   if (!added.starts_with(key_before) || !added.ends_with(end_after)) return "";
   std::string signature(signature_bytes, '\0');
   for (std::size_t i = 0; i < signature_bytes; ++i) {
-    unsigned byte = 0;
-    const char* const at = added.data() + key_before.size() + 2 * i;
-    if (const auto [end, error] = std::from_chars(at, at + 2, byte, 16); error != std::errc() || end != at + 2)
-      return "";
-    signature[i] = static_cast<char>(byte);
+    const auto byte = config::parse_number<unsigned char>(added.substr(key_before.size() + 2 * i, 2), 16);
+    if (!byte) return "";
+    signature[i] = static_cast<char>(*byte);
   }
   const std::string object = std::string(text.substr(0, text.size() - tail)) + "}";
   return keys.signer(signed_message(place, object), signature);

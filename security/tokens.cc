@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <cctype>
 #include <cerrno>
-#include <charconv>
 #include <cmath>
 #include <cstring>
 #include <ctime>
@@ -17,6 +16,7 @@
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 #include <iotcloud/security/logger.h>
 #include <iotcloud/security/private_file.h>
 #include <iotcloud/security/tokens.h>
@@ -48,9 +48,9 @@ std::optional<Bytes> from_hex(std::string_view text) {
   if (text.empty() || text.size() % 2 != 0) return std::nullopt;
   Bytes bytes(text.size() / 2);
   for (std::size_t i = 0; i < bytes.size(); ++i) {
-    const char* const at = text.data() + 2 * i;
-    const auto [end, error] = std::from_chars(at, at + 2, bytes[i], 16);
-    if (error != std::errc() || end != at + 2) return std::nullopt;
+    const auto byte = config::parse_number<unsigned char>(text.substr(2 * i, 2), 16);
+    if (!byte) return std::nullopt;
+    bytes[i] = *byte;
   }
   return bytes;
 }
@@ -91,8 +91,8 @@ std::optional<Hash> parse_hash(std::string_view text) {
   if (parts.size() != 6 || parts[0] != "scrypt") return std::nullopt;
   Hash parsed;
   const auto number = [](std::string_view digits, std::uint64_t& value) {
-    const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
-    return error == std::errc() && end == digits.data() + digits.size() && value > 0 && value <= (1 << 20);
+    value = config::parse_number<std::uint64_t>(digits).value_or(0);
+    return value > 0 && value <= (1 << 20);
   };
   if (!number(parts[1], parsed.cost.n) || !number(parts[2], parsed.cost.r) || !number(parts[3], parsed.cost.p))
     return std::nullopt;

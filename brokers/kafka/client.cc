@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <future>
 #include <string_view>
 #include <thread>
@@ -13,6 +12,7 @@
 #include "iotcloud/brokers/credentials.h"
 #include <iotcloud/brokers/kafka/logger.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers::kafka {
 namespace {
@@ -24,11 +24,8 @@ constexpr std::chrono::seconds longest_end{2};
 constexpr std::chrono::milliseconds refresh_period{500};
 
 int number_of(const std::string& name, const std::string& value, int smallest, int largest) {
-  int number = 0;
-  const auto [end, error] = std::from_chars(value.data(), value.data() + value.size(), number);
-  if (error == std::errc() && end == value.data() + value.size() && number >= smallest && number <= largest) {
-    return number;
-  }
+  const auto number = config::parse_number<int>(value);
+  if (number && *number >= smallest && *number <= largest) return *number;
   throw config::Error(fmt::format("the property \"{}\" of a Kafka broker must be a number from {} to {}, not \"{}\"",
                                   name, smallest, largest, value));
 }

@@ -1,7 +1,6 @@
 #include "iotcloud/brokers/kafka/record.h"
 
 #include <array>
-#include <charconv>
 #include <cstdlib>
 #include <string>
 #include <string_view>
@@ -9,6 +8,7 @@
 
 #include <iotcloud/brokers/limits.h>
 #include <iotcloud/brokers/metadata_names.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers::kafka {
 namespace {
@@ -81,13 +81,6 @@ Headers headers_of(const Message& message, const RecordMarks& marks, bool native
   return headers;
 }
 
-std::optional<std::int64_t> to_number(std::string_view text) {
-  std::int64_t number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return number;
-}
-
 }  // namespace
 
 std::optional<RecordHeaders> read_headers(const rd_kafka_headers_t* headers) {
@@ -107,11 +100,11 @@ std::optional<RecordHeaders> read_headers(const rd_kafka_headers_t* headers) {
     } else if (name == metadata::gateway) {
       read.message.gateway_id = value;
     } else if (name == metadata::time) {
-      read.time_ms = to_number(value);
+      read.time_ms = config::parse_number<std::int64_t>(value);
     } else if (name == metadata::resent_header) {
       read.marks.resent = true;
     } else if (name == expires_header) {
-      read.marks.expires_ms = to_number(value).value_or(0);
+      read.marks.expires_ms = config::parse_number<std::int64_t>(value).value_or(0);
     } else {
       read.message.properties.set(property_name(name), value);
     }

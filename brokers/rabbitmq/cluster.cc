@@ -1,12 +1,12 @@
 #include "iotcloud/brokers/rabbitmq/cluster.h"
 
-#include <charconv>
 #include <utility>
 
 #include <fmt/core.h>
 
 #include "iotcloud/brokers/credentials.h"
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
@@ -23,9 +23,8 @@ QueueType read_queue_type(const std::string& text) {
 }
 
 int read_number(const std::string& name, const std::string& text, int fewest, int most) {
-  int number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (error == std::errc() && end == text.data() + text.size() && number >= fewest && number <= most) return number;
+  const auto number = config::parse_number<int>(text);
+  if (number && *number >= fewest && *number <= most) return *number;
   throw config::Error(fmt::format("RabbitMQ's property {} is \"{}\"; it must be {} to {}", name, text, fewest, most));
 }
 

@@ -1,6 +1,6 @@
-#include <charconv>
 #include <cmath>
 
+#include <iotcloud/config/number.h>
 #include <iotcloud/discovery/selection/lexer.h>
 #include <iotcloud/discovery/selection/selection.h>
 
@@ -27,8 +27,9 @@ bool is_control(char c) {
 
 bool to_number(std::string_view text, double& number) noexcept {
   if (text.starts_with('+')) text.remove_prefix(1);
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
-  return status == std::errc{} && end == text.data() + text.size() && std::isfinite(number);
+  const auto found = config::parse_number<double>(text);
+  number = found.value_or(number);
+  return found && std::isfinite(*found);
 }
 
 std::string describe(const Token& token, std::string_view text) {

@@ -1,8 +1,8 @@
 #include <algorithm>
-#include <charconv>
 #include <string_view>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 #include <iotcloud/discovery/client/path.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/zookeeper/url.h>
@@ -40,8 +40,8 @@ Url parse_url(const std::string& url) {
     int port = 2181;
     if (has_port) {
       const std::string_view digits = address.substr(colon + 1);
-      const auto [stop, error] = std::from_chars(digits.data(), digits.data() + digits.size(), port);
-      if (error != std::errc() || stop != digits.data() + digits.size() || port < 1 || port > 65535) {
+      port = config::parse_number<int>(digits).value_or(0);
+      if (port < 1 || port > 65535) {
         throw fail("\"" + std::string(digits) + "\" is no port");
       }
     }

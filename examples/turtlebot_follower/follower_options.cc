@@ -1,10 +1,10 @@
-#include <charconv>
 #include <cmath>
 #include <string>
 #include <vector>
 
 #include <fmt/format.h>
 
+#include <iotcloud/config/number.h>
 #include <iotcloud/examples/turtlebot_follower/follower.h>
 #include <iotcloud/topology/conf_keys.h>
 
@@ -22,14 +22,12 @@ struct Key {
 };
 
 void parse(ConfCheck& check, const Key& key, const std::string& text) {
-  double value = 0;
-  const char* end = text.data() + text.size();
-  const auto [stop, status] = std::from_chars(text.data(), end, value);
-  if (status != std::errc{} || stop != end || !(value >= key.min && value <= key.max)) {
+  const auto value = iotcloud::config::parse_number<double>(text);
+  if (!value || !(*value >= key.min && *value <= key.max)) {
     check.refuse(key.name, fmt::format("\"{}\"; it takes a number from {} to {}", text, key.min, key.max));
     return;
   }
-  *key.value = value;
+  *key.value = *value;
 }
 
 /// \param conf says which of the two borders the error is about.

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <charconv>
 #include <initializer_list>
 #include <set>
 #include <utility>
@@ -7,6 +6,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/channel_names.h>
 #include <iotcloud/gateway/host/channel_plan.h>
@@ -25,13 +25,12 @@ constexpr std::string_view prefix = "channel.";
 
 std::size_t whole_number(const std::string& property, const std::string& text, std::size_t min,
                          std::size_t max = 1'000'000'000) {
-  std::size_t value = 0;
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (status != std::errc{} || end != text.data() + text.size() || value < min || value > max) {
+  const auto value = config::parse_number<std::size_t>(text);
+  if (!value || *value < min || *value > max) {
     throw config::Error(
         fmt::format("property \"{}\" is \"{}\"; it must be a whole number from {} to {}", property, text, min, max));
   }
-  return value;
+  return *value;
 }
 
 bool yes_or_no(const std::string& property, const std::string& text) {

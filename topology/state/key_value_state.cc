@@ -1,8 +1,8 @@
-#include <charconv>
 #include <random>
 #include <stdexcept>
 #include <vector>
 
+#include <iotcloud/config/number.h>
 #include <iotcloud/topology/state/key_value_state.h>
 
 namespace iotcloud::topology {
@@ -79,12 +79,11 @@ bool KeyValueState::erase(std::string_view key) {
 std::int64_t KeyValueState::get_int(std::string_view key, std::int64_t otherwise) const {
   const std::string* value = find(key);
   if (value == nullptr) return otherwise;
-  std::int64_t number = 0;
-  const auto [end, status] = std::from_chars(value->data(), value->data() + value->size(), number);
-  if (status != std::errc{} || end != value->data() + value->size()) {
+  const auto number = config::parse_number<std::int64_t>(*value);
+  if (!number) {
     throw std::invalid_argument("the state of \"" + std::string(key) + "\" is no whole number: \"" + *value + "\"");
   }
-  return number;
+  return *number;
 }
 
 void KeyValueState::remember(std::string_view key) {

@@ -1,8 +1,8 @@
 #include <algorithm>
-#include <charconv>
 #include <optional>
 #include <stdexcept>
 
+#include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/windows/window_options.h>
@@ -36,10 +36,8 @@ void read_extent(ConfCheck& check, const Config& config, const std::string& key,
   const auto found = config.find(key);
   if (found == config.end()) return;
   const std::string& text = found->second;
-  std::int64_t count = 0;
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), count);
-  if (status == std::errc{} && end == text.data() + text.size() && count > 0) {
-    value = WindowExtent(count);
+  if (const auto count = config::parse_number<std::int64_t>(text); count && *count > 0) {
+    value = WindowExtent(*count);
   } else if (const auto duration = parse_duration(text); duration && duration->count() > 0) {
     value = WindowExtent(*duration);
   } else {

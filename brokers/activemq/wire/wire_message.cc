@@ -1,7 +1,6 @@
 #include "iotcloud/brokers/activemq/wire/wire_message.h"
 
 #include <algorithm>
-#include <charconv>
 #include <limits>
 #include <span>
 #include <utility>
@@ -14,6 +13,7 @@
 #include "iotcloud/brokers/activemq/wire/sections.h"
 #include <iotcloud/brokers/limits.h>
 #include <iotcloud/brokers/metadata_names.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers::activemq {
 namespace {
@@ -105,9 +105,7 @@ std::optional<std::string> text_of(const AmqpValue& value) {
 }
 
 std::int64_t number_of(std::string_view text) {
-  std::int64_t number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  return error == std::errc() && end == text.data() + text.size() ? number : 0;
+  return config::parse_number<std::int64_t>(text).value_or(0);
 }
 
 /// The properties that have a text form, in the order received.

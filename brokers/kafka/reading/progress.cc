@@ -1,10 +1,11 @@
 #include "iotcloud/brokers/kafka/reading/progress.h"
 
 #include <algorithm>
-#include <charconv>
 #include <string_view>
 
 #include <fmt/core.h>
+
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers::kafka {
 namespace {
@@ -23,11 +24,9 @@ std::string_view take_word(std::string_view& text, char end) {
 }
 
 std::optional<std::int64_t> to_offset(std::string_view text) {
-  std::int64_t number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  const auto number = config::parse_number<std::int64_t>(text);
   constexpr std::int64_t sane = std::int64_t{1} << 60;
-  if (error != std::errc() || end != text.data() + text.size() || number < 0 || number > sane) return std::nullopt;
-  return number;
+  return number && *number >= 0 && *number <= sane ? number : std::nullopt;
 }
 
 }  // namespace

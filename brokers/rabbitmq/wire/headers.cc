@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/brokers/metadata_names.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
@@ -60,15 +61,6 @@ std::optional<std::string> text_of(const amqp_field_value_t& field) {
     default:
       return std::nullopt;
   }
-}
-
-/// nullopt unless the whole text is one number.
-template <typename Number>
-std::optional<Number> parsed(std::string_view text, int base = 10) {
-  Number number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number, base);
-  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return number;
 }
 
 }  // namespace
@@ -127,7 +119,7 @@ bool decode_properties(const amqp_basic_properties_t& properties, Message& messa
     } else if (name == metadata::gateway) {
       message.gateway_id = std::move(*value);
     } else if (name == metadata::time) {
-      message.time_ms = parsed<std::int64_t>(*value).value_or(0);
+      message.time_ms = config::parse_number<std::int64_t>(*value).value_or(0);
     } else if (name == metadata::resent_header) {
       resent = true;
     } else {
@@ -142,8 +134,8 @@ std::optional<Origin> origin_of(const amqp_basic_properties_t& properties) {
   if ((properties._flags & AMQP_BASIC_MESSAGE_ID_FLAG) == 0) return std::nullopt;
   const std::string_view id = view(properties.message_id);
   if (id.size() <= publisher_digits || id[publisher_digits] != '-') return std::nullopt;
-  const auto publisher = parsed<std::uint64_t>(id.substr(0, publisher_digits), 16);
-  const auto number = parsed<std::uint64_t>(id.substr(publisher_digits + 1));
+  const auto publisher = config::parse_number<std::uint64_t>(id.substr(0, publisher_digits), 16);
+  const auto number = config::parse_number<std::uint64_t>(id.substr(publisher_digits + 1));
   if (!publisher || !number) return std::nullopt;
   return Origin{*publisher, *number};
 }

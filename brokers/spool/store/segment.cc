@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <charconv>
 #include <cstdio>
 #include <cstring>
 #include <span>
@@ -15,6 +14,7 @@
 
 #include "iotcloud/brokers/spool/store/bytes.h"
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
 
 namespace iotcloud::brokers::spool {
 namespace {
@@ -88,10 +88,7 @@ std::shared_ptr<Segment> Segment::open(const std::string& folder, std::uint64_t 
 
 std::optional<std::uint64_t> Segment::first_of(std::string_view file_name) {
   if (file_name.size() != digits + suffix.size() || !file_name.ends_with(suffix)) return std::nullopt;
-  std::uint64_t first = 0;
-  const auto [end, error] = std::from_chars(file_name.data(), file_name.data() + digits, first);
-  if (error != std::errc() || end != file_name.data() + digits) return std::nullopt;
-  return first;
+  return config::parse_number<std::uint64_t>(file_name.substr(0, digits));
 }
 
 int Segment::append(std::string& head, const Payload& payload) {

@@ -1,11 +1,11 @@
 #include <algorithm>
-#include <charconv>
 #include <cstdint>
 #include <map>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/master/cli/fleet/channel_options.h>
 
@@ -42,9 +42,8 @@ const std::map<std::string, Rule>& rules() {
 }
 
 bool is_number_from(const std::string& text, std::int64_t min, std::int64_t max) {
-  std::int64_t value = 0;
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
-  return status == std::errc{} && end == text.data() + text.size() && value >= min && value <= max;
+  const auto value = config::parse_number<std::int64_t>(text);
+  return value && *value >= min && *value <= max;
 }
 
 }  // namespace

@@ -1,4 +1,3 @@
-#include <charconv>
 #include <cstdlib>
 #include <fstream>
 #include <optional>
@@ -7,6 +6,7 @@
 
 #include <arpa/inet.h>
 
+#include <iotcloud/config/number.h>
 #include <iotcloud/topology/state/redis/redis_address.h>
 #include <iotcloud/topology/state/state_store.h>
 
@@ -43,8 +43,7 @@ RedisServer server_of(const std::string& url, std::string_view text) {
   server.host = host;
   if (has_port) {
     const std::string_view digits = text.substr(colon + 1);
-    const auto [end, status] = std::from_chars(digits.data(), digits.data() + digits.size(), server.port);
-    if (status != std::errc{} || end != digits.data() + digits.size()) server.port = 0;
+    server.port = config::parse_number<decltype(server.port)>(digits).value_or(0);
   }
   if (server.host.empty() || server.port == 0) {
     throw unusable(url, "\"" + std::string(text) + "\" is no HOST:PORT; write redis://127.0.0.1:6379");
