@@ -26,19 +26,6 @@ using namespace openssl;
 
 constexpr long holder_days = 730;
 
-Key make_key() {
-  // Not EVP_EC_gen("P-256"): clang warns that its macro casts a const away.
-  Key key(EVP_PKEY_Q_keygen(nullptr, nullptr, "EC", "P-256"));
-  must(key != nullptr, "make a key");
-  return key;
-}
-
-std::string to_pem(EVP_PKEY* key) {
-  const Memory memory(BIO_new(BIO_s_mem()));
-  must(PEM_write_bio_PrivateKey(memory.get(), key, nullptr, nullptr, 0, nullptr, nullptr) == 1, "write a key");
-  return written_to(memory.get());
-}
-
 void extend(X509* certificate, X509* issuer, int kind, const std::string& value) {
   X509V3_CTX context;
   X509V3_set_ctx_nodb(&context);
@@ -91,7 +78,7 @@ void certify(const Authority& authority, const std::string& name, const std::str
   add(NID_authority_key_identifier, "keyid");
   if (!names.empty()) add(NID_subject_alt_name, names);
   must(X509_sign(certificate.get(), signer.get(), EVP_sha256()) > 0, "sign a certificate");
-  config::write_new_file(authority.key(name), to_pem(key.get()), for_owner);
+  config::write_new_file(authority.key(name), pem_of(key.get()), for_owner);
   config::write_new_file(authority.certificate(name), pem_of(certificate.get()), for_readers);
 }
 
@@ -108,7 +95,7 @@ void Authority::make() const {
   extend(made, made, NID_key_usage, "critical,keyCertSign,cRLSign");
   extend(made, made, NID_subject_key_identifier, "hash");
   must(X509_sign(made, pair.get(), EVP_sha256()) > 0, "sign a certificate");
-  config::write_new_file(key("ca"), to_pem(pair.get()), for_owner);
+  config::write_new_file(key("ca"), pem_of(pair.get()), for_owner);
   config::write_new_file(this->certificate("ca"), pem_of(made), for_readers);
 }
 

@@ -50,6 +50,19 @@ inline std::string pem_of(X509* certificate) {
   return written_to(memory.get());
 }
 
+inline std::string pem_of(EVP_PKEY* key) {
+  const Memory memory(BIO_new(BIO_s_mem()));
+  must(PEM_write_bio_PrivateKey(memory.get(), key, nullptr, nullptr, 0, nullptr, nullptr) == 1, "write a key");
+  return written_to(memory.get());
+}
+
+inline Key make_key() {
+  // Not EVP_EC_gen("P-256"): clang warns that its macro casts a const away.
+  Key key(EVP_PKEY_Q_keygen(nullptr, nullptr, "EC", "P-256"));
+  must(key != nullptr, "make a key");
+  return key;
+}
+
 /// Reads a file of PEM. \param read takes a BIO and returns an owner, which is empty if the text is not what it wants.
 /// \throws config::Error
 template <typename Read>

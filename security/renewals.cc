@@ -1,7 +1,11 @@
 #include <filesystem>
 #include <memory>
+#include <utility>
+#include <vector>
 
 #include <fmt/format.h>
+#include <openssl/err.h>
+#include <openssl/pemerr.h>
 
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
@@ -23,6 +27,56 @@ Certificate read_issued(const Authority& authority, const std::string& holder, X
   return certificate;
 }
 
+/// The certificates that renewals replaced, without those that have expired.
+std::vector<Certificate> read_earlier(const Authority& authority) {
+  std::vector<Certificate> found;
+  const std::string file = earlier_file(authority);
+  if (!std::filesystem::exists(file)) return found;
+  const Memory in(BIO_new_file(file.c_str(), "r"));
+  must(in != nullptr, "read the earlier certificates");
+  while (Certificate next{PEM_read_bio_X509(in.get(), nullptr, nullptr, nullptr)}) {
+    if (X509_cmp_current_time(X509_get0_notAfter(next.get())) > 0) found.push_back(std::move(next));
+  }
+  // The end of the file is an error, too, for OpenSSL.
+  const auto end = ERR_GET_REASON(ERR_peek_last_error());
+  ERR_clear_error();
+  if (end != PEM_R_NO_START_LINE) {
+    throw config::Error(
+        fmt::format("{} is damaged: it must hold certificates (PEM), those that `certs renew` replaced; "
+                    "put it back from a backup, since without it they cannot be revoked",
+                    file));
+  }
+  return found;
+}
+
+void keep(const Authority& authority, X509* replaced) {
+  std::string text = pem_of(replaced);
+  for (const auto& certificate : read_earlier(authority)) text += pem_of(certificate.get());
+  config::replace_file(earlier_file(authority), text, for_readers);
+}
+
+RevocationList read_revocations(const Authority& authority) {
+  return read_file(revocations_file(authority),
+                   [](BIO* in) { return RevocationList(PEM_read_bio_X509_CRL(in, nullptr, nullptr, nullptr)); });
+}
+
+bool is_on(X509_CRL* list, X509* certificate) {
+  X509_REVOKED* known = nullptr;
+  return X509_CRL_get0_by_cert(list, &known, certificate) == 1;
+}
+
+void put_on(X509_CRL* list, X509* certificate) {
+  if (is_on(list, certificate)) return;
+  std::unique_ptr<X509_REVOKED, Freed<X509_REVOKED_free>> revoked(X509_REVOKED_new());
+  const std::unique_ptr<ASN1_TIME, Freed<ASN1_TIME_free>> now(ASN1_TIME_new());
+  must(revoked && X509_gmtime_adj(now.get(), 0) != nullptr &&
+           X509_REVOKED_set_serialNumber(revoked.get(), X509_get_serialNumber(certificate)) == 1 &&
+           X509_REVOKED_set_revocationDate(revoked.get(), now.get()) == 1 &&
+           X509_CRL_add0_revoked(list, revoked.get()) == 1,
+       "revoke a certificate");
+  static_cast<void>(revoked.release());  // the list owns it
+}
+
 void sign_and_write(const Authority& authority, X509_CRL* list) {
   const auto issuer = read_certificate(authority.certificate("ca"));
   const auto key = read_key(authority.key("ca"));
@@ -41,15 +95,33 @@ void sign_and_write(const Authority& authority, X509_CRL* list) {
 
 }  // namespace
 
-void renew_certificate(const Authority& authority, const std::string& holder, int days) {
+void renew_certificate(const Authority& authority, const std::string& holder, int days, RenewedKey key) {
   const auto issuer = read_certificate(authority.certificate("ca"));
-  const auto key = read_key(authority.key("ca"));
+  const auto signer = read_key(authority.key("ca"));
   const auto before = read_issued(authority, holder, issuer.get());
+  make_revocations(authority);
+  if (key == RenewedKey::same && is_on(read_revocations(authority).get(), before.get())) {
+    throw config::Error(
+        fmt::format("{} is revoked, and a certificate for the same key would serve whoever stole that key: give its "
+                    "holder a new one (iotcloud certs renew {} {} --new-key)",
+                    authority.certificate(holder), authority.folder, holder));
+  }
   const Certificate renewed(X509_dup(before.get()));
   must(renewed != nullptr, "renew a certificate");
   date_and_number(renewed.get(), days);
-  must(X509_sign(renewed.get(), key.get(), EVP_sha256()) > 0, "sign a certificate");
+  Key fresh;
+  if (key == RenewedKey::new_one) {
+    fresh = make_key();
+    must(X509_set_pubkey(renewed.get(), fresh.get()) == 1, "put a key into a certificate");
+  }
+  must(X509_sign(renewed.get(), signer.get(), EVP_sha256()) > 0, "sign a certificate");
+  keep(authority, before.get());
+  if (fresh) config::replace_file(authority.key(holder), pem_of(fresh.get()), for_owner);
   config::replace_file(authority.certificate(holder), pem_of(renewed.get()), for_readers);
+}
+
+std::string earlier_file(const Authority& authority) {
+  return authority.folder + "/earlier-certificates";
 }
 
 std::string revocations_file(const Authority& authority) {
@@ -67,19 +139,12 @@ void revoke_certificate(const Authority& authority, const std::string& holder) {
   make_revocations(authority);
   const auto issuer = read_certificate(authority.certificate("ca"));
   const auto certificate = read_issued(authority, holder, issuer.get());
-  const auto list = read_file(revocations_file(authority), [](BIO* in) {
-    return RevocationList(PEM_read_bio_X509_CRL(in, nullptr, nullptr, nullptr));
-  });
-  X509_REVOKED* known = nullptr;
-  if (X509_CRL_get0_by_cert(list.get(), &known, certificate.get()) == 1) return;
-  std::unique_ptr<X509_REVOKED, Freed<X509_REVOKED_free>> revoked(X509_REVOKED_new());
-  const std::unique_ptr<ASN1_TIME, Freed<ASN1_TIME_free>> now(ASN1_TIME_new());
-  must(revoked && X509_gmtime_adj(now.get(), 0) != nullptr &&
-           X509_REVOKED_set_serialNumber(revoked.get(), X509_get_serialNumber(certificate.get())) == 1 &&
-           X509_REVOKED_set_revocationDate(revoked.get(), now.get()) == 1 &&
-           X509_CRL_add0_revoked(list.get(), revoked.get()) == 1,
-       "revoke a certificate");
-  static_cast<void>(revoked.release());  // the list owns it
+  const auto list = read_revocations(authority);
+  put_on(list.get(), certificate.get());
+  for (const auto& earlier : read_earlier(authority)) {
+    if (X509_NAME_cmp(X509_get_subject_name(earlier.get()), X509_get_subject_name(certificate.get())) == 0)
+      put_on(list.get(), earlier.get());
+  }
   sign_and_write(authority, list.get());
 }
 

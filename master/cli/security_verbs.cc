@@ -144,15 +144,19 @@ class RenewCertificates final : public OfCertificates {
   RenewCertificates()
       : OfCertificates({"renew",
                         "Make certificates anew, for the same keys, before they expire. Copy them to their machines: "
-                        "daemons take them within seconds, without a restart",
-                        "iotcloud certs renew certs lab1 lab2", std::nullopt, false}) {}
+                        "daemons take them within seconds, without a restart. A holder whose certificate is revoked "
+                        "needs a new key",
+                        "iotcloud certs renew certs lab1 lab2\n  iotcloud certs renew certs lab2 --new-key",
+                        std::nullopt, false}) {}
   void declare(CLI::App& options) override {
     OfCertificates::declare(options);
     options.add_option("--days", days_, "how long they are valid")->check(CLI::Range(1, 3650))->type_name("N");
+    options.add_flag("--new-key", new_key_, "make new keys, too, because the old ones may have been stolen");
   }
   int run(Call& call) override {
+    const auto key = new_key_ ? security::RenewedKey::new_one : security::RenewedKey::same;
     for (const auto& holder : holders_) {
-      security::renew_certificate(authority(), holder, days_);
+      security::renew_certificate(authority(), holder, days_, key);
       call.out << fmt::format("{}: valid for {} days\n", authority().certificate(holder), days_);
     }
     return exit_ok;
@@ -160,13 +164,15 @@ class RenewCertificates final : public OfCertificates {
 
  private:
   int days_ = security::usual_days;
+  bool new_key_ = false;
 };
 
 class RevokeCertificates final : public OfCertificates {
  public:
   RevokeCertificates()
       : OfCertificates({"revoke",
-                        "Put certificates on the list DIR/revoked.pem. Daemons whose files name a copy of it (tls: "
+                        "Put certificates, and those that they replaced, on the list DIR/revoked.pem. Daemons whose "
+                        "files name a copy of it (tls: "
                         "{revoked: ...}) refuse them within seconds, also on open connections",
                         "iotcloud certs revoke certs lab2", std::nullopt, false}) {}
   int run(Call& call) override {
