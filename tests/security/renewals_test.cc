@@ -28,7 +28,7 @@ class Renewals : public testing::Test {
     const std::unique_ptr<X509_STORE, Freed<X509_STORE_free>> store(X509_STORE_new());
     const auto authority = read_certificate(made_.authority().certificate("ca"));
     const auto certificate = read_certificate(file);
-    const auto list = read_file(revocations_file(made_.authority()), [](BIO* in) {
+    const auto list = openssl::read_file(revocations_file(made_.authority()), [](BIO* in) {
       return RevocationList(PEM_read_bio_X509_CRL(in, nullptr, nullptr, nullptr));
     });
     X509_STORE_add_cert(store.get(), authority.get());
