@@ -38,7 +38,7 @@ class GatewayDaemon final : public config::Service {
   void start(const std::stop_token& stop) override {
     state_.emplace(config_.hosts.state_dir);
     config_.hosts.state_dir = state_->path();
-    config_.thrift.log_folder = state_->path();
+    config_.thrift.log_folder = gateway::ProcessLauncher::log_folder(state_->path());
     if (geteuid() == 0 && config_.hosts.confinement.user.empty()) {
       gateway::logger.warn(
           "this gateway runs as root, and so does every driver: name a user with no rights in host_user, as which its "

@@ -80,18 +80,21 @@ void share_spools(const std::string& folder, const Account& account) {
 
 ChildAccount::ChildAccount(const std::string& user, const std::string& state_folder)
     : gives_(geteuid() == 0), account_(checked(user)) {
-  // Only the account's group may pass through the folder. Whoever can connect to a host can run its drivers, but the
-  // hosts' sockets belong to this process's user.
-  if (chown(state_folder.c_str(), gives_ ? 0 : as_before, account_.group) != 0 ||
-      chmod(state_folder.c_str(), S_IRWXU | S_IXGRP) != 0) {
-    throw failed(state_folder, fmt::format("be made passable for the user {} (this gateway's user must be a member of "
-                                           "its group)",
-                                           account_.name));
-  }
+  // Whoever can connect to a host can run its drivers, but the hosts' sockets belong to this process's user.
+  let_pass(state_folder);
   if (gives_) {
     give_spools(state_folder + "/spool", account_);
   } else {
     share_spools(state_folder + "/spool", account_);
+  }
+}
+
+void ChildAccount::let_pass(const std::string& folder) const {
+  if (chown(folder.c_str(), gives_ ? 0 : as_before, account_.group) != 0 ||
+      chmod(folder.c_str(), S_IRWXU | S_IXGRP) != 0) {
+    throw failed(folder, fmt::format("be made passable for the user {} (this gateway's user must be a member of its "
+                                     "group)",
+                                     account_.name));
   }
 }
 

@@ -19,6 +19,8 @@ class ChildAccount {
   /// belong to a third account, for example).
   ChildAccount(const std::string& user, const std::string& state_folder);
 
+  /// Lets the account's group pass through a folder of this process, and do nothing else there. \throws config::Error
+  void let_pass(const std::string& folder) const;
   /// Makes the log file, which the account may write to but not rename. \throws config::Error if it cannot.
   void make_log(const std::string& file) const;
   /// Rotates the log as LogFile::rotate_if_too_long() does, on behalf of the account, which may not rename files.

@@ -41,9 +41,7 @@ void close_folder(const std::string& folder) {
   std::error_code error;
   for (const auto& entry : std::filesystem::directory_iterator(folder, error)) {
     const bool file = entry.symlink_status(error).type() == std::filesystem::file_type::regular;
-    // The log of such a host is written by its group.
-    const mode_t of_hosts = entry.path().extension() == ".log" ? S_IWGRP : 0;
-    if (!file || !close_to_others(entry.path(), S_IRUSR | S_IWUSR | of_hosts)) continue;
+    if (!file || !close_to_others(entry.path(), S_IRUSR | S_IWUSR)) continue;
     logger.warn("{} was open to others; now it is not", entry.path().string());
   }
 }

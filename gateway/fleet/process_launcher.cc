@@ -6,6 +6,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <iotcloud/config/log_settings.h>
@@ -86,8 +87,10 @@ void add_files(std::vector<std::string>& arguments, const processes::FileAccess&
   processes::FileAccess files = configured;
   files.read.insert(files.read.end(), readable_by_all.begin(), readable_by_all.end());
   files.read.insert(files.read.end(), {plugin, options.plugin_dir});
-  // Which devices there are is the business of their owners and of systemd (DeviceAllow).
-  files.write.insert(files.write.end(), {"/dev", options.state_dir});
+  // Which devices there are is the business of their owners and of systemd (DeviceAllow). The gateway's own files in
+  // its state folder, and the hosts' sockets there, are out of reach.
+  files.write.insert(files.write.end(),
+                     {"/dev", options.state_dir + "/spool", ProcessLauncher::log_folder(options.state_dir)});
   for (const auto& path : files.read) arguments.push_back("--readable=" + path);
   for (const auto& path : files.write) arguments.push_back("--writable=" + path);
 }
@@ -130,6 +133,11 @@ std::vector<FoundSocket> connect_to_hosts(const std::string& folder) {
     }
   }
   return found;
+}
+
+void make_folder(const std::string& path) {
+  if (mkdir(path.c_str(), S_IRWXU) != 0 && errno != EEXIST)
+    throw config::Error(fmt::format("the folder {} cannot be made: {}", path, std::strerror(errno)));
 }
 
 /// The host behind a socket that an earlier run left, if this gateway can adopt it. Kills a host that it cannot adopt.
@@ -194,6 +202,13 @@ ProcessLauncher::ProcessLauncher(Options options)
   if (starter_ || (!options_.confinement.user.empty() && geteuid() == 0)) {
     account_ = std::make_shared<processes::ChildAccount>(options_.confinement.user, options_.state_dir);
   }
+  const std::string logs = log_folder(options_.state_dir);
+  make_folder(logs);
+  if (account_) {
+    account_->let_pass(logs);
+  } else {
+    make_folder(options_.state_dir + "/spool");  // hosts that may reach it cannot make it
+  }
   if (options_.confinement.files) {
     if (processes::landlock_version() == 0) {
       logger.warn("this kernel has no Landlock, so driver hosts may reach all files of their user (host_files)");
@@ -201,8 +216,12 @@ ProcessLauncher::ProcessLauncher(Options options)
   }
 }
 
+std::string ProcessLauncher::log_folder(const std::string& state_folder) {
+  return state_folder + "/logs";
+}
+
 processes::LogFile::Options ProcessLauncher::log_of(const std::string& plugin) const {
-  return {fmt::format("{}/{}.log", options_.state_dir, plugin.substr(0, plugin.rfind('.'))),
+  return {fmt::format("{}/{}.log", log_folder(options_.state_dir), plugin.substr(0, plugin.rfind('.'))),
           static_cast<std::uint64_t>(options_.log_limit_mb) << 20, options_.logs_kept};
 }
 

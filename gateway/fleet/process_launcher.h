@@ -22,8 +22,8 @@ namespace iotcloud::gateway {
 
 /// Runs each driver host as a separate process, iotcloud-driver-host. It survives the gateway, whose next run finds it
 /// by its socket in the state folder. The launcher kills a host that hangs, spins or takes too much memory; that counts
-/// as a crash. Hosts log to `STATE/PLUGIN.log` (older logs: `PLUGIN.log.1` and so on), with the format and level that
-/// this process has when it starts the host.
+/// as a crash. Hosts log to `STATE/logs/PLUGIN.log` (older logs: `PLUGIN.log.1` and so on), with the format and level
+/// that this process has when it starts the host.
 class ProcessLauncher final : public HostLauncher {
  public:
   /// TCP ports by the plugin whose hosts may connect to them; those of `every_plugin` are for all.
@@ -59,6 +59,9 @@ class ProcessLauncher final : public HostLauncher {
   /// \throws config::Error if the host program or a folder is missing, or this machine cannot confine hosts as
   /// configured.
   explicit ProcessLauncher(Options options);
+
+  /// The folder of the hosts' logs in a state folder.
+  static std::string log_folder(const std::string& state_folder);
 
   bool wants_isolation(const HostOrder& order) override;
   std::unique_ptr<HostLink> launch(const HostOrder& order, HostEvents events) override;

@@ -165,6 +165,27 @@ TEST_F(ConfinedHosts, ReachOnlyTheFilesThatTheyMay) {
   EXPECT_EQ(found["forbidden_file"], "ok");
 }
 
+TEST_F(ConfinedHosts, ReachSpoolsAndLogsInTheStateFolderAndNothingElseThere) {
+  if (processes::landlock_version() == 0) GTEST_SKIP() << "this kernel has no Landlock";
+  const auto versions = tests::write_file(state_ / "plugin-versions", "confined 7 0 0\n");
+  const std::map<std::string, std::string> asks{
+      {"secret_file", versions}, {"forbidden_file", state_ / "id"}, {"chatter", "true"}};
+  EXPECT_EQ(facts(asks)["forbidden_file"], "ok") << "the attack, without a confinement";
+  take_back("a");
+  gateway_.reset();
+  fs::remove_all(state_ / "logs");
+  confinement_.no_new_privileges = true;
+  confinement_.files.emplace();
+  auto found = facts(asks);
+  EXPECT_EQ(found["secret_file"], "EACCES");
+  EXPECT_EQ(found["forbidden_file"], "EACCES");
+  EXPECT_TRUE(eventually([&] { return fs::exists(state_ / "logs/confined.log.2"); })) << "it moves its own log on";
+  take_back("a");
+  give(order("b", {{"channel.readings.when_full", "spool"}}));
+  EXPECT_TRUE(comes_to("b", DriverState::active));
+  EXPECT_TRUE(eventually([&] { return fs::exists(state_ / "spool/b/readings"); }));
+}
+
 TEST_F(ConfinedHosts, ThatCannotBeConfinedRunNoDriverAndSayWhy) {
   confinement_.open_files = std::uint64_t{1} << 40;
   start_gateway();
@@ -224,10 +245,11 @@ TEST_F(HostsOfAnotherUser, LogIntoFilesThatTheirGatewayMovesOn) {
   give(quiet("a", "confined.so", {{"chatter", "true"}}));
   start_gateway();
   // The second is moved only when the host went on in a new one.
-  EXPECT_TRUE(eventually([&] { return fs::exists(state_ / "confined.log.2"); }));
+  EXPECT_TRUE(eventually([&] { return fs::exists(state_ / "logs/confined.log.2"); }));
   // Older ones move first; then the log itself is moved, and made anew.
-  EXPECT_TRUE(eventually([&] { return owner(state_ / "confined.log") == nobody_.user; }));
+  EXPECT_TRUE(eventually([&] { return owner(state_ / "logs/confined.log") == nobody_.user; }));
   EXPECT_EQ(owner(state_), 0u);
+  EXPECT_EQ(owner(state_ / "logs"), 0u);
 }
 
 TEST_F(HostsOfAnotherUser, AreAdopted) {

@@ -326,7 +326,7 @@ TEST_F(ProcessTest, AHostLogsAsItsGatewayDoesWhenItStartsIt) {
   EXPECT_TRUE(eventually([&] { return sockets().empty(); }));
   config::set_log_format(config::LogFormat::text);
   config::set_log_level(before);
-  std::ifstream file(state_ / "probe.log");
+  std::ifstream file(state_ / "logs/probe.log");
   std::string line;
   std::size_t lines = 0;
   for (; std::getline(file, line); ++lines) EXPECT_TRUE(nlohmann::json::parse(line).contains("text")) << line;
