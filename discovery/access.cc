@@ -55,6 +55,11 @@ bool RegistryAccess::knows(const std::string& user) const {
   return std::any_of(users_.begin(), users_.end(), [&](const RegistryUser& one) { return one.name == user; });
 }
 
+bool RegistryAccess::is(const std::string& user, RegistryUser::Role role) const {
+  return std::any_of(users_.begin(), users_.end(),
+                     [&](const RegistryUser& one) { return one.name == user && one.role == role; });
+}
+
 std::vector<RegistryAccess::Grant> RegistryAccess::grants(const std::string& path, const std::string& creator) const {
   std::vector<Grant> grants;
   for (const auto& user : users_) {

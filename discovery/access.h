@@ -37,10 +37,13 @@ class RegistryAccess {
   RegistryAccess(std::vector<RegistryUser> users, Paths paths) : users_(std::move(users)), paths_(std::move(paths)) {}
 
   bool knows(const std::string& user) const;
+  bool is_gateway(const std::string& user) const { return is(user, RegistryUser::Role::gateway); }
+  bool is_master(const std::string& user) const { return is(user, RegistryUser::Role::master); }
   /// The rights on a node at that path which this user creates; users without any are not in it.
   std::vector<Grant> grants(const std::string& path, const std::string& creator) const;
 
  private:
+  bool is(const std::string& user, RegistryUser::Role role) const;
   int rights_of(const RegistryUser& user, const std::string& path, const std::string& creator) const;
   int of_gateway(const std::string& id, const std::string& path, const std::string& creator) const;
   int of_worker(const std::string& path) const;

@@ -8,6 +8,7 @@
 #include <iotcloud/discovery/logger.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/zookeeper/connection.h>
+#include <iotcloud/discovery/zookeeper/rights.h>
 
 namespace iotcloud::discovery {
 
@@ -39,6 +40,17 @@ void warn_of_open(const std::string& url) {
       url);
 }
 
+zookeeper::Settings settings_of(const RegistryOptions& options) {
+  zookeeper::Settings settings;
+  settings.url = zookeeper::parse_url(options.url);
+  settings.session_timeout = options.session_timeout;
+  if (!options.user.empty()) settings.identity = options.user + ":" + options.password;
+  settings.user = options.user;
+  settings.access = options.access;
+  settings.others_may_read = options.others_may_read;
+  return settings;
+}
+
 }  // namespace
 
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
@@ -48,21 +60,24 @@ std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
     return make_client(embedded::make_connection(std::move(server), options.session_timeout), options);
   }
   if (options.url.starts_with("zookeeper://")) {
-    zookeeper::Settings settings;
-    settings.url = zookeeper::parse_url(options.url);
+    zookeeper::Settings settings = settings_of(options);
     if (options.user.empty()) {
       refuse_exposed(settings.url);
       if (!options.open) warn_of_open(options.url);
     }
-    settings.session_timeout = options.session_timeout;
-    if (!options.user.empty()) settings.identity = options.user + ":" + options.password;
-    settings.user = options.user;
-    settings.access = options.access;
-    settings.others_may_read = options.others_may_read;
     return make_client(zookeeper::make_connection(std::move(settings)), options);
   }
   throw config::Error("registry URL \"" + options.url +
                       "\": unknown scheme; there are embedded://NAME and zookeeper://host:port,host:port/chroot");
+}
+
+RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
+                           const std::function<void(std::size_t)>& progress) {
+  if (!options.url.starts_with("zookeeper://"))
+    throw config::Error("the registry " + options.url + " has no rights to renew; only ZooKeeper has");
+  if (!options.access || !options.access->is_master(options.user))
+    throw config::Error("rights are renewed by a master of the fleet's users");
+  return zookeeper::renew_rights(settings_of(options), paths, options.operation_timeout, progress);
 }
 
 void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence) {

@@ -147,6 +147,20 @@ struct RegistryOptions {
 /// and for a server of another machine without a user. Warns of one on this machine without a user.
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options);
 
+struct Paths;
+struct RenewedRights {
+  std::size_t nodes = 0;    ///< that were looked at
+  std::size_t changed = 0;  ///< of them, those that had other rights
+};
+/// Gives all nodes of a fleet in ZooKeeper the rights that `options.access` says now: a node keeps those of its
+/// creation until somebody does, so a user that was added later may not enter, and one that was removed still may.
+/// Waits for the registry's answers. A second run goes on where one ended early.
+/// \param options a master's, with user and access. \param progress called now and then; may be empty.
+/// \throws config::Error when the registry does not answer, or does not let this user change a node's rights; for an
+/// embedded registry, which has no rights
+RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
+                           const std::function<void(std::size_t nodes)>& progress = {});
+
 /// Sets a node's data; creates the node and its parents if they are missing.
 void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence = {});
 /// Removes a node and everything below it; missing nodes are no error.

@@ -5,6 +5,7 @@
 #include <iotcloud/discovery/zookeeper/closing.h>
 #include <iotcloud/discovery/zookeeper/handle.h>
 #include <iotcloud/discovery/zookeeper/logger.h>
+#include <iotcloud/discovery/zookeeper/rights.h>
 
 namespace iotcloud::discovery::zookeeper {
 namespace {
@@ -54,33 +55,6 @@ Status to_status(int code) {
       return Status::away;  // the connection or session is lost, or soon will be
   }
 }
-
-/// The rights on a node that this handle's user creates. With an identity the node belongs to its creator or to the
-/// users that RegistryAccess names, and the settings say whether others may read it. Without an identity everybody may
-/// use it.
-class Handle::NewNodesRights {
- public:
-  NewNodesRights(const Settings& settings, const std::string& path) {
-    static char auth[] = "auth", world[] = "world", anyone[] = "anyone", nothing[] = "", digest[] = "digest";
-    if (settings.identity.empty()) return;
-    if (settings.access) {
-      grants_ = settings.access->grants(path, settings.user);
-      for (auto& grant : grants_) rights_.push_back(ACL{grant.rights, ::Id{digest, grant.id.data()}});
-    }
-    if (rights_.empty()) rights_.push_back(ACL{ZOO_PERM_ALL, ::Id{auth, nothing}});
-    if (settings.others_may_read) rights_.push_back(ACL{ZOO_PERM_READ, ::Id{world, anyone}});
-    list_ = {static_cast<int>(rights_.size()), rights_.data()};
-  }
-  NewNodesRights(const NewNodesRights&) = delete;
-  NewNodesRights& operator=(const NewNodesRights&) = delete;
-
-  const ACL_vector* get() const { return rights_.empty() ? &ZOO_OPEN_ACL_UNSAFE : &list_; }
-
- private:
-  std::vector<RegistryAccess::Grant> grants_;  ///< owns the names in rights_
-  std::vector<ACL> rights_;
-  ACL_vector list_{};
-};
 
 std::shared_ptr<Handle> Handle::open(const Settings& settings, const RegistryConnection::Events& events) {
   static std::once_flag once;
@@ -166,7 +140,7 @@ void Handle::start_fenced(const Fence& fence, const zoo_op_t& write, Done done) 
 
 void Handle::create(const std::string& path, const std::string& data, int mode, const Fence& fence, Done done) {
   const std::string place = full(path);
-  const NewNodesRights rights(settings_, path);
+  const NodeRights rights(settings_, path, settings_.user);
   if (!fence.path.empty()) {
     zoo_op_t write{};
     zoo_create_op_init(&write, place.c_str(), data.data(), static_cast<int>(data.size()), rights.get(), mode, nullptr,
@@ -290,7 +264,7 @@ void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, 
 /// first.
 void Handle::make_chroot(zhandle_t* handle) const {
   const std::string& chroot = settings_.url.chroot;
-  const NewNodesRights rights(settings_, "/");
+  const NodeRights rights(settings_, "/", settings_.user);
   const auto ignore = [](int /*code*/, const char* /*path*/, const void* /*request*/) {};
   for (std::size_t end = 1; end < chroot.size();) {
     end = std::min(chroot.find('/', end + 1), chroot.size());

@@ -1,4 +1,4 @@
-// registry adopt, export, import, user
+// registry adopt, export, import, user, rights
 #include <algorithm>
 #include <filesystem>
 #include <iterator>
@@ -15,6 +15,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/access.h>
 #include <iotcloud/discovery/description/json.h>
+#include <iotcloud/discovery/registry.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/order_verbs.h>
 #include <iotcloud/master/cli/output.h>
@@ -230,6 +231,50 @@ class AddUser final : public Verb {
   std::string name_, role_, file_;
 };
 
+class RenewRights final : public Verb {
+ public:
+  RenewRights()
+      : Verb({"rights",
+              "Give all nodes in ZooKeeper the rights that the fleet's users have now, after a user was added to "
+              "registry.users or taken from it: nodes keep the rights with which they were made, so a gateway that was "
+              "added later may not register, and a stolen password counts on. First give the new file to all processes "
+              "and start them again, then run this beside a master",
+              "iotcloud registry rights --registry zookeeper://127.0.0.1:2181 --user master --password-file "
+              "/etc/iotcloud/registry.password --users /etc/iotcloud/registry.users",
+              std::nullopt, false}) {}
+
+  void declare(CLI::App& options) override {
+    options.add_option("--registry", options_.url, "ZooKeeper's address, as in `registry` of master.yaml")
+        ->required()
+        ->type_name("URL");
+    options.add_option("--user", options_.user, "a master's user")->required()->type_name("USER");
+    options.add_option("--password-file", password_file_, "its password: the first line")
+        ->required()
+        ->type_name("FILE");
+    options.add_option("--users", users_, "the fleet's users")->required()->type_name("FILE");
+    options.add_option("--root", root_, "zk.root of the fleet's files")->type_name("PATH");
+    options.add_flag("--others-may-read", options_.others_may_read, "as registry.others_may_read of the fleet's files");
+  }
+  int run(Call& call) override {
+    const discovery::Paths paths(root_);
+    const std::string text = bytes_of(password_file_);
+    options_.password = text.substr(0, text.find_first_of("\r\n"));
+    options_.access = std::make_shared<const discovery::RegistryAccess>(discovery::read_registry_users(users_), paths);
+    if (!options_.access->is_master(options_.user)) {
+      throw config::Error(
+          fmt::format("{} has no master {}; only a master's user may change rights", users_, options_.user));
+    }
+    const auto done = discovery::renew_rights(
+        options_, paths, [&](std::size_t nodes) { call.err << fmt::format("{} nodes looked at\n", nodes); });
+    call.out << fmt::format("{} nodes, {} of them had other rights\n", done.nodes, done.changed);
+    return exit_ok;
+  }
+
+ private:
+  discovery::RegistryOptions options_;
+  std::string password_file_, users_, root_ = "/iot/sensors";
+};
+
 }  // namespace
 
 void add_registry_verbs(Verbs& verbs) {
@@ -238,6 +283,7 @@ void add_registry_verbs(Verbs& verbs) {
   group.add<Export>();
   group.add<Import>();
   group.add<AddUser>();
+  group.add<RenewRights>();
 }
 
 }  // namespace iotcloud::master::cli

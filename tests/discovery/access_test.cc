@@ -83,21 +83,27 @@ class FleetAccess : public Access {
   FleetAccess() {
     using Role = RegistryUser::Role;
     // base64 of SHA-1 of "USER:secret of USER"
-    access_ = std::make_shared<const RegistryAccess>(
-        std::vector<RegistryUser>{{Role::master, "masters", "OMsZ4EHB4vTTDlYF30hOD4UN9Gs="},
-                                  {Role::gateway, "g1", "0uEjd9Pgjl8v3nhquvFg8rgopuU="},
-                                  {Role::gateway, "g2", "nnalarx0gGsG9ajZ9zmK5cdN9cc="},
-                                  {Role::worker, "workers", "D70c15/9OcCuC92fenWl5kJD72g="}},
-        paths_);
+    users_ = {{Role::master, "masters", "OMsZ4EHB4vTTDlYF30hOD4UN9Gs="},
+              {Role::gateway, "g1", "0uEjd9Pgjl8v3nhquvFg8rgopuU="},
+              {Role::gateway, "g2", "nnalarx0gGsG9ajZ9zmK5cdN9cc="},
+              {Role::worker, "workers", "D70c15/9OcCuC92fenWl5kJD72g="}};
+    use_all_but("");
   }
-  std::unique_ptr<Registry> member(const std::string& user) const {
+  /// From now on processes start with this list of users.
+  void use_all_but(const std::string& name) {
+    auto users = users_;
+    std::erase_if(users, [&](const RegistryUser& user) { return user.name == name; });
+    access_ = std::make_shared<const RegistryAccess>(std::move(users), paths_);
+  }
+  std::unique_ptr<Registry> member(const std::string& user) const { return make_registry(options_of(user)); }
+  RegistryOptions options_of(const std::string& user) const {
     RegistryOptions options;
     options.url = place_->url() + "/fleet";
     options.operation_timeout = patience;
     options.user = user;
     options.password = "secret of " + user;
     options.access = access_;
-    return make_registry(options);
+    return options;
   }
   /// What a gateway writes, and a master orders.
   void live(Registry& gateway, const GatewayId& id, Registry& master) {
@@ -109,6 +115,7 @@ class FleetAccess : public Access {
     put(master, paths_.removal(id, "a"_instance), "removal");
   }
   const Paths paths_;
+  std::vector<RegistryUser> users_;
   std::shared_ptr<const RegistryAccess> access_;
 };
 
@@ -185,6 +192,78 @@ TEST_P(FleetAccess, MastersMayDoEverythingAndWorkersTheirTopologiesOnly) {
   remove_tree(*master, paths_.gateway("g1"_gateway));
   master->set(workers + "/w1", "changed");
   EXPECT_FALSE(one->get(paths_.gateway("g1"_gateway)));
+}
+
+TEST_P(FleetAccess, WhatTheThiefOfAGatewayStillMayIsWhatSecurityMdSays) {
+  const auto master = member("masters");
+  const auto one = member("g1");
+  const auto thief = member("g2");
+  live(*one, "g1"_gateway, *master);
+  const std::string bare = paths_.instance("turtle"_driver, "bare"_instance);
+  put(*one, bare, "an instance without channels");
+  thief->remove(bare);
+  put(*thief, paths_.gateway("not-there-yet"_gateway), "a phantom");
+  put(*thief, paths_.instance("turtle"_driver, "free"_instance), "a phantom");
+  EXPECT_EQ(code_of([&] { thief->remove(paths_.instance("turtle"_driver, "g1"_instance)); }), Code::not_empty);
+}
+
+TEST_P(FleetAccess, AGatewayThatIsAddedLaterHasItsRightsOnceTheyAreRenewed) {
+  use_all_but("g2");
+  auto master = member("masters");
+  auto one = member("g1");
+  live(*one, "g1"_gateway, *master);
+  use_all_but("");
+  const auto late = member("g2");
+  EXPECT_EQ(code_of([&] { put(*late, paths_.gateway("g2"_gateway), "record"); }), Code::denied);
+  std::size_t told = 0;
+  const auto done = renew_rights(options_of("masters"), paths_, [&](std::size_t nodes) { told = nodes; });
+  EXPECT_GT(done.changed, 0u);
+  EXPECT_GE(done.nodes, done.changed);
+  EXPECT_EQ(told, 0u) << "it tells of every thousandth";
+  master = member("masters");
+  live(*late, "g2"_gateway, *master);
+  const std::string theirs = paths_.instance("turtle"_driver, "g1"_instance);
+  EXPECT_TRUE(late->get(theirs));
+  EXPECT_EQ(code_of([&] { late->set(theirs, "stolen"); }), Code::denied);
+  EXPECT_EQ(code_of([&] { late->set(theirs + "/kinect", "stolen"); }), Code::denied);
+  put(*one, theirs, "still its own");
+  put(*one, theirs + "/kinect", "still its own");
+  EXPECT_EQ(renew_rights(options_of("masters"), paths_).changed, 0u) << "each node has them already";
+}
+
+TEST_P(FleetAccess, AGatewayThatIsTakenFromTheListHasNoRightsOnceTheyAreRenewed) {
+  auto master = member("masters");
+  const auto one = member("g1");
+  const auto thief = member("g2");
+  live(*one, "g1"_gateway, *master);
+  live(*thief, "g2"_gateway, *master);
+  use_all_but("g2");
+  renew_rights(options_of("masters"), paths_);
+  const auto denied = [&](const std::function<void()>& call) { EXPECT_EQ(code_of(call), Code::denied); };
+  const std::string instance = paths_.instance("turtle"_driver, "g2"_instance);
+  for (const std::string& path : {paths_.gateway("g2"_gateway), instance, instance + "/kinect", paths_.sensors}) {
+    denied([&] { thief->get(path); });
+    denied([&] { thief->set(path, "stolen"); });
+    denied([&] { thief->create(path + "/below", ""); });
+  }
+  put(*one, paths_.instance("turtle"_driver, "g1"_instance), "as before");
+}
+
+TEST_P(FleetAccess, RightsAreRenewedByAMasterWhomTheNodesKnow) {
+  const auto master = member("masters");
+  const auto one = member("g1");
+  live(*one, "g1"_gateway, *master);
+  EXPECT_THROW(renew_rights(options_of("g1"), paths_), config::Error);
+  auto wrong = options_of("masters");
+  wrong.password = "guessed";
+  try {
+    renew_rights(wrong, paths_);
+    FAIL() << "with a wrong password";
+  } catch (const config::Error& e) {
+    EXPECT_THAT(e.what(), testing::HasSubstr("does not let this user change its rights"));
+  }
+  wrong.url = "embedded://" + wrong.url.substr(wrong.url.rfind('/') + 1);
+  EXPECT_THROW(renew_rights(wrong, paths_), config::Error);
 }
 
 INSTANTIATE_TEST_SUITE_P(Registries, FleetAccess, testing::Values("zookeeper"),

@@ -1,0 +1,201 @@
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/discovery/zookeeper/logger.h>
+#include <iotcloud/discovery/zookeeper/rights.h>
+
+namespace iotcloud::discovery::zookeeper {
+
+namespace {
+
+constexpr std::size_t progress_step = 1000;  ///< nodes
+
+/// A session for one piece of work that waits for each answer.
+class Session {
+ public:
+  Session(const Settings& settings, std::chrono::milliseconds limit) {
+    handle_ = zookeeper_init2(settings.url.hosts.c_str(), &Session::on_event,
+                              static_cast<int>(settings.session_timeout.count()), nullptr, this, ZOO_NO_LOG_CLIENTENV,
+                              [](const char* message) { logger.debug("{}", message); });
+    if (handle_ == nullptr)
+      throw config::Error(fmt::format("the registry {} cannot be used: {}", settings.url.hosts, std::strerror(errno)));
+    const std::string& identity = settings.identity;
+    zoo_add_auth(handle_, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
+    if (connected_within(limit)) return;
+    zookeeper_close(handle_);
+    throw config::Error(fmt::format("the registry {} does not answer within {} s: is its server running?",
+                                    settings.url.hosts, limit.count() / 1000));
+  }
+  ~Session() { zookeeper_close(handle_); }
+  Session(const Session&) = delete;
+  Session& operator=(const Session&) = delete;
+
+  zhandle_t* get() const { return handle_; }
+
+ private:
+  bool connected_within(std::chrono::milliseconds limit) {
+    const config::MutexLock lock(mutex_);
+    return changed_.wait_for(mutex_, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return connected_; });
+  }
+  static void on_event(zhandle_t* /*handle*/, int type, int state, const char* /*path*/, void* self) {
+    if (type != ZOO_SESSION_EVENT || state != ZOO_CONNECTED_STATE) return;
+    auto* const session = static_cast<Session*>(self);
+    const config::MutexLock lock(session->mutex_);
+    session->connected_ = true;
+    session->changed_.notify_all();
+  }
+
+  config::Mutex mutex_;
+  config::ConditionVariable changed_;
+  bool connected_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  zhandle_t* handle_ = nullptr;
+};
+
+/// The walk over the nodes.
+class Renewal {
+ public:
+  Renewal(const Settings& settings, const Paths& paths, std::chrono::milliseconds limit,
+          const std::function<void(std::size_t)>& progress)
+      : settings_(settings), paths_(paths), progress_(progress), session_(settings, limit) {}
+
+  RenewedRights run() {
+    const std::string& chroot = settings_.url.chroot;
+    for (std::size_t end = 1; end < chroot.size();) {
+      end = std::min(chroot.find('/', end + 1), chroot.size());
+      renew(chroot.substr(0, end), "/", "");
+    }
+    for (std::size_t end = paths_.sensors.find('/', 1); end != std::string::npos;
+         end = paths_.sensors.find('/', end + 1)) {
+      const std::string above = paths_.sensors.substr(0, end);
+      renew(chroot + above, above, "");
+    }
+    for (const std::string& branch :
+         {paths_.sensors, paths_.gateways, paths_.topologies, paths_.groups, paths_.masters()}) {
+      walk(branch, "");
+    }
+    return std::move(done_);
+  }
+
+ private:
+  void walk(const std::string& path, const std::string& creator_above) {
+    const std::string full = settings_.url.chroot + path;
+    const auto creator = renew(full, path, creator_above);
+    if (!creator) return;
+    String_vector names{};
+    const int code = zoo_get_children(session_.get(), full.c_str(), 0, &names);
+    if (code == ZNONODE) return;
+    must(code, full);
+    const std::unique_ptr<String_vector, void (*)(String_vector*)> owner(
+        &names, [](String_vector* list) { deallocate_String_vector(list); });
+    for (int i = 0; i < names.count; ++i) walk(path + "/" + names.data[i], *creator);
+  }
+
+  /// Sets the rights of one node. \return whose it is; nullopt: it is not there
+  std::optional<std::string> renew(const std::string& full, const std::string& path, const std::string& creator_above) {
+    for (;;) {
+      ACL_vector before{};
+      Stat stat{};
+      const int code = zoo_get_acl(session_.get(), full.c_str(), &before, &stat);
+      if (code == ZNONODE) return std::nullopt;
+      must(code, full);
+      const std::unique_ptr<ACL_vector, void (*)(ACL_vector*)> owner(
+          &before, [](ACL_vector* list) { deallocate_ACL_vector(list); });
+      const std::string creator = creator_of(full, path, before, creator_above);
+      const NodeRights now(settings_, path, creator);
+      if (!now.are(before)) {
+        const int changed = zoo_set_acl(session_.get(), full.c_str(), stat.aversion, now.get());
+        if (changed == ZNONODE) return std::nullopt;
+        if (changed == ZBADVERSION) continue;
+        must(changed, full);
+        ++done_.changed;
+      }
+      if (++done_.nodes % progress_step == 0 && progress_) progress_(done_.nodes);
+      return creator;
+    }
+  }
+
+  /// The gateway that has an instance's records: that of the node above, that which has all rights on it until now, or
+  /// that which the instance's record names. Other nodes have no creator that matters.
+  std::string creator_of(const std::string& full, const std::string& path, const ACL_vector& before,
+                         const std::string& creator_above) const {
+    if (!path.starts_with(paths_.sensors + "/") || !creator_above.empty()) return creator_above;
+    if (std::count(path.begin(), path.end(), '/') != std::count(paths_.sensors.begin(), paths_.sensors.end(), '/') + 2)
+      return "";
+    std::string data(std::size_t{1} << 20, '\0');
+    int size = static_cast<int>(data.size());
+    Stat stat{};
+    if (zoo_get(session_.get(), full.c_str(), 0, data.data(), &size, &stat) == ZOK && size > 0) {
+      data.resize(static_cast<std::size_t>(size));
+      try {
+        const std::string gateway = decode_driver(data, path).gateway.str();
+        if (settings_.access->knows(gateway)) return gateway;
+      } catch (const config::Error&) {  // no record yet, or not ours: who has the rights tells
+      }
+    }
+    for (int i = 0; i < before.count; ++i) {
+      const ACL& right = before.data[i];
+      const std::string user = std::string(right.id.id).substr(0, std::string(right.id.id).find(':'));
+      if (right.perms == ZOO_PERM_ALL && settings_.access->is_gateway(user)) return user;
+    }
+    return "";
+  }
+
+  static void must(int code, const std::string& path) {
+    if (code == ZOK) return;
+    if (code == ZNOAUTH) {
+      throw config::Error(
+          fmt::format("{} does not let this user change its rights: give a master's user and password, "
+                      "one that the node's list has now",
+                      path));
+    }
+    throw config::Error(
+        fmt::format("the rights of {} cannot be renewed: {}; run it again, what is done stays", path, zerror(code)));
+  }
+
+  const Settings& settings_;
+  const Paths& paths_;
+  const std::function<void(std::size_t)>& progress_;
+  Session session_;
+  RenewedRights done_;
+};
+
+}  // namespace
+
+NodeRights::NodeRights(const Settings& settings, const std::string& path, const std::string& creator) {
+  static char auth[] = "auth", world[] = "world", anyone[] = "anyone", nothing[] = "", digest[] = "digest";
+  if (settings.identity.empty()) return;
+  if (settings.access) {
+    grants_ = settings.access->grants(path, creator);
+    for (auto& grant : grants_) rights_.push_back(ACL{grant.rights, ::Id{digest, grant.id.data()}});
+  }
+  if (rights_.empty()) rights_.push_back(ACL{ZOO_PERM_ALL, ::Id{auth, nothing}});
+  if (settings.others_may_read) rights_.push_back(ACL{ZOO_PERM_READ, ::Id{world, anyone}});
+  list_ = {static_cast<int>(rights_.size()), rights_.data()};
+}
+
+bool NodeRights::are(const ACL_vector& of_node) const {
+  const auto all = [](const ACL_vector& list) {
+    std::multiset<std::pair<std::string, int>> rights;
+    for (int i = 0; i < list.count; ++i) {
+      rights.emplace(std::string(list.data[i].id.scheme) + ":" + list.data[i].id.id, list.data[i].perms);
+    }
+    return rights;
+  };
+  return all(*get()) == all(of_node);
+}
+
+RenewedRights renew_rights(const Settings& settings, const Paths& paths, std::chrono::milliseconds limit,
+                           const std::function<void(std::size_t)>& progress) {
+  return Renewal(settings, paths, limit, progress).run();
+}
+
+}  // namespace iotcloud::discovery::zookeeper
