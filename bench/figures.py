@@ -89,3 +89,13 @@ def commit(root):
         return subprocess.run(["git", "-C", root, *arguments], capture_output=True, text=True).stdout.strip()
 
     return git("rev-parse", "HEAD") + ("-modified" if git("status", "--porcelain") else "")
+
+
+def command_line(arguments):
+    """The benchmark's command as a person types it: without the options that say where the programs are and where the
+    figures go."""
+    kept, places = [], ("--build", "--json", "--out")
+    for before, argument in zip(["", *arguments], arguments):
+        if before not in places and argument not in places and not argument.startswith(tuple(f"{place}=" for place in places)):
+            kept.append(argument)
+    return shlex.join(["./dev", "bench", *kept])

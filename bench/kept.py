@@ -72,7 +72,9 @@ def shown(results, name, chosen):
     if not rows:
         raise Unusable(f"{file} has no figure that is called {chosen!r}")
     machine, short = data["machine"], data["commit"][:12]
+    load = machine.get("load_average_before")
     of = ", ".join([f"`{data['command']}`", f"commit {short}", f"{machine['cpu']}, {machine['cores']} cores",
+                    *([f"load {number(load)} before"] if load is not None else []),
                     *(f"{key} {value}" for key, value in (data.get("versions") or {}).items()),
                     *([f"taken {data['taken']}"] if data.get("taken") else [])])
     pictures = [f"![{plot['title']}](PICTURES/{page.name_of(results, file)}-{index}.svg)"

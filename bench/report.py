@@ -22,7 +22,6 @@ import argparse
 import contextlib
 import json
 import os
-import shlex
 import signal
 import sys
 import time
@@ -32,7 +31,7 @@ import page
 from brokers_report import BROKERS, run_brokers
 from codec_report import run_codec, run_follower
 from discovery_report import run_discovery
-from figures import ProgramFailed, commit, machine
+from figures import ProgramFailed, command_line, commit, machine
 from fleet_report import run_fleet
 from heartbeat import Heartbeat, seconds_of_last_run
 from paper.report import add_options as add_paper_options, run_paper
@@ -87,7 +86,7 @@ def main():
                   "fleet": run_fleet, "codec": run_codec, "follower": run_follower, "paper": run_paper,
                   "storm": run_paper}
     file = getattr(given, "json", None) or root / f"build/bench/{given.what}.json"
-    command = shlex.join(["./dev", "bench", *sys.argv[1:]])
+    command = command_line(sys.argv[1:])
     tells_by_itself = given.what in ("brokers", "paper", "storm")  # these tell by themselves how much time is left
     try:
         with contextlib.nullcontext() if tells_by_itself else Heartbeat(given.what, seconds_of_last_run(file, command)):

@@ -3,7 +3,6 @@
 import datetime
 import json
 import os
-import shlex
 import sys
 import time
 from pathlib import Path
@@ -13,7 +12,7 @@ import storm_report
 import turtlebot
 import versions
 from brokers_report import Report
-from figures import ProgramFailed, commit, machine
+from figures import ProgramFailed, command_line, commit, machine
 from paper import drivers, sizes
 from paper.points import Progress
 from paper.systems import KINDS, StartError, Unavailable
@@ -47,7 +46,7 @@ def write(given, figure, facts, report, plots, problem):
     """Writes the figure's file by way of a rename, so that a reader never sees a part of it."""
     facts = {**facts, "load_average_after": os.getloadavg()[0]}
     content = {"figure": figure.name, "title": figure.title, "machine": facts, "commit": commit(Path(__file__).parent),
-               "command": shlex.join(["./dev", "bench", *sys.argv[1:]]),
+               "command": command_line(sys.argv[1:]),
                "taken": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
                "quick": given.scale == "quick", "scale": given.scale,
                "versions": versions.asked(given.build, *figure.servers), "results": report.results, "plots": plots}

@@ -5,9 +5,10 @@ import tempfile
 import unittest
 from pathlib import Path
 
+import figures
 import kept
 
-DATA = {"machine": {"cpu": "Some CPU", "cores": 2}, "commit": "0123456789abcdef", "command": "./dev bench paper --figure 7",
+DATA = {"machine": {"cpu": "Some CPU", "cores": 2, "load_average_before": 0.25}, "commit": "0123456789abcdef", "command": "./dev bench paper --figure 7",
         "taken": "2026-11-23T07:00:00+00:00", "versions": {"RabbitMQ": "3.10.8"},
         "plots": [{"title": "Mean", "x": "size", "series": [{"name": "ours", "kind": "ours", "points": [{"x": 1, "mean_ms": 1}]}]}],
         "results": [
@@ -25,6 +26,10 @@ class KeptTest(unittest.TestCase):
         self.root = Path(temporary.name)
         self.take()
 
+    def test_a_command_is_told_without_where_its_programs_and_figures_are(self):
+        typed = ["brokers", "--build", "x", "--quick", "--json", "y", "--figures", "60 KB", "--out=z"]
+        self.assertEqual(figures.command_line(typed), "./dev bench brokers --quick --figures '60 KB'")
+
     def take(self, name="paper/figure-7", **other):
         file = self.root / f"build/bench/{name}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -41,7 +46,7 @@ class KeptTest(unittest.TestCase):
         self.assertEqual(len(kept.check(self.root)), 1)
         self.assertEqual(kept.keep(self.root, ["paper/figure-7"]), ["paper/figure-7"])
         text = document.read_text()
-        self.assertIn("`./dev bench paper --figure 7`, commit 0123456789ab, Some CPU, 2 cores, RabbitMQ 3.10.8, taken 2026-11-23", text)
+        self.assertIn("`./dev bench paper --figure 7`, commit 0123456789ab, Some CPU, 2 cores, load 0.25 before, RabbitMQ 3.10.8, taken 2026-11-23", text)
         self.assertIn("| 100 B: mean | 0.5 ms | 0.4 librabbitmq | 1.25 (1.1 to 1.3) | <= 1.2 x, **missed** |", text)
         self.assertNotIn("p50", text)  # it has no target
         self.assertNotIn("old", text)
