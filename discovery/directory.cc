@@ -77,7 +77,7 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
       gone.active = false;
       update(gone);
       if (over) return;
-      judge(id, std::nullopt, std::nullopt);
+      judge(id, std::nullopt, nullptr);
       if (over) return;
     }
     fresh.insert(fresh.end(), next, ids.end());
@@ -108,7 +108,7 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
     const auto record = read(node, paths.instance(driver, id), decode_driver, instance.complained);
     const bool chosen = record && where.matches(*record);
     instance.active = chosen && record->state == DriverState::active;
-    if (record) judge(id, chosen, record->state);
+    if (record) judge(id, chosen, &*record);
     if (!over) update(instance);
     if (!over && chosen && record->state == DriverState::active) look_for_wanted(id, record->channels);
   }
@@ -119,10 +119,9 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
     if (std::none_of(channels.begin(), channels.end(), is_wanted)) callbacks.on_missing(id, channels);
   }
 
-  void judge(const InstanceId& id, std::optional<bool> chosen, std::optional<DriverState> state)
-      IOTCLOUD_REQUIRES(turn) {
+  void judge(const InstanceId& id, std::optional<bool> chosen, const DriverRecord* record) IOTCLOUD_REQUIRES(turn) {
     if (callbacks.on_verdict) callbacks.on_verdict(id, chosen);
-    if (callbacks.on_state && !over) callbacks.on_state(id, state);
+    if (callbacks.on_record && !over) callbacks.on_record(id, record);
   }
 
   void on_channels(const InstanceId& id, const Names& names) IOTCLOUD_REQUIRES(turn) {

@@ -23,8 +23,9 @@ class DriverDirectory {
     /// An instance's record was read, whatever its state: `chosen` says whether `where` selects it. Its channels are
     /// reported after this call. nullopt: the record is gone. May be empty.
     std::function<void(const InstanceId& instance, std::optional<bool> chosen)> on_verdict{};
-    /// The same, with the state that the record says, whether `where` selects the instance or not. May be empty.
-    std::function<void(const InstanceId& instance, std::optional<DriverState> state)> on_state{};
+    /// The same, with what the record says, whether `where` selects the instance or not. May be empty.
+    /// \param record null: the record is gone; valid during the call only
+    std::function<void(const InstanceId& instance, const DriverRecord* record)> on_record{};
     /// The record of an active, selected instance names its channels, and the wanted one is not among them. May be
     /// empty.
     std::function<void(const InstanceId& instance, const std::vector<ChannelRecord>& channels)> on_missing{};

@@ -73,11 +73,12 @@ struct DriverRecord {
   std::int64_t since_ms = 0;                    ///< wall time of the last change; field 102
   std::map<std::string, std::string> metadata;  ///< TSensor.metadata, as JSON
   std::vector<ChannelRecord> channels;
-  std::string deployment;   ///< OrderRecord::name; field 106
-  int index = 0;            ///< OrderRecord::index; field 107
-  std::string plugin{};     ///< name of the plugin's file; empty: the gateway did not say
-  std::string sha256{};     ///< of the plugin's bytes, in hexadecimal digits; empty: not known
-  std::string signed_by{};  ///< the trusted key that signed the plugin; empty: none
+  std::string deployment;     ///< OrderRecord::name; field 106
+  int index = 0;              ///< OrderRecord::index; field 107
+  std::string plugin{};       ///< name of the plugin's file; empty: the gateway did not say
+  std::string sha256{};       ///< of the plugin's bytes, in hexadecimal digits; empty: not known
+  std::string signed_by{};    ///< the trusted key that signed the plugin; empty: none
+  bool starts_again = false;  ///< it failed, and its gateway starts it again by itself; field 108
   /// `state` and `metadata` are missing here: the state takes two fields of TSensor, the metadata are JSON in one
   /// field, so records.cc converts them.
   static constexpr const char* what = "a driver";
@@ -93,6 +94,7 @@ struct DriverRecord {
       IOTCLOUD_FIELD(plugin, rare),
       IOTCLOUD_FIELD(sha256, rare),
       IOTCLOUD_FIELD_AS(signed_by, rare, "signed_by", signedBy),
+      IOTCLOUD_FIELD_AS(starts_again, rare, "starts_again", startsAgain),
   };
   friend bool operator==(const DriverRecord&, const DriverRecord&) = default;
 };

@@ -56,6 +56,8 @@ struct TSensor {
   // The name under which the instance was deployed, and its number among those of that name on its gateway, from 1 on.
   106: optional string deployment
   107: optional i32 index
+  // Of a failed instance: its gateway starts it again by itself.
+  108: optional bool startsAgain
 }
 
 struct TBroker {

@@ -215,6 +215,7 @@ DriverRecord OrderedInstances::record_for(const Entry& entry) const {
   record.plugin = entry.order.plugin;
   record.sha256 = entry.order.sha256.empty() ? entry.status.plugin.sha256 : entry.order.sha256;
   record.signed_by = entry.status.plugin.signed_by;
+  record.starts_again = entry.status.starts_again;
   return record;
 }
 

@@ -296,6 +296,7 @@ void HostFleet::report(Member& member, DriverState state, const std::string& rea
   member.status.reason = reason;
   member.status.since_ms = options_.clock->wall_ms();
   member.status.channels.clear();
+  member.status.starts_again = false;
   if (member.host) member.status.plugin = member.host->order.identity;
   on_status_(member.status);
 }
@@ -367,6 +368,7 @@ void HostFleet::driver_failed(const std::shared_ptr<Host>& host, Member& member,
   }
   ++member.failures;
   member.restarting = policy.give_up_after == 0 || member.failures < policy.give_up_after;
+  member.status.starts_again = member.restarting;
   if (!member.restarting) {
     member.status.reason =
         fmt::format("{}; that was failure {} in a row, so it is left alone until it is started again", status.reason,

@@ -20,7 +20,7 @@ namespace iotcloud::gateway {
 /// `first` after a host has run for `healthy_after`. After `give_up_after` crashes in a row the host's instances become
 /// `failed` until they are ordered to start. Crashes for which one instance is known to be at fault are counted for
 /// that instance, and only that one becomes `failed`. An instance whose driver threw is started again in its host by
-/// the same rules; meanwhile its state is `failed`, with the reason.
+/// the same rules; meanwhile its state is `failed`, with the reason, and its status says that it starts again.
 struct RestartPolicy {
   std::chrono::milliseconds first{500};
   std::chrono::milliseconds longest{30000};

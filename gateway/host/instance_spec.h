@@ -85,6 +85,7 @@ struct InstanceStatus {
   std::vector<discovery::ChannelRecord> channels;
   std::map<std::string, std::string> metadata;  ///< the metadata that the driver itself reports
   PluginIdentity plugin{};                      ///< set by the fleet, not by the host
+  bool starts_again = false;                    ///< it failed, and the fleet starts it again; set by the fleet
   static constexpr const char* what = "the status of an instance";
   static constexpr auto fields = std::tuple{
       IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(driver, required),   IOTCLOUD_FIELD(state, required),

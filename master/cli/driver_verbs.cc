@@ -87,6 +87,7 @@ Json driver_json(const DriverRecord& driver) {
           {"gateway", driver.gateway},
           {"state", to_string(driver.state)},
           {"reason", driver.reason},
+          {"starts_again", driver.starts_again},
           {"since_ms", driver.since_ms},
           {"metadata", driver.metadata},
           {"channels", std::move(channels)},

@@ -27,7 +27,7 @@ std::string words_of(const DriverRecord& driver) {
     case DriverState::undeployed:
       return "";
     case DriverState::failed:
-      if (driver.reason.find("it is started again in") == std::string::npos) return "";
+      if (!driver.starts_again) return "";
       break;
     case DriverState::ordered:
       return fmt::format("{} is ordered, and its gateway {} has not answered yet", driver.instance,

@@ -262,8 +262,8 @@ TEST_F(Directory, ReportsTheStatesOfAllInstancesChosenOrNot) {
     put(*writer_, paths_.instance("turtle"_driver, "1"_instance), encode(driver("1", state)));
   };
   DriverDirectory::Callbacks callbacks;
-  callbacks.on_state = [this](const InstanceId& instance, std::optional<DriverState> state) {
-    seen_.add(instance + " " + (state ? to_string(*state) : "gone"));
+  callbacks.on_record = [this](const InstanceId& instance, const DriverRecord* record) {
+    seen_.add(instance + " " + (record ? to_string(record->state) : "gone"));
   };
   tell(DriverState::starting);
   const DriverDirectory directory(*registry_, paths_, "turtle"_driver, "kinect", std::move(callbacks),

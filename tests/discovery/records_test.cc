@@ -114,6 +114,15 @@ TEST(Records, ADriversBytesAreThoseOfTheOriginalWithOurFieldsFrom100Up) {
   EXPECT_EQ(decode_driver(driver_bytes(), "/d"), example_driver());
 }
 
+TEST(Records, ADriverThatIsStartedAgainByItselfSaysSoInAFieldThatOlderProgramsPassOver) {
+  auto record = example_driver();
+  record.starts_again = true;
+  std::string expected = driver_bytes();
+  expected.insert(expected.size() - 1, std::string("\x02\x00\x6c\x01", 4));  // field 108, a bool
+  EXPECT_EQ(encode(record), expected);
+  EXPECT_EQ(decode_driver(expected, "/d"), record);
+}
+
 TEST(Records, AGatewaysBytesAreThoseOfTheOriginalWithOurFieldsFrom100Up) {
   GatewayRecord record;
   record.id = "gw"_gateway;

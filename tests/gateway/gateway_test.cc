@@ -129,6 +129,38 @@ TEST_F(GatewayTest, AnInstanceThatThrowsIsFailedForItsReasonAndHasNoChannels) {
   EXPECT_TRUE(comes_to("good", DriverState::active));
 }
 
+TEST_F(GatewayTest, TheRecordOfAFailedInstanceSaysWhetherItStartsAgainByItself) {
+  auto with = options();
+  with.restart.first = std::chrono::hours{1};  // the state stays to be seen
+  gateway_.emplace(std::move(with));
+  gateway_->start();
+  give(order("waits", {{"throw_in", "open"}}));
+  ASSERT_TRUE(comes_to("waits", DriverState::failed));
+  EXPECT_TRUE(record("waits")->starts_again);
+  give(order("waits"));
+  ASSERT_TRUE(comes_to("waits", DriverState::active));
+  EXPECT_FALSE(record("waits")->starts_again);
+
+  give(order("waits", {{"throw_in", "open"}}));
+  ASSERT_TRUE(comes_to("waits", DriverState::failed));
+  gateway_->stop(std::chrono::seconds{20});
+  EXPECT_FALSE(record("waits")->starts_again) << record("waits")->reason;
+}
+
+TEST_F(GatewayTest, TheRecordOfAnInstanceThatIsLeftAloneDoesNotSayThatItStartsAgain) {
+  auto with = options();
+  with.restart.give_up_after = 2;
+  gateway_.emplace(std::move(with));
+  gateway_->start();
+  give(order("a", {{"throw_in", "open"}}));
+  EXPECT_TRUE(eventually([&] {
+    const auto now = record("a");
+    return now && now->reason.find("left alone") != std::string::npos;
+  }));
+  EXPECT_EQ(record("a")->state, DriverState::failed);
+  EXPECT_FALSE(record("a")->starts_again);
+}
+
 TEST_F(GatewayTest, OrderingAFailedInstanceAgainStartsItAnew) {
   start_gateway();
   give(order("a", {{"throw_in", "open"}}));

@@ -84,12 +84,13 @@ DriverRecord FakeGateway::record(const OrderRecord& order, DriverState state, co
   return record;
 }
 
-void FakeGateway::report(const std::string& instance, DriverState state, const std::string& reason) {
+void FakeGateway::report(const std::string& instance, DriverState state, const std::string& reason, bool starts_again) {
   DriverRecord told;
   {
     std::lock_guard lock(mutex_);
     told = record(orders_.at(instance), state, reason, made_anew_[instance]);
   }
+  told.starts_again = starts_again;
   for (const auto& channel : told.channels)
     discovery::put(*registry_, paths_.channel(told.name, discovery::InstanceId(instance), channel.name),
                    encode(channel));

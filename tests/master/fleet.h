@@ -45,7 +45,8 @@ class FakeGateway {
   const discovery::GatewayId& id() const { return id_; }
   void behave(Behaviour behaviour);
   /// Reports a state for an order that it has seen, whatever its behaviour says.
-  void report(const std::string& instance, discovery::DriverState state, const std::string& reason = "");
+  void report(const std::string& instance, discovery::DriverState state, const std::string& reason = "",
+              bool starts_again = false);
   std::vector<discovery::OrderRecord> orders() const;  ///< the current orders, sorted by instance
   int orders_seen() const;                             ///< number of orders and changes of orders that it has seen
   bool wait_for_orders(std::size_t count) const;

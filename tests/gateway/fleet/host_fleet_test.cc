@@ -225,6 +225,7 @@ TEST_F(HostFleetTest, AnInstanceWhoseDriverThrewIsStartedAgainEverLaterWhileTheO
     const auto failed = log_.wait_for("a", DriverState::failed);
     ASSERT_TRUE(failed);
     EXPECT_THAT(failed->reason, ::testing::AllOf(HasSubstr("no device; it is started again"), HasSubstr(delay)));
+    EXPECT_TRUE(failed->starts_again);
     wanted.emplace_back("create a");
     ASSERT_TRUE(comes_to(0, wanted));
     tell(0, status("a", DriverState::starting));
@@ -233,6 +234,7 @@ TEST_F(HostFleetTest, AnInstanceWhoseDriverThrewIsStartedAgainEverLaterWhileTheO
   const auto again = log_.wait_for("a", DriverState::active);
   ASSERT_TRUE(again);
   EXPECT_EQ(again->reason, "again, after it failed: on_message: no device");
+  EXPECT_FALSE(again->starts_again);
   EXPECT_THAT(log_.states("a"), ::testing::Not(::testing::Contains(DriverState::starting)))
       << "whoever looks sees that it failed, and why, until it runs again";
   EXPECT_THAT(log_.states("b"), ElementsAre(DriverState::deployed, DriverState::active));
@@ -260,6 +262,7 @@ TEST_F(HostFleetTest, AnInstanceWhoseDriverThrowsTooOftenInARowIsLeftAloneAndOne
     return last && last->reason.find("left alone") != std::string::npos;
   }));
   EXPECT_THAT(last->reason, HasSubstr("no device; that was failure 6 in a row"));
+  EXPECT_FALSE(last->starts_again);
   on_loop([&] {
     fleet_->remove("a"_instance, Removal::undeployed);
     launcher_.hosts.at(0)->events.on_status(status("a", DriverState::undeployed));
@@ -278,6 +281,18 @@ TEST_F(HostFleetTest, AnInstanceThatWaitsForItsRestartIsCreatedInItsHostsSuccess
   });
   wait_for_hosts(2);
   EXPECT_TRUE(comes_to(1, {"create a"}));
+}
+
+TEST_F(HostFleetTest, AnInstanceThatWaitsForItsRestartNoLongerSaysSoWhenItsHostIsGivenUp) {
+  restart_after(1h, 1h);
+  on_loop([&] { fleet_->create(order("a")); });
+  tell(0, failure("a", "no device"));
+  ASSERT_TRUE(log_.wait_for("a", DriverState::failed).value_or(InstanceStatus{}).starts_again);
+  end(0, HostEnd::How::refused, "another SDK");
+  const auto given_up = log_.wait_for("a", DriverState::failed);
+  ASSERT_TRUE(given_up);
+  EXPECT_EQ(given_up->reason, "another SDK");
+  EXPECT_FALSE(given_up->starts_again);
 }
 
 TEST_F(HostFleetTest, AnInstanceThatIsRemovedWhileItWaitsForItsRestartDoesNotComeBack) {

@@ -113,6 +113,22 @@ TEST_F(ProcessTest, AHostThatCrashesAtOnceAgainIsToldWithItsSignal) {
   EXPECT_TRUE(eventually([&] { return !record("a"); }));
 }
 
+TEST_F(ProcessTest, WhatWaitsForItsRestartSaysSoWhetherItsDriverThrewOrItsHostDied) {
+  auto slow = options();
+  slow.restart.first = 1h;  // the states stay to be seen
+  gateway_.emplace(std::move(slow));
+  gateway_->start();
+  give(quiet("threw", "probe.so", {{"throw_in", "open"}}));
+  give(quiet("well"));
+  ASSERT_TRUE(comes_to("threw", DriverState::failed) && comes_to("well", DriverState::active));
+  EXPECT_TRUE(record("threw")->starts_again);
+  EXPECT_FALSE(record("well")->starts_again);
+  kill(host_process(), SIGKILL);
+  ASSERT_TRUE(comes_to("well", DriverState::starting));
+  EXPECT_EQ(record("threw")->state, DriverState::failed);
+  EXPECT_TRUE(record("threw")->starts_again) << "in its host's successor";
+}
+
 TEST_F(ProcessTest, AHostThatHangsIsKilledAndStartedAgain) {
   hang_limit_ = 500ms;
   start_gateway();

@@ -114,6 +114,12 @@ TEST_F(CliHistory, AnOrderSaysWhatItWaitsFor) {
   EXPECT_THAT(started.err, HasSubstr(" on lab1 is starting: its driver host crashed; it is started again in 500 ms"));
   EXPECT_EQ(started.err.find("waits"), started.err.rfind("waits")) << "once";
   lab1_.behave(FakeGateway::say_nothing());
+  const auto slow = lab1_.orders().at(0).instance.str();
+  for (const bool starts_again : {false, true}) {
+    lab1_.report(slow, discovery::DriverState::failed, "no device", starts_again);
+    const auto stopped = run({"stop", slow, "--wait", "2"});
+    EXPECT_EQ(stopped.err.find("is failed: no device") != std::string::npos, starts_again) << stopped.err;
+  }
   const auto silent = run({"deploy", "turtle.so", "--gateway", "lab1", "--name", "silent", "--wait", "2"});
   EXPECT_THAT(silent.err, HasSubstr("iotcloud: waits: no gateway has reported on the order yet"));
 }

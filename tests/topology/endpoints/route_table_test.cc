@@ -124,22 +124,25 @@ class Routes : public ::testing::Test {
     channel.shared = true;
     discovery::put(*registry_, paths_.channel("d"_driver, instance, "control"), discovery::encode(channel));
   }
-  void show_record(const std::string& id, DriverState state) {
+  void show_record(const std::string& id, DriverState state, bool starts_again = false) {
     const discovery::InstanceId instance(id);
     discovery::DriverRecord record;
     record.name = "d"_driver;
     record.instance = instance;
     record.gateway = "g"_gateway;
     record.state = state;
+    record.starts_again = starts_again;
     discovery::put(*registry_, paths_.instance("d"_driver, instance), discovery::encode(record));
   }
   /// Waits until the table has heard of that state of an instance that it knows: the registry tells a node's watchers
   /// in the order in which they came.
-  bool hears(const std::string& id, DriverState state) {
+  bool hears(const std::string& id, DriverState state, bool starts_again = false) {
     const auto path = paths_.instance("d"_driver, discovery::InstanceId(id));
     std::atomic<bool> told{false};
     const auto watch = registry_->watch_node(path, [&](const std::optional<discovery::Node>& node) {
-      if (node && discovery::decode_driver(node->data, path).state == state) told = true;
+      if (!node) return;
+      const auto record = discovery::decode_driver(node->data, path);
+      if (record.state == state && record.starts_again == starts_again) told = true;
     });
     return eventually([&] { return told.load(); });
   }
@@ -225,6 +228,60 @@ TEST_P(AnInstanceThatIsAboutToBeActive, IsWaitedForByItsTuplesInOrder) {
 INSTANTIATE_TEST_SUITE_P(States, AnInstanceThatIsAboutToBeActive,
                          ::testing::Values(DriverState::deployed, DriverState::starting, DriverState::stopping),
                          [](const auto& test) { return to_string(test.param); });
+
+TEST_F(Routes, OfAnInstanceThatFailedAndIsStartedAgainKeepItsTuplesThroughEachFailure) {
+  start();
+  show("a", DriverState::active);
+  ASSERT_TRUE(eventually([&] { return received(send("a")); }));
+  const double unknown = metric("iotcloud_bolt_unknown_driver_total");
+  show_record("a", DriverState::failed, true);
+  ASSERT_TRUE(hears("a", DriverState::failed, true));
+  const int first = send("a");
+  for (const auto pause : {4s, 8s, 16s, 30s}) {  // as a gateway's pauses grow
+    clock_.advance(pause);
+    table_->on_tick();
+    EXPECT_EQ(answers_.of(first), Answer::none);
+  }
+  EXPECT_GE(answers_.resets(first), 1);
+  const int second = send("a");
+  show("a", DriverState::active);
+  EXPECT_TRUE(eventually([&] { return received(second); }));
+  EXPECT_TRUE(received(first));
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
+}
+
+TEST_F(Routes, OfAnInstanceThatFailedWaitForItUpToTheirDeadline) {
+  endpoint_.sending.deadline = 10s;
+  show_record("a", DriverState::failed, true);
+  start();
+  ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
+  const int number = send("a");
+  const double unknown = metric("iotcloud_bolt_unknown_driver_total");
+  clock_.advance(10s - 1ms);
+  table_->on_tick();
+  EXPECT_EQ(answers_.of(number), Answer::none);
+  clock_.advance(1ms);
+  table_->on_tick();
+  EXPECT_EQ(answers_.of(number), Answer::acked);
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
+  EXPECT_EQ(metric("iotcloud_bolt_lost_total"), 2);
+}
+
+TEST_F(Routes, OfAnInstanceThatIsLeftAloneAfterItFailedWaitAMomentOnly) {
+  show_record("a", DriverState::failed, true);
+  start();
+  ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
+  const int number = send("a");
+  show_record("a", DriverState::failed);
+  ASSERT_TRUE(hears("a", DriverState::failed));
+  clock_.advance(RouteTable::grace - 1ms);
+  table_->on_tick();
+  EXPECT_EQ(answers_.of(number), Answer::none) << "a person may be about to start it";
+  clock_.advance(1ms);
+  table_->on_tick();
+  EXPECT_EQ(answers_.of(number), Answer::acked);
+  EXPECT_EQ(answers_.of(send("a")), Answer::acked) << "at once";
+}
 
 TEST_F(Routes, OfAnInstanceThatHasComeKeepTheTuplesThatAreStillToBeSent) {
   show("a", DriverState::starting);

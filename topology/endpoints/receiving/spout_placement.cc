@@ -151,10 +151,10 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
       on_missing(channels);
     });
   };
-  callbacks.on_state = [this](const discovery::InstanceId& instance, std::optional<discovery::DriverState> state) {
+  callbacks.on_record = [this](const discovery::InstanceId& instance, const discovery::DriverRecord* record) {
     in_turn([&] {
       dispatcher_.assert_held();
-      on_state(instance, state);
+      on_state(instance, record ? std::optional(record->state) : std::nullopt);
     });
   };
   if (!endpoint_.where.everything()) {

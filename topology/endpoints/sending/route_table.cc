@@ -34,8 +34,8 @@ void RouteTable::join() {
   discovery::DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const discovery::ChannelRecord& channel) { on_channel(channel); };
   callbacks.on_channel_gone = [this](const discovery::ChannelRecord& channel) { on_channel_gone(channel); };
-  callbacks.on_state = [this](const discovery::InstanceId& instance, std::optional<discovery::DriverState> state) {
-    on_state(instance, state);
+  callbacks.on_record = [this](const discovery::InstanceId& instance, const discovery::DriverRecord* record) {
+    on_record(instance, record);
   };
   if (!endpoint_.where.everything()) {
     callbacks.on_verdict = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
@@ -111,13 +111,15 @@ void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollec
   unknown(message.driver_id, tuple, collector);
 }
 
-/// Whether the instance has a record that says that it is about to be active. A restart goes through `stopping` too.
+/// Whether the instance has a record that says that it is about to be active. A restart goes through `stopping` too,
+/// and one after a failure of the driver through `failed`.
 bool RouteTable::comes(std::string_view instance) const {
   using discovery::DriverState;
   const auto known = known_.find(instance);
   if (known == known_.end() || unchosen_.contains(instance)) return false;
   const DriverState state = known->second.state;
-  return state == DriverState::deployed || state == DriverState::starting || state == DriverState::stopping;
+  return state == DriverState::deployed || state == DriverState::starting || state == DriverState::stopping ||
+         (state == DriverState::failed && known->second.starts_again);
 }
 
 /// Until when a tuple that came at `since` waits for an instance that has no route.
@@ -298,18 +300,19 @@ void RouteTable::on_channel_gone(const discovery::ChannelRecord& channel) {
 }
 
 /// Notes what the instance's record says, which decides how long tuples wait for it.
-void RouteTable::on_state(const discovery::InstanceId& instance, std::optional<discovery::DriverState> state) {
+void RouteTable::on_record(const discovery::InstanceId& instance, const discovery::DriverRecord* record) {
   const config::MutexLock lock(mutex_);
-  if (!state) {
+  if (!record) {
     known_.erase(instance);
     if (departed_.size() >= most_departed) departed_.erase(departed_.begin());
     departed_.insert_or_assign(instance, services_->clock->now());
     return;
   }
   departed_.erase(instance);
-  const auto now = services_->clock->now();
-  const auto [known, fresh] = known_.try_emplace(instance, Known{*state, now});
-  if (!fresh && known->second.state != *state) known->second = {*state, now};
+  const Known said{record->state, record->starts_again, services_->clock->now()};
+  const auto [known, fresh] = known_.try_emplace(instance, said);
+  const bool the_same = known->second.state == said.state && known->second.starts_again == said.starts_again;
+  if (!fresh && !the_same) known->second = said;
 }
 
 /// Notes whether `where` chooses the instance: tuples for an instance that is there but not chosen do not wait for it.

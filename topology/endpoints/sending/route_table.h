@@ -23,12 +23,13 @@ namespace iotcloud::topology {
 /// come and go. All tasks of one bolt in a worker share it. Thread safe.
 ///
 /// A tuple for a driver may be here before the registry has told of the driver's channels: tuples for an id that was
-/// never seen wait for `grace`, and so do those for an instance that has just become inactive or failed, or whose
-/// record has just gone (a registry that was emptied gets the records of running instances again). Tuples for an
-/// instance that is about to be active (deployed, starting, or stopping for a restart) wait for it up to their
-/// deadline, or for `return_limit` if they have none. A tuple for an instance that is not there is counted, logged (one
-/// line every ten seconds at most, with the number of such tuples), and acked or failed as the endpoint's
-/// `unknownDriver` says. A tuple whose deadline passes is acked, and counted as lost for that reason.
+/// never seen wait for `grace`, and so do those for an instance that has just become inactive or failed for good, or
+/// whose record has just gone (a registry that was emptied gets the records of running instances again). Tuples for an
+/// instance that is about to be active (deployed, starting, stopping for a restart, or failed while its gateway starts
+/// it again by itself) wait for it up to their deadline, or for `return_limit` if they have none. A tuple for an
+/// instance that is not there is counted, logged (one line every ten seconds at most, with the number of such tuples),
+/// and acked or failed as the endpoint's `unknownDriver` says. A tuple whose deadline passes is acked, and counted as
+/// lost for that reason.
 class RouteTable {
  public:
   RouteTable(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
@@ -66,16 +67,17 @@ class RouteTable {
     OutputCollector* collector;
     Instant since;
   };
-  /// The state in an instance's record, and since when it is so.
+  /// What an instance's record says, and since when it does.
   struct Known {
     discovery::DriverState state;
+    bool starts_again;
     Instant since;
   };
 
   void on_channel(const discovery::ChannelRecord& channel);
   void on_channel_gone(const discovery::ChannelRecord& channel);
   void on_verdict(const discovery::InstanceId& instance, std::optional<bool> chosen);
-  void on_state(const discovery::InstanceId& instance, std::optional<discovery::DriverState> state);
+  void on_record(const discovery::InstanceId& instance, const discovery::DriverRecord* record);
   bool comes(std::string_view instance) const IOTCLOUD_REQUIRES(mutex_);
   Instant end_of_wait(std::string_view instance, Instant since) const IOTCLOUD_REQUIRES(mutex_);
   bool fits(const discovery::ChannelRecord& channel);
