@@ -95,6 +95,7 @@ struct Gateway::Impl {
   void renew_leases();
   void alive_changed(const std::optional<discovery::Node>& node);
   void await_return();
+  void say(std::string Impl::*trouble, const std::string& why);
   void end_replaced(const std::function<void(const std::string& why)>& then);
   void stop_orders();
   void finish_stop(const std::shared_ptr<std::promise<void>>& done);
@@ -115,6 +116,10 @@ struct Gateway::Impl {
   config::Mutex mutex;
   bool started IOTCLOUD_GUARDED_BY(mutex) = false;
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
+  /// Why the registry does not show that this gateway lives, in one line; empty: it does.
+  std::string unregistered IOTCLOUD_GUARDED_BY(mutex) = "the gateway has not registered yet";
+  /// Why records that the registry lost are not there again, in one line; empty: they are.
+  std::string unrecorded IOTCLOUD_GUARDED_BY(mutex);
 
   EventLoop loop;  ///< after the members that callbacks on the loop use, so that it is destroyed before them
   OrderFeed feed;
@@ -141,7 +146,11 @@ Gateway::~Gateway() {
 std::string Gateway::trouble() const {
   const std::string frozen = impl_->feed.frozen();
   if (!frozen.empty()) return fmt::format("frozen: {}; `iotcloud registry adopt {}`", frozen, impl_->options.id);
-  return impl_->feed.refused();
+  const std::string unregistered = [this] {
+    const config::MutexLock lock(impl_->mutex);
+    return impl_->unregistered.empty() ? impl_->unrecorded : impl_->unregistered;
+  }();
+  return unregistered.empty() ? impl_->feed.refused() : unregistered;
 }
 
 void Gateway::show_trouble(const std::string& text) {
@@ -231,6 +240,8 @@ void Gateway::Impl::join(const std::shared_ptr<StartOutcome>& first) try {
     case Membership::Result::taken:
       break;
   }
+  say(&Impl::unregistered,
+      fmt::format("the gateway is not registered: its id is held by a gateway at {}", membership.holder_address()));
   if (membership.must_be_another()) {
     end_replaced([this, first](const std::string& why) {
       if (first) {
@@ -253,8 +264,15 @@ void Gateway::Impl::join(const std::shared_ptr<StartOutcome>& first) try {
   if (first) first->tell(e.what());
 }
 
+/// Notes one of the two troubles with the registry that Gateway::trouble() tells. \param why empty: it is over
+void Gateway::Impl::say(std::string Impl::*trouble, const std::string& why) {
+  const config::MutexLock lock(mutex);
+  this->*trouble = why;
+}
+
 void Gateway::Impl::joined() {
   has_joined = true;
+  say(&Impl::unregistered, "");
   logger.info("the gateway {} is registered", options.id);
   // The callbacks run on the registry's dispatcher thread, so they only post to the loop.
   session_listener = options.registry->on_session([this](discovery::SessionState state) {
@@ -290,10 +308,12 @@ void Gateway::Impl::write_records() {
       membership.restore_record();
       instances.restore_records();
       restore_due = false;
+      say(&Impl::unrecorded, "");
     }
     instances.resume_records();
   } catch (const discovery::RegistryError& e) {
     logger.debug("the records are restored when the registry answers: {}", e.what());
+    say(&Impl::unrecorded, fmt::format("the gateway's records are not in the registry: {}", e.what()));
   }
 }
 
@@ -323,9 +343,13 @@ void Gateway::Impl::alive_changed(const std::optional<discovery::Node>& node) {
       });
       return;
     case Membership::Holder::nobody:
+      say(&Impl::unregistered,
+          fmt::format("the gateway is not registered any more: its node {} is gone; it makes it again",
+                      options.paths.gateway_alive(options.id)));
       await_return();
       return;
     case Membership::Holder::self:
+      say(&Impl::unregistered, "");
       break;
   }
   if (restore_due) feed.read_orders();
@@ -358,6 +382,7 @@ void Gateway::Impl::end_replaced(const std::function<void(const std::string& why
       fmt::format("another gateway with the id \"{}\" is alive ({}); give this one an id of its own, or stop the other",
                   options.id, membership.holder_address());
   logger.error("{}; this gateway ends, and its driver hosts with it", why);
+  say(&Impl::unregistered, why);
   stop_orders();
   instances.abandon(fencing_limit, [then, why] { then(why); });
 }

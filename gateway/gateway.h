@@ -68,7 +68,8 @@ class Gateway final : public config::Service {
   /// Stops the instances (their records say `inactive`), ends their hosts and leaves the registry. Orders stay.
   void stop(std::chrono::milliseconds limit) override;
 
-  /// Why no orders are followed, in one line; empty: they are, or the registry is away.
+  /// Why no orders are followed, or why the registry does not show this gateway (another one has its id, its node was
+  /// removed), in one line; empty: neither, or the registry is away.
   std::string trouble() const override;
 
   /// Shows in the gateway's record what its drivers cannot do now; empty: nothing is known. Returns at once.

@@ -318,6 +318,8 @@ TEST_F(GatewayTest, AStopEndsTheWaitForAnIdThatAnotherOneHasAndLeavesThatOneAlon
   twin.start(stop.get_token());
   twin.stop(20s);
   EXPECT_FALSE(twin.has_joined());
+  EXPECT_THAT(twin.trouble(), HasSubstr("not registered: its id is held by a gateway at 127.0.0.1:12905"));
+  EXPECT_EQ(gateway_->trouble(), "");
   give(order("a"));
   EXPECT_TRUE(comes_to("a", DriverState::active)) << "the first one follows orders as before";
 }
