@@ -4,9 +4,13 @@
 #include <optional>
 #include <vector>
 
+#include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
 #include <thrift/Thrift.h>
+#include <unistd.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/exposure.h>
@@ -121,6 +125,43 @@ TEST_F(ThriftServerTest, AFloodOfRefusedClientsIsCountedAndLoggedOnce) {
   ASSERT_NE(first, std::string::npos) << said;
   EXPECT_EQ(said.find("is cut off", first + 1), std::string::npos) << said;
 }
+
+#if !defined(IOTCLOUD_SANITIZED)  // the sanitizer opens a pipe to look at an object's type
+TEST_F(ThriftServerTest, WithoutDescriptorsItWaitsSaysSoOnceAndGoesOnWhenThereAreSome) {
+  serve();
+  const std::uint64_t before = refused("connections");
+  const int client = socket(AF_INET, SOCK_STREAM, 0);
+  ASSERT_GE(client, 0);
+  const tests::CapturedLog log;
+  rlimit usual{};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &usual), 0);
+  std::vector<int> taken;
+  for (int fd = dup(0); fd >= 0; fd = dup(0)) {
+    taken.push_back(fd);
+    rlimit few = usual;
+    few.rlim_cur = static_cast<rlim_t>(fd) + 1;
+    ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &few), 0);
+  }
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(static_cast<std::uint16_t>(server_->port()));
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  EXPECT_EQ(connect(client, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+  EXPECT_TRUE(tests::eventually([&] { return refused("connections") >= before + 2; }));
+  setrlimit(RLIMIT_NOFILE, &usual);
+  for (const int fd : taken) close(fd);
+  const std::string call = call_frame("greet");
+  EXPECT_EQ(write(client, call.data(), call.size()), static_cast<ssize_t>(call.size()));
+  char byte = 0;
+  EXPECT_EQ(read(client, &byte, 1), 1) << "the connection that waited is served";
+  close(client);
+  others_are_served();
+  const std::string said = log.text();
+  const auto first = said.find("a connection cannot be accepted");
+  ASSERT_NE(first, std::string::npos) << said;
+  EXPECT_EQ(said.find("a connection cannot be accepted", first + 1), std::string::npos) << said;
+}
+#endif
 
 TEST_F(ThriftServerTest, OneThatSaysNothingIsCutOff) {
   options_.stranger_limit = milliseconds{50};

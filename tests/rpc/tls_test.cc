@@ -6,6 +6,7 @@
 #include <mutex>
 #include <optional>
 #include <thread>
+#include <vector>
 
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
@@ -18,6 +19,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/security/renewals.h>
+#include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/rpc/service.h>
 #include <iotcloud/tests/security/certificates.h>
@@ -225,6 +227,36 @@ TEST_F(Tls, OneThatStopsInTheMiddleOfTheHandshakeIsCutOff) {
   EXPECT_TRUE(half.is_cut_off());
   server_.reset();
   EXPECT_EQ(refusals(options_.name, "slow"), 1u);
+}
+
+TEST_F(Tls, AFloodOfBrokenHandshakesIsCountedAndLoggedOnceAndOthersAreServed) {
+  constexpr std::uint64_t flood = 40;
+  serve();
+  const tests::CapturedLog log;
+  for (std::uint64_t i = 0; i < flood; ++i) {
+    RawClient client(server_->port());
+    client.send("GET / HTTP/1.1\r\n\r\n");
+    EXPECT_TRUE(client.is_cut_off());
+  }
+  EXPECT_TRUE(tests::eventually([&] { return refused() == flood; })) << refused();
+  const std::string said = log.text();
+  const auto first = said.find("is cut off");
+  ASSERT_NE(first, std::string::npos) << said;
+  EXPECT_EQ(said.find("is cut off", first + 1), std::string::npos) << said;
+  others_are_served();
+}
+
+TEST_F(Tls, AFloodOfHandshakesThatStopHalfwayTakesNobodysPlace) {
+  options_.max_connections = 8;
+  serve();
+  std::vector<std::unique_ptr<RawClient>> half;
+  for (int i = 0; i < 3 * options_.max_connections; ++i) {
+    half.push_back(std::make_unique<RawClient>(server_->port()));
+    half.back()->send(std::string("\x16\x03\x01\x02\x00\x01", 6));  // the beginning of a hello
+  }
+  const auto most = static_cast<std::uint64_t>(options_.max_connections);
+  EXPECT_TRUE(tests::eventually([&] { return refusals(options_.name, "connections") >= 2 * most; }));
+  EXPECT_TRUE(tests::eventually([&] { return error_of(client(ours_->of("operator"))).empty(); }));
 }
 
 TEST_F(Tls, AServerOfAnotherAuthorityIsNotSpokenWith) {
