@@ -37,6 +37,7 @@ TEST(HostileRecords, NestingThatWouldOverflowTheStackIsRefused) {
   constexpr int levels = 100'000;  // 200 KB
   const auto too_deep = AllOf(HasSubstr("/iot/x"), HasSubstr("levels"));
   EXPECT_THAT(refused(decode_order, deep(R"({"instance":"1","plugin":"p"})", levels)), too_deep);
+  EXPECT_THAT(refused(decode_removal, deep(R"({"instance":"1","given_ms":1})", levels)), too_deep);
   EXPECT_THAT(refused(decode_drain, deep("{}", levels)), too_deep);
   EXPECT_THAT(refused(decode_topology, deep(R"({"name":"t"})", levels)), too_deep);
   EXPECT_THAT(refused(decode_topology_order, deep(R"({"revision":1})", levels)), too_deep);

@@ -181,6 +181,24 @@ TEST_F(MasterBackup, WhatCannotBeReadIsRefusedAndNothingIsWritten) {
   EXPECT_THROW(decode_backup("{}", "b"), config::Error) << "it says no format";
 }
 
+TEST(BackupFile, NestingThatWouldOverflowTheStackIsRefused) {
+  const auto deep = [](const std::string& before, std::size_t levels) {
+    return before + R"("new":)" + std::string(levels, '[') + std::string(levels, ']');
+  };
+  const std::string file = R"({"format":1,)", order = R"({"instance":"a","plugin":"turtle.so",)";
+  const std::string gateway = file + R"("gateways":[{"gateway":"lab1","orders":[)" + order;
+  EXPECT_NO_THROW(decode_backup(deep(file, 10) + "}", "b")) << "a newer program may say more";
+  EXPECT_NO_THROW(decode_backup(deep(gateway, 10) + "}]}]}", "b"));
+  for (const std::string& text : {deep(file, 100'000) + "}", deep(gateway, 100'000) + "}]}]}"}) {
+    try {
+      decode_backup(text, "b");
+      ADD_FAILURE() << "it was read: " << text.substr(0, 100);
+    } catch (const config::Error& error) {
+      EXPECT_THAT(error.what(), testing::AllOf(HasSubstr("b: "), HasSubstr("levels")));
+    }
+  }
+}
+
 TEST(BackupFile, IsCutIntoPiecesThatHaveAllOfIt) {
   Backup backup;
   OrderRecord order;
