@@ -57,20 +57,27 @@ class DaemonTest : public ::testing::Test {
   }
   ~DaemonTest() override {
     if (daemon_ > 0) end_daemon(SIGKILL);
-    for (const int host : host_processes()) kill(host, SIGKILL);
+    for (const auto& folder : {folder_, folder_ / "twin"}) {
+      for (const int host : host_processes(folder)) kill(host, SIGKILL);
+    }
     fs::remove_all(folder_);
   }
 
   /// \param more lines of its configuration.
   void configure(const std::string& plugins, const std::string& more = "") const {
-    std::ofstream(folder_ / "gateway.yaml")
+    configure_in(folder_, plugins, more);
+  }
+  void configure_in(const fs::path& folder, const std::string& plugins, const std::string& more) const {
+    std::ofstream(folder / "gateway.yaml")
         << "id: gw\nregistry: \"" << zookeeper_.url() << "\"\nthrift: {port: 0}\nplugins: " << plugins
-        << "\nstate: " << (folder_ / "state").string() << "\nbrokers: {rabbitmq: {urls: [\"amqp://127.0.0.1:1/\"]}}\n"
+        << "\nstate: " << (folder / "state").string() << "\nbrokers: {rabbitmq: {urls: [\"amqp://127.0.0.1:1/\"]}}\n"
         << more;
   }
-  void start_daemon() {
+  void start_daemon() { start_daemon_in(folder_); }
+  /// Starts the one that is configured in the folder; it is daemon_ from now on.
+  void start_daemon_in(const fs::path& folder) {
     const std::string program = GATEWAY_PROGRAM;
-    const std::string config = folder_ / "gateway.yaml";
+    const std::string config = folder / "gateway.yaml";
     const char* argv[] = {program.c_str(), "--config", config.c_str(), nullptr};
     ASSERT_EQ(posix_spawn(&daemon_, program.c_str(), nullptr, nullptr, const_cast<char**>(argv), environ), 0);
   }
@@ -103,12 +110,13 @@ class DaemonTest : public ::testing::Test {
       return now && now->state == state;
     });
   }
-  std::vector<int> host_processes() const {
+  std::vector<int> host_processes() const { return host_processes(folder_); }
+  static std::vector<int> host_processes(const fs::path& folder) {
     std::vector<int> hosts;
     std::error_code none;
-    for (const auto& file : fs::directory_iterator(folder_ / "state", none)) {
+    for (const auto& file : fs::directory_iterator(folder / "state", none)) {
       if (file.path().extension() != ".sock") continue;
-      const int process = processes::peer_process(processes::connect_in(folder_ / "state", file.path().filename()));
+      const int process = processes::peer_process(processes::connect_in(folder / "state", file.path().filename()));
       if (process > 0) hosts.push_back(process);  // 0: it has ended
     }
     return hosts;
@@ -212,6 +220,45 @@ TEST_F(DaemonTest, AZooKeeperThatLostItsDiskStopsNothingAndIsFollowedWhenItIsAdo
   discovery::put(*registry_, paths_.orders("gw"_gateway), encode(discovery::Adoption{freeze.token, 1}));
   EXPECT_TRUE(eventually([&] { return !record(); })) << "that nothing is ordered is meant";
   EXPECT_TRUE(eventually([&] { return !registry_->get(mark); }));
+}
+
+TEST_F(DaemonTest, OneThatReturnsAfterAnotherGatewayTookItsPlaceEndsWithAnErrorAndItsHostsWithIt) {
+  const std::string quick = "registry.session_timeout: 1s\n";
+  configure(TEST_PLUGINS, quick);
+  start_daemon();
+  give(true);
+  ASSERT_TRUE(comes_to(DriverState::active));
+  const int host = host_process();
+  ASSERT_GT(host, 0);
+  const auto before = record();
+  const pid_t cut_off = daemon_;
+  kill(cut_off, SIGSTOP);
+  EXPECT_TRUE(eventually([&] { return alive_session() == 0; })) << "its session has not expired";
+
+  const fs::path twin = folder_ / "twin";
+  fs::create_directory(twin);
+  configure_in(twin, TEST_PLUGINS, quick);
+  start_daemon_in(twin);
+  EXPECT_TRUE(eventually([&] {
+    const auto now = record();
+    return now && now->state == DriverState::active && now->since_ms != before->since_ms;
+  }));
+  const auto hosts = host_processes(twin);
+  const auto session = alive_session();
+  EXPECT_EQ(hosts.size(), 1U);
+  EXPECT_EQ(kill(host, 0), 0) << "nobody has fenced it yet: its gateway stands still";
+
+  kill(cut_off, SIGCONT);
+  int status = 0;
+  EXPECT_EQ(waitpid(cut_off, &status, 0), cut_off);
+  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 1) << status;
+  EXPECT_TRUE(eventually([&] { return kill(host, 0) != 0; }));
+
+  EXPECT_EQ(alive_session(), session) << "the other one has the place as before";
+  EXPECT_EQ(host_processes(twin), hosts);
+  EXPECT_EQ(record()->state, DriverState::active);
+  give(false);
+  EXPECT_TRUE(comes_to(DriverState::inactive)) << "and follows orders";
 }
 
 TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {
