@@ -2,6 +2,7 @@
 #include <atomic>
 #include <condition_variable>
 #include <cstdlib>
+#include <functional>
 #include <mutex>
 #include <regex>
 #include <thread>
@@ -334,7 +335,13 @@ TEST_F(Endpoints, DropAChannelWhenItsDriverGoes) {
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
 }
 
-TEST_F(Endpoints, ReadWhatADriverSentBeforeItWentToItsEnd) {
+class EndpointsOfADriverThatGoes : public Endpoints {
+ protected:
+  /// The driver "one" goes while most of what it sent is still at the broker.
+  void read_to_its_end(const std::function<void()>& go);
+};
+
+void EndpointsOfADriverThatGoes::read_to_its_end(const std::function<void()>& go) {
   run("{prefetchCount: 10}");
   show_driver("one");
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
@@ -343,13 +350,21 @@ TEST_F(Endpoints, ReadWhatADriverSentBeforeItWentToItsEnd) {
   for (int i = 0; i < 200; ++i) publisher->publish(message(std::to_string(i), "one"));
   ASSERT_TRUE(publisher->drain(tests::patience));  // the broker has confirmed all
   ASSERT_TRUE(Gate::wait_for_one());
-  discovery::remove_tree(*registry_, paths_.instance("d"_driver, "one"_instance));
+  go();
   show_driver("two");
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2; })) << "the first is still read";
   Gate::set(true);
   EXPECT_TRUE(eventually(
       [&] { return brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t") == 0; }));
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; })) << "only the other driver is read";
+}
+
+TEST_F(EndpointsOfADriverThatGoes, ReadWhatItSentBeforeItWasUndeployed) {
+  read_to_its_end([&] { discovery::remove_tree(*registry_, paths_.instance("d"_driver, "one"_instance)); });
+}
+
+TEST_F(EndpointsOfADriverThatGoes, ReadWhatItSentBeforeItWasStopped) {
+  read_to_its_end([&] { show_driver("one", "rabbitmq", discovery::DriverState::inactive); });
 }
 
 TEST_F(Endpoints, LeaveNoQueueOfADriverThatIsUndeployedAndThatOfOneThatIsStopped) {
