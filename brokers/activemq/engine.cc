@@ -67,14 +67,15 @@ std::string describe(pn_condition_t* condition) {
   return text;
 }
 
-bool may_pass(pn_condition_t* condition) {
+bool is_final(pn_condition_t* condition) {
   if (condition == nullptr || !pn_condition_is_set(condition)) return false;
-  // The server reports "failed" if its store or another broker failed.
-  constexpr std::array passing{
-      "amqp:unauthorized-access", "amqp:not-found",        "amqp:not-allowed", "amqp:resource-limit-exceeded",
-      "amqp:resource-locked",     "amqp:resource-deleted", "failed",           "amqp:connection:forced"};
+  // ActiveMQ closes the connection with the first one for a message that it cannot read or that is too large, and
+  // rejects a message with "failed" whatever went wrong with it: its store, a permission, another server. The others
+  // are those of AMQP 1.0 (2.8.15 to 2.8.18) for what is malformed or too large.
+  constexpr std::array never{"amqp:decode-error", "amqp:invalid-field", "amqp:frame-size-too-small",
+                             "amqp:connection:framing-error", "amqp:link:message-size-exceeded"};
   const std::string_view name = pn_condition_get_name(condition);
-  return std::find(passing.begin(), passing.end(), name) != passing.end();
+  return std::find(never.begin(), never.end(), name) != never.end();
 }
 
 void Engine::AddressesFreer::operator()(addrinfo* list) const {

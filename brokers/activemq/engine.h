@@ -71,9 +71,10 @@ class Engine {
 
 /// The text of an error; "the server closed it" if it has none.
 std::string describe(pn_condition_t* condition);
-/// Whether the server may accept later what it refused for this reason: a missing permission, a reached limit, a server
-/// that is stopping.
-bool may_pass(pn_condition_t* condition);
+/// Whether the server will never accept a message that it refused for this reason: it is malformed, or too large. All
+/// other reasons, also unknown ones and none, may pass: a missing permission, a reached limit, a disk that is full, a
+/// server that is stopping.
+bool is_final(pn_condition_t* condition);
 
 /// Sends a message; its body may be empty. \return the delivery, which gets its outcome later
 pn_delivery_t* send_message(pn_link_t* sender, std::uint64_t tag, std::string_view head, std::string_view body);

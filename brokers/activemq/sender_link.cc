@@ -230,11 +230,11 @@ void SenderLink::on_outcome(pn_delivery_t* delivery, std::uint64_t outcome) {
   } else if (outcome == PN_REJECTED) {
     pn_condition_t* const condition = pn_disposition_condition(pn_delivery_remote(delivery));
     const std::string why = describe(condition);
-    if (may_pass(condition)) {
-      core_.refused_for_now(*message, why);
-    } else {
+    if (is_final(condition)) {
       logger.error("the server rejected a message for {}: {}", message->outbox->topic.name, why);
       core_.refused(*message, why);
+    } else {
+      core_.refused_for_now(*message, why);
     }
   } else {
     core_.put_off(*message);

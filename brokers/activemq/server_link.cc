@@ -244,7 +244,7 @@ void ServerLink::handle(pn_event_t* event) {
 void ServerLink::on_remote_close() {
   pn_condition_t* const condition = pn_connection_remote_condition(engine_->connection());
   const std::string why = describe(condition);
-  blamed_ = pn_condition_is_set(condition) && !may_pass(condition);
+  blamed_ = is_final(condition);
   pn_connection_close(engine_->connection());
   engine_->send();
   lost(why);
@@ -262,7 +262,7 @@ void ServerLink::on_link_remote_close(pn_link_t* link) {
   pn_condition_t* const condition = pn_link_remote_condition(link);
   const std::string why = describe(condition);
   if (link == sender_ || link == answers_) {
-    blamed_ = link == sender_ && !may_pass(condition);
+    blamed_ = link == sender_ && is_final(condition);
     return abandon(why);
   }
   on_receiver_closed(link, why);
