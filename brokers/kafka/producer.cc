@@ -18,6 +18,7 @@ namespace {
 using std::chrono::milliseconds;
 
 constexpr std::chrono::seconds end_limit{2};  // how long the library may take to give back its messages
+constexpr milliseconds void_look_pause{100};
 
 Settings producer_settings() {
   return {
@@ -288,6 +289,7 @@ void Producer::run() {
     serve_events();
     if (client_) look_for_servers();
     if (client_ && broken_) end_client(last_error_);
+    if (client_) look_for_void();
     if (client_) look_for_renewal();
     const Instant now = clock_.now();
     if (send_again_at_ != Instant{} && send_again_at_ <= now) send_again_at_ = {};
@@ -365,6 +367,25 @@ void Producer::end_client(const std::string& reason) {
   // Messages that the library did not report in time: they are no longer under way, because the client has ended.
   for (const UnderWay& message : core_.under_way()) --lane_of(*message.outbox).under_way;
   core_.connection_lost(false);
+}
+
+/// Takes back what the library has and has not stored yet when some of it became void (PublisherOptions::void_before):
+/// the process stood still, or lost its place, and the library would send it as soon as it can. What is not void is
+/// sent again by another client.
+void Producer::look_for_void() {
+  const Instant now = clock_.now();
+  if (now < next_void_look_) return;
+  next_void_look_ = now + void_look_pause;
+  const auto is_void = [](const UnderWay& message) {
+    const auto& void_before = message.outbox->options.void_before;
+    return void_before && !message.outbox->closed && message.accepted.accepted_at < void_before();
+  };
+  const auto& under_way = core_.under_way();
+  if (std::none_of(under_way.begin(), under_way.end(), is_void)) return;
+  logger.warn(
+      "messages that librdkafka has not delivered are void by now: they are taken back, and another producer goes on");
+  broken_ = true;
+  end_client("");
 }
 
 void Producer::lose_connection() {

@@ -80,6 +80,7 @@ class Producer final : client::PublishTransport {
   void end_client(const std::string& reason) IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_servers() IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_renewal() IOTCLOUD_REQUIRES(core_.mutex);
+  void look_for_void() IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_topics() IOTCLOUD_REQUIRES(core_.mutex);
   void serve_events() IOTCLOUD_REQUIRES(core_.mutex);
   void on_event(rd_kafka_event_t* event) IOTCLOUD_REQUIRES(core_.mutex);
@@ -131,6 +132,8 @@ class Producer final : client::PublishTransport {
   Instant next_attempt_ IOTCLOUD_GUARDED_BY(core_.mutex){};
   Backoff client_backoff_ IOTCLOUD_GUARDED_BY(core_.mutex){std::chrono::milliseconds(20),
                                                            std::chrono::milliseconds(5000)};
+
+  Instant next_void_look_ IOTCLOUD_GUARDED_BY(core_.mutex){};  ///< see look_for_void()
 
   /// A client with renewed files waits until the present one's messages are answered, but not longer. Zero: none waits.
   Instant renew_by_ IOTCLOUD_GUARDED_BY(core_.mutex){};

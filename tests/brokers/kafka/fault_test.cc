@@ -1,4 +1,5 @@
 // Faults that only librdkafka's mock cluster makes on demand.
+#include <atomic>
 #include <memory>
 #include <set>
 #include <string>
@@ -10,6 +11,7 @@
 #include <librdkafka/rdkafka_mock.h>
 
 #include "iotcloud/tests/brokers/contract_fixture.h"
+#include <iotcloud/config/clock.h>
 
 namespace iotcloud::brokers {
 namespace {
@@ -92,6 +94,33 @@ TEST_F(KafkaFault, ErrorsThatPassAreNotSeenAndNothingIsLost) {
     return arrived.size() >= 201;
   }));
   EXPECT_THAT(arrived, testing::UnorderedElementsAreArray(numbered(0, 200)));
+}
+
+TEST_F(KafkaFault, WhatTheLibraryHasWhenItBecomesVoidIsNotSentAnyMore) {
+  const auto broker = this->broker();
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  std::atomic<config::Clock::Instant> void_before{config::Clock::Instant::min()};
+  PublisherOptions options;
+  Outcomes outcomes;
+  options.on_outcome = outcomes.callback();
+  options.void_before = [&] { return void_before.load(); };
+  const auto publisher = broker->publisher(topic(), options);
+  publisher->publish(text_message("before"));
+  ASSERT_TRUE(publisher->drain(patience));
+  fail_next(produce_request, std::vector<rd_kafka_resp_err_t>(10'000, RD_KAFKA_RESP_ERR_NOT_ENOUGH_REPLICAS));
+  publisher->publish(text_message("void"));
+  EXPECT_FALSE(publisher->drain(moment)) << "the library has it, and tries it again and again";
+  void_before = config::system_clock().now();
+  publisher->publish(text_message("after"));
+  EXPECT_TRUE(outcomes.wait_for(2)) << "it is given up while no server takes anything";
+  rd_kafka_mock_clear_request_errors(cluster(), produce_request);
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes.of(2), Outcome::dropped);
+  EXPECT_EQ(outcomes.reason(2), "fenced");
+  EXPECT_EQ(outcomes.of(3), Outcome::confirmed);
+  ASSERT_TRUE(inbox.wait_for_last("after"));
+  EXPECT_EQ(firsts(inbox), (std::vector<std::string>{"before", "after"}));
 }
 
 /// Publishes "1..." and "2". The first one is so large that each gets a request of its own, and both requests are under
