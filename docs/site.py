@@ -3,10 +3,15 @@
 
 usage: site.py API_DIR OUTPUT_DIR      (./dev docs; API_DIR: Doxygen's pages)
 
+A browser that reads the pages from a disk lets them fetch nothing and start no worker from a file, so that MkDocs' search stands
+still there; search/from_disk.js then has index and worker in itself.
+
 MkDocs wants its pages in one folder: they are copied with the files that they link. A link to a folder leads to its README,
-and is plain text if it has none. A page that cannot be made, or a link that MkDocs cannot follow, is an error.
+and is plain text if it has none. A page that cannot be made is an error, and so is a link that leads nowhere or out of the site,
+which may be installed anywhere.
 """
 
+import json
 import re
 import shutil
 import subprocess
@@ -15,6 +20,8 @@ import tempfile
 from pathlib import Path
 
 import yaml
+
+import links
 
 ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
@@ -30,8 +37,19 @@ SETTINGS = {
     "theme": {"name": "material", "font": False, "features": ["navigation.tabs", "navigation.top", "search.suggest",
                                                               "search.highlight"]},
     "plugins": ["search"],
+    "extra": {"homepage": "index.html"},  # else the logo leads to a folder, which a browser does not open from a disk
     "markdown_extensions": ["tables", "fenced_code", "admonition", {"toc": {"permalink": True}}],
 }
+
+# A template that is put over the theme's.
+TEMPLATE = """{% extends "base.html" %}
+{% block libs %}
+  {{ super() }}
+  <script>
+    if (location.protocol === "file:") document.write('<script src="{{ "search/from_disk.js" | url }}"><\\/script>')
+  </script>
+{% endblock %}
+"""
 
 
 def documents():
@@ -86,6 +104,16 @@ def navigation(pages):
     return [*tabs, {"Rooms": rest}, {"Headers": "api/index.html"}]
 
 
+def write_search_from_disk(site):
+    """The variable that the theme's script asks for, with the search's index and the address of its worker."""
+    [worker] = (site / "assets/javascripts/workers").glob("search.*.js")
+    source = json.dumps(worker.read_text(encoding="utf-8"))
+    index = (site / "search/search_index.json").read_text(encoding="utf-8")
+    (site / "search/from_disk.js").write_text(
+        f"var __search = {{index: Promise.resolve({index}),\n"
+        f'worker: URL.createObjectURL(new Blob([{source}], {{type: "text/javascript"}}))}};\n', encoding="utf-8")
+
+
 def main():
     if len(sys.argv) != 3:
         sys.exit(__doc__)
@@ -97,13 +125,19 @@ def main():
         pages = write_pages(pages_folder)
         (pages_folder / "api").mkdir()
         shutil.copytree(reference, pages_folder / "api", dirs_exist_ok=True)
-        settings = {**SETTINGS, "docs_dir": str(pages_folder), "site_dir": str(output), "nav": navigation(pages)}
+        templates = Path(folder) / "templates"
+        templates.mkdir()
+        (templates / "main.html").write_text(TEMPLATE)
+        theme = {**SETTINGS["theme"], "custom_dir": str(templates)}
+        settings = {**SETTINGS, "theme": theme, "docs_dir": str(pages_folder), "site_dir": str(output), "nav": navigation(pages)}
         (Path(folder) / "mkdocs.yml").write_text(yaml.safe_dump(settings))
         done = subprocess.run(["mkdocs", "build", "--quiet", "--config-file", Path(folder) / "mkdocs.yml"],
                               capture_output=True, text=True)
     if done.returncode:
         sys.exit(done.stdout + done.stderr)
-    print(f"{len(pages)} pages and the reference of the headers are in {output}/index.html")
+    write_search_from_disk(output)
+    count = links.check(output)
+    print(f"{len(pages)} pages and the reference of the headers are in {output}/index.html; all of {count} links lead somewhere")
 
 
 if __name__ == "__main__":

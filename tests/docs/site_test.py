@@ -31,6 +31,19 @@ class Site(unittest.TestCase):
         found = {entry["location"].split("#")[0] for entry in index["docs"] if "window.idle_source" in entry["text"]}
         self.assertIn("topology/windows/index.html", found)
 
+    def test_the_search_needs_no_server(self):
+        self.assertIn('src="../search/from_disk.js"', (self.site / "docs/guide.html").read_text())
+        script = (self.site / "search/from_disk.js").read_text()
+        begin = "var __search = {index: Promise.resolve("
+        self.assertTrue(script.startswith(begin), script[:100])
+        index, _ = json.JSONDecoder().raw_decode(script, len(begin))
+        self.assertEqual(index, json.loads((self.site / "search/search_index.json").read_text()))
+        [worker] = (self.site / "assets/javascripts/workers").glob("search.*.js")
+        self.assertIn(json.dumps(worker.read_text()), script)
+
+    def test_the_logo_leads_to_a_page_and_not_to_a_folder(self):
+        self.assertIn('href="../index.html" title="IoTCloud"', (self.site / "docs/guide.html").read_text())
+
     def test_links_to_sources_and_to_folders_lead_somewhere(self):
         self.assertTrue((self.site / "tests/external/project/thermostat.cc").is_file())
         self.assertIn('href="topology/index.html"', (self.site / "index.html").read_text())
