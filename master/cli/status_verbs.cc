@@ -136,6 +136,10 @@ class Status final : public WatchedVerb {
       const auto workers = topology.workers.size();
       names.push_back(fmt::format("{} ({} worker{})", topology.record.name, workers, workers == 1 ? "" : "s"));
       Json trouble = Json::array();
+      if (workers == 0) {
+        trouble.push_back("no worker runs");
+        troubles.push_back(fmt::format("{}: no worker runs", topology.record.name));
+      }
       for (const auto& worker : topology.workers) {
         if (worker.trouble.empty()) continue;
         trouble.push_back(worker.trouble);
@@ -148,7 +152,8 @@ class Status final : public WatchedVerb {
     };
     json.update({{"gateways", {{"ready", ready}, {"lost", lost}, {"frozen", frozen}}},
                  {"drivers", drivers},
-                 {"topologies", list}});
+                 {"topologies", list},
+                 {"trouble", troubles}});
     print(call.out, call.format, head,
           {{"registry", "connected"},
            {"gateways",

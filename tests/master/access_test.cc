@@ -248,13 +248,15 @@ TEST_F(Access, AViewerReadsAndChangesNothing) {
   EXPECT_THROW(client.listOrders(orders), wire::TMasterError);
   std::string backup;
   EXPECT_THROW(client.exportOrders(backup), wire::TMasterError);
+  discovery::wire::TChannelLook look;
+  EXPECT_THROW(client.handMessage(look, "lab1", {}), wire::TMasterError);
   TResponse answer;
   client.unDeployAllSensor(answer, "x");
   EXPECT_EQ(answer.state, TResponseState::FAILURE);
   EXPECT_EQ(gateway_.orders_seen(), 0);
-  EXPECT_EQ(refused("role"), before + 9);
+  EXPECT_EQ(refused("role"), before + 10);
   const auto lines = audit();
-  ASSERT_THAT(lines, SizeIs(9));
+  ASSERT_THAT(lines, SizeIs(10));
   EXPECT_EQ(lines[0]["who"], "vera");
   EXPECT_EQ(lines[0]["order"], "deploy");
 }

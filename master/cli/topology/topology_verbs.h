@@ -10,6 +10,7 @@
 namespace iotcloud::master::cli {
 
 /// A topology's state: "active", "inactive", "killed", "draining"; "mixed" while its workers are in different states.
+/// One without a worker is "no worker", or as it was ordered to be: "inactive", "killed".
 std::string topology_state(const discovery::TopologyStatus& topology);
 /// The revision of the last order to a topology; 0: there is no order.
 std::int64_t revision_of(const discovery::TopologyStatus& topology);

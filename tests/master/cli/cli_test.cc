@@ -489,6 +489,29 @@ TEST_F(Cli, ATopologyIsListedWithItsStateAndOrderedToChange) {
   EXPECT_THAT(refused.err, HasSubstr("serves no pages"));
 }
 
+TEST_F(Cli, ATopologyWithoutAWorkerIsNotShownAsActive) {
+  const discovery::Paths paths;
+  auto& registry = master->registry();
+  discovery::TopologyRecord record;
+  record.name = "echo"_topology;
+  discovery::put(registry, paths.topology("echo"_topology), encode(record));
+  discovery::WorkerRecord worker;
+  worker.name = "w1";
+  worker.state = "active";
+  auto node = registry.hold(paths.workers("echo"_topology) + "/w1", encode(worker));
+  ASSERT_EQ(run_json({"topology", "list"})[0]["state"], "active");
+
+  node.reset();  // its only worker died
+  ASSERT_TRUE(test::eventually([&] { return (*master)->topologies().at(0).workers.empty(); }));
+  EXPECT_EQ(run_json({"topology", "list"})[0]["state"], "no worker");
+  EXPECT_EQ(run_json({"topologies"})[0]["state"], "no worker");
+  const auto shown = run({"topology", "show", "echo"});
+  EXPECT_EQ(shown.status, 1);
+  EXPECT_THAT(shown.out, HasSubstr("echo: no worker, 0 workers"));
+  EXPECT_THAT(shown.err, HasSubstr("no worker of topology echo runs"));
+  EXPECT_THAT(run({"status"}).out, AllOf(HasSubstr("echo (0 workers)"), HasSubstr("echo: no worker runs")));
+}
+
 TEST_F(Cli, WhatOthersWroteCannotSteerTheTerminal) {
   FakeGateway gateway(url, "lab1", FakeGateway::fail("\x1b[2Jgone\nnext"));
   const auto done = run({"deploy", "turtle.so", "--all"});

@@ -23,6 +23,19 @@ using testing::Not;
 
 constexpr const char* page = R"({"topology": "echo", "worker": "w1", "active": true, "components":
   [{"id": "in", "kind": "spout", "parallelism": 3, "tasks": 4, "inputs": [], "streams": {"default": ["f"]}}], "tasks": []})";
+/// The same with a task that has emitted so many tuples.
+std::string page_after(int emitted) {
+  constexpr const char* latency = R"({"count": 0, "p50_us": 0, "p99_us": 0, "max_us": 0})";
+  auto text = nlohmann::json::parse(page);
+  auto& task = text["tasks"].emplace_back(
+      nlohmann::json{{"component", "in"}, {"task", 1}, {"capacity", 0.5}, {"last_error", ""}});
+  for (const char* count : {"transferred", "executed", "acked", "failed", "timed_out", "late", "superseded", "errors",
+                            "queue_depth", "pending"})
+    task[count] = 0;
+  for (const char* name : {"execute", "process", "complete"}) task[name] = nlohmann::json::parse(latency);
+  task["emitted"] = emitted;
+  return text.dump();
+}
 constexpr const char* samples = R"({"samples": [{"time_ms": 5, "task": 7, "source": "in", "stream": "default",
   "fields": {"f": "far away"}}], "missed": 0})";
 
@@ -40,6 +53,8 @@ class CliOfAFarWorker : public Cli {
                    std::map<std::string, rpc::HttpHandler>{
                        {"/topology",
                         [this](const auto&) {
+                          if (growth_ > 0)
+                            return rpc::HttpAnswer{200, "application/json", page_after(emitted_ += growth_)};
                           return rpc::HttpAnswer{200, "application/json", page + std::string(padding_, ' ')};
                         }},
                        {"/tap", answers(samples)},
@@ -87,6 +102,8 @@ class CliOfAFarWorker : public Cli {
   const std::string token_;
   std::atomic<bool> well_ = true;
   std::atomic<std::size_t> padding_ = 0;  ///< bytes that follow the page
+  std::atomic<int> growth_ = 0;           ///< tuples that its task emits from one look at its page to the next
+  std::atomic<int> emitted_ = 0;
   std::optional<rpc::HttpServer> pages_;
   std::string port_;  ///< ":12345"
   discovery::WorkerRecord worker_;
@@ -100,6 +117,20 @@ TEST_F(CliOfAFarWorker, ShowsMetersAndTapsItByWayOfTheMaster) {
   const auto tapped = run({"topology", "tap", "echo", "in", "--count", "1"});
   EXPECT_EQ(tapped.status, 0) << tapped.err;
   EXPECT_THAT(tapped.out, AllOf(HasSubstr("task 7 in/default"), HasSubstr("far away")));
+}
+
+TEST_F(CliOfAFarWorker, RatesSayHowFastACounterGrows) {
+  growth_ = 50;
+  show_worker();
+  const auto sum = [](const nlohmann::json& metrics) { return metrics["components"][0]["sum"]; };
+  EXPECT_FALSE(sum(run_json({"topology", "metrics", "echo"})).contains("rate")) << "one look shows no rate";
+  const auto rated = sum(run_json({"topology", "metrics", "echo", "--rates"}));
+  EXPECT_EQ(rated["emitted"], 150) << "the third look";
+  EXPECT_GT(rated["rate"]["emitted"], 0);
+  EXPECT_LE(rated["rate"]["emitted"], 50) << "it grew by 50 in a second or more";
+  EXPECT_EQ(rated["rate"]["executed"], 0);
+  EXPECT_THAT(run({"topology", "metrics", "echo", "--rates"}).out,
+              AllOf(HasSubstr("EMITS/S"), testing::ContainsRegex("in +all +[1-9][0-9]*\\.[0-9] +0\\.0 +250 ")));
 }
 
 TEST_F(CliOfAFarWorker, SaysHowAWorkerIsMadeToBeSeenFromElsewhere) {
