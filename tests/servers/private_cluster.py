@@ -129,6 +129,16 @@ class Children:
             raise StartError(f"{kind} did not start: {answer or 'no answer'}; see {self.log(kind)}")
         return answer.removeprefix("READY ")
 
+    def tell(self, name, command):
+        """Gives a server's script a command ("kill", "start", ...), and returns its answer."""
+        child = dict(self.children)[name]
+        child.stdin.write(command + "\n")
+        child.stdin.flush()
+        answer = child.stdout.readline().strip()
+        if not answer or answer.startswith("ERROR"):
+            raise StartError(f"{name}: {command}: {answer or 'no answer'}; see {self.log(name)}")
+        return answer
+
     def descendants(self):
         """Ids of the children's processes, their children and so on."""
         found = [child.pid for _, child in self.children]
