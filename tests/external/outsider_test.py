@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """An outsider's driver and bolts: installs the SDK, builds a project that sees nothing else, runs its tests, deploys and
 runs it. It is the project that docs/driver-sdk.md and docs/topology-sdk.md print (tests/house compares the two). The
-project that the top README prints is built, too.
+project that the top README prints is built, too. A driver and a component library with an undefined symbol are not.
 
 usage: outsider_test.py BUILD_DIR   (exit status 0: every reading that was answered was answered rightly)
 """
@@ -19,6 +19,7 @@ sys.path.insert(0, str(HERE.parent / "servers"))
 from private_cluster import PrivateCluster  # noqa: E402
 
 ANSWERS = 100
+README = HERE.parent.parent / "README.md"
 
 
 def run(*command):
@@ -32,15 +33,43 @@ def build(source, folder, prefix):
     run("cmake", "--build", folder)
 
 
+def write_readmes_cmake(folder):
+    [cmake] = re.findall(r"```cmake\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    (folder / "CMakeLists.txt").write_text("cmake_minimum_required(VERSION 3.25)\nproject(readme CXX)\n" + cmake)
+
+
+def check_undefined_symbol(folder, prefix):
+    """A plugin that calls what nothing defines is refused by the linker, which names the symbol."""
+    folder.mkdir()
+    (folder / "thermometer.cc").write_text("""#include <iotcloud/drivers/plugin.h>
+namespace weather { double calibrated(double reading); }  // its source was forgotten
+class Thermometer : public iotcloud::drivers::Driver {
+ public:
+  std::vector<iotcloud::drivers::ChannelSpec> channels(const iotcloud::drivers::PropertyMap&) override { return {}; }
+  void open(iotcloud::drivers::DriverContext&) override { weather::calibrated(21.5); }
+};
+IOTCLOUD_DRIVER(Thermometer, "thermometer", "1.0")
+""")
+    (folder / "thermostat.cc").write_text("""#include <iotcloud/topology/plugin.h>
+namespace weather { double limit(); }
+IOTCLOUD_TOPOLOGY_LIBRARY(registry) { static_cast<void>(registry); weather::limit(); }
+""")
+    write_readmes_cmake(folder)
+    run("cmake", "-S", folder, "-B", folder / "build", "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}")
+    for target, symbol in (("thermometer", "weather::calibrated(double)"), ("thermostat", "weather::limit()")):
+        done = subprocess.run(["cmake", "--build", folder / "build", "--target", target], capture_output=True, text=True)
+        said = done.stdout + done.stderr
+        if done.returncode == 0 or "undefined reference to" not in said or symbol not in said:
+            sys.exit(f"{target}.so that needs {symbol} is not refused by the linker: status {done.returncode}\n{said}")
+
+
 def write_readmes_project(folder):
     """The README's blocks, in the order in which it has them."""
-    readme = (HERE.parent.parent / "README.md").read_text(encoding="utf-8")
-    driver, bolt = re.findall(r"```cpp\n(.*?)```", readme, re.DOTALL)
-    [cmake] = re.findall(r"```cmake\n(.*?)```", readme, re.DOTALL)
+    driver, bolt = re.findall(r"```cpp\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
     folder.mkdir()
     (folder / "thermometer.cc").write_text(driver)
     (folder / "thermostat.cc").write_text(bolt)
-    (folder / "CMakeLists.txt").write_text("cmake_minimum_required(VERSION 3.25)\nproject(readme CXX)\n" + cmake)
+    write_readmes_cmake(folder)
 
 
 def wait_for(what, condition, limit=30):
@@ -62,6 +91,7 @@ def main():
     run("ctest", "--test-dir", project, "--output-on-failure", "--no-tests=error")
     write_readmes_project(work / "readme")
     build(work / "readme", work / "readme-build", prefix)
+    check_undefined_symbol(work / "undefined", prefix)
 
     log = work / "orders.log"
     with PrivateCluster(work / "cluster", prefix / "bin", project / "plugins") as cluster:
