@@ -164,6 +164,12 @@ def check_roles(cluster, instances):
         done = cluster.run_as("vera", verb, instances[0])
         require(done.returncode == 1, done)
         refused(f"vera says {verb}", done.stderr, f"vera is viewer, and {verb} takes operator")
+    by_hand = ["channel", "publish", instances[0], "echo", "by hand"]
+    done = cluster.run_as("otto", *by_hand)
+    require(done.returncode == 0 and "its driver has handled" in done.stdout, f"an operator may not publish: {done}")
+    done = cluster.run_as("vera", *by_hand)
+    require(done.returncode == 1, done)
+    refused("vera says channel publish", done.stderr, "vera is viewer, and handMessage takes operator")
     (cluster.out / "nobody.token").write_text("nobody.0123456789\n")
     done = cluster.run_as("nobody", "drivers")
     require(done.returncode != 0, done)
@@ -282,6 +288,11 @@ def check_audit(cluster):
             require(not told(who=who, order=order, refused=False), f"{who} may {order}")
     require(told(who="otto", order="stop", refused=False) and told(who="vera", order="stop", refused=True),
             "the audit log does not say who stopped")
+    by_hand = told(who="otto", role="operator", order="handMessage", event="ended", refused=False)
+    require(len(by_hand) == 1 and by_hand[0]["outcome"] == "done" and "7 bytes for channel echo of" in by_hand[0]["what"],
+            f"the audit log does not say what otto published: {by_hand}")
+    require(told(who="vera", order="handMessage", refused=True) and not told(who="vera", order="handMessage", refused=False),
+            "the audit log does not say that vera may not publish")
     require(told(who="", order="authenticate", refused=True), "the audit log does not say nobody's token")
     require(all(line["certificate"] for line in lines), "the audit log does not name the certificates")
     print("the audit log:")
