@@ -132,7 +132,7 @@ bolts:
         require(all(one["gateway"] != "gateway-9" for one in self.system.json("gateways")), "a ghost is registered")
 
     def broker_away(self):
-        self.system.order_of_broker("kill")
+        self.system.tell("rabbitmq", "kill")
         begun = time.monotonic()
         shown = []
 
@@ -145,7 +145,7 @@ bolts:
         self.told("broker away", time.monotonic() - begun, shown[0].strip(), "gateway gateway-1", "the broker rabbitmq",
                   "is away since")
         require(re.search("Z: (the connection broke|nobody listens at 127.0.0.1)", shown[0]), f"no reason: {shown[0]}")
-        self.system.order_of_broker("start")
+        self.system.tell("rabbitmq", "start")
 
     def wrong_channel(self):
         self.run("wrong channel", self.system.command("channel", "echo", self.instance, "dta"), "no channel", '"dta"',
@@ -194,21 +194,12 @@ bolts:
                  lambda: any(one.get("name", "").startswith("late") and one["state"] == "active" for one in self.system.json("drivers")))
 
 
-class System(PrivateCluster):
-    def order_of_broker(self, word):
-        broker = dict(self.children)["rabbitmq"]
-        broker.stdin.write(word + "\n")
-        broker.stdin.flush()
-        answer = broker.stdout.readline().strip()
-        require(not answer.startswith("ERROR"), answer)
-
-
 def main():
     build = Path(sys.argv[1]).resolve()
     limit = float(sys.argv[2]) if len(sys.argv) > 2 else math.inf
     work = build / "ten-mistakes-test"
     shutil.rmtree(work, ignore_errors=True)
-    with System(work, build / "bin", build / "plugins") as system:
+    with PrivateCluster(work, build / "bin", build / "plugins") as system:
         system.start(gateways=1)
         system.wait_until_ready()
         mistakes = Mistakes(system, build, work, limit)
