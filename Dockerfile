@@ -33,16 +33,17 @@ RUN cmake --preset release -DBUILD_TESTING=OFF -DIOTCLOUD_BENCHMARKS=ON -DIOTCLO
 FROM ${BINARIES} AS binaries
 
 # Debian's Thrift brings Qt and ICU, 60 MB that no program of this project uses. So only the linked libraries are
-# copied, and those that SASL loads.
+# copied, those that SASL loads, and those that component libraries with state link (topology/state): no program here does.
 FROM ${BASE} AS libraries
 RUN find /usr/lib/*-linux-gnu -maxdepth 1 -name '*.so*' | sort >/before
 RUN apt-get update && apt-get install -y --no-install-recommends \
-      libboost-regex1.74.0 libfmt9 libfreenect0.5 libpng16-16 libprometheus-cpp-core1.0 libqpid-proton11 librabbitmq4 librdkafka1 \
-      librosconsole3d libroscpp4d libroscpp-serialization0d librostime1d libsasl2-modules libseccomp2 libsnappy1v5 \
+      libboost-regex1.74.0 libfmt9 libfreenect0.5 libhiredis0.14 libpng16-16 libprometheus-cpp-core1.0 libqpid-proton11 librabbitmq4 librdkafka1 \
+      librocksdb7.8 librosconsole3d libroscpp4d libroscpp-serialization0d librostime1d libsasl2-modules libseccomp2 libsnappy1v5 \
       libspdlog1.10 libssl3 libstdc++6 libsystemd0 libthrift-0.17.0 libyaml-cpp0.7 libzookeeper-mt2 stunnel4 zlib1g
 COPY --from=binaries /out /out
-RUN mkdir /needed \
- && ldd /out/bin/* /out/lib/iotcloud/*/* /usr/bin/stunnel4 | awk '/=> \// {sub("^/lib", "/usr/lib", $3); print $3}' | sort -u \
+RUN mkdir /needed && stores=$(ls /usr/lib/*-linux-gnu/librocksdb.so.7.8 /usr/lib/*-linux-gnu/libhiredis.so.0.14) \
+ && { ldd /out/bin/* /out/lib/iotcloud/*/* /usr/bin/stunnel4 ${stores} \
+    | awk '/=> \// {sub("^/lib", "/usr/lib", $3); print $3}' && printf '%s\n' ${stores}; } | sort -u \
   | comm -23 - /before | xargs -r cp -L --parents -t /needed \
  && cp -r --parents /usr/lib/*-linux-gnu/sasl2 /usr/bin/stunnel4 /needed
 
@@ -58,7 +59,9 @@ COPY --from=binaries /out/lib/iotcloud/plugins /usr/lib/iotcloud/plugins
 COPY deploy/cluster/healthz /usr/bin/iotcloud-healthz
 COPY deploy/cluster/with-registry-tunnel /usr/bin/iotcloud-with-registry-tunnel
 # Checks that every linked library exists.
-RUN ldconfig && ! ldd /usr/bin/iotcloud* /usr/bin/stunnel4 /usr/lib/iotcloud/plugins/* | grep 'not found'
+RUN ldconfig \
+ && ! ldd /usr/bin/iotcloud* /usr/bin/stunnel4 /usr/lib/iotcloud/plugins/* \
+      /usr/lib/*-linux-gnu/librocksdb.so.7.8 /usr/lib/*-linux-gnu/libhiredis.so.0.14 | grep 'not found'
 USER iotcloud
 WORKDIR /var/lib/iotcloud
 

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""The container image has every program and plugin that an installation has, and its stage `build` installs what `./dev`
-installs to compile them.
+"""The container image has every program and plugin that an installation has, and the libraries that component libraries of
+users need; its stage `build` installs what `./dev` installs to compile them.
 
 usage: programs_test.py
 """
@@ -37,6 +37,21 @@ class Image(unittest.TestCase):
         stage = words_of(self.dockerfile, r"AS build\n.*?--no-install-recommends((?:[^\n]*\\\n)*[^\n]*)\n")
         needed = words_of(self.dev, r"\nbuild_packages=\(([^)]*)\)") | words_of(self.dev, r"\nros_packages=\(([^)]*)\)")
         self.assertEqual(stage, needed - NOT_IN_STAGE - {"python3-rosmaster", "libsasl2-modules"})
+
+    def test_has_the_libraries_that_component_libraries_link(self):
+        # The SDKs are linked statically, so what they need of Debian's must be there although no program here uses it.
+        linked = {name.lower() for name in re.findall(r"\$\{(\w+)_LIBRARY\}", (ROOT / "topology/state/CMakeLists.txt").read_text())}
+        self.assertEqual(linked, {"rocksdb", "hiredis"})
+        stage = re.search(r"\nFROM \S+ AS libraries\n(.*?)\nFROM (.*?)\nFROM ", self.dockerfile, re.DOTALL)
+        packages = words_of(stage[1], r"--no-install-recommends((?:[^\n]*\\\n)*[^\n]*)\n")
+        for name in linked:
+            with self.subTest(name):
+                package = next((each for each in packages if re.fullmatch(rf"lib{name}[\d.]+", each)), None)
+                self.assertIsNotNone(package, "the stage `libraries` installs no package of it")
+                file = f"/usr/lib/*-linux-gnu/lib{name}.so.{package.removeprefix('lib' + name)}"
+                self.assertIn(f"{file}", re.search(r"stores=\$\(ls ([^)]*)\)", stage[1])[1].split(),
+                              "that stage copies only what is linked and what it names")
+                self.assertIn(file, stage[2].split(), "the stage `runtime` checks it with ldd")
 
 
 if __name__ == "__main__":
