@@ -7,8 +7,7 @@
 
 #include <gtest/gtest.h>
 
-#include <iotcloud/tests/servers/private_server.h>
-#include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
+#include <iotcloud/tests/topology/endpoints/private_rabbitmq.h>
 #include <iotcloud/topology/windows/windowed_bolt.h>
 
 namespace iotcloud::topology {
@@ -30,33 +29,7 @@ class CountingWindow final : public WindowedBolt {
   static inline std::atomic<int> counted{0};  ///< in all windows, which do not overlap
 };
 
-class WindowOnRabbitMq : public Endpoints {
- protected:
-  WindowOnRabbitMq() : Endpoints(server().url()) {}
-
-  static tests::PrivateServer& server() {
-    static tests::PrivateServer rabbitmq("rabbitmq.py");
-    return rabbitmq;
-  }
-  void show_driver_with_durable_channel() {
-    discovery::ChannelRecord channel;
-    channel.name = "up";
-    channel.transport = "rabbitmq";
-    channel.direction = discovery::Direction::out;
-    channel.properties = {{"routingKey", "up"}, {"durable", "true"}};
-    channel.broker_url = broker_url_;
-    channel.gateway = "g"_gateway;
-    channel.driver = "d"_driver;
-    channel.instance = "one"_instance;
-    discovery::put(*registry_, paths_.channel("d"_driver, "one"_instance, "up"), discovery::encode(channel));
-    discovery::DriverRecord driver;
-    driver.name = "d"_driver;
-    driver.instance = "one"_instance;
-    driver.gateway = "g"_gateway;
-    driver.state = discovery::DriverState::active;
-    discovery::put(*registry_, paths_.instance("d"_driver, "one"_instance), discovery::encode(driver));
-  }
-};
+class WindowOnRabbitMq : public EndpointsOnRabbitMq {};
 
 TEST_F(WindowOnRabbitMq, GetsAllThatADurableChannelBringsInItsTime) {
   ComponentRegistry components;
@@ -65,10 +38,10 @@ TEST_F(WindowOnRabbitMq, GetsAllThatADurableChannelBringsInItsTime) {
       "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time]}\n"
       "bolts:\n  count: {class: Window, inputs: {from: in}}\n",
       std::move(components));
-  show_driver_with_durable_channel();
+  show_driver_with_durable_channel("one");
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
   constexpr int sent = 1000;
-  const auto publisher = broker_->publisher({"", topic("one", "up"), true}, many());
+  const auto publisher = durable_device("one");
   for (int i = 0; i < sent; ++i) publisher->publish(message("m", "one"));
   EXPECT_TRUE(eventually([] { return CountingWindow::counted == sent; })) << CountingWindow::counted;
   // The messages are here in less than a window's time, so in two windows at most; the usual prefetch brings 100 to
