@@ -9,6 +9,7 @@
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/topology/fields.h>
 
 namespace iotcloud::topology {
 
@@ -37,6 +38,16 @@ class SpoutWaker {
   std::weak_ptr<Target> target_;
 };
 
+/// Where components say what hinders them now, for the worker's /healthz, `iotcloud status` and `iotcloud topology
+/// show`. An error that is over belongs to report_error(). Implementations are thread safe.
+class Troubles {
+ public:
+  virtual ~Troubles() = default;
+  /// \param component its id. \param part tells the troubles of one component apart: its task, say.
+  /// \param text what hinders it and how to mend that; it replaces the part's text before; empty: nothing any more
+  virtual void set(const std::string& component, const std::string& part, const std::string& text) = 0;
+};
+
 /// A task's place in the topology. Constant; lives as long as the task.
 struct TopologyContext {
   std::string topology;   ///< the topology's name
@@ -51,6 +62,10 @@ struct TopologyContext {
   const config::Clock* clock = nullptr;  ///< the topology's clock, simulated in tests; never null in a running task
   config::Metrics* metrics = nullptr;    ///< where a component adds its own metrics; never null in a running task
   SpoutWaker waker;                      ///< for spouts; a bolt's does nothing
+  /// For bolts, beside each of `inputs`: the fields whose values choose the task (the grouping `fields`); empty:
+  /// something else chooses it.
+  std::vector<Fields> input_keys;
+  Troubles* troubles = nullptr;  ///< never null in a running task
 };
 
 }  // namespace iotcloud::topology

@@ -15,6 +15,7 @@
 #include <iotcloud/topology/endpoints/placement/partition_agreement.h>
 #include <iotcloud/topology/endpoints/receiving/held_messages.h>
 #include <iotcloud/topology/endpoints/standstill_fence.h>
+#include <iotcloud/topology/runtime/trouble_board.h>
 
 namespace iotcloud::topology {
 
@@ -34,8 +35,9 @@ struct EndpointServices {
   config::Metrics* metrics = nullptr;
   /// By spout: the bolts below it that keep tuples by design, and for how long, for messages. Without an entry: none.
   std::map<std::string, std::string> keepers;
-  std::shared_ptr<HeldMessages> held = std::make_shared<HeldMessages>();                    ///< never null
-  std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();             ///< never null
+  std::shared_ptr<HeldMessages> held = std::make_shared<HeldMessages>();         ///< never null
+  std::shared_ptr<TroubleBoard> troubles = std::make_shared<TroubleBoard>();     ///< never null; the runtime's, too
+  std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();  ///< never null
   std::shared_ptr<PartitionAgreement> partitions = std::make_shared<PartitionAgreement>();  ///< never null
   std::vector<std::function<void()>> before_stop;  ///< the worker calls these before it stops the topology
   std::vector<std::function<void()>> after_stop;   ///< the worker calls these when it has left the registry

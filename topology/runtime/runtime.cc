@@ -63,10 +63,11 @@ class Runtime::Impl {
         options_(std::move(options)),
         clock_(options_.clock != nullptr ? *options_.clock : config::system_clock()),
         metrics_(options_.metrics != nullptr ? *options_.metrics : config::process_metrics()),
+        troubles_(options_.troubles != nullptr ? *options_.troubles : own_troubles_),
         clock_is_real_(&clock_ == &config::system_clock()),
         timers_(clock_, clock_is_real_),
         scheduler_(options_.threads, options_.caller_slice, options_.long_slice, emitting_lanes(), timers_),
-        graph_(topology_, {&scheduler_, &timers_, &clock_, &options_, clock_is_real_, false}, metrics_) {
+        graph_(topology_, {&scheduler_, &timers_, &clock_, &options_, clock_is_real_, false, &troubles_}, metrics_) {
     metrics_source_ = metrics_.add_source([this](std::vector<config::Sample>& samples) {
       for (const auto& task : graph_.tasks()) task->collect(samples);
     });
@@ -135,6 +136,7 @@ class Runtime::Impl {
     snapshot.active = started_ && active_.load();
     for (const auto& [id, executors] : graph_.executors()) snapshot.parallelism[id] = executors.limit();
     for (const auto& task : graph_.tasks()) snapshot.tasks.push_back(task->snapshot());
+    snapshot.troubles = troubles_.list();
     return snapshot;
   }
 
@@ -224,6 +226,8 @@ class Runtime::Impl {
   const RuntimeOptions options_;
   const config::Clock& clock_;
   config::Metrics& metrics_;
+  TroubleBoard own_troubles_;
+  TroubleBoard& troubles_;
   const bool clock_is_real_;
   internal::Timers timers_;
   internal::Scheduler scheduler_;

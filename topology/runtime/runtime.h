@@ -11,6 +11,7 @@
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/topology/runtime/trouble_board.h>
 #include <iotcloud/topology/topology_builder.h>
 
 namespace iotcloud::topology {
@@ -26,6 +27,8 @@ struct RuntimeOptions {
   /// calls run_due_timers() after it set the time.
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;  ///< where the tasks' metrics appear; nullptr: the process's
+  /// Where components say what hinders them; nullptr: a board of the runtime's own.
+  TroubleBoard* troubles = nullptr;
 
   /// The message time-out T: a tracked tuple's tree that is not done fails between T and 9/8 T after it was emitted.
   std::chrono::milliseconds message_timeout{30000};
@@ -84,6 +87,7 @@ struct Snapshot {
   bool active = false;
   std::map<std::string, int> parallelism;  ///< by component, as rebalance() left it
   std::vector<TaskSnapshot> tasks;
+  std::vector<TroubleBoard::Trouble> troubles;  ///< what hinders components now, as they say it
   /// Adds up the tasks of one component. The result's task_id is 0, and its latencies are those of the task with the
   /// most samples.
   TaskSnapshot component(const std::string& id) const;

@@ -75,12 +75,19 @@ TopologyContext TaskGraph::context_of(const ComponentSpec& spec, std::size_t ind
   context.tasks_of = tasks_of_;
   for (const InputSpec& input : spec.inputs) {
     std::pair source(input.from, input.stream);
-    if (std::find(context.inputs.begin(), context.inputs.end(), source) == context.inputs.end()) {
+    const Fields key = input.grouping == "fields" ? input.fields : Fields();
+    const auto known = std::find(context.inputs.begin(), context.inputs.end(), source);
+    if (known == context.inputs.end()) {
       context.inputs.push_back(std::move(source));
+      context.input_keys.push_back(key);
+    } else if (Fields& other = context.input_keys[static_cast<std::size_t>(known - context.inputs.begin())];
+               other != key) {
+      other = {};
     }
   }
   context.clock = environment_.clock;
   context.metrics = &metrics_;
+  context.troubles = environment_.troubles;
   return context;
 }
 

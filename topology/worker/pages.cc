@@ -137,10 +137,13 @@ std::string describe(const Runtime& runtime, const std::string& worker, const st
                      {"since_ms", link.since_ms},
                      {"why", link.why}});
   }
+  Json troubles = Json::array();
+  for (const auto& [component, text] : now.troubles) troubles.push_back({{"component", component}, {"text", text}});
   return to_text({{"topology", now.topology},
                   {"worker", worker},
                   {"active", now.active},
                   {"brokers", links},
+                  {"troubles", troubles},
                   {"components", components},
                   {"tasks", tasks}});
 }

@@ -16,7 +16,7 @@
 namespace iotcloud::topology {
 
 /// Writes the graph with its parallelism and each task's counts as JSON: {"topology", "worker", "active", "brokers":
-/// [{"broker", "url", "state", "since_ms", "why"}], "components":
+/// [{"broker", "url", "state", "since_ms", "why"}], "troubles": [{"component", "text"}], "components":
 /// [{"id", "kind", "parallelism", "tasks", "inputs", "streams"}], "tasks": [{"component", "task", "emitted", ...,
 /// "execute": {"count", "p50_us", "p99_us", "max_us"}, ...}]}.
 std::string describe(const Runtime& runtime, const std::string& worker,

@@ -117,7 +117,9 @@ struct Worker::Impl {
     if (const std::string crossed = crossings(options.definition, topology);
         !crossed.empty() && !stay_alone(crossed, stop))
       return;
-    runtime = std::make_unique<Runtime>(topology, runtime_options(options));
+    RuntimeOptions how = runtime_options(options);
+    how.troubles = services->troubles.get();
+    runtime = std::make_unique<Runtime>(topology, std::move(how));
     taps = std::make_unique<TapDesk>(*runtime, TapDesk::Options{.clock = options.clock});
     runtime->deactivate();  // WorkerControl activates it when it knows the orders
     runtime->start();
@@ -137,13 +139,21 @@ struct Worker::Impl {
     } while (!end.wait_for(mutex, stop, standstill / 4, [&] { return stop.stop_requested(); }));
   }
 
-  /// Looks at the brokers, and shows what is wrong in the worker's record, for `iotcloud status`.
+  /// What hinders brokers and components now; empty: nothing.
+  std::string trouble() {
+    std::string text = watch->trouble();
+    const std::string board = services->troubles->line();
+    if (!board.empty()) text += (text.empty() ? "" : "; ") + board;
+    return text;
+  }
+
+  /// Looks at brokers and components, and shows what is wrong in the worker's record, for `iotcloud status`.
   void watch_brokers(const std::stop_token& stop) {
     config::Mutex mutex;
     config::StoppableConditionVariable end;
     const config::MutexLock lock(mutex);
     while (!end.wait_for(mutex, stop, look_pause, [&] { return stop.stop_requested(); })) {
-      std::string text = watch->trouble();
+      std::string text = trouble();
       const std::string limits = services->held->limits();
       if (!limits.empty()) text += (text.empty() ? "" : "; ") + limits;
       control->show_trouble(text);
@@ -289,7 +299,7 @@ void Worker::stop(std::chrono::milliseconds limit) {
 }
 
 std::string Worker::trouble() const {
-  std::string text = impl_->watch->trouble();
+  std::string text = impl_->trouble();
   if (impl_->options.registry->session() != discovery::SessionState::connected)
     text = "the registry is away" + (text.empty() ? "" : "; " + text);
   return text;

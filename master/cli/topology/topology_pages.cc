@@ -59,14 +59,22 @@ TopologyPages::TopologyPages(const discovery::TopologyStatus& topology, MasterCl
 }
 
 Json TopologyPages::brokers() const {
-  Json brokers = Json::array();
+  return all("brokers");
+}
+
+Json TopologyPages::troubles() const {
+  return all("troubles");
+}
+
+Json TopologyPages::all(const char* list) const {
+  Json all = Json::array();
   for (const Json& page : pages_) {
-    for (Json broker : page.value("brokers", Json::array())) {  // a worker of an older version says nothing of them
-      broker["worker"] = page.at("worker");
-      brokers.push_back(std::move(broker));
+    for (Json each : page.value(list, Json::array())) {  // a worker of an older version says nothing of them
+      each["worker"] = page.at("worker");
+      all.push_back(std::move(each));
     }
   }
-  return brokers;
+  return all;
 }
 
 Json TopologyPages::tasks_of(const std::string& component) const {

@@ -23,6 +23,8 @@ class TopologyPages {
   const Json& components() const { return components_; }
   /// The brokers of the workers whose pages could be read: {"worker", "broker", "url", "state", "since_ms", "why"}.
   Json brokers() const;
+  /// What hinders components in these workers now, as they say it: {"worker", "component", "text"}.
+  Json troubles() const;
   /// The tasks of one component on all workers: counts added up, latency p50 of the task with the most samples, p99 and
   /// max of the worst task, capacity of the busiest.
   Json sum(const std::string& component) const;
@@ -32,6 +34,7 @@ class TopologyPages {
 
  private:
   Json tasks_of(const std::string& component) const;
+  Json all(const char* list) const;  ///< the elements of that list of all pages, each with its worker
 
   std::string topology_;
   std::vector<Json> pages_;

@@ -137,6 +137,7 @@ class Show final : public OfTopology {
                   {"since_ms", topology.record.since_ms},
                   {"workers", workers},
                   {"brokers", pages.brokers()},
+                  {"troubles", pages.troubles()},
                   {"components", components}});
     }
     return complain(pages, call.err);
@@ -155,6 +156,17 @@ class Show final : public OfTopology {
     out << '\n';
     print_table(out, {"WORKER", "BROKER", "URL", "STATE", "SINCE", "WHY"}, rows);
   }
+  static void show_troubles(const TopologyPages& pages, std::ostream& out) {
+    Rows rows;
+    for (const Json& trouble : pages.troubles()) {
+      rows.push_back({printable(trouble.at("component").get<std::string>()),
+                      printable(trouble.at("worker").get<std::string>()),
+                      printable(trouble.at("text").get<std::string>())});
+    }
+    if (rows.empty()) return;
+    out << '\n';
+    print_table(out, {"COMPONENT", "WORKER", "TROUBLE"}, rows);
+  }
   static void print_all(const TopologyStatus& topology, const TopologyPages& pages, std::ostream& out) {
     const auto workers = topology.workers.size();
     const auto revision = revision_of(topology);
@@ -163,6 +175,7 @@ class Show final : public OfTopology {
                        revision == 0 ? std::string("no orders") : fmt::format("order {}", revision));
     show_workers(topology, out);
     show_brokers(pages, out);
+    show_troubles(pages, out);
     if (pages.components().empty()) return;
     out << '\n';
     show_graph(pages, out);

@@ -22,7 +22,8 @@ using testing::HasSubstr;
 using testing::Not;
 
 constexpr const char* page = R"({"topology": "echo", "worker": "w1", "active": true, "components":
-  [{"id": "in", "kind": "spout", "parallelism": 3, "tasks": 4, "inputs": [], "streams": {"default": ["f"]}}], "tasks": []})";
+  [{"id": "in", "kind": "spout", "parallelism": 3, "tasks": 4, "inputs": [], "streams": {"default": ["f"]}}], "tasks": [],
+  "troubles": [{"component": "in", "text": "its topics differ"}]})";
 /// The same with a task that has emitted so many tuples.
 std::string page_after(int emitted) {
   constexpr const char* latency = R"({"count": 0, "p50_us": 0, "p99_us": 0, "max_us": 0})";
@@ -113,6 +114,8 @@ class CliOfAFarWorker : public Cli {
 TEST_F(CliOfAFarWorker, ShowsMetersAndTapsItByWayOfTheMaster) {
   show_worker();
   EXPECT_EQ(run_json({"topology", "show", "echo"})["components"][0]["parallelism"], 3);
+  EXPECT_EQ(run_json({"topology", "show", "echo"})["troubles"][0]["text"], "its topics differ");
+  EXPECT_THAT(run({"topology", "show", "echo"}).out, AllOf(HasSubstr("TROUBLE"), HasSubstr("its topics differ")));
   EXPECT_EQ(run_json({"topology", "metrics", "echo"})["workers"], 1);
   const auto tapped = run({"topology", "tap", "echo", "in", "--count", "1"});
   EXPECT_EQ(tapped.status, 0) << tapped.err;

@@ -285,8 +285,19 @@ TEST_F(KafkaPartitions, OfDifferentNumbersOfADriversChannelsAreRefusedUntilTheyA
   // Until the numbers are known, partition 0 of both may be read.
   ASSERT_TRUE(eventually([&] { return log.contains("have 2 and 4 partitions"); }));
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+  const Worker& worker = *workers_.back();
+  const auto trouble = [&](const std::string& text) { return worker.trouble().find(text) != std::string::npos; };
+  EXPECT_TRUE(eventually([&] {
+    return trouble("up: channel up of driver d on gateway g is not read: ") &&
+           trouble("side: channel side of driver d") && trouble("have 2 and 4 partitions");
+  })) << "/healthz and iotcloud status say: "
+      << worker.trouble();
+  EXPECT_THAT(worker.describe(), HasSubstr(R"("troubles":[{"component":"side","text":"channel side of driver d)"))
+      << "for iotcloud topology show";
   add_partitions(topic_of("side"), partitions);
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2 * partitions; }));
+  EXPECT_THAT(worker.trouble(), IsEmpty());
+  EXPECT_THAT(worker.describe(), HasSubstr(R"("troubles":[])"));
 }
 
 TEST(PartitionAgreementTest, NamesTheChannelsThatDifferAndTellsOfEachChange) {

@@ -57,6 +57,40 @@ json task_of(const json& page, const std::string& component) {
   return sum;
 }
 
+TEST(WorkerPages, SayWhatHindersComponentsAsLongAsItDoes) {
+  Paged paged;
+  TroubleBoard board;
+  auto options = paged.bench.options();
+  options.troubles = &board;
+  Troubles* of_pass = nullptr;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(paged.source));
+  builder
+      .set_bolt("pass", bolt([&](const Tuple& tuple, OutputCollector& collector, const TopologyContext& context) {
+                  of_pass = context.troubles;
+                  collector.ack(tuple);
+                }))
+      .shuffle_grouping("in");
+  Runtime runtime(builder.build("hindered"), options);
+  runtime.start();
+  runtime.run_until_idle();
+  paged.source->put(Values(std::int64_t{1}));
+  runtime.run_until_idle();
+  ASSERT_EQ(of_pass, &board);
+  EXPECT_EQ(json::parse(describe(runtime, "w1"))["troubles"], json::array());
+  for (const char* part : {"1", "2"}) of_pass->set("pass", part, "the store is away");
+  of_pass->set("in", "", "no partition");
+  EXPECT_EQ(
+      json::parse(describe(runtime, "w1"))["troubles"],
+      (json{{{"component", "in"}, {"text", "no partition"}}, {{"component", "pass"}, {"text", "the store is away"}}}));
+  EXPECT_EQ(board.line(), "in: no partition; pass: the store is away");
+  of_pass->set("pass", "1", "");
+  EXPECT_EQ(board.list().size(), 2U) << "the other task's is still there";
+  of_pass->set("pass", "2", "");
+  of_pass->set("in", "", "");
+  EXPECT_EQ(board.line(), "");
+}
+
 TEST(WorkerPages, DescribeTheGraphAndCountWhatWasDone) {
   Paged paged;
   paged.put(-1, 8);

@@ -180,6 +180,10 @@ void SpoutPlacement::leave() {
   search_.reset();
   anew.reset();
   plans_ = {};
+  while (!differences_.empty()) {
+    const discovery::GatewayId gateway = differences_.begin()->first;
+    show_difference(gateway, {});
+  }
   units_.close();
   if (split_topics_) split_topics_->end();
 }
@@ -230,13 +234,40 @@ discovery::GuardPtr SpoutPlacement::take_anew() {
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
   std::string problem = misfit(channel, discovery::Direction::out, endpoint_.broker);
-  if (problem.empty() && channel.shared) problem = split_topics_->difference(channel);
+  if (problem.empty() && channel.shared) {
+    problem = split_topics_->difference(channel);
+    show_difference(channel.gateway, problem);
+  }
   if (problem.empty()) return true;
   if (complained_.insert(channel.gateway + problem).second) {
     endpoints_logger.warn("{}: channel {} of driver {} on gateway {} is not read: {}", component_, channel.name,
                           channel.driver, channel.gateway, problem);
   }
   return false;
+}
+
+/// Shows why this gateway's shared channels are not read, as long as it is so; empty: they are read, or gone.
+void SpoutPlacement::show_difference(const discovery::GatewayId& gateway, const std::string& difference) {
+  const auto shown = differences_.find(gateway);
+  if ((shown == differences_.end() ? std::string() : shown->second) == difference) return;
+  std::string text;
+  if (difference.empty()) {
+    differences_.erase(shown);
+  } else {
+    differences_[gateway] = difference;
+    text = fmt::format("channel {} of driver {} on gateway {} is not read: {}", endpoint_.channel, endpoint_.driver,
+                       gateway, difference);
+  }
+  services_->troubles->set(component_, "partitions of " + gateway.str(), text);
+}
+
+/// A channel of this gateway is gone.
+void SpoutPlacement::forget_difference(const discovery::GatewayId& gateway) {
+  if (!differences_.contains(gateway)) return;
+  const bool has_others = std::any_of(channels_.begin(), channels_.end(), [&](const auto& entry) {
+    return entry.second.shared && entry.second.gateway == gateway;
+  });
+  if (!has_others) show_difference(gateway, {});
 }
 
 void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
@@ -247,6 +278,10 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
       follow_no_more(before);
     }
     if (unit_of(before) != unit_of(channel)) displace(before, 0, SpoutUnits::End::at_once);
+    if (before.gateway != channel.gateway || !channel.shared) {
+      channels_.erase(known);
+      forget_difference(before.gateway);
+    }
   }
   warned_of_missing_ = false;
   others_.clear();
@@ -260,6 +295,7 @@ void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
   channels_.erase(channel.instance);
   displace(channel, 0, SpoutUnits::End::when_silent);
   follow_no_more(channel);
+  forget_difference(channel.gateway);
 }
 
 /// Removes the queue of an undeployed instance's own channel, once it has been read to its end. The queue of a stopped

@@ -95,6 +95,9 @@ class SpoutPlacement {
   void on_lost(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void on_session(discovery::SessionState state) IOTCLOUD_REQUIRES(dispatcher_);
   bool fits(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  void forget_difference(const discovery::GatewayId& gateway) IOTCLOUD_REQUIRES(dispatcher_);
+  void show_difference(const discovery::GatewayId& gateway, const std::string& difference)
+      IOTCLOUD_REQUIRES(dispatcher_);
   discovery::GuardPtr run_for_leader(const std::string& unit);
   std::shared_ptr<TopicReader> open_reader(const discovery::ChannelRecord& channel, const UnitReaders::Key& key,
                                            std::optional<std::int32_t> partition, int task)
@@ -144,6 +147,8 @@ class SpoutPlacement {
   /// Instances whose record was not read in this session. When it is not there, the registry may have lost its data.
   std::set<discovery::InstanceId> unconfirmed_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::set<std::string> complained_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  /// By gateway: why its shared channels are not read, as the troubles have it.
+  std::map<discovery::GatewayId, std::string> differences_ IOTCLOUD_GUARDED_BY(dispatcher_);
   Plans plans_ IOTCLOUD_GUARDED_BY(dispatcher_);
   /// Outgoing channels of instances that do not have the wanted one; the plan `missing` calls warn_of_missing().
   std::set<std::string> others_ IOTCLOUD_GUARDED_BY(dispatcher_);

@@ -27,6 +27,7 @@ struct TaskEnvironment {
   bool clock_is_real = true;  ///< the topology's clock is the system's, which real_ns() reads
   /// Tuples record their birth, because a component has a deadline or RuntimeOptions::births is true.
   bool has_deadlines = false;
+  Troubles* troubles = nullptr;  ///< never null in a running task
 };
 
 /// Counts of one task. The thread that runs the task writes them, any thread reads them; any thread writes `errors`.
