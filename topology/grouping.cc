@@ -6,6 +6,13 @@ namespace iotcloud::topology {
 
 namespace {
 
+constexpr std::uint64_t first_hash = 14695981039346656037ULL;
+
+std::size_t place_of(std::uint64_t hash, std::size_t count) {
+  // Avoids a division, which costs as much as the hash of a word.
+  return (count & (count - 1)) == 0 ? hash & (count - 1) : hash % count;
+}
+
 /// Base class: keeps the targets.
 class TargetedGrouping : public Grouping {
  public:
@@ -42,7 +49,7 @@ class KeyGrouping : public TargetedGrouping {
 
  protected:
   std::uint64_t key_hash(const Values& values) const {
-    std::uint64_t hash = 14695981039346656037ULL;
+    std::uint64_t hash = first_hash;
     for (const std::size_t position : positions_) hash = stable_hash(values[position], hash);
     return hash;
   }
@@ -56,9 +63,7 @@ class FieldsGrouping final : public KeyGrouping {
  public:
   using KeyGrouping::KeyGrouping;
   void choose(const Values& values, std::vector<int>& chosen) override {
-    const std::uint64_t hash = key_hash(values), count = targets_.size();
-    // Avoids a division, which costs as much as the hash of a word.
-    chosen.push_back(targets_[(count & (count - 1)) == 0 ? hash & (count - 1) : hash % count]);
+    chosen.push_back(targets_[place_of(key_hash(values), targets_.size())]);
   }
 };
 
@@ -94,6 +99,12 @@ class GlobalGrouping final : public TargetedGrouping {
 };
 
 }  // namespace
+
+std::size_t task_of_key(const Values& key, std::size_t tasks) {
+  std::uint64_t hash = first_hash;
+  for (const Value& value : key.all()) hash = stable_hash(value, hash);
+  return place_of(hash, tasks);
+}
 
 const std::vector<std::string>& grouping_names() {
   static const std::vector<std::string> names{"shuffle", "fields", "partial_key",      "all",

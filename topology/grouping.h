@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <functional>
 #include <memory>
 #include <span>
@@ -31,6 +32,10 @@ using GroupingFactory = std::function<std::unique_ptr<Grouping>()>;
 /// sent less), all (every task), global (the task with the lowest id), none (same as shuffle), local_or_shuffle (same
 /// as shuffle, because a tuple does not leave its worker). `direct` is not listed: emit_direct() names the task itself.
 const std::vector<std::string>& grouping_names();
+/// The place, among a component's tasks in the order of their ids, of the one that the grouping `fields` chooses for a
+/// key. The same in every process, build and version. \param key the values of the grouping's fields, in their order.
+/// \param tasks how many tasks there are; at least 1.
+std::size_t task_of_key(const Values& key, std::size_t tasks);
 /// \param fields the key of `fields` and `partial_key`. \throws std::invalid_argument for an unknown name.
 GroupingFactory make_grouping(const std::string& name, const Fields& fields = {});
 

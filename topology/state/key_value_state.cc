@@ -24,6 +24,28 @@ StateOwner with_session(StateOwner owner) {
 
 }  // namespace
 
+namespace internal {
+
+void LastWrites::set(const std::string& key, std::uint64_t changes) {
+  older_.erase(key);
+  newer_.insert_or_assign(key, changes);
+  if (newer_.size() >= half_) older_ = std::exchange(newer_, {});
+}
+
+std::optional<std::uint64_t> LastWrites::find(const std::string& key) const {
+  for (const Changes* changes : {&newer_, &older_}) {
+    if (const auto found = changes->find(key); found != changes->end()) return found->second;
+  }
+  return std::nullopt;
+}
+
+void LastWrites::forget(const std::string& key) {
+  newer_.erase(key);
+  older_.erase(key);
+}
+
+}  // namespace internal
+
 KeyValueState::KeyValueState(std::shared_ptr<StateStore> store, StateOwner owner)
     : store_(std::move(store)),
       owner_(with_session(std::move(owner))),
@@ -46,18 +68,25 @@ void KeyValueState::claim(std::string_view key) const {
   if (claims_.find(key) != claims_.end()) return;
   std::string name(key);
   ClaimedValue claimed = store_->claim(owner_, name);
-  if (const auto own = written_.find(name); own != written_.end() && own->second > claimed.changes) {
-    losses_.push_back("the store has lost " + std::to_string(own->second - claimed.changes) +
-                      " checkpoints of the key \"" + name + "\" of component \"" + owner_.component +
+  if (const auto own = written_.find(name); own && *own > claimed.changes) {
+    losses_.push_back("the store has lost " + std::to_string(*own - claimed.changes) + " checkpoints of the key " +
+                      internal::quoted(name) + " of component \"" + owner_.component +
                       "\": it is as it was before them, and their messages were acknowledged. Did Redis fail over to a "
                       "replica, or start without its data?");
-    written_.erase(own);
+    written_.forget(name);
   }
   if (claimed.value) state_.entries.insert_or_assign(name, std::move(*claimed.value));
   claims_.emplace(std::move(name), claimed.changes);
 }
 
 void KeyValueState::put(std::string_view key, std::string value) {
+  if (group_ && owner_.task_of) {
+    if (const auto own = owner_.task_of(key, groups); own && *own != group_()) {
+      throw StateError("component \"" + owner_.component + "\" puts the key " + internal::quoted(key) +
+                       " for a tuple of another key: state.keys or StatefulBolt::grouping_key says that the key "
+                       "belongs to other tuples. Correct that, or take it away and keep the number of tasks");
+    }
+  }
   remember(key);
   const auto found = state_.entries.find(key);
   if (found != state_.entries.end()) {
@@ -115,9 +144,9 @@ void KeyValueState::commit_claimed() {
   ++state_.version;
   for (const auto& [key, value] : changes) {
     if (value) {
-      written_.insert_or_assign(key, claims_.at(key) + 1);
+      written_.set(key, claims_.at(key) + 1);
     } else {
-      written_.erase(key);  // the store forgets a key without a value after a while
+      written_.forget(key);  // the store forgets a key without a value after a while
     }
   }
 }
@@ -146,7 +175,11 @@ void KeyValueState::restore(const Values& values) {
 
 void KeyValueState::checkpoint() {
   if (shared_) {
-    if (changed()) commit_claimed();
+    if (changed()) {
+      commit_claimed();
+    } else {
+      store_->make_sure();
+    }
     return forget_claims();
   }
   if (!changed()) return;

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -14,6 +16,26 @@
 
 namespace iotcloud::topology {
 
+namespace internal {
+
+/// How often the keys that a task wrote last had been changed then. It knows the newest `most` / 2 keys at least, and
+/// `most` at most.
+class LastWrites {
+ public:
+  explicit LastWrites(std::size_t most) : half_(most / 2) {}
+  void set(const std::string& key, std::uint64_t changes);
+  std::optional<std::uint64_t> find(const std::string& key) const;
+  void forget(const std::string& key);
+  std::size_t size() const { return newer_.size() + older_.size(); }
+
+ private:
+  using Changes = std::map<std::string, std::uint64_t>;
+  const std::size_t half_;
+  Changes newer_, older_;  ///< no key is in both; when `newer_` has half_ keys, they take the place of the older ones
+};
+
+}  // namespace internal
+
 /// The state of one task: keys and values of any bytes. All of it is in memory; the store has the last checkpoint. Only
 /// the task's own calls may use it. References and views are valid until their key changes.
 ///
@@ -23,12 +45,17 @@ namespace iotcloud::topology {
 /// next checkpoint, which forgets all keys.
 class KeyValueState {
  public:
+  /// With a shared store: of how many keys at most, the last that it wrote, a task notices that the store has lost them
+  /// (take_losses()). It notices it of half as many in any case.
+  static constexpr std::size_t most_remembered = 100'000;
+
   /// Loads the store's last checkpoint. \throws StateError; StateUnavailable.
   KeyValueState(std::shared_ptr<StateStore> store, StateOwner owner);
 
   /// The value of a key; nullptr if the key does not exist.
   const std::string* find(std::string_view key) const;
   std::string get(std::string_view key, std::string_view otherwise = "") const;
+  /// \throws StateError for a key of another group (expect_group()).
   void put(std::string_view key, std::string value);
   /// \return false if the key did not exist.
   bool erase(std::string_view key);
@@ -45,7 +72,8 @@ class KeyValueState {
   /// Whether checkpoint() has something to write.
   bool changed() const { return !before_.empty() || !unsure_.empty(); }
 
-  /// Writes the changes since the last checkpoint; without changes it does nothing.
+  /// Writes the changes since the last checkpoint. Without changes it writes nothing, and asks a shared store now and
+  /// then whether it is well.
   /// \throws StateError; the state is then rolled back to the last checkpoint. StateUnavailable: the changes are still
   /// there, for the next attempt.
   void checkpoint();
@@ -56,6 +84,10 @@ class KeyValueState {
   void begin_call() { before_call_.clear(); }
   /// Undoes the changes since begin_call().
   void undo_call();
+  /// From here on put() takes only keys that the tuples of one group use, as far as StateOwner::task_of knows them.
+  /// \param group the place of these tuples' task among `groups` tasks; empty: put() takes any key
+  void expect_group(std::function<std::size_t()> group) { group_ = std::move(group); }
+  static constexpr std::size_t groups = 65536;
   /// Sentences about keys of which the store has lost checkpoints (a failover of Redis), since the last call.
   std::vector<std::string> take_losses() { return std::exchange(losses_, {}); }
 
@@ -74,13 +106,14 @@ class KeyValueState {
   mutable StoredState state_;  ///< find() adds what it has claimed
   /// Values of changed keys at the last checkpoint; nullopt: the key did not exist.
   Values before_;
-  std::set<std::string> unsure_;  ///< keys of a failed checkpoint, which the store may have written or not
+  std::function<std::size_t()> group_;  ///< of expect_group()
+  std::set<std::string> unsure_;        ///< keys of a failed checkpoint, which the store may have written or not
 
   // With a shared store:
   /// Keys that were claimed since the last checkpoint, with ClaimedValue::changes.
   mutable std::map<std::string, std::uint64_t, std::less<>> claims_;
-  /// ClaimedValue::changes of each key that this task has written, as of then: a claim that brings less shows a loss.
-  mutable std::map<std::string, std::uint64_t, std::less<>> written_;
+  /// ClaimedValue::changes of the keys that this task has written, as of then: a claim that brings less shows a loss.
+  mutable internal::LastWrites written_{most_remembered};
   mutable std::vector<std::string> losses_;
   Values before_call_;  ///< as before_, since begin_call()
 };

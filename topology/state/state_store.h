@@ -1,11 +1,14 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 
 #include <iotcloud/config/error.h>
 
@@ -31,14 +34,19 @@ class StateClaimed : public StateError {
   using StateError::StateError;
 };
 
-/// The owner of a state. Without a shared store keys stay with their task, so only the same number of tasks can use the
-/// state.
+/// The owner of a state. Without a shared store each key is in the state of one task. Another number of tasks can use
+/// the state only if `task_of` says which of them uses a key: the first of them that loads the state then gives each
+/// key to its task.
 struct StateOwner {
+  /// The place of the task, among `tasks`, that uses a key; nullopt: that is not known.
+  using TaskOf = std::function<std::optional<std::size_t>(std::string_view key, std::size_t tasks)>;
+
   std::string topology;
   std::string component;
   int task_index = 0;
   int task_count = 1;
   std::string session{};  ///< differs for each task of each process; KeyValueState fills it
+  TaskOf task_of{};       ///< empty: not known for any key
 };
 
 /// A task's state at its last checkpoint.
@@ -80,13 +88,16 @@ class StateStore {
   /// Whether the state belongs to no task: any task of the component, in any worker, may claim any key.
   virtual bool shared() const { return false; }
   /// Of a shared store nothing: tasks claim the keys that they use. \throws StateError if the state cannot be read, is
-  /// incomplete, or was written by another number of tasks; StateUnavailable.
+  /// incomplete, or was written by another number of tasks and cannot be given to these; StateUnavailable.
   virtual StoredState load(const StateOwner& owner) = 0;
   /// Of a shared store: reads a key, and makes this task the only one that can write it until another one claims it.
   /// \throws StateUnavailable
   virtual ClaimedValue claim(const StateOwner& /*owner*/, const std::string& /*key*/) { return {}; }
+  /// Of a shared store: that it keeps what it has. It may know that from the last second. \throws StateUnavailable
+  virtual void make_sure() {}
   /// Writes all changes or none; they are durable when it returns. \throws StateError: it is then unknown whether they
-  /// were written; of a shared store StateClaimed or StateUnavailable.
+  /// were written, but not if another number of tasks has loaded the state since; of a shared store StateClaimed or
+  /// StateUnavailable.
   virtual void commit(const StateOwner& owner, const Checkpoint& checkpoint) = 0;
 };
 
@@ -95,5 +106,12 @@ class StateStore {
 /// Redis, which all workers of a topology share (README.md). In one process the same URL gives the same store. Thread
 /// safe. \throws StateError for any other URL, and if the store cannot be opened.
 std::shared_ptr<StateStore> make_state_store(const std::string& url);
+
+namespace internal {
+
+/// A key in quotes, for messages: other bytes than printable ASCII as \xNN, and no more than the first 64.
+std::string quoted(std::string_view key);
+
+}  // namespace internal
 
 }  // namespace iotcloud::topology

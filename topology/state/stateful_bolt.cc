@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <deque>
 #include <optional>
 #include <stdexcept>
@@ -7,6 +8,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/conf_keys.h>
+#include <iotcloud/topology/grouping.h>
 #include <iotcloud/topology/state/stateful_bolt.h>
 
 namespace iotcloud::topology {
@@ -17,7 +19,7 @@ const config::Logger state_logger{"topology.state"};
 
 StateOptions configured(StateOptions options, const Config& config) {
   ConfCheck check;
-  check.refuse_unknown_keys(config, "state.", {"state.store", "state.checkpoint"});
+  check.refuse_unknown_keys(config, "state.", {"state.store", "state.checkpoint", "state.keys"});
   if (const auto store = config.find("state.store"); store != config.end()) options.store = store->second;
   if (const auto period = config.find("state.checkpoint"); period != config.end()) {
     const auto duration = config::parse_duration(period->second);
@@ -28,6 +30,15 @@ StateOptions configured(StateOptions options, const Config& config) {
       options.checkpoint = std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
     }
   }
+  if (const auto keys = config.find("state.keys"); keys != config.end()) {
+    options.keys_of_grouping = keys->second == "grouping";
+    if (!options.keys_of_grouping) {
+      check.refuse("state.keys",
+                   "\"" + keys->second +
+                       "\" is nothing that keys can be; write \"grouping\" if each key is the text of the "
+                       "field by which the inputs are grouped, or leave it out");
+    }
+  }
   check.finish();
   if (options.store.empty()) {
     throw std::invalid_argument(
@@ -36,6 +47,32 @@ StateOptions configured(StateOptions options, const Config& config) {
   }
   if (options.checkpoint.count() <= 0) throw std::invalid_argument("the period of checkpoints must be more than zero");
   return options;
+}
+
+bool is_grouped_by_fields(const TopologyContext& context) {
+  return !context.input_keys.empty() && std::none_of(context.input_keys.begin(), context.input_keys.end(),
+                                                     [](const Fields& key) { return key.empty(); });
+}
+
+/// Which task uses a key; empty: nothing says it. \throws std::invalid_argument for `state.keys: grouping` with another
+/// grouping
+StateOwner::TaskOf task_of(const StatefulBolt& bolt, const StateOptions& options, const TopologyContext& context) {
+  if (options.keys_of_grouping) {
+    const bool by_one_field =
+        is_grouped_by_fields(context) && std::all_of(context.input_keys.begin(), context.input_keys.end(),
+                                                     [](const Fields& key) { return key.size() == 1; });
+    if (!by_one_field) {
+      throw std::invalid_argument(
+          "state.keys: grouping says that each key is the text of the field by which the inputs are grouped, but not "
+          "all inputs have the grouping fields with one field; leave state.keys out, or change the grouping");
+    }
+    return [](std::string_view key, std::size_t tasks) { return task_of_key(Values(std::string(key)), tasks); };
+  }
+  if (!is_grouped_by_fields(context)) return {};
+  return [&bolt](std::string_view key, std::size_t tasks) -> std::optional<std::size_t> {
+    const auto values = bolt.grouping_key(key);
+    return values ? std::optional(task_of_key(*values, tasks)) : std::nullopt;
+  };
 }
 
 /// Holds acks back and passes on everything else.
@@ -103,8 +140,11 @@ class StatefulBoltExecutor final : public Bolt {
     collector_ = &collector;
     name_ = context.component + "#" + std::to_string(context.task);
     holding_.emplace(collector);
-    state_.emplace(make_state_store(options.store),
-                   StateOwner{context.topology, context.component, context.task_index, context.task_count});
+    context_ = &context;
+    StateOwner owner{context.topology, context.component, context.task_index, context.task_count};
+    owner.task_of = task_of(*bolt_, options, context);
+    is_grouped_ = is_grouped_by_fields(context);
+    state_.emplace(make_state_store(options.store), std::move(owner));
     bolt_->prepare(config, context, *holding_);
     bolt_->init_state(*state_);
   }
@@ -118,9 +158,26 @@ class StatefulBoltExecutor final : public Bolt {
     }
   }
 
-  void cleanup() override { bolt_->cleanup(); }
+  void cleanup() override {
+    set_trouble({});
+    bolt_->cleanup();
+  }
 
  private:
+  /// While it lives, the state takes only keys that this tuple may use.
+  class OfOneTuple {
+   public:
+    OfOneTuple(StatefulBoltExecutor& of, const Tuple& tuple) : state_(*of.state_) {
+      if (of.is_grouped_) state_.expect_group([&of, &tuple] { return of.group_of(tuple); });
+    }
+    ~OfOneTuple() { state_.expect_group({}); }
+    OfOneTuple(const OfOneTuple&) = delete;
+    OfOneTuple& operator=(const OfOneTuple&) = delete;
+
+   private:
+    KeyValueState& state_;
+  };
+
   void checkpoint() {
     // Takes the acks before pre_checkpoint(): a tuple that another thread acks from here on waits for the next
     // checkpoint, because its change may not be in this one.
@@ -131,8 +188,8 @@ class StatefulBoltExecutor final : public Bolt {
       state_->checkpoint();
       if (changed) {
         checkpoints_->add();
-        tell_back();
       }
+      tell_back();
       tell_losses();
     } catch (const StateUnavailable& e) {
       tell_unavailable(e);
@@ -152,6 +209,7 @@ class StatefulBoltExecutor final : public Bolt {
   /// \return false if the store is away: the tuple has changed nothing, and must wait
   bool execute_now(const Tuple& tuple) {
     state_->begin_call();
+    const OfOneTuple group(*this, tuple);
     try {
       bolt_->execute(tuple);
     } catch (const StateUnavailable& e) {
@@ -174,13 +232,33 @@ class StatefulBoltExecutor final : public Bolt {
   }
 
   void tell_unavailable(const StateUnavailable& why) {
+    const std::string text = "tuples wait for the state store, and nothing is acked: " + std::string(why.what());
+    set_trouble(text);
     if (std::exchange(said_unavailable_, true)) return;
-    collector_->report_error("tuples wait for the state store, and nothing is acked: " + std::string(why.what()));
+    collector_->report_error(text);
+  }
+
+  void set_trouble(const std::string& text) {
+    if (std::exchange(trouble_, text) == text) return;
+    context_->troubles->set(context_->component, std::to_string(context_->task), text);
+  }
+
+  /// The group (KeyValueState::groups) of the fields by which the tuple came here.
+  std::size_t group_of(const Tuple& tuple) const {
+    for (std::size_t i = 0; i < context_->inputs.size(); ++i) {
+      const auto& [component, stream] = context_->inputs[i];
+      if (tuple.source_component() != component || tuple.source_stream() != stream) continue;
+      Values key;
+      for (const std::string& field : context_->input_keys[i]) key.add(tuple.at(field));
+      return task_of_key(key, KeyValueState::groups);
+    }
+    throw std::logic_error("a tuple came from \"" + tuple.source_component() + "\", which is no input");
   }
 
   /// Logs that the store is back. Called when the store has answered, and not after each tuple: a tuple that needs only
   /// keys that the task has read already is executed while the store is away, too.
   void tell_back() {
+    set_trouble({});
     if (!std::exchange(said_unavailable_, false)) return;
     state_logger.info("{}: the state store is back", name_);
   }
@@ -209,7 +287,10 @@ class StatefulBoltExecutor final : public Bolt {
   config::Counter* checkpoints_ = nullptr;
   config::Counter* failures_ = nullptr;
   config::Counter* losses_ = nullptr;
-  std::deque<Tuple> waiting_;      ///< for a store that is away
+  std::deque<Tuple> waiting_;  ///< for a store that is away
+  const TopologyContext* context_ = nullptr;
+  bool is_grouped_ = false;        ///< the values of fields choose the task for all inputs
+  std::string trouble_;            ///< as context_->troubles has it
   bool said_unavailable_ = false;  ///< the store is away, as far as is known, and that was said
 };
 

@@ -2,7 +2,9 @@
 
 #include <chrono>
 #include <memory>
+#include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 
 #include <iotcloud/topology/bolt.h>
@@ -23,6 +25,15 @@ class StatefulBolt {
   /// Called after prepare() with the state of the last checkpoint, perhaps of an earlier process. `state` lives until
   /// after cleanup().
   virtual void init_state(KeyValueState& state) = 0;
+  /// Which tuples use a key of the state: the values of the fields by which the bolt's inputs are grouped (grouping
+  /// `fields`), in the order of these fields, and of the same kinds; nullopt: that is not known. If all keys are known,
+  /// the number of tasks may change: each key then goes to the task that gets these tuples. execute() may put only keys
+  /// of its tuple, if they are known. It says the same at any time, also before prepare(), and changes nothing. Redis
+  /// does not need it.
+  virtual std::optional<Values> grouping_key(std::string_view key) const {
+    (void)key;
+    return std::nullopt;
+  }
   /// With a shared store (Redis) the state's functions throw StateUnavailable while the store is away. Let it pass: the
   /// state is put back as it was before this call, and the tuple is executed again, and not acked or failed before. So
   /// use the state before you ack the tuple.
@@ -39,13 +50,17 @@ class StatefulBolt {
 struct StateOptions {
   std::string store{};                         ///< URL for make_state_store(); key `state.store`
   std::chrono::milliseconds checkpoint{1000};  ///< period of checkpoints; key `state.checkpoint`
+  /// Each key is the text of the one field by which all inputs are grouped, so that StatefulBolt::grouping_key need not
+  /// say it; key `state.keys: grouping`
+  bool keys_of_grouping = false;
 };
 
 /// Wraps a stateful bolt as a Bolt.
 std::unique_ptr<Bolt> run_stateful(std::unique_ptr<StatefulBolt> bolt, StateOptions options);
 
-/// For TopologyBuilder::set_bolt. The configuration's `state.store` ("rocksdb:///var/lib/counts", "redis://...") and
-/// `state.checkpoint` ("500ms") override the options. TopologyBuilder::build() refuses unusable options.
+/// For TopologyBuilder::set_bolt. The configuration's `state.store` ("rocksdb:///var/lib/counts", "redis://..."),
+/// `state.checkpoint` ("500ms") and `state.keys` ("grouping") override the options. TopologyBuilder::build() refuses
+/// unusable options.
 template <typename T, typename... Args>
 BoltFactory make_stateful_bolt(StateOptions options = {}, Args... args) {
   return [options = std::move(options), args...] { return run_stateful(std::make_unique<T>(args...), options); };

@@ -2,6 +2,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <string>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -238,6 +239,72 @@ TEST(ARedisThatMayForget, IsRefusedAtTheStartWithWhatToSet) {
   server.command("policy allkeys-lru", "POLICY");
   EXPECT_THAT(problem_of([&] { const Counting counting(counting_in(server.url())); }),
               AllOf(HasSubstr("maxmemory-policy allkeys-lru"), HasSubstr("set maxmemory-policy noeviction")));
+}
+
+TEST(ARedisThatMayForget, AfterAllIsNoticedAndNothingIsAckedUntilItKeepsAllAgain) {
+  tests::PrivateServer server("redis.py");
+  Counting counting(counting_in(server.url()));
+  counting.put("a");
+  counting.pass(100ms);
+  EXPECT_THAT(counting.source->acked(), ElementsAre(1));
+  EXPECT_THAT(counting.runtime->snapshot().troubles, IsEmpty());
+  server.command("policy allkeys-lru", "POLICY");
+  for (const char* word : {"a", "b"}) counting.put(word);
+  for (int i = 0; i < 400; ++i) counting.pass(100ms);
+  EXPECT_THAT(counting.source->acked(), ElementsAre(1));
+  EXPECT_THAT(counting.source->failed(), IsEmpty());
+  const auto wanted = AllOf(HasSubstr("tuples wait for the state store, and nothing is acked"),
+                            HasSubstr("maxmemory-policy allkeys-lru"), HasSubstr("set maxmemory-policy noeviction"));
+  const auto now = counting.runtime->snapshot();
+  EXPECT_THAT(now.component("count").last_error, wanted);
+  ASSERT_THAT(now.troubles, SizeIs(1));
+  EXPECT_EQ(now.troubles.front().component, "count");
+  EXPECT_THAT(now.troubles.front().text, wanted);
+  server.command("policy noeviction", "POLICY");
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    return counting.source->acked().size() == 3;
+  }));
+  EXPECT_THAT(counting.seen(), testing::UnorderedElementsAre("a=1", "a=2", "b=1"));
+  EXPECT_THAT(counting.runtime->snapshot().troubles, IsEmpty());
+}
+
+TEST(ARedisThatMayForget, IsNoticedWithoutTuplesToo) {
+  tests::PrivateServer server("redis.py");
+  Counting counting(counting_in(server.url()));
+  const auto troubles = [&] { return counting.runtime->snapshot().troubles.size(); };
+  counting.pass(100ms);
+  EXPECT_EQ(troubles(), 0U);
+  server.command("policy volatile-ttl", "POLICY");
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    return troubles() == 1;
+  }));
+  server.command("policy noeviction", "POLICY");
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    return troubles() == 0;
+  }));
+}
+
+TEST(ARedis, KeepsEveryCountWhenTheNumberOfTasksChanges) {
+  tests::PrivateServer server("redis.py");
+  const std::vector<std::string> words{"a", "b", "c", "d", "e", "f", "g", "h"};
+  int times = 0;
+  for (const int tasks : {2, 3, 2}) {
+    Counting counting(counting_in(server.url()), {}, tasks);
+    std::vector<std::string> wanted;
+    for (int i = 0; i < 2; ++i) {
+      ++times;
+      for (const std::string& word : words) {
+        counting.put(word);
+        wanted.push_back(word + "=" + std::to_string(times));
+      }
+      counting.pass(100ms);
+    }
+    EXPECT_THAT(counting.seen(), testing::UnorderedElementsAreArray(wanted)) << tasks << " tasks";
+    EXPECT_THAT(counting.source->acked(), SizeIs(2 * words.size()));
+  }
 }
 
 TEST(ARedisOnAnotherMachine, IsRefusedWithoutTlsOrWithoutAUserAndPassword) {

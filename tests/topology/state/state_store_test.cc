@@ -2,7 +2,13 @@
 #include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <map>
+#include <memory>
+#include <optional>
 #include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,12 +16,14 @@
 #include <unistd.h>
 
 #include <iotcloud/tests/topology/state/state_fixture.h>
+#include <iotcloud/topology/grouping.h>
 #include <iotcloud/topology/state/key_value_state.h>
 #include <iotcloud/topology/state/state_store.h>
 
 namespace iotcloud::topology::workshop {
 namespace {
 
+using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
@@ -88,15 +96,84 @@ TEST_P(StateStores, TasksAndComponentsDoNotSeeEachOthersKeys) {
   EXPECT_THAT(open("b", 0).entries(), IsEmpty());
 }
 
-TEST_P(StateStores, AnotherNumberOfTasksIsRefused) {
-  {
-    KeyValueState state = open("count", 0, 2);
-    state.put("a", "1");
+/// The task whose place among `count` a fields grouping chooses for the key's text.
+std::size_t task_of(std::string_view key, std::size_t count) {
+  return task_of_key(Values(std::string(key)), count);
+}
+
+/// Each key's value by the task that has it now; the key is the grouping's.
+class Rehashing : public StateStores {
+ protected:
+  KeyValueState task(int index, int count, StateOwner::TaskOf known = task_of) const {
+    StateOwner owner{"t", "count", index, count};
+    owner.task_of = std::move(known);
+    return {make_state_store(url()), std::move(owner)};
+  }
+  /// Lets every task count its keys once more, as tuples of these keys would.
+  void count(int tasks) {
+    for (int i = 0; i < tasks; ++i) {
+      KeyValueState state = task(i, tasks);
+      for (const std::string& key : keys_) {
+        if (task_of(key, static_cast<std::size_t>(tasks)) != static_cast<std::size_t>(i)) continue;
+        state.put_int(key, state.get_int(key) + 1);
+      }
+      state.checkpoint();
+    }
+  }
+  const std::vector<std::string> keys_{"a", "b", "c", "driver-1", "driver-2", std::string("\0\xff", 2), ""};
+};
+INSTANTIATE_TEST_SUITE_P(All, Rehashing, testing::Values("memory", "rocksdb"),
+                         [](const auto& each) { return std::string(each.param); });
+
+TEST_P(Rehashing, AnotherNumberOfTasksHasEachKeyWhereItsTuplesComeNow) {
+  int times = 0;
+  for (const int tasks : {2, 3, 2, 1, 4}) {
+    count(tasks);
+    ++times;
+    std::size_t found = 0;
+    for (int i = 0; i < tasks; ++i) {
+      const KeyValueState state = task(i, tasks);
+      for (const auto& [key, value] : state.entries()) {
+        EXPECT_EQ(task_of(key, static_cast<std::size_t>(tasks)), static_cast<std::size_t>(i)) << key;
+        EXPECT_EQ(value, std::to_string(times)) << key << " with " << tasks << " tasks";
+      }
+      found += state.size();
+    }
+    EXPECT_EQ(found, keys_.size()) << tasks << " tasks";
+  }
+}
+
+TEST_P(Rehashing, WithoutKnowingWhoUsesAKeyAnotherNumberIsRefusedWithWhatToDoAndNothingIsLost) {
+  count(2);
+  const auto nobody_knows = [](std::string_view, std::size_t) { return std::nullopt; };
+  for (const auto& problem : {problem_of([&] { task(0, 3, {}); }), problem_of([&] { task(0, 3, nobody_knows); })}) {
+    EXPECT_THAT(problem, AllOf(HasSubstr("written by 2 tasks, and now there are 3"), HasSubstr("state.keys: grouping"),
+                               HasSubstr("grouping_key"), HasSubstr("Set the old number of tasks again"),
+                               HasSubstr("Redis"), HasSubstr("state.store")));
+  }
+  EXPECT_EQ(task(0, 2).size() + task(1, 2).size(), keys_.size());
+  const KeyValueState other(make_state_store(url()), StateOwner{"t", "other", 0, 3});
+  EXPECT_EQ(other.size(), 0U) << "another component may have any number";
+}
+
+TEST_P(Rehashing, AKeyThatWasNotWhereItsTuplesWentIsRefused) {
+  for (int i = 0; i < 2; ++i) {
+    KeyValueState state = task(i, 2);
+    state.put_int("total", 7);  // each task has its own
     state.checkpoint();
   }
-  const std::string problem = problem_of([this] { open("count", 0, 3); });
-  EXPECT_THAT(problem, HasSubstr("written by 2 tasks, and now there are 3"));
-  EXPECT_EQ(open("other", 0, 3).size(), 0U) << "another component may have any number";
+  EXPECT_THAT(problem_of([&] { task(0, 3); }),
+              AllOf(HasSubstr("has the key \"total\""), HasSubstr("not what the tuples are grouped by")));
+  EXPECT_EQ(task(0, 2).get_int("total") + task(1, 2).get_int("total"), 14);
+}
+
+TEST_P(Rehashing, ATaskOfTheOldNumberWritesNothingAnyMore) {
+  count(2);
+  KeyValueState old = task(0, 2);
+  for (const std::string& key : keys_) old.put(key, "old");
+  const KeyValueState first = task(0, 3);
+  EXPECT_THAT(problem_of([&] { old.checkpoint(); }), HasSubstr("was given to 3 tasks, and this is one of 2"));
+  EXPECT_EQ(task(0, 3).entries(), first.entries());
 }
 
 TEST(StateStore, OtherUrlsAreRefusedWithWhatWouldBeRight) {
@@ -144,6 +221,58 @@ TEST(StateStore, ATornWriteIsDroppedAndWhatWasBeforeItIsThere) {
   const KeyValueState state(make_state_store(folder.url()), {"t", "count", 0, 1});
   EXPECT_THAT(state.entries(), ElementsAre(Pair("a", "1")));
   EXPECT_EQ(state.version(), 1U);
+}
+
+/// A shared store that any task may write, with a failover in which it loses what it has.
+class ForgetfulStore final : public StateStore {
+ public:
+  bool shared() const override { return true; }
+  StoredState load(const StateOwner&) override { return {}; }
+  ClaimedValue claim(const StateOwner&, const std::string& key) override { return entries[key]; }
+  void commit(const StateOwner&, const Checkpoint& checkpoint) override {
+    for (const auto& [key, value] : checkpoint.changes) {
+      entries[key].value = value;
+      ++entries[key].changes;
+    }
+  }
+  std::map<std::string, ClaimedValue> entries;
+};
+
+TEST(StateStore, OfASharedStoreATaskNoticesTheLossOfTheKeysThatItWroteLastAndForgetsOlderOnes) {
+  auto store = std::make_shared<ForgetfulStore>();
+  KeyValueState state(store, {"t", "count", 0, 1});
+  constexpr std::size_t more = KeyValueState::most_remembered / 2;
+  const std::size_t all = KeyValueState::most_remembered + more;
+  const auto key = [](std::size_t i) { return "key " + std::to_string(i); };
+  for (std::size_t i = 0; i < all;) {
+    for (const std::size_t end = i + 10'000; i < end && i < all; ++i) state.put(key(i), "x");
+    state.checkpoint();
+  }
+  store->entries.clear();
+  for (const std::size_t i : {std::size_t{0}, all - more, all - 1}) static_cast<void>(state.find(key(i)));
+  EXPECT_THAT(state.take_losses(),
+              ElementsAre(HasSubstr("\"" + key(all - more) + "\""), HasSubstr("\"" + key(all - 1) + "\"")));
+}
+
+TEST(StateStore, KeysOfAnyBytesAreReadableInMessages) {
+  EXPECT_EQ(internal::quoted("driver 1"), "\"driver 1\"");
+  EXPECT_EQ(internal::quoted(std::string("\0\xff\"\\", 4)), R"("\x00\xff\x22\x5c")");
+  EXPECT_EQ(internal::quoted(std::string(65, 'a')), "\"" + std::string(64, 'a') + "...\"");
+}
+
+TEST(StateStore, WhatATaskRemembersOfItsLastWritesIsBounded) {
+  internal::LastWrites writes(4);
+  for (int i = 0; i < 100; ++i) {
+    writes.set(std::to_string(i), static_cast<std::uint64_t>(i));
+    EXPECT_LE(writes.size(), 4U);
+  }
+  EXPECT_EQ(writes.find("99"), 99U);
+  EXPECT_EQ(writes.find("98"), 98U) << "half of the limit is remembered in any case";
+  EXPECT_EQ(writes.find("95"), std::nullopt);
+  writes.set("98", 1000);
+  EXPECT_EQ(writes.find("98"), 1000U);
+  writes.forget("98");
+  EXPECT_EQ(writes.find("98"), std::nullopt);
 }
 
 TEST(StateStore, AValueThatIsNoNumberSaysSo) {

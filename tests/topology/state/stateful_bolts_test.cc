@@ -1,6 +1,9 @@
 // Bolts with state: what is acked was kept, and what was kept counts once.
 #include <map>
+#include <optional>
 #include <string>
+#include <string_view>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,6 +16,7 @@
 namespace iotcloud::topology::workshop {
 namespace {
 
+using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
@@ -150,7 +154,7 @@ TEST(StatefulBolts, WithoutAStoreOrWithAPeriodThatIsNoneTheTopologyIsNotBuilt) {
       HasSubstr("\"5\" is no period"));
 }
 
-TEST(StatefulBolts, AChangedNumberOfTasksIsRefusedAtStart) {
+TEST(StatefulBolts, AChangedNumberOfTasksIsRefusedAtStartUnlessItIsKnownWhoUsesWhichKey) {
   const Folder folder;
   const auto factory = make_stateful_bolt<Count>({.store = folder.url(), .checkpoint = 10ms});
   {
@@ -158,7 +162,93 @@ TEST(StatefulBolts, AChangedNumberOfTasksIsRefusedAtStart) {
     counting.put("a");
     counting.pass(10ms);
   }
-  EXPECT_THAT(problem_of([&] { const Counting three(factory, {}, 3); }), HasSubstr("2 tasks, and now there are 3"));
+  EXPECT_THAT(problem_of([&] { const Counting three(factory, {}, 3); }),
+              AllOf(HasSubstr("2 tasks, and now there are 3"), HasSubstr("\"state.keys: grouping\"")));
+}
+
+const std::vector<std::string> words{"a", "b", "c", "d", "e", "f", "g", "h"};
+
+/// One topology after the other, each with its number of tasks; each counts all words twice.
+void expect_counts_to_go_on(const BoltFactory& factory, const Config& config) {
+  int times = 0;
+  for (const int tasks : {2, 3, 2, 1, 3}) {
+    Counting counting(factory, config, tasks);
+    std::vector<std::string> wanted;
+    for (int i = 0; i < 2; ++i) {
+      ++times;
+      for (const std::string& word : words) {
+        counting.put(word);
+        wanted.push_back(word + "=" + std::to_string(times));
+      }
+      counting.pass(10ms);
+    }
+    EXPECT_THAT(counting.seen(), testing::UnorderedElementsAreArray(wanted)) << tasks << " tasks";
+    EXPECT_EQ(counting.source->acked().size(), 2 * words.size());
+  }
+}
+
+TEST(StatefulBolts, EveryCountIsKeptWhenTheNumberOfTasksChangesAndKeysAreTheGroupings) {
+  const Folder folder;
+  expect_counts_to_go_on(make_stateful_bolt<Count>({.store = folder.url(), .checkpoint = 10ms}),
+                         {{"state.keys", "grouping"}});
+}
+
+/// Has a key of its own form, and says which words use it.
+struct CountOfWord : Count {
+  std::optional<Values> grouping_key(std::string_view key) const override {
+    return key.starts_with("count of ") ? std::optional(Values(std::string(key.substr(9)))) : std::nullopt;
+  }
+  void execute(const Tuple& tuple) override {
+    const auto& word = tuple.get<std::string>("value");
+    const std::string key = "count of " + word;
+    state_->put_int(key, state_->get_int(key) + 1);
+    out_->emit(tuple, Values(word, state_->get_int(key)));
+    out_->ack(tuple);
+  }
+};
+
+TEST(StatefulBolts, EveryCountIsKeptWhenTheNumberOfTasksChangesAndTheBoltSaysWhoUsesAKey) {
+  const Folder folder;
+  expect_counts_to_go_on(make_stateful_bolt<CountOfWord>({.store = folder.url(), .checkpoint = 10ms}), {});
+}
+
+/// Counts under one key for all words, although it says that a key is a word.
+struct CountOfAll : Count {
+  void execute(const Tuple& tuple) override {
+    state_->put_int("all", state_->get_int("all") + 1);
+    out_->ack(tuple);
+  }
+};
+
+TEST(StatefulBolts, AKeyThatIsNotTheTuplesFailsItAtOnceAlsoWithOneTask) {
+  Counting counting(
+      make_stateful_bolt<CountOfAll>({.store = "memory://all", .checkpoint = 10ms, .keys_of_grouping = true}));
+  counting.put("a");
+  counting.pass(10ms);
+  EXPECT_THAT(counting.source->failed(), ElementsAre(1));
+  EXPECT_THAT(counting.runtime->snapshot().component("count").last_error,
+              AllOf(HasSubstr("the key \"all\" for a tuple of another key"), HasSubstr("state.keys")));
+  counting.put("all");
+  counting.pass(10ms);
+  EXPECT_THAT(counting.source->acked(), ElementsAre(2));
+}
+
+TEST(StatefulBolts, KeysOfTheGroupingNeedAGroupingByOneField) {
+  auto source = std::make_shared<Source>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("count", make_stateful_bolt<Count>({.store = "memory://shuffled", .keys_of_grouping = true}))
+      .shuffle_grouping("in");
+  Runtime runtime(builder.build("t"), {});
+  EXPECT_THAT(problem_of([&] { runtime.start(); }), HasSubstr("not all inputs have the grouping fields"));
+}
+
+TEST(StatefulBolts, OtherWordsForKeysAreRefused) {
+  EXPECT_THAT(
+      problem_of([] {
+        const Counting none(make_stateful_bolt<Count>(), {{"state.store", "memory://x"}, {"state.keys", "fields"}});
+      }),
+      AllOf(HasSubstr("\"fields\""), HasSubstr("write \"grouping\"")));
 }
 
 TEST(StatefulBolts, AStopWaitsForTheCheckpointOfWhatIsUnderWay) {

@@ -21,6 +21,10 @@ constexpr std::chrono::milliseconds answer_limit{2000};
 /// How long the store does not ask the server again after a failure, so that a task does not wait for each of its
 /// tuples.
 constexpr std::chrono::milliseconds redis_pause{200};
+/// How often make_sure() asks the server.
+constexpr std::chrono::milliseconds look_pause{1000};
+/// The only maxmemory-policy with which a server keeps all keys.
+constexpr const char* keeps_all = "noeviction";
 
 /// KEYS[1]: the key; ARGV[1]: the session. Answers its value and number.
 constexpr const char* claim_script = R"(
@@ -29,6 +33,13 @@ local found = redis.call('HMGET', KEYS[1], 'v', 'n')
 if not found[1] then redis.call('PEXPIRE', KEYS[1], 3600000) end
 return found
 )";
+
+/// Begins the commit: refuses it while the server may drop keys.
+constexpr const char* keeps_all_script = R"(
+local policy = string.match(redis.call('INFO', 'memory'), 'maxmemory_policy:([%w-]+)')
+if policy ~= 'noeviction' then return redis.error_reply('EVICTS ' .. tostring(policy)) end
+)";
+constexpr std::string_view evicts = "EVICTS ";
 
 /// KEYS: all keys that the task has claimed; ARGV[1]: its session; then three words for each change: the key's place in
 /// KEYS, its number, and '+' with the value, or '-'. Answers the places of keys that another session has claimed since;
@@ -80,6 +91,11 @@ std::string info_of(const std::string& info, const std::string& name) {
   return info.substr(begin, info.find_first_of("\r\n", begin) - begin);
 }
 
+std::string forgetful(const std::string& policy) {
+  return "forgets keys when its memory is full (maxmemory-policy " + policy +
+         "), and state with them; set maxmemory-policy noeviction";
+}
+
 class RedisStore final : public StateStore {
  public:
   explicit RedisStore(const std::string& url) : address_(parse_redis_address(url)) {}
@@ -109,7 +125,8 @@ class RedisStore final : public StateStore {
   }
 
   void commit(const StateOwner& owner, const Checkpoint& checkpoint) override {
-    std::vector<std::string> words{"EVAL", commit_script, std::to_string(checkpoint.claimed.size())};
+    std::vector<std::string> words{"EVAL", std::string(keeps_all_script) + commit_script,
+                                   std::to_string(checkpoint.claimed.size())};
     for (const auto& claim : checkpoint.claimed) words.push_back(redis_key(owner, claim.key));
     words.push_back(owner.session);
     for (const auto& [key, value] : checkpoint.changes) {
@@ -127,6 +144,16 @@ class RedisStore final : public StateStore {
                        "\" were claimed by another task or worker since the last checkpoint; nothing was written");
   }
 
+  void make_sure() override {
+    const config::MutexLock lock(mutex_);
+    if (connection_ && config::system_clock().now() < look_at_) return;
+    const std::string policy = info_of(ask({"INFO"}).text, "maxmemory_policy");
+    look_at_ = config::system_clock().now() + look_pause;
+    if (policy == keeps_all) return;
+    give_up("the Redis at " + connection_->name() + " " + forgetful(policy));
+    throw StateUnavailable(last_problem_);
+  }
+
  private:
   StateUnavailable unexpected() const {
     return StateUnavailable("the state store " + address_.text + " has data of another program or version");
@@ -140,7 +167,11 @@ class RedisStore final : public StateStore {
       if (connection_) give_up(error.what());
       throw;
     } catch (const StateError& error) {  // a server that became a replica, is full, or restarts answers with an error
-      if (connection_) give_up("the state store " + address_.text + ": " + error.what());
+      std::string text = error.what();
+      if (text.starts_with(evicts)) {
+        text = "it " + forgetful(text.substr(evicts.size(), text.find(' ', evicts.size()) - evicts.size()));
+      }
+      if (connection_) give_up("the state store " + address_.text + ": " + text);
       throw StateUnavailable(last_problem_);
     }
   }
@@ -190,9 +221,8 @@ class RedisStore final : public StateStore {
       if (info_of(info, "loading") == "1") {
         throw StateUnavailable("the Redis at " + server.name() + " reads its data from the disk");
       }
-      if (const std::string policy = info_of(info, "maxmemory_policy"); policy != "noeviction") {
-        throw StateError("the Redis at " + server.name() + " forgets keys when its memory is full (maxmemory-policy " +
-                         policy + "), and state with them; set maxmemory-policy noeviction");
+      if (const std::string policy = info_of(info, "maxmemory_policy"); policy != keeps_all) {
+        throw StateError("the Redis at " + server.name() + " " + forgetful(policy));
       }
     } catch (const RedisRefusal& refusal) {
       const std::string text = refusal.what();
@@ -208,6 +238,7 @@ class RedisStore final : public StateStore {
   config::Mutex mutex_;  ///< held while a server is asked: tasks ask one after the other
   std::unique_ptr<RedisConnection> connection_ IOTCLOUD_GUARDED_BY(mutex_);
   config::Clock::Instant again_at_ IOTCLOUD_GUARDED_BY(mutex_){};  ///< no attempt to connect before this time
+  config::Clock::Instant look_at_ IOTCLOUD_GUARDED_BY(mutex_){};   ///< make_sure() does not ask before this time
   std::string last_problem_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 

@@ -5,6 +5,7 @@
 #include <rocksdb/db.h>
 #include <rocksdb/write_batch.h>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/state/rocksdb/rocksdb_store.h>
 
 namespace iotcloud::topology::internal {
@@ -34,8 +35,8 @@ std::uint64_t as_number(std::string_view bytes) {
 std::string key_of(char kind, const StateOwner& owner) {
   return kind + owner.topology + '\0' + owner.component;
 }
-std::string key_of_task(char kind, const StateOwner& owner) {
-  return key_of(kind, owner) + '\0' + as_bytes(static_cast<std::uint64_t>(owner.task_index));
+std::string key_of_task(char kind, const StateOwner& owner, int task) {
+  return key_of(kind, owner) + '\0' + as_bytes(static_cast<std::uint64_t>(task));
 }
 
 class RocksdbStore final : public StateStore {
@@ -57,16 +58,41 @@ class RocksdbStore final : public StateStore {
   }
 
   StoredState load(const StateOwner& owner) override {
-    if (const auto count = get_numbers(key_of('t', owner), 1)) {
-      check_task_count(owner, static_cast<int>(as_number(*count)));
+    const config::WriteLock lock(counts_mutex_);
+    if (const auto stored = count_of(owner); stored && *stored != owner.task_count) {
+      give_to_the_tasks_of(owner, *stored);
     }
+    return read(owner, owner.task_index);
+  }
+
+  void commit(const StateOwner& owner, const Checkpoint& checkpoint) override {
+    rocksdb::WriteBatch batch;
+    const std::string prefix = key_of_task('s', owner, owner.task_index);
+    for (const auto& [key, value] : checkpoint.changes) {
+      check(value ? batch.Put(prefix + key, *value) : batch.Delete(prefix + key), "cannot take a change");
+    }
+    put_count(batch, owner);
+    put_version(batch, owner, owner.task_index, checkpoint.version, checkpoint.entries);
+    const config::ReadLock lock(counts_mutex_);
+    if (const auto stored = count_of(owner)) check_task_count(owner, *stored);
+    check(db_->Write(synced(), &batch), "cannot be written");
+  }
+
+ private:
+  /// How many tasks the component's state belongs to; nullopt: there is no state.
+  std::optional<int> count_of(const StateOwner& owner) const {
+    const auto count = get_numbers(key_of('t', owner), 1);
+    return count ? std::optional(static_cast<int>(as_number(*count))) : std::nullopt;
+  }
+
+  StoredState read(const StateOwner& owner, int task) const {
     StoredState state;
     std::uint64_t expected = 0;
-    if (const auto version = get_numbers(key_of_task('v', owner), 2)) {
+    if (const auto version = get_numbers(key_of_task('v', owner, task), 2)) {
       state.version = as_number(std::string_view(*version).substr(0, 8));
       expected = as_number(std::string_view(*version).substr(8));
     }
-    const std::string prefix = key_of_task('s', owner);
+    const std::string prefix = key_of_task('s', owner, task);
     const std::unique_ptr<rocksdb::Iterator> entry(db_->NewIterator({}));
     for (entry->Seek(prefix); entry->Valid() && entry->key().starts_with(prefix); entry->Next()) {
       const rocksdb::Slice key = entry->key();
@@ -75,27 +101,44 @@ class RocksdbStore final : public StateStore {
     }
     check(entry->status(), "cannot be read");
     if (state.entries.size() != expected) {
-      throw problem("is not whole: task " + std::to_string(owner.task_index) + " of \"" + owner.component +
-                        "\" should have " + std::to_string(expected) + " keys and has " +
-                        std::to_string(state.entries.size()),
+      throw problem("is not whole: task " + std::to_string(task) + " of \"" + owner.component + "\" should have " +
+                        std::to_string(expected) + " keys and has " + std::to_string(state.entries.size()),
                     "restore the folder from a copy, or name another one to begin anew");
     }
     return state;
   }
 
-  void commit(const StateOwner& owner, const Checkpoint& checkpoint) override {
-    rocksdb::WriteBatch batch;
-    const std::string prefix = key_of_task('s', owner);
-    for (const auto& [key, value] : checkpoint.changes) {
-      check(value ? batch.Put(prefix + key, *value) : batch.Delete(prefix + key), "cannot take a change");
-    }
+  void put_count(rocksdb::WriteBatch& batch, const StateOwner& owner) const {
     check(batch.Put(key_of('t', owner), as_bytes(static_cast<std::uint64_t>(owner.task_count))), "cannot be written");
-    check(batch.Put(key_of_task('v', owner), as_bytes(checkpoint.version) + as_bytes(checkpoint.entries)),
-          "cannot be written");
+  }
+  void put_version(rocksdb::WriteBatch& batch, const StateOwner& owner, int task, std::uint64_t version,
+                   std::uint64_t entries) const {
+    check(batch.Put(key_of_task('v', owner, task), as_bytes(version) + as_bytes(entries)), "cannot be written");
+  }
+
+  /// Moves each key to the task that uses it now, in one batch: after a crash all have moved, or none.
+  void give_to_the_tasks_of(const StateOwner& owner, int stored) IOTCLOUD_REQUIRES(counts_mutex_) {
+    std::vector<StoredState> before;
+    for (int task = 0; task < stored; ++task) before.push_back(read(owner, task));
+    const std::vector<StoredState> given = rehashed(owner, before);
+    rocksdb::WriteBatch batch;
+    for (int task = 0; task < stored; ++task) {
+      check(batch.Delete(key_of_task('v', owner, task)), "cannot take a change");
+      for (const auto& [key, value] : before[static_cast<std::size_t>(task)].entries) {
+        check(batch.Delete(key_of_task('s', owner, task) + key), "cannot take a change");
+      }
+    }
+    for (int task = 0; task < owner.task_count; ++task) {
+      const StoredState& state = given[static_cast<std::size_t>(task)];
+      put_version(batch, owner, task, state.version, state.entries.size());
+      for (const auto& [key, value] : state.entries) {
+        check(batch.Put(key_of_task('s', owner, task) + key, value), "cannot take a change");
+      }
+    }
+    put_count(batch, owner);
     check(db_->Write(synced(), &batch), "cannot be written");
   }
 
- private:
   static rocksdb::WriteOptions synced() {
     rocksdb::WriteOptions options;
     options.sync = true;
@@ -127,6 +170,8 @@ class RocksdbStore final : public StateStore {
 
   const std::string path_;
   const std::unique_ptr<rocksdb::DB> db_;
+  /// Held while the numbers of tasks change; checkpoints, which need them as they are, are written side by side.
+  config::SharedMutex counts_mutex_;
 };
 
 void refuse_foreign(const std::string& path) {
