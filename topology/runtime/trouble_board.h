@@ -13,6 +13,7 @@ namespace iotcloud::topology {
 /// What hinders the components of a topology now, as they say it. Thread safe.
 class TroubleBoard final : public Troubles {
  public:
+  /// What hinders one component.
   struct Trouble {
     std::string component;
     std::string text;
