@@ -62,18 +62,18 @@ def children_of(process):
     return found
 
 
-def echo_topology(spouts=1, bolts=1, more=""):
+def echo_topology(spouts=1, bolts=1, more="", broker="rabbitmq"):
     """YAML of a topology that sends back what load generators send. `spouts`, `bolts`: parallelism; `more`: further
-    lines."""
+    lines; `broker`: that of the channels."""
     return f"""
 zk.servers: ["{{zookeeper}}"]
 topology.name: echo
 {more}
 spouts:
-  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: {spouts}}}
+  receive: {{broker: {broker}, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: {spouts}}}
 bolts:
   send:
-    broker: rabbitmq
+    broker: {broker}
     driver: loadgen
     channel: echo
     fields: [data, driverID, time]
