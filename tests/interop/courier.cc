@@ -14,7 +14,7 @@ namespace {
 
 /// Sends `count` messages on `data`: number N has N as its text and as its property `battery`, and the time
 /// 1700000000000 + N. Awaits an answer to each on `control` with the same, and the property `reply` N. Writes what it
-/// saw to the file `report` when every answer is there, and when it closes.
+/// saw to the file `report` when every answer is there, and when it closes. `others`: messages with further properties.
 class Courier final : public Driver {
  public:
   std::vector<ChannelSpec> channels(const PropertyMap& properties) override {
@@ -54,6 +54,7 @@ class Courier final : public Driver {
         message.time_ms != first_time + std::stoll(number) || !says("battery") || !says("reply")) {
       ++wrong_;
     }
+    if (message.properties.size() != 2) ++others_;
     if (!seen_.insert(number).second) ++twice_;
     if (static_cast<std::int64_t>(seen_.size()) == count_) report();
   }
@@ -74,12 +75,16 @@ class Courier final : public Driver {
   }
   void report() const {
     if (report_.empty()) return;
-    std::ofstream(report_)
-        << nlohmann::json{{"sent", sent_}, {"received", seen_.size()}, {"twice", twice_}, {"wrong", wrong_}} << '\n';
+    std::ofstream(report_) << nlohmann::json{{"sent", sent_},
+                                             {"received", seen_.size()},
+                                             {"twice", twice_},
+                                             {"wrong", wrong_},
+                                             {"others", others_}}
+                           << '\n';
   }
 
   DriverContext* context_ = nullptr;
-  std::int64_t count_ = 1, sent_ = 0, twice_ = 0, wrong_ = 0;
+  std::int64_t count_ = 1, sent_ = 0, twice_ = 0, wrong_ = 0, others_ = 0;
   std::string report_;
   std::set<std::string> seen_;
 };

@@ -1,22 +1,29 @@
 #!/usr/bin/python3
 """Programs of the original system on the data plane, with ours: a Java topology reads our drivers and answers them, and
 our topology reads the drivers of a Java gateway and answers them, on RabbitMQ and Kafka. The Java programs
-(tests/interop/java) know nothing of ours: they find channels in ZooKeeper by the original's rules. Prints how many
-messages were sent, received and lost, and how many had wrong headers.
+(tests/interop/java) know nothing of ours: they find channels in ZooKeeper by the original's rules, and send back every
+header that they get. Prints how many messages were sent, received and lost, how many had wrong headers, and which further
+headers a program of the original sees; writes the same as figures to build/bench/interop.json (`./dev bench keep interop`).
 
 usage: interop_test.py BUILD_DIR
 Exit status 77: skipped, because a server or a library cannot be had.
 """
 
+import json
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
 sys.path.insert(0, str(HERE.parent / "servers"))
+sys.path.insert(0, str(ROOT / "bench"))
 
+import figures  # noqa: E402
 import private_server  # noqa: E402
+import versions  # noqa: E402
 from java_programs import build  # noqa: E402
 from private_cluster import PrivateCluster, Unavailable, require, result_of, wait_for  # noqa: E402
 
@@ -24,17 +31,17 @@ COUNT = 300
 SKIPPED = 77
 RABBITMQ, KAFKA = "RabbitMQ", "Kafka"
 
-# Our drivers, which a Java topology reads and answers: name, broker, how the channels are, properties. Java writers
+# Our drivers, which a Java topology reads and answers: name, broker, how the channels are, instances, properties. Java writers
 # declare the queue that they send to, so a RabbitMQ driver's incoming channel has it as they declare it.
 DRIVERS = (
-    ("exclusive", RABBITMQ, "exclusive", {"channel.control.interop": "java"}),
-    ("shared", RABBITMQ, "shared", {"channel.control.interop": "java", "channel.data.shared": "true",
-                                    "channel.control.shared": "true"}),
-    ("single", RABBITMQ, "single queue, own names", {"own_names": "true", "channel.data.interop": "java",
-                                                     "channel.control.interop": "java"}),
-    ("over_kafka", KAFKA, "shared", {"channel.data.broker": "kafka", "channel.control.broker": "kafka",
-                                     "channel.data.shared": "true", "channel.control.shared": "true",
-                                     "own_names": "true"}),
+    ("exclusive", RABBITMQ, "exclusive", 1, {"channel.control.interop": "java"}),
+    ("shared", RABBITMQ, "shared", 2, {"channel.control.interop": "java", "channel.data.shared": "true",
+                                       "channel.control.shared": "true"}),
+    ("single", RABBITMQ, "single queue, own names", 1, {"own_names": "true", "channel.data.interop": "java",
+                                                        "channel.control.interop": "java"}),
+    ("over_kafka", KAFKA, "shared", 2, {"channel.data.broker": "kafka", "channel.control.broker": "kafka",
+                                        "channel.data.shared": "true", "channel.control.shared": "true",
+                                        "own_names": "true"}),
 )
 # Drivers of a Java gateway, which our topology reads and answers: name, broker, how the channels are, instances.
 JAVA_DRIVERS = (("java_exclusive", RABBITMQ, "exclusive", 2), ("java_shared", RABBITMQ, "shared", 2),
@@ -73,22 +80,26 @@ class JavaPrograms:
         answer = self.hear()
         require(answer.startswith("sent "), f"the Java program said: {answer or 'nothing'}; see {self.log}")
         words = answer.split()
-        return {word: int(number) for word, number in zip(words[::2], words[1::2])}
+        told = dict(zip(words[::2], words[1::2]))
+        return {word: value if word == "others" else int(value) for word, value in told.items()}
 
 
 def with_java_topology(cluster, java, servers, row):
-    """A driver of ours and a Java topology: yields both directions' figures."""
-    name, broker, kind, properties = row
-    report = cluster.out / f"{name}.json"
-    report.unlink(missing_ok=True)
-    cluster.cli("deploy", "courier.so", "--driver", name, "--gateway", "gateway-1",
-                *(f"--property={key}={value}" for key, value in
-                  {"count": COUNT, "report": report, **properties}.items()))
+    """Instances of a driver of ours and a Java topology: yields both directions' figures."""
+    name, broker, kind, instances, properties = row
+    reports = [cluster.out / f"{name}-{number}.json" for number in range(instances)]
+    for report in reports:
+        cluster.cli("deploy", "courier.so", "--driver", name, "--gateway", "gateway-1",
+                    *(f"--property={key}={value}" for key, value in
+                      {"count": COUNT, "report": report, **properties}.items()))
     java.say("topology", *servers[broker], name, COUNT)
     read = java.figures()
-    yield "our driver -> Java topology", broker, kind, COUNT, read
-    wait_for(f"the driver {name} has every answer", lambda: result_of(report), 30)
-    yield "Java topology -> our driver", broker, kind, read["sent"], result_of(report)
+    layout = f"{kind}, {instances} instance{'s' if instances > 1 else ''}"
+    yield "our driver -> Java topology", broker, layout, COUNT * instances, read
+    wait_for(f"the instances of {name} have every answer", lambda: all(map(result_of, reports)), 30)
+    results = [result_of(report) for report in reports]
+    answers = {key: sum(result[key] for result in results) for key in ("received", "twice", "wrong", "others")}
+    yield "Java topology -> our driver", broker, layout, read["sent"], {**answers, "others": answers["others"] or "none"}
 
 
 def with_java_gateway(java, servers, row):
@@ -96,8 +107,9 @@ def with_java_gateway(java, servers, row):
     before it is answered."""
     name, broker, kind, instances = row
     java.say("gateway", *servers[broker], name, COUNT, instances, str(kind == "shared").lower())
-    figures = java.figures()
-    return "Java gateway -> our topology -> Java gateway", broker, kind, figures["sent"], figures
+    told = java.figures()
+    layout = f"{kind}, {instances} instances"
+    return "Java gateway -> our topology -> Java gateway", broker, layout, told["sent"], told
 
 
 def run(work, build_dir, plugins, class_path):
@@ -117,8 +129,28 @@ def run(work, build_dir, plugins, class_path):
     return rows
 
 
+def figures_of(rows):
+    """The table in the form of a benchmark's results."""
+    for way, broker, kind, sent, got in rows:
+        name = f"{way}, {broker}, {kind}"
+        yield {"name": f"{name}: received", "value": got["received"], "unit": "messages", "baseline": "sent", "baseline_value": sent,
+               "ratio": got["received"] / sent if sent else None, "target": "all", "met": 0 < sent == got["received"]}
+        for what, value in (("lost", sent - got["received"]), ("twice", got["twice"]), ("wrong headers", got["wrong"])):
+            yield {"name": f"{name}: {what}", "value": value, "unit": "messages", "target": "none", "met": value == 0}
+
+
+def write_figures(build_dir, rows, began):
+    written = {"machine": figures.machine(), "commit": figures.commit(ROOT), "command": "./dev bench interop",
+               "seconds": time.monotonic() - began, "versions": versions.asked(build_dir, "rabbitmq", "kafka"),
+               "results": list(figures_of(rows))}
+    file = ROOT / "build/bench/interop.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+    print(f"figures: {file}")
+
+
 def main():
-    build_dir = Path(sys.argv[1]).resolve()
+    build_dir, began = Path(sys.argv[1]).resolve(), time.monotonic()
     try:
         class_path = build()
         work = build_dir / "interop"
@@ -127,11 +159,12 @@ def main():
     except (Unavailable, private_server.Unavailable) as error:
         print(f"skipped: {error}")
         return SKIPPED
-    print(f"{'messages':<46} {'broker':<9} {'channels':<24} {'sent':>5} {'received':>9} {'lost':>5} {'twice':>6} "
-          f"{'wrong headers':>14}")
+    print(f"{'messages':<46} {'broker':<9} {'channels':<36} {'sent':>5} {'received':>9} {'lost':>5} {'twice':>6} "
+          f"{'wrong headers':>14}  others")
     for way, broker, kind, sent, got in rows:
-        print(f"{way:<46} {broker:<9} {kind:<24} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
-              f"{got['twice']:>6} {got['wrong']:>14}")
+        print(f"{way:<46} {broker:<9} {kind:<36} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
+              f"{got['twice']:>6} {got['wrong']:>14}  {got['others']}")
+    write_figures(build_dir, rows, began)
     bad = [row for row in rows if row[3] == 0 or row[3] != row[4]["received"] or row[4]["twice"] or row[4]["wrong"]]
     require(not bad, f"messages were lost, came twice or had wrong headers: {bad}")
     return 0

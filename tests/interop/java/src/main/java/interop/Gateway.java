@@ -81,6 +81,7 @@ final class Gateway {
         }
         Map<String, String> expected = new HashMap<>(expected(sensor, Integer.parseInt(message.text())));
         expected.put("seen", SITE);
+        tally.count(message.othersThan("battery", "seen"));
         boolean right = sensor.startsWith("instance") && message.says(expected);
         if (tally.isFirst(sensor + " " + message.text(), right)) tally.done();
     }

@@ -13,7 +13,8 @@ import java.nio.charset.StandardCharsets;
  * gateway ZOOKEEPER KIND SERVER DRIVER COUNT INSTANCES GROUPED  is a gateway with drivers, which a topology of ours answers
  * </pre>
  *
- * KIND: rabbitmq or kafka. The answer: "sent N received N twice N wrong N", or "error: " and what went wrong.
+ * KIND: rabbitmq or kafka. The answer: "sent N received N twice N wrong N others NAME=N,...", or "error: " and what went
+ * wrong. `others`: how many messages brought a header that is neither the original's nor a property of the play; "none".
  */
 public final class Main {
     private Main() {}

@@ -1,15 +1,19 @@
 package interop;
 
 import java.util.HashSet;
+import java.util.Map;
 import java.util.Set;
+import java.util.TreeMap;
 import java.util.concurrent.CountDownLatch;
 import java.util.concurrent.TimeUnit;
+import java.util.stream.Collectors;
 
 /** Counts messages that are awaited once each. Thread safe. */
 final class Tally {
     private static final int LIMIT_S = 30;
     private final Set<String> seen = new HashSet<>();
     private final CountDownLatch missing;
+    private final Map<String, Integer> others = new TreeMap<>();
     private int twice = 0;
     private int wrong = 0;
 
@@ -25,6 +29,11 @@ final class Tally {
         return false;
     }
 
+    /** Counts the names of headers that nobody expects. */
+    synchronized void count(Set<String> names) {
+        for (String name : names) others.merge(name, 1, Integer::sum);
+    }
+
     void done() {
         missing.countDown();
     }
@@ -34,6 +43,9 @@ final class Tally {
     }
 
     synchronized String answer(int sent) {
-        return "sent " + sent + " received " + seen.size() + " twice " + twice + " wrong " + wrong;
+        String named = others.entrySet().stream().map(entry -> entry.getKey() + "=" + entry.getValue())
+                .collect(Collectors.joining(","));
+        return "sent " + sent + " received " + seen.size() + " twice " + twice + " wrong " + wrong + " others "
+                + (named.isEmpty() ? "none" : named);
     }
 }

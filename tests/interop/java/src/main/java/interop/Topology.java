@@ -19,7 +19,8 @@ final class Topology {
         this.wire = wire;
     }
 
-    /** The driver's message N has the time 1700000000000 + N and the property battery N; so has the answer, and reply N. */
+    /** Answers with all headers that a message brought, whatever they are, as a program does that knows only some of them.
+     *  The driver's message N has the time 1700000000000 + N and the property battery N; so has the answer, and reply N. */
     String answer(String driver, int count) throws Exception {
         Map<String, TChannel> data = records.channels(driver, "data");
         Map<String, TChannel> control = records.channels(driver, "control");
@@ -43,9 +44,9 @@ final class Topology {
         boolean right = from != null && message.says(Map.of(Message.SITE, from.getSite(), Message.TIME,
                 Long.toString(1_700_000_000_000L + Long.parseLong(number)), "battery", number))
                 && !message.headers().containsKey("key");
+        tally.count(message.othersThan("battery"));
         if (!tally.isFirst(sensor + " " + number, right) || from == null) return;
         Map<String, String> headers = new HashMap<>(message.headers());
-        headers.keySet().removeIf(name -> name.startsWith("x-iotcloud-"));
         headers.put("reply", number);
         try {
             wire.write(control.get(sensor), new Message(message.body(), headers));
