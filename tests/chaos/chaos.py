@@ -3,6 +3,9 @@
 
 usage: chaos.py BUILD_DIR [--seed N] [--minutes N] [--broker rabbitmq|kafka|activemq] [--runs N] [--again]
        [--faults KIND,...] [--targets TARGET,...] [--schedule FILE] [--shrink RUNS] [--patience SECONDS] [--print]
+
+A violation is followed by at most 10 runs of smaller schedules, and prints the smallest that shows one too; --shrink 0
+leaves them out.
 """
 
 import argparse
@@ -34,7 +37,8 @@ PLUGIN, NEXT_PLUGIN = "chaos_ledger_driver.so", "chaos_ledger_driver-2.so"
 SKIPPED = 77
 SPACES = "IOTCLOUD_CHAOS_HAS_ITS_SPACES"
 COLUMNS = ("seed", "broker", "minutes", "faults", "result", "actions", "messages", "duplicates", "converged_s", "took_s",
-           "commit", "when", "first violation", "commands")
+           "commit", "when", "first violation", "commands", "drops")
+SHRINKING = 10  # runs after a violation, unless told otherwise
 
 
 def log(text):
@@ -48,6 +52,7 @@ class Run:
         self.build, self.out, self.broker, self.actions = Path(build), Path(out), broker, actions
         self.patience_s = patience_s  # until all must be well after the faults
         self.violations, self.messages, self.commands, self.duplicates, self.converged_s = [], 0, 0, 0, None
+        self.drops = {}  # by reason, as the daemons that lived in the end counted them
 
     def run(self):
         shutil.rmtree(self.out, ignore_errors=True)
@@ -98,7 +103,9 @@ class Run:
         self.converged_s = time.monotonic() - healed
         self.violations += wrong
         self.violations += checks.grown(before, after) + checks.spinning(cluster, self.patience_s)
-        self.violations += checks.uncounted(cluster, accounts, self.patience_s)
+        there = set(instances) | {driver["instance"] for driver in cluster.json("drivers")}
+        self.drops, wrong = checks.uncounted(cluster, accounts, there, self.patience_s)
+        self.violations += wrong
         self.messages = sum(len(run.sent) for account in accounts for run in account.runs)
         self.commands = sum(len(ledger.commands(account).runs[0].sent) for account in accounts if account.heard is not None)
         self.duplicates = sum(ledger.duplicates(account.came) for account in accounts)
@@ -249,12 +256,18 @@ def one(given, seed, actions, name):
         log(f"\nVIOLATED, seed {seed}, {given.broker}:")
         for text in run.violations:
             log(f"  {text}")
+        log(f"  drops that were counted: {told(run.drops)}")
         log(f"its schedule, which --schedule takes:\n{schedule.text(actions)}")
     else:
         log(f"seed {seed}, {given.broker}: {len(actions)} faults and orders; {run.messages} messages accepted and "
             f"{run.commands} commands sent back, none lost, {run.duplicates} messages came twice; all was well "
             f"{run.converged_s:.1f} s after the faults; {run.took_s:.0f} s in all")
+        log(f"  drops that were counted: {told(run.drops)}")
     return run
+
+
+def told(drops):
+    return ", ".join(f"{count} {reason}" for reason, count in sorted(drops.items())) or "none"
 
 
 def main():
@@ -270,8 +283,8 @@ def main():
                          "`steady`: those of ./dev test")
     options.add_argument("--targets", default="", help="only faults of these targets, joined by commas")
     options.add_argument("--schedule", type=Path, help="a file with a schedule, instead of a seed's")
-    options.add_argument("--shrink", type=int, default=0, metavar="RUNS", help="make a schedule that shows a violation "
-                         "smaller, by at most so many runs")
+    options.add_argument("--shrink", type=int, default=SHRINKING, metavar="RUNS", help="make a schedule that shows a "
+                         f"violation smaller, by at most so many runs (default: {SHRINKING}; 0: leave it as it is)")
     options.add_argument("--patience", type=int, default=60, metavar="SECONDS", help="how soon after the faults all must be "
                          "well (default: 60)")
     options.add_argument("--print", action="store_true", help="only print the schedule")
@@ -312,7 +325,7 @@ def main():
                     faults=f"schedule {given.schedule}" if given.schedule else given.faults, result="violated" if run.violations else "well", actions=len(actions), messages=run.messages,
                     duplicates=run.duplicates, commands=run.commands, converged_s=f"{run.converged_s or 0:.1f}", took_s=f"{run.took_s:.0f}",
                     commit=commit(), when=datetime.datetime.now().isoformat(timespec="seconds"),
-                    **{"first violation": run.violations[0] if run.violations else ""})
+                    drops=told(run.drops), **{"first violation": run.violations[0] if run.violations else ""})
         if run.violations:
             failed += 1
             if given.shrink:
@@ -327,7 +340,7 @@ def smaller(given, seed, actions):
         file.write_text(schedule.text(part, f"seed {seed}, {given.broker}, after {runs} runs"))
 
     part = shrink(actions, lambda part: bool(one(given, seed, part, "shrink").violations), given.shrink, keep)
-    log(f"the smallest schedule that was found ({file}):\n{schedule.text(part)}")
+    log(f"seed {seed}, {given.broker}: the smallest schedule that was found ({file}):\n{schedule.text(part)}")
 
 
 if __name__ == "__main__":

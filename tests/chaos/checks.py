@@ -6,6 +6,7 @@ import signal
 import time
 from pathlib import Path
 
+import ledger
 import schedule
 from cluster import processes, signal_all
 from orders import not_at_work
@@ -116,34 +117,113 @@ def crashed(cluster):
     return wrong
 
 
-def uncounted(cluster, accounts, limit):
-    """Messages of `blocked` channels that a driver host which still lives has accepted, and does not count under any
-    outcome. Each instance's runs name their process. A gateway asks its hosts for their counts now and then."""
-    accepted = collections.Counter()
-    for account in accounts:
-        if account.kind == "blocked":
-            for run in account.runs:
-                accepted[int(run.name.split(".")[0])] += len(run.sent)
+# How often a bolt drops a tuple for these reasons it fails the tuple, and the message is tried again.
+TRIED_AGAIN = ("fenced", "unknown", "refused", "closed", "held_back")
+COUNTERS = {"iotcloud_driver_messages_total", "iotcloud_driver_lost_total", "iotcloud_bolt_lost_total",
+            "iotcloud_bolt_unknown_driver_total"}
+LABEL = re.compile(r'(\w+)="([^"]*)"')
+
+
+def counters(page):
+    """Of a page of metrics, those of COUNTERS: (name, channel or component, outcome, reason) -> their sum."""
+    found = collections.Counter()
+    for key, value in page:
+        name, _, labels = key.partition("{")
+        if name in COUNTERS:
+            label = dict(LABEL.findall(labels))
+            found[name, label.get("channel") or label.get("component", ""), label.get("outcome", ""),
+                  label.get("reason", "")] += int(value)
+    return found
+
+
+def drops(pages):
+    """What all daemons count as dropped, or as without a known outcome: "blocked unknown closed" -> how often."""
+    found = collections.Counter()
+    for page in pages.values():
+        for (name, where, outcome, reason), count in counters(page).items():
+            if outcome not in ("confirmed", "would_block"):
+                reason = "unknown driver" if name == "iotcloud_bolt_unknown_driver_total" else reason
+                found[" ".join(word for word in (where, outcome, reason) if word)] += count
+    return +found
+
+
+def uncounted(cluster, accounts, there, limit):
+    """What the books say of drops and the metrics do not, or the other way round. `there`: instances that are there in
+    the end. A gateway asks its hosts for their counts now and then, so this waits until they agree. Returns the drops
+    that are counted, by reason, and sentences about what is wrong."""
     deadline = time.monotonic() + limit
-    while wrong := [text for gateway in schedule.GATEWAYS for text in miscounted(cluster, gateway, accepted)]:
-        if time.monotonic() > deadline:
-            return wrong
+    while True:
+        try:
+            pages = {name: cluster.page(name) for name in (*schedule.GATEWAYS, *schedule.WORKERS)}
+        except OSError as error:
+            pages, wrong = {}, [f"a daemon does not show its metrics: {error}"]
+        else:
+            wrong = [text for gateway in schedule.GATEWAYS
+                     for text in miscounted(gateway, counters(pages[gateway]), set(map(str, cluster.hosts(gateway))), accounts,
+                                            there, cluster.emptied)]
+            wrong += dropped_commands(pages, accounts, cluster.books)
+        if not wrong or time.monotonic() > deadline:
+            return drops(pages), wrong
         cluster.pause(0.5)
-    return []
 
 
-def miscounted(cluster, gateway, accepted):
-    counted = collections.Counter()
-    try:
-        for key, value in cluster.page(gateway):
-            if key.startswith("iotcloud_driver_messages_total") and 'channel="blocked"' in key:
-                counted[re.search(r'outcome="(\w+)"', key)[1]] += int(value)
-    except OSError as error:
-        return [f"{gateway} does not show its metrics: {error}"]
-    expected = sum(accepted[pid] for pid in cluster.hosts(gateway))
-    total = sum(count for outcome, count in counted.items() if outcome != "would_block")
-    return [f"{gateway}'s hosts accepted {expected} messages of blocked channels and count the outcomes {dict(counted)}"
-            ] if total != expected else []
+def miscounted(gateway, counted, hosts, accounts, there, emptied):
+    """Of the messages that driver hosts which live have accepted. `hosts`: their process ids; each instance's runs name
+    their process. A message of a blocked channel has one outcome that is counted; what never came is among those that
+    were not confirmed; what was refused or dropped never came. No message of a spool is refused or dropped."""
+    by_outcome, why = collections.Counter(), collections.Counter()
+    wrong = []
+    for (name, channel, outcome, reason), count in counted.items():
+        if name != "iotcloud_driver_messages_total" or outcome in ("would_block", ""):
+            continue
+        if channel == ledger.BLOCKED:
+            by_outcome[outcome] += count
+            if outcome != "confirmed":
+                why[f"{outcome} {reason}".strip()] += count
+        elif outcome in ("refused", "dropped") and count:
+            wrong.append(f"{gateway}'s hosts count {count} messages of {channel} channels as {outcome}: {reason}")
+    blocked = [account for account in accounts if account.kind == ledger.BLOCKED]
+    accepted = gone = unexcused = 0
+    for account in blocked:
+        lives = [run for run in account.runs if run.name.split(".")[0] in hosts]
+        accepted += sum(len(run.sent) for run in lives)
+        every = ledger.absent(account, account.came)
+        gone += sum(len(every[run.name]) for run in lives)
+        if account.instance in there:
+            left = ledger.absent(account, account.came, ledger.lost_spans(account, account.came, emptied))
+            unexcused += sum(len(left[run.name]) for run in lives)
+    if sum(by_outcome.values()) != accepted:
+        wrong.append(f"{gateway}'s hosts accepted {accepted} messages of blocked channels and count the outcomes "
+                     f"{dict(by_outcome)}")
+    surely = by_outcome["refused"] + by_outcome["dropped"]
+    if surely > gone:
+        wrong.append(f"{gateway}'s hosts count {surely} messages of blocked channels as refused or dropped ({dict(why)}), and "
+                     f"{gone} never came")
+    if unexcused > surely + by_outcome["unknown"]:
+        wrong.append(f"{unexcused} messages of {gateway}'s blocked channels never came, and its hosts count {dict(why)} as "
+                     "not confirmed")
+    return wrong
+
+
+def dropped_commands(pages, accounts, books):
+    """Commands are dropped for guests that are not there, and for no other reason."""
+    guests = [account for account in accounts if account.heard is None]
+    came = sum(len(account.came) for account in guests)
+    unheard = came - sum(ledger.heard_of_guest(books, account.instance) for account in guests)
+    wrong, unknown, no_instance = [], 0, 0
+    for daemon, page in pages.items():
+        for (name, where, _, reason), count in counters(page).items():
+            if name == "iotcloud_bolt_unknown_driver_total":
+                unknown += count
+            elif name == "iotcloud_driver_lost_total" and reason == "no_instance":
+                no_instance += count
+            elif name in ("iotcloud_bolt_lost_total", "iotcloud_driver_lost_total") and count and reason not in TRIED_AGAIN:
+                wrong.append(f"{daemon} dropped {count} messages of {where} for the reason \"{reason}\", which nothing here has")
+    if unknown > unheard:
+        wrong.append(f"workers dropped {unknown} commands for drivers that are not there; guests lack {unheard}")
+    if no_instance > came:
+        wrong.append(f"driver hosts dropped {no_instance} commands for instances that are not there; guests were sent {came}")
+    return wrong
 
 
 def left_over(cluster, limit):

@@ -1,11 +1,14 @@
 #!/usr/bin/python3
 """What a run leaves behind, whose processes it sees, and which results count for the sources as they are."""
+import contextlib
+import io
 import shutil
 import subprocess
 import sys
 import tempfile
 import unittest
 from pathlib import Path
+from types import SimpleNamespace
 from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -13,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import chaos  # noqa: E402
 import checks  # noqa: E402
 import cluster  # noqa: E402
+import schedule  # noqa: E402
 
 
 class InAFolder(unittest.TestCase):
@@ -53,6 +57,43 @@ class Processes(InAFolder):
             self.assertEqual(cluster.processes(self.folder / "rabbitmq-7"), [])
             self.assertEqual([pid for pid, _ in cluster.processes(self.folder / "rabbitmq-70")], [child.pid])
             child.stdin.close()
+
+
+class AViolation(InAFolder):
+    """Schedules of eight faults, of which the last one shows a violation."""
+
+    def run_chaos(self, *options):
+        """Returns the lengths of the schedules that were run, and what was printed."""
+        actions = [schedule.Action(float(number), "kill", target, 1.0) for number, target in
+                   enumerate(2 * (*schedule.GATEWAYS, *schedule.WORKERS))]
+        file = self.folder / "all.schedule"
+        file.write_text(schedule.text(actions))
+        lengths, printed = [], io.StringIO()
+
+        def one(_given, _seed, part, _name):
+            lengths.append(len(part))
+            return SimpleNamespace(violations=["lost"] if actions[-1] in part else [], messages=0, commands=0, duplicates=0,
+                                   converged_s=1.0, took_s=1.0, drops={})
+
+        words = ["chaos.py", str(self.folder), "--schedule", str(file), "--results", str(self.folder / "results.tsv"),
+                 "--out", str(self.folder), *options]
+        with mock.patch.object(chaos, "one", one), mock.patch.object(chaos, "in_own_spaces", lambda: None), \
+                mock.patch.object(sys, "argv", words), contextlib.redirect_stdout(printed), \
+                self.assertRaises(SystemExit) as ended:
+            chaos.main()
+        self.assertEqual(ended.exception.code, 1)
+        return lengths, printed.getvalue()
+
+    def test_is_followed_by_a_few_runs_that_make_its_schedule_small(self):
+        lengths, printed = self.run_chaos()
+        self.assertLessEqual(len(lengths), 1 + chaos.SHRINKING)
+        self.assertIn("smallest schedule", printed)
+        self.assertEqual(printed.split("smallest schedule")[1].count("kill"), 1)
+
+    def test_keeps_its_schedule_when_nobody_wants_a_smaller_one(self):
+        lengths, printed = self.run_chaos("--shrink", "0")
+        self.assertEqual(lengths, [8])
+        self.assertNotIn("smallest", printed)
 
 
 class Commit(InAFolder):

@@ -169,23 +169,31 @@ def lost_spans(one, copies, emptied):
     return spans
 
 
-def missing(one, copies, spans):
+def absent(one, copies, spans=()):
+    """By run, the numbers of accepted messages of which no copy came. `spans`: as lost_spans() tells, which are excused."""
     there = collections.defaultdict(set)
     for copy in copies:
         there[copy.run].add(copy.number)
-    place = {run.name: number for number, run in enumerate(one.runs)}
+    return {run.name: [number for number in range(1, len(run.sent) + 1) if number not in there[run.name] and not any(
+        run.sent[number - 1] < until and (place, number) > newest for newest, until in spans)]
+        for place, run in enumerate(one.runs)}
+
+
+def missing(one, copies, spans):
     wrong = []
-    for run in one.runs:
-        absent = [number for number in range(1, len(run.sent) + 1) if number not in there[run.name]]
-        absent = [number for number in absent if not any(
-            run.sent[number - 1] < until and (place[run.name], number) > newest for newest, until in spans)]
+    for run, gone in zip(one.runs, absent(one, copies, spans).values()):
         if one.kind == BLOCKED and (run.end is not None or run is not one.runs[-1]):
-            newest = max(there[run.name], default=0)
-            absent = [number for number in absent if number < newest]
-        if absent:
-            wrong.append(f"{len(absent)} of {len(run.sent)} accepted messages of run {run.name} never came: "
-                         f"{ranges(absent)}; the first was accepted at {run.sent[absent[0] - 1]:.2f}")
+            newest = max((copy.number for copy in copies if copy.run == run.name), default=0)
+            gone = [number for number in gone if number < newest]
+        if gone:
+            wrong.append(f"{len(gone)} of {len(run.sent)} accepted messages of run {run.name} never came: "
+                         f"{ranges(gone)}; the first was accepted at {run.sent[gone[0] - 1]:.2f}")
     return wrong
+
+
+def heard_of_guest(folder, instance):
+    """How many commands came back to an instance that somebody may stop, each once."""
+    return len({(copy.run, copy.number) for copy in read_came(Path(folder) / f"{instance}.heard")})
 
 
 def foreign(one, copies):

@@ -2,7 +2,8 @@
 
 The orders are about `guests`, instances of the ledger driver with a name of their own. After each order the set of states
 in which its guest may be is known: one, if the answer was `done` or `pending` (the gateway is lost, and follows the order
-when it comes back); otherwise also the ordered one.
+when it comes back); otherwise also the ordered one. So is the set of plugins that it may run: after an update the new one
+if the answer was `done`, the one before if it says that the guest is back on it, otherwise both.
 """
 
 import json
@@ -17,6 +18,7 @@ LIMIT_S = 90  # the command line answers within this time, whatever is done to t
 
 
 NOT_THERE = "no driver instance is chosen"  # the command line's words for a selection of nothing
+BACK = "back on "  # how the reason of an update begins that failed and was undone
 
 
 class UntrueAnswer(Exception):
@@ -87,29 +89,41 @@ class Guest:
     def __init__(self, name, gateway, plugins):
         self.name, self.gateway, self.plugins = name, gateway, plugins
         self.possible = {ABSENT}
+        self.runs = set()  # plugins of which it runs one, if it is there
+        self.ordered = plugins[0]  # by the order under way
         self.updates = 0
         self.void = False  # what the order under way says is worth nothing: the registry was wiped since it was given
-        self.under_way = None  # (the action, the command line's process, when it began)
+        self.under_way = None  # (the action, the command line's process, when it began, the files with what it prints)
 
     def words(self, cluster, kind):
         if kind == "deploy":
-            return ["deploy", self.plugins[0], "--gateway", self.gateway, "--name", self.name, "--property",
+            self.ordered = self.plugins[0]
+            return ["deploy", self.ordered, "--gateway", self.gateway, "--name", self.name, "--property",
                     f"folder={cluster.books}", "--property", "kind=blocked", "--property", "rate=5", "--property",
                     f"shared={cluster.shared}"]
         if kind == "update":
             self.updates += 1
-            return ["update", "--plugin", self.plugins[self.updates % 2], "--name", self.name]
+            self.ordered = self.plugins[self.updates % 2]
+            return ["update", "--plugin", self.ordered, "--name", self.name]
         return [kind, "--name", self.name]
 
     def learn(self, kind, status, answer, printed=""):
         """`status`: of the command line; `answer`: its JSON, None when it gave none; `printed`: all it printed. Returns what
-        the answer said. Raises UntrueAnswer when it says that a guest is not there that is."""
+        the answer said. Raises UntrueAnswer when it says that a guest is not there that is, or when the exit status says
+        something else than the outcome."""
         if NOT_THERE in printed and ABSENT not in self.possible:
             raise UntrueAnswer(f"iotcloud {kind} --name {self.name} found no such instance; it is "
                                f"{' or '.join(sorted(self.possible))}")
-        outcomes = [each["outcome"] for each in answer.get("outcomes", [])] if isinstance(answer, dict) else []
+        told = answer.get("outcomes", []) if isinstance(answer, dict) else []
+        outcomes = [each["outcome"] for each in told]
         said = outcomes[0] if len(outcomes) == 1 else f"status {status}"
-        if kind == "update" or self.void:
+        if (status == 0) != all(outcome == "done" for outcome in outcomes) and outcomes and status >= 0:
+            raise UntrueAnswer(f"iotcloud {kind} --name {self.name} ended with status {status} and says {', '.join(outcomes)}")
+        if self.void:
+            return said
+        if kind in ("deploy", "update"):
+            self.learn_plugin(kind, said, told)
+        if kind == "update":
             return said
         goal = TARGET[kind]
         if said in ("done", "pending"):
@@ -120,6 +134,12 @@ class Guest:
         else:
             self.possible |= {goal, FAILED}
         return said
+
+    def learn_plugin(self, kind, said, told):
+        if said == "done" or (kind == "deploy" and said == "pending"):
+            self.runs = {self.ordered}
+        elif not (kind == "update" and said == "failed" and told[0].get("reason", "").startswith(BACK)):
+            self.runs = self.runs | {self.ordered}
 
 
 class Orders:
@@ -154,18 +174,20 @@ class Orders:
         """The orders until now are gone."""
         for guest in self.guests.values():
             guest.possible = {ABSENT, ACTIVE, INACTIVE, FAILED}
+            guest.runs = set(guest.plugins)
             guest.void = guest.under_way is not None
 
     def give(self, guest, action):
         guest.void = False
         command = self.cluster.command(*guest.words(self.cluster, action.kind), "-o", "json")
         self.given += 1
-        out = open(self.cluster.out / f"order-{self.given}.json", "w+", encoding="utf-8")
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT)
-        guest.under_way = (action, process, time.monotonic(), out)
+        # What an order waits for is told apart from the answer, which is JSON.
+        out, told = (open(self.cluster.out / f"order-{self.given}.{end}", "w+", encoding="utf-8") for end in ("json", "txt"))
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=told)
+        guest.under_way = (action, process, time.monotonic(), out, told)
 
     def look_after(self, guest):
-        action, process, began, out = guest.under_way
+        action, process, began, out, told = guest.under_way
         took = time.monotonic() - began
         if process.poll() is None:
             if took > LIMIT_S:
@@ -175,13 +197,17 @@ class Orders:
             else:
                 return
         guest.under_way = None
+        printed = ""
+        for file in (out, told):
+            file.seek(0)
+            printed += file.read()
         out.seek(0)
-        printed = out.read()
-        out.close()
         try:
-            answer = json.loads(printed)
+            answer = json.load(out)
         except ValueError:
             answer = None
+        out.close()
+        told.close()
         try:
             said = guest.learn(action.kind, process.returncode, answer, printed)
         except UntrueAnswer as error:
@@ -200,6 +226,9 @@ class Orders:
             if state not in guest.possible:
                 wrong.append(f"{guest.name} is {state}" + (f" ({listed[0].get('reason', '')})" if listed else "") +
                              f"; after what the command line answered it is {' or '.join(sorted(guest.possible))}")
+            elif state in (ACTIVE, INACTIVE) and listed[0]["plugin"]["file"] not in guest.runs:
+                wrong.append(f"{guest.name} runs {listed[0]['plugin']['file']}; after what the command line answered it runs "
+                             f"{' or '.join(sorted(guest.runs))}")
         return wrong
 
     def start_stopped(self):

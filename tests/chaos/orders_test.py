@@ -1,22 +1,36 @@
 #!/usr/bin/python3
 """What is known of a guest after the command line has answered, and answers that are not true."""
 import json
+import tempfile
+import time
 import unittest
 from pathlib import Path
 from types import SimpleNamespace
 
+import schedule
 from orders import ABSENT, ACTIVE, FAILED, INACTIVE, NOT_THERE, Guest, Orders, Person, UntrueAnswer
 
 
-def answer(outcome):
-    return {"outcomes": [{"instance": "1", "outcome": outcome}]}
+def answer(outcome, reason=""):
+    return {"outcomes": [{"instance": "1", "outcome": outcome, "reason": reason}]}
+
+
+def listed(name, state, plugin="one.so", **more):
+    return {"name": name, "state": state, "plugin": {"file": plugin}, **more}
 
 
 def guest(*answers):
     made = Guest("guest-1", "gateway-1", ("one.so", "two.so"))
     for kind, outcome in answers:
-        made.learn(kind, 0, answer(outcome) if outcome else None)
+        order(made, kind, answer(outcome) if outcome else None)
     return made
+
+
+def order(made, kind, said):
+    """An order to a guest, and the command line's answer with the status that goes with it."""
+    made.words(SimpleNamespace(books="", shared="false"), kind)
+    done = said and all(each["outcome"] == "done" for each in said["outcomes"])
+    return made.learn(kind, 0 if done else 1, said)
 
 
 class OrdersTest(unittest.TestCase):
@@ -35,13 +49,38 @@ class OrdersTest(unittest.TestCase):
     def test_a_state_that_no_answer_permits_is_found(self):
         orders = Orders(SimpleNamespace(), [], ("one.so", "two.so"))
         self.assertEqual(orders.untrue([]), [])
-        orders.guests["guest-1"].learn("deploy", 0, answer("done"))
+        order(orders.guests["guest-1"], "deploy", answer("done"))
         self.assertEqual(len(orders.untrue([])), 1)
         self.assertIn("guest-1 is absent", orders.untrue([])[0])
-        self.assertEqual(orders.untrue([{"name": "guest-1", "state": "active"}]), [])
-        self.assertIn("guest-1 is failed (why)", orders.untrue([{"name": "guest-1", "state": "failed", "reason": "why"}])[0])
-        self.assertIn("guest-2 is active", orders.untrue([{"name": "guest-1", "state": "active"},
-                                                          {"name": "guest-2", "state": "active"}])[0])
+        self.assertEqual(orders.untrue([listed("guest-1", "active")]), [])
+        self.assertIn("guest-1 is failed (why)", orders.untrue([listed("guest-1", "failed", reason="why")])[0])
+        self.assertIn("guest-2 is active", orders.untrue([listed("guest-1", "active"), listed("guest-2", "active")])[0])
+
+    def test_an_update_leaves_the_plugin_that_its_answer_says(self):
+        deployed = [("deploy", "done")]
+        self.assertEqual(guest(*deployed).runs, {"one.so"})
+        self.assertEqual(guest(*deployed, ("update", "done")).runs, {"two.so"})
+        self.assertEqual(guest(*deployed, ("update", "done"), ("update", "done")).runs, {"one.so"})
+        for said in ("unknown", "failed", None):
+            self.assertEqual(guest(*deployed, ("update", said)).runs, {"one.so", "two.so"}, said)
+        undone = guest(*deployed)
+        order(undone, "update", answer("failed", "back on one.so: it came up and did not stay so: failed"))
+        self.assertEqual(undone.runs, {"one.so"})
+        self.assertEqual(guest(("deploy", "unknown"), ("update", "done"), ("undeploy", "done"), ("deploy", "done")).runs,
+                         {"one.so"})
+
+    def test_a_plugin_that_no_answer_permits_is_found(self):
+        orders = Orders(SimpleNamespace(), [], ("one.so", "two.so"))
+        order(orders.guests["guest-1"], "deploy", answer("done"))
+        order(orders.guests["guest-1"], "update", answer("done"))
+        self.assertEqual(orders.untrue([listed("guest-1", "active", "two.so")]), [])
+        self.assertEqual(orders.untrue([listed("guest-1", "active", "one.so")]),
+                         ["guest-1 runs one.so; after what the command line answered it runs two.so"])
+
+    def test_an_exit_status_that_says_something_else_than_the_outcome_is_an_untrue_answer(self):
+        for outcome, status in (("failed", 0), ("unknown", 0), ("done", 1)):
+            with self.assertRaisesRegex(UntrueAnswer, f"ended with status {status} and says {outcome}"):
+                guest(("deploy", "done")).learn("update", status, answer(outcome))
 
     def test_a_guest_that_is_there_and_was_not_found_is_an_untrue_answer(self):
         printed = f"iotcloud: {NOT_THERE} by these options"
@@ -55,10 +94,31 @@ class OrdersTest(unittest.TestCase):
         asked, idle = orders.guests["guest-1"], orders.guests["guest-2"]
         asked.under_way = ("deploy",)
         orders.registry_wiped()
-        asked.learn("deploy", 0, answer("done"))
-        idle.learn("deploy", 0, answer("done"))
+        order(asked, "deploy", answer("done"))
+        order(idle, "deploy", answer("done"))
         self.assertEqual(asked.possible, {ABSENT, ACTIVE, INACTIVE, FAILED})
+        self.assertEqual(asked.runs, {"one.so", "two.so"})
         self.assertEqual(idle.possible, {ACTIVE})
+
+
+class AnAnswer(unittest.TestCase):
+    def test_is_read_although_the_command_line_tells_meanwhile_what_it_waits_for(self):
+        with tempfile.TemporaryDirectory() as folder:
+            script = Path(folder) / "iotcloud"
+            script.write_text("echo 'iotcloud: waits: it is starting' >&2\n"
+                              f"echo '{json.dumps(answer('done'))}'\n")
+            cluster = SimpleNamespace(out=Path(folder), books=folder, shared="false",
+                                      command=lambda *words: ["/bin/sh", script])
+            told = []
+            orders = Orders(cluster, [schedule.Action(0.0, "deploy", "guest-1")], ("one.so", "two.so"), told.append)
+            orders.start()
+            deadline = time.monotonic() + 60
+            while not orders.over and time.monotonic() < deadline:
+                orders.step()
+                time.sleep(0.01)
+            self.assertEqual(orders.violations, [])
+            self.assertEqual(orders.guests["guest-1"].possible, {ACTIVE})
+            self.assertIn("iotcloud deploy guest-1: done", told[0])
 
 
 def gateways(*states, frozen=""):
