@@ -17,7 +17,12 @@ Then it obeys one command for each line of stdin and answers with one line on st
     alarm   memory alarm: it takes no messages     ALARM
     clear   ends the alarm                         CLEAR
     forbid  the user `guest` may not write         FORBIDDEN   (a channel may go on until it is closed)
-    permit  it may again                           PERMITTED
+    banish  it may not use the virtual host, and
+            all its connections are closed (530)   BANISHED
+    permit  it may do everything again             PERMITTED
+    cap     no queue takes more than 5 messages
+            that nobody has read (reject-publish)  CAPPED
+    uncap   ends that                              UNCAPPED
     stop    ends everything                        STOPPED
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
@@ -165,6 +170,19 @@ class RabbitMq(private_server.Server):
         self.control("set_permissions", "guest", ".*", "", ".*")
         return "FORBIDDEN"
 
+    def banish(self):
+        self.control("clear_permissions", "guest")
+        self.control("close_all_connections", "a test wants it")
+        return "BANISHED"
+
+    def cap(self):
+        self.control("set_policy", "--apply-to", "queues", "cap", ".*", '{"max-length": 5, "overflow": "reject-publish"}')
+        return "CAPPED"
+
+    def uncap(self):
+        self.control("clear_policy", "cap")
+        return "UNCAPPED"
+
     def permit(self):
         self.control("set_permissions", "guest", ".*", ".*", ".*")
         return "PERMITTED"
@@ -183,7 +201,7 @@ class RabbitMq(private_server.Server):
 
     def commands(self):
         return {**super().commands(), "alarm": self.alarm, "clear": self.clear, "forbid": self.forbid,
-                "permit": self.permit, "queues": self.queues}
+                "permit": self.permit, "banish": self.banish, "cap": self.cap, "uncap": self.uncap, "queues": self.queues}
 
 
 def main():

@@ -1,5 +1,7 @@
 // Behaviour that needs a real RabbitMQ server: alarms, hanging, objects deleted or made by others.
+#include <filesystem>
 #include <future>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -8,11 +10,13 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <stdlib.h>
 
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/tests/brokers/contract_fixture.h"
 #include "iotcloud/tests/captured_log.h"
+#include <iotcloud/brokers/spool/spooled_publisher.h>
 
 namespace iotcloud::brokers {
 namespace {
@@ -106,6 +110,139 @@ TEST_P(RabbitMqServer, APermissionThatIsMissingForAWhileLosesNothing) {
   EXPECT_EQ(outcomes.count(Outcome::confirmed), 20U);
   ASSERT_TRUE(inbox.wait_for(20));
   EXPECT_EQ(inbox.bodies(), numbered(1, 20));
+}
+
+/// A publisher with a spool in a folder of its own, which is removed at the end.
+class SpoolToServer {
+ public:
+  SpoolToServer(Broker& broker, const Topic& topic) {
+    std::string pattern = std::filesystem::temp_directory_path() / "iotcloud-refused-spool-XXXXXX";
+    folder_ = mkdtemp(pattern.data());
+    SpoolOptions spool;
+    spool.folder = folder_ / "spool";
+    PublisherOptions options;
+    options.on_outcome = outcomes.callback();
+    publisher = make_spooled_publisher(broker, topic, options, spool);
+  }
+  ~SpoolToServer() {
+    publisher.reset();
+    std::filesystem::remove_all(folder_);
+  }
+  SpoolToServer(const SpoolToServer&) = delete;
+  SpoolToServer& operator=(const SpoolToServer&) = delete;
+
+  Outcomes outcomes;
+  std::unique_ptr<Publisher> publisher;
+
+ private:
+  std::filesystem::path folder_;
+};
+
+TEST_P(RabbitMqServer, APermissionThatIsMissingForAWhileEmptiesNoSpool) {
+  const auto reader = this->broker();
+  const Topic topic = this->topic(true);
+  Inbox inbox;
+  const auto subscription = reader->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto broker = this->broker();
+  SpoolToServer spool(*broker, topic);
+  server().process()->command("forbid", "FORBIDDEN");
+  {
+    const tests::CapturedLog log;
+    publish_numbers(*spool.publisher, 1, 2000);
+    ASSERT_TRUE(eventually([&] { return log.contains("refuses messages for topic " + topic.name); }));
+    EXPECT_TRUE(log.contains("403")) << log.text();
+  }
+  EXPECT_FALSE(spool.publisher->drain(moment)) << "the server takes nothing";
+  EXPECT_EQ(spool.outcomes.count(Outcome::refused), 0U);
+  server().process()->command("permit", "PERMITTED");
+  publish_numbers(*spool.publisher, 2001, 2010);
+  ASSERT_TRUE(spool.publisher->drain(patience));
+  EXPECT_EQ(spool.outcomes.count(Outcome::confirmed), 2010U);
+  EXPECT_TRUE(spool.outcomes.each_once());
+  ASSERT_TRUE(inbox.wait_for_last("2010"));
+  EXPECT_EQ(firsts(inbox), numbered(1, 2010));
+}
+
+TEST_P(RabbitMqServer, AVirtualHostThatMayNotBeUsedForAWhileLosesNothing) {
+  const auto reader = this->broker();
+  const Topic topic = this->topic(true);
+  Inbox inbox;
+  const auto subscription = reader->subscribe(topic, {}, inbox.handler());
+  await_active(*subscription);
+  const auto broker = this->broker();
+  SpoolToServer spool(*broker, topic);
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.on_outcome = outcomes.callback();
+  const Topic other = this->topic(true);
+  Inbox others;
+  const auto other_subscription = reader->subscribe(other, {}, others.handler());
+  await_active(*other_subscription);
+  const auto publisher = broker->publisher(other, options);
+  publish_numbers(*spool.publisher, 1, 10);
+  publish_numbers(*publisher, 1, 10);
+  ASSERT_TRUE(spool.publisher->drain(patience) && publisher->drain(patience));
+  {
+    const tests::CapturedLog log;
+    server().process()->command("banish", "BANISHED");
+    ASSERT_TRUE(eventually([&] { return log.contains("530"); })) << log.text();
+    publish_numbers(*spool.publisher, 11, 500);
+    publish_numbers(*publisher, 11, 500);
+    EXPECT_TRUE(eventually([&] { return broker->state() == ConnectionState::connecting; }));
+  }
+  EXPECT_EQ(spool.outcomes.count(Outcome::refused) + outcomes.count(Outcome::refused), 0U);
+  server().process()->command("permit", "PERMITTED");
+  ASSERT_TRUE(spool.publisher->drain(patience) && publisher->drain(patience));
+  EXPECT_EQ(spool.outcomes.count(Outcome::confirmed), 500U);
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 500U);
+  ASSERT_TRUE(inbox.wait_for_last("500") && others.wait_for_last("500"));
+  EXPECT_EQ(firsts(inbox), numbered(1, 500));
+  EXPECT_EQ(firsts(others), numbered(1, 500));
+}
+
+TEST_P(RabbitMqServer, AQueueThatTakesNoMoreMessagesLosesNothing) {
+  const auto reader = this->broker();
+  const Topic topic = this->topic(true);
+  {
+    Inbox nobody;
+    const auto subscription = reader->subscribe(topic, {}, nobody.handler());
+    await_active(*subscription);
+  }  // its queue stays
+  server().process()->command("cap", "CAPPED");
+  const auto broker = this->broker();
+  SpoolToServer spool(*broker, topic);
+  const Topic other = this->topic(true);
+  {
+    Inbox nobody;
+    const auto subscription = reader->subscribe(other, {}, nobody.handler());
+    await_active(*subscription);
+  }
+  Outcomes outcomes;
+  PublisherOptions options;
+  options.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(other, options);
+  {
+    const tests::CapturedLog log;
+    publish_numbers(*spool.publisher, 1, 50);
+    publish_numbers(*publisher, 1, 50);
+    // The server refuses at once what is too much, and confirms later what it has stored.
+    EXPECT_TRUE(eventually([&] { return log.contains("(nack)"); }));
+  }
+  EXPECT_FALSE(publisher->drain(moment)) << "the server takes no more";
+  EXPECT_FALSE(spool.publisher->drain(moment));
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), outcomes.size()) << "nothing is given up";
+  EXPECT_EQ(spool.outcomes.count(Outcome::confirmed), spool.outcomes.size());
+  Inbox inbox, others;
+  const auto subscription = reader->subscribe(topic, {}, inbox.handler());
+  const auto other_subscription = reader->subscribe(other, {}, others.handler());
+  ASSERT_TRUE(publisher->drain(patience) && spool.publisher->drain(patience));
+  server().process()->command("uncap", "UNCAPPED");
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 50U);
+  EXPECT_EQ(spool.outcomes.count(Outcome::confirmed), 50U);
+  ASSERT_TRUE(inbox.wait_for_last("50") && others.wait_for_last("50"));
+  EXPECT_EQ(firsts(inbox), numbered(1, 50));
+  EXPECT_EQ(firsts(others), numbered(1, 50));
 }
 
 TEST_P(RabbitMqServer, AServerThatHangsIsNoticedAndNothingIsLost) {
