@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """Builds the reference of the public headers with Doxygen. A warning of Doxygen is an error, and so is a class, an
-enumeration or a free function that no comment describes. (A member needs words only where its name does not say all.)
+enumeration or a free function that no comment describes. (A member needs words only where its name does not say all.) So is a
+link of the pages that leads nowhere.
 
 usage: api.py BUILD_DIR OUTPUT_DIR     (./dev docs; BUILD_DIR/public_headers.txt lists the headers of CMake's file sets)
 """
@@ -11,6 +12,8 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+
+import links
 
 HERE = Path(__file__).resolve().parent
 CLASSES = ("class", "struct", "union")
@@ -36,6 +39,14 @@ INPUT = {quoted([*pages, *headers])}
     done = subprocess.run(["doxygen", output / "Doxyfile"], capture_output=True, text=True)
     said = sorted(set(line.replace(f"{include}/", "") for line in done.stderr.splitlines()))
     return said or ([] if done.returncode == 0 else [f"doxygen ended with {done.returncode}"])
+
+
+def drop_dead_contents(pages):
+    """Doxygen lists the section "Classes" in the contents of a class whose nested classes are all private, and leaves it out."""
+    for page in pages.glob("class*.html"):
+        text = page.read_text(encoding="utf-8")
+        if 'name="nested-classes"' not in text:
+            page.write_text(re.sub(r'<a href="#nested-classes">Classes</a>(?: &#124;)?\n?', "", text), encoding="utf-8")
 
 
 def described(definition):
@@ -97,7 +108,8 @@ def main():
     problems = [re.sub(r"^\S*?iotcloud/(?=[\w/]+\.h:)", "", problem) for problem in problems]
     if problems or not headers:
         sys.exit("\n".join([*problems, f"{len(problems)} problems in {len(headers)} public headers"]))
-    print(f"{len(headers)} public headers are documented")
+    drop_dead_contents(output / "html")
+    print(f"{len(headers)} public headers are documented, with {links.check(output / 'html')} links")
 
 
 if __name__ == "__main__":
