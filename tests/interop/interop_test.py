@@ -137,6 +137,10 @@ def figures_of(rows):
                "ratio": got["received"] / sent if sent else None, "target": "all", "met": 0 < sent == got["received"]}
         for what, value in (("lost", sent - got["received"]), ("twice", got["twice"]), ("wrong headers", got["wrong"])):
             yield {"name": f"{name}: {what}", "value": value, "unit": "messages", "target": "none", "met": value == 0}
+        told = str(got["others"]).split(",")
+        yield {"name": f"{name}: other headers", "value": 0 if told == ["none"] else sum(int(each.rpartition("=")[2]) for each in told),
+               "unit": "" if told == ["none"] else "of " + ", ".join(each.rpartition("=")[0] or "a driver's message" for each in told),
+               "met": None}
 
 
 def write_figures(build_dir, rows, began):
