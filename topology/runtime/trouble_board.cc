@@ -25,7 +25,10 @@ std::vector<TroubleBoard::Trouble> TroubleBoard::list() const {
 
 std::string TroubleBoard::line() const {
   std::string line;
-  for (const auto& [component, text] : list()) line += (line.empty() ? "" : "; ") + component + ": " + text;
+  for (const auto& [component, text] : list()) {
+    if (!line.empty()) line += "; ";
+    line.append(component).append(": ").append(text);
+  }
   return line;
 }
 

@@ -44,6 +44,7 @@ class MemoryStore final : public StateStore {
     const auto known = task_counts_.find({owner.topology, owner.component});
     if (known == task_counts_.end() || known->second == owner.task_count) return;
     std::vector<StoredState> stored;
+    stored.reserve(static_cast<std::size_t>(known->second));
     for (int task = 0; task < known->second; ++task) stored.push_back(states_[place_of(owner, task)]);
     std::vector<StoredState> given = internal::rehashed(owner, stored);
     for (int task = 0; task < known->second; ++task) states_.erase(place_of(owner, task));

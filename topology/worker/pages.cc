@@ -17,7 +17,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t shown_bytes = 16;
 constexpr std::size_t shown_text = 200;
-constexpr std::size_t most_text = 64 * 1024;  ///< a larger payload is not looked at
+constexpr std::size_t most_text = std::size_t{64} * 1024;  ///< a larger payload is not looked at
 constexpr std::chrono::seconds sweep_period{1};
 
 std::string to_text(const Json& json) {

@@ -249,7 +249,7 @@ TEST_F(KafkaPartitions, WithOneNumberOfAllChannelsOfADriverAreReadInOneWorker) {
     for (const auto& each : WhoReadsBolt::reads()) {
       if (each.number == sent_ - 1) read.emplace(each.channel, each.driver);
     }
-    return read.size() == 2U * instances;
+    return read.size() == std::size_t{2} * instances;
   }));
   std::map<std::string, std::set<std::string>> workers;
   for (const auto& read : WhoReadsBolt::reads()) {

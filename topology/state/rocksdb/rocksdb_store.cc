@@ -119,6 +119,7 @@ class RocksdbStore final : public StateStore {
   /// Moves each key to the task that uses it now, in one batch: after a crash all have moved, or none.
   void give_to_the_tasks_of(const StateOwner& owner, int stored) IOTCLOUD_REQUIRES(counts_mutex_) {
     std::vector<StoredState> before;
+    before.reserve(static_cast<std::size_t>(stored));
     for (int task = 0; task < stored; ++task) before.push_back(read(owner, task));
     const std::vector<StoredState> given = rehashed(owner, before);
     rocksdb::WriteBatch batch;
