@@ -13,7 +13,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
-/// Defines fsync and fdatasync for the whole test program: one of its sources includes it.
+/// Defines fsync and fdatasync for the whole test program of which a source includes it.
 namespace iotcloud::tests {
 
 /// From construction to destruction, what the process brings to the disk. One at a time. Thread safe.
@@ -77,13 +77,13 @@ class SyncCalls {
 
 }  // namespace iotcloud::tests
 
-extern "C" int fsync(int descriptor) {
+extern "C" __attribute__((weak)) int fsync(int descriptor) {
   const int problem = iotcloud::tests::SyncCalls::called(descriptor);
   errno = problem;
   return problem != 0 ? -1 : static_cast<int>(syscall(SYS_fsync, descriptor));
 }
 
-extern "C" int fdatasync(int descriptor) {
+extern "C" __attribute__((weak)) int fdatasync(int descriptor) {
   const int problem = iotcloud::tests::SyncCalls::called(descriptor);
   errno = problem;
   return problem != 0 ? -1 : static_cast<int>(syscall(SYS_fdatasync, descriptor));

@@ -162,9 +162,18 @@ void DriverInstance::suspend(const std::string& reason, std::function<void()> cl
   });
 }
 
+/// Runs a part of the opening on the event thread. What it throws fails the instance.
+void DriverInstance::attempt(const std::function<void()>& part) {
+  try {
+    part();
+  } catch (const std::exception& e) {
+    fail(e.what());
+  }
+}
+
 void DriverInstance::open_now() {
   report(DriverState::starting, "");
-  try {
+  attempt([this] {
     check_properties();
     check_hang_limit(properties_);
     shell_ = environment_->plugin->descriptor().create();
@@ -173,16 +182,7 @@ void DriverInstance::open_now() {
       return;
     }
     open_channels(status().driver);
-  } catch (const std::exception& e) {
-    fail(e.what());
-    return;
-  }
-  if (failing_) return;
-  if (spec().order.active) {
-    activate_now();
-  } else {
-    report(DriverState::inactive, "");
-  }
+  });
 }
 
 /// Compares what was ordered with what the driver declares. \throws config::Error that names all that is wrong
@@ -195,16 +195,53 @@ void DriverInstance::open_channels(const discovery::DriverName& driver) {
   std::vector<drivers::ChannelSpec> wanted;
   if (!call("channels", [&](std::string& error) { wanted = shell_->channels(properties_, error); })) return;
   const auto planned = plan_channels(environment_->gateway, driver, spec(), std::move(wanted));
+  uses_spools_ = std::any_of(planned.begin(), planned.end(), [](const PlannedChannel& channel) {
+    return channel.spec.direction == drivers::Direction::out && channel.spec.when_full == drivers::WhenFull::spool;
+  });
+  if (!uses_spools_) {
+    open_all_outgoing(planned);
+    open_driver(planned);
+    return;
+  }
+  // A spool's folder is locked and read first, so the event thread goes on with other instances meanwhile.
+  environment_->spools().post([self = shared_from_this(), planned] {
+    try {
+      self->open_all_outgoing(planned);
+    } catch (const std::exception& e) {
+      self->fail(e.what());
+      return;
+    }
+    self->loop_->post([self, planned] {
+      // It may have ended meanwhile: then its end, which waits for its turn behind this opening, closes the channels.
+      if (self->closed_ || self->failing_) return;
+      self->attempt([&] { self->open_driver(planned); });
+    });
+  });
+}
+
+void DriverInstance::open_all_outgoing(const std::vector<PlannedChannel>& planned) {
   for (const auto& channel : planned) {
     if (channel.spec.direction == drivers::Direction::out) open_outgoing(channel);
   }
+}
+
+/// Opens the driver and its incoming channels, when its outgoing ones are open, and activates it if the order says so.
+void DriverInstance::open_driver(const std::vector<PlannedChannel>& planned) {
   open_ = true;  // set before open(), in which the driver may publish already
   if (!call("open", [&](std::string& error) { shell_->open(*this, error); })) return;
   for (const auto& channel : planned) {
     if (channel.spec.direction == drivers::Direction::in) open_incoming(channel);
   }
-  const config::MutexLock lock(mutex_);
-  for (const auto& channel : planned) status_.channels.push_back(channel.record);
+  {
+    const config::MutexLock lock(mutex_);
+    for (const auto& channel : planned) status_.channels.push_back(channel.record);
+  }
+  if (failing_) return;
+  if (spec().order.active) {
+    activate_now();
+  } else {
+    report(DriverState::inactive, "");
+  }
 }
 
 void DriverInstance::open_outgoing(const PlannedChannel& channel) {
@@ -297,9 +334,8 @@ void DriverInstance::deactivate_now() {
 void DriverInstance::close_now(DriverState final_state, const std::string& reason, std::function<void()> closed) {
   // Already closed: a failure during closing changes nothing.
   if (std::exchange(closed_, true) && final_state == DriverState::failed) return;
-  if (final_state == DriverState::undeployed && status().state != DriverState::failed) {
-    report(DriverState::stopping, "");
-  }
+  if (final_state == DriverState::failed) failed_ = true;
+  if (final_state == DriverState::undeployed && !failed_) report(DriverState::stopping, "");
   open_ = false;
   std::set<HandlerId> handlers;
   {
@@ -347,10 +383,34 @@ void DriverInstance::close_driver() {
 
 void DriverInstance::drain_then_report(DriverState final_state, const std::string& reason,
                                        std::function<void()> closed) {
+  // Each with its broker, which waits at its end until its server was asked: it ends with the last of them.
+  std::vector<std::pair<std::shared_ptr<brokers::Broker>, brokers::Topic>> unneeded;
+  if (undeployed_) {
+    for (const auto& channel : std::exchange(own_queues_, {})) {
+      unneeded.emplace_back(environment_->brokers->get(channel.address, channel.broker), channel.topic);
+    }
+  }
+  auto end = [self = shared_from_this(), unneeded = std::move(unneeded), final_state, reason,
+              closed = std::move(closed)]() mutable {
+    self->end_outgoing(final_state, reason, std::move(unneeded), std::move(closed));
+  };
+  // Behind the opening of its spools, and behind the end of a failure: reports are in order.
+  if (uses_spools_) {
+    environment_->spools().post(std::move(end));
+  } else {
+    end();
+  }
+}
+
+/// Runs on the thread of the spools if the instance has any, because closing one waits for the disk.
+void DriverInstance::end_outgoing(DriverState final_state, const std::string& reason,
+                                  std::vector<std::pair<std::shared_ptr<brokers::Broker>, brokers::Topic>> unneeded,
+                                  std::function<void()> closed) {
   auto closing = std::make_shared<OutgoingChannels>();
   {
     const config::WriteLock lock(channels_mutex_);  // waits for running publish() calls
     closing->swap(outgoing_);
+    open_channels_.clear();
   }
   // A failure is reported at once; an ordered end is reported after the channels are drained.
   const bool failed = final_state == DriverState::failed;
@@ -360,18 +420,11 @@ void DriverInstance::drain_then_report(DriverState final_state, const std::strin
     for (auto& [name, channel] : *closing) {
       if (channel->spooled()) channel->close();
     }
-    report(final_state, reason);
-  }
-  // Each with its broker, which waits at its end until its server was asked: it ends with the last of them.
-  std::vector<std::pair<std::shared_ptr<brokers::Broker>, brokers::Topic>> unneeded;
-  if (undeployed_) {
-    for (const auto& channel : std::exchange(own_queues_, {})) {
-      unneeded.emplace_back(environment_->brokers->get(channel.address, channel.broker), channel.topic);
-    }
   }
   const auto deadline = environment_->clock->now() + environment_->drain_limit;
-  environment_->closing->post([self = shared_from_this(), closing, unneeded, deadline, failed, final_state, reason,
-                               closed = std::move(closed)] {
+  // Posted before a failure's report, so that it is done before the end of a host that knows of no instance any more.
+  environment_->closing->post([self = shared_from_this(), closing, unneeded = std::move(unneeded), deadline, failed,
+                               final_state, reason, closed = std::move(closed)] {
     for (auto& [name, channel] : *closing) {
       const auto left = std::max(deadline - self->environment_->clock->now(), config::Clock::Instant::duration::zero());
       channel->drain(std::chrono::duration_cast<std::chrono::milliseconds>(left));
@@ -382,6 +435,7 @@ void DriverInstance::drain_then_report(DriverState final_state, const std::strin
     for (const auto& [broker, topic] : unneeded) broker->remove_queue(topic, "");
     if (closed) closed();
   });
+  if (failed) report(final_state, reason);
 }
 
 ChannelQueue::Handled DriverInstance::deliver(const Incoming& incoming, drivers::Message&& message) {

@@ -10,6 +10,7 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
@@ -83,9 +84,12 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   };
   using OutgoingChannels = std::map<std::string, std::unique_ptr<OutgoingChannel>, std::less<>>;
 
+  void attempt(const std::function<void()>& part);
   void open_now();
   void check_properties() const;
   void open_channels(const discovery::DriverName& driver);
+  void open_all_outgoing(const std::vector<PlannedChannel>& planned);
+  void open_driver(const std::vector<PlannedChannel>& planned);
   void open_outgoing(const PlannedChannel& channel);
   void open_incoming(const PlannedChannel& channel);
   void activate_now();
@@ -94,6 +98,9 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   void close_driver();
   void close_incoming();
   void drain_then_report(discovery::DriverState final_state, const std::string& reason, std::function<void()> closed);
+  void end_outgoing(discovery::DriverState final_state, const std::string& reason,
+                    std::vector<std::pair<std::shared_ptr<brokers::Broker>, brokers::Topic>> unneeded,
+                    std::function<void()> closed);
   ChannelQueue::Handled deliver(const Incoming& incoming, drivers::Message&& message);
   /// Calls the driver; an error makes the instance `failed`. \return whether the call succeeded.
   bool call(const char* what, const std::function<void(std::string&)>& driver_call);
@@ -133,6 +140,8 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
 
   // Used on the event thread only.
   bool closed_ = false;
+  bool failed_ = false;       ///< closed because of a failure
+  bool uses_spools_ = false;  ///< its outgoing channels are opened and closed on the thread of the spools
   bool removed_ = false;
   bool undeployed_ = false;                 ///< removed for good
   std::vector<PlannedChannel> own_queues_;  ///< exclusive incoming channels that are closed

@@ -3,6 +3,7 @@
 #include <chrono>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <string>
 
 #include <iotcloud/brokers/broker_pool.h>
@@ -30,6 +31,17 @@ struct HostEnvironment {
   /// The thread on which publishers are drained and late messages are given up, so that event threads do not wait.
   std::shared_ptr<EventLoop> closing;
   std::function<void(const InstanceStatus&)> report;
+
+  /// The thread that opens and closes spooled channels: both may wait for the disk, which no event thread does. It is
+  /// not `closing`, so that a failure is not reported after others' drains. It starts with the first spool.
+  EventLoop& spools() {
+    std::call_once(spools_started_, [this] { spools_ = std::make_unique<EventLoop>("spools"); });
+    return *spools_;
+  }
+
+ private:
+  std::once_flag spools_started_;
+  std::unique_ptr<EventLoop> spools_;
 };
 
 }  // namespace iotcloud::gateway

@@ -105,7 +105,6 @@ void SpoolStore::lock_folder() {
     ::close(std::exchange(lock_, -1));
   }
   folder_descriptor_ = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  static_cast<void>(sync_new_names());  // at a broken disk sync() tries again
 }
 
 int SpoolStore::sync_new_names() {

@@ -25,7 +25,7 @@ struct Position {
 
 /// The folder of one spool: a log of records in segments, and the mark below which all records are finished. FORMAT.md
 /// describes the files. One thread appends (append, drop_oldest) while others read, raise the mark, release and sync.
-/// Appended records survive the death of the process at any point. append() never waits for the disk; sync() does.
+/// Appended records survive the death of the process at any point. Only sync() waits for the disk to have written.
 class SpoolStore {
  public:
   struct Options {

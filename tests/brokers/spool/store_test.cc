@@ -23,6 +23,7 @@ namespace {
 
 using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::IsEmpty;
 
 TEST_F(SpoolStoreTest, AMessageComesBackWithAllItsMetadataWhateverItsBytes) {
   Message message;
@@ -60,8 +61,12 @@ TEST_F(SpoolStoreTest, TheNamesOfNewFoldersAreOnTheDiskBeforeMessagesCountAsSync
   deep.folder = folder_ / "instance/channel";
   {
     SpoolStore store(deep);
+    append(store, "a");
+    EXPECT_THAT(synced.paths(), IsEmpty()) << "opening waited for the disk";
+    EXPECT_EQ(store.sync(), 0);
     EXPECT_TRUE(synced.contains(folder_.path()));
     EXPECT_TRUE(synced.contains(folder_ / "instance"));
+    store.raise_mark(store.next_sequence());
   }
   std::filesystem::remove(folder_ / "instance");
   problem = EIO;

@@ -19,6 +19,8 @@
 #include <iotcloud/tests/gateway/message_log.h>
 #include <iotcloud/tests/gateway/probe_driver.h>
 #include <iotcloud/tests/gateway/status_log.h>
+#include <iotcloud/tests/lock_calls.h>
+#include <iotcloud/tests/sync_calls.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -605,6 +607,60 @@ TEST_F(SpooledChannelTest, AnInstanceThatFailedGoesOnWithItsSpoolAtOnce) {
   MessageLog reader(url_, {"probe", "gw.probe.a.readings", false});
   ASSERT_TRUE(reader.next());
   ASSERT_TRUE(reader.next());
+}
+
+TEST_F(SpooledChannelTest, AnInstanceThatOpensItsSpoolHoldsNoOtherUp) {
+  std::promise<void> go_on;
+  const tests::LockCalls slow([let_go = go_on.get_future().share()] { let_go.wait(); });
+  start_host(probe_);
+  host_->create(spooled("a"));
+  host_->create(spec("b"));
+  EXPECT_TRUE(log_.wait_for("b", DriverState::active));
+  EXPECT_THAT(log_.states("a"), ElementsAre(DriverState::starting));
+  go_on.set_value();
+  EXPECT_TRUE(log_.wait_for("a", DriverState::active));
+}
+
+TEST_F(SpooledChannelTest, AnInstanceThatIsRemovedWhileItOpensItsSpoolLetsGoOfItBeforeItsEndIsReported) {
+  std::promise<void> go_on;
+  {
+    const tests::LockCalls slow([let_go = go_on.get_future().share()] { let_go.wait(); });
+    start_host(probe_);
+    host_->create(spooled("a"));
+    host_->remove("a"_instance, Removal::replaced);
+    EXPECT_TRUE(log_.wait_for("a", DriverState::stopping));
+    EXPECT_THAT(log_.states("a"), ElementsAre(DriverState::starting, DriverState::stopping));
+    go_on.set_value();
+    EXPECT_TRUE(log_.wait_for("a", DriverState::undeployed));
+  }
+  host_->create(spooled("a"));
+  EXPECT_TRUE(log_.wait_for("a", DriverState::active));
+}
+
+TEST_F(SpooledChannelTest, AnInstanceThatFailsWhileItsSpoolIsSyncedHoldsNoOtherUp) {
+  std::promise<void> go_on;
+  std::atomic<bool> syncing{false};
+  const tests::SyncCalls slow([&, let_go = go_on.get_future().share()](const std::string& path) {
+    if (path.starts_with(state_folder_)) {
+      syncing = true;
+      let_go.wait();
+    }
+    return 0;
+  });
+  start_host(probe_);
+  host_->create(spooled("a", {{"throw_in", "message"}, {"channel.readings.spool_fsync", "always"}}));
+  EXPECT_TRUE(tests::eventually([&] { return syncing.load(); }));
+  MessageSender(url_, {"probe", "gw.probe.a.control", false}).send("throw", "a");
+  EXPECT_TRUE(tests::eventually([&] { return count("iotcloud_driver_lost_total") == 1; })) << "a has failed";
+  host_->create(spec("b"));
+  EXPECT_TRUE(log_.wait_for("b", DriverState::active));
+  EXPECT_THAT(log_.states("a"), ElementsAre(DriverState::starting, DriverState::active))
+      << "a failure is known when the spool is free for the next life";
+  host_->remove("a"_instance, Removal::undeployed);
+  go_on.set_value();
+  EXPECT_TRUE(log_.wait_for("a", DriverState::undeployed));
+  EXPECT_THAT(log_.states("a"),
+              ElementsAre(DriverState::starting, DriverState::active, DriverState::failed, DriverState::undeployed));
 }
 
 TEST_F(SpooledChannelTest, ADriverIsToldWhatIsOnTheDisk) {
