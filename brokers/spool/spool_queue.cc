@@ -127,8 +127,13 @@ void SpoolQueue::close() {
   }
   sender_.assert_held();  // no thread begins to send any more
   inner_.reset();
+  std::uint64_t mark = 0;
+  {
+    const config::MutexLock lock(mutex_);
+    mark = ledger_.mark();  // nothing moves it any more
+  }
+  store_.raise_mark(mark);
   const config::MutexLock lock(mutex_);
-  store_.raise_mark(ledger_.mark());
   ledger_.close(reason::spooled);
   if (reporting_ != std::this_thread::get_id()) {
     changed_.wait(mutex_, [this]() IOTCLOUD_REQUIRES(mutex_) { return !reporting_; });
@@ -137,8 +142,9 @@ void SpoolQueue::close() {
   meters_.close();  // a callback that closes keeps this object alive until it returns, longer than the metrics may live
 }
 
-std::int64_t SpoolQueue::now_ms() const {
-  return clock_.wall_ms();
+std::chrono::milliseconds SpoolQueue::age_of(const Record& record, config::Clock::Instant now) const {
+  if (!ledger_.is_old(record.sequence)) return accept_times_.age(record.sequence, record.accepted_ms, now);
+  return std::chrono::milliseconds(std::max<std::int64_t>(clock_.wall_ms() - record.accepted_ms, 0));
 }
 
 std::size_t SpoolQueue::pending() const {
@@ -151,10 +157,10 @@ std::optional<config::Clock::Instant> SpoolQueue::oldest() const {
   return ledger_.oldest();
 }
 
-SpoolQueue::Stored SpoolQueue::store(const Message& message, std::int64_t now, Position& where) {
+SpoolQueue::Stored SpoolQueue::store(const Message& message, std::int64_t accepted_ms, Position& where) {
   bool dropped = false;
   for (;;) {
-    const SpoolStore::Append appended = store_.append(now, message, where);
+    const SpoolStore::Append appended = store_.append(accepted_ms, message, where);
     switch (appended) {
       case SpoolStore::Append::stored:
         if (std::exchange(disk_failing_, false)) logger.info("{}: the disk takes messages again", spool_.folder);
@@ -195,8 +201,11 @@ Published SpoolQueue::publish(Message message) {
     stuck = sync_stuck();
   }
   Position where;
-  const std::int64_t now_ms = this->now_ms();
-  const Stored stored = why_not != nullptr ? Stored::never : stuck ? Stored::no_room : store(message, now_ms, where);
+  const auto accepted = clock_.now();
+  const std::int64_t accepted_ms = clock_.wall_ms();
+  const Stored stored = why_not != nullptr ? Stored::never
+                        : stuck            ? Stored::no_room
+                                           : store(message, accepted_ms, where);
   const config::MutexLock lock(mutex_);
   if (stored == Stored::never) {
     ledger_.settled_unstored(Outcome::refused, why_not != nullptr ? why_not : "larger_than_the_spool");
@@ -215,6 +224,7 @@ Published SpoolQueue::publish(Message message) {
     return {PublishStatus::accepted, ledger_.last_number()};
   }
   const bool next = !sending_ && ledger_.all_sent();
+  accept_times_.note(ledger_.next(), accepted, accepted_ms);
   ledger_.note_stored();
   const Published published{PublishStatus::accepted, ledger_.last_number()};
   meters_.level(ledger_.next() - ledger_.mark(), store_.bytes());
@@ -226,7 +236,7 @@ Published SpoolQueue::publish(Message message) {
       {
         const Sending sending(*this);
         sender_.assert_held();
-        if (send(std::move(message), {})) wait_from_.reset();
+        if (send(std::move(message), {}, accepted)) wait_from_.reset();
       }
       if (!ledger_.all_sent() && may_send()) wake();
     }
@@ -245,8 +255,8 @@ bool SpoolQueue::may_send() const {
          (ledger_.under_way() == 0 || ledger_.under_way_bytes() < most_bytes_under_way);
 }
 
-bool SpoolQueue::send(Message message, const Past& past) {
-  ledger_.note_sent(message.payload.size(), clock_.now() - past.age);
+bool SpoolQueue::send(Message message, const Past& past, config::Clock::Instant accepted) {
+  ledger_.note_sent(message.payload.size(), accepted);
   inner_full_ = true;  // set before the call, because on_writable may come before the call returns
   PublishStatus status = PublishStatus::closed;
   {
@@ -282,7 +292,7 @@ std::optional<Record> SpoolQueue::next_waiting() {
       count(lost, reason::spool_damaged);
     }
     if (!record || record->sequence < ledger_.unsent()) continue;
-    if (options_.deadline.count() > 0 && now_ms() - record->accepted_ms >= options_.deadline.count()) {
+    if (options_.deadline.count() > 0 && age_of(*record, clock_.now()) >= options_.deadline) {
       count(ledger_.drop_below(record->sequence + 1, reason::deadline), reason::deadline);
       continue;
     }
@@ -300,10 +310,11 @@ void SpoolQueue::send_waiting() {
     if (!record) break;
     Past past;
     past.possibly_sent = ledger_.is_old(record->sequence);
-    past.age = std::chrono::milliseconds(std::max<std::int64_t>(now_ms() - record->accepted_ms, 0));
+    const auto now = clock_.now();
+    past.age = age_of(*record, now);
     if (ledger_.unsent() != record->sequence) continue;
     Message message = record->message;
-    if (!send(std::move(message), past)) held_ = std::move(record);
+    if (!send(std::move(message), past, now - past.age)) held_ = std::move(record);
   }
 }
 
@@ -395,6 +406,7 @@ void SpoolQueue::tidy() {
     if (sync) error = store_.sync();
     store_.release();
   }
+  accept_times_.forget_below(ledger_.mark());
   meters_.level(ledger_.next() - ledger_.mark(), store_.bytes());
   if (!sync) return;
   if (error == 0) {

@@ -8,6 +8,7 @@
 #include <thread>
 #include <vector>
 
+#include "iotcloud/brokers/spool/accept_times.h"
 #include "iotcloud/brokers/spool/ledger.h"
 #include "iotcloud/brokers/spool/spool_meters.h"
 #include "iotcloud/brokers/spool/spool_thread.h"
@@ -48,10 +49,10 @@ class SpoolQueue final : public Served, public std::enable_shared_from_this<Spoo
   /// Logs and counts what the store found in the folder.
   void tell_found();
   PublisherOptions inner_options();
-  Stored store(const Message& message, std::int64_t now_ms, Position& where) IOTCLOUD_REQUIRES(order_);
+  Stored store(const Message& message, std::int64_t accepted_ms, Position& where) IOTCLOUD_REQUIRES(order_);
   /// Passes the next message to the inner publisher; releases the mutex meanwhile. \return whether that one accepted
-  /// it.
-  bool send(Message message, const Past& past) IOTCLOUD_REQUIRES(mutex_, sender_);
+  /// it. \param accepted when the message was accepted
+  bool send(Message message, const Past& past, config::Clock::Instant accepted) IOTCLOUD_REQUIRES(mutex_, sender_);
   bool may_send() const IOTCLOUD_REQUIRES(mutex_);
   /// Passes some of the messages that wait on disk to the inner publisher; releases the mutex at times.
   void send_waiting() IOTCLOUD_REQUIRES(mutex_);
@@ -75,7 +76,9 @@ class SpoolQueue final : public Served, public std::enable_shared_from_this<Spoo
   void report() IOTCLOUD_REQUIRES(mutex_);
   void tell(const std::vector<Ledger::Event>& events, std::uint64_t stored, bool writable) IOTCLOUD_EXCLUDES(mutex_);
   void wake() { thread_->wake(*this); }
-  std::int64_t now_ms() const;
+  /// How long ago a record's message was accepted: one of an earlier process by the time of day, which is all that the
+  /// record has of it.
+  std::chrono::milliseconds age_of(const Record& record, config::Clock::Instant now) const IOTCLOUD_REQUIRES(mutex_);
 
   const Topic topic_;
   const PublisherOptions options_;
@@ -98,6 +101,7 @@ class SpoolQueue final : public Served, public std::enable_shared_from_this<Spoo
   mutable config::Mutex mutex_;
   config::ConditionVariable changed_;
   Ledger ledger_ IOTCLOUD_GUARDED_BY(mutex_);
+  AcceptTimes accept_times_ IOTCLOUD_GUARDED_BY(mutex_);
   SpoolMeters meters_;  ///< mutex_ guards calls of level()
   bool closed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   bool sending_ IOTCLOUD_GUARDED_BY(mutex_) = false;               ///< a thread passes messages to the inner publisher

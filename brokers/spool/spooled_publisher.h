@@ -61,8 +61,8 @@ struct SpoolOptions {
 /// - publish() waits for no sync: it writes to the system's memory of the file. `options.when_full` is not used; the
 /// broker gets `options.capacity` messages (and some megabytes) at a time, the rest is on disk only.
 /// - A full or broken disk counts as a full spool: would_block, or dropped with reason::spool_failed.
-/// - `options.deadline` counts from the first publish(), by wall time across restarts; expired messages are dropped
-/// when their turn comes.
+/// - `options.deadline` counts from the first publish(): by the steady clock, and for messages of an earlier process by
+/// the time of day. Expired messages are dropped when their turn comes.
 /// - Closing keeps unfinished messages in the spool; they end as Outcome::unknown with reason::spooled.
 /// - Messages of an earlier process have no publish number: on_outcome gets 0. They count in pending() and drain().
 /// - An unreadable record is dropped with reason::spool_damaged, and its file is kept aside.

@@ -230,6 +230,35 @@ TEST_F(SpoolPublisherTest, TheDeadlineCountsForWhatWaitsOnDiskToo) {
   EXPECT_EQ(metric("iotcloud_spool_dropped_total", "deadline"), 5);
 }
 
+TEST_F(SpoolPublisherTest, ATimeOfDayThatIsSetAheadOrBackMovesNoDeadline) {
+  options_.deadline = std::chrono::seconds(10);
+  options_.capacity = 2;
+  constexpr std::int64_t an_hour_ms = 3'600'000;
+  const auto subscription = subscribe();
+  server().stop();
+  const auto publisher = this->publisher();
+  send(*publisher, 1, 5);
+  clock_.set_wall_ms(clock_.wall_ms() - 2 * an_hour_ms);
+  send(*publisher, 6, 8);
+  clock_.advance(std::chrono::seconds(6));
+  send(*publisher, 9, 10);
+  clock_.set_wall_ms(clock_.wall_ms() + 3 * an_hour_ms);
+  send(*publisher, 11, 12);
+  server().start();
+  ASSERT_TRUE(publisher->drain(patience));
+  ASSERT_TRUE(received_are(12));
+  EXPECT_EQ(bodies(), numbered(1, 12));
+  server().stop();
+  send(*publisher, 13, 17);
+  clock_.set_wall_ms(clock_.wall_ms() - an_hour_ms);
+  clock_.advance(std::chrono::seconds(11));
+  send(*publisher, 18, 18);
+  server().start();
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_EQ(outcomes_.of(15), (std::pair{Outcome::dropped, std::string("deadline")}));
+  EXPECT_EQ(outcomes_.of(18).first, Outcome::confirmed);
+}
+
 TEST_F(SpoolPublisherTest, ADamagedMessageIsReportedAndTheRestDelivered) {
   server().stop();
   {
