@@ -112,7 +112,7 @@ class GatewayDaemon final : public config::Service {
   std::string trouble() const override {
     if (registry_->session() != discovery::SessionState::connected) return "the registry is away";
     const std::string text = gateway_->trouble();
-    return text.empty() ? config_.hosts.brokers->trouble(config::system_clock().wall_ms()) : text;
+    return text.empty() ? config_.hosts.brokers->trouble(config::system_clock().now()) : text;
   }
 
  private:
@@ -126,7 +126,7 @@ class GatewayDaemon final : public config::Service {
     std::string shown;
     const config::MutexLock lock(mutex);
     while (!end.wait_for(mutex, stop, look_pause, [&] { return stop.stop_requested(); })) {
-      const std::string away = config_.hosts.brokers->trouble(config::system_clock().wall_ms());
+      const std::string away = config_.hosts.brokers->trouble(config::system_clock().now());
       if (away != std::exchange(shown, away)) gateway_->show_trouble(away);
     }
   }

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <ctime>
 #include <utility>
 
@@ -8,9 +9,17 @@
 
 namespace iotcloud::gateway {
 
-void HostBrokers::put(const std::string& host, std::vector<BrokerLink> links) {
+void HostBrokers::put(const std::string& host, std::vector<BrokerLink> links, config::Clock::Instant now) {
   const config::MutexLock lock(mutex_);
-  hosts_[host] = std::move(links);
+  std::vector<Told>& before = hosts_[host];
+  std::vector<Told> told;
+  for (BrokerLink& link : links) {
+    const auto same = std::find_if(before.begin(), before.end(), [&](const Told& one) {
+      return one.link.broker == link.broker && one.link.url == link.url && one.link.state == link.state;
+    });
+    told.push_back({std::move(link), same == before.end() ? now : same->since});
+  }
+  before = std::move(told);
 }
 
 void HostBrokers::forget(const std::string& host) {
@@ -18,13 +27,13 @@ void HostBrokers::forget(const std::string& host) {
   hosts_.erase(host);
 }
 
-std::string HostBrokers::trouble(std::int64_t now_ms) const {
+std::string HostBrokers::trouble(config::Clock::Instant now) const {
   std::map<std::pair<std::string, std::string>, BrokerLink> away;  // several hosts may use one broker
   {
     const config::MutexLock lock(mutex_);
     for (const auto& [host, links] : hosts_) {
-      for (const BrokerLink& link : links) {
-        if (link.state == "connected" || now_ms - link.since_ms < grace.count()) continue;
+      for (const auto& [link, since] : links) {
+        if (link.state == "connected" || now - since < grace) continue;
         const auto [known, fresh] = away.try_emplace({link.broker, link.url}, link);
         if (!fresh && link.since_ms < known->second.since_ms) known->second = link;
       }

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/clock.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/host/broker_states.h>
 
@@ -16,17 +17,21 @@ class HostBrokers {
   /// A broker may be connecting for so long before it counts as trouble.
   static constexpr std::chrono::milliseconds grace{300};
 
-  /// \param host names the host: the name of its socket
-  void put(const std::string& host, std::vector<BrokerLink> links);
+  /// \param host names the host: the name of its socket. \param now by the steady clock, as below
+  void put(const std::string& host, std::vector<BrokerLink> links, config::Clock::Instant now);
   /// The host has ended.
   void forget(const std::string& host);
   /// Which brokers the hosts cannot reach, or which take no messages, since when and why, for people; empty: none. The
-  /// text stays the same as long as nothing changes. \param now_ms wall time
-  std::string trouble(std::int64_t now_ms) const;
+  /// text stays the same as long as nothing changes.
+  std::string trouble(config::Clock::Instant now) const;
 
  private:
+  struct Told {
+    BrokerLink link;
+    config::Clock::Instant since;  ///< when the host first told that the broker is in this state
+  };
   mutable config::Mutex mutex_;
-  std::map<std::string, std::vector<BrokerLink>> hosts_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::map<std::string, std::vector<Told>> hosts_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace iotcloud::gateway

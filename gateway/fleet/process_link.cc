@@ -234,7 +234,7 @@ void ProcessLink::heard(const HostReport& event) {
       shutdown(death_limit);
       break;
     case HostReport::Kind::pong:
-      if (options_.brokers) options_.brokers->put(socket_name_, event.brokers);
+      if (options_.brokers) options_.brokers->put(socket_name_, event.brokers, Steady::now());
       judge(event.stalls);
       break;
     case HostReport::Kind::metrics:

@@ -82,7 +82,7 @@ def freeze(cluster, victim, other):
     own = {unit for unit, worker in own.items() if worker == victim}
     connections, kept_back = ports(process.pid), kept(cluster, victim)
     freeze_process(process)
-    frozen = time.time()
+    frozen, began = time.time(), time.monotonic()  # the timeline has the time of day
 
     def taken_over():
         return {event.unit: event.time for event in reversed(cluster.timeline([other]))
@@ -91,7 +91,7 @@ def freeze(cluster, victim, other):
     wait_for(f"{other} reads the drivers of {victim}", lambda: set(taken_over()) == own, 60)
     first = min(taken_over().values())
     cut = cut_off_late(cluster, connections, frozen, taken_over())
-    while time.time() < frozen + SESSION_S + 1:  # the successor is far beyond the frozen worker's messages
+    while time.monotonic() < began + SESSION_S + 1:  # the successor is far beyond the frozen worker's messages
         time.sleep(0.1)
     process.send_signal(signal.SIGCONT)
     wait_for(f"{victim} keeps back what it has in hand",

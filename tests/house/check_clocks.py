@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """Nothing waits for the time of day, and nothing measures by it: it is set back and forth while a process runs. Checks the
-C++ below a source tree. Waits and time spans are the steady clock's or an injected config::Clock's (config/mutex.h).
+C++ below a source tree, and the Python below its folder tests. Waits and time spans are the steady clock's or an injected
+config::Clock's (config/mutex.h), in Python time.monotonic()'s.
 
 usage: check_clocks.py ROOT     (exit status 1 and a line for each violation)
 """
@@ -20,10 +21,18 @@ TIME_OF_DAY = {
 # Where wall_ms() is compared or calculated with: times that another process wrote, or that outlive this one.
 STAMPS_OF_OTHERS = {
     "brokers/kafka/reading/partition_reader.cc": "a message's deadline, which its sender wrote",
+    "brokers/kafka/record.cc": "a message's time stamp, which its driver wrote",
+    "brokers/spool/spool_queue.cc": "the age of messages that an earlier process accepted",
+    "gateway/fleet/plugin_versions.cc": "when a version first ran outlives the process",
+    "gateway/order_feed.cc": "an order says when its master gave it",
+    "master/cli/output.cc": "the age of records that other processes wrote",
+    "master/orders/order_book.cc": "two orders of one master never have the same time",
     "master/topologies/topology_service.cc": "an order says until when its master waits, whichever process reads it",
     "security/tokens.cc": "a token's end is a day of the calendar, which its file says",
+    "topology/windows/watermarks.h": "event times, as windowed_bolt.cc gives them",
     "topology/windows/windowed_bolt.cc": "event times that are time stamps, by the steady clock from the first look on",
     "topology/worker/control.cc": "an order says until when its master waits, whichever process reads it",
+    "tests/gateway/signed_orders_test.cc": "such orders",
     "tests/topology/worker/worker_control_test.cc": "such an order",
 }
 
@@ -35,7 +44,13 @@ CLOCKS = re.compile(
 WAITS = re.compile(
     r"\b(?:pthread_cond_timedwait|pthread_mutex_timedlock|pthread_rwlock_timed\w+|sem_timedwait|mtx_timedlock"
     r"|cnd_timedwait|mq_timed(?:send|receive))\s*\(")
-SPANS = re.compile(r"\bwall_ms\(\)\s*(?:[-+](?!\+)|[<>])|(?:[-+]|[<>]=?)\s*(?:[\w.]|->|::|\(\))*\bwall_ms\(\)")
+# What yields the time of day in milliseconds: the clock, and a function that has it from there.
+STAMPS = r"\b(?:wall_ms|now_ms)\(\)"
+# A variable that holds it: one that is set to it, and any that is called now_ms.
+STAMP_VARIABLES = re.compile(rf"\b(\w+)\s*(?:=|\{{|\()\s*(?:\w|[.:]|\(\))*{STAMPS}\s*[;}})]")
+PYTHON_SPANS = re.compile(r"\btime\.time\(\)\s*[-+<>]|(?:[-+]|[<>]=?)\s*time\.time\(\)")
+# A test that moves its clock's time of day.
+MOVES = re.compile(r"\bset_wall_ms\([^;]*;")
 COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 
@@ -43,19 +58,35 @@ def without_comments(text):
     return COMMENT.sub(lambda comment: "\n" * comment.group().count("\n"), text)
 
 
+def spans(names):
+    """What calculates or compares with a time stamp of now, which variables of these names hold, too."""
+    stamp = rf"(?:{STAMPS}|\b(?:{'|'.join(sorted(names))})\b(?!\())"
+    return re.compile(rf"{stamp}\s*(?:[-+](?![+>])|[<>](?!<|>))|(?:(?<!-)[-+]|[<>]=?)\s*(?:[\w.]|::|\(\))*{stamp}")
+
+
 def check_source(file, text):
     """Lines for what `file` (relative to the root) does wrong."""
-    for number, line in enumerate(without_comments(text).splitlines(), 1):
+    text = without_comments(text)
+    names = {"now_ms"} | {name for name in STAMP_VARIABLES.findall(text.replace("->", "."))}
+    spans_here = spans(names)
+    for number, line in enumerate(text.splitlines(), 1):
         if file not in TIME_OF_DAY:
             for found in (CLOCKS.search(line), WAITS.search(line)):
                 if found:
                     yield (f"{file}:{number}: {found.group().strip()}: the time of day may be set back at any moment; wait "
                            f"and measure by std::chrono::steady_clock or config::Clock::now(), and take time stamps from "
                            f"config::Clock::wall_ms()")
-        span = SPANS.search(line.replace("->", "."))
+        span = spans_here.search(MOVES.sub("", line.replace("->", ".")))
         if span and file not in STAMPS_OF_OTHERS:
             yield (f"{file}:{number}: {span.group().strip()}: how long something takes is measured by "
                    f"config::Clock::now(); wall_ms() is for time stamps")
+
+
+def check_python(file, text):
+    for number, line in enumerate(text.splitlines(), 1):
+        if span := PYTHON_SPANS.search(line.split("#")[0]):
+            yield (f"{file}:{number}: {span.group().strip()}: wait and measure by time.monotonic(); time.time() is for time "
+                   f"stamps of other processes")
 
 
 def check(root):
@@ -64,6 +95,8 @@ def check(root):
         file = path.relative_to(root).as_posix()
         if path.suffix in (".h", ".cc") and path.is_file() and not file.startswith(("build/", ".")) and "/build/" not in file:
             problems += check_source(file, path.read_text())
+        elif path.suffix == ".py" and file.startswith("tests/") and not file.startswith("tests/house/check_clocks"):
+            problems += check_python(file, path.read_text())
     return problems
 
 

@@ -13,7 +13,7 @@ class CheckClocks(unittest.TestCase):
     def assert_refused(self, line):
         problems = self.problems(line)
         self.assertEqual(len(problems), 1, line)
-        self.assertTrue(problems[0].startswith("brokers/a.cc:2: "), problems[0])
+        self.assertTrue(problems[0].startswith(f"brokers/a.cc:{2 + line.count(chr(10))}: "), problems[0])
 
     def assert_allowed(self, line):
         self.assertEqual(self.problems(line), [], line)
@@ -38,8 +38,29 @@ class CheckClocks(unittest.TestCase):
         self.assert_refused("const auto took = clock.wall_ms() - began_ms;")
         self.assert_refused("if (options_.clock->wall_ms() > end_ms) return;")
         self.assert_refused("if (end_ms <= options_.clock->wall_ms()) return;")
+        self.assert_refused("if (now_ms() - record->accepted_ms >= limit) return;")
+        self.assert_refused("if (now_ms - link.since_ms < grace.count()) return;")
+
+    def test_time_spans_by_a_variable_that_holds_a_time_stamp(self):
+        for declaration in ("const std::int64_t now = clock_.wall_ms();", "const auto now{options_.clock->wall_ms()};",
+                            "now = config::system_clock().wall_ms();"):
+            self.assert_refused(f"{declaration}\nif (now - link.since_ms < grace.count()) return;")
+            self.assert_refused(f"{declaration}\nif (link.since_ms + grace.count() > now) return;")
+            self.assert_allowed(f"{declaration}\nrecord.since_ms = now;\nsay(now, clock_.now() - began);")
+        self.assert_allowed("const auto now = clock_.now();\nif (now - began < grace) return;")
+
+    def test_time_spans_in_python(self):
+        for line in ("while time.time() < end:", "took = time.time() - began", "until = limit + time.time()",
+                     "if began <= time.time():"):
+            problems = list(check_clocks.check_python("tests/a.py", f"import time\n{line}\n"))
+            self.assertEqual(len(problems), 1, line)
+            self.assertTrue(problems[0].startswith("tests/a.py:2: "), problems[0])
+        for line in ("kills.append((time.time(), victim))", "while time.monotonic() < end:", "seed = int(time.time())",
+                     "pass  # not time.time() - began"):
+            self.assertEqual(list(check_clocks.check_python("tests/a.py", line)), [], line)
 
     def test_what_is_right_is_let_pass(self):
+        self.assert_allowed("clock_.set_wall_ms(clock_.wall_ms() - an_hour_ms);")
         self.assert_allowed("changed_.wait_until(lock, std::chrono::steady_clock::now() + limit);")
         self.assert_allowed("changed_.wait_for(lock, limit);")
         self.assert_allowed("const auto& clock = config::system_clock();")

@@ -9,13 +9,16 @@ using brokers::ConnectionState;
 
 std::vector<BrokerWatch::Link> BrokerWatch::look() {
   auto links = list_();
-  const std::int64_t now = clock_.wall_ms();
+  const std::int64_t now_ms = clock_.wall_ms();
+  const auto now = clock_.now();
   const config::MutexLock lock(mutex_);
   std::map<std::pair<std::string, std::string>, Link> seen;
   for (Link& link : links) {
     const std::pair key(link.broker, link.url);
     const auto before = seen_.find(key);
-    link.since_ms = before != seen_.end() && before->second.state == link.state ? before->second.since_ms : now;
+    const bool same = before != seen_.end() && before->second.state == link.state;
+    link.since_ms = same ? before->second.since_ms : now_ms;
+    link.since = same ? before->second.since : now;
     seen[key] = link;
     if (before != seen_.end()) seen_.erase(before);
   }
@@ -34,9 +37,9 @@ std::vector<BrokerWatch::Link> BrokerWatch::look() {
 
 std::string BrokerWatch::trouble() {
   std::string text;
-  const std::int64_t now = clock_.wall_ms();
+  const auto now = clock_.now();
   for (const Link& link : look()) {
-    if (link.state == ConnectionState::connected || now - link.since_ms < grace.count()) continue;
+    if (link.state == ConnectionState::connected || now - link.since < grace) continue;
     text += fmt::format("{}the broker {} ({}) {} since {:%FT%TZ}{}{}", text.empty() ? "" : "; ", link.broker, link.url,
                         link.state == ConnectionState::blocked ? "takes no messages" : "is away",
                         fmt::gmtime(static_cast<std::time_t>(link.since_ms / 1000)), link.why.empty() ? "" : ": ",

@@ -22,11 +22,12 @@ class BrokerWatch {
     std::string broker;  ///< its logical name
     std::string url;     ///< printable, of the preferred server
     brokers::ConnectionState state = brokers::ConnectionState::connecting;
-    std::int64_t since_ms = 0;  ///< wall time of the first look that found it in this state
-    std::string why{};          ///< Broker::problem()
+    std::int64_t since_ms = 0;       ///< wall time of the first look that found it in this state
+    std::string why{};               ///< Broker::problem()
+    config::Clock::Instant since{};  ///< the same moment by the steady clock
     friend bool operator==(const Link&, const Link&) = default;
   };
-  /// Lists the brokers, without `since_ms`. Called on the threads that look.
+  /// Lists the brokers, without `since_ms` and `since`. Called on the threads that look.
   using List = std::function<std::vector<Link>()>;
   /// A broker may be connecting for so long before it counts as trouble.
   static constexpr std::chrono::milliseconds grace{1000};
@@ -35,7 +36,7 @@ class BrokerWatch {
   BrokerWatch(List list, const config::Clock& clock, config::Metrics& metrics, config::Labels labels)
       : list_(std::move(list)), clock_(clock), metrics_(metrics), labels_(std::move(labels)) {}
 
-  /// Looks again, and sets the metrics. Call it twice a second or so: that is how exact `since_ms` is.
+  /// Looks again, and sets the metrics. Call it twice a second or so: that is how exact `since` is.
   std::vector<Link> look();
   /// Which brokers cannot be reached, or take nothing, since when and why; empty: all is well. Looks again. The text
   /// stays the same as long as nothing changes.

@@ -43,6 +43,13 @@ TEST_F(BrokerWatchTest, SaysWhichBrokersAreAwayAndForHowLong) {
   EXPECT_EQ(away("kafka"), 0);
 }
 
+TEST_F(BrokerWatchTest, ATimeOfDayThatIsSetBackHidesNoTrouble) {
+  EXPECT_EQ(watch_.trouble(), "");
+  clock_.set_wall_ms(clock_.wall_ms() - 3'600'000);
+  clock_.advance(5s);
+  EXPECT_THAT(watch_.trouble(), testing::StartsWith("the broker kafka (kafka://two) is away since "));
+}
+
 TEST_F(BrokerWatchTest, ABrokerThatIsNotUsedAnyMoreIsNoTrouble) {
   static_cast<void>(watch_.look());
   links_.pop_back();
