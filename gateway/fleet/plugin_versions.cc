@@ -52,22 +52,39 @@ void PluginVersions::refuse_without_version(const std::string& plugin) const {
       plugin, known == known_.end() ? "" : fmt::format(", and version {} of it ran here", known->second.newest), name));
 }
 
+PluginVersions::Known PluginVersions::known(const std::string& name) const {
+  const auto found = known_.find(name);
+  return found == known_.end() ? Known{} : found->second;
+}
+
+void PluginVersions::learn(const security::PluginSignature& signature) {
+  AllKnown next = known_;
+  Known& fresh = next[signature.name];
+  fresh = {signature.version, fresh.newest, clock_.wall_ms()};
+  writing_ = true;
+  try {
+    const config::Unlocked unlocked(mutex_);  // a version that ran before does not wait for the disk
+    write(next);
+  } catch (...) {  // what is not written down is not known: the next try writes it
+    writing_ = false;
+    written_.notify_all();
+    throw;
+  }
+  known_ = std::move(next);
+  writing_ = false;
+  written_.notify_all();
+}
+
 void PluginVersions::admit(const std::string& plugin, const security::PluginSignature& signature) {
   const config::MutexLock lock(mutex_);
   if (signature.version == 0) return refuse_without_version(plugin);
-  const auto now = clock_.wall_ms();
-  Known& known = known_[signature.name];
-  if (signature.version > known.newest) {
-    const Known before = std::exchange(known, Known{signature.version, known.newest, now});
-    try {
-      return keep();
-    } catch (...) {  // what is not written down is not known: the next try writes it
-      known = before;
-      throw;
-    }
+  while (signature.version > known(signature.name).newest) {
+    if (!writing_) return learn(signature);
+    written_.wait(mutex_);
   }
+  const Known known = this->known(signature.name);
   if (signature.version == known.newest) return;
-  if (signature.version == known.before && now - known.since_ms < options_.way_back.count()) return;
+  if (signature.version == known.before && clock_.wall_ms() - known.since_ms < options_.way_back.count()) return;
   if (may_go_back(signature.name)) {
     logger.warn("{}: version {} runs although version {} ran here, as plugins.allow_rollback says", plugin,
                 signature.version, known.newest);
@@ -79,10 +96,10 @@ void PluginVersions::admit(const std::string& plugin, const security::PluginSign
                   plugin, signature.version, signature.name, known.newest, signature.name));
 }
 
-void PluginVersions::keep() const {
+void PluginVersions::write(const AllKnown& known) const {
   std::string text;
-  for (const auto& [name, known] : known_)
-    text += fmt::format("{} {} {} {}\n", name, known.newest, known.before, known.since_ms);
+  for (const auto& [name, one] : known)
+    text += fmt::format("{} {} {} {}\n", name, one.newest, one.before, one.since_ms);
   config::replace_file(options_.file, text, for_the_gateway);
 }
 

@@ -36,14 +36,20 @@ class PluginVersions {
     std::uint64_t newest = 0, before = 0;
     std::int64_t since_ms = 0;  ///< when `newest` first ran; wall time
   };
+  using AllKnown = std::map<std::string, Known>;  ///< by the name that the signer gave
   void refuse_without_version(const std::string& plugin) const IOTCLOUD_REQUIRES(mutex_);
   bool may_go_back(const std::string& name) const;
-  void keep() const IOTCLOUD_REQUIRES(mutex_);
+  Known known(const std::string& name) const IOTCLOUD_REQUIRES(mutex_);
+  /// Takes note of a version that is newer than all that ran. Releases the mutex while it writes the file.
+  void learn(const security::PluginSignature& signature) IOTCLOUD_REQUIRES(mutex_);
+  void write(const AllKnown& known) const IOTCLOUD_EXCLUDES(mutex_);
 
   const Options options_;
   const config::Clock& clock_;
   config::Mutex mutex_;
-  std::map<std::string, Known> known_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by the name that the signer gave
+  config::ConditionVariable written_;
+  AllKnown known_ IOTCLOUD_GUARDED_BY(mutex_);        ///< what the file has
+  bool writing_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< a thread writes the file
 };
 
 }  // namespace iotcloud::gateway

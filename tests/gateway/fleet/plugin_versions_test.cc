@@ -1,17 +1,22 @@
 // An old plugin that was signed once does not come back.
+#include <atomic>
 #include <filesystem>
+#include <future>
 #include <string>
 
 #include <gmock/gmock.h>
 
 #include <iotcloud/gateway/fleet/plugin_versions.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/security/key_folder.h>
+#include <iotcloud/tests/sync_calls.h>
 
 namespace iotcloud::gateway {
 namespace {
 
 using security::error_of;
 using security::PluginSignature;
+using ::testing::AnyOf;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
@@ -47,6 +52,30 @@ TEST_F(PluginVersionsTest, AnOlderVersionThanOneThatRanDoesNotRunAlsoUnderAnothe
   auto known = versions();
   EXPECT_THAT(refusal(known, 2, "harmless.so"), HasSubstr("is older"));
   EXPECT_THAT(refusal(known, 4), IsEmpty());
+}
+
+TEST_F(PluginVersionsTest, AVersionThatRanDoesNotWaitUntilANewerOneIsOnTheDisk) {
+  auto known = versions();
+  EXPECT_THAT(refusal(known, 1), IsEmpty());
+  std::promise<void> go_on;
+  std::atomic<bool> writing{false};
+  const tests::SyncCalls slow([&, let_go = go_on.get_future().share()](const std::string&) {
+    writing = true;
+    let_go.wait();
+    return 0;
+  });
+  auto newer = std::async(std::launch::async, [&] { return refusal(known, 3); });
+  auto newest = std::async(std::launch::async, [&] { return refusal(known, 4); });
+  EXPECT_TRUE(tests::eventually([&] { return writing.load(); }));
+  auto former = std::async(std::launch::async, [&] { return refusal(known, 1); });
+  EXPECT_EQ(former.wait_for(tests::patience), std::future_status::ready);
+  go_on.set_value();
+  EXPECT_THAT(former.get(), IsEmpty());
+  EXPECT_THAT(newest.get(), IsEmpty());
+  EXPECT_THAT(newer.get(), AnyOf(IsEmpty(), HasSubstr("is older"))) << "it may come second";
+  auto restarted = versions();
+  EXPECT_THAT(refusal(restarted, 4), IsEmpty());
+  EXPECT_THAT(refusal(restarted, 2), HasSubstr("older than version 4"));
 }
 
 TEST_F(PluginVersionsTest, AnUpdateMayGoBackForAWhileToTheVersionBefore) {
