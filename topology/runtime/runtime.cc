@@ -155,27 +155,19 @@ class Runtime::Impl {
   std::unique_ptr<Tap> tap(const std::string& component, double per_second, TapCall call) {
     class OwnedTap final : public Tap {
      public:
-      explicit OwnedTap(std::vector<std::shared_ptr<internal::TapPoint>> points) : points_(std::move(points)) {}
-      ~OwnedTap() override {
-        for (const auto& point : points_) point->end();
-      }
+      explicit OwnedTap(std::shared_ptr<internal::TapWatcher> watcher) : watcher_(std::move(watcher)) {}
+      ~OwnedTap() override { watcher_->end(); }
 
      private:
-      std::vector<std::shared_ptr<internal::TapPoint>> points_;
+      const std::shared_ptr<internal::TapWatcher> watcher_;
     };
     if (!graph_.tasks_of().contains(component)) throw std::invalid_argument(no_component(component));
-    const auto one_at_a_time = [mutex = std::make_shared<config::Mutex>(), call = std::move(call)](const Tuple& tuple,
-                                                                                                   int task) {
-      const config::MutexLock lock(*mutex);
-      call(tuple, task);
-    };
-    std::vector<std::shared_ptr<internal::TapPoint>> points;
+    const auto watcher = std::make_shared<internal::TapWatcher>(std::move(call));
     for (const auto& task : graph_.tasks()) {
       if (task->context().component != component) continue;
-      points.push_back(std::make_shared<internal::TapPoint>(per_second, one_at_a_time));
-      task->taps().add(points.back());
+      task->taps().add(std::make_shared<internal::TapPoint>(per_second, watcher));
     }
-    return std::make_unique<OwnedTap>(std::move(points));
+    return std::make_unique<OwnedTap>(watcher);
   }
 
   const Topology& topology() const { return topology_; }

@@ -94,7 +94,7 @@ struct Snapshot {
 };
 
 /// Shows tuples of a component to a TapCall until it is destroyed (Runtime::tap()). Its destructor waits until the call
-/// does not run any more, so the call itself must not destroy it. It may outlive the runtime.
+/// does not run any more, unless the call itself destroys it. It may outlive the runtime.
 class Tap {
  public:
   virtual ~Tap() = default;

@@ -63,6 +63,18 @@ TEST(Tap, EndsWithItsObject) {
   EXPECT_THAT(tapped.sink->numbers(), ElementsAre(1, 2, 3, 4, 5, 6));
 }
 
+TEST(Tap, MayBeEndedByItsOwnCall) {
+  Tapped tapped;
+  int seen = 0;
+  std::unique_ptr<Tap> tap;
+  tap = tapped.runtime->tap("pass", every_one, [&](const Tuple&, int) {
+    if (++seen == 2) tap.reset();
+  });
+  tapped.put(1, 5);
+  EXPECT_EQ(seen, 2);
+  EXPECT_THAT(tapped.sink->numbers(), ElementsAre(1, 2, 3, 4, 5));
+}
+
 TEST(Tap, ShowsNoMoreThanWasAskedFor) {
   Tapped tapped;
   int seen = 0;

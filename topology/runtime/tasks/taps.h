@@ -2,6 +2,8 @@
 
 #include <atomic>
 #include <memory>
+#include <thread>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
@@ -9,24 +11,40 @@
 
 namespace iotcloud::topology::internal {
 
-/// A tap on one task: the call that gets the tuples, and how often it wants one.
-class TapPoint {
+/// The call of a tap, which gets the tuples of all tasks of its component. No lock is held while it runs, so it may end
+/// its own tap. Thread safe.
+class TapWatcher {
  public:
-  TapPoint(double per_second, TapCall call);
-  /// Whether it is time for another sample. Of several threads one gets `true`, and the next sample is due a pause
-  /// later.
-  bool claim_sample(std::int64_t now_ns);
-  void sample(const Tuple& tuple, int task);
-  /// Waits until the call does not run any more; it is not made again.
+  explicit TapWatcher(TapCall call) : call_(std::move(call)) {}
+  /// Runs the call on this thread, when no other thread runs it any more. A call that throws is not made again.
+  void show(const Tuple& tuple, int task);
+  /// The call is not made again. If another thread runs it now, waits for its end.
   void end();
   bool ended() const { return ended_.load(); }
 
  private:
-  const std::int64_t pause_ns_;
-  std::atomic<std::int64_t> next_ns_{0};
+  void run(const Tuple& tuple, int task);
+
+  const TapCall call_;
   std::atomic<bool> ended_{false};
   config::Mutex mutex_;
-  const TapCall call_;  ///< called with mutex_ held
+  config::ConditionVariable left_;
+  std::thread::id running_ IOTCLOUD_GUARDED_BY(mutex_);  ///< the thread that runs the call; no thread: nobody does
+};
+
+/// A tap on one task: how often its watcher wants a tuple.
+class TapPoint {
+ public:
+  TapPoint(double per_second, std::shared_ptr<TapWatcher> watcher);
+  /// Whether it is time for another sample. Of several threads one gets `true`, and the next sample is due a pause
+  /// later.
+  bool claim_sample(std::int64_t now_ns);
+  TapWatcher& watcher() const { return *watcher_; }
+
+ private:
+  const std::int64_t pause_ns_;
+  const std::shared_ptr<TapWatcher> watcher_;
+  std::atomic<std::int64_t> next_ns_{0};
 };
 
 /// The taps on one task. Without taps a tuple costs one read of an atomic.
@@ -40,7 +58,7 @@ class Taps {
     const std::vector<std::shared_ptr<TapPoint>> wanting = due(now_ns);
     if (wanting.empty()) return;
     const Tuple tuple = make();
-    for (const auto& point : wanting) point->sample(tuple, task);
+    for (const auto& point : wanting) point->watcher().show(tuple, task);
   }
 
  private:
