@@ -76,15 +76,15 @@ void Connection::sleep(std::optional<Instant> until) {
 
 std::optional<Instant> Connection::next_deadline(Instant now) {
   std::optional<Instant> next;
-  for (Producer* producer : timed) {
+  for (ServerPublisher* publisher : timed) {
     WakeList unneeded;  // expire() wants one; this thread is awake already
-    server->expire(*producer, now, unneeded);
-    producer->timed = !producer->waiting.empty();
-    if (!producer->timed) continue;
-    const Instant expires = producer->waiting.front().accepted + producer->options.deadline;
+    server->expire(*publisher, now, unneeded);
+    publisher->timed = !publisher->waiting.empty();
+    if (!publisher->timed) continue;
+    const Instant expires = publisher->waiting.front().accepted + publisher->options.deadline;
     if (!next || expires < *next) next = expires;
   }
-  std::erase_if(timed, [](const Producer* producer) { return !producer->timed; });
+  std::erase_if(timed, [](const ServerPublisher* publisher) { return !publisher->timed; });
   return next;
 }
 
@@ -94,8 +94,8 @@ void Connection::run() {
     if (deliver_next()) continue;
     const std::optional<Instant> deadline = next_deadline(clock.now());
     if (!to_report.empty()) {
-      const std::shared_ptr<Producer> producer = to_report.front();
-      report(producer);
+      const std::shared_ptr<ServerPublisher> publisher = to_report.front();
+      report(publisher);
       continue;
     }
     sleeping = true;
@@ -153,30 +153,31 @@ void Connection::run_handler(const std::shared_ptr<HandlerConsumer>& reader, Sto
   }
 }
 
-void Connection::call_back(const Producer& producer, const std::vector<Producer::Event>& events, bool writable) {
+void Connection::call_back(const ServerPublisher& publisher, const std::vector<ServerPublisher::Event>& events,
+                           bool writable) {
   try {
-    for (const auto& event : events) producer.options.on_outcome(event.number, event.outcome, event.reason);
-    if (writable && producer.options.on_writable) producer.options.on_writable();
+    for (const auto& event : events) publisher.options.on_outcome(event.number, event.outcome, event.reason);
+    if (writable && publisher.options.on_writable) publisher.options.on_writable();
   } catch (const std::exception& error) {
-    logger.error("a callback of the publisher of topic {} threw: {}", producer.topic.name, error.what());
+    logger.error("a callback of the publisher of topic {} threw: {}", publisher.topic.name, error.what());
   } catch (...) {
-    logger.error("a callback of the publisher of topic {} threw", producer.topic.name);
+    logger.error("a callback of the publisher of topic {} threw", publisher.topic.name);
   }
 }
 
-void Connection::report(const std::shared_ptr<Producer>& producer) {
-  while (producer->reporting) changed.wait(server->mutex);
-  if (std::exchange(producer->in_report, false)) std::erase(to_report, producer);
-  const std::vector<Producer::Event> events = std::exchange(producer->events, {});
-  const bool writable = std::exchange(producer->writable_due, false);
+void Connection::report(const std::shared_ptr<ServerPublisher>& publisher) {
+  while (publisher->reporting) changed.wait(server->mutex);
+  if (std::exchange(publisher->in_report, false)) std::erase(to_report, publisher);
+  const std::vector<ServerPublisher::Event> events = std::exchange(publisher->events, {});
+  const bool writable = std::exchange(publisher->writable_due, false);
   if (events.empty() && !writable) return;
-  producer->reporting = true;
+  publisher->reporting = true;
   {
     const config::Unlocked unlocked(server->mutex);
-    call_back(*producer, events, writable);
+    call_back(*publisher, events, writable);
   }
-  producer->reporting = false;
-  producer->pending -= events.size();
+  publisher->reporting = false;
+  publisher->pending -= events.size();
   changed.notify_all();
 }
 

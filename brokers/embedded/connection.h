@@ -46,16 +46,16 @@ class Connection : public std::enable_shared_from_this<Connection> {
 
   /// For code that holds the server's mutex under another name. Does nothing at run time.
   void assert_held() const IOTCLOUD_ASSERT_CAPABILITY(server->mutex) {}
-  /// Calls one producer's callbacks on the calling thread. The server's mutex is released during the calls. If another
-  /// thread calls this producer's callbacks already, waits until it has done so.
-  void report(const std::shared_ptr<Producer>& producer) IOTCLOUD_REQUIRES(server->mutex);
+  /// Calls one publisher's callbacks on the calling thread. The server's mutex is released during the calls. If another
+  /// thread calls this publisher's callbacks already, waits until it has done so.
+  void report(const std::shared_ptr<ServerPublisher>& publisher) IOTCLOUD_REQUIRES(server->mutex);
 
   std::vector<std::shared_ptr<HandlerConsumer>> consumers IOTCLOUD_GUARDED_BY(server->mutex);
   std::deque<std::shared_ptr<Consumer>> ready IOTCLOUD_GUARDED_BY(server->mutex);  ///< consumers with messages to take
-  std::vector<Producer*> producers IOTCLOUD_GUARDED_BY(server->mutex);
-  std::deque<std::shared_ptr<Producer>> to_report IOTCLOUD_GUARDED_BY(server->mutex);
-  /// Producers whose waiting messages have a deadline.
-  std::vector<Producer*> timed IOTCLOUD_GUARDED_BY(server->mutex);
+  std::vector<ServerPublisher*> publishers IOTCLOUD_GUARDED_BY(server->mutex);
+  std::deque<std::shared_ptr<ServerPublisher>> to_report IOTCLOUD_GUARDED_BY(server->mutex);
+  /// Publishers whose waiting messages have a deadline.
+  std::vector<ServerPublisher*> timed IOTCLOUD_GUARDED_BY(server->mutex);
   config::ConditionVariable changed;  ///< signals that a handler or callback ended, or that an outcome was reported
   /// The thread waits in sleep(), so it must be woken for work.
   bool sleeping IOTCLOUD_GUARDED_BY(server->mutex) = false;
@@ -63,7 +63,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
  private:
   void run();
   bool deliver_next() IOTCLOUD_REQUIRES(server->mutex);
-  static void call_back(const Producer& producer, const std::vector<Producer::Event>& events, bool writable);
+  static void call_back(const ServerPublisher& publisher, const std::vector<ServerPublisher::Event>& events,
+                        bool writable);
   void run_handler(const std::shared_ptr<HandlerConsumer>& reader, Stored stored, std::uint64_t tag);
   std::optional<Instant> next_deadline(Instant now) IOTCLOUD_REQUIRES(server->mutex);
   void sleep(std::optional<Instant> until);

@@ -15,29 +15,29 @@ class EmbeddedPublisher final : public Publisher {
  public:
   EmbeddedPublisher(std::shared_ptr<Connection> connection, const Topic& topic, const PublisherOptions& options)
       : connection_(std::move(connection)), server_(*connection_->server) {
-    producer_->topic = topic;
-    producer_->options = options;
-    producer_->options.capacity = std::max<std::size_t>(options.capacity, 1);
-    producer_->connection = connection_.get();
+    publisher_->topic = topic;
+    publisher_->options = options;
+    publisher_->options.capacity = std::max<std::size_t>(options.capacity, 1);
+    publisher_->connection = connection_.get();
     const config::MutexLock lock(server_.mutex);
-    producer_->route = server_.route(topic.name);
-    connection_->producers.push_back(producer_.get());
+    publisher_->route = server_.route(topic.name);
+    connection_->publishers.push_back(publisher_.get());
     if (options.own_queue) server_.make_own_queue(topic, connection_->clock.now());
   }
 
   ~EmbeddedPublisher() override {
     WakeList wake;
     const config::MutexLock lock(server_.mutex);
-    producer_->closed = true;
-    producer_->wants_writable = producer_->writable_due = false;
-    for (const auto& waiting : producer_->waiting) {
-      server_.settle(*producer_, waiting.number, Outcome::unknown, reason::closed, wake);
+    publisher_->closed = true;
+    publisher_->wants_writable = publisher_->writable_due = false;
+    for (const auto& waiting : publisher_->waiting) {
+      server_.settle(*publisher_, waiting.number, Outcome::unknown, reason::closed, wake);
     }
-    producer_->waiting.clear();
-    std::erase(producer_->route->waiting, producer_.get());
-    if (!connection_->on_own_thread() || !producer_->reporting) connection_->report(producer_);
-    std::erase(connection_->producers, producer_.get());
-    std::erase(connection_->timed, producer_.get());
+    publisher_->waiting.clear();
+    std::erase(publisher_->route->waiting, publisher_.get());
+    if (!connection_->on_own_thread() || !publisher_->reporting) connection_->report(publisher_);
+    std::erase(connection_->publishers, publisher_.get());
+    std::erase(connection_->timed, publisher_.get());
   }
 
   Published publish(Message message) override { return publish_again(std::move(message), {}); }
@@ -45,19 +45,20 @@ class EmbeddedPublisher final : public Publisher {
   Published publish_again(Message message, const Past& past) override {
     WakeList wake;
     const config::MutexLock lock(server_.mutex);
-    if (producer_->closed) return {PublishStatus::closed};
+    if (publisher_->closed) return {PublishStatus::closed};
     const Instant now = connection_->clock.now();
-    server_.expire(*producer_, now, wake);
+    server_.expire(*publisher_, now, wake);
     if (const char* why = refusal(message)) {
       accept();
-      server_.settle(*producer_, producer_->last_number, Outcome::refused, why, wake);
-      return {PublishStatus::accepted, producer_->last_number};
+      server_.settle(*publisher_, publisher_->last_number, Outcome::refused, why, wake);
+      return {PublishStatus::accepted, publisher_->last_number};
     }
-    Producer::Waiting waiting{std::move(message), producer_->last_number + 1, now - past.age, past.possibly_sent};
-    if (producer_->waiting.empty() && server_.deliver(*producer_->route, waiting, producer_->options, now, wake)) {
+    ServerPublisher::Waiting waiting{std::move(message), publisher_->last_number + 1, now - past.age,
+                                     past.possibly_sent};
+    if (publisher_->waiting.empty() && server_.deliver(*publisher_->route, waiting, publisher_->options, now, wake)) {
       accept();
-      server_.settle(*producer_, producer_->last_number, Outcome::confirmed, "", wake);
-      return {PublishStatus::accepted, producer_->last_number};
+      server_.settle(*publisher_, publisher_->last_number, Outcome::confirmed, "", wake);
+      return {PublishStatus::accepted, publisher_->last_number};
     }
     return wait(std::move(waiting), wake);
   }
@@ -66,11 +67,11 @@ class EmbeddedPublisher final : public Publisher {
     const auto end = std::chrono::steady_clock::now() + limit;
     const config::MutexLock lock(server_.mutex);
     connection_->assert_held();
-    while (producer_->pending > 0) {
-      if (!producer_->events.empty() && !producer_->reporting) {
-        connection_->report(producer_);
+    while (publisher_->pending > 0) {
+      if (!publisher_->events.empty() && !publisher_->reporting) {
+        connection_->report(publisher_);
       } else if (connection_->changed.wait_until(server_.mutex, end) == std::cv_status::timeout) {
-        return producer_->pending == 0;
+        return publisher_->pending == 0;
       }
     }
     return true;
@@ -78,51 +79,51 @@ class EmbeddedPublisher final : public Publisher {
 
   std::size_t pending() const override {
     const config::MutexLock lock(server_.mutex);
-    return producer_->pending;
+    return publisher_->pending;
   }
 
   std::optional<config::Clock::Instant> oldest() const override {
     const config::MutexLock lock(server_.mutex);
-    if (producer_->waiting.empty()) return std::nullopt;
-    return producer_->waiting.front().accepted;
+    if (publisher_->waiting.empty()) return std::nullopt;
+    return publisher_->waiting.front().accepted;
   }
 
  private:
   void accept() IOTCLOUD_REQUIRES(server_.mutex) {
-    ++producer_->last_number;
-    ++producer_->pending;
+    ++publisher_->last_number;
+    ++publisher_->pending;
   }
 
   /// Keeps a message that the server cannot take now, or refuses or replaces one, as `when_full` says.
-  Published wait(Producer::Waiting waiting, WakeList& wake) IOTCLOUD_REQUIRES(server_.mutex) {
-    if (producer_->waiting.size() >= producer_->options.capacity) {
-      if (producer_->options.when_full == WhenFull::block) {
-        producer_->wants_writable = true;
+  Published wait(ServerPublisher::Waiting waiting, WakeList& wake) IOTCLOUD_REQUIRES(server_.mutex) {
+    if (publisher_->waiting.size() >= publisher_->options.capacity) {
+      if (publisher_->options.when_full == WhenFull::block) {
+        publisher_->wants_writable = true;
         return {PublishStatus::would_block};
       }
-      const bool unread = server_.running() && producer_->route->queues.empty();
-      server_.settle(*producer_, producer_->waiting.front().number, Outcome::dropped,
+      const bool unread = server_.running() && publisher_->route->queues.empty();
+      server_.settle(*publisher_, publisher_->waiting.front().number, Outcome::dropped,
                      unread ? reason::no_reader : reason::superseded, wake);
-      producer_->waiting.pop_front();
+      publisher_->waiting.pop_front();
     }
-    if (producer_->waiting.empty()) {
-      auto& all = producer_->route->waiting;
-      if (std::find(all.begin(), all.end(), producer_.get()) == all.end()) all.push_back(producer_.get());
-      if (producer_->options.deadline.count() > 0 && !producer_->timed) {
-        producer_->timed = true;
+    if (publisher_->waiting.empty()) {
+      auto& all = publisher_->route->waiting;
+      if (std::find(all.begin(), all.end(), publisher_.get()) == all.end()) all.push_back(publisher_.get());
+      if (publisher_->options.deadline.count() > 0 && !publisher_->timed) {
+        publisher_->timed = true;
         connection_->assert_held();
-        connection_->timed.push_back(producer_.get());
+        connection_->timed.push_back(publisher_.get());
         wake.add(*connection_);  // so that its thread wakes up for the deadline
       }
     }
     accept();
-    producer_->waiting.push_back(std::move(waiting));
-    return {PublishStatus::accepted, producer_->last_number};
+    publisher_->waiting.push_back(std::move(waiting));
+    return {PublishStatus::accepted, publisher_->last_number};
   }
 
   const std::shared_ptr<Connection> connection_;
   ServerState& server_;
-  const std::shared_ptr<Producer> producer_ = std::make_shared<Producer>();
+  const std::shared_ptr<ServerPublisher> publisher_ = std::make_shared<ServerPublisher>();
 };
 
 class EmbeddedSubscription final : public Subscription {

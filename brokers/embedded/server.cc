@@ -65,9 +65,9 @@ void ServerState::start(WakeList& wake) {
   }
   for (Connection* connection : connections_) {
     connection->assert_held();
-    for (Producer* producer : connection->producers) {
-      if (producer->options.own_queue) make_own_queue(producer->topic, connection->clock.now());
-      flush(*producer, connection->clock.now(), wake);
+    for (ServerPublisher* publisher : connection->publishers) {
+      if (publisher->options.own_queue) make_own_queue(publisher->topic, connection->clock.now());
+      flush(*publisher, connection->clock.now(), wake);
     }
   }
 }
@@ -91,7 +91,7 @@ void ServerState::sweep(Instant now) {
   });
 }
 
-bool ServerState::deliver(Route& route, Producer::Waiting& waiting, const PublisherOptions& options, Instant now,
+bool ServerState::deliver(Route& route, ServerPublisher::Waiting& waiting, const PublisherOptions& options, Instant now,
                           WakeList& wake) {
   if (!running_) return false;
   remove_idle(route, now);
@@ -108,57 +108,58 @@ bool ServerState::deliver(Route& route, Producer::Waiting& waiting, const Publis
   return true;
 }
 
-void ServerState::expire(Producer& producer, Instant now, WakeList& wake) {
-  if (producer.options.void_before) {
-    const Instant void_before = producer.options.void_before();
-    while (!producer.waiting.empty() && producer.waiting.front().accepted < void_before) {
-      settle(producer, producer.waiting.front().number, Outcome::dropped, reason::fenced, wake);
-      producer.waiting.pop_front();
+void ServerState::expire(ServerPublisher& publisher, Instant now, WakeList& wake) {
+  if (publisher.options.void_before) {
+    const Instant void_before = publisher.options.void_before();
+    while (!publisher.waiting.empty() && publisher.waiting.front().accepted < void_before) {
+      settle(publisher, publisher.waiting.front().number, Outcome::dropped, reason::fenced, wake);
+      publisher.waiting.pop_front();
     }
   }
-  if (producer.options.deadline.count() <= 0) return;
-  while (!producer.waiting.empty() && producer.waiting.front().accepted + producer.options.deadline <= now) {
-    settle(producer, producer.waiting.front().number, Outcome::dropped, reason::deadline, wake);
-    producer.waiting.pop_front();
+  if (publisher.options.deadline.count() <= 0) return;
+  while (!publisher.waiting.empty() && publisher.waiting.front().accepted + publisher.options.deadline <= now) {
+    settle(publisher, publisher.waiting.front().number, Outcome::dropped, reason::deadline, wake);
+    publisher.waiting.pop_front();
   }
 }
 
-void ServerState::flush(Producer& producer, Instant now, WakeList& wake) {
-  expire(producer, now, wake);
-  while (!producer.waiting.empty()) {
-    auto& first = producer.waiting.front();
-    if (!deliver(*producer.route, first, producer.options, now, wake)) break;
-    settle(producer, first.number, Outcome::confirmed, "", wake);
-    producer.waiting.pop_front();
+void ServerState::flush(ServerPublisher& publisher, Instant now, WakeList& wake) {
+  expire(publisher, now, wake);
+  while (!publisher.waiting.empty()) {
+    auto& first = publisher.waiting.front();
+    if (!deliver(*publisher.route, first, publisher.options, now, wake)) break;
+    settle(publisher, first.number, Outcome::confirmed, "", wake);
+    publisher.waiting.pop_front();
   }
-  if (producer.waiting.empty()) std::erase(producer.route->waiting, &producer);
+  if (publisher.waiting.empty()) std::erase(publisher.route->waiting, &publisher);
 }
 
-void ServerState::settle(Producer& producer, std::uint64_t number, Outcome outcome, const char* reason,
+void ServerState::settle(ServerPublisher& publisher, std::uint64_t number, Outcome outcome, const char* reason,
                          WakeList& wake) {
-  if (producer.wants_writable && !producer.closed) {
-    producer.wants_writable = false;
-    producer.writable_due = true;
+  if (publisher.wants_writable && !publisher.closed) {
+    publisher.wants_writable = false;
+    publisher.writable_due = true;
   }
-  producer.connection->meters.outcome(outcome, reason);
-  if (producer.options.on_outcome) {
-    producer.events.push_back({number, outcome, reason});
+  publisher.connection->meters.outcome(outcome, reason);
+  if (publisher.options.on_outcome) {
+    publisher.events.push_back({number, outcome, reason});
   } else {
-    --producer.pending;
-    if (producer.pending == 0) producer.connection->changed.notify_all();
-    if (!producer.writable_due) return;
+    --publisher.pending;
+    if (publisher.pending == 0) publisher.connection->changed.notify_all();
+    if (!publisher.writable_due) return;
   }
-  if (!producer.in_report) {
-    producer.in_report = true;
-    producer.connection->assert_held();
-    producer.connection->to_report.push_back(producer.shared_from_this());
+  if (!publisher.in_report) {
+    publisher.in_report = true;
+    publisher.connection->assert_held();
+    publisher.connection->to_report.push_back(publisher.shared_from_this());
   }
-  wake.add(*producer.connection);
+  wake.add(*publisher.connection);
 }
 
 void ServerState::flush_waiting(Route& route, Instant now, WakeList& wake) {
-  const std::vector<Producer*> waiting = route.waiting;  // a copy, because flush() removes producers that are done
-  for (Producer* producer : waiting) flush(*producer, now, wake);
+  const std::vector<ServerPublisher*> waiting =
+      route.waiting;  // a copy, because flush() removes publishers that are done
+  for (ServerPublisher* publisher : waiting) flush(*publisher, now, wake);
 }
 
 void ServerState::flush_topics_of(const Queue& queue, Instant now, WakeList& wake) {

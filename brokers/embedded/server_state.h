@@ -17,16 +17,16 @@ inline constexpr std::chrono::seconds idle_queue_limit{60};
 /// A queue with more bytes than this takes no more messages: messages wait at their publishers, as `when_full` says.
 inline constexpr std::size_t queue_bytes_limit = std::size_t{256} << 20;
 
-struct Producer;
+struct ServerPublisher;
 
 /// The queues of one topic.
 struct Route {
   std::vector<std::shared_ptr<Queue>> queues;
-  std::vector<Producer*> waiting;  ///< producers with messages that could not be delivered yet
+  std::vector<ServerPublisher*> waiting;  ///< publishers with messages that could not be delivered yet
 };
 
 /// The server's side of one publisher. Guarded by the server's mutex, except constants.
-struct Producer : std::enable_shared_from_this<Producer> {
+struct ServerPublisher : std::enable_shared_from_this<ServerPublisher> {
   struct Waiting {
     Message message;
     std::uint64_t number = 0;
@@ -41,7 +41,7 @@ struct Producer : std::enable_shared_from_this<Producer> {
 
   Topic topic;
   PublisherOptions options;
-  Connection* connection = nullptr;  ///< must outlive the producer
+  Connection* connection = nullptr;  ///< must outlive the publisher
 
   std::shared_ptr<Route> route;
   std::deque<Waiting> waiting;
@@ -72,7 +72,7 @@ class WakeList {
   std::vector<std::shared_ptr<Connection>> others_;
 };
 
-/// The server behind one "embedded://NAME". `mutex` also guards its connections, producers, consumers and queues.
+/// The server behind one "embedded://NAME". `mutex` also guards its connections, publishers, consumers and queues.
 class ServerState {
  public:
   config::Mutex mutex;
@@ -88,14 +88,14 @@ class ServerState {
   void make_own_queue(const Topic& topic, Instant now) IOTCLOUD_REQUIRES(mutex);
   /// Gives one message to all queues of the route. \return false if there is no queue, one is full, or the server is
   /// away; the message is then unchanged.
-  bool deliver(Route& route, Producer::Waiting& waiting, const PublisherOptions& options, Instant now, WakeList& wake)
-      IOTCLOUD_REQUIRES(mutex);
-  /// Delivers this producer's waiting messages, as many as possible.
-  void flush(Producer& producer, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
-  /// Drops this producer's waiting messages that are past their deadline, or fenced (PublisherOptions::void_before).
-  void expire(Producer& producer, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
-  /// Records an outcome, which the thread of the producer's connection reports.
-  void settle(Producer& producer, std::uint64_t number, Outcome outcome, const char* reason, WakeList& wake)
+  bool deliver(Route& route, ServerPublisher::Waiting& waiting, const PublisherOptions& options, Instant now,
+               WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  /// Delivers this publisher's waiting messages, as many as possible.
+  void flush(ServerPublisher& publisher, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  /// Drops this publisher's waiting messages that are past their deadline, or fenced (PublisherOptions::void_before).
+  void expire(ServerPublisher& publisher, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
+  /// Records an outcome, which the thread of the publisher's connection reports.
+  void settle(ServerPublisher& publisher, std::uint64_t number, Outcome outcome, const char* reason, WakeList& wake)
       IOTCLOUD_REQUIRES(mutex);
 
   void attach(const std::shared_ptr<Consumer>& consumer, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);

@@ -48,7 +48,7 @@ class KafkaSubscription final : public Subscription {
 
  private:
   ConsumerGroups& link_;
-  const std::shared_ptr<Subscriber> subscriber_;
+  const std::shared_ptr<TopicSubscriber> subscriber_;
   const std::function<void()> leave_;
 };
 

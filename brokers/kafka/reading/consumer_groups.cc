@@ -36,8 +36,8 @@ ConsumerGroups::~ConsumerGroups() {
   reader_->close();
 }
 
-std::shared_ptr<Subscriber> ConsumerGroups::add(const Topic& topic, const SubscriptionOptions& options,
-                                                Handler handler) {
+std::shared_ptr<TopicSubscriber> ConsumerGroups::add(const Topic& topic, const SubscriptionOptions& options,
+                                                     Handler handler) {
   const config::MutexLock lock(mutex_);
   const std::string& name = options.group.empty() ? topic.name : options.group;
   std::shared_ptr<Group>& group = groups_[{name, options.partition}];
@@ -45,7 +45,7 @@ std::shared_ptr<Subscriber> ConsumerGroups::add(const Topic& topic, const Subscr
     auto member = std::make_shared<Member>(group_name(name, options.partition), options.partition);
     group = std::make_shared<Group>(options_, reader_, std::move(member), clock_, log_, wake_event_);
   }
-  auto subscriber = std::make_shared<Subscriber>(group->member(), topic, options, std::move(handler));
+  auto subscriber = std::make_shared<TopicSubscriber>(group->member(), topic, options, std::move(handler));
   reader_->add(subscriber);
   if (!thread_.joinable()) {
     reader_->start();
@@ -56,7 +56,7 @@ std::shared_ptr<Subscriber> ConsumerGroups::add(const Topic& topic, const Subscr
   return subscriber;
 }
 
-void ConsumerGroups::remove(const std::shared_ptr<Subscriber>& subscriber) {
+void ConsumerGroups::remove(const std::shared_ptr<TopicSubscriber>& subscriber) {
   reader_->remove(subscriber);
   wake_event_.signal();
 }

@@ -27,8 +27,8 @@ class ConsumerGroups {
   ConsumerGroups& operator=(const ConsumerGroups&) = delete;
 
   /// Adds a subscription. The first one starts the threads.
-  std::shared_ptr<Subscriber> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
-  void remove(const std::shared_ptr<Subscriber>& subscriber);
+  std::shared_ptr<TopicSubscriber> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
+  void remove(const std::shared_ptr<TopicSubscriber>& subscriber);
   PartitionReader& reader() { return *reader_; }
   ConnectionState state() const;  ///< `connected` also when there is no subscription
 

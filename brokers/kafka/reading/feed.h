@@ -19,8 +19,8 @@ class PartitionReader;
 struct Member;
 
 /// One subscription. Guarded by the reader's mutex, except for the constants.
-struct Subscriber : client::Subscriber {
-  Subscriber(std::shared_ptr<Member> of, Topic to, SubscriptionOptions how, Handler what)
+struct TopicSubscriber : client::Subscriber {
+  TopicSubscriber(std::shared_ptr<Member> of, Topic to, SubscriptionOptions how, Handler what)
       : client::Subscriber(std::move(to), std::move(how), std::move(what)), member(std::move(of)) {}
   const std::shared_ptr<Member> member;
   std::size_t unsettled = 0;  ///< deliveries of its feeds, waiting ones included
@@ -53,7 +53,7 @@ class Feed final : public FeedProgress, public client::DeliveryStream {
   bool complained = false;         ///< the last record was undecodable, and that was logged
 
   /// The subscription that reads it now; may be null.
-  Subscriber* reads_it() const { return static_cast<Subscriber*>(subscriber.get()); }
+  TopicSubscriber* reads_it() const { return static_cast<TopicSubscriber*>(subscriber.get()); }
 };
 
 /// This process as a member of one group. Guarded by the reader's mutex, except for the constants.
@@ -67,7 +67,7 @@ struct Member {
   const std::optional<std::int32_t> partition;
   bool connected = false;
   /// The first subscription to a topic reads it, the others stand by.
-  std::vector<std::shared_ptr<Subscriber>> subscribers;
+  std::vector<std::shared_ptr<TopicSubscriber>> subscribers;
   std::map<PartitionKey, std::shared_ptr<Feed>> feeds;
 };
 

@@ -22,7 +22,7 @@ constexpr std::chrono::microseconds longest_gathering{200};
 constexpr std::size_t longest_window = 65536;
 
 /// The first subscription to a topic reads it.
-std::shared_ptr<Subscriber> reader_of(const Member& member, const std::string& topic) {
+std::shared_ptr<TopicSubscriber> reader_of(const Member& member, const std::string& topic) {
   const auto found = std::find_if(member.subscribers.begin(), member.subscribers.end(),
                                   [&](const auto& subscriber) { return subscriber->topic.name == topic; });
   return found == member.subscribers.end() ? nullptr : *found;
@@ -92,7 +92,7 @@ void PartitionReader::wake() noexcept {
 
 bool PartitionReader::has_room(const Feed& feed) {
   if (feed.window.size() >= longest_window) return false;
-  const Subscriber& subscriber = *feed.reads_it();
+  const TopicSubscriber& subscriber = *feed.reads_it();
   const std::size_t prefetch = std::max<std::size_t>(subscriber.prefetch, 1);
   // With keep_last, waiting messages must not use up the room for newer ones.
   const std::size_t newest = subscriber.options.keep_last > 0 ? feed.window.waiting() : 0;
@@ -218,7 +218,7 @@ void PartitionReader::hand_on(Gathering& gathering) {
   }
 }
 
-void PartitionReader::give_to(Feed& feed, std::shared_ptr<Subscriber> subscriber) {
+void PartitionReader::give_to(Feed& feed, std::shared_ptr<TopicSubscriber> subscriber) {
   if (feed.subscriber == subscriber) return;
   if (feed.subscriber) feed.reads_it()->unsettled -= feed.progress.unsettled();
   feed.take_back();
@@ -227,7 +227,7 @@ void PartitionReader::give_to(Feed& feed, std::shared_ptr<Subscriber> subscriber
   core_.make_ready(feed);
 }
 
-void PartitionReader::add(const std::shared_ptr<Subscriber>& subscriber) {
+void PartitionReader::add(const std::shared_ptr<TopicSubscriber>& subscriber) {
   const config::MutexLock lock(core_.mutex);
   Member& member = *subscriber->member;
   member.subscribers.push_back(subscriber);
@@ -237,7 +237,7 @@ void PartitionReader::add(const std::shared_ptr<Subscriber>& subscriber) {
   wake();
 }
 
-void PartitionReader::remove(const std::shared_ptr<Subscriber>& subscriber) {
+void PartitionReader::remove(const std::shared_ptr<TopicSubscriber>& subscriber) {
   const config::MutexLock lock(core_.mutex);
   Member& member = *subscriber->member;
   core_.end(*subscriber);
@@ -249,12 +249,12 @@ void PartitionReader::remove(const std::shared_ptr<Subscriber>& subscriber) {
   core_.await_handler(*subscriber);
 }
 
-void PartitionReader::pause(Subscriber& subscriber) {
+void PartitionReader::pause(TopicSubscriber& subscriber) {
   const config::MutexLock lock(core_.mutex);
   core_.pause(subscriber);
 }
 
-bool PartitionReader::raise_prefetch(Subscriber& subscriber, std::uint16_t prefetch) {
+bool PartitionReader::raise_prefetch(TopicSubscriber& subscriber, std::uint16_t prefetch) {
   if (prefetch > subscriber.options.prefetch_limit) return false;
   const config::MutexLock lock(core_.mutex);
   subscriber.prefetch = std::max(subscriber.prefetch, prefetch);
@@ -265,7 +265,7 @@ bool PartitionReader::raise_prefetch(Subscriber& subscriber, std::uint16_t prefe
   return true;
 }
 
-void PartitionReader::resume(Subscriber& subscriber) {
+void PartitionReader::resume(TopicSubscriber& subscriber) {
   const config::MutexLock lock(core_.mutex);
   subscriber.paused = false;
   for (const auto& [key, feed] : subscriber.member->feeds) {
@@ -273,7 +273,7 @@ void PartitionReader::resume(Subscriber& subscriber) {
   }
 }
 
-bool PartitionReader::active(const Subscriber& subscriber) const {
+bool PartitionReader::active(const TopicSubscriber& subscriber) const {
   const config::MutexLock lock(core_.mutex);
   const auto& feeds = subscriber.member->feeds;
   return subscriber.member->connected && !subscriber.closed &&

@@ -42,13 +42,13 @@ class PartitionReader final : client::ReadTransport, public std::enable_shared_f
   void close();
 
   // For subscriptions.
-  void add(const std::shared_ptr<Subscriber>& subscriber);
+  void add(const std::shared_ptr<TopicSubscriber>& subscriber);
   /// Ends a subscription; returns when its handler has returned, unless called from it.
-  void remove(const std::shared_ptr<Subscriber>& subscriber);
-  void pause(Subscriber& subscriber);
-  void resume(Subscriber& subscriber);
-  bool raise_prefetch(Subscriber& subscriber, std::uint16_t prefetch);
-  bool active(const Subscriber& subscriber) const;
+  void remove(const std::shared_ptr<TopicSubscriber>& subscriber);
+  void pause(TopicSubscriber& subscriber);
+  void resume(TopicSubscriber& subscriber);
+  bool raise_prefetch(TopicSubscriber& subscriber, std::uint16_t prefetch);
+  bool active(const TopicSubscriber& subscriber) const;
   void settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept;
 
   // For groups.
@@ -85,7 +85,7 @@ class PartitionReader final : client::ReadTransport, public std::enable_shared_f
   void take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) IOTCLOUD_REQUIRES(core_.mutex);
   void skip(Feed& feed, std::int64_t offset) IOTCLOUD_REQUIRES(core_.mutex);
   void hand_on(Gathering& gathering) IOTCLOUD_REQUIRES(core_.mutex);
-  void give_to(Feed& feed, std::shared_ptr<Subscriber> subscriber) IOTCLOUD_REQUIRES(core_.mutex);
+  void give_to(Feed& feed, std::shared_ptr<TopicSubscriber> subscriber) IOTCLOUD_REQUIRES(core_.mutex);
 
   const bool native_;
   Meters& meters_;
