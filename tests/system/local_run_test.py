@@ -132,6 +132,17 @@ def a_property_that_the_driver_does_not_have_ends_the_run():
         sys.exit(f"status {wrong.process.returncode}:\n{wrong.said}")
 
 
+def a_driver_that_no_plugin_is_is_named():
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "echo.yaml"
+        file.write_text((CONFIG / "topology.yaml").read_text().replace('driver: "loadgen"', 'driver: "laodgen"', 1))
+        echo = Run(file)
+        echo.wait_for(r'data_receive: no plugin of this run is the driver "laodgen"; did you mean "loadgen"\?')
+        echo.end()
+        if "echo_send: no plugin" in echo.said:
+            sys.exit("a driver that is there is called missing:\n" + echo.said)
+
+
 def main():
     if sys.argv[3:4] == ["--limit"]:
         the_first_average_is_there_within(float(sys.argv[4]))
@@ -143,6 +154,7 @@ def main():
     the_first_average_is_there_soon_and_changes_are_taken_up()
     a_library_that_changes_is_loaded_anew()
     a_property_that_the_driver_does_not_have_ends_the_run()
+    a_driver_that_no_plugin_is_is_named()
 
 
 if __name__ == "__main__":

@@ -1,12 +1,15 @@
+#include <algorithm>
 #include <filesystem>
 #include <set>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
 #include <iotcloud/config/declaration.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/yaml.h>
 #include <iotcloud/topology/local/local_run.h>
 #include <iotcloud/topology/worker/pages.h>
 
@@ -94,7 +97,29 @@ LocalRun::LocalRun(const RunOptions& options)
     if (!result.all_done())
       throw config::Error(fmt::format("{}: {}", plugin, result.text.empty() ? result.summary() : result.text));
   }
+  if (options.registry_url.empty()) find_without_driver(options);
   static_cast<void>(news());  // opens the taps, and begins to count
+}
+
+void LocalRun::find_without_driver(const RunOptions& options) {
+  std::vector<std::string> drivers;
+  for (const auto& driver : cluster_.master().drivers()) drivers.push_back(driver.name.str());
+  std::sort(drivers.begin(), drivers.end());
+  drivers.erase(std::unique(drivers.begin(), drivers.end()), drivers.end());
+  const auto definition = load(options);
+  for (const auto* components : {&definition.spouts, &definition.bolts}) {
+    for (const auto& component : *components) {
+      if (!component.endpoint) continue;
+      const std::string wanted = component.endpoint->driver.str();
+      if (std::binary_search(drivers.begin(), drivers.end(), wanted)) continue;
+      const std::string near = config::nearest(wanted, drivers);
+      const std::string remedy = drivers.empty() ? "name its file with --plugin FILE"
+                                 : near.empty()  ? fmt::format("there is \"{}\"", fmt::join(drivers, "\", \""))
+                                                 : fmt::format("did you mean \"{}\"?", near);
+      without_driver_.push_back(
+          fmt::format("{}: no plugin of this run is the driver \"{}\"; {}", component.id, wanted, remedy));
+    }
+  }
 }
 
 std::string LocalRun::instances() {

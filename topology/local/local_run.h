@@ -29,6 +29,9 @@ class LocalRun {
   /// Starts all of it; returns when the instances are active. \throws config::Error, config::ConfigError.
   explicit LocalRun(const RunOptions& options);
 
+  /// A line for each spout and bolt whose driver none of the plugins is: nothing comes from it, or goes to it. Empty
+  /// with a registry that is not embedded, because the driver may be elsewhere.
+  const std::vector<std::string>& without_driver() const { return without_driver_; }
   /// The events since the last call, a line for each: how many instances are in which state, and what each component
   /// of the topology took and emitted a second, with its newest tuple.
   std::vector<std::string> news();
@@ -36,11 +39,13 @@ class LocalRun {
   bool stop(std::chrono::milliseconds limit) { return cluster_.stop(limit); }
 
  private:
+  void find_without_driver(const RunOptions& options);
   std::string instances();
   std::string newest(const std::string& component);
 
   LocalCluster cluster_;
   topology::Worker* worker_;  ///< the cluster's
+  std::vector<std::string> without_driver_;
   topology::Snapshot before_;
   std::chrono::steady_clock::time_point at_ = std::chrono::steady_clock::now();
 };

@@ -41,6 +41,8 @@ constexpr int file_changed = -1;
 int run(const local::RunOptions& options, int seconds, const sigset_t& ending, local::WatchedFiles& files) {
   local::LocalRun running(options);
   std::printf("%s runs; Ctrl-C ends it\n", options.topology.c_str());
+  std::fflush(stdout);
+  for (const auto& line : running.without_driver()) std::fprintf(stderr, "iotcloud-run: %s\n", line.c_str());
   std::string changed;
   for (int passed = 1; changed.empty() && sigtimedwait(&ending, nullptr, &second) < 0; ++passed) {
     print(running.news());
