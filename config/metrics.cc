@@ -4,6 +4,8 @@
 #include <cmath>
 #include <deque>
 #include <limits>
+#include <memory>
+#include <thread>
 
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/config/mutex.h>
@@ -107,9 +109,46 @@ struct Metrics::Impl {
     return named.metric;
   }
 
+  /// A source, which runs without any lock, so that it may end its own registration.
   struct Registered {
-    Mutex running;  ///< held while the source runs
-    Source source IOTCLOUD_GUARDED_BY(running);
+    Mutex mutex;
+    ConditionVariable left;
+    std::thread::id running IOTCLOUD_GUARDED_BY(mutex);  ///< the thread that runs it; no thread: nobody does
+    std::shared_ptr<const Source> source IOTCLOUD_GUARDED_BY(mutex);  ///< null: it has ended
+
+    void collect(std::vector<Sample>& samples) {
+      std::shared_ptr<const Source> now;
+      {
+        const MutexLock lock(mutex);
+        if (running == std::this_thread::get_id()) return;  // the source itself collects
+        left.wait(mutex, [this]() IOTCLOUD_REQUIRES(mutex) { return running == std::thread::id(); });
+        if (source == nullptr || !*source) return;
+        now = source;
+        running = std::this_thread::get_id();
+      }
+      try {
+        (*now)(samples);
+      } catch (...) {
+        leave(std::move(now));
+        throw;
+      }
+      leave(std::move(now));
+    }
+    void end() {
+      std::shared_ptr<const Source> ended;  // declared before the lock, so that it is destroyed without it
+      const MutexLock lock(mutex);
+      ended.swap(source);
+      if (running == std::this_thread::get_id()) return;
+      left.wait(mutex, [this]() IOTCLOUD_REQUIRES(mutex) { return running == std::thread::id(); });
+    }
+
+   private:
+    void leave(std::shared_ptr<const Source> ran) {
+      ran.reset();  // if it has ended meanwhile, it is destroyed before end() returns
+      const MutexLock lock(mutex);
+      running = std::thread::id();
+      left.notify_all();
+    }
   };
 
   mutable Mutex mutex;  // guards the maps; the metrics in them need no lock
@@ -140,8 +179,8 @@ Histogram& Metrics::histogram(const std::string& name, const std::string& help, 
 Metrics::SourceRegistration Metrics::add_source(Source source) {
   const auto registered = std::make_shared<Impl::Registered>();
   {
-    const MutexLock running(registered->running);
-    registered->source = std::move(source);
+    const MutexLock setting(registered->mutex);
+    registered->source = std::make_shared<const Source>(std::move(source));
   }
   const MutexLock lock(impl_->sources_mutex);
   impl_->sources.emplace(++impl_->last_source, registered);
@@ -153,9 +192,7 @@ void Metrics::remove_source(std::uint64_t id) {
     const MutexLock lock(impl_->sources_mutex);
     registered = std::move(impl_->sources.extract(id).mapped());
   }
-  Source source;  // declared before the locks, so that it is destroyed without any lock
-  const MutexLock running(registered->running);
-  source.swap(registered->source);
+  registered->end();
 }
 
 std::vector<Sample> Metrics::collect() const {
@@ -165,10 +202,7 @@ std::vector<Sample> Metrics::collect() const {
     const MutexLock lock(impl_->sources_mutex);
     for (const auto& [id, registered] : impl_->sources) sources.push_back(registered);
   }
-  for (const auto& registered : sources) {
-    const MutexLock running(registered->running);
-    if (registered->source) registered->source(samples);
-  }
+  for (const auto& registered : sources) registered->collect(samples);
   const MutexLock lock(impl_->mutex);
   for (const auto& [key, named] : impl_->counters) {
     samples.push_back(

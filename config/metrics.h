@@ -81,10 +81,11 @@ class Metrics {
   Gauge& gauge(const std::string& name, const std::string& help, const Labels& labels = {});
   Histogram& histogram(const std::string& name, const std::string& help, const Labels& labels = {});
 
-  /// Appends samples of its own. collect() calls it on any thread, one call of a source at a time; it must neither call
-  /// collect() nor destroy its own registration.
+  /// Appends samples of its own. collect() calls it on any thread, one call of a source at a time, without any lock. It
+  /// may destroy its own registration; if it calls collect(), it is itself left out.
   using Source = std::function<void(std::vector<Sample>& samples)>;
-  /// Ends a source: after its destructor returned, the source does not run any more.
+  /// Ends a source: after its destructor returned, the source does not run any more, unless the source itself called
+  /// the destructor.
   class SourceRegistration {
    public:
     SourceRegistration() = default;

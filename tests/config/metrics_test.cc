@@ -108,5 +108,19 @@ TEST(Metrics, waits_for_a_source_that_runs_when_it_is_to_end) {
   EXPECT_FALSE(running);
 }
 
+TEST(Metrics, lets_a_source_end_itself) {
+  Metrics metrics;
+  int calls = 0;
+  Metrics::SourceRegistration own;
+  own = metrics.add_source([&](std::vector<Sample>& samples) {
+    ++calls;
+    samples.emplace_back();
+    own = {};
+  });
+  EXPECT_EQ(metrics.collect().size(), 1U);
+  EXPECT_TRUE(metrics.collect().empty());
+  EXPECT_EQ(calls, 1);
+}
+
 }  // namespace
 }  // namespace iotcloud::config
