@@ -5,6 +5,8 @@
 #include <optional>
 #include <sstream>
 
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -434,19 +436,34 @@ TEST_F(Cli, WrongUsageHasExitStatusTwo) {
   }
 }
 
-TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
-  for (const char* command :
-       {"gateways", "drivers", "topologies", "status", "deploy", "undeploy", "start", "stop", "restart", "metadata",
-        "describe", "history", "logs", "drain", "undrain", "diff", "apply", "completion"}) {
-    const auto done = run({command, "--help"});
-    EXPECT_EQ(done.status, 0) << command;
-    EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud "))) << command;
+/// The words of each verb's command, as the command line names it. \param words those of `above`
+void add_commands(CLI::App& above, const std::vector<std::string>& words,
+                  std::vector<std::vector<std::string>>& commands) {
+  for (CLI::App* below : above.get_subcommands([](const CLI::App*) { return true; })) {
+    auto command = words;
+    command.push_back(below->get_name());
+    const std::size_t before = commands.size();
+    add_commands(*below, command, commands);
+    if (commands.size() == before) commands.push_back(command);
   }
-  for (const char* command :
-       {"list", "show", "activate", "deactivate", "rebalance", "kill", "metrics", "tap", "check"}) {
-    const auto done = run({"topology", command, "--help"});
+}
+
+TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
+  CLI::App app;
+  cli::Format format = cli::Format::table;
+  cli::Verbs verbs(app, format);
+  for (const auto add_family : cli::families) add_family(verbs);
+  std::vector<std::vector<std::string>> commands;
+  add_commands(app, {}, commands);
+  EXPECT_EQ(commands.size(), verbs.all().size());
+  for (auto words : commands) {
+    const std::string command = fmt::format("{}", fmt::join(words, " "));
+    words.emplace_back("--help");
+    const auto done = run(words);
     EXPECT_EQ(done.status, 0) << command;
-    EXPECT_THAT(done.out, AllOf(HasSubstr("Example:"), HasSubstr("iotcloud topology "))) << command;
+    const auto example = done.out.find("Example:");
+    ASSERT_NE(example, std::string::npos) << command;
+    EXPECT_THAT(done.out.substr(example), AllOf(HasSubstr("iotcloud "), HasSubstr(" " + command))) << command;
   }
   EXPECT_THAT(run({"--help"}).out, HasSubstr("Exit status"));
 }
