@@ -16,7 +16,7 @@ PublishStatus MockHost::publish(std::string_view channel, Message message) noexc
   published.message.gateway_id = gateway_id_;
   if (published.message.time_ms == 0) published.message.time_ms = 1 + now_.count() / 1000;
   {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     if (channels_) {
       if (const std::string problem = unknown_channel(channel, Direction::out, *channels_); !problem.empty()) {
         if (!std::exchange(failed_, true)) failure_ = problem;
@@ -49,17 +49,17 @@ void MockHost::stop_handler(HandlerId id) noexcept {
 }
 
 void MockHost::post(std::function<void()> callback) noexcept {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   posted_.push_back(std::move(callback));
 }
 
 void MockHost::log(LogLevel level, std::string_view text) noexcept {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   logged_.push_back({level, std::string(text)});
 }
 
 void MockHost::fail(std::string_view reason) noexcept {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   if (!failed_) failure_ = reason;
   failed_ = true;
 }
@@ -89,7 +89,7 @@ std::size_t MockHost::run_posted(std::size_t limit) {
   while (count < limit) {
     std::vector<std::function<void()>> ready;
     {
-      const std::lock_guard lock(mutex_);
+      const config::MutexLock lock(mutex_);
       ready.swap(posted_);
     }
     if (ready.empty()) break;
@@ -119,24 +119,24 @@ std::size_t MockHost::poll_descriptors(std::chrono::milliseconds limit) {
 }
 
 void MockHost::declare_channels(std::vector<ChannelSpec> channels) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   channels_ = std::move(channels);
 }
 
 void MockHost::answer_publish(const std::string& channel, PublishStatus status) {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   answers_[channel] = status;
 }
 
 void MockHost::drop_handlers() {
   timers_.clear();
   watches_.clear();
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   posted_.clear();
 }
 
 std::vector<MockHost::Published> MockHost::published() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   return published_;
 }
 
@@ -147,12 +147,12 @@ std::vector<MockHost::Published> MockHost::published(std::string_view channel) c
 }
 
 void MockHost::forget_published() {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   published_.clear();
 }
 
 std::vector<MockHost::Logged> MockHost::logged() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   return logged_;
 }
 
@@ -163,7 +163,7 @@ std::size_t MockHost::logged_count(std::string_view text) const {
 }
 
 void MockHost::update_metadata(const PropertyMap& changes) noexcept {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   for (const auto& [key, value] : changes) {
     if (value.empty()) {
       metadata_.erase(key);
@@ -174,17 +174,17 @@ void MockHost::update_metadata(const PropertyMap& changes) noexcept {
 }
 
 PropertyMap MockHost::metadata() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   return metadata_;
 }
 
 bool MockHost::failed() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   return failed_;
 }
 
 std::string MockHost::failure() const {
-  const std::lock_guard lock(mutex_);
+  const config::MutexLock lock(mutex_);
   return failure_;
 }
 

@@ -5,12 +5,12 @@
 #include <cstdint>
 #include <functional>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/drivers/plugin.h>
 
 /// Tests a driver without a gateway: link iotcloud::drivers_testing.
@@ -98,15 +98,15 @@ class MockHost final : public HostInterface {
   std::map<HandlerId, Timer> timers_;
   std::map<HandlerId, Watch> watches_;
 
-  mutable std::mutex mutex_;  ///< guards what follows
-  std::vector<std::function<void()>> posted_;
-  std::vector<Published> published_;
-  std::vector<Logged> logged_;
-  std::map<std::string, PublishStatus, std::less<>> answers_;
-  std::optional<std::vector<ChannelSpec>> channels_;  ///< nullopt: nothing was declared
-  PropertyMap metadata_;
-  std::string failure_;
-  bool failed_ = false;
+  mutable config::Mutex mutex_;
+  std::vector<std::function<void()>> posted_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::vector<Published> published_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::vector<Logged> logged_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::map<std::string, PublishStatus, std::less<>> answers_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::optional<std::vector<ChannelSpec>> channels_ IOTCLOUD_GUARDED_BY(mutex_);  ///< nullopt: nothing was declared
+  PropertyMap metadata_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::string failure_ IOTCLOUD_GUARDED_BY(mutex_);
+  bool failed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
 };
 
 /// One instance of a driver in a MockHost, called through its plugin's descriptor as a real host does: no call throws,

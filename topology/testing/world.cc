@@ -1,10 +1,9 @@
 #include <atomic>
-#include <condition_variable>
 #include <deque>
-#include <mutex>
 #include <stdexcept>
 #include <utility>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/topology/testing/world.h>
 
@@ -40,11 +39,11 @@ struct FakeInstance::Impl {
   std::vector<drivers::ChannelSpec> channels;
   std::string id;
 
-  mutable std::mutex mutex;
-  mutable std::condition_variable changed;
-  drivers::DriverContext* context = nullptr;  ///< guarded by mutex; nullptr: not open
-  std::uint64_t writable = 0;                 ///< guarded by mutex: calls of on_writable
-  std::map<std::string, std::vector<drivers::Message>, std::less<>> received;  ///< guarded by mutex
+  mutable config::Mutex mutex;
+  mutable config::ConditionVariable changed;
+  drivers::DriverContext* context IOTCLOUD_GUARDED_BY(mutex) = nullptr;  ///< nullptr: not open
+  std::uint64_t writable IOTCLOUD_GUARDED_BY(mutex) = 0;                 ///< calls of on_writable
+  std::map<std::string, std::vector<drivers::Message>, std::less<>> received IOTCLOUD_GUARDED_BY(mutex);
 };
 
 namespace {
@@ -57,17 +56,17 @@ class Played {
     return played;
   }
   std::string add(FakeInstance& instance) {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     std::string number = std::to_string(++last_);
     instances_[number] = &instance;
     return number;
   }
   void remove(const std::string& number) {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     instances_.erase(number);
   }
   FakeInstance& find(const drivers::PropertyMap& properties) const {
-    const std::lock_guard lock(mutex_);
+    const config::MutexLock lock(mutex_);
     const auto number = properties.find(fake_property);
     const auto found = number == properties.end() ? instances_.end() : instances_.find(number->second);
     if (found == instances_.end()) throw std::invalid_argument("a test plays this driver; World::add() adds instances");
@@ -75,9 +74,9 @@ class Played {
   }
 
  private:
-  mutable std::mutex mutex_;
-  int last_ = 0;
-  std::map<std::string, FakeInstance*> instances_;
+  mutable config::Mutex mutex_;
+  int last_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  std::map<std::string, FakeInstance*> instances_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace
@@ -92,19 +91,19 @@ class FakeDriver final : public drivers::Driver {
   void open(drivers::DriverContext& context) override { set(&context); }
   void close() override { set(nullptr); }
   void on_message(std::string_view channel, drivers::Message message) override {
-    const std::lock_guard lock(played_->mutex);
+    const config::MutexLock lock(played_->mutex);
     played_->received[std::string(channel)].push_back(std::move(message));
     played_->changed.notify_all();
   }
   void on_writable(std::string_view) override {
-    const std::lock_guard lock(played_->mutex);
+    const config::MutexLock lock(played_->mutex);
     ++played_->writable;
     played_->changed.notify_all();
   }
 
  private:
   void set(drivers::DriverContext* context) {
-    const std::lock_guard lock(played_->mutex);
+    const config::MutexLock lock(played_->mutex);
     played_->context = context;
     played_->changed.notify_all();
   }
@@ -119,17 +118,20 @@ const std::string& FakeInstance::id() const {
 }
 
 void FakeInstance::publish(std::string_view channel, drivers::Message message) {
-  impl_->require(channel, drivers::Direction::out);
+  Impl& impl = *impl_;
+  impl.require(channel, drivers::Direction::out);
   const auto deadline = std::chrono::steady_clock::now() + for_room;
-  std::unique_lock lock(impl_->mutex);
+  const config::MutexLock lock(impl.mutex);
   while (true) {
-    if (impl_->context == nullptr) throw std::runtime_error("the instance " + impl_->id + " is not there any more");
-    const std::uint64_t before = impl_->writable;
-    const auto status = impl_->context->publish(channel, message);
+    if (impl.context == nullptr) throw std::runtime_error("the instance " + impl.id + " is not there any more");
+    const std::uint64_t before = impl.writable;
+    const auto status = impl.context->publish(channel, message);
     if (status == drivers::PublishStatus::accepted) return;
-    const auto changed = [&] { return impl_->writable != before || impl_->context == nullptr; };
-    if (status == drivers::PublishStatus::closed || !impl_->changed.wait_until(lock, deadline, changed)) {
-      throw std::runtime_error("the channel \"" + std::string(channel) + "\" of " + impl_->id +
+    const auto changed = [&]() IOTCLOUD_REQUIRES(impl.mutex) {
+      return impl.writable != before || impl.context == nullptr;
+    };
+    if (status == drivers::PublishStatus::closed || !impl.changed.wait_until(impl.mutex, deadline, changed)) {
+      throw std::runtime_error("the channel \"" + std::string(channel) + "\" of " + impl.id +
                                (status == drivers::PublishStatus::closed ? " is closed" : " had no room for 20 s"));
     }
   }
@@ -147,14 +149,15 @@ std::vector<drivers::Message> FakeInstance::received(std::string_view channel) c
 
 std::vector<drivers::Message> FakeInstance::wait_for(std::string_view channel, std::size_t count,
                                                      std::chrono::milliseconds limit) const {
-  impl_->require(channel, drivers::Direction::in);
-  std::unique_lock lock(impl_->mutex);
-  const auto got = [&] {
-    const auto found = impl_->received.find(channel);
-    return found == impl_->received.end() ? std::size_t{0} : found->second.size();
+  const Impl& impl = *impl_;
+  impl.require(channel, drivers::Direction::in);
+  const config::MutexLock lock(impl.mutex);
+  const auto got = [&]() IOTCLOUD_REQUIRES(impl.mutex) {
+    const auto found = impl.received.find(channel);
+    return found == impl.received.end() ? std::size_t{0} : found->second.size();
   };
-  impl_->changed.wait_for(lock, limit, [&] { return got() >= count; });
-  return got() == 0 ? std::vector<drivers::Message>() : impl_->received.find(channel)->second;
+  impl.changed.wait_for(impl.mutex, limit, [&]() IOTCLOUD_REQUIRES(impl.mutex) { return got() >= count; });
+  return got() == 0 ? std::vector<drivers::Message>() : impl.received.find(channel)->second;
 }
 
 struct World::Impl {
@@ -183,9 +186,9 @@ struct World::Impl {
   const WorldOptions options;
   std::deque<drivers::Descriptor> descriptors;  ///< of the fakes
   config::Metrics metrics;
-  std::mutex mutex;
-  std::deque<FakeInstance> instances;  ///< guarded by mutex
-  std::vector<std::string> numbers;    ///< guarded by mutex
+  config::Mutex mutex;
+  std::deque<FakeInstance> instances IOTCLOUD_GUARDED_BY(mutex);
+  std::vector<std::string> numbers IOTCLOUD_GUARDED_BY(mutex);
   std::unique_ptr<local::LocalCluster> cluster;
 };
 
@@ -208,7 +211,7 @@ FakeInstance& World::add(const std::string& driver, const std::string& gateway) 
   FakeInstance* added = nullptr;
   std::string number;
   {
-    const std::lock_guard lock(impl_->mutex);
+    const config::MutexLock lock(impl_->mutex);
     added = &impl_->instances.emplace_back();
     added->impl_->driver = driver;
     added->impl_->channels = fake->second;
