@@ -17,8 +17,9 @@
 
 namespace iotcloud::drivers::turtle {
 
-/// Sends depth frames to the cloud and velocities back to the robot. Needs an event thread of its own: encoding a frame
-/// takes half a millisecond, simulating one takes longer. Stops the robot when no command has come for `watchdog_ms`.
+/// Sends depth frames to the cloud and velocities back to the robot. Needs an event thread of its own, because encoding
+/// a frame, and even more so simulating one, would hold up the other instances. Stops the robot when no command has
+/// come for `watchdog_ms`.
 class TurtleDriver : public Driver {
  public:
   static constexpr std::string_view frames_channel = "kinect";

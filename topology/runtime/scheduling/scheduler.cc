@@ -5,8 +5,8 @@
 namespace iotcloud::topology::internal {
 
 namespace {
-/// After this long a pool thread may give its run list to one that sleeps. Waking a thread costs the waking one some 5
-/// us, and the other one starts some 50 us later.
+/// After this long a pool thread may give its run list to one that sleeps. Waking a thread costs the waking one a
+/// system call, and the other one starts only some time later.
 constexpr std::int64_t share_after_ns = 300'000;
 /// A run list is given away when its work takes at least this long, or when it has more than many_tasks tasks. Less is
 /// not worth another thread: moving the tuples from one core's cache to another's costs more than quick calls do.
