@@ -30,7 +30,7 @@ struct DeclaredProperty {
 struct DriverDeclaration {
   std::string driver;             ///< the driver's name; empty: the plugin says nothing of itself
   std::string version;            ///< the driver's own
-  std::uint32_t sdk_version = 0;  ///< it was built with; 0: it does not say
+  std::uint32_t sdk_version = 0;  ///< the SDK's version with which the plugin was built; 0: the plugin does not say
   std::string description;        ///< in a sentence or two
   /// nullopt: it declares none, and takes any.
   std::optional<std::vector<DeclaredProperty>> properties;
@@ -64,7 +64,7 @@ std::string text_of(const std::vector<PropertyProblem>& problems);
 /// The properties, with the declared defaults of those that are not given.
 Properties with_defaults(Properties properties, const DriverDeclaration& declaration);
 
-/// Stands in a property's value for the number of the instance, from 1 on.
+/// In a property's value, this text stands for the number of the instance. The first instance has number 1.
 inline constexpr std::string_view index_mark = "{index}";
 /// The properties that have the mark, with an instance's number in its place.
 Properties numbered(const Properties& properties, int index);

@@ -6,11 +6,11 @@
 
 namespace iotcloud::config {
 
-/// How plugins of one SDK say in their bytes with which version of it they were built, so that this can be read of a
-/// plugin that cannot be loaded.
+/// Each plugin of an SDK contains a text that says with which version of the SDK the plugin was built. This struct
+/// describes the text, so that the version can also be read from a plugin that cannot be loaded.
 struct SdkMark {
   std::string_view sdk;    ///< for messages: "driver SDK"
-  std::string_view text;   ///< what stands before the number in the plugin's bytes, which a ';' follows
+  std::string_view text;   ///< in the plugin's bytes this text stands before the version's number, and a ';' after it
   std::uint32_t expected;  ///< the version of the program that loads it
 };
 

@@ -76,7 +76,7 @@ struct DriverRecord {
   std::string deployment;     ///< OrderRecord::name; field 106
   int index = 0;              ///< OrderRecord::index; field 107
   std::string plugin{};       ///< name of the plugin's file; empty: the gateway did not say
-  std::string sha256{};       ///< of the plugin's bytes, in hexadecimal digits; empty: not known
+  std::string sha256{};       ///< the checksum of the plugin's bytes, in hexadecimal digits; empty: not known
   std::string signed_by{};    ///< the trusted key that signed the plugin; empty: none
   bool starts_again = false;  ///< it failed, and its gateway starts it again by itself; field 108
   /// `state` and `metadata` are missing here: the state takes two fields of TSensor, the metadata are JSON in one
@@ -124,8 +124,8 @@ struct GatewayRecord {
 /// Which plugin an instance runs.
 struct PluginVersion {
   std::string file;    ///< plain file name ("turtle.so")
-  std::string sha256;  ///< of an uploaded file, under which the gateway stores it; empty: the file is in the gateway's
-                       ///< plugin folder
+  std::string sha256;  ///< the checksum under which the gateway stores an uploaded file; empty: the file is in the
+                       ///< gateway's plugin folder
   static constexpr const char* what = "the version before an update";
   static constexpr auto fields = std::tuple{
       IOTCLOUD_FIELD_AS(file, required, "plugin", plugin),
@@ -144,7 +144,7 @@ struct Deployment {
   std::map<std::string, std::string> metadata;
   std::string name;     ///< with the gateway and a number it names an instance; empty: the instances have no names
   std::string manager;  ///< the manifest that it belongs to; empty: a person deployed it
-  std::string sha256;   ///< of a plugin that was sent, see PluginVersion
+  std::string sha256;   ///< the checksum of an uploaded plugin, see PluginVersion
   PluginVersion version() const { return {plugin, sha256}; }
   static constexpr const char* what = "a deployment";
   static constexpr auto fields = std::tuple{

@@ -13,8 +13,8 @@ struct StarterRequest {
   /// The kinds of requests.
   enum class Kind { run, kill };
   Kind kind = Kind::run;
-  std::vector<std::string> arguments;    ///< to run: those of the process, at least one
-  std::vector<std::string> environment;  ///< to run
+  std::vector<std::string> arguments;    ///< of Kind::run: the process's arguments, at least one
+  std::vector<std::string> environment;  ///< of Kind::run: the process's environment
 
   /// How many descriptors come with its first byte: log and descriptor 3 of the process; or the process to kill.
   std::size_t descriptors() const { return kind == Kind::run ? 2 : 1; }

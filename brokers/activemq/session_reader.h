@@ -39,7 +39,7 @@ class SessionReader final : public client::OwnDeliveryStream {
   client::Backoff backoff{std::chrono::milliseconds(50), std::chrono::milliseconds(1000)};
   std::string complaint;     ///< the last logged complaint, so that it is not logged again
   bool odd_logged = false;   ///< an undecodable message was logged
-  bool read_before = false;  ///< it has been active before, on any session
+  bool read_before = false;  ///< this reader has been active before, on any session
   bool stands_by = false;    ///< another reader had the queue when it last looked
   /// How many of the next messages may have been handed on before although the server does not mark them: a killed
   /// server forgets what it had delivered. After a reconnection, all messages that wait in the queue count as such.

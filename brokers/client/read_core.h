@@ -58,9 +58,9 @@ class ReadCore {
   void skipped(DeliveryStream& stream) IOTCLOUD_REQUIRES(mutex);
   /// Applies keep_last: drops all waiting messages but the newest.
   void conflate(DeliveryStream& stream) IOTCLOUD_REQUIRES(mutex);
-  /// Puts an stream into the list of ready ones if it has something to hand on.
+  /// Puts a stream into the list of ready ones if it has something to hand on.
   void make_ready(DeliveryStream& stream) IOTCLOUD_REQUIRES(mutex);
-  /// Whether an stream may have something to hand on.
+  /// Whether a stream may have something to hand on.
   bool has_ready() const IOTCLOUD_REQUIRES(mutex) { return !ready_.empty() && !stopped_; }
   /// Whether some thread has the Turn. If another thread asks while it holds the mutex: whether a handler runs.
   bool hands_on() const IOTCLOUD_REQUIRES(mutex) { return hands_on_ != std::thread::id(); }
@@ -105,10 +105,10 @@ class ReadCore {
   std::vector<std::shared_ptr<DeliveryStream>> take_dirty() IOTCLOUD_REQUIRES(mutex);
   /// Takes one stream from that list.
   void take_dirty(DeliveryStream& stream) IOTCLOUD_REQUIRES(mutex);
-  /// Lists an stream as dirty, because there is something to tell the server. \return whether it was not listed before
+  /// Lists a stream as dirty, because there is something to tell the server. \return whether it was not listed before
   bool make_dirty(DeliveryStream& stream) IOTCLOUD_REQUIRES(mutex);
 
-  /// Removes an stream that moves to another core from all lists.
+  /// Removes a stream that moves to another core from all lists.
   void forget(DeliveryStream& stream) IOTCLOUD_REQUIRES(mutex);
   /// The connection is lost: empties the lists of ready and of dirty streams. The transport must also call
   /// DeliveryStream::begin_anew() or take_back() for each stream.

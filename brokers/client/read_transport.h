@@ -96,7 +96,7 @@ class ReadTransport {
   virtual void settled(DeliveryStream& stream, bool first) noexcept = 0;
   /// Wakes the thread that hands on, because there is a message to hand on.
   virtual void wake() noexcept = 0;
-  /// Moves received messages into an stream that has DeliveryStream::more set, as long as it has room. Called on the
+  /// Moves received messages into a stream that has DeliveryStream::more set, as long as it has room. Called on the
   /// thread that hands on, before each message of the stream. \return whether the stream has room for more
   virtual bool fetch(DeliveryStream& /*stream*/) { return false; }
 };

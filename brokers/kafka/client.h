@@ -27,8 +27,8 @@ struct KafkaOptions {
   BrokerOptions broker;
   std::vector<BrokerUrl> urls;
   bool native_headers = false;  ///< property `envelope`: `headers` rather than `thrift`
-  /// Properties `partitions` and `replication` of topics that this client makes. -1: the server's own numbers, which a
-  /// topic also gets that the server makes at its first use, so it does not matter who is first.
+  /// The properties `partitions` and `replication` are for topics that this client makes. -1: the server chooses the
+  /// numbers, as it does for topics that it makes itself at their first use; so a topic is the same whoever makes it.
   int partitions = -1;
   int replication = -1;
   int max_message_bytes = 16'777'216;  ///< property `max_message_bytes`: the largest record, envelope included

@@ -69,13 +69,13 @@ class QueueReader final : public client::OwnDeliveryStream {
   void move_to(std::shared_ptr<ReadConnection> link) IOTCLOUD_EXCLUDES(connection_mutex_);
 
   const std::string queue;
-  const QueueType type;  ///< of its queue, unless that is used as it is (`passive_queue`)
+  const QueueType type;  ///< the queue's type, unless the queue is used as it is (`passive_queue`)
 
   Phase phase = Phase::idle;
   std::optional<config::Clock::Instant> retry_at;
   Backoff backoff{std::chrono::milliseconds(100), std::chrono::milliseconds(2000)};
   std::string complaint;     ///< the last logged complaint, so that it is not logged again
-  bool read_before = false;  ///< it has been active before, on any channel
+  bool read_before = false;  ///< this reader has been active before, on any channel
   /// How many of the next messages may have been handed on before although the server does not mark them: a killed
   /// server forgets what it had delivered. After a reconnection, all messages that wait in the queue count as such.
   std::uint32_t doubtful = 0;

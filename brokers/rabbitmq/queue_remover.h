@@ -32,7 +32,7 @@ class QueueRemover {
  private:
   struct Unneeded {
     std::string queue;
-    config::Clock::Instant until;  ///< it is given up then
+    config::Clock::Instant until;  ///< when the remover gives the queue up
   };
 
   void run();

@@ -12,7 +12,7 @@ class SpoolMeters {
  public:
   /// \param metrics nullptr: the process's.
   SpoolMeters(config::Metrics* metrics, const config::Labels& labels);
-  ~SpoolMeters();  ///< does what close() does, if that was not called
+  ~SpoolMeters();  ///< calls close() unless the owner did
   SpoolMeters(const SpoolMeters&) = delete;
   SpoolMeters& operator=(const SpoolMeters&) = delete;
 

@@ -27,7 +27,7 @@ enum class TokenKind {
 
 struct Token {
   TokenKind kind = TokenKind::end;
-  std::size_t offset = 0;  ///< of its first character in the expression
+  std::size_t offset = 0;  ///< where the token begins in the expression, in characters
   std::string text;        ///< a word, key or text, without quotes and escapes
   double number = 0;
 };

@@ -80,7 +80,7 @@ class HostFleet {
   /// A message on its way from one host to another.
   struct UnderWay {
     std::weak_ptr<Host> from;
-    std::int64_t number;  ///< by which `from` knows it
+    std::int64_t number;  ///< the message's number in the host `from`
     std::weak_ptr<Host> to;
   };
 

@@ -50,7 +50,7 @@ struct InstanceSpec {
 
 /// Why an instance is removed from its host.
 enum class Removal {
-  replaced,    ///< it comes again: here, in another host, or in a later run of the gateway
+  replaced,    ///< the instance will be created again: here, in another host, or in a later run of the gateway
   undeployed,  ///< its order is gone
 };
 

@@ -97,7 +97,7 @@ class Leadership {
   config::Mutex mutex_;
   config::ConditionVariable idle_;
   int under_way_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
-  discovery::Election election_;  ///< last: its callbacks use the others
+  discovery::Election election_;  ///< the last member, because its callbacks use the other members
 };
 
 }  // namespace iotcloud::master

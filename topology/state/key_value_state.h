@@ -115,7 +115,7 @@ class KeyValueState {
   /// ClaimedValue::changes of the keys that this task has written, as of then: a claim that brings less shows a loss.
   mutable internal::LastWrites written_{most_remembered};
   mutable std::vector<std::string> losses_;
-  Values before_call_;  ///< as before_, since begin_call()
+  Values before_call_;  ///< values of the keys that changed since begin_call(), as they were then
 };
 
 }  // namespace iotcloud::topology

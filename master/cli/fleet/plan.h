@@ -37,12 +37,12 @@ struct Fleet {
 enum class StepKind {
   undeploy,
   stop,
-  adopt,     ///< it is marked as the manifest's from now on
+  adopt,     ///< the instance, which a person deployed, belongs to the manifest from now on
   replace,   ///< another driver: it is undeployed, then deployed
   update,    ///< another plugin or changed bytes, under the same id; rolled back if it does not come up
   change,    ///< other properties: it is created anew under the same id; rolled back if it does not come up
   describe,  ///< other metadata: it goes on running
-  start,     ///< it was stopped, or has failed
+  start,     ///< the instance was stopped, or has failed
   deploy,
 };
 std::string to_string(StepKind kind);

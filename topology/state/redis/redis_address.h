@@ -17,8 +17,8 @@ struct RedisAddress {
   std::string text;  ///< the URL; it has no password
   bool tls = false;
   std::string user;
-  std::vector<RedisServer> servers;  ///< of which one is the master at a time
-  std::string password_file;         ///< its first line is the password
+  std::vector<RedisServer> servers;  ///< one of them is the master, the others follow it
+  std::string password_file;         ///< a file whose first line is the password
   std::string password_variable;     ///< the environment variable with the password
   std::string ca_file;               ///< whom to trust; empty: the system's authorities
   std::string certificate_file;      ///< the client's own; empty: none

@@ -59,7 +59,7 @@ class RedisConnection {
   const std::chrono::milliseconds limit_;
   std::string name_;
   int socket_ = -1;
-  Instant end_{};  ///< of the step that is under way
+  Instant end_{};  ///< when the step that is under way must be done
   struct Free {
     void operator()(SSL_CTX* context) const { SSL_CTX_free(context); }
     void operator()(SSL* engine) const { SSL_free(engine); }
