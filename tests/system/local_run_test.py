@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -54,6 +55,10 @@ class Run:
         rest, _ = self.process.communicate(timeout=60)
         if self.process.returncode != status:
             sys.exit(f"status {self.process.returncode}:\n{self.said}{rest}")
+
+
+def address_of(url):
+    return re.search(r"127\.0\.0\.1:\d+", url)[0]
 
 
 def the_files_of_a_cluster_run_as_they_stand():
@@ -103,10 +108,40 @@ def a_real_broker_and_registry_take_the_place_of_the_embedded_ones():
         mean = Run(file, "--property", "rate=50", "--broker", broker, "--registry", registry, "--log-level", "info")
         mean.wait_for(AVERAGE)
         for url in (broker, registry):
-            address = re.search(r"127\.0\.0\.1:\d+", url)[0]
-            if not re.search(rf"connected to .*{re.escape(address)}", mean.said):
-                sys.exit(f"nothing is connected to {address}:\n{mean.said}")
+            if not re.search(rf"connected to .*{re.escape(address_of(url))}", mean.said):
+                sys.exit(f"nothing is connected to {address_of(url)}:\n{mean.said}")
         mean.end()
+
+
+def nodes_of(registry):
+    """How many nodes this ZooKeeper has, by its own word."""
+    host, port = address_of(registry).split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as connection:
+        connection.sendall(b"srvr")
+        answer = connection.makefile().read()
+    return int(re.search(r"Node count: (\d+)", answer)[1])
+
+
+def a_run_leaves_nothing_in_a_real_registry():
+    with tempfile.TemporaryDirectory() as folder, Children(folder) as servers:
+        registry = servers.server("zookeeper")
+        before = nodes_of(registry)
+        file = Path(folder) / "mean.yaml"
+        file.write_text(MEAN.replace("WINDOW", "window.length"))
+        mean = Run(file, "-n", "2", "--property", "rate=50", "--registry", registry)
+        mean.wait_for(AVERAGE)
+        if nodes_of(registry) <= before:
+            sys.exit("the run has no record in the registry")
+        file.write_text(MEAN.replace("WINDOW: 1s", "window.length: 500ms"))
+        mean.wait_for("mean.yaml changed: all starts anew")
+        mean.said = ""
+        mean.wait_for(AVERAGE)
+        mean.end()
+        shown = set(re.findall(r"^\d+ loadgen.*", mean.said, re.MULTILINE))
+        if shown != {"2 loadgen active"}:
+            sys.exit(f"after it started anew there are other instances than two: {shown}")
+        if nodes_of(registry) != before:
+            sys.exit(f"{nodes_of(registry) - before} nodes are left in the registry")
 
 
 def the_first_average_is_there_within(limit):
@@ -149,6 +184,7 @@ def main():
         return
     if sys.argv[3:] == ["--servers"]:
         a_real_broker_and_registry_take_the_place_of_the_embedded_ones()
+        a_run_leaves_nothing_in_a_real_registry()
         return
     the_files_of_a_cluster_run_as_they_stand()
     the_first_average_is_there_soon_and_changes_are_taken_up()

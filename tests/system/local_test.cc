@@ -201,6 +201,29 @@ TEST_F(LocalMode, SharesTheDriversBetweenTwoWorkersAndMovesThemWhenOneStops) {
   }
 }
 
+TEST_F(LocalMode, MeetsNoFleetBelowARootOfItsOwnAndLeavesNothingThere) {
+  local::LocalCluster fleet(options);
+  const auto of_fleet = fleet.deploy("pinger");
+  auto own = options;
+  own.registry_url = "embedded://" + options.name;
+  own.own_root = "/own";
+  own.name += "-own";
+  {
+    local::LocalCluster cluster(own);  // its gateway has the id of the fleet's
+    run(cluster);
+    const auto id = cluster.deploy("pinger");
+    ASSERT_TRUE(Answers::get().wait_for(id, 20));
+    EXPECT_TRUE(fleet.registry().get("/own"));
+    EXPECT_THAT(fleet.master().drivers(), SizeIs(1));
+    EXPECT_TRUE(cluster.stop(std::chrono::seconds(60)));
+    EXPECT_THAT(cluster.master().drivers(), IsEmpty());
+    EXPECT_THAT(cluster.master().orders(), IsEmpty());
+  }
+  EXPECT_FALSE(fleet.registry().get("/own"));
+  EXPECT_THAT(fleet.master().orders(), SizeIs(1));
+  EXPECT_THAT(discovery::list_gateways(fleet.registry(), fleet.paths()), SizeIs(1));
+}
+
 TEST_F(LocalMode, RefusesADriverThatIsNotThere) {
   local::LocalCluster cluster(options);
   EXPECT_THROW(cluster.deploy("no_such_driver"), config::Error);

@@ -22,10 +22,35 @@ std::unique_ptr<discovery::Registry> connect(const LocalOptions& options) {
   return discovery::make_registry(registry);
 }
 
+/// Removes a cluster's own part of the registry when all that wrote there is gone.
+class OwnRoot {
+ public:
+  /// \param path empty: there is none. \param registry outlives this.
+  OwnRoot(discovery::Registry& registry, std::string path) : registry_(registry), path_(std::move(path)) {}
+  ~OwnRoot() {
+    if (path_.empty()) return;
+    try {
+      discovery::remove_tree(registry_, path_);
+    } catch (const std::exception& error) {
+      logger.error("{} stays in the registry: {}; remove it by hand", path_, error.what());
+    }
+  }
+  OwnRoot(const OwnRoot&) = delete;
+  OwnRoot& operator=(const OwnRoot&) = delete;
+
+ private:
+  discovery::Registry& registry_;
+  const std::string path_;
+};
+
 }  // namespace
 
 struct LocalCluster::Impl {
-  explicit Impl(LocalOptions given) : options(std::move(given)), registry(connect(options)) {
+  explicit Impl(LocalOptions given)
+      : options(std::move(given)),
+        paths(options.own_root.empty() ? discovery::Paths() : discovery::Paths(options.own_root + "/sensors")),
+        registry(connect(options)),
+        own_root(*registry, options.own_root) {
     master = std::make_unique<master::Master>(*registry, master_options());
     gateway::InProcessLauncher::Options launching;
     launching.plugin_dir = options.plugin_dir;
@@ -110,6 +135,20 @@ struct LocalCluster::Impl {
     return result.outcomes.front().instance;
   }
 
+  /// Undeploys all drivers, so that nothing of them stays at a broker either. What is not done in time is let be.
+  void undeploy_all(std::chrono::milliseconds limit) {
+    try {
+      master::InstanceSelection all;
+      for (const auto& placed : master->orders()) all.instances.push_back(placed.order.instance);
+      if (all.instances.empty()) return;
+      all.wait = limit;
+      const auto result = master->undeploy(all);
+      if (!result.all_done()) logger.warn("the drivers were not all undeployed: {}", result.summary());
+    } catch (const std::exception& error) {
+      logger.warn("the drivers were not undeployed: {}", error.what());
+    }
+  }
+
   bool stop(std::chrono::milliseconds limit) {
     const config::MutexLock lock(mutex);
     if (stopped) return in_time;
@@ -130,6 +169,7 @@ struct LocalCluster::Impl {
     // Workers do not get all of the time: a window keeps its tuples for as long as its worker may wait, and the drivers
     // then need time to send what they have published.
     for (auto& worker : workers) part("worker", *worker, std::min(limit / 2, for_gateways));
+    if (!options.own_root.empty()) undeploy_all(left() / 2);
     for (auto& gateway : gateways) part("gateway", *gateway, std::chrono::milliseconds(0));
     master->close();
     in_time = in_time && Clock::now() <= deadline;
@@ -139,6 +179,7 @@ struct LocalCluster::Impl {
   const LocalOptions options;
   const discovery::Paths paths;
   std::unique_ptr<discovery::Registry> registry;
+  const OwnRoot own_root;  ///< after the registry, and before all that writes there: it goes when they are gone
   std::unique_ptr<master::Master> master;
   std::vector<std::unique_ptr<gateway::Gateway>> gateways;
   config::Mutex mutex;

@@ -24,7 +24,11 @@ struct LocalOptions {
   /// Logical brokers of all gateways and the URL of each; the first is the default; an empty URL is the embedded
   /// broker. So a topology that names "rabbitmq" runs unchanged.
   std::vector<std::pair<std::string, std::string>> brokers{{"rabbitmq", ""}};
-  std::string registry_url;                  ///< empty: the embedded registry
+  std::string registry_url;  ///< empty: the embedded registry
+  /// All records of the cluster are below this path of the registry, which belongs to it alone ("/my-run"): it meets no
+  /// fleet there. stop() undeploys its drivers, and the destructor removes the path. Empty: the cluster uses the usual
+  /// paths, and leaves its records there.
+  std::string own_root{};
   std::vector<std::string> library_folders;  ///< more folders of topologies' component libraries
   std::string plugin_dir;  ///< folder of drivers' and topologies' plugins; may be empty if all are linked in
   /// Linked-in drivers, by the name that deploy() takes. They must outlive the cluster.
@@ -59,7 +63,8 @@ class LocalCluster {
   /// Undeploys an instance and waits until it is gone. \throws config::Error with the reason of a failure.
   void undeploy(const discovery::InstanceId& instance);
 
-  /// Stops topologies, then gateways, then the master, within `limit`. \return false if one of them did not stop in
+  /// Stops topologies, then gateways, then the master, within `limit`. With LocalOptions::own_root the drivers are
+  /// undeployed before. \return false if one of them did not stop in
   /// time. Later calls return the answer of the first.
   bool stop(std::chrono::milliseconds limit);
 

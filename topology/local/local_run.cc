@@ -55,6 +55,7 @@ LocalOptions cluster_options(const RunOptions& options) {
   LocalOptions cluster;
   cluster.name = fmt::format("run-{}", getpid());
   cluster.registry_url = options.registry_url;
+  if (!options.registry_url.empty()) cluster.own_root = "/iotcloud-run-" + discovery::new_instance_id();
   cluster.plugin_dir = folder_of(options.plugins);
   cluster.library_folders = options.library_folders;
   cluster.brokers.clear();

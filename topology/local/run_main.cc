@@ -98,7 +98,10 @@ int main(int argc, char** argv) {
                  "KEY=VALUE, for all instances, {index} in it for each one's number; again for each further one")
       ->allow_extra_args(false);
   app.add_option("--broker", options.broker_url, "a broker's URL in place of the embedded one");
-  app.add_option("--registry", options.registry_url, "a registry's URL in place of the embedded one");
+  app.add_option(
+      "--registry", options.registry_url,
+      "a registry's URL in place of the embedded one; all is below a path of the run's own there, which is removed "
+      "at the end: no fleet is touched");
   app.add_option("--seconds", seconds, "end after so many; 0: with Ctrl-C");
   app.add_option("--log-level", log_level, "debug, info, warn, error or off");
   CLI11_PARSE(app, argc, argv);
