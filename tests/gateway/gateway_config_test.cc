@@ -135,6 +135,9 @@ TEST_F(GatewayConfigTest, WhatIsWrongIsNamedWithItsPlace) {
   EXPECT_THAT(
       error_of(with("thrift", "thrift: {host: 0.0.0.0}")),
       AllOf(HasSubstr("thrift.host"), HasSubstr("TLS and tokens"), HasSubstr("127.0.0.1"), HasSubstr("gateway.yaml:")));
+  EXPECT_THAT(error_of(with("metrics", "metrics: {address: \"0.0.0.0:1\"}")),
+              AllOf(HasSubstr("metrics.address"), HasSubstr("TLS and tokens"), HasSubstr("127.0.0.1"),
+                    HasSubstr("gateway.yaml:")));
   EXPECT_THAT(error_of(with("plugins", "plugins: /nowhere")), AllOf(HasSubstr("plugins"), HasSubstr("/nowhere")));
   EXPECT_THAT(error_of(with("brokers", "brokers: {mine: {type: rabbit, urls: [x]}}")), HasSubstr("rabbitmq"));
   EXPECT_THAT(error_of(with("brokers", "brokers: {mine: {type: embedded, urls: [\"embedded://x\"]}}")),

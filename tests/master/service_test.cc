@@ -82,6 +82,8 @@ TEST(MasterConfig, AnAddressThatOthersCanReachIsRefusedWithTheReason) {
     EXPECT_THAT(text, AllOf(HasSubstr(":2:"), HasSubstr(std::string(section) + ".host"), HasSubstr("TLS"),
                             HasSubstr("127.0.0.1")));
   }
+  EXPECT_THAT(error_of("registry: \"embedded://a\"\nmetrics: {address: \"0.0.0.0:1\"}\n"),
+              AllOf(HasSubstr(":2:"), HasSubstr("metrics.address"), HasSubstr("TLS"), HasSubstr("127.0.0.1")));
 }
 
 TEST(MasterConfig, AnUnknownKeyIsNamedWithItsPlace) {
