@@ -41,10 +41,10 @@ std::string HostBrokers::trouble(config::Clock::Instant now) const {
   }
   std::string text;
   for (const auto& [key, link] : away) {
-    text += fmt::format("{}the broker {} ({}) {} since {:%FT%TZ}{}{}", text.empty() ? "" : "; ", link.broker, link.url,
-                        link.state == "away" ? "is away" : link.state,
+    text += fmt::format("{}the broker {} ({}) {} since {:%FT%TZ}{}{}{}", text.empty() ? "" : "; ", link.broker,
+                        link.url, link.state == "away" ? "is away" : link.state,
                         fmt::gmtime(static_cast<std::time_t>(link.since_ms / 1000)), link.why.empty() ? "" : ": ",
-                        link.why);
+                        link.why, link.state == "away" ? " (start its server, or correct `brokers`)" : "");
   }
   return text;
 }

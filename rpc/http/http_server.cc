@@ -183,8 +183,16 @@ class ConnectionOver final : public Connection, public std::enable_shared_from_t
     parser_->body_limit(0);
     socket_stream().expires_after(request_limit);
     http::async_read(stream_, buffer_, *parser_, [self = this->shared_from_this()](error_code error, std::size_t) {
-      if (!error && self->is_open()) self->write();
+      if (!self->is_open()) return;
+      if (!error) return self->write();
+      if (is_no_http(error)) self->shared_.refused("request", "a reader's request is no HTTP: " + error.message());
     });
+  }
+
+  /// Whether a request was read that breaks the protocol or its limits, and not just ended or late.
+  static bool is_no_http(const error_code& error) {
+    return error.category() == http::make_error_code(http::error::bad_target).category() &&
+           error != http::error::end_of_stream && error != http::error::partial_message;
   }
 
   /// Whether the request's token allows it. A connection's token is looked at once, because that takes time.

@@ -52,6 +52,7 @@ class Run:
         self.build, self.out, self.broker, self.actions = Path(build), Path(out), broker, actions
         self.patience_s = patience_s  # until all must be well after the faults
         self.violations, self.messages, self.commands, self.duplicates, self.converged_s = [], 0, 0, 0, None
+        self.left_out = ""  # faults of the schedule that could not be made here
         self.drops = {}  # by reason, as the daemons that lived in the end counted them
 
     def run(self):
@@ -72,6 +73,9 @@ class Run:
         cluster.start(self.patience_s)
         instances = self.deploy(cluster)
         log(f"the cluster runs after {time.monotonic() - began:.1f} s; its files are in {self.out}")
+        if not cluster.disks and any(action.kind == "full" for action in self.actions):
+            self.left_out = "no full disks: this process may not mount any"
+            log(self.left_out)
         orders = Orders(cluster, [action for action in self.actions if action.is_order], (PLUGIN, NEXT_PLUGIN), log)
         self.load(cluster, True)
         self.wait("every instance's messages come", cluster, lambda: all(
@@ -322,7 +326,7 @@ def main():
             print(f"SKIPPED chaos: {error}")
             sys.exit(SKIPPED)
         results.add(seed=seed, broker=given.broker, minutes=f"{given.minutes:g}",
-                    faults=f"schedule {given.schedule}" if given.schedule else given.faults, result="violated" if run.violations else "well", actions=len(actions), messages=run.messages,
+                    faults=f"schedule {given.schedule}" if given.schedule else ", ".join(filter(None, (given.faults, run.left_out))), result="violated" if run.violations else "well", actions=len(actions), messages=run.messages,
                     duplicates=run.duplicates, commands=run.commands, converged_s=f"{run.converged_s or 0:.1f}", took_s=f"{run.took_s:.0f}",
                     commit=commit(), when=datetime.datetime.now().isoformat(timespec="seconds"),
                     drops=told(run.drops), **{"first violation": run.violations[0] if run.violations else ""})

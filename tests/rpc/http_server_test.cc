@@ -171,6 +171,25 @@ TEST(HttpServer, AnswersAProbeWhileOthersHoldAllConnectionsAndDoNotReadTheirAnsw
   for (int i = 0; i < 3; ++i) EXPECT_THAT(get(server, "/healthz"), StartsWith("HTTP/1.1 200"));
 }
 
+TEST(HttpServer, AFloodOfWhatIsNoHttpIsCountedAndToldOnce) {
+  auto& refused = config::process_metrics().counter("iotcloud_http_refused_total", "", {{"reason", "request"}});
+  const std::uint64_t refused_before = refused.value();
+  const HttpServer server("127.0.0.1:0", {{"/p", [](const HttpRequest&) { return HttpAnswer{}; }}});
+  const tests::CapturedLog log;
+  for (int i = 0; i < 100; ++i) {
+    const Client client;
+    client.reach(server);
+    EXPECT_TRUE(client.say("this is no HTTP\r\n\r\n"));
+    EXPECT_THAT(client.rest(), testing::IsEmpty());
+  }
+  EXPECT_TRUE(tests::eventually([&] { return refused.value() == refused_before + 100; })) << refused.value();
+  const std::string said = log.text();
+  const auto first = said.find("is no HTTP");
+  ASSERT_NE(first, std::string::npos) << said;
+  EXPECT_EQ(said.find("is no HTTP", first + 1), std::string::npos) << said;
+  EXPECT_THAT(get(server, "/p"), StartsWith("HTTP/1.1 200"));
+}
+
 #if !defined(IOTCLOUD_SANITIZED)  // the sanitizer opens a pipe to look at an object's type
 TEST(HttpServer, WithoutDescriptorsItWaitsSaysSoOnceAndGoesOnWhenThereAreSome) {
   auto& refused = config::process_metrics().counter("iotcloud_http_refused_total", "", {{"reason", "accept"}});

@@ -143,7 +143,7 @@ bolts:
 
         wait_for("the broker is shown as away", away, 30)
         self.told("broker away", time.monotonic() - begun, shown[0].strip(), "gateway gateway-1", "the broker rabbitmq",
-                  "is away since")
+                  "is away since", "start its server")
         require(re.search("Z: (the connection broke|nobody listens at 127.0.0.1)", shown[0]), f"no reason: {shown[0]}")
         self.system.tell("rabbitmq", "start")
 

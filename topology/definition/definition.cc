@@ -64,9 +64,8 @@ ComponentDefinition read_spout(const std::string& id, Section section, const std
     spout.endpoint->stream = section.string_or("stream", default_stream);
     if (section.optional_string("group")) spout.endpoint->group = require_name(section, "group");
   }
-  if (section.optional_string("max_spout_pending")) {
-    spout.max_spout_pending = static_cast<std::size_t>(section.int_or("max_spout_pending", 0, 0, 1'000'000));
-  }
+  const auto pending = section.int_or("max_spout_pending", 0, 0, 1'000'000);
+  if (section.has("max_spout_pending")) spout.max_spout_pending = static_cast<std::size_t>(pending);
   for (const char* key : {"tick", "deadline"}) {
     if (!section.has(key)) continue;
     section.refuse(key, "a spout has none: it executes no tuples", "set it on the bolts that its tuples go to");

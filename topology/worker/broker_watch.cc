@@ -40,10 +40,11 @@ std::string BrokerWatch::trouble() {
   const auto now = clock_.now();
   for (const Link& link : look()) {
     if (link.state == ConnectionState::connected || now - link.since < grace) continue;
-    text += fmt::format("{}the broker {} ({}) {} since {:%FT%TZ}{}{}", text.empty() ? "" : "; ", link.broker, link.url,
-                        link.state == ConnectionState::blocked ? "takes no messages" : "is away",
-                        fmt::gmtime(static_cast<std::time_t>(link.since_ms / 1000)), link.why.empty() ? "" : ": ",
-                        link.why);
+    text +=
+        fmt::format("{}the broker {} ({}) {} since {:%FT%TZ}{}{}{}", text.empty() ? "" : "; ", link.broker, link.url,
+                    link.state == ConnectionState::blocked ? "takes no messages" : "is away",
+                    fmt::gmtime(static_cast<std::time_t>(link.since_ms / 1000)), link.why.empty() ? "" : ": ", link.why,
+                    link.state == ConnectionState::blocked ? "" : " (start its server, or correct `brokers`)");
   }
   return text;
 }

@@ -19,11 +19,13 @@ TEST(HostBrokers, NameABrokerThatHostsCannotReachOnceSinceWhenAndWhy) {
               start);
   brokers.put("two", {{"red", "amqp://red/", "away", 5 * a_second, "connection closed"}}, start);
   EXPECT_EQ(brokers.trouble(start + 5s),
-            "the broker red (amqp://red/) is away since 1970-01-01T00:00:05Z: connection closed");
+            "the broker red (amqp://red/) is away since 1970-01-01T00:00:05Z: connection closed "
+            "(start its server, or correct `brokers`)");
   brokers.put("two", {{"blue", "amqp://blue/", "takes no messages", 9 * a_second, ""}}, start);
   EXPECT_EQ(brokers.trouble(start + 5s),
             "the broker blue (amqp://blue/) takes no messages since 1970-01-01T00:00:09Z; "
-            "the broker red (amqp://red/) is away since 1970-01-01T00:00:07Z: connection refused");
+            "the broker red (amqp://red/) is away since 1970-01-01T00:00:07Z: connection refused "
+            "(start its server, or correct `brokers`)");
   brokers.forget("one");
   brokers.put("two", {}, start);
   EXPECT_EQ(brokers.trouble(start + 5s), "");

@@ -31,7 +31,8 @@ TEST_F(BrokerWatchTest, SaysWhichBrokersAreAwayAndForHowLong) {
   clock_.advance(5s);
   links_[1].why = "connection refused";
   EXPECT_THAT(watch_.trouble(), testing::MatchesRegex("the broker kafka \\(kafka://two\\) is away since "
-                                                      "[-0-9]+T[:0-9]+Z: connection refused"));
+                                                      "[-0-9]+T[:0-9]+Z: connection refused \\(start its server, or "
+                                                      "correct `brokers`\\)"));
   EXPECT_EQ(watch_.look().at(1).since_ms, since);
   EXPECT_EQ(away("kafka"), 1);
   EXPECT_EQ(away("rabbitmq"), 0);
