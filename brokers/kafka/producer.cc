@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include <fmt/format.h>
 #include <pthread.h>
 
 #include "iotcloud/brokers/envelope.h"
@@ -39,7 +40,7 @@ bool is_missing_topic(rd_kafka_resp_err_t error) {
          error == RD_KAFKA_RESP_ERR_UNKNOWN_TOPIC_OR_PART;
 }
 
-/// Whether the same message would get this error again whenever it is sent.
+/// Whether the same message, alone in its request, would get this error again whenever it is sent.
 bool is_refusal_for_good(rd_kafka_resp_err_t error) {
   switch (error) {
     case RD_KAFKA_RESP_ERR_MSG_SIZE_TOO_LARGE:
@@ -48,6 +49,19 @@ bool is_refusal_for_good(rd_kafka_resp_err_t error) {
     case RD_KAFKA_RESP_ERR_INVALID_RECORD:
     case RD_KAFKA_RESP_ERR_TOPIC_EXCEPTION:
     case RD_KAFKA_RESP_ERR__INVALID_ARG:
+      return true;
+    default:
+      return false;
+  }
+}
+
+/// Whether the error is about a request as a whole: any of its messages may be the cause, or their number.
+bool is_about_request(rd_kafka_resp_err_t error) {
+  switch (error) {
+    case RD_KAFKA_RESP_ERR_MSG_SIZE_TOO_LARGE:
+    case RD_KAFKA_RESP_ERR_RECORD_LIST_TOO_LARGE:
+    case RD_KAFKA_RESP_ERR_INVALID_MSG_SIZE:
+    case RD_KAFKA_RESP_ERR_INVALID_RECORD:
       return true;
     default:
       return false;
@@ -249,17 +263,24 @@ void Producer::end_gathering() {
   if (core_.report_due()) wake();
 }
 
-void Producer::settle(UnderWay& message, rd_kafka_resp_err_t error) {
+void Producer::settle(UnderWay& message, rd_kafka_resp_err_t error, bool in_company) {
   const std::shared_ptr<Outbox> outbox = message.outbox;
   TopicLane& lane = lane_of(*outbox);
-  lane.answered(message.accepted.message.driver_id, error == RD_KAFKA_RESP_ERR_NO_ERROR, clock_.now());
-  if (error == RD_KAFKA_RESP_ERR_NO_ERROR) {
+  const bool stored = error == RD_KAFKA_RESP_ERR_NO_ERROR;
+  lane.answered(message.accepted.message.driver_id, stored, clock_.now());
+  if (!in_company && (stored || is_refusal_for_good(error))) lane.settled_alone(stored);
+  if (stored) {
     send_backoff_.reset();
     client_backoff_.reset();
     complaint_.clear();
     core_.confirmed(message);
   } else if (outbox->closed) {
     core_.lost(message);
+  } else if (in_company && is_about_request(error)) {
+    lane.refused_in_company();
+    set_back_.emplace(&lane, message.accepted.message.driver_id);
+    core_.refused_for_now(message, fmt::format("{} ({}), sent together; each is sent alone now",
+                                               rd_kafka_err2name(error), rd_kafka_err2str(error)));
   } else if (is_refusal_for_good(error)) {
     logger.error("a message for topic {} was refused: {}", outbox->topic.name, rd_kafka_err2str(error));
     core_.refused(message, rd_kafka_err2name(error));
@@ -287,6 +308,7 @@ void Producer::run() {
     // First the events, then the check for servers: otherwise an old event about a failed connection would count as a
     // loss of the new one.
     serve_events();
+    if (client_) look_for_overtaking();
     if (client_) look_for_servers();
     if (client_ && broken_) end_client(last_error_);
     if (client_) look_for_void();
@@ -365,8 +387,23 @@ void Producer::end_client(const std::string& reason) {
     gone.reset();
   }
   // Messages that the library did not report in time: they are no longer under way, because the client has ended.
-  for (const UnderWay& message : core_.under_way()) --lane_of(*message.outbox).under_way;
+  for (const UnderWay& message : core_.under_way()) lane_of(*message.outbox).forgotten();
   core_.connection_lost(false);
+  set_back_.clear();
+}
+
+/// Takes back what the library has when some of it would overtake earlier messages of its driver, which were refused in
+/// company and wait again. Another client sends it after them.
+void Producer::look_for_overtaking() {
+  if (set_back_.empty()) return;
+  const auto set_back = std::exchange(set_back_, {});
+  const auto overtakes = [&](const UnderWay& message) {
+    return set_back.contains({&lane_of(*message.outbox), message.accepted.message.driver_id});
+  };
+  const auto& under_way = core_.under_way();
+  if (std::none_of(under_way.begin(), under_way.end(), overtakes)) return;
+  broken_ = true;
+  end_client("");
 }
 
 /// Takes back what the library has and has not stored yet when some of it became void (PublisherOptions::void_before):
@@ -443,6 +480,7 @@ void Producer::serve_events() {
     }
     if (!event) return;
     on_event(event.get());
+    if (!set_back_.empty() && !broken_) return;  // look_for_overtaking() must come soon
   }
 }
 
@@ -451,7 +489,8 @@ void Producer::on_event(rd_kafka_event_t* event) {
     case RD_KAFKA_EVENT_DR:
       while (const rd_kafka_message_t* report = rd_kafka_event_message_next(event)) {
         full_ = false;
-        settle(*static_cast<UnderWay*>(report->_private), outcome_of(*report));
+        UnderWay& message = *static_cast<UnderWay*>(report->_private);
+        settle(message, outcome_of(*report), lane_of(*message.outbox).in_company);
       }
       return;
     case RD_KAFKA_EVENT_ERROR:

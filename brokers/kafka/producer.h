@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstddef>
 #include <memory>
+#include <set>
 #include <string>
 #include <thread>
 #include <utility>
@@ -80,6 +81,7 @@ class Producer final : client::PublishTransport {
   void end_client(const std::string& reason) IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_servers() IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_renewal() IOTCLOUD_REQUIRES(core_.mutex);
+  void look_for_overtaking() IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_void() IOTCLOUD_REQUIRES(core_.mutex);
   void look_for_topics() IOTCLOUD_REQUIRES(core_.mutex);
   void serve_events() IOTCLOUD_REQUIRES(core_.mutex);
@@ -88,8 +90,8 @@ class Producer final : client::PublishTransport {
   void lose_connection() IOTCLOUD_REQUIRES(core_.mutex);
   std::chrono::milliseconds time_to_sleep() IOTCLOUD_REQUIRES(core_.mutex);
 
-  /// Handles the library's report of a message's outcome.
-  void settle(UnderWay& message, rd_kafka_resp_err_t error) IOTCLOUD_REQUIRES(core_.mutex);
+  /// Handles the library's report of a message's outcome. \param in_company other messages may have been in its request
+  void settle(UnderWay& message, rd_kafka_resp_err_t error, bool in_company = false) IOTCLOUD_REQUIRES(core_.mutex);
   bool may_send() const IOTCLOUD_REQUIRES(core_.mutex);
   void send_waiting() IOTCLOUD_REQUIRES(core_.mutex);
   void end_gathering() IOTCLOUD_EXCLUDES(core_.mutex);
@@ -132,6 +134,9 @@ class Producer final : client::PublishTransport {
   Instant next_attempt_ IOTCLOUD_GUARDED_BY(core_.mutex){};
   Backoff client_backoff_ IOTCLOUD_GUARDED_BY(core_.mutex){std::chrono::milliseconds(20),
                                                            std::chrono::milliseconds(5000)};
+
+  /// Topics and drivers of messages that were refused in company; see look_for_overtaking().
+  std::set<std::pair<const TopicLane*, std::string>> set_back_ IOTCLOUD_GUARDED_BY(core_.mutex);
 
   Instant next_void_look_ IOTCLOUD_GUARDED_BY(core_.mutex){};  ///< see look_for_void()
 

@@ -204,6 +204,30 @@ TEST_F(KafkaFault, WhatTheServerRefusesIsReportedAndTheRestGoesOn) {
   EXPECT_EQ(outcomes.of(3), Outcome::confirmed);
 }
 
+TEST_F(KafkaFault, WhatIsRefusedInCompanyIsSentAgainAlone) {
+  for (const auto error : {RD_KAFKA_RESP_ERR_MSG_SIZE_TOO_LARGE, RD_KAFKA_RESP_ERR_RECORD_LIST_TOO_LARGE,
+                           RD_KAFKA_RESP_ERR_INVALID_RECORD}) {
+    const auto broker = this->broker();
+    const Topic topic{"", std::string("topic") + rd_kafka_err2name(error), false};
+    Inbox inbox;
+    const auto subscription = broker->subscribe(topic, {}, inbox.handler());
+    PublisherOptions options;
+    Outcomes outcomes;
+    options.on_outcome = outcomes.callback();
+    const auto publisher = broker->publisher(topic, options);
+    publisher->publish(text_message("0"));
+    ASSERT_TRUE(publisher->drain(patience));
+    set_round_trip(100);
+    fail_next(produce_request, {error});
+    for (const auto& body : numbered(1, 20)) publisher->publish(text_message(body));
+    ASSERT_TRUE(publisher->drain(patience));
+    set_round_trip(0);
+    EXPECT_EQ(outcomes.count(Outcome::confirmed), 21U);
+    EXPECT_TRUE(outcomes.each_once());
+    ASSERT_TRUE(inbox.wait_for(21));
+  }
+}
+
 TEST_F(KafkaFault, WhatIsRefusedForAReasonThatMayPassIsKeptAndTriedAgain) {
   const auto broker = this->broker();
   PublisherOptions options;

@@ -175,6 +175,40 @@ TEST_F(KafkaRecord, WhatIsLargerThanTheTopicTakesIsRefused) {
   EXPECT_EQ(outcomes.of(2), Outcome::confirmed);
 }
 
+TEST_F(KafkaRecord, WhatIsTooLargeTogetherIsTakenAlone) {
+  BrokerOptions small = options();
+  small.properties["max_message_bytes"] = "10000";
+  {
+    const auto operators = make_broker(small);
+    const auto first = operators->publisher(topic(), {});
+    first->publish(text_message("0"));
+    ASSERT_TRUE(first->drain(patience));
+  }
+  // This client does not know the topic's limit.
+  const auto broker = make_broker(options());
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  PublisherOptions publishing;
+  Outcomes outcomes;
+  publishing.on_outcome = outcomes.callback();
+  const auto publisher = broker->publisher(topic(), publishing);
+  // Most are published before the producer has found the topic, so they go together.
+  std::vector<std::string> taken{"0"};
+  for (int i = 1; i <= 101; ++i) {
+    const std::string body = std::to_string(i) + std::string(i == 51 ? 20'000 : 1000, ' ');
+    if (i != 51) taken.push_back(body);
+    publisher->publish(text_message(body));
+  }
+  ASSERT_TRUE(publisher->drain(patience));
+  EXPECT_TRUE(outcomes.each_once());
+  EXPECT_EQ(outcomes.count(Outcome::confirmed), 100U);
+  EXPECT_EQ(outcomes.of(51), Outcome::refused);
+  ASSERT_TRUE(inbox.wait_for(101));
+  std::vector<std::string> arrived;
+  for (const auto& received : inbox.all()) arrived.push_back(received.body);
+  EXPECT_EQ(arrived, taken);
+}
+
 TEST_F(KafkaRecord, WhatASpoolSendsAgainIsFlagged) {
   const auto broker = make_broker(options());
   Inbox inbox;
