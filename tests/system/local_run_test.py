@@ -36,10 +36,10 @@ bolts:
 class Run:
     """A run whose lines, errors too, are read as they come."""
 
-    def __init__(self, *words):
+    def __init__(self, *words, plugin="plugins/loadgen.so"):
         self.began = time.monotonic()
         self.said = ""
-        self.process = subprocess.Popen([BUILD / "bin/iotcloud", "run", *words, "--plugin", BUILD / "plugins/loadgen.so"],
+        self.process = subprocess.Popen([BUILD / "bin/iotcloud", "run", *words, "--plugin", BUILD / plugin],
                                         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
     def wait_for(self, pattern):
@@ -178,6 +178,13 @@ def a_driver_that_no_plugin_is_is_named():
             sys.exit("a driver that is there is called missing:\n" + echo.said)
 
 
+def a_start_that_waits_for_a_driver_ends_with_a_signal():
+    hanging = Run(CONFIG / "topology.yaml", plugin="tests/system/hanging_driver.so")
+    hanging.wait_for("the driver hangs")
+    hanging.wait_for("it waits for the registry, and then until all drivers are open")
+    hanging.end()
+
+
 def main():
     if sys.argv[3:4] == ["--limit"]:
         the_first_average_is_there_within(float(sys.argv[4]))
@@ -191,6 +198,7 @@ def main():
     a_library_that_changes_is_loaded_anew()
     a_property_that_the_driver_does_not_have_ends_the_run()
     a_driver_that_no_plugin_is_is_named()
+    a_start_that_waits_for_a_driver_ends_with_a_signal()
 
 
 if __name__ == "__main__":

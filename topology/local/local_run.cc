@@ -84,8 +84,9 @@ std::vector<std::string> files_of(const RunOptions& options) {
   return files;
 }
 
-LocalRun::LocalRun(const RunOptions& options)
+LocalRun::LocalRun(const RunOptions& options, const std::stop_token& stop)
     : cluster_(cluster_options(options)), worker_(&cluster_.run_topology(load(options))) {
+  const std::stop_callback end_of_waiting(stop, [this] { cluster_.master().close(); });
   for (const auto& plugin : options.plugins) {
     master::DeployRequest request;
     request.plugin = fs::path(plugin).filename();

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <map>
+#include <stop_token>
 #include <string>
 #include <vector>
 
@@ -26,8 +27,9 @@ std::vector<std::string> files_of(const RunOptions& options);
 /// develops them. The files run on a cluster unchanged. Used on one thread.
 class LocalRun {
  public:
-  /// Starts all of it; returns when the instances are active. \throws config::Error, config::ConfigError.
-  explicit LocalRun(const RunOptions& options);
+  /// Starts all of it; returns when the instances are active. \param stop when it is requested, this waits for no
+  /// driver any more, and throws. \throws config::Error, config::ConfigError.
+  explicit LocalRun(const RunOptions& options, const std::stop_token& stop = {});
 
   /// A line for each spout and bolt whose driver none of the plugins is: nothing comes from it, or goes to it. Empty
   /// with a registry that is not embedded, because the driver may be elsewhere.

@@ -2,6 +2,9 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <future>
+#include <memory>
+#include <stop_token>
 
 #include <CLI/CLI.hpp>
 #include <signal.h>
@@ -38,8 +41,42 @@ constexpr timespec second{1, 0};
 /// What run() and wait_for_change() return when a file has changed; other values are exit statuses.
 constexpr int file_changed = -1;
 
+/// Starts on another thread, so that a signal also ends a start that waits (for a driver that hangs in open(), say).
+/// \return nullptr: a signal has ended it.
+std::unique_ptr<local::LocalRun> start(const local::RunOptions& options, const sigset_t& ending) {
+  constexpr timespec moment{0, 20'000'000};
+  std::stop_source end;
+  auto started =
+      std::async(std::launch::async, [&] { return std::make_unique<local::LocalRun>(options, end.get_token()); });
+  auto tell_at = std::chrono::steady_clock::now() + std::chrono::seconds(2);
+  while (started.wait_for(std::chrono::seconds(0)) != std::future_status::ready) {
+    if (sigtimedwait(&ending, nullptr, &moment) < 0) {
+      if (std::chrono::steady_clock::now() < tell_at) continue;
+      tell_at = std::chrono::steady_clock::time_point::max();
+      std::fprintf(stderr,
+                   "iotcloud-run: it waits for the registry, and then until all drivers are open; Ctrl-C ends it\n");
+      continue;
+    }
+    end.request_stop();
+    if (started.wait_for(2 * stop_limit) != std::future_status::ready) {
+      std::fprintf(stderr, "iotcloud-run: the start did not end within %d s\n",
+                   static_cast<int>(2 * stop_limit.count() / 1000));
+      std::_Exit(1);  // whatever hangs would hinder an orderly end
+    }
+    try {
+      started.get()->stop(stop_limit);
+    } catch (const std::exception& error) {
+      std::fprintf(stderr, "iotcloud-run: ended at its start: %s\n", error.what());
+    }
+    return nullptr;
+  }
+  return started.get();
+}
+
 int run(const local::RunOptions& options, int seconds, const sigset_t& ending, local::WatchedFiles& files) {
-  local::LocalRun running(options);
+  const auto started = start(options, ending);
+  if (!started) return 0;
+  local::LocalRun& running = *started;
   std::printf("%s runs; Ctrl-C ends it\n", options.topology.c_str());
   std::fflush(stdout);
   for (const auto& line : running.without_driver()) std::fprintf(stderr, "iotcloud-run: %s\n", line.c_str());
