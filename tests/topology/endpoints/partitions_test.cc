@@ -103,12 +103,12 @@ class KafkaPartitions : public Endpoints {
   /// The topic's name in the channel's record.
   std::string raw(const std::string& channel) const { return channel + url_.substr(url_.rfind('-')); }
   std::string topic_of(const std::string& channel) const { return "g.d." + raw(channel); }
-  void show(const std::vector<std::string>& channels = {"up"}) {
+  void show(const std::vector<std::string>& channels = {"up"}, const std::string& transport = "kafka") {
     for (int i = 0; i < instances; ++i) {
       for (const auto& name : channels) {
         discovery::ChannelRecord channel;
         channel.name = name;
-        channel.transport = "kafka";
+        channel.transport = transport;
         channel.direction = discovery::Direction::out;
         channel.properties = {{"topic", raw(name)}};
         channel.broker_url = broker_url_;
@@ -298,6 +298,20 @@ TEST_F(KafkaPartitions, OfDifferentNumbersOfADriversChannelsAreRefusedUntilTheyA
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2 * partitions; }));
   EXPECT_THAT(worker.trouble(), IsEmpty());
   EXPECT_THAT(worker.describe(), HasSubstr(R"("troubles":[])"));
+}
+
+TEST_F(KafkaPartitions, OfDifferentNumbersAreNoTroubleOfAChannelThatMovedToAnotherBroker) {
+  publish_on("up", broker_with(partitions));
+  publish_on("side", broker_with(2));
+  send_round();
+  for (const auto& [channel, publisher] : publishers_) ASSERT_TRUE(publisher->drain(std::chrono::seconds(20)));
+  show({"up", "side"});
+  start("one", 1, {"up", "side"});
+  const Worker& worker = *workers_.back();
+  ASSERT_TRUE(eventually([&] { return worker.trouble().find("up: channel up of driver d") != std::string::npos; }));
+  show({"up"}, "rabbitmq");
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2; })) << "the other channel is read";
+  EXPECT_TRUE(eventually([&] { return worker.trouble().empty(); })) << worker.trouble();
 }
 
 TEST(PartitionAgreementTest, NamesTheChannelsThatDifferAndTellsOfEachChange) {

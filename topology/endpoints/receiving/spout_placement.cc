@@ -234,7 +234,9 @@ discovery::GuardPtr SpoutPlacement::take_anew() {
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
   std::string problem = misfit(channel, discovery::Direction::out, endpoint_.broker);
-  if (problem.empty() && channel.shared) {
+  if (!problem.empty()) {
+    forget_difference(channel.gateway);
+  } else if (channel.shared) {
     problem = split_topics_->difference(channel);
     show_difference(channel.gateway, problem);
   }
@@ -261,11 +263,13 @@ void SpoutPlacement::show_difference(const discovery::GatewayId& gateway, const 
   services_->troubles->set(component_, "partitions of " + gateway.str(), text);
 }
 
-/// A channel of this gateway is gone.
+/// A channel of this gateway is gone, or cannot be read for another reason.
 void SpoutPlacement::forget_difference(const discovery::GatewayId& gateway) {
   if (!differences_.contains(gateway)) return;
   const bool has_others = std::any_of(channels_.begin(), channels_.end(), [&](const auto& entry) {
-    return entry.second.shared && entry.second.gateway == gateway;
+    const discovery::ChannelRecord& channel = entry.second;
+    return channel.shared && channel.gateway == gateway &&
+           misfit(channel, discovery::Direction::out, endpoint_.broker).empty();
   });
   if (!has_others) show_difference(gateway, {});
 }
