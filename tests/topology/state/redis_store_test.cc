@@ -234,6 +234,56 @@ TEST(ARedisThatFailsOver, LosesItsLastWritesAndThatIsFoundAndSaid) {
   EXPECT_EQ(losses, 1);
 }
 
+TEST(ARedisThatFailsOver, IsSaidOnceByAWorkerThatWroteNothingToo) {
+  tests::PrivateServer first("redis.py"), second("redis.py");
+  const auto port_of = [](const std::string& url) { return url.substr(url.rfind(':') + 1); };
+  const tests::CapturedLog log;
+  const auto store = make_state_store(first.url() + ",127.0.0.1:" + port_of(second.url()));
+  KeyValueState reader(store, {"t", "count", 0, 2});
+  second.command("follow " + port_of(first.url()), "FOLLOWING");
+  second.command("lead", "LEADS");
+  const auto reads = [](KeyValueState& state, const std::string& key) {
+    return eventually([&] {
+      try {
+        state.find(key);
+        return true;
+      } catch (const StateUnavailable&) {
+        return false;
+      }
+    });
+  };
+  ASSERT_TRUE(reads(reader, "a"));
+  EXPECT_EQ(times("last checkpoints", log.text()), 0) << "the first master is no failover";
+  first.kill();
+  ASSERT_TRUE(reads(reader, "b"));
+  KeyValueState other(store, {"t", "count", 1, 2});
+  ASSERT_TRUE(reads(other, "c"));
+  EXPECT_EQ(times("may have lost the last checkpoints", log.text()), 1);
+  EXPECT_TRUE(log.contains("from 127.0.0.1:" + port_of(first.url()) + " to 127.0.0.1:" + port_of(second.url())));
+  second.kill();
+  EXPECT_EQ(problem_of([&] { reader.find("d"); }).empty(), false);
+  second.start();
+  ASSERT_TRUE(reads(reader, "d"));
+  EXPECT_EQ(times("may have lost the last checkpoints", log.text()), 1) << "the same server is no failover";
+}
+
+TEST(ARedisThatMayForget, WhatItHasWhenItRestartsIsSaidOnceWithWhatToSet) {
+  const tests::CapturedLog log;
+  tests::PrivateServer server("redis.py", {"--appendonly", "no"}), good("redis.py");
+  const auto store = make_state_store(server.url());
+  KeyValueState(make_state_store(good.url()), {"t", "count", 0, 1}).find("a");
+  EXPECT_FALSE(log.contains("appendonly"));
+  KeyValueState state(store, {"t", "count", 0, 1});
+  state.put("a", "1");
+  state.checkpoint();
+  server.kill();
+  EXPECT_EQ(problem_of([&] { state.find("a"); }).empty(), false);
+  server.start();
+  EXPECT_TRUE(eventually([&] { return problem_of([&] { state.find("a"); }).empty(); }));
+  EXPECT_EQ(state.find("a"), nullptr) << "an acked checkpoint is lost";
+  EXPECT_EQ(times("set appendonly yes and appendfsync always", log.text()), 1);
+}
+
 TEST(ARedisThatMayForget, IsRefusedAtTheStartWithWhatToSet) {
   tests::PrivateServer server("redis.py");
   server.command("policy allkeys-lru", "POLICY");

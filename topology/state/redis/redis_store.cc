@@ -1,8 +1,10 @@
 #include <algorithm>
 #include <charconv>
+#include <set>
 #include <utility>
 
 #include <iotcloud/config/clock.h>
+#include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/state/redis/redis_connection.h>
 #include <iotcloud/topology/state/redis/redis_store.h>
@@ -10,6 +12,8 @@
 namespace iotcloud::topology::internal {
 
 namespace {
+
+constexpr config::Logger state_logger{"topology.state"};
 
 // Each key of a state is a hash "iotcloud:state:1:TOPOLOGY:COMPONENT:KEY" with the fields
 //   o  the session of the task that claimed the key last
@@ -193,6 +197,7 @@ class RedisStore final : public StateStore {
         auto candidate = std::make_unique<RedisConnection>(address_, server, answer_limit);
         greet(*candidate);
         connection_ = std::move(candidate);
+        tell_failover();
         return *connection_;
       } catch (const StateUnavailable& error) {
         problems += (problems.empty() ? "" : "; ") + std::string(error.what());
@@ -205,8 +210,19 @@ class RedisStore final : public StateStore {
     throw StateUnavailable(last_problem_);
   }
 
+  /// Says that another server is the master now. A task that wrote a lost key finds that by itself; one that did not
+  /// write it cannot.
+  void tell_failover() IOTCLOUD_REQUIRES(mutex_) {
+    const std::string before = std::exchange(last_master_, connection_->name());
+    if (before.empty() || before == last_master_) return;
+    state_logger.warn(
+        "the state store failed over from {} to {}, which may have lost the last checkpoints, whose messages were "
+        "acknowledged: Redis copies to replicas after it has answered",
+        before, last_master_);
+  }
+
   /// Logs in, and checks that the server is the master and keeps what it has.
-  void greet(RedisConnection& server) const {
+  void greet(RedisConnection& server) IOTCLOUD_REQUIRES(mutex_) {
     try {
       const std::string password = password_of(address_);
       if (!address_.user.empty()) {
@@ -224,6 +240,12 @@ class RedisStore final : public StateStore {
       if (const std::string policy = info_of(info, "maxmemory_policy"); policy != keeps_all) {
         throw StateError("the Redis at " + server.name() + " " + forgetful(policy));
       }
+      if (info_of(info, "aof_enabled") != "1" && told_of_restarts_.insert(server.name()).second) {
+        state_logger.warn(
+            "the Redis at {} keeps no log on the disk, so when it restarts it loses checkpoints whose messages were "
+            "acknowledged; set appendonly yes and appendfsync always",
+            server.name());
+      }
     } catch (const RedisRefusal& refusal) {
       const std::string text = refusal.what();
       const std::string what = "the Redis at " + server.name() + " refuses: " + text;
@@ -240,6 +262,8 @@ class RedisStore final : public StateStore {
   config::Clock::Instant again_at_ IOTCLOUD_GUARDED_BY(mutex_){};  ///< no attempt to connect before this time
   config::Clock::Instant look_at_ IOTCLOUD_GUARDED_BY(mutex_){};   ///< make_sure() does not ask before this time
   std::string last_problem_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::string last_master_ IOTCLOUD_GUARDED_BY(mutex_);  ///< RedisConnection::name(); empty: there was none
+  std::set<std::string> told_of_restarts_ IOTCLOUD_GUARDED_BY(mutex_);  ///< names of servers
 };
 
 }  // namespace
