@@ -148,6 +148,7 @@ struct RegistryOptions {
 std::unique_ptr<Registry> make_registry(const RegistryOptions& options);
 
 struct Paths;
+/// What renew_rights() has done.
 struct RenewedRights {
   std::size_t nodes = 0;    ///< that were looked at
   std::size_t changed = 0;  ///< of them, those that had other rights

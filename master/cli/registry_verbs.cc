@@ -241,7 +241,7 @@ class RenewRights final : public Verb {
               "and start them again, then run this beside a master",
               "iotcloud registry rights --registry zookeeper://127.0.0.1:2181 --user master --password-file "
               "/etc/iotcloud/registry.password --users /etc/iotcloud/registry.users",
-              std::nullopt, false}) {}
+              std::nullopt}) {}
 
   void declare(CLI::App& options) override {
     options.add_option("--registry", options_.url, "ZooKeeper's address, as in `registry` of master.yaml")
@@ -266,7 +266,9 @@ class RenewRights final : public Verb {
     }
     const auto done = discovery::renew_rights(
         options_, paths, [&](std::size_t nodes) { call.err << fmt::format("{} nodes looked at\n", nodes); });
-    call.out << fmt::format("{} nodes, {} of them had other rights\n", done.nodes, done.changed);
+    const nlohmann::ordered_json answer{{"nodes", done.nodes}, {"changed", done.changed}};
+    print(call.out, call.format, {"NODES", "HAD OTHER RIGHTS"},
+          {{std::to_string(done.nodes), std::to_string(done.changed)}}, answer);
     return exit_ok;
   }
 
