@@ -2,7 +2,7 @@
 """`./dev bench keep`: results of benchmarks that the project keeps, and the documents that show them.
 
 usage: ./dev bench keep [NAME]...   copies results from build/bench to bench/results (NAME: runtime, paper/figure-7, ...;
-                                    without a name: all that are there) and writes the blocks of all documents again
+                                    without a name: all that can be kept) and writes the blocks of all documents again
        bench/kept.py --check ROOT   says which blocks differ from their files, and writes nothing
 
 Results are not typed into documents by hand. A document has a block for each file of bench/results that it shows:
@@ -31,8 +31,8 @@ class Unusable(Exception):
 
 
 def read(file):
-    """Reads the file that a benchmark wrote. Raises Unusable when it lacks the machine, the commit or the command, or
-    was taken from sources that are not committed."""
+    """Reads the file that a benchmark wrote. Raises Unusable when it lacks the machine, the commit or the command, was
+    taken from sources that are not committed, or is of a run that failed."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         missing = [key for key in NEEDED if key not in data]
@@ -42,6 +42,8 @@ def read(file):
         raise Unusable(f"{file} has no {', '.join(missing)}")
     if data["commit"].endswith("-modified"):
         raise Unusable(f"{file} is of sources that no commit has: commit them, and take it again")
+    if data.get("failed"):
+        raise Unusable(f"{file} is of a run that failed: {data['failed']}")
     return data
 
 
@@ -119,13 +121,20 @@ def check(root):
 
 def keep(root, names):
     """Copies the named results, draws their pictures and writes the blocks. Raises Unusable, for
-    an unusable result before it copies any."""
+    an unusable result before it copies any. Without names it takes all, and skips unusable ones with a line."""
     taken, results = root / "build/bench", root / "bench/results"
-    if not names:
+    chosen = bool(names)
+    if not chosen:
         names = sorted(file.relative_to(taken).with_suffix("").as_posix() for file in taken.rglob("*.json"))
     figures = {}
     for name in names:
-        read(taken / f"{name}.json")
+        try:
+            read(taken / f"{name}.json")
+        except Unusable as why:
+            if chosen:
+                raise
+            print(f"skipped: {why}")
+            continue
         figures[name] = (taken / f"{name}.json").read_text(encoding="utf-8")
     for name, text in figures.items():
         (results / name).parent.mkdir(parents=True, exist_ok=True)
@@ -134,7 +143,7 @@ def keep(root, names):
         page.write_pictures(results)
     for document in list(documents(root)):
         page.put(document, filled(document, results))
-    return names
+    return list(figures)
 
 
 def main():

@@ -1,5 +1,7 @@
 #!/usr/bin/python3
 """Results that the project keeps, and the documents that show them."""
+import contextlib
+import io
 import json
 import tempfile
 import unittest
@@ -87,6 +89,19 @@ class KeptTest(unittest.TestCase):
             kept.keep(self.root, ["brokers", "paper/figure-7"])
         self.assertEqual((self.root / "bench/results/paper/figure-7.json").read_text(), before)
         self.assertFalse((self.root / "bench/results/brokers.json").exists())
+
+    def test_without_names_what_cannot_be_kept_is_skipped_with_a_line(self):
+        self.take("brokers")
+        self.take("interop", commit="0123-modified")
+        self.take("fleet", failed="a client ended")
+        said = io.StringIO()
+        with contextlib.redirect_stdout(said):
+            self.assertEqual(kept.keep(self.root, []), ["brokers", "paper/figure-7"])
+        self.assertRegex(said.getvalue(), r"skipped: .*fleet.json is of a run that failed: a client ended\n"
+                                          r"skipped: .*interop.json is of sources that no commit has")
+        self.assertFalse((self.root / "bench/results/interop.json").exists())
+        with self.assertRaises(kept.Unusable):
+            kept.keep(self.root, ["fleet"])
 
     def test_figures_that_do_not_say_of_what_they_are_are_found(self):
         kept.keep(self.root, [])
