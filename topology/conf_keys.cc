@@ -28,7 +28,8 @@ void ConfCheck::refuse_unknown_keys(const Config& config, const std::string& pre
     const std::string guess = config::nearest(key, known);
     std::string list;
     for (const auto& each : known) list += (list.empty() ? "" : ", ") + each;
-    refuse(key, "unknown key; " + (guess.empty() ? "known are " + list : "did you mean \"" + guess + "\"?"));
+    const std::string there_are = list.empty() ? "there are none here" : "known are " + list;
+    refuse(key, "unknown key; " + (guess.empty() ? there_are : "did you mean \"" + guess + "\"?"));
   }
 }
 

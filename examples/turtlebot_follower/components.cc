@@ -6,6 +6,7 @@
 #include <iotcloud/drivers/depth/depth_codec.h>
 #include <iotcloud/examples/turtlebot_follower/follower.h>
 #include <iotcloud/topology/bolt.h>
+#include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/plugin.h>
 
 namespace turtlebot_follower {
@@ -33,6 +34,11 @@ class Decoder : public BasicBolt {
  public:
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     declarer.declare(Fields{"depth", "driverID", "time"});
+  }
+  static void check_conf(const Config& config) {
+    iotcloud::topology::ConfCheck check;
+    check.refuse_unknown_keys(config, "", {});
+    check.finish();
   }
   void prepare(const Config&, const TopologyContext& context) override {
     bad_frames_ = &context.metrics->counter("turtlebot_bad_frames_total", "Frames that could not be decoded",

@@ -54,6 +54,11 @@ ComponentDefinition read_component(const std::string& id, Section section, const
                    "name as many tasks or more: parallelism can grow up to it while the topology runs");
   }
   component.conf = section.string_map("conf");
+  if (component.endpoint && section.has("conf")) {
+    section.refuse(
+        "conf", "a component that faces a broker has none: nothing reads it",
+        "write its keys beside \"broker\" (parallelism, stream, ...) or in \"properties\" (prefetchCount, ...)");
+  }
   return component;
 }
 

@@ -106,6 +106,14 @@ TEST(TopologyDefinition, RefusesFieldsThatCannotBe) {
               HasSubstr("a bolt does not send \"gatewayID\""));
 }
 
+TEST(TopologyDefinition, RefusesAConfThatNothingReads) {
+  EXPECT_THAT(error_of(with_spout(good_spout + "    conf: {prefetchCount: 500}\n")),
+              AllOf(HasSubstr("t.yaml:9:"), HasSubstr("spouts.s.conf"), HasSubstr("\"properties\"")));
+  EXPECT_THAT(error_of(with_bolt("    broker: rabbitmq\n    driver: d\n    channel: c\n    fields: [f, driverID]\n"
+                                 "    conf: {capacity: 5}\n    inputs: {from: s}\n")),
+              HasSubstr("bolts.b.conf"));
+}
+
 TEST(TopologyDefinition, ReadsEverythingElse) {
   const auto definition = TopologyDefinition::parse(R"(
 registry: "embedded://here"
@@ -127,10 +135,10 @@ spouts:
     tasks: 6
     max_spout_pending: 0
     properties: {ackMode: manual, prefetchCount: 17, requeue: false, maxTries: 5, keepLast: 1, deadLetter: lost}
-    conf: {size: 12}
 bolts:
   inner:
     class: some.Class
+    conf: {size: 12}
     parallelism: 2
     tasks: 8
     tick: 250ms
@@ -164,7 +172,7 @@ bolts:
   EXPECT_EQ(spout.parallelism, 4);
   EXPECT_EQ(spout.tasks, 6);
   EXPECT_EQ(spout.max_spout_pending, 0U);
-  EXPECT_EQ(spout.conf.at("size"), "12");
+  EXPECT_EQ(definition.bolts.at(0).conf.at("size"), "12");
   EXPECT_EQ(spout.endpoint->stream, "lines");
   EXPECT_EQ(spout.endpoint->form, PayloadForm::text);
   EXPECT_FALSE(spout.endpoint->reading.automatic_ack);

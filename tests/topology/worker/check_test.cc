@@ -88,6 +88,7 @@ spouts:
   in: {broker: rabbitmq, driver: d, channel: up, fields: [frame, driverID], prefech: 5, parallelism: none}
 bolts:
   decode: {class: turtlebot.Decodr, inputs: {from: inn}}
+  second: {class: turtlebot.Decoder, conf: {codec: png}, inputs: {from: in}}
   follow:
     class: turtlebot.Follow
     conf: {goal_distanze: 1, max_linear: fast}
@@ -105,9 +106,10 @@ bolts:
                           AllOf(at(":5:89: spouts.in.parallelism: \"none\""), HasSubstr("whole number")),
                           AllOf(at(":7:12: bolts.decode.class:"), HasSubstr("did you mean \"turtlebot.Decoder\"?")),
                           AllOf(at(":7:46: bolts.decode.inputs.from:"), HasSubstr("did you mean \"in\"?")),
-                          AllOf(at(":10:12: bolts.follow.conf.goal_distanze:"), HasSubstr("\"goal_distance\"?")),
-                          AllOf(at(":10:30: bolts.follow.conf.max_linear:"), HasSubstr("a number from 0 to 10")),
-                          AllOf(at(":11:28: bolts.follow.inputs.grouping:"), HasSubstr("\"fields\"?"))))
+                          AllOf(at(":8:45: bolts.second.conf.codec: unknown key"), HasSubstr("there are none")),
+                          AllOf(at(":11:12: bolts.follow.conf.goal_distanze:"), HasSubstr("\"goal_distance\"?")),
+                          AllOf(at(":11:30: bolts.follow.conf.max_linear:"), HasSubstr("a number from 0 to 10")),
+                          AllOf(at(":12:28: bolts.follow.inputs.grouping:"), HasSubstr("\"fields\"?"))))
       << text;
 }
 
