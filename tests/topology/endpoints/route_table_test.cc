@@ -250,6 +250,19 @@ TEST_F(Routes, OfAnInstanceThatFailedAndIsStartedAgainKeepItsTuplesThroughEachFa
   EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
 }
 
+TEST_F(Routes, OfAnInstanceThatComesBackKeepAllItsTuplesHoweverManyWait) {
+  start();
+  show("a", DriverState::starting);
+  ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
+  const double unknown = metric("iotcloud_bolt_unknown_driver_total");
+  int last = 0;
+  for (std::size_t i = 0; i < RouteTable::most_waiting; ++i) last = send("a");
+  EXPECT_EQ(answers_.of(last), Answer::none) << "acked, it would be lost";
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
+  show("a", DriverState::active);
+  EXPECT_TRUE(eventually([&] { return received(last); }));
+}
+
 TEST_F(Routes, OfAnInstanceThatFailedWaitForItUpToTheirDeadline) {
   endpoint_.sending.deadline = 10s;
   show_record("a", DriverState::failed, true);

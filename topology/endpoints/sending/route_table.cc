@@ -101,7 +101,7 @@ void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollec
   }
   const auto now = services_->clock->now();
   const bool waits = line != waiting_.end() || (!no_grace_ && end_of_wait(message.driver_id, now) > now);
-  if (waits && waiting_count_ < most_waiting) {
+  if (waits && (waiting_count_ < most_waiting || comes(message.driver_id))) {
     ++waiting_count_;
     auto& queue = waiting_[discovery::InstanceId(message.driver_id)];
     queue.push_back({std::move(message), tuple, &collector, now});

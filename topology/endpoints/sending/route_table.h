@@ -51,7 +51,8 @@ class RouteTable {
 
   static constexpr std::chrono::seconds grace{2};          ///< how long a tuple waits for a driver that was never seen
   static constexpr std::chrono::seconds return_limit{60};  ///< how long one without a deadline waits for a restart
-  /// How many tuples wait for drivers at most; further ones are treated as those for an unknown driver.
+  /// How many tuples wait for drivers at most; further ones are treated as those for an unknown driver. Those for an
+  /// instance that is about to be active wait all the same: they are not more than the spouts have under way.
   static constexpr std::size_t most_waiting = 10'000;
 
  private:
