@@ -82,7 +82,7 @@ class Renewal {
          {paths_.sensors, paths_.gateways, paths_.topologies, paths_.groups, paths_.masters()}) {
       walk(branch, "");
     }
-    return std::move(done_);
+    return done_;
   }
 
  private:
@@ -136,14 +136,14 @@ class Renewal {
     if (zoo_get(session_.get(), full.c_str(), 0, data.data(), &size, &stat) == ZOK && size > 0) {
       data.resize(static_cast<std::size_t>(size));
       try {
-        const std::string gateway = decode_driver(data, path).gateway.str();
+        std::string gateway = decode_driver(data, path).gateway.str();
         if (settings_.access->knows(gateway)) return gateway;
       } catch (const config::Error&) {  // no record yet, or not ours: who has the rights tells
       }
     }
     for (int i = 0; i < before.count; ++i) {
       const ACL& right = before.data[i];
-      const std::string user = std::string(right.id.id).substr(0, std::string(right.id.id).find(':'));
+      std::string user = std::string(right.id.id).substr(0, std::string(right.id.id).find(':'));
       if (right.perms == ZOO_PERM_ALL && settings_.access->is_gateway(user)) return user;
     }
     return "";

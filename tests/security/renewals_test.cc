@@ -18,7 +18,7 @@ class Renewals : public testing::Test {
  protected:
   /// A copy of the holder's present certificate, as a thief has it.
   std::string stolen(const std::string& holder) {
-    const std::string copy = folder_ / (holder + "-" + std::to_string(++copies_));
+    std::string copy = folder_ / (holder + "-" + std::to_string(++copies_));
     std::filesystem::copy(made_.authority().certificate(holder), copy);
     return copy;
   }

@@ -106,7 +106,7 @@ TEST_F(Endpoints, FinishWhatIsUnderWayWhenTheWorkerStops) {
 }
 
 TEST_F(Endpoints, SayWhichChannelsThereAreWhenNoInstanceHasTheOneThatASpoutNames) {
-  testing::internal::CaptureStderr();
+  const tests::CapturedLog log;
   ComponentRegistry components;
   components.add_bolt<GateBolt>("Gate");
   run_yaml(
@@ -128,14 +128,8 @@ TEST_F(Endpoints, SayWhichChannelsThereAreWhenNoInstanceHasTheOneThatASpoutNames
     driver.channels.push_back(channel);
   }
   discovery::put(*registry_, paths_.instance("d"_driver, "one"_instance), discovery::encode(driver));
-  std::string log;
-  EXPECT_TRUE(eventually([&] {
-    log += testing::internal::GetCapturedStderr();
-    testing::internal::CaptureStderr();
-    return log.find("did you mean") != std::string::npos;
-  }));
-  log += testing::internal::GetCapturedStderr();
-  EXPECT_THAT(log,
+  EXPECT_TRUE(eventually([&] { return log.contains("did you mean"); }));
+  EXPECT_THAT(log.text(),
               testing::HasSubstr("in: waits for the channel \"temprature\", which no active instance of the driver d "
                                  "has; their outgoing channels are \"temperature\", \"wind\"; did you mean "
                                  "\"temperature\"?"));
@@ -202,20 +196,14 @@ TEST_F(Endpoints, SayInTheWorkersRecordWhichBrokerIsAwayAsLongAsItIs) {
 }
 
 TEST_F(Endpoints, SayThatThePrefetchIsTheLimitOfAWindowThatKeepsAllMessages) {
-  testing::internal::CaptureStderr();
+  const tests::CapturedLog log;
   run_yaml(window_behind_spout(", properties: {prefetchCount: 5}"), window_like());
   show_driver("one");
   const auto publisher = device("one");
   for (int i = 0; i < 20; ++i) publisher->publish(message("m", "one"));
-  std::string log;
-  EXPECT_TRUE(eventually([&] {
-    log += testing::internal::GetCapturedStderr();
-    testing::internal::CaptureStderr();
-    return log.find("is the limit") != std::string::npos;
-  }));
-  log += testing::internal::GetCapturedStderr();
-  EXPECT_THAT(log, testing::HasSubstr("in: prefetchCount (5) is the limit: of 1 channel(s)"));
-  EXPECT_THAT(log, testing::HasSubstr("bolts keep tuples: mean (for up to 20000 ms)"));
+  EXPECT_TRUE(eventually([&] { return log.contains("is the limit"); }));
+  EXPECT_THAT(log.text(), testing::HasSubstr("in: prefetchCount (5) is the limit: of 1 channel(s)"));
+  EXPECT_THAT(log.text(), testing::HasSubstr("bolts keep tuples: mean (for up to 20000 ms)"));
   EXPECT_EQ(metric("iotcloud_spout_prefetch_limited"), 1);
 }
 
