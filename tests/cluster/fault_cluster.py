@@ -109,13 +109,7 @@ class FaultCluster(PrivateCluster):
 
     def order(self, command):
         """A command to the registry's server; returns its answer."""
-        child = next(child for name, child in self.children if name == self.registry_kind)
-        child.stdin.write(command + "\n")
-        child.stdin.flush()
-        answer = child.stdout.readline().strip()
-        if not answer or answer.startswith("ERROR"):
-            raise StartError(f"{self.registry_kind} {command}: {answer or 'no answer'}")
-        return answer
+        return self.tell(self.registry_kind, command)
 
     def worker(self, isle=None):
         """Starts another worker, in the network `isle` if given; returns its name."""

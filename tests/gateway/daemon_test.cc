@@ -132,6 +132,13 @@ class DaemonTest : public ::testing::Test {
   }
 
   tests::PrivateServer zookeeper_{"zookeeper.py"};
+  /// Starts the daemon with an active instance. \return its host's process; 0: it has none
+  int start_with_host() {
+    start_daemon();
+    give(true);
+    return comes_to(DriverState::active) ? host_process() : 0;
+  }
+
   const discovery::Paths paths_;
   std::unique_ptr<discovery::Registry> registry_;
   fs::path folder_;
@@ -140,10 +147,7 @@ class DaemonTest : public ::testing::Test {
 };
 
 TEST_F(DaemonTest, AHostOutlivesAGatewayThatIsKilledAndIsAdoptedWhenItReturns) {
-  start_daemon();
-  give(true);
-  ASSERT_TRUE(comes_to(DriverState::active));
-  const int host = host_process();
+  const int host = start_with_host();
   ASSERT_GT(host, 0);
   const auto before = record();
   const auto session = alive_session();
@@ -225,10 +229,7 @@ TEST_F(DaemonTest, AZooKeeperThatLostItsDiskStopsNothingAndIsFollowedWhenItIsAdo
 TEST_F(DaemonTest, OneThatReturnsAfterAnotherGatewayTookItsPlaceEndsWithAnErrorAndItsHostsWithIt) {
   const std::string quick = "registry.session_timeout: 1s\n";
   configure(TEST_PLUGINS, quick);
-  start_daemon();
-  give(true);
-  ASSERT_TRUE(comes_to(DriverState::active));
-  const int host = host_process();
+  const int host = start_with_host();
   ASSERT_GT(host, 0);
   const auto before = record();
   const pid_t cut_off = daemon_;

@@ -112,6 +112,12 @@ TEST_P(RabbitMqServer, APermissionThatIsMissingForAWhileLosesNothing) {
   EXPECT_EQ(inbox.bodies(), numbered(1, 20));
 }
 
+/// Makes the durable queue of a topic; it stays.
+void make_queue(Broker& broker, const Topic& topic) {
+  Inbox nobody;
+  await_active(*broker.subscribe(topic, {}, nobody.handler()));
+}
+
 /// A publisher with a spool in a folder of its own, which is removed at the end.
 class SpoolToServer {
  public:
@@ -204,20 +210,12 @@ TEST_P(RabbitMqServer, AVirtualHostThatMayNotBeUsedForAWhileLosesNothing) {
 TEST_P(RabbitMqServer, AQueueThatTakesNoMoreMessagesLosesNothing) {
   const auto reader = this->broker();
   const Topic topic = this->topic(true);
-  {
-    Inbox nobody;
-    const auto subscription = reader->subscribe(topic, {}, nobody.handler());
-    await_active(*subscription);
-  }  // its queue stays
+  make_queue(*reader, topic);
   server().process()->command("cap", "CAPPED");
   const auto broker = this->broker();
   SpoolToServer spool(*broker, topic);
   const Topic other = this->topic(true);
-  {
-    Inbox nobody;
-    const auto subscription = reader->subscribe(other, {}, nobody.handler());
-    await_active(*subscription);
-  }
+  make_queue(*reader, other);
   Outcomes outcomes;
   PublisherOptions options;
   options.on_outcome = outcomes.callback();

@@ -201,6 +201,22 @@ class Routes : public ::testing::Test {
   std::deque<Data> data_;
   int last_ = 0;
   Verdict answers_;
+  /// A tuple for the instance "a", which comes, is dropped for the deadline of 10 s, and not before.
+  void expect_a_drop_at_the_deadline() {
+    start();
+    ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
+    const int number = send("a");
+    const double unknown = metric("iotcloud_bolt_unknown_driver_total");
+    clock_.advance(10s - 1ms);
+    table_->on_tick();
+    EXPECT_EQ(answers_.of(number), Answer::none);
+    clock_.advance(1ms);
+    table_->on_tick();
+    EXPECT_EQ(answers_.of(number), Answer::acked);
+    EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
+    EXPECT_EQ(metric("iotcloud_bolt_lost_total"), 2);
+  }
+
   std::unique_ptr<RouteTable> table_;
 };
 
@@ -266,18 +282,7 @@ TEST_F(Routes, OfAnInstanceThatComesBackKeepAllItsTuplesHoweverManyWait) {
 TEST_F(Routes, OfAnInstanceThatFailedWaitForItUpToTheirDeadline) {
   endpoint_.sending.deadline = 10s;
   show_record("a", DriverState::failed, true);
-  start();
-  ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
-  const int number = send("a");
-  const double unknown = metric("iotcloud_bolt_unknown_driver_total");
-  clock_.advance(10s - 1ms);
-  table_->on_tick();
-  EXPECT_EQ(answers_.of(number), Answer::none);
-  clock_.advance(1ms);
-  table_->on_tick();
-  EXPECT_EQ(answers_.of(number), Answer::acked);
-  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
-  EXPECT_EQ(metric("iotcloud_bolt_lost_total"), 2);
+  expect_a_drop_at_the_deadline();
 }
 
 TEST_F(Routes, OfAnInstanceThatIsLeftAloneAfterItFailedWaitAMomentOnly) {
@@ -362,18 +367,7 @@ TEST_F(Routes, OfAnInstanceThatDoesNotComeAreGivenUpInTheEnd) {
 TEST_F(Routes, OfAnInstanceThatStartsDropATupleWhoseDeadlinePasses) {
   endpoint_.sending.deadline = 10s;
   show("a", DriverState::starting);
-  start();
-  ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
-  const int number = send("a");
-  const double unknown = metric("iotcloud_bolt_unknown_driver_total");
-  clock_.advance(10s - 1ms);
-  table_->on_tick();
-  EXPECT_EQ(answers_.of(number), Answer::none);
-  clock_.advance(1ms);
-  table_->on_tick();
-  EXPECT_EQ(answers_.of(number), Answer::acked);
-  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
-  EXPECT_EQ(metric("iotcloud_bolt_lost_total"), 2);
+  expect_a_drop_at_the_deadline();
 }
 
 TEST_F(Routes, OfAnInstanceThatStartsLeaveItsTuplesToTheNextWorkerWhenThisOneStops) {

@@ -1,9 +1,12 @@
 #pragma once
 
+#include <chrono>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
+
+#include <gmock/gmock.h>
 
 #include <iotcloud/tests/topology/workshop.h>
 #include <iotcloud/topology/state/stateful_bolt.h>
@@ -63,5 +66,27 @@ struct Counting {
   std::shared_ptr<Sink> sink = std::make_shared<Sink>();
   std::optional<Runtime> runtime;
 };
+
+/// Runs one topology after the other, each with its own number of tasks and all on one store: each counts eight words
+/// twice, from where the one before was. \param checkpoint the time after which the bolt writes its state
+inline void expect_counts_to_go_on(const BoltFactory& bolt, const Config& config,
+                                   std::chrono::milliseconds checkpoint) {
+  const std::vector<std::string> words{"a", "b", "c", "d", "e", "f", "g", "h"};
+  int times = 0;
+  for (const int tasks : {2, 3, 2, 1, 3}) {
+    Counting counting(bolt, config, tasks);
+    std::vector<std::string> wanted;
+    for (int i = 0; i < 2; ++i) {
+      ++times;
+      for (const std::string& word : words) {
+        counting.put(word);
+        wanted.push_back(word + "=" + std::to_string(times));
+      }
+      counting.pass(checkpoint);
+    }
+    EXPECT_THAT(counting.seen(), testing::UnorderedElementsAreArray(wanted)) << tasks << " tasks";
+    EXPECT_EQ(counting.source->acked().size(), 2 * words.size());
+  }
+}
 
 }  // namespace iotcloud::topology::workshop

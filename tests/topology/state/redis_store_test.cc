@@ -339,22 +339,7 @@ TEST(ARedisThatMayForget, IsNoticedWithoutTuplesToo) {
 
 TEST(ARedis, KeepsEveryCountWhenTheNumberOfTasksChanges) {
   tests::PrivateServer server("redis.py");
-  const std::vector<std::string> words{"a", "b", "c", "d", "e", "f", "g", "h"};
-  int times = 0;
-  for (const int tasks : {2, 3, 2}) {
-    Counting counting(counting_in(server.url()), {}, tasks);
-    std::vector<std::string> wanted;
-    for (int i = 0; i < 2; ++i) {
-      ++times;
-      for (const std::string& word : words) {
-        counting.put(word);
-        wanted.push_back(word + "=" + std::to_string(times));
-      }
-      counting.pass(100ms);
-    }
-    EXPECT_THAT(counting.seen(), testing::UnorderedElementsAreArray(wanted)) << tasks << " tasks";
-    EXPECT_THAT(counting.source->acked(), SizeIs(2 * words.size()));
-  }
+  expect_counts_to_go_on(counting_in(server.url()), {}, 100ms);
 }
 
 TEST(ARedisOnAnotherMachine, IsRefusedWithoutTlsOrWithoutAUserAndPassword) {

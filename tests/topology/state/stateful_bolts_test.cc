@@ -166,31 +166,10 @@ TEST(StatefulBolts, AChangedNumberOfTasksIsRefusedAtStartUnlessItIsKnownWhoUsesW
               AllOf(HasSubstr("2 tasks, and now there are 3"), HasSubstr("\"state.keys: grouping\"")));
 }
 
-const std::vector<std::string> words{"a", "b", "c", "d", "e", "f", "g", "h"};
-
-/// One topology after the other, each with its number of tasks; each counts all words twice.
-void expect_counts_to_go_on(const BoltFactory& factory, const Config& config) {
-  int times = 0;
-  for (const int tasks : {2, 3, 2, 1, 3}) {
-    Counting counting(factory, config, tasks);
-    std::vector<std::string> wanted;
-    for (int i = 0; i < 2; ++i) {
-      ++times;
-      for (const std::string& word : words) {
-        counting.put(word);
-        wanted.push_back(word + "=" + std::to_string(times));
-      }
-      counting.pass(10ms);
-    }
-    EXPECT_THAT(counting.seen(), testing::UnorderedElementsAreArray(wanted)) << tasks << " tasks";
-    EXPECT_EQ(counting.source->acked().size(), 2 * words.size());
-  }
-}
-
 TEST(StatefulBolts, EveryCountIsKeptWhenTheNumberOfTasksChangesAndKeysAreTheGroupings) {
   const Folder folder;
   expect_counts_to_go_on(make_stateful_bolt<Count>({.store = folder.url(), .checkpoint = 10ms}),
-                         {{"state.keys", "grouping"}});
+                         {{"state.keys", "grouping"}}, 10ms);
 }
 
 /// Has a key of its own form, and says which words use it.
@@ -209,7 +188,7 @@ struct CountOfWord : Count {
 
 TEST(StatefulBolts, EveryCountIsKeptWhenTheNumberOfTasksChangesAndTheBoltSaysWhoUsesAKey) {
   const Folder folder;
-  expect_counts_to_go_on(make_stateful_bolt<CountOfWord>({.store = folder.url(), .checkpoint = 10ms}), {});
+  expect_counts_to_go_on(make_stateful_bolt<CountOfWord>({.store = folder.url(), .checkpoint = 10ms}), {}, 10ms);
 }
 
 /// Counts under one key for all words, although it says that a key is a word.
