@@ -42,6 +42,11 @@ class RabbitMqServer : public BrokerContract {
     link.send(1, number, method);
     ASSERT_TRUE(eventually([&] { return link.next_frame().has_value(); }));
   }
+  /// Makes the queue of a durable topic, which stays.
+  static void make_queue(Broker& broker, const Topic& topic) {
+    Inbox nobody;
+    await_active(*broker.subscribe(topic, {}, nobody.handler()));
+  }
   bool has_queue(const std::string& name) const {
     const auto link = operator_link();
     amqp_queue_declare_t request{};
@@ -110,12 +115,6 @@ TEST_P(RabbitMqServer, APermissionThatIsMissingForAWhileLosesNothing) {
   EXPECT_EQ(outcomes.count(Outcome::confirmed), 20U);
   ASSERT_TRUE(inbox.wait_for(20));
   EXPECT_EQ(inbox.bodies(), numbered(1, 20));
-}
-
-/// Makes the durable queue of a topic; it stays.
-void make_queue(Broker& broker, const Topic& topic) {
-  Inbox nobody;
-  await_active(*broker.subscribe(topic, {}, nobody.handler()));
 }
 
 /// A publisher with a spool in a folder of its own, which is removed at the end.
