@@ -145,6 +145,9 @@ function(iotcloud_command_test)
   add_test(NAME ${arg_NAME} COMMAND ${arg_COMMAND} WORKING_DIRECTORY ${arg_WORKING_DIRECTORY})
   set_tests_properties(${arg_NAME} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${labels}" SKIP_RETURN_CODE 77
                                               ENVIRONMENT "${arg_ENVIRONMENT}")
+  if(NOT arg_COST AND labels MATCHES "system")
+    set(arg_COST 200)  # these take long, so ctest starts them early, and none of them is left to run alone at the end
+  endif()
   if(arg_COST)
     set_tests_properties(${arg_NAME} PROPERTIES COST ${arg_COST})
   endif()

@@ -156,7 +156,12 @@ class Children:
     def require_alive(self):
         name = self.dead()
         if name:
-            raise StartError(f"{name} ended before its time; see {self.log(name)}")
+            raise StartError(f"{name} ended before its time with status {dict(self.children)[name].returncode}; the end of "
+                             f"{self.log(name)}:\n{self.last_lines(name)}")
+
+    def last_lines(self, name, count=20):
+        """The last lines of a child's log."""
+        return "\n".join(self.log(name).read_text(errors="replace").splitlines()[-count:])
 
     def stop(self, limit=10):
         while self.children:

@@ -137,6 +137,13 @@ class KafkaPartitions : public Endpoints {
   void publish_on(const std::string& channel, brokers::Broker& broker) {
     publishers_[channel] = broker.publisher({"", topic_of(channel), false}, many());
   }
+  /// Makes the topics with the publishers' numbers of partitions, before a worker makes them with its own: a topic that
+  /// is confirmed is there.
+  void make_topics() {
+    send_round();
+    for (const auto& [channel, publisher] : publishers_)
+      ASSERT_TRUE(publisher->drain(std::chrono::seconds(60))) << channel;
+  }
   /// Sends rounds until this many tasks have read something of the last one, and everything of it was read.
   bool until_tasks_read(std::size_t tasks) {
     return eventually([&] {
@@ -260,6 +267,7 @@ TEST_F(KafkaPartitions, WithOneNumberOfAllChannelsOfADriverAreReadInOneWorker) {
 
 TEST_F(KafkaPartitions, ThatAreAddedAreReadAndTheOthersAreReadOnFromWhereTheyWere) {
   publish_on("up", broker_with(1));
+  make_topics();
   show();
   start("one", partitions);
   ASSERT_TRUE(until_tasks_read(1));
@@ -277,8 +285,7 @@ TEST_F(KafkaPartitions, ThatAreAddedAreReadAndTheOthersAreReadOnFromWhereTheyWer
 TEST_F(KafkaPartitions, OfDifferentNumbersOfADriversChannelsAreRefusedUntilTheyAreTheSame) {
   publish_on("up", broker_with(partitions));
   publish_on("side", broker_with(2));
-  send_round();
-  for (const auto& [channel, publisher] : publishers_) ASSERT_TRUE(publisher->drain(std::chrono::seconds(20)));
+  make_topics();
   const tests::CapturedLog log;
   show({"up", "side"});
   start("one", 1, {"up", "side"});
@@ -303,8 +310,7 @@ TEST_F(KafkaPartitions, OfDifferentNumbersOfADriversChannelsAreRefusedUntilTheyA
 TEST_F(KafkaPartitions, OfDifferentNumbersAreNoTroubleOfAChannelThatMovedToAnotherBroker) {
   publish_on("up", broker_with(partitions));
   publish_on("side", broker_with(2));
-  send_round();
-  for (const auto& [channel, publisher] : publishers_) ASSERT_TRUE(publisher->drain(std::chrono::seconds(20)));
+  make_topics();
   show({"up", "side"});
   start("one", 1, {"up", "side"});
   const Worker& worker = *workers_.back();
