@@ -5,6 +5,7 @@ import os
 import platform
 import shlex
 import subprocess
+import time
 
 
 LIMIT_S = 600  # how long one program may take
@@ -99,3 +100,18 @@ def command_line(arguments):
         if before not in places and argument not in places and not argument.startswith(tuple(f"{place}=" for place in places)):
             kept.append(argument)
     return shlex.join(["./dev", "bench", *kept])
+
+
+def begin():
+    """What write() needs to know of the moment before a benchmark."""
+    return {"began": time.monotonic(), "machine": machine()}
+
+
+def write(file, root, command, begun, facts, results):
+    """Writes a benchmark's file: `command` as a person types it, `begun` of begin(), `facts` beside these (versions, say),
+    `results` in the form that all benchmarks share."""
+    written = {"machine": begun["machine"], "commit": commit(root), "command": command,
+               "seconds": time.monotonic() - begun["began"], **facts, "results": results}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+    print(f"figures: {file}")

@@ -60,6 +60,11 @@ def zookeeper():
     return {"ZooKeeper": said, "JVM": jvm()}
 
 
+def redis():
+    return {"Redis": said_by("dpkg-query", "-W", "-f=${Version}", "redis-server"),
+            "hiredis": said_by("pkg-config", "--modversion", "hiredis")}
+
+
 def storm():
     return {"Storm": of_jar(ROOT / "build/bench/storm/jars", "storm-server-*.jar"), "JVM": jvm()}
 
@@ -69,7 +74,7 @@ def jvm():
 
 
 SERVERS = {"rabbitmq": rabbitmq, "kafka": kafka, "activemq": activemq, "zookeeper": zookeeper,
-           "storm": storm}
+           "redis": redis, "storm": storm}
 
 
 def asked(build, *servers):

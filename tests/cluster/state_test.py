@@ -2,20 +2,29 @@
 """State in Redis, while workers come and go, are killed (kill -9) and frozen past their session at random, and Redis is
 killed and started again: a bolt counts the messages of each driver, and every count must be exact.
 
-usage: state_test.py BUILD_DIR [--seconds N] [--seed N]
+usage: state_test.py BUILD_DIR [--seconds N] [--seed N]      (./dev bench state builds, and runs this file)
 
 A message that comes again is recognised by its number, of which the bolt keeps a record in the same state
-(counting_bolt.cc). Prints the seed; `--seed N` repeats the choices.
+(counting_bolt.cc). Prints the seed; `--seed N` repeats the choices. Writes the counts as figures to
+build/bench/state.json (`./dev bench keep state`).
 """
 
 import argparse
 import random
 import signal
 import socket
+import sys
 import time
+from pathlib import Path
 
 from fault_cluster import PAUSE_S, SESSION_S, FaultCluster, finish, wait_for
 from private_server import freeze
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "bench"))
+
+import figures  # noqa: E402
+import versions  # noqa: E402
 
 WORKERS, DRIVERS, RATE = 3, 6, 50
 
@@ -79,12 +88,27 @@ class Faults:
         self.done[kind] += 1
 
 
+def figures_of(faults, sent, counted, again, totals):
+    """The counts in the form of a benchmark's results. `counted`: of each driver's instance."""
+    for kind, number in faults.done.items():
+        yield {"name": f"faults: {kind}", "value": number, "unit": "", "met": None}
+    wrong = sum(number != sent for number in counted)
+    yield {"name": "counted", "value": sum(counted), "unit": "messages", "baseline": "sent", "baseline_value": sent * len(counted),
+           "ratio": sum(counted) / (sent * len(counted)), "target": "all", "met": not wrong}
+    yield {"name": f"counts of {len(counted)} drivers that are not exact", "value": wrong, "unit": "", "target": "none",
+           "met": not wrong}
+    yield {"name": "came again and were recognised", "value": again, "unit": "messages", "met": None}
+    yield {"name": "lost on the way back to the driver", "value": totals["lost"], "unit": "messages", "target": "none",
+           "met": not totals["lost"]}
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("build")
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--seed", type=int, default=int(time.time()))
     given = parser.parse_args()
+    begun = figures.begin()
     choose = random.Random(given.seed)
     print(f"seed {given.seed}", flush=True)
     with FaultCluster(given.build, "state", library="counting_bolt.so", spout=", properties: {maxTries: 1000}") as cluster:
@@ -115,6 +139,9 @@ def main():
         cluster.require_alive()
     print(", ".join(f"{number} x {kind}" for kind, number in faults.done.items()))
     print(f"{DRIVERS} drivers, {count} messages each; counted: {found}; {again} came again and were recognised", flush=True)
+    figures.write(ROOT / "build/bench/state.json", ROOT, f"./dev bench state --seconds {given.seconds} --seed {given.seed}",
+                  begun, {"versions": versions.asked(given.build, "redis", "rabbitmq", "zookeeper")},
+                  list(figures_of(faults, count, found, again, totals)))
     if found != [count] * DRIVERS:
         raise SystemExit("a count is not exact")
     finish("state in Redis", totals)

@@ -9,11 +9,9 @@ usage: interop_test.py BUILD_DIR
 Exit status 77: skipped, because a server or a library cannot be had.
 """
 
-import json
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -143,18 +141,8 @@ def figures_of(rows):
                "met": None}
 
 
-def write_figures(build_dir, rows, began):
-    written = {"machine": figures.machine(), "commit": figures.commit(ROOT), "command": "./dev bench interop",
-               "seconds": time.monotonic() - began, "versions": versions.asked(build_dir, "rabbitmq", "kafka"),
-               "results": list(figures_of(rows))}
-    file = ROOT / "build/bench/interop.json"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
-    print(f"figures: {file}")
-
-
 def main():
-    build_dir, began = Path(sys.argv[1]).resolve(), time.monotonic()
+    build_dir, begun = Path(sys.argv[1]).resolve(), figures.begin()
     try:
         class_path = build()
         work = build_dir / "interop"
@@ -168,7 +156,8 @@ def main():
     for way, broker, kind, sent, got in rows:
         print(f"{way:<46} {broker:<9} {kind:<36} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
               f"{got['twice']:>6} {got['wrong']:>14}  {got['others']}")
-    write_figures(build_dir, rows, began)
+    figures.write(ROOT / "build/bench/interop.json", ROOT, "./dev bench interop", begun,
+                  {"versions": versions.asked(build_dir, "rabbitmq", "kafka")}, list(figures_of(rows)))
     bad = [row for row in rows if row[3] == 0 or row[3] != row[4]["received"] or row[4]["twice"] or row[4]["wrong"]]
     require(not bad, f"messages were lost, came twice or had wrong headers: {bad}")
     return 0

@@ -1,9 +1,17 @@
 // State in Redis: who may write it, and what becomes of it when a server dies, fails over or could forget.
+#include <array>
+#include <chrono>
 #include <cstdlib>
 #include <fstream>
+#include <future>
+#include <memory>
+#include <set>
 #include <string>
+#include <thread>
+#include <utility>
 #include <vector>
 
+#include <boost/asio.hpp>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -335,6 +343,87 @@ TEST(ARedisThatMayForget, IsNoticedWithoutTuplesToo) {
     counting.pass(100ms);
     return troubles() == 0;
   }));
+}
+
+/// A Redis that answers a claim only when another connection waits for an answer at the same time. Its whole data are
+/// empty keys.
+class RendezvousRedis {
+ public:
+  RendezvousRedis() : acceptor_(io_, {boost::asio::ip::address_v4::loopback(), 0}) { accept(); }
+  ~RendezvousRedis() {
+    io_.stop();
+    thread_.join();
+  }
+  std::string url() const { return "redis://127.0.0.1:" + std::to_string(acceptor_.local_endpoint().port()); }
+
+ private:
+  using Socket = boost::asio::ip::tcp::socket;
+
+  struct Client {
+    explicit Client(Socket connected) : socket(std::move(connected)) {}
+    Socket socket;
+    std::array<char, 4096> place{};
+    std::string asked{};
+  };
+
+  void accept() {
+    acceptor_.async_accept([this](const auto& error, Socket socket) {
+      if (error) return;
+      read(std::make_shared<Client>(std::move(socket)));
+      accept();
+    });
+  }
+  void read(const std::shared_ptr<Client>& client) {
+    client->socket.async_read_some(boost::asio::buffer(client->place), [=, this](const auto& error, std::size_t size) {
+      if (error) {
+        waiting_.erase(client);
+        return;
+      }
+      client->asked.append(client->place.data(), size);
+      // A client sends one command, and then it waits.
+      if (client->asked.find("INFO") != std::string::npos) {
+        const std::string info = "\r\nrole:master\r\nmaxmemory_policy:noeviction\r\naof_enabled:1\r\n";
+        client->asked.clear();
+        answer(*client, "$" + std::to_string(info.size()) + "\r\n" + info + "\r\n");
+      } else if (client->asked.find("EVAL") != std::string::npos) {
+        client->asked.clear();
+        waiting_.insert(client);
+      }
+      if (waiting_.size() > 1) {
+        for (const auto& each : waiting_) answer(*each, "*2\r\n$-1\r\n$-1\r\n");
+        waiting_.clear();
+      }
+      read(client);
+    });
+  }
+  static void answer(Client& client, const std::string& text) {
+    boost::system::error_code gone;
+    boost::asio::write(client.socket, boost::asio::buffer(text), gone);
+  }
+
+  boost::asio::io_context io_;
+  boost::asio::ip::tcp::acceptor acceptor_;
+  std::set<std::shared_ptr<Client>> waiting_;   ///< for the answer to a claim
+  std::jthread thread_{[this] { io_.run(); }};  ///< last: it uses the others
+};
+
+TEST(ARedis, IsAskedByEachTaskWithoutWaitingForTheAnswersOfOthers) {
+  RendezvousRedis server;
+  const auto store = make_state_store(server.url());
+  const auto read = [&](const std::string& key) {
+    KeyValueState state(store, StateOwner{"t", "count", 0, 2});
+    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+    while (true) {
+      try {
+        return state.find(key) == nullptr;
+      } catch (const StateUnavailable&) {  // the other one did not ask within the limit for an answer
+        if (std::chrono::steady_clock::now() > deadline) return false;
+      }
+    }
+  };
+  auto one = std::async(std::launch::async, [&] { return read("one"); });
+  EXPECT_TRUE(read("two"));
+  EXPECT_TRUE(one.get());
 }
 
 TEST(ARedis, KeepsEveryCountWhenTheNumberOfTasksChanges) {

@@ -1,0 +1,212 @@
+#include <chrono>
+#include <string_view>
+
+#include <iotcloud/config/log.h>
+#include <iotcloud/topology/state/redis/redis_pool.h>
+
+namespace iotcloud::topology::internal {
+
+namespace {
+
+constexpr config::Logger state_logger{"topology.state"};
+
+constexpr std::chrono::milliseconds answer_limit{2000};
+/// How long the pool does not ask a server again after a failure, so that a task does not wait for each of its tuples.
+constexpr std::chrono::milliseconds redis_pause{200};
+/// How often make_sure() asks the server.
+constexpr std::chrono::milliseconds look_pause{1000};
+/// The only maxmemory-policy with which a server keeps all keys.
+constexpr const char* keeps_all = "noeviction";
+
+constexpr const char* keeps_all_script = R"(
+local policy = string.match(redis.call('INFO', 'memory'), 'maxmemory_policy:([%w-]+)')
+if policy ~= 'noeviction' then return redis.error_reply('EVICTS ' .. tostring(policy)) end
+)";
+constexpr std::string_view evicts = "EVICTS ";
+
+/// A line's value in the answer to INFO ("role:master\r\n"); empty: there is no such line.
+std::string info_of(const std::string& info, const std::string& name) {
+  const auto line = info.find("\n" + name + ":");
+  if (line == std::string::npos) return {};
+  const auto begin = line + name.size() + 2;
+  return info.substr(begin, info.find_first_of("\r\n", begin) - begin);
+}
+
+std::string forgetful(const std::string& policy) {
+  return "forgets keys when its memory is full (maxmemory-policy " + policy +
+         "), and state with them; set maxmemory-policy noeviction";
+}
+
+/// What a server's refusal means.
+std::string meaning(const std::string& refusal) {
+  if (!refusal.starts_with(evicts)) return refusal;
+  return "it " + forgetful(refusal.substr(evicts.size(), refusal.find(' ', evicts.size()) - evicts.size()));
+}
+
+}  // namespace
+
+std::string RedisPool::for_a_server_that_keeps_all(const std::string& script) {
+  return keeps_all_script + script;
+}
+
+void RedisPool::connect() {
+  give_back(take());
+}
+
+RedisReply RedisPool::ask(const std::vector<std::string>& words) {
+  Lent lent;
+  try {
+    lent = take();
+  } catch (const StateUnavailable&) {
+    throw;
+  } catch (const StateError& error) {
+    throw StateUnavailable(error.what());
+  }
+  std::string problem;
+  try {
+    RedisReply reply = lent.connection->ask(words);
+    give_back(std::move(lent));
+    return reply;
+  } catch (const RedisRefusal& refusal) {
+    problem = "the state store " + address_.text + ": " + meaning(refusal.what());
+  } catch (const StateError& error) {
+    problem = error.what();
+  }
+  give_up(lent.generation, problem);
+  throw StateUnavailable(problem);
+}
+
+void RedisPool::make_sure() {
+  std::uint64_t generation = 0;
+  {
+    const config::MutexLock lock(mutex_);
+    if (config::system_clock().now() < look_at_) return;
+    generation = generation_;
+  }
+  const std::string policy = info_of(ask({"INFO"}).text, "maxmemory_policy");
+  std::string master;
+  {
+    const config::MutexLock lock(mutex_);
+    if (policy == keeps_all) {
+      if (generation == generation_) look_at_ = config::system_clock().now() + look_pause;
+      return;
+    }
+    master = master_;
+  }
+  const std::string problem = "the Redis at " + master + " " + forgetful(policy);
+  give_up(generation, problem);
+  throw StateUnavailable(problem);
+}
+
+/// A connection to the master: one that waits, or a new one. \throws as connect()
+RedisPool::Lent RedisPool::take() {
+  std::uint64_t generation = 0;
+  {
+    const config::MutexLock lock(mutex_);
+    if (!idle_.empty()) {
+      Lent lent{std::move(idle_.back()), generation_};
+      idle_.pop_back();
+      return lent;
+    }
+    if (config::system_clock().now() < again_at_) throw StateUnavailable(last_problem_);
+    generation = generation_;
+  }
+  return open(generation);
+}
+
+void RedisPool::give_back(Lent lent) {
+  const config::MutexLock lock(mutex_);
+  if (lent.generation == generation_) idle_.push_back(std::move(lent.connection));
+}
+
+/// Forgets all connections of that generation, unless another thread has done so.
+void RedisPool::give_up(std::uint64_t generation, std::string problem) {
+  const config::MutexLock lock(mutex_);
+  if (generation != generation_) return;
+  begin_generation();
+  last_problem_ = std::move(problem);
+  again_at_ = config::system_clock().now() + redis_pause;
+}
+
+/// Forgets all connections: those that are lent are not taken back.
+void RedisPool::begin_generation() {
+  ++generation_;
+  idle_.clear();
+  look_at_ = {};
+}
+
+/// Connects to the master.
+RedisPool::Lent RedisPool::open(std::uint64_t generation) {
+  std::string problems;
+  for (const RedisServer& server : address_.servers) {
+    try {
+      Lent lent{std::make_unique<RedisConnection>(address_, server, answer_limit), generation};
+      greet(*lent.connection);
+      found(lent.connection->name());
+      return lent;
+    } catch (const StateUnavailable& error) {
+      problems += (problems.empty() ? "" : "; ") + std::string(error.what());
+    } catch (const StateError& error) {
+      give_up(generation, error.what());
+      throw;
+    }
+  }
+  give_up(generation, problems);
+  throw StateUnavailable(problems);
+}
+
+/// Remembers the master. If it is another one than before, says so, and sees that no connection to that one is used: a
+/// task that wrote a lost key finds that by itself; one that did not write it cannot.
+void RedisPool::found(const std::string& master) {
+  std::string before;
+  {
+    const config::MutexLock lock(mutex_);
+    before = std::exchange(master_, master);
+    if (before.empty() || before == master) return;
+    begin_generation();
+  }
+  state_logger.warn(
+      "the state store failed over from {} to {}, which may have lost the last checkpoints, whose messages were "
+      "acknowledged: Redis copies to replicas after it has answered",
+      before, master);
+}
+
+/// Logs in, and checks that the server is the master and keeps what it has.
+void RedisPool::greet(RedisConnection& server) {
+  try {
+    const std::string password = password_of(address_);
+    if (!address_.user.empty()) {
+      server.ask({"AUTH", address_.user, password});
+    } else if (!password.empty()) {
+      server.ask({"AUTH", password});
+    }
+    const std::string info = server.ask({"INFO"}).text;
+    if (const std::string role = info_of(info, "role"); role != "master") {
+      throw StateUnavailable("the Redis at " + server.name() + " is no master but a " + role);
+    }
+    if (info_of(info, "loading") == "1") {
+      throw StateUnavailable("the Redis at " + server.name() + " reads its data from the disk");
+    }
+    if (const std::string policy = info_of(info, "maxmemory_policy"); policy != keeps_all) {
+      throw StateError("the Redis at " + server.name() + " " + forgetful(policy));
+    }
+    if (info_of(info, "aof_enabled") == "1") return;
+    {
+      const config::MutexLock lock(mutex_);
+      if (!told_of_restarts_.insert(server.name()).second) return;
+    }
+    state_logger.warn(
+        "the Redis at {} keeps no log on the disk, so when it restarts it loses checkpoints whose messages were "
+        "acknowledged; set appendonly yes and appendfsync always",
+        server.name());
+  } catch (const RedisRefusal& refusal) {
+    const std::string text = refusal.what();
+    const std::string what = "the Redis at " + server.name() + " refuses: " + text;
+    if (text.starts_with("LOADING") || text.starts_with("MASTERDOWN") || text.starts_with("BUSY")) {
+      throw StateUnavailable(what);
+    }
+    throw StateError(what + "; see topology/state/README.md for the rights that its user needs");
+  }
+}
+
+}  // namespace iotcloud::topology::internal
