@@ -89,6 +89,8 @@ class FaultCluster(PrivateCluster):
         self.registry_kind, self.library, self.bolt, self.spout = registry, library, bolt, spout
         self.broker, self.guarded = broker, guarded
         self.reports, self.started, self.pages = [], 0, {}
+        self.password = self.out / "registry.password"
+        self.password.write_text("secret\n")
 
     def start(self, *arguments, **options):
         if self.broker == "kafka":
@@ -102,9 +104,7 @@ class FaultCluster(PrivateCluster):
     def daemon(self, program, name, configuration, enter=(), options=()):
         if not self.guarded:
             return super().daemon(program, name, configuration, enter, options)
-        password = self.out / "registry.password"
-        password.write_text("secret\n")
-        user = f"registry.user: fleet\nregistry.password_file: {password}\n"
+        user = f"registry.user: fleet\nregistry.password_file: {self.password}\n"
         return super().daemon(program, name, configuration.lstrip() + "\n" + user, enter, options)
 
     def order(self, command):
