@@ -278,9 +278,9 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
   const auto known = channels_.find(channel.instance);
   if (known != channels_.end()) {
     const discovery::ChannelRecord before = known->second;
-    if (before.shared && !(channel.shared && before.gateway == channel.gateway && key_of(before) == key_of(channel))) {
-      follow_no_more(before);
-    }
+    const bool readable = misfit(channel, discovery::Direction::out, endpoint_.broker).empty();
+    const bool same_topic = before.gateway == channel.gateway && key_of(before) == key_of(channel);
+    if (!(channel.shared && readable && same_topic)) follow_no_more(before);
     if (unit_of(before) != unit_of(channel)) displace(before, 0, SpoutUnits::End::at_once);
     if (before.gateway != channel.gateway || !channel.shared) {
       channels_.erase(known);
