@@ -102,15 +102,15 @@ def command_line(arguments):
     return shlex.join(["./dev", "bench", *kept])
 
 
-def begin():
-    """What write() needs to know of the moment before a benchmark."""
-    return {"began": time.monotonic(), "machine": machine()}
+def begin(root):
+    """What write() needs to know of the moment before a benchmark: the tree may be changed while it runs."""
+    return {"began": time.monotonic(), "machine": machine(), "commit": commit(root)}
 
 
-def write(file, root, command, begun, facts, results):
+def write(file, command, begun, facts, results):
     """Writes a benchmark's file: `command` as a person types it, `begun` of begin(), `facts` beside these (versions, say),
     `results` in the form that all benchmarks share."""
-    written = {"machine": begun["machine"], "commit": commit(root), "command": command,
+    written = {"machine": begun["machine"], "commit": begun["commit"], "command": command,
                "seconds": time.monotonic() - begun["began"], **facts, "results": results}
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")

@@ -31,12 +31,16 @@ struct ReaderRecord {
   std::string broker;         ///< the logical broker
   std::string where;          ///< which drivers, as the YAML says it
   std::int64_t since_ms = 0;  ///< when it joined, Unix time
+  /// All spouts of its topology that read the driver in this group, with what decides about their shares; empty: one
+  /// spout only, or an older worker.
+  std::string spouts;
   static constexpr int max_tasks = 1'000'000;
   static constexpr const char* what = "a reader of a group";
   static constexpr auto fields =
       std::tuple{IOTCLOUD_FIELD(topology, required), IOTCLOUD_FIELD(tasks, required),
                  IOTCLOUD_FIELD(shares, required),   IOTCLOUD_FIELD(broker, required),
-                 IOTCLOUD_FIELD(where, required),    IOTCLOUD_FIELD_AS(since_ms, required, "since", since)};
+                 IOTCLOUD_FIELD(where, required),    IOTCLOUD_FIELD_AS(since_ms, required, "since", since),
+                 IOTCLOUD_FIELD(spouts, rare)};
   friend bool operator==(const ReaderRecord&, const ReaderRecord&) = default;
 };
 

@@ -108,7 +108,7 @@ def main():
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--seed", type=int, default=int(time.time()))
     given = parser.parse_args()
-    begun = figures.begin()
+    begun = figures.begin(ROOT)
     choose = random.Random(given.seed)
     print(f"seed {given.seed}", flush=True)
     with FaultCluster(given.build, "state", library="counting_bolt.so", spout=", properties: {maxTries: 1000}") as cluster:
@@ -139,7 +139,7 @@ def main():
         cluster.require_alive()
     print(", ".join(f"{number} x {kind}" for kind, number in faults.done.items()))
     print(f"{DRIVERS} drivers, {count} messages each; counted: {found}; {again} came again and were recognised", flush=True)
-    figures.write(ROOT / "build/bench/state.json", ROOT, f"./dev bench state --seconds {given.seconds} --seed {given.seed}",
+    figures.write(ROOT / "build/bench/state.json", f"./dev bench state --seconds {given.seconds} --seed {given.seed}",
                   begun, {"versions": versions.asked(given.build, "redis", "rabbitmq", "zookeeper")},
                   list(figures_of(faults, count, found, again, totals)))
     if found != [count] * DRIVERS:

@@ -142,7 +142,7 @@ def figures_of(rows):
 
 
 def main():
-    build_dir, begun = Path(sys.argv[1]).resolve(), figures.begin()
+    build_dir, begun = Path(sys.argv[1]).resolve(), figures.begin(ROOT)
     try:
         class_path = build()
         work = build_dir / "interop"
@@ -156,7 +156,7 @@ def main():
     for way, broker, kind, sent, got in rows:
         print(f"{way:<46} {broker:<9} {kind:<36} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
               f"{got['twice']:>6} {got['wrong']:>14}  {got['others']}")
-    figures.write(ROOT / "build/bench/interop.json", ROOT, "./dev bench interop", begun,
+    figures.write(ROOT / "build/bench/interop.json", "./dev bench interop", begun,
                   {"versions": versions.asked(build_dir, "rabbitmq", "kafka")}, list(figures_of(rows)))
     bad = [row for row in rows if row[3] == 0 or row[3] != row[4]["received"] or row[4]["twice"] or row[4]["wrong"]]
     require(not bad, f"messages were lost, came twice or had wrong headers: {bad}")

@@ -17,6 +17,9 @@ EndpointDefinition with_own_builder(EndpointDefinition endpoint) {
 EndpointFactories endpoint_factories(EndpointServicesPtr services) {
   EndpointFactories factories;
   factories.spout = [services](const ComponentDefinition& spout) -> SpoutFactory {
+    services->units->declare(source_of(*spout.endpoint, *services),
+                             spout.endpoint->channel + " x " + std::to_string(spout.tasks) + " " +
+                                 (spout.endpoint->where.everything() ? "" : spout.endpoint->where.text()));
     auto placement = std::make_shared<SpoutPlacement>(services, spout.id, *spout.endpoint);
     services->after_stop.emplace_back([services = services.get(), endpoint = *spout.endpoint] {
       ReadingGroup::clear_up(*services->registry, readers_path(endpoint, *services));

@@ -53,6 +53,10 @@ const std::string& group_of(const EndpointDefinition& endpoint, const EndpointSe
   return endpoint.group.empty() ? services.topology.str() : endpoint.group;
 }
 
+DriverUnits::Source source_of(const EndpointDefinition& endpoint, const EndpointServices& services) {
+  return {group_of(endpoint, services), endpoint.driver};
+}
+
 std::string readers_path(const EndpointDefinition& endpoint, const EndpointServices& services) {
   return services.paths.readers(group_of(endpoint, services), endpoint.driver, endpoint.channel);
 }

@@ -12,6 +12,7 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
+#include <iotcloud/topology/endpoints/placement/driver_units.h>
 #include <iotcloud/topology/endpoints/placement/partition_agreement.h>
 #include <iotcloud/topology/endpoints/receiving/held_messages.h>
 #include <iotcloud/topology/endpoints/standstill_fence.h>
@@ -39,6 +40,7 @@ struct EndpointServices {
   std::shared_ptr<TroubleBoard> troubles = std::make_shared<TroubleBoard>();     ///< never null; the runtime's, too
   std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();  ///< never null
   std::shared_ptr<PartitionAgreement> partitions = std::make_shared<PartitionAgreement>();  ///< never null
+  std::shared_ptr<DriverUnits> units = std::make_shared<DriverUnits>();                     ///< never null
   std::vector<std::function<void()>> before_stop;  ///< the worker calls these before it stops the topology
   std::vector<std::function<void()>> after_stop;   ///< the worker calls these when it has left the registry
 };
@@ -54,6 +56,8 @@ std::string misfit(const discovery::ChannelRecord& channel, discovery::Direction
 brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const EndpointServices& services);
 /// The name of the group whose workers share the channel's messages; the broker gets it as the consumers' group.
 const std::string& group_of(const EndpointDefinition& endpoint, const EndpointServices& services);
+/// The endpoint's driver, as that group sees it.
+DriverUnits::Source source_of(const EndpointDefinition& endpoint, const EndpointServices& services);
 /// The registry's node of that group's readers for the endpoint's channel.
 std::string readers_path(const EndpointDefinition& endpoint, const EndpointServices& services);
 /// The channel's priority, 0 to 9, from its record; normal_priority if there is none.

@@ -296,26 +296,28 @@ TEST_F(MembersOfAGroup, HaveNoShareOfATopologyThatDoesNotSayThatItShares) {
 class Told {
  public:
   Told(discovery::Registry& registry, const ReadingGroup::Member& self)
-      : group_(registry, "/iot/groups/g/d/c", self, [this](const auto& sharers, const std::string& problem) {
+      : group_(registry, "/iot/groups/g/d/c", self, [this](const auto& shares) {
           const std::lock_guard lock(mutex_);
-          sharers_ = sharers;
-          problem_ = problem;
+          shares_ = shares;
         }) {}
   std::vector<std::string> workers() const {
     const std::lock_guard lock(mutex_);
     std::vector<std::string> all;
-    for (const auto& sharer : sharers_) all.push_back(sharer.worker);
+    for (const auto& sharer : shares_.sharers) all.push_back(sharer.worker);
     return all;
   }
   std::string problem() const {
     const std::lock_guard lock(mutex_);
-    return problem_;
+    return shares_.problem;
+  }
+  bool alike() const {
+    const std::lock_guard lock(mutex_);
+    return shares_.alike;
   }
 
  private:
   mutable std::mutex mutex_;
-  std::vector<Sharer> sharers_;  ///< guarded by mutex_
-  std::string problem_;          ///< guarded by mutex_
+  ReadingGroup::Shares shares_;  ///< guarded by mutex_
   ReadingGroup group_;           // goes first
 };
 
@@ -353,6 +355,19 @@ TEST_F(MembersOfAGroup, AreToldInWhatTheyDifferFromTheFirst) {
   EXPECT_THAT(alone.problem(), HasSubstr("\"topology of silent\" does not say that it shares"));
   EXPECT_THAT(alone.workers(), ElementsAre("first"));
   EXPECT_EQ(first.problem(), "");
+}
+
+TEST_F(MembersOfAGroup, AreToldWhetherAllOfThemHaveTheSameSpoutsOfTheDriver) {
+  auto both = member("b", 20), one = member("c", 30);
+  both.spouts = "side x 1; up x 1";
+  Told first(*registry_, both);
+  EXPECT_TRUE(eventually([&] { return first.alike(); }));
+  {
+    Told older(*registry_, one);
+    EXPECT_TRUE(eventually([&] { return !first.alike() && !older.alike() && older.workers().size() == 2; }));
+    EXPECT_EQ(older.problem(), "") << "it has its share all the same";
+  }
+  EXPECT_TRUE(eventually([&] { return first.alike(); }));
 }
 
 TEST_F(MembersOfAGroup, AreReadAgainWhenTheRegistryComesBack) {

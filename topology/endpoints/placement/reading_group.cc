@@ -16,14 +16,15 @@ constexpr std::chrono::milliseconds retry_pause{500};
 
 std::string encode(const ReadingGroup::Member& member) {
   return discovery::encode(discovery::ReaderRecord{member.topology, member.sharer.tasks, member.shares, member.broker,
-                                                   member.where, member.since_ms});
+                                                   member.where, member.since_ms, member.spouts});
 }
 
 /// \throws config::Error when the bytes are no valid record.
 ReadingGroup::Member decode(const std::string& worker, const std::string& bytes, const std::string& path) {
   auto reader = discovery::decode_reader(bytes, path);
   return {{worker, reader.tasks},   std::move(reader.topology), reader.shares,
-          std::move(reader.broker), std::move(reader.where),    reader.since_ms};
+          std::move(reader.broker), std::move(reader.where),    reader.since_ms,
+          std::move(reader.spouts)};
 }
 
 /// Why two members cannot share; empty: they can.
@@ -111,11 +112,13 @@ void ReadingGroup::tell(std::vector<Member> members) {
     return a.since_ms != b.since_ms ? a.since_ms < b.since_ms : a.sharer.worker < b.sharer.worker;
   });
   const Member first = members.front();
-  std::vector<Sharer> sharers;
+  Shares shares{{}, true, difference(first, self_)};
   for (const auto& member : members) {
-    if (difference(first, member).empty()) sharers.push_back(member.sharer);
+    if (!difference(first, member).empty()) continue;
+    shares.sharers.push_back(member.sharer);
+    shares.alike = shares.alike && member.spouts == first.spouts;
   }
-  on_change_(sharers, difference(first, self_));
+  on_change_(shares);
 }
 
 void ReadingGroup::clear_up(discovery::Registry& registry, const std::string& path) noexcept {

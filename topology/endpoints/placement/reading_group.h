@@ -27,10 +27,16 @@ class ReadingGroup {
     std::string broker;         ///< the logical broker
     std::string where;          ///< as the YAML says it
     std::int64_t since_ms = 0;  ///< when it joined, Unix time
+    std::string spouts;         ///< DriverUnits::description()
   };
-  /// \param sharers the members that get a share. \param problem why this worker gets none, as a text for the log;
-  /// empty: it gets one.
-  using OnChange = std::function<void(const std::vector<Sharer>& sharers, const std::string& problem)>;
+  /// Who shares the group's units.
+  struct Shares {
+    std::vector<Sharer> sharers;
+    /// All of them have the same spouts of the driver (Member::spouts), so all know the same units of it.
+    bool alike = false;
+    std::string problem;  ///< why this worker gets no share, as a text for the log; empty: it gets one
+  };
+  using OnChange = std::function<void(const Shares& shares)>;
 
   /// Adds this worker to the group; the destructor removes it. \param path discovery::Paths::readers(). \param
   /// on_change is called on the registry's dispatcher, once soon and then after each change.

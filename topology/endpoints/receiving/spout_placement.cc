@@ -46,12 +46,19 @@ class Candidacy final : public discovery::Guard {
 }  // namespace
 
 struct SpoutPlacement::Search {
-  explicit Search(StandstillFence& f) : fence(f) {}
-  ~Search() { fence.ignore(listener); }
+  Search(StandstillFence& f, DriverUnits& of_all, DriverUnits::Source of, const std::string& spout)
+      : fence(f), units(of_all), source(std::move(of)), component(spout) {}
+  ~Search() {
+    fence.ignore(listener);
+    units.ignore(source, component);
+  }
   Search(const Search&) = delete;
   Search& operator=(const Search&) = delete;
 
   StandstillFence& fence;
+  DriverUnits& units;
+  const DriverUnits::Source source;
+  const std::string& component;
   int listener = 0;
   discovery::GuardPtr session;
   std::unique_ptr<ReadingGroup> group;
@@ -69,6 +76,13 @@ SpoutPlacement::SpoutPlacement(EndpointServicesPtr services, std::string compone
                   [this](const auto& channel, const auto& topic, auto partition, int task) {
                     dispatcher_.assert_held();
                     return open_reader(channel, topic, partition, task);
+                  },
+              .shared_together =
+                  [this](const UnitNames& own) {
+                    dispatcher_.assert_held();
+                    const auto source = source_of(endpoint_, *services_);
+                    services_->units->set(source, component_, own);
+                    return alike_ ? services_->units->of(source) : own;
                   }}),
       prefetch_report_(services_, component_, endpoint_.reading.own_prefetch) {}
 
@@ -86,7 +100,8 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
   // Callbacks on the dispatcher take mutex_. So it is not held here, nor in leave() while the watches are destroyed,
   // which waits for callbacks that run.
   auto& registry = *services_->registry;
-  auto search = std::make_unique<Search>(*services_->fence);
+  const auto source = source_of(endpoint_, *services_);
+  auto search = std::make_unique<Search>(*services_->fence, *services_->units, source, component_);
   SplitTopics::Options topics;
   topics.component = component_;
   topics.group = group_of(endpoint_, *services_);
@@ -101,17 +116,9 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
   };
   split_topics_ = std::make_unique<SplitTopics>(std::move(topics));
   split_topics_->begin();
-  search->listener = services_->fence->listen([this] {
-    const config::MutexLock lock(mutex_);
-    if (over_ || anew_) return;
-    anew_ = services_->registry->after(std::chrono::milliseconds(0), [this] {
-      in_turn([&] {
-        dispatcher_.assert_held();
-        const auto planned = take_anew();  // destroyed here, inside its own call, so that nobody waits for that call
-        units_.read_anew();
-      });
-    });
-  });
+  search->listener = services_->fence->listen([this] { plan_soon(&SpoutPlacement::anew_, &SpoutUnits::read_anew); });
+  services_->units->listen(source, component_,
+                           [this] { plan_soon(&SpoutPlacement::shared_anew_, &SpoutUnits::share_out); });
   search->session = registry.on_session([this](discovery::SessionState state) {
     in_turn([&] {
       dispatcher_.assert_held();
@@ -125,13 +132,13 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
   self.broker = endpoint_.broker;
   self.where = endpoint_.where.everything() ? "" : endpoint_.where.text();
   self.since_ms = services_->clock->wall_ms();
-  search->group = std::make_unique<ReadingGroup>(registry, path_, std::move(self),
-                                                 [this](const auto& sharers, const std::string& problem) {
-                                                   in_turn([&] {
-                                                     dispatcher_.assert_held();
-                                                     on_sharers(sharers, problem);
-                                                   });
-                                                 });
+  self.spouts = services_->units->description(source);
+  search->group = std::make_unique<ReadingGroup>(registry, path_, std::move(self), [this](const auto& shares) {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      on_shares(shares);
+    });
+  });
   discovery::DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const discovery::ChannelRecord& channel) {
     in_turn([&] {
@@ -168,17 +175,19 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
 }
 
 void SpoutPlacement::leave() {
-  discovery::GuardPtr anew;
+  discovery::GuardPtr anew, shared_anew;
   {
     const config::MutexLock lock(mutex_);
     if (std::exchange(over_, true)) return;
     while (in_turn_) turn_over_.wait(mutex_);
     anew.swap(anew_);
+    shared_anew.swap(shared_anew_);
     queues_.clear();
   }
   dispatcher_.assert_held();  // no callback begins any more
   search_.reset();
   anew.reset();
+  shared_anew.reset();
   plans_ = {};
   while (!differences_.empty()) {
     const discovery::GatewayId gateway = differences_.begin()->first;
@@ -227,9 +236,21 @@ void SpoutPlacement::plan_what_follows() {
   }
 }
 
-discovery::GuardPtr SpoutPlacement::take_anew() {
+void SpoutPlacement::plan_soon(discovery::GuardPtr SpoutPlacement::*timer, void (SpoutUnits::*call)()) {
   const config::MutexLock lock(mutex_);
-  return std::move(anew_);
+  if (over_ || this->*timer) return;
+  this->*timer = services_->registry->after(std::chrono::milliseconds(0), [this, timer, call] {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      const auto planned = take(timer);  // destroyed here, inside its own call, so that nobody waits for that call
+      (units_.*call)();
+    });
+  });
+}
+
+discovery::GuardPtr SpoutPlacement::take(discovery::GuardPtr SpoutPlacement::*timer) {
+  const config::MutexLock lock(mutex_);
+  return std::move(this->*timer);
 }
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
@@ -392,13 +413,14 @@ bool SpoutPlacement::queues_are_empty() {
   return std::all_of(queues_.begin(), queues_.end(), [](const auto& entry) { return entry.second->size() == 0; });
 }
 
-void SpoutPlacement::on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) {
-  if (problem != problem_ && !problem.empty()) {
+void SpoutPlacement::on_shares(const ReadingGroup::Shares& shares) {
+  if (shares.problem != problem_ && !shares.problem.empty()) {
     endpoints_logger.error("{}: channel {} of driver {} is not read here: {}", component_, endpoint_.channel,
-                           endpoint_.driver, problem);
+                           endpoint_.driver, shares.problem);
   }
-  problem_ = problem;
-  units_.set_sharers(sharers);
+  problem_ = shares.problem;
+  alike_ = shares.alike;
+  units_.set_sharers(shares.sharers);
   units_.share_out();
 }
 

@@ -33,6 +33,11 @@ namespace iotcloud::topology {
 /// that they lead. A unit is drained before it moves. A unit whose last channel is gone (its drivers have stopped) is
 /// read until nothing more comes, because what they sent before may still be at the broker. While the registry is away
 /// no unit moves and reading goes on.
+///
+/// The units of all spouts of a driver are shared out together (DriverUnits), so that whichever channels a driver
+/// instance has are read in one worker. A channel that few instances have may be spread less evenly for that. Where the
+/// workers of a group have different spouts, each channel is shared out by itself: each worker must know all units of
+/// which it leaves some to others.
 /// Thread safe.
 class SpoutPlacement {
  public:
@@ -72,7 +77,10 @@ class SpoutPlacement {
     SpoutPlacement& placement;
   };
   std::shared_ptr<SpoutQueue> queue_of(int task) IOTCLOUD_EXCLUDES(mutex_);
-  discovery::GuardPtr take_anew() IOTCLOUD_EXCLUDES(mutex_);
+  /// Plans `call` in a turn soon, unless that is planned already. Any thread may call it. \param timer anew_ or
+  /// shared_anew_
+  void plan_soon(discovery::GuardPtr SpoutPlacement::*timer, void (SpoutUnits::*call)()) IOTCLOUD_EXCLUDES(mutex_);
+  discovery::GuardPtr take(discovery::GuardPtr SpoutPlacement::*timer) IOTCLOUD_EXCLUDES(mutex_);
 
   // These functions run on the registry's dispatcher.
   void on_channel(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
@@ -91,7 +99,7 @@ class SpoutPlacement {
   void on_missing(const std::vector<discovery::ChannelRecord>& channels) IOTCLOUD_REQUIRES(dispatcher_);
   void warn_of_missing() IOTCLOUD_REQUIRES(dispatcher_);
   bool queues_are_empty() IOTCLOUD_EXCLUDES(mutex_);
-  void on_sharers(const std::vector<Sharer>& sharers, const std::string& problem) IOTCLOUD_REQUIRES(dispatcher_);
+  void on_shares(const ReadingGroup::Shares& shares) IOTCLOUD_REQUIRES(dispatcher_);
   void on_lost(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void on_session(discovery::SessionState state) IOTCLOUD_REQUIRES(dispatcher_);
   bool fits(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
@@ -135,6 +143,8 @@ class SpoutPlacement {
   bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   /// Timer that calls SpoutUnits::read_anew(); null: no such call is planned.
   discovery::GuardPtr anew_ IOTCLOUD_GUARDED_BY(mutex_);
+  /// Timer that calls SpoutUnits::share_out() because of another spout's units; null: no such call is planned.
+  discovery::GuardPtr shared_anew_ IOTCLOUD_GUARDED_BY(mutex_);
 
   /// The registry's dispatcher, in in_turn(); before it the last join(), after it the first leave().
   config::ThreadRole dispatcher_;
@@ -155,6 +165,7 @@ class SpoutPlacement {
   bool warned_of_missing_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;  ///< or the call is planned
   PrefetchReport prefetch_report_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::string problem_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< why this worker has no share
+  bool alike_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;   ///< ReadingGroup::Shares::alike
   std::unique_ptr<Search> search_;                        ///< set by the last join(), taken by the first leave()
 };
 

@@ -16,7 +16,7 @@ void SpoutUnits::add(const std::string& name, const discovery::ChannelRecord& ch
   unit.partition = partition;
   unit.channels.insert_or_assign(channel.instance, Channel{channel, topic});
   if (fresh && alone()) run_for_leader(name, unit);
-  if (fresh && !alone()) needs_sharing_ = true;
+  if (fresh) needs_sharing_ = true;
   if (unit.task >= 0) read(unit);
 }
 
@@ -87,18 +87,21 @@ void SpoutUnits::begin_again(const std::string& name) {
 
 void SpoutUnits::share_out() {
   needs_sharing_ = false;
+  UnitNames names(unit_kinds);
+  for (const auto& [name, unit] : units_) names[static_cast<std::size_t>(unit.kind)].push_back(name);
+  if (options_.shared_together) names = options_.shared_together(names);
   if (sharers_.empty()) return;
   if (alone()) {
     for (auto& [name, unit] : units_) run_for_leader(name, unit);
     return balance();
   }
-  std::vector<std::vector<std::string>> names(unit_kinds);
-  for (const auto& [name, unit] : units_) names[static_cast<std::size_t>(unit.kind)].push_back(name);
   const auto shares = fair_shares(names, sharers_);
-  for (std::size_t kind = 0; kind < unit_kinds; ++kind) {
+  for (std::size_t kind = 0; kind < names.size(); ++kind) {
     for (std::size_t i = 0; i < names[kind].size(); ++i) {
       const std::string& name = names[kind][i];
-      Unit& unit = units_.at(name);
+      const auto found = units_.find(name);
+      if (found == units_.end()) continue;  // another spout's
+      Unit& unit = found->second;
       if (sharers_[shares[kind][i]].worker == options_.worker) {
         run_for_leader(name, unit);
       } else if (unit.candidacy && unit.task < 0) {

@@ -14,6 +14,7 @@
 
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/topology/endpoints/placement/driver_units.h>
 #include <iotcloud/topology/endpoints/placement/fair_shares.h>
 #include <iotcloud/topology/endpoints/placement/task_loads.h>
 #include <iotcloud/topology/endpoints/receiving/unit_readers.h>
@@ -44,6 +45,9 @@ class SpoutUnits {
     std::function<std::shared_ptr<TopicReader>(const discovery::ChannelRecord& channel, const UnitReaders::Key& topic,
                                                std::optional<std::int32_t> partition, int task)>
         open_reader;
+    /// Gets the names of this spout's units, and returns those of all units that are shared out together with them;
+    /// empty: no others.
+    std::function<UnitNames(const UnitNames& own)> shared_together{};
   };
   /// When the reading of a unit ends whose last channel is gone.
   enum class End {
