@@ -12,6 +12,7 @@ from cluster import processes, signal_all
 from orders import not_at_work
 from private_cluster import StartError
 
+PROC = Path("/proc")
 SPIN = 0.5  # of a processor, of a process that has nothing to do but its timers
 MORE = {"descriptors": 16, "threads": 8}
 GROWTH_MB, GROWTH = 40, 1.0  # anonymous memory: what was held back meanwhile leaves holes in the heap
@@ -43,7 +44,7 @@ def not_converged(cluster, instances, orders):
 
 def figures(process):
     """Of a living process; None when it is gone."""
-    folder = Path("/proc", str(process))
+    folder = PROC / str(process)
     try:
         anonymous = next(line for line in (folder / "status").read_text().splitlines() if line.startswith("RssAnon:"))
         return {"descriptors": len(list((folder / "fd").iterdir())), "threads": len(list((folder / "task").iterdir())),
@@ -79,7 +80,7 @@ def cpu_seconds(folder):
     used = {}
     for pid, command in processes(folder):
         try:
-            fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+            fields = (PROC / str(pid) / "stat").read_text().rsplit(")", 1)[1].split()
         except OSError:
             continue
         used[pid] = (command, (int(fields[11]) + int(fields[12])) / 100)
@@ -119,6 +120,9 @@ def crashed(cluster):
 
 # How often a bolt drops a tuple for these reasons it fails the tuple, and the message is tried again.
 TRIED_AGAIN = ("fenced", "unknown", "refused", "closed", "held_back")
+# Why a worker, or a driver host, gives up a command whose instance is not there in time.
+NOT_THERE = {"iotcloud_bolt_lost_total": ("not_started", "inactive", "no_channel"),
+             "iotcloud_driver_lost_total": ("no_instance", "not_started", "gateway_away")}
 COUNTERS = {"iotcloud_driver_messages_total", "iotcloud_driver_lost_total", "iotcloud_bolt_lost_total",
             "iotcloud_bolt_unknown_driver_total"}
 LABEL = re.compile(r'(\w+)="([^"]*)"')
@@ -206,23 +210,24 @@ def miscounted(gateway, counted, hosts, accounts, there, emptied):
 
 
 def dropped_commands(pages, accounts, books):
-    """Commands are dropped for guests that are not there, and for no other reason."""
+    """Commands are dropped for guests that are not there (in time), and for no other reason."""
     guests = [account for account in accounts if account.heard is None]
     came = sum(len(account.came) for account in guests)
     unheard = came - sum(ledger.heard_of_guest(books, account.instance) for account in guests)
-    wrong, unknown, no_instance = [], 0, 0
+    wrong, by_workers, by_hosts = [], 0, 0
     for daemon, page in pages.items():
         for (name, where, _, reason), count in counters(page).items():
-            if name == "iotcloud_bolt_unknown_driver_total":
-                unknown += count
-            elif name == "iotcloud_driver_lost_total" and reason == "no_instance":
-                no_instance += count
-            elif name in ("iotcloud_bolt_lost_total", "iotcloud_driver_lost_total") and count and reason not in TRIED_AGAIN:
+            not_there = name == "iotcloud_bolt_unknown_driver_total" or reason in NOT_THERE.get(name, ())
+            if not_there and name == "iotcloud_driver_lost_total":
+                by_hosts += count
+            elif not_there:
+                by_workers += count
+            elif name in NOT_THERE and count and reason not in TRIED_AGAIN:
                 wrong.append(f"{daemon} dropped {count} messages of {where} for the reason \"{reason}\", which nothing here has")
-    if unknown > unheard:
-        wrong.append(f"workers dropped {unknown} commands for drivers that are not there; guests lack {unheard}")
-    if no_instance > came:
-        wrong.append(f"driver hosts dropped {no_instance} commands for instances that are not there; guests were sent {came}")
+    if by_workers > unheard:
+        wrong.append(f"workers dropped {by_workers} commands for drivers that are not there; guests lack {unheard}")
+    if by_hosts > came:
+        wrong.append(f"driver hosts dropped {by_hosts} commands for instances that are not there; guests were sent {came}")
     return wrong
 
 
