@@ -185,6 +185,14 @@ class Routes : public ::testing::Test {
     return sum;
   }
 
+  double lost(const std::string& reason) const {
+    double sum = 0;
+    for (const auto& sample : metrics_.collect()) {
+      if (sample.name == "iotcloud_bolt_lost_total" && sample.labels.at("reason") == reason) sum += sample.value;
+    }
+    return sum;
+  }
+
   struct Data final : detail::TupleData {
     void recycle() noexcept override {}
   };
@@ -214,6 +222,7 @@ class Routes : public ::testing::Test {
     table_->on_tick();
     EXPECT_EQ(answers_.of(number), Answer::acked);
     EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
+    EXPECT_EQ(lost("deadline"), 2);
     EXPECT_EQ(metric("iotcloud_bolt_lost_total"), 2);
   }
 
@@ -346,6 +355,7 @@ TEST_F(Routes, OfAnActiveInstanceWithoutTheChannelAreGivenUp) {
   const int late = send("a");
   table_->on_tick();
   EXPECT_EQ(answers_.of(early), Answer::acked);
+  EXPECT_GE(lost("no_channel"), 1);
   EXPECT_EQ(answers_.of(late), Answer::none) << "as for an instance that was never seen";
   clock_.advance(RouteTable::grace);
   table_->on_tick();
@@ -357,11 +367,38 @@ TEST_F(Routes, OfAnInstanceThatDoesNotComeAreGivenUpInTheEnd) {
   start();
   ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
   const int number = send("a");
-  const double before = metric("iotcloud_bolt_unknown_driver_total");
+  const double unknown = metric("iotcloud_bolt_unknown_driver_total");
   clock_.advance(RouteTable::return_limit);
   table_->on_tick();
   EXPECT_EQ(answers_.of(number), Answer::acked);
-  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), before + 2);
+  EXPECT_EQ(lost("not_started"), 2);
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown) << "it is known";
+}
+
+TEST_F(Routes, OfAnInstanceThatDoesNotComeFailWhereTheFileSaysSo) {
+  endpoint_.sending.unknown_driver = UnknownDriver::fail;
+  show("a", DriverState::starting);
+  start();
+  ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
+  clock_.advance(RouteTable::return_limit);
+  table_->on_tick();
+  EXPECT_EQ(answers_.of(last_), Answer::failed);
+  EXPECT_EQ(lost("not_started"), 1);
+}
+
+TEST_F(Routes, WithoutARecordAreUnknownOnlyBelowTheMostThatWait) {
+  start();
+  std::vector<int> waiting;
+  for (std::size_t i = 0; i < RouteTable::most_waiting; ++i) waiting.push_back(send("nobody"));
+  const int surplus = send("nobody");
+  EXPECT_EQ(answers_.of(waiting.back()), Answer::none);
+  EXPECT_EQ(answers_.of(surplus), Answer::acked);
+  EXPECT_EQ(lost("too_many_wait"), 1);
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), 0);
+  clock_.advance(RouteTable::grace);
+  table_->on_tick();
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), RouteTable::most_waiting);
+  EXPECT_EQ(lost("too_many_wait"), 1);
 }
 
 TEST_F(Routes, OfAnInstanceThatStartsDropATupleWhoseDeadlinePasses) {
@@ -375,9 +412,13 @@ TEST_F(Routes, OfAnInstanceThatStartsLeaveItsTuplesToTheNextWorkerWhenThisOneSto
   start();
   ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
   const int number = send("a");
+  const double unknown = metric("iotcloud_bolt_unknown_driver_total");
   table_->end_grace();
   EXPECT_EQ(answers_.of(number), Answer::failed);
-  EXPECT_EQ(metric("iotcloud_bolt_lost_total"), 2);
+  EXPECT_EQ(lost("closed"), 2);
+  EXPECT_EQ(answers_.of(send("a")), Answer::failed) << "one that comes later, too";
+  EXPECT_EQ(lost("closed"), 3);
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
 }
 
 TEST_F(Routes, OfAnInstanceThatWasStoppedWaitAMomentBecauseItMayBeARestart) {
@@ -386,6 +427,7 @@ TEST_F(Routes, OfAnInstanceThatWasStoppedWaitAMomentBecauseItMayBeARestart) {
   ASSERT_TRUE(eventually([&] { return one_waits("a"); }));
   show("a", DriverState::inactive);
   ASSERT_TRUE(hears("a", DriverState::inactive));
+  const double unknown = metric("iotcloud_bolt_unknown_driver_total");
   const int number = send("a");
   table_->on_tick();
   EXPECT_EQ(answers_.of(number), Answer::none);
@@ -395,6 +437,8 @@ TEST_F(Routes, OfAnInstanceThatWasStoppedWaitAMomentBecauseItMayBeARestart) {
     return answers_.of(send("a")) == Answer::acked;  // at once: it has been inactive for long
   }));
   EXPECT_EQ(answers_.of(number), Answer::acked);
+  EXPECT_GE(lost("inactive"), 3);
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
 }
 
 TEST_F(Routes, OfAnInstanceWhoseRecordIsGoneWaitAMomentBecauseItMayComeBack) {

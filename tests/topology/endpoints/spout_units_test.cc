@@ -21,6 +21,7 @@ namespace {
 
 using testing::ElementsAre;
 using testing::IsEmpty;
+using testing::SizeIs;
 using testing::UnorderedElementsAre;
 
 /// Subscriptions by topic, to which the test delivers.
@@ -235,7 +236,7 @@ TEST_F(SpoutUnitsTest, AUnitWithoutChannelsIsReadUntilNothingComes) {
   EXPECT_THAT(look(SpoutUnits::end_silence * 2), IsEmpty()) << "a message is in hand";
   settle_all();
   units_.undeployed("a"_instance);
-  const auto ended = look(SpoutUnits::end_silence);
+  const auto ended = look(SpoutUnits::end_silence + SpoutUnits::look_period);  // the first look sees the settlement
   ASSERT_EQ(ended.size(), 1U);
   EXPECT_EQ(ended.front().instance, "a"_instance);
   EXPECT_EQ(ended.front().topic, topic("a"));
@@ -245,15 +246,53 @@ TEST_F(SpoutUnitsTest, AUnitWithoutChannelsIsReadUntilNothingComes) {
   EXPECT_THAT(broker_->topics(), IsEmpty());
 }
 
-TEST_F(SpoutUnitsTest, AUnitThatIsNeverSilentEndsAtTheLimit) {
+TEST_F(SpoutUnitsTest, AUnitWithoutChannelsWaitsForItsBrokerAndIsReadToItsEndThen) {
   read_alone({"a"});
   remove("a");
   broker_->active = false;
   EXPECT_TRUE(units_.cut_off());
-  EXPECT_THAT(look(SpoutUnits::end_limit), IsEmpty());
+  EXPECT_THAT(look(2 * SpoutUnits::stuck_limit), IsEmpty());
+  broker_->active = true;
+  broker_->deliver("a");
+  settle_all();
+  EXPECT_THAT(look(SpoutUnits::end_silence), IsEmpty()) << "the first look has seen that a message came";
   const auto ended = look(SpoutUnits::look_period);
   ASSERT_EQ(ended.size(), 1U);
   EXPECT_FALSE(ended.front().undeployed);
+}
+
+TEST_F(SpoutUnitsTest, AUnitWithoutChannelsIsReadForAsLongAsMessagesComeOrAreSettled) {
+  read_alone({"a"});
+  remove("a");
+  for (int i = 0; i < 10; ++i) {
+    broker_->deliver("a");
+    EXPECT_THAT(look(SpoutUnits::stuck_limit / 2), IsEmpty());
+  }
+  while (queue_->size() > 0) {
+    queue_->pop().arrival->delivery.settle(brokers::Settlement::accept);
+    EXPECT_THAT(look(queue_->size() > 0 ? SpoutUnits::stuck_limit / 2 : SpoutUnits::end_silence), IsEmpty());
+  }
+  EXPECT_THAT(look(SpoutUnits::look_period), SizeIs(1));
+}
+
+TEST_F(SpoutUnitsTest, AUnitWhoseMessagesAreNotSettledIsGivenUpWhenItIsIdleForSoLong) {
+  read_alone({"a"});
+  broker_->deliver("a");
+  remove("a");
+  EXPECT_THAT(look(SpoutUnits::stuck_limit - SpoutUnits::look_period), IsEmpty());
+  broker_->active = false;
+  EXPECT_THAT(look(SpoutUnits::stuck_limit), IsEmpty()) << "nobody could settle it at the broker";
+  broker_->active = true;
+  EXPECT_THAT(look(SpoutUnits::stuck_limit - SpoutUnits::look_period), IsEmpty());
+  EXPECT_THAT(look(SpoutUnits::look_period), SizeIs(1));
+}
+
+TEST_F(SpoutUnitsTest, AUnitThatIsNeverIdleIsGivenUpInTheEnd) {
+  read_alone({"a"});
+  remove("a");
+  broker_->active = false;
+  EXPECT_THAT(look(SpoutUnits::longest_end), IsEmpty());
+  EXPECT_THAT(look(SpoutUnits::look_period), SizeIs(1));
 }
 
 TEST_F(SpoutUnitsTest, AnInstanceThatIsBackBeforeTheEndIsReadOnWithoutAPause) {

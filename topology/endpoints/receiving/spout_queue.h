@@ -19,7 +19,7 @@ class TopicReader;
 /// The help text of iotcloud_spout_rejected_total, a counter that two classes use.
 inline constexpr const char* rejected_help = "Messages given up after their last try, and rejected";
 
-/// Counts a message as in its reader's hand (TopicReader::has_in_hand()) as long as it lives. Movable.
+/// Counts a message as in its reader's hand (TopicReader::in_hand()) as long as it lives. Movable.
 class HeldReader {
  public:
   /// \param bytes of the message

@@ -1,5 +1,7 @@
 #include <algorithm>
 
+#include <fmt/format.h>
+
 #include <iotcloud/topology/endpoints/logger.h>
 #include <iotcloud/topology/endpoints/receiving/spout_units.h>
 
@@ -59,9 +61,10 @@ void SpoutUnits::read_to_the_end(const std::string& name) {
   unit.channels.clear();
   loads_.remove(static_cast<std::size_t>(unit.task), unit.kind);
   unit.last_task = std::exchange(unit.task, -1);
-  unit.looks_left = static_cast<int>(end_limit / look_period);
-  unit.silent_looks = 0;
+  unit.looks_left = static_cast<int>(longest_end / look_period);
+  unit.idle_looks = 0;
   unit.taken = unit.readers.taken();
+  unit.in_hand = unit.readers.in_hand();
   ++changes_.given_up;
   ending_.insert(units_.extract(name));
 }
@@ -246,7 +249,7 @@ void SpoutUnits::look_at_moves() {
   for (auto name = moving_.begin(); name != moving_.end();) {
     const auto found = units_.find(*name);
     const bool moves = found != units_.end() && found->second.move != Move::none;
-    if (moves && found->second.looks_left-- > 0 && found->second.readers.have_in_hand()) {
+    if (moves && found->second.looks_left-- > 0 && found->second.readers.in_hand() > 0) {
       ++name;
       continue;
     }
@@ -265,19 +268,23 @@ std::vector<SpoutUnits::EndedTopic> SpoutUnits::look_at_ends() {
   std::vector<EndedTopic> ended;
   for (auto place = ending_.begin(); place != ending_.end();) {
     auto& [name, unit] = *place;
-    const std::size_t taken = unit.readers.taken();
-    const bool silent =
-        std::exchange(unit.taken, taken) == taken && !unit.readers.have_in_hand() && !unit.readers.cut_off();
-    unit.silent_looks = silent ? unit.silent_looks + 1 : 0;
-    const bool over = unit.silent_looks * look_period >= end_silence;
-    if (!over && unit.looks_left-- > 0) {
+    const std::size_t taken = unit.readers.taken(), in_hand = unit.readers.in_hand();
+    const bool nothing_came = std::exchange(unit.taken, taken) == taken;
+    const bool nothing_settled = std::exchange(unit.in_hand, in_hand) == in_hand;
+    const bool idle = nothing_came && nothing_settled && !unit.readers.cut_off();
+    unit.idle_looks = idle ? unit.idle_looks + 1 : 0;
+    const bool over = in_hand == 0 && unit.idle_looks * look_period >= end_silence;
+    const bool stuck = unit.idle_looks * look_period >= stuck_limit;
+    if (!over && !stuck && unit.looks_left-- > 0) {
       ++place;
       continue;
     }
     if (!over) {
-      endpoints_logger.warn("{}: {} has stopped and was not read to its end within {} s; the broker keeps the rest",
-                            options_.component, name,
-                            std::chrono::duration_cast<std::chrono::seconds>(end_limit).count());
+      endpoints_logger.warn(
+          "{}: {} has stopped and was not read to its end: {}; the broker keeps the rest", options_.component, name,
+          stuck ? fmt::format("{} message(s) were not settled for {} s", in_hand,
+                              std::chrono::duration_cast<std::chrono::seconds>(stuck_limit).count())
+                : fmt::format("for {} min messages came, or the broker was away", longest_end.count()));
     }
     release(name, unit);
     if (unit.topic) ended.push_back({unit.instance, *unit.topic, unit.undeployed});

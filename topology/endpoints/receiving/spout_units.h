@@ -31,9 +31,14 @@ namespace iotcloud::topology {
 class SpoutUnits {
  public:
   static constexpr std::chrono::milliseconds look_period{10}, drain_limit{2000};
-  /// A unit whose last channel is gone has been read to its end when it has brought nothing for `end_silence`, and no
-  /// message is in hand. It is given up after `end_limit` in any case.
-  static constexpr std::chrono::milliseconds end_silence{1000}, end_limit{30'000};
+  /// A unit whose last channel is gone is idle while its broker delivers, nothing comes and nothing is settled. It has
+  /// been read to its end when it was idle for `end_silence` without a message in hand. When it was idle for
+  /// `stuck_limit` with messages in hand, it is given up. Time in which messages come or are settled does not count
+  /// (what the driver had sent may be hours of messages), nor does time in which its broker is away. Nobody waits for
+  /// this: the order to stop an instance is answered without it, and close() ends it when the worker is stopped. A unit
+  /// is given up after `longest_end` in any case. What is given up stays at the broker for the instance's next life.
+  static constexpr std::chrono::milliseconds end_silence{1000}, stuck_limit{30'000};
+  static constexpr std::chrono::minutes longest_end{60};
 
   struct Options {
     std::string component;  ///< for the log
@@ -139,14 +144,15 @@ class SpoutUnits {
     bool frozen = false;  ///< leadership was lost because the registry is away: reading goes on until it is back
     int task = -1;        ///< index of the task that reads it; -1: it is not read here
     Move move = Move::none;
-    int looks_left = 0;  ///< while it moves or ends: how often look() still waits for it
+    int looks_left = 0;  ///< while it moves: how often look() still waits for it; while it ends: at most
     // While it ends:
     discovery::InstanceId instance;         ///< whose exclusive channel it had; empty: its channels were shared
     std::optional<UnitReaders::Key> topic;  ///< of that channel
     bool undeployed = false;                ///< that instance's record is gone
     int last_task = -1;                     ///< the task that reads it
-    int silent_looks = 0;                   ///< how often in a row look() has seen nothing new
+    int idle_looks = 0;                     ///< how often in a row look() has seen it idle
     std::size_t taken = 0;                  ///< UnitReaders::taken() at the last look
+    std::size_t in_hand = 0;                ///< likewise
     UnitReaders readers;
   };
 

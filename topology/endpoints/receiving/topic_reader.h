@@ -35,8 +35,8 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   void resume();
   /// Takes no more messages, but stays subscribed, so that no other reader gets the topic. Only close() ends this.
   void drain();
-  /// Whether a message from this reader is neither settled nor given back to the broker.
-  bool has_in_hand() const { return in_hand_ > 0; }
+  /// How many messages from this reader are neither settled nor given back to the broker.
+  std::size_t in_hand() const { return in_hand_; }
   /// Whether as many such messages are there as the broker hands out.
   bool at_limit() const { return in_hand_ >= prefetch_; }
   /// How many such messages there may be now.

@@ -30,8 +30,10 @@ void UnitReaders::drain() {
   for (const auto& [key, reader] : readers_) reader->drain();
 }
 
-bool UnitReaders::have_in_hand() const {
-  return std::any_of(readers_.begin(), readers_.end(), [](const auto& entry) { return entry.second->has_in_hand(); });
+std::size_t UnitReaders::in_hand() const {
+  std::size_t sum = 0;
+  for (const auto& [key, reader] : readers_) sum += reader->in_hand();
+  return sum;
 }
 
 std::size_t UnitReaders::at_limit() const {

@@ -29,8 +29,8 @@ class UnitReaders {
   void open_missing(const Wanted& wanted, const Open& open);
   /// Drains all readers (TopicReader::drain()).
   void drain();
-  /// Whether a message of one of the readers is not settled.
-  bool have_in_hand() const;
+  /// How many messages of the readers are not settled.
+  std::size_t in_hand() const;
   /// How many of the readers get no more messages until some are settled (TopicReader::at_limit()).
   std::size_t at_limit() const;
   /// The greatest prefetch of a reader; 0: there is none.

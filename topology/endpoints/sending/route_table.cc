@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 
 #include <fmt/format.h>
 
@@ -13,6 +14,12 @@ namespace {
 constexpr std::chrono::seconds quiet_time{10};
 /// How many ids of instances that are gone are kept.
 constexpr std::size_t most_departed = 10'000;
+
+/// The worker stops: the next one gets the message of a tuple that would wait.
+void leave_to_the_next(SenderMeters& meters, const Tuple& tuple, OutputCollector& collector) {
+  meters.lost("closed");
+  collector.fail(tuple);
+}
 
 }  // namespace
 
@@ -107,8 +114,15 @@ void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollec
     queue.push_back({std::move(message), tuple, &collector, now});
     return;
   }
+  if (no_grace_ && comes(message.driver_id)) {
+    const auto meters = meters_;
+    lock.unlock();
+    leave_to_the_next(*meters, tuple, collector);
+    return;
+  }
+  const Reason reason = waits ? Reason::too_many_wait : why_nobody(message.driver_id);
   lock.unlock();
-  unknown(message.driver_id, tuple, collector);
+  drop(reason, message.driver_id, tuple, collector);
 }
 
 /// Whether the instance has a record that says that it is about to be active. A restart goes through `stopping` too,
@@ -166,7 +180,7 @@ void RouteTable::send_waiting(const discovery::InstanceId& instance) {
 }
 
 void RouteTable::on_tick() {
-  std::deque<Waiting> late;
+  std::deque<Dropped> late;
   const auto now = services_->clock->now();
   {
     const config::MutexLock lock(mutex_);
@@ -174,7 +188,8 @@ void RouteTable::on_tick() {
       auto& tuples = line->second;
       const bool being_sent = routes_.contains(line->first);  // by send_waiting(), which also erases the line
       while (!being_sent && !tuples.empty() && end_of_wait(line->first.str(), tuples.front().since) <= now) {
-        late.push_back(std::move(tuples.front()));
+        const Reason reason = why_late(tuples.front(), now);
+        late.push_back({std::move(tuples.front()), reason});
         tuples.pop_front();
         --waiting_count_;
       }
@@ -182,14 +197,15 @@ void RouteTable::on_tick() {
       line = tuples.empty() && !being_sent ? waiting_.erase(line) : std::next(line);
     }
   }
-  give_up(late, now);
+  for (const auto& [waiting, reason] : late) drop(reason, waiting.message.driver_id, waiting.tuple, *waiting.collector);
   for (const auto& sender : senders()) sender->reset_timeouts();
 }
 
 void RouteTable::end_grace() {
-  std::deque<Waiting> late;
+  std::deque<Dropped> late;
   std::deque<Waiting> for_the_next;
   std::shared_ptr<SenderMeters> meters;
+  const auto now = services_->clock->now();
   {
     const config::MutexLock lock(mutex_);
     no_grace_ = true;
@@ -199,61 +215,87 @@ void RouteTable::end_grace() {
         ++line;
         continue;
       }
-      std::move(line->second.begin(), line->second.end(),
-                std::back_inserter(comes(line->first.str()) ? for_the_next : late));
+      for (auto& waiting : line->second) {
+        if (comes(line->first.str())) {
+          for_the_next.push_back(std::move(waiting));
+        } else {
+          const Reason reason = why_late(waiting, now);
+          late.push_back({std::move(waiting), reason});
+        }
+      }
       waiting_count_ -= line->second.size();
       line = waiting_.erase(line);
     }
   }
-  give_up(late, services_->clock->now());
-  for (const auto& waiting : for_the_next) {
-    meters->lost("closed");
-    waiting.collector->fail(waiting.tuple);
-  }
+  for (const auto& [waiting, reason] : late) drop(reason, waiting.message.driver_id, waiting.tuple, *waiting.collector);
+  for (const auto& waiting : for_the_next) leave_to_the_next(*meters, waiting.tuple, *waiting.collector);
 }
 
-void RouteTable::give_up(const std::deque<Waiting>& late, Instant now) {
+/// Why a tuple for an instance without a route does not wait, or not any longer.
+RouteTable::Reason RouteTable::why_nobody(std::string_view instance) const {
+  const auto known = known_.find(instance);
+  if (known == known_.end() || unchosen_.contains(instance)) return Reason::unknown;
+  if (comes(instance)) return Reason::not_started;
+  return known->second.state == discovery::DriverState::active ? Reason::no_channel : Reason::inactive;
+}
+
+RouteTable::Reason RouteTable::why_late(const Waiting& waiting, Instant now) const {
   const auto deadline = endpoint_.sending.deadline;
-  for (const auto& [message, tuple, collector, since] : late) {
-    if (deadline.count() == 0 || now - since < deadline) {
-      unknown(message.driver_id, tuple, *collector);
-      continue;
-    }
-    const auto meters = [&] {
-      const config::MutexLock lock(mutex_);
-      return meters_;
-    }();
-    meters->lost("deadline");
-    collector->ack(tuple);
-  }
+  if (deadline.count() > 0 && now - waiting.since >= deadline) return Reason::deadline;
+  return why_nobody(waiting.message.driver_id);
 }
 
-void RouteTable::unknown(const std::string& instance, const Tuple& tuple, OutputCollector& collector) {
+void RouteTable::drop(Reason reason, const std::string& instance, const Tuple& tuple, OutputCollector& collector) {
+  static constexpr std::array names{"unknown", "inactive", "not_started", "no_channel", "too_many_wait", "deadline"};
   bool say_it = false;
   std::size_t untold = 0;
   {
     const config::MutexLock lock(mutex_);
-    unknown_->add();
-    const auto now = services_->clock->now();
-    say_it = !last_unknown_ || now - *last_unknown_ >= quiet_time;
-    if (say_it) {
-      last_unknown_ = now;
-      untold = std::exchange(untold_unknown_, 0);
+    if (reason == Reason::unknown) {
+      unknown_->add();
     } else {
-      ++untold_unknown_;
+      meters_->lost(names[static_cast<std::size_t>(reason)]);
+    }
+    const auto now = services_->clock->now();
+    say_it = reason != Reason::deadline && (!last_told_ || now - *last_told_ >= quiet_time);
+    if (say_it) {
+      last_told_ = now;
+      untold = std::exchange(untold_, 0);
+    } else if (reason != Reason::deadline) {
+      ++untold_;
     }
   }
   if (say_it) {
-    endpoints_logger.warn("{}: there is no driver {} with the id \"{}\" and a channel \"{}\"{}{}", component_,
-                          endpoint_.driver, instance, endpoint_.channel,
-                          endpoint_.where.everything() ? "" : " that \"where\" chooses",
+    endpoints_logger.warn("{}: {}{}", component_, line_about(reason, instance),
                           untold == 0 ? "" : fmt::format("; {} more such tuples since the last such line", untold));
   }
-  if (endpoint_.sending.unknown_driver == UnknownDriver::fail) {
+  if (reason != Reason::deadline && endpoint_.sending.unknown_driver == UnknownDriver::fail) {
     collector.fail(tuple);
   } else {
     collector.ack(tuple);
   }
+}
+
+std::string RouteTable::line_about(Reason reason, const std::string& instance) const {
+  const auto about = [&](std::string_view what) {
+    return fmt::format("a tuple for the driver {} with the id \"{}\" is not sent: {}", endpoint_.driver, instance,
+                       what);
+  };
+  switch (reason) {
+    case Reason::inactive:
+      return about("it is stopped, or has failed");
+    case Reason::not_started:
+      return about("it was about to be active for too long");
+    case Reason::no_channel:
+      return about(fmt::format("it has no channel \"{}\" that can be used", endpoint_.channel));
+    case Reason::too_many_wait:
+      return about(fmt::format("{} tuples wait already", most_waiting));
+    case Reason::unknown:
+    case Reason::deadline:
+      break;
+  }
+  return fmt::format("there is no driver {} with the id \"{}\" and a channel \"{}\"{}", endpoint_.driver, instance,
+                     endpoint_.channel, endpoint_.where.everything() ? "" : " that \"where\" chooses");
 }
 
 bool RouteTable::fits(const discovery::ChannelRecord& channel) {

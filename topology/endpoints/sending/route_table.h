@@ -26,10 +26,10 @@ namespace iotcloud::topology {
 /// never seen wait for `grace`, and so do those for an instance that has just become inactive or failed for good, or
 /// whose record has just gone (a registry that was emptied gets the records of running instances again). Tuples for an
 /// instance that is about to be active (deployed, starting, stopping for a restart, or failed while its gateway starts
-/// it again by itself) wait for it up to their deadline, or for `return_limit` if they have none. A tuple for an
-/// instance that is not there is counted, logged (one line every ten seconds at most, with the number of such tuples),
-/// and acked or failed as the endpoint's `unknownDriver` says. A tuple whose deadline passes is acked, and counted as
-/// lost for that reason.
+/// it again by itself) wait for it up to their deadline, or for `return_limit` if they have none. A tuple that nobody
+/// gets is counted under its reason (Reason), logged (one line every ten seconds at most, with the number of such
+/// tuples), and acked or failed as the endpoint's `unknownDriver` says. A tuple whose deadline passes is counted and
+/// acked.
 class RouteTable {
  public:
   RouteTable(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
@@ -51,8 +51,8 @@ class RouteTable {
 
   static constexpr std::chrono::seconds grace{2};          ///< how long a tuple waits for a driver that was never seen
   static constexpr std::chrono::seconds return_limit{60};  ///< how long one without a deadline waits for a restart
-  /// How many tuples wait for drivers at most; further ones are treated as those for an unknown driver. Those for an
-  /// instance that is about to be active wait all the same: they are not more than the spouts have under way.
+  /// How many tuples wait for drivers at most; further ones are dropped (Reason::too_many_wait). Those for an instance
+  /// that is about to be active wait all the same: they are not more than the spouts have under way.
   static constexpr std::size_t most_waiting = 10'000;
 
  private:
@@ -67,6 +67,19 @@ class RouteTable {
     Tuple tuple;
     OutputCollector* collector;
     Instant since;
+  };
+  /// Why nobody gets a tuple.
+  enum class Reason {
+    unknown,        ///< its instance has no record, or `where` does not choose it
+    inactive,       ///< its instance is stopped, or has failed for good
+    not_started,    ///< its instance is still about to be active
+    no_channel,     ///< its instance is active, without a channel that can be used
+    too_many_wait,  ///< it would wait, but `most_waiting` do so already
+    deadline,
+  };
+  struct Dropped {
+    Waiting waiting;
+    Reason reason;
   };
   /// What an instance's record says, and since when it does.
   struct Known {
@@ -84,8 +97,10 @@ class RouteTable {
   bool fits(const discovery::ChannelRecord& channel);
   std::shared_ptr<ChannelSender> sender_for(const discovery::ChannelRecord& channel);
   void send_waiting(const discovery::InstanceId& instance);
-  void give_up(const std::deque<Waiting>& late, Instant now);
-  void unknown(const std::string& instance, const Tuple& tuple, OutputCollector& collector);
+  Reason why_nobody(std::string_view instance) const IOTCLOUD_REQUIRES(mutex_);
+  Reason why_late(const Waiting& waiting, Instant now) const IOTCLOUD_REQUIRES(mutex_);
+  void drop(Reason reason, const std::string& instance, const Tuple& tuple, OutputCollector& collector);
+  std::string line_about(Reason reason, const std::string& instance) const;
   std::vector<std::shared_ptr<ChannelSender>> senders() const;
   std::shared_ptr<ChannelSender> drop(std::shared_ptr<ChannelSender> sender) IOTCLOUD_REQUIRES(mutex_);
 
@@ -114,10 +129,10 @@ class RouteTable {
   std::size_t waiting_count_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
   OutputCollector* sending_ IOTCLOUD_GUARDED_BY(mutex_) = nullptr;  ///< the collector whose waiting tuple is being sent
   bool no_grace_ IOTCLOUD_GUARDED_BY(mutex_) = false;
-  /// When unknown() wrote a line in the log.
-  std::optional<config::Clock::Instant> last_unknown_ IOTCLOUD_GUARDED_BY(mutex_);
-  /// Number of such tuples since then.
-  std::size_t untold_unknown_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  /// When drop() wrote a line in the log.
+  std::optional<config::Clock::Instant> last_told_ IOTCLOUD_GUARDED_BY(mutex_);
+  /// Number of tuples that were dropped since then.
+  std::size_t untold_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
 };
 
 }  // namespace iotcloud::topology
