@@ -101,13 +101,13 @@ class InProcessLink final : public HostLink {
 
  private:
   DriverHost::Options passing(DriverHost::Options options) const {
-    options.passing.pass = [events = events_](const PassedMessage& message) -> std::optional<PassAnswer> {
+    options.passing.pass = [events = events_](const PassedMessage& message) -> std::optional<NotPassed> {
       const bool passed = events->with([&](const HostEvents& of) {
         if (of.on_pass) of.on_pass(message);
         return static_cast<bool>(of.on_pass);
       });
       if (passed) return std::nullopt;
-      return PassAnswer::comes;
+      return NotPassed::gateway_away;
     };
     options.passing.answer = [events = events_](std::int64_t number, PassAnswer answer) {
       events->with([&](const HostEvents& of) {

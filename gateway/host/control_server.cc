@@ -45,13 +45,13 @@ struct ControlServer::Impl {
       host_options.gateway = options.order.gateway;
       host_options.isolated = options.order.isolated;
       host_options.state_folder = options.folder;
-      host_options.passing.pass = [this](const PassedMessage& message) -> std::optional<PassAnswer> {
+      host_options.passing.pass = [this](const PassedMessage& message) -> std::optional<NotPassed> {
         HostReport event;
         event.kind = HostReport::Kind::pass;
         event.passed = message;
         std::string bytes = encode(event);
-        if (!processes::fits(bytes)) return PassAnswer::nowhere;
-        if (!send(std::move(bytes))) return PassAnswer::comes;
+        if (!processes::fits(bytes)) return NotPassed::too_large;
+        if (!send(std::move(bytes))) return NotPassed::gateway_away;
         return std::nullopt;
       };
       host_options.passing.answer = [this](std::int64_t number, PassAnswer answer) {

@@ -26,6 +26,12 @@ enum class PassAnswer {
   nowhere,  ///< no driver saw it; no host of this gateway runs its instance
 };
 
+/// Why a message was not passed.
+enum class NotPassed {
+  gateway_away,  ///< there is no gateway now
+  too_large,     ///< no frame to the gateway takes it
+};
+
 /// The size of a message on its way, in bytes: its payload, ids and properties.
 inline std::size_t size_of(const brokers::Message& message) {
   constexpr std::size_t around_a_property = 64;  ///< what the encoding adds, rounded up
@@ -37,9 +43,8 @@ inline std::size_t size_of(const brokers::Message& message) {
 /// How a host passes messages, and answers for those that are passed to it. Called on the host's threads; must not call
 /// back into the host. Both may be empty: then nothing is passed.
 struct Passing {
-  /// \return the answer if it is known at once, and none follows: `comes` if there is no gateway now, `nowhere` for a
-  /// message that is too large to pass.
-  std::function<std::optional<PassAnswer>(const PassedMessage&)> pass{};
+  /// \return null if the message was passed, and its answer follows
+  std::function<std::optional<NotPassed>(const PassedMessage&)> pass{};
   std::function<void(std::int64_t number, PassAnswer)> answer{};
 };
 

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <iterator>
+#include <map>
 #include <optional>
 
 #include <iotcloud/gateway/host/logger.h>
@@ -68,24 +69,38 @@ class SharedChannels::Answerer final : public brokers::Settler {
 struct SharedChannels::Hub : std::enable_shared_from_this<Hub> {
   using Instant = config::Clock::Instant;
   using Waiting = ChannelQueue::Waiting;
+  /// What the host has been told of a line's instance since a message of the line was last handled.
+  enum class Told {
+    nothing,
+    nowhere,       ///< the gateway says that no host runs it
+    comes,         ///< the gateway says that it is about to be open
+    gateway_away,  ///< nobody could be asked
+    too_large,     ///< no frame to the gateway takes the first message
+  };
   /// The messages of one instance, in the order in which they came.
   struct Line {
     std::deque<Waiting> messages;
     std::int64_t asked = 0;  ///< the first message was passed under this number, and not answered; 0: it was not passed
     Instant progress{};      ///< when an instance, here or on another host, last had one of them in hand
-    bool answered = false;   ///< the gateway has said where the instance is
-    bool comes = false;      ///< it says that the instance is about to be open
-    bool moving = false;     ///< hand_over() hands the messages to the instance
-    std::uint64_t pause = 0;      ///< looks that the next message passed waits if the answer is `comes` again
+    Told told = Told::nothing;
+    bool moving = false;          ///< hand_over() hands the messages to the instance
+    std::uint64_t pause = 0;      ///< looks that the next message passed waits if its instance is not open then
     std::uint64_t next_look = 0;  ///< the first message is not passed before this look
   };
-  using Late = std::deque<Waiting>;
-  /// Of a line's first message.
-  enum class Verdict {
-    waits,
-    late,    ///< it has waited for as long as it may
-    absent,  ///< that too, and no host here runs its instance
+  /// Why a message is dropped: the label `reason` of its counter.
+  enum class Reason {
+    deadline,      ///< the channel's has passed
+    no_instance,   ///< no host of the gateway runs its instance
+    too_large,     ///< no host that it may be handed to runs its instance, and it is too large to be passed to another
+    not_started,   ///< its instance was about to be open all the time
+    gateway_away,  ///< there was no gateway that could pass it
+    not_asked,     ///< its turn to be passed did not come, because other messages were under way
   };
+  struct Drop {
+    Waiting waiting;
+    Reason reason;
+  };
+  using Late = std::deque<Drop>;
 
   Hub(const SharedChannels& owner, const PlannedChannel& channel, std::shared_ptr<brokers::Broker> of)
       : loop(owner.loop_),
@@ -93,9 +108,8 @@ struct SharedChannels::Hub : std::enable_shared_from_this<Hub> {
         common(owner.common_),
         topic(channel.topic.name),
         deadline(channel.spec.deadline),
-        lost(owner.metrics_.counter(
-            "iotcloud_driver_lost_total", lost_help,
-            {{"driver", channel.record.driver}, {"channel", channel.spec.name}, {"reason", "no_instance"}})),
+        metrics(owner.metrics_),
+        labels({{"driver", channel.record.driver}, {"channel", channel.spec.name}}),
         broker(std::move(of)) {}
 
   void dispatch(brokers::Delivery delivery);
@@ -106,19 +120,22 @@ struct SharedChannels::Hub : std::enable_shared_from_this<Hub> {
   bool passable(const Line& line) const IOTCLOUD_REQUIRES(mutex);
   void pass_on();
   bool answered(std::int64_t number, PassAnswer answer);
+  bool came_back(std::int64_t number, Told told, std::optional<brokers::Settlement> settlement);
   void nobody_answers();
   void look_soon() IOTCLOUD_REQUIRES(mutex);
   void look();
-  Verdict judge(const discovery::InstanceId& instance, const Line& line) const IOTCLOUD_REQUIRES(mutex);
+  std::optional<Reason> judge(const discovery::InstanceId& instance, const Line& line) const IOTCLOUD_REQUIRES(mutex);
+  static const char* name_of(Reason reason);
+  void drop_late_ones();
   Late late_ones() IOTCLOUD_REQUIRES(mutex);
-  void drop(Late late);
 
   const std::shared_ptr<EventLoop> loop;
   const config::Clock& clock;
   const std::shared_ptr<Common> common;
   const std::string topic;
   const std::chrono::milliseconds deadline;  ///< the channel's; 0: none
-  config::Counter& lost;
+  config::Metrics& metrics;
+  const config::Labels labels;  ///< of the counters of dropped messages, which have their reason, too
   const std::shared_ptr<brokers::Broker> broker;
 
   config::Mutex mutex;
@@ -138,6 +155,24 @@ struct SharedChannels::Hub : std::enable_shared_from_this<Hub> {
   /// broker after it.
   std::unique_ptr<brokers::Subscription> subscription;
 };
+
+const char* SharedChannels::Hub::name_of(Reason reason) {
+  switch (reason) {
+    case Reason::deadline:
+      return "deadline";
+    case Reason::too_large:
+      return "too_large";
+    case Reason::not_started:
+      return "not_started";
+    case Reason::gateway_away:
+      return "gateway_away";
+    case Reason::not_asked:
+      return "not_asked";
+    case Reason::no_instance:
+      break;
+  }
+  return "no_instance";
+}
 
 /// Hands a message to its instance, or lets it wait behind others of that instance. Runs on the broker's thread, one
 /// message at a time.
@@ -262,12 +297,30 @@ void SharedChannels::Hub::pass_on() {
     }
   }
   for (const auto& one : passed) {
-    if (const auto answer = common->passing.pass(one)) answered(one.number, *answer);
+    const auto problem = common->passing.pass(one);
+    if (problem == NotPassed::gateway_away) came_back(one.number, Told::gateway_away, std::nullopt);
+    if (problem == NotPassed::too_large) came_back(one.number, Told::too_large, std::nullopt);
   }
 }
 
 /// \return whether the message was passed by this hub
 bool SharedChannels::Hub::answered(std::int64_t number, PassAnswer answer) {
+  switch (answer) {
+    case PassAnswer::handled:
+      return came_back(number, Told::nothing, brokers::Settlement::accept);
+    case PassAnswer::failed:
+      return came_back(number, Told::nothing, brokers::Settlement::reject);
+    case PassAnswer::comes:
+      return came_back(number, Told::comes, std::nullopt);
+    case PassAnswer::nowhere:
+      break;
+  }
+  return came_back(number, Told::nowhere, std::nullopt);
+}
+
+/// A message is not on its way any more. \param settlement null: no driver has seen it. It is judged now: at the next
+/// look it will be on its way again. \return whether this hub passed it
+bool SharedChannels::Hub::came_back(std::int64_t number, Told told, std::optional<brokers::Settlement> settlement) {
   std::optional<brokers::Delivery> done;
   discovery::InstanceId instance;
   bool open_here = false;
@@ -280,14 +333,13 @@ bool SharedChannels::Hub::answered(std::int64_t number, PassAnswer answer) {
     Line& line = found->second;
     line.asked = 0;
     passed_bytes -= size_of(line.messages.front().delivery.message);
-    line.answered = true;
-    line.comes = answer == PassAnswer::comes;
-    line.pause = line.comes ? std::clamp<std::uint64_t>(2 * line.pause, 1, longest_pause) : 0;
+    line.told = told;
+    const bool comes = told == Told::comes || told == Told::gateway_away;
+    line.pause = comes ? std::clamp<std::uint64_t>(2 * line.pause, 1, longest_pause) : 0;
     line.next_look = looks + line.pause;
-    if (answer == PassAnswer::handled || answer == PassAnswer::failed) {
+    if (settlement) {
       done = std::move(line.messages.front().delivery);
       line.messages.pop_front();
-      line.answered = false;
       line.progress = clock.now();
       absent.erase(instance);
     }
@@ -295,8 +347,10 @@ bool SharedChannels::Hub::answered(std::int64_t number, PassAnswer answer) {
     if (line.messages.empty()) lines.erase(found);
   }
   if (done) {
-    done->settle(answer == PassAnswer::handled ? brokers::Settlement::accept : brokers::Settlement::reject);
+    done->settle(*settlement);
     pass_on();
+  } else {
+    drop_late_ones();
   }
   if (open_here) hand_over(instance);
   return true;
@@ -333,26 +387,28 @@ void SharedChannels::Hub::look_soon() {
 /// Passes on the messages that wait, and drops those that have waited too long.
 void SharedChannels::Hub::look() {
   pass_on();
-  Late late;
-  {
-    const config::MutexLock lock(mutex);
-    late = late_ones();
-  }
-  drop(std::move(late));
+  drop_late_ones();
 }
 
-SharedChannels::Hub::Verdict SharedChannels::Hub::judge(const discovery::InstanceId& instance, const Line& line) const {
-  if (instance.empty()) return Verdict::late;
+/// \return why the line's first message is dropped now; null: it waits
+std::optional<SharedChannels::Hub::Reason> SharedChannels::Hub::judge(const discovery::InstanceId& instance,
+                                                                      const Line& line) const {
+  if (instance.empty()) return Reason::no_instance;
   const auto now = clock.now();
   const auto since = line.messages.front().since;
-  if (deadline.count() > 0 && now - since >= deadline) return Verdict::late;
+  if (deadline.count() > 0 && now - since >= deadline) return Reason::deadline;
   const auto waited = now - std::max(since, line.progress);
-  const bool unasked = !line.answered && passable(line);
-  if (line.comes || unasked || common->expects(instance))
-    return waited >= longest_wait ? Verdict::late : Verdict::waits;
+  const auto after_longest_wait = [&](Reason reason) {
+    return waited >= longest_wait ? std::optional(reason) : std::nullopt;
+  };
+  if (line.told == Told::comes || common->expects(instance)) return after_longest_wait(Reason::not_started);
+  if (line.told == Told::gateway_away) return after_longest_wait(Reason::gateway_away);
+  if (line.told == Told::nothing && passable(line)) return after_longest_wait(Reason::not_asked);
   const auto gone = absent.find(instance);
   const bool came_later = gone != absent.end() && since >= gone->second;
-  return waited >= grace || came_later ? Verdict::absent : Verdict::waits;
+  if (waited < grace && !came_later) return std::nullopt;
+  const bool asked = !common->passing.pass || line.told == Told::nowhere;
+  return asked ? Reason::no_instance : Reason::too_large;
 }
 
 SharedChannels::Hub::Late SharedChannels::Hub::late_ones() {
@@ -365,10 +421,12 @@ SharedChannels::Hub::Late SharedChannels::Hub::late_ones() {
       ++place;
       continue;
     }
-    for (auto verdict = judge(instance, line); verdict != Verdict::waits; verdict = judge(instance, line)) {
-      late.push_back(std::move(messages.front()));
+    for (auto reason = judge(instance, line); reason; reason = judge(instance, line)) {
+      late.push_back({std::move(messages.front()), *reason});
       messages.pop_front();
-      if (verdict == Verdict::absent && !absent.contains(instance)) {
+      if (line.told == Told::too_large) line.told = Told::nothing;  // the next message may fit
+      const bool is_absent = reason == Reason::no_instance || reason == Reason::too_large;
+      if (is_absent && !instance.empty() && !absent.contains(instance)) {
         if (absent.size() >= most_absent) absent.erase(absent.begin());
         absent.emplace(instance, clock.now());
       }
@@ -379,10 +437,19 @@ SharedChannels::Hub::Late SharedChannels::Hub::late_ones() {
   return late;
 }
 
-void SharedChannels::Hub::drop(Late late) {
+void SharedChannels::Hub::drop_late_ones() {
+  Late late;
+  {
+    const config::MutexLock lock(mutex);
+    late = late_ones();
+  }
   if (late.empty()) return;
-  lost.add(late.size());
-  for (auto& waiting : late) waiting.delivery.settle(brokers::Settlement::accept);
+  for (auto& [waiting, reason] : late) {
+    auto with_reason = labels;
+    with_reason["reason"] = name_of(reason);
+    metrics.counter("iotcloud_driver_lost_total", lost_help, with_reason).add();
+    waiting.delivery.settle(brokers::Settlement::accept);
+  }
   std::size_t dropped = 0;
   {
     const config::MutexLock lock(mutex);
@@ -392,8 +459,8 @@ void SharedChannels::Hub::drop(Late late) {
     last_told = now;
     dropped = std::exchange(untold, 0);
   }
-  host_logger.warn("{}: {} message(s) for driver instances that do not run here, dropped; the last for \"{}\"", topic,
-                   dropped, late.back().delivery.message.driver_id);
+  host_logger.warn("{}: {} message(s) dropped that no driver instance here got; the last for \"{}\" ({})", topic,
+                   dropped, late.back().waiting.delivery.message.driver_id, name_of(late.back().reason));
 }
 
 SharedChannels::SharedChannels(std::shared_ptr<EventLoop> loop, const config::Clock& clock, config::Metrics& metrics,

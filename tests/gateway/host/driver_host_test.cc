@@ -460,10 +460,10 @@ class TwoHosts : public DriverHostTest {
     options.clock = &clock_;  // it stands still, so nothing is given up
     options.metrics = &metrics_;
     options.drain_limit = 50ms;
-    options.passing.pass = [this, &other](const PassedMessage& message) -> std::optional<PassAnswer> {
+    options.passing.pass = [this, &other](const PassedMessage& message) -> std::optional<NotPassed> {
       if (gateway_ == Gateway::forgets) ++forgotten_;
       if (gateway_ == Gateway::passes) other->deliver(message);
-      if (gateway_ == Gateway::away) return PassAnswer::comes;
+      if (gateway_ == Gateway::away) return NotPassed::gateway_away;
       return std::nullopt;
     };
     options.passing.answer = [&other](std::int64_t number, PassAnswer answer) { other->answered(number, answer); };

@@ -15,6 +15,7 @@ namespace {
 using brokers::Settlement;
 using ::testing::ElementsAre;
 using ::testing::IsEmpty;
+using ::testing::Pair;
 using namespace std::chrono_literals;
 
 /// What became of deliveries. Thread safe.
@@ -80,7 +81,7 @@ class SharedChannelsTest : public ::testing::Test {
       passing.pass = [this](const PassedMessage& message) {
         const std::lock_guard lock(mutex_);
         passed_.push_back(message);
-        return at_once_;
+        return not_passed_;
       };
     }
     channels_.emplace(timers_, clock_, metrics_, passing);
@@ -144,6 +145,18 @@ class SharedChannelsTest : public ::testing::Test {
     const std::lock_guard lock(mutex_);
     takes_ = true;
   }
+  void pass_nothing(NotPassed why) {
+    const std::lock_guard lock(mutex_);
+    not_passed_ = why;
+  }
+  /// How many messages were dropped, by reason.
+  std::map<std::string, double> lost() const {
+    std::map<std::string, double> lost;
+    for (const auto& sample : metrics_.collect()) {
+      if (sample.name == "iotcloud_driver_lost_total") lost[sample.labels.at("reason")] += sample.value;
+    }
+    return lost;
+  }
   bool took(const std::vector<std::string>& wanted) {
     return tests::eventually([&] {
       const std::lock_guard lock(mutex_);
@@ -152,8 +165,8 @@ class SharedChannelsTest : public ::testing::Test {
   }
 
   mutable std::mutex mutex_;
-  std::vector<PassedMessage> passed_;  ///< guarded by mutex_, as are the next members
-  std::optional<PassAnswer> at_once_;  ///< what the gateway's side answers at once
+  std::vector<PassedMessage> passed_;    ///< guarded by mutex_, as are the next members
+  std::optional<NotPassed> not_passed_;  ///< why nothing is passed
   bool takes_ = false;
   std::vector<std::string> taken_;
 
@@ -183,6 +196,7 @@ TEST_F(SharedChannelsTest, DoNotPassAMessageThatIsTooLargeWithItsPropertiesAndPa
   look();
   EXPECT_EQ(settlements_->of(huge), Settlement::accept);
   EXPECT_EQ(settlements_->of(payload), Settlement::accept);
+  EXPECT_THAT(lost(), ElementsAre(Pair("no_instance", 1), Pair("too_large", 2))) << "look() has the first";
   look();
   EXPECT_THAT(passed(), ElementsAre("b:1"));
 }
@@ -213,12 +227,76 @@ TEST_F(SharedChannelsTest, DoNotGiveUpSoonWhatTheGatewayWasNotAskedAbout) {
   answer(0, PassAnswer::handled);
   EXPECT_THAT(passed(), ElementsAre("b:200000", "c:1"));
   answer(1, PassAnswer::nowhere);
-  {
-    const std::lock_guard lock(mutex_);
-    at_once_ = PassAnswer::nowhere;
-  }
-  look();
   EXPECT_EQ(settlements_->of(small), Settlement::accept);
+  EXPECT_EQ(lost()["no_instance"], 2) << "one is of look()";
+}
+
+TEST_F(SharedChannelsTest, GiveUpAMessageForNobodyAlthoughItIsPassedAtEachLook) {
+  open(true);
+  const auto early = arrive("x", "b");
+  const auto late = arrive("y", "b");
+  answer(0, PassAnswer::nowhere);
+  clock_.advance(SharedChannels::grace - 1ms);
+  look();
+  ASSERT_THAT(passed(), ElementsAre("b:1", "b:1"));
+  answer(1, PassAnswer::nowhere);
+  EXPECT_EQ(settlements_->of(early), std::nullopt);
+  clock_.advance(1ms);
+  look();
+  EXPECT_EQ(settlements_->of(early), std::nullopt) << "it may be in a driver's hand";
+  answer(2, PassAnswer::nowhere);
+  EXPECT_EQ(settlements_->of(early), Settlement::accept);
+  EXPECT_EQ(settlements_->of(late), Settlement::accept);
+}
+
+TEST_F(SharedChannelsTest, CountWhatNoFrameTakesAsTooLarge) {
+  open(true);
+  pass_nothing(NotPassed::too_large);
+  const auto huge = arrive("x", "b");
+  const auto next = arrive("y", "b");
+  clock_.advance(SharedChannels::grace - 1ms);
+  look();
+  EXPECT_EQ(settlements_->of(huge), std::nullopt);
+  clock_.advance(1ms);
+  look();
+  EXPECT_EQ(settlements_->of(huge), Settlement::accept);
+  EXPECT_EQ(settlements_->of(next), std::nullopt) << "it was not asked about yet";
+  look();
+  EXPECT_EQ(settlements_->of(next), Settlement::accept);
+  EXPECT_EQ(lost()["too_large"], 2);
+}
+
+TEST_F(SharedChannelsTest, CountWhatWaitedForAGatewayThatWasAway) {
+  open(true);
+  pass_nothing(NotPassed::gateway_away);
+  const auto waits = arrive("x", "b");
+  clock_.advance(SharedChannels::longest_wait - 1ms);
+  look();
+  EXPECT_EQ(settlements_->of(waits), std::nullopt);
+  clock_.advance(1ms);
+  look();
+  EXPECT_EQ(settlements_->of(waits), Settlement::accept);
+  EXPECT_EQ(lost()["gateway_away"], 1);
+}
+
+TEST_F(SharedChannelsTest, CountWhatWaitedForAnInstanceThatDidNotStart) {
+  open(true);
+  channels_->expect("here"_instance);
+  const auto here = arrive("x", "here");
+  const auto there = arrive("y", "there");
+  answer(0, PassAnswer::nowhere);
+  answer(1, PassAnswer::comes);
+  clock_.advance(SharedChannels::longest_wait - 1ms);
+  look();
+  answer(2, PassAnswer::nowhere);
+  EXPECT_EQ(settlements_->of(here), std::nullopt);
+  EXPECT_EQ(settlements_->of(there), std::nullopt);
+  clock_.advance(1ms);
+  look();
+  answer(3, PassAnswer::nowhere);
+  EXPECT_EQ(settlements_->of(here), Settlement::accept);
+  EXPECT_EQ(settlements_->of(there), Settlement::accept);
+  EXPECT_EQ(lost()["not_started"], 2);
 }
 
 TEST_F(SharedChannelsTest, GiveUpAMessageThatWasNeverAskedAboutAfterTheLongestWait) {
@@ -228,6 +306,7 @@ TEST_F(SharedChannelsTest, GiveUpAMessageThatWasNeverAskedAboutAfterTheLongestWa
   clock_.advance(SharedChannels::longest_wait);
   look();
   EXPECT_EQ(settlements_->of(small), Settlement::accept);
+  EXPECT_EQ(lost()["not_asked"], 1);
 }
 
 TEST_F(SharedChannelsTest, CountTheDeadlineFromWhenAMessageFirstCame) {
@@ -246,6 +325,7 @@ TEST_F(SharedChannelsTest, CountTheDeadlineFromWhenAMessageFirstCame) {
   clock_.advance(1ms);
   look();
   EXPECT_EQ(settlements_->of(returned), Settlement::accept);
+  EXPECT_EQ(lost()["deadline"], 1);
 }
 
 TEST_F(SharedChannelsTest, LetWhatAnInstanceGaveBackWaitForItsMoveToAnotherHost) {
@@ -306,10 +386,7 @@ TEST_F(SharedChannelsTest, JudgeEachMessageByItsOwnTime) {
 
 TEST_F(SharedChannelsTest, PassAMessageAgainAtALaterLookWhileItsInstanceIsAboutToBeOpen) {
   open(true);
-  {
-    const std::lock_guard lock(mutex_);
-    at_once_ = PassAnswer::comes;
-  }
+  pass_nothing(NotPassed::gateway_away);
   arrive("x", "b");
   look();
   EXPECT_THAT(passed(), ElementsAre("b:1")) << "not at each look";
