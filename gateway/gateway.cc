@@ -305,6 +305,10 @@ void Gateway::Impl::write_records() {
   if (stopping || !knows_registry) return;
   try {
     if (restore_due) {
+      // What another gateway wrote in this one's place is not to be put back: the orders may be read before the watch
+      // of the place tells.
+      const auto alive = options.registry->get(options.paths.gateway_alive(options.id));
+      if (membership.holder(alive) == Membership::Holder::another) return alive_changed(alive);
       membership.restore_record();
       instances.restore_records();
       restore_due = false;

@@ -5,13 +5,16 @@
 #include <iterator>
 #include <map>
 #include <optional>
+#include <tuple>
 #include <utility>
 #include <vector>
 
 #include <arpa/inet.h>
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <signal.h>
 #include <spawn.h>
+#include <sys/file.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -50,6 +53,7 @@ class DaemonTest : public ::testing::Test {
   DaemonTest() {
     std::string pattern = fs::temp_directory_path() / "iotcloud-daemon-XXXXXX";
     folder_ = mkdtemp(pattern.data());
+    twin_ = folder_ / "twin";
     configure(TEST_PLUGINS);
     discovery::RegistryOptions options;
     options.url = zookeeper_.url();
@@ -57,7 +61,7 @@ class DaemonTest : public ::testing::Test {
   }
   ~DaemonTest() override {
     if (daemon_ > 0) end_daemon(SIGKILL);
-    for (const auto& folder : {folder_, folder_ / "twin"}) {
+    for (const auto& folder : {folder_, twin_}) {
       for (const int host : host_processes(folder)) kill(host, SIGKILL);
     }
     fs::remove_all(folder_);
@@ -139,9 +143,38 @@ class DaemonTest : public ::testing::Test {
     return comes_to(DriverState::active) ? host_process() : 0;
   }
 
+  /// Another gateway of the same id takes the place, elsewhere, when it is free; it is daemon_ from now on. \return the
+  /// host of its active instance; 0: it has none
+  int start_twin() {
+    EXPECT_TRUE(eventually([&] { return alive_session() == 0; })) << "the session has not expired";
+    const auto before = record();
+    fs::create_directory(twin_);
+    configure_in(twin_, TEST_PLUGINS, quick_);
+    start_daemon_in(twin_);
+    const bool active = eventually([&] {
+      const auto now = record();
+      return now && now->state == DriverState::active && now->since_ms != before->since_ms;
+    });
+    const auto hosts = host_processes(twin_);
+    return active && hosts.size() == 1 ? hosts.front() : 0;
+  }
+  /// Who has the gateway's place, with which hosts, and what the instance's record says.
+  std::tuple<std::int64_t, std::vector<int>, std::string> seen() {
+    const auto now = record();
+    return {alive_session(), host_processes(twin_), now ? encode(*now) : ""};
+  }
+  /// A gateway whose place another one has ends with an error, and the host that it left.
+  static void expect_its_end(pid_t gateway, int host) {
+    int status = 0;
+    EXPECT_EQ(waitpid(gateway, &status, 0), gateway);
+    EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 1) << status;
+    EXPECT_TRUE(eventually([&] { return kill(host, 0) != 0; }));
+  }
+
   const discovery::Paths paths_;
+  const std::string quick_ = "registry.session_timeout: 1s\n";
   std::unique_ptr<discovery::Registry> registry_;
-  fs::path folder_;
+  fs::path folder_, twin_;
   std::map<std::string, std::string> properties_{{"channels", "none"}};
   pid_t daemon_ = 0;
 };
@@ -227,39 +260,67 @@ TEST_F(DaemonTest, AZooKeeperThatLostItsDiskStopsNothingAndIsFollowedWhenItIsAdo
 }
 
 TEST_F(DaemonTest, OneThatReturnsAfterAnotherGatewayTookItsPlaceEndsWithAnErrorAndItsHostsWithIt) {
-  const std::string quick = "registry.session_timeout: 1s\n";
-  configure(TEST_PLUGINS, quick);
+  configure(TEST_PLUGINS, quick_);
   const int host = start_with_host();
   ASSERT_GT(host, 0);
-  const auto before = record();
   const pid_t cut_off = daemon_;
   kill(cut_off, SIGSTOP);
-  EXPECT_TRUE(eventually([&] { return alive_session() == 0; })) << "its session has not expired";
-
-  const fs::path twin = folder_ / "twin";
-  fs::create_directory(twin);
-  configure_in(twin, TEST_PLUGINS, quick);
-  start_daemon_in(twin);
-  EXPECT_TRUE(eventually([&] {
-    const auto now = record();
-    return now && now->state == DriverState::active && now->since_ms != before->since_ms;
-  }));
-  const auto hosts = host_processes(twin);
-  const auto session = alive_session();
-  EXPECT_EQ(hosts.size(), 1U);
+  EXPECT_GT(start_twin(), 0);
   EXPECT_EQ(kill(host, 0), 0) << "nobody has fenced it yet: its gateway stands still";
-
+  const auto before = seen();
   kill(cut_off, SIGCONT);
-  int status = 0;
-  EXPECT_EQ(waitpid(cut_off, &status, 0), cut_off);
-  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 1) << status;
-  EXPECT_TRUE(eventually([&] { return kill(host, 0) != 0; }));
-
-  EXPECT_EQ(alive_session(), session) << "the other one has the place as before";
-  EXPECT_EQ(host_processes(twin), hosts);
-  EXPECT_EQ(record()->state, DriverState::active);
+  expect_its_end(cut_off, host);
+  EXPECT_EQ(seen(), before) << "the other one has the place as before";
   give(false);
   EXPECT_TRUE(comes_to(DriverState::inactive)) << "and follows orders";
+}
+
+TEST_F(DaemonTest, OneThatReturnsAfterItWasKilledAndReplacedEndsWithAnErrorAndTheHostsThatItLeft) {
+  configure(TEST_PLUGINS, quick_);
+  const int host = start_with_host();
+  ASSERT_GT(host, 0);
+  end_daemon(SIGKILL);
+  const int another = start_twin();
+  EXPECT_GT(another, 0);
+  EXPECT_EQ(kill(host, 0), 0) << "nobody has fenced it yet: its gateway is dead, and it has no lease";
+  const auto before = seen();
+  const pid_t twin = daemon_;
+  start_daemon();
+  expect_its_end(std::exchange(daemon_, twin), host);
+  EXPECT_EQ(seen(), before) << "the other one has the place as before";
+  give(false);
+  EXPECT_TRUE(comes_to(DriverState::inactive)) << "and follows orders";
+}
+
+TEST_F(DaemonTest, OneThatReturnsAfterItWasKilledAndReplacedHasLeftNoInstanceWithALeaseToRunBesideAnother) {
+  const fs::path alone = folder_ / "alone";
+  properties_.insert({{"alone", alone}, {"on_partition", "stop"}, {"lease", "3s"}});
+  configure(TEST_PLUGINS, quick_);
+  const int host = start_with_host();
+  ASSERT_GT(host, 0);
+  end_daemon(SIGKILL);
+  EXPECT_TRUE(eventually([&] {
+    const processes::OwnedDescriptor lock(open(alone.c_str(), O_RDONLY | O_CLOEXEC));
+    return flock(lock.get(), LOCK_EX | LOCK_NB) == 0;
+  })) << "its host does not stop the instance";
+  EXPECT_EQ(kill(host, 0), 0) << "the host itself goes on";
+  const int another = start_twin();
+  EXPECT_GT(another, 0);
+  const auto before = seen();
+  const pid_t twin = daemon_;
+  start_daemon();
+  expect_its_end(std::exchange(daemon_, twin), host);
+  EXPECT_EQ(seen(), before) << "the other one has the place as before";
+
+  end_daemon(SIGTERM);
+  const int again = start_with_host();
+  EXPECT_GT(again, 0) << "the place is free";
+  std::vector<std::string> lines;
+  std::ifstream file(alone);
+  for (std::string line; std::getline(file, line);) {
+    if (lines.empty() || lines.back() != line) lines.push_back(line);  // a busy machine may renew a lease late
+  }
+  EXPECT_THAT(lines, testing::ElementsAre(std::to_string(host), std::to_string(another), std::to_string(again)));
 }
 
 TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {

@@ -6,6 +6,10 @@
 #include <string>
 #include <vector>
 
+#include <fcntl.h>
+#include <sys/file.h>
+#include <unistd.h>
+
 #include <iotcloud/drivers/driver.h>
 
 namespace iotcloud::gateway {
@@ -13,6 +17,9 @@ namespace iotcloud::gateway {
 /// A driver that does what the deployment's properties say, including faults.
 /// throw_in: the call that throws: channels, open, activate, timer or message
 ///   crash_file: when this file appears it is removed and the process dies of SIGSEGV
+///   alone: while it is open it has the lock of this file; there it writes a line with its process, and "not alone"
+///   behind
+///     it when another process has the lock (then open() throws)
 ///   shared: "true" makes both channels shared; channels: "none" leaves them out
 ///   publishes_on: publishes on this channel when it is activated, too
 ///   says: "KEY=VALUE", metadata that it has from the beginning; a message "say KEY=VALUE" changes it
@@ -20,6 +27,13 @@ namespace iotcloud::gateway {
 /// metadata `stored` has what on_stored reported.
 class ProbeDriver : public drivers::Driver {
  public:
+  ProbeDriver() = default;
+  ~ProbeDriver() override {
+    if (lock_ >= 0) ::close(lock_);
+  }
+  ProbeDriver(const ProbeDriver&) = delete;
+  ProbeDriver& operator=(const ProbeDriver&) = delete;
+
   std::vector<drivers::ChannelSpec> channels(const drivers::PropertyMap& properties) override {
     throw_in_ = value(properties, "throw_in");
     throw_if("channels");
@@ -38,6 +52,7 @@ class ProbeDriver : public drivers::Driver {
     context_ = &context;
     throw_if("open");
     say(value(context.properties(), "says"));
+    be_alone(value(context.properties(), "alone"));
     if (throw_in_ == "timer") context.after(std::chrono::milliseconds{1}, [this] { throw_if("timer"); });
     const std::string crash_file = value(context.properties(), "crash_file");
     if (crash_file.empty()) return;
@@ -72,6 +87,13 @@ class ProbeDriver : public drivers::Driver {
     const auto equals = pair.find('=');
     if (equals != std::string::npos) context_->update_metadata({{pair.substr(0, equals), pair.substr(equals + 1)}});
   }
+  void be_alone(const std::string& file) {
+    if (file.empty()) return;
+    lock_ = ::open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
+    const bool alone = flock(lock_, LOCK_EX | LOCK_NB) == 0;
+    const std::string line = std::to_string(getpid()) + (alone ? "\n" : " not alone\n");
+    if (write(lock_, line.data(), line.size()) < 0 || !alone) throw std::runtime_error("another one has " + file);
+  }
   static std::string value(const drivers::PropertyMap& properties, const std::string& name) {
     const auto found = properties.find(name);
     return found == properties.end() ? "" : found->second;
@@ -81,6 +103,7 @@ class ProbeDriver : public drivers::Driver {
   }
 
   std::string throw_in_;
+  int lock_ = -1;  ///< see `alone`
   drivers::DriverContext* context_ = nullptr;
 };
 
