@@ -76,6 +76,17 @@ def grown(before, after):
     return wrong
 
 
+def stays_grown(cluster, before, limit):
+    """What has grown and has not ended within `limit` seconds: a broker's library may need a while to end the clients of
+    readers that moved."""
+    deadline = time.monotonic() + limit
+    while wrong := grown(before, all_figures(cluster)):
+        if time.monotonic() > deadline:
+            return wrong
+        cluster.pause(0.5)
+    return []
+
+
 def cpu_seconds(folder):
     used = {}
     for pid, command in processes(folder):

@@ -112,6 +112,25 @@ class Grown(unittest.TestCase):
         self.assertEqual(checks.grown({"master-1": None}, self.BEFORE), [])
         self.assertEqual(checks.grown(self.BEFORE, {"master-1": None}), [])
 
+    def in_the_end(self, *threads):
+        """`threads`: of worker-1, at each look; the last one from then on. A look is made each half second."""
+        now, looks = [0.0], list(threads)
+
+        def figures(_cluster):
+            return {"worker-1": {**self.BEFORE["worker-1"], "threads": looks.pop(0) if len(looks) > 1 else looks[0]}}
+
+        def pause(seconds):
+            now[0] += seconds
+
+        with mock.patch.object(checks, "all_figures", figures), mock.patch.object(checks.time, "monotonic", lambda: now[0]):
+            return checks.stays_grown(SimpleNamespace(pause=pause), self.BEFORE, 60)
+
+    def test_is_not_what_ends_in_time(self):
+        self.assertEqual(self.in_the_end(40, 40, 30, 9), [])
+
+    def test_is_what_stays(self):
+        self.assertEqual(self.in_the_end(40, 30, 21), ["worker-1 has 21 threads, before the faults it had 9"])
+
     def test_is_judged_by_what_the_kernel_says(self):
         with tempfile.TemporaryDirectory() as folder, mock.patch.object(checks, "PROC", Path(folder)):
             for part in ("7/fd/0", "7/fd/1", "7/fd/2", "7/task/7"):
