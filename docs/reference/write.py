@@ -6,7 +6,8 @@ usage: write.py BUILD_DIR [--check]      (./dev reference; --check: only say whe
 Each daemon reads its default file of the folder above with all that is commented out there taken in, and lists the keys
 that it asked for (--list-keys): names, kinds, defaults and limits come from the code that reads them. What a key means
 comes from the comment above it in that file, or from the tables of a README; a key of which neither says anything is an
-error.
+error. The keys of `conf` that our classes take, with all that is said of them, come from where the classes declare them
+(ConfKey in topology/conf_keys.h), by the program list_conf_keys.
 """
 
 import argparse
@@ -47,19 +48,18 @@ FOR_ANY_FILE = {
     "driver": (None, "**required**, or `sensor`"),
     "sensor": (None, "the older name of `driver`"),
 }
-# Classes of ours that read `conf`: what they are, where their code says which keys there are, and what tells of each.
-CLASSES = (
-    ("Windowed bolts", "window.", "topology/windows/window_options.cc", "topology/windows/README.md"),
-    ("Bolts with state", "state.", "topology/state/stateful_bolt.cc", "topology/state/README.md"),
-    ("The follower's bolt turtlebot.Follow", "", "examples/turtlebot_follower/follower_options.cc",
-     "examples/turtlebot_follower/README.md"),
-)
+# Classes of ours that read `conf`: what they are, how their keys begin, what tells of each; by their names in list_conf_keys.
+CLASSES = {
+    "windows": ("Windowed bolts", "window.", "topology/windows/README.md"),
+    "state": ("Bolts with state", "state.", "topology/state/README.md"),
+    "follower": ("The follower's bolt turtlebot.Follow", "", "examples/turtlebot_follower/README.md"),
+}
 
 HEAD = """\
 # Configuration reference
 
-`./dev reference` makes this page from the keys that the daemons read and from the comments in the default files; a test
-compares it with them. `<name>` is a name of your choice, `[]` an item of a sequence. Durations have a unit (`250ms`, `10s`,
+`./dev reference` makes this page from the keys that the daemons read, from the comments in the default files, and from what our
+classes declare of `conf`; a test compares it with them. `<name>` is a name of your choice, `[]` an item of a sequence. Durations have a unit (`250ms`, `10s`,
 `5m`, `1h`). **required**: the key must be there if its mapping is (for a spout or bolt: if it faces a broker). A key without
 a meaning shares that of the lines above it. A daemon refuses any other key, and names the nearest one of these.
 [fleet.yaml](../../config/fleet.yaml) explains the manifest of `iotcloud apply`.
@@ -200,21 +200,13 @@ def section(program, file, readme, binaries):
     return f"## {program}: [{file}](../../config/{file})\n\n{more}{text}\n"
 
 
-def conf_section(name, prefix, source, readme):
-    """The keys of `conf` that a class takes, as its code lists them, with the rows of its README's table."""
-    keys_of = rf'refuse_unknown_keys\(config, "{prefix}",\s*\{{(.*?)\}}\)' if prefix else r"const Key keys\[\] = (.*?);"
-    known = re.search(keys_of, (ROOT / source).read_text(), re.DOTALL)
+def conf_section(name, keys):
+    """The keys of `conf` that a class declares."""
+    what, prefix, readme = CLASSES[name]
     others = f"Any other key that begins with `{prefix}`" if prefix else "Any other key"
-    if not known:
-        sys.exit(f"{source}: the keys that it knows are not where they were")
-    keys = sorted(re.findall(r'"([\w.]+)"', known[1]))
-    told = (ROOT / readme).read_text()
-    told = told[max(told.find("| key of `conf` |"), 0):]
-    rows = {row[1]: row[0] for row in re.finditer(r"^\| `([\w.]+)` \|.*\|$", told, re.MULTILINE) if row[1].startswith(prefix)}
-    if keys != sorted(rows):
-        sys.exit(f"{readme}: its table has {', '.join(sorted(rows)) or 'no keys'}; {source} takes {', '.join(keys)}")
-    table = "\n".join(["| key of `conf` | value | default | meaning |", "|---|---|---|---|", *rows.values()])
-    return f"## {name}: `conf`\n\n[{readme}](../../{readme}) says more. {others} is refused.\n\n{table}\n"
+    rows = ["| " + " | ".join((f"`{key['key']}`", key["value"], key["otherwise"], key["text"])) + " |" for key in keys]
+    table = "\n".join(["| key of `conf` | value | default | meaning |", "|---|---|---|---|", *rows])
+    return f"## {what}: `conf`\n\n[{readme}](../../{readme}) says more. {others} is refused.\n\n{table}\n"
 
 
 def main():
@@ -222,8 +214,10 @@ def main():
     parser.add_argument("build", type=Path)
     parser.add_argument("--check", action="store_true")
     given = parser.parse_args()
-    text = "\n".join([HEAD, *(section(*daemon, given.build.resolve() / "bin") for daemon in DAEMONS),
-                      *(conf_section(*entry) for entry in CLASSES)])
+    build = given.build.resolve()
+    declared = json.loads(subprocess.run([build / "bin/list_conf_keys"], check=True, capture_output=True).stdout)
+    text = "\n".join([HEAD, *(section(*daemon, build / "bin") for daemon in DAEMONS),
+                      *(conf_section(name, keys) for name, keys in declared.items())])
     if not given.check:
         TARGET.write_text(text)
         return

@@ -4,8 +4,10 @@
 #include <map>
 #include <span>
 #include <string>
+#include <vector>
 
 #include <iotcloud/examples/turtlebot_follower/box_scan.h>
+#include <iotcloud/topology/conf_keys.h>
 
 namespace turtlebot_follower {
 
@@ -28,7 +30,10 @@ struct FollowerOptions {
   Box box;
 };
 
-/// Reads the options of a component's `conf`; README.md lists the keys. \throws iotcloud::topology::ConfErrors for
+/// The keys of `conf` of the bolt that follows.
+std::vector<iotcloud::topology::ConfKey> follower_conf_keys();
+
+/// Reads the options of a component's `conf`, see follower_conf_keys(). \throws iotcloud::topology::ConfErrors for
 /// unknown keys, values out of range and an empty box; the message says what would be right.
 FollowerOptions read_options(const std::map<std::string, std::string>& conf);
 

@@ -1,33 +1,89 @@
 #include <cmath>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include <fmt/format.h>
 
 #include <iotcloud/config/number.h>
 #include <iotcloud/examples/turtlebot_follower/follower.h>
-#include <iotcloud/topology/conf_keys.h>
 
 namespace turtlebot_follower {
 
 namespace {
 
 using iotcloud::topology::ConfCheck;
+using iotcloud::topology::ConfKey;
+using Option = iotcloud::topology::ConfOption<FollowerOptions>;
 
-/// One key of `conf`: its value's destination and range.
-struct Key {
-  std::string name;
-  double* value;
+/// What a number may be.
+struct Range {
+  const char* unit;
   double min, max;
 };
 
-void parse(ConfCheck& check, const Key& key, const std::string& text) {
-  const auto value = iotcloud::config::parse_number<double>(text);
-  if (!value || !(*value >= key.min && *value <= key.max)) {
-    check.refuse(key.name, fmt::format("\"{}\"; it takes a number from {} to {}", text, key.min, key.max));
-    return;
-  }
-  *key.value = *value;
+/// A key whose value is a number of that range. \param of a member of the options, which has the default
+template <typename Of>
+Option number(const char* name, const Range& range, Of of, const char* text) {
+  FollowerOptions usual;
+  return {ConfKey{name, fmt::format("{}, {:g} to {:g}", range.unit, range.min, range.max),
+                  fmt::format("`{:g}`", static_cast<double>(of(usual))), text},
+          [range, of](ConfCheck& check, const std::string& key, const std::string& given, FollowerOptions& options) {
+            using Number = std::remove_reference_t<decltype(of(options))>;
+            const auto value = iotcloud::config::parse_number<double>(given);
+            if (!value || !(*value >= range.min && *value <= range.max)) {
+              check.refuse(key, fmt::format("\"{}\"; it takes a number from {} to {}", given, range.min, range.max));
+            } else if (std::is_integral_v<Number> && *value != std::floor(*value)) {
+              check.refuse(key, fmt::format("\"{}\"; it takes a whole number", given));
+            } else {
+              of(options) = static_cast<Number>(*value);
+            }
+          }};
+}
+
+const std::vector<Option>& declared() {
+  using Options = FollowerOptions;
+  constexpr Range distance{"m", 0, farthest_box}, speed{"m/s", 0, 10}, turn{"rad/s", 0, 100},
+      gain{"rad/s for each m", 0, 100}, points{"points", 0, Follower::width * Follower::height},
+      across{"m", -farthest_box, farthest_box};
+  static const std::vector<Option> all{
+      number(
+          "goal_distance", distance, [](Options& o) -> double& { return o.goal_distance; },
+          "distance that it keeps between camera and person"),
+      number(
+          "max_linear", speed, [](Options& o) -> double& { return o.max_linear; }, "limit of its commands"),
+      number(
+          "max_angular", turn, [](Options& o) -> double& { return o.max_angular; }, "limit of its commands"),
+      number(
+          "turn_gain", gain, [](Options& o) -> double& { return o.turn_gain; },
+          "how hard it turns towards a person beside the optical axis"),
+      number(
+          "min_turn", turn, [](Options& o) -> double& { return o.min_turn; },
+          "it does not turn if the turn would be slower than this"),
+      number(
+          "stop_distance", distance, [](Options& o) -> double& { return o.stop_distance; },
+          "it stands still while the person is this far away: the person is leaving the box"),
+      number(
+          "stop_margin", distance, [](Options& o) -> double& { return o.stop_margin; },
+          "largest difference from `stop_distance` at which it does"),
+      number(
+          "min_points", points, [](Options& o) -> std::uint32_t& { return o.min_points; },
+          "with this many points in the box, or fewer, there is nobody to follow"),
+      number(
+          "x_min", across, [](Options& o) -> double& { return o.box.x_min; },
+          "the box: its left border, to the right of the camera"),
+      number(
+          "x_max", across, [](Options& o) -> double& { return o.box.x_max; }, "its right border"),
+      number(
+          "y_min", across, [](Options& o) -> double& { return o.box.y_min; }, "its upper border, below the camera"),
+      number(
+          "y_max", across, [](Options& o) -> double& { return o.box.y_max; }, "its lower border"),
+      number(
+          "z_min", distance, [](Options& o) -> double& { return o.box.z_min; },
+          "its near border, in front of the camera"),
+      number(
+          "z_max", distance, [](Options& o) -> double& { return o.box.z_max; }, "its far border")};
+  return all;
 }
 
 /// \param conf says which of the two borders the error is about.
@@ -41,36 +97,15 @@ void require_inside(ConfCheck& check, const std::map<std::string, std::string>& 
 
 }  // namespace
 
+std::vector<ConfKey> follower_conf_keys() {
+  return iotcloud::topology::keys_of(declared());
+}
+
 FollowerOptions read_options(const std::map<std::string, std::string>& conf) {
   FollowerOptions options;
-  double min_points = options.min_points;
-  Box& box = options.box;
-  const Key keys[] = {{"goal_distance", &options.goal_distance, 0, farthest_box},
-                      {"max_linear", &options.max_linear, 0, 10},
-                      {"max_angular", &options.max_angular, 0, 100},
-                      {"turn_gain", &options.turn_gain, 0, 100},
-                      {"min_turn", &options.min_turn, 0, 100},
-                      {"stop_distance", &options.stop_distance, 0, farthest_box},
-                      {"stop_margin", &options.stop_margin, 0, farthest_box},
-                      {"min_points", &min_points, 0, Follower::width * Follower::height},
-                      {"x_min", &box.x_min, -farthest_box, farthest_box},
-                      {"x_max", &box.x_max, -farthest_box, farthest_box},
-                      {"y_min", &box.y_min, -farthest_box, farthest_box},
-                      {"y_max", &box.y_max, -farthest_box, farthest_box},
-                      {"z_min", &box.z_min, 0, farthest_box},
-                      {"z_max", &box.z_max, 0, farthest_box}};
+  const Box& box = options.box;
   ConfCheck check;
-  std::vector<std::string> known;
-  for (const Key& key : keys) {
-    known.push_back(key.name);
-    const auto given = conf.find(key.name);
-    if (given != conf.end()) parse(check, key, given->second);
-  }
-  check.refuse_unknown_keys(conf, "", known);
-  if (min_points != std::floor(min_points)) {
-    check.refuse("min_points", fmt::format("\"{}\"; it takes a whole number", min_points));
-  }
-  options.min_points = static_cast<std::uint32_t>(min_points);
+  check.read(conf, "", declared(), options);
   require_inside(check, conf, "x", box.x_min, box.x_max);
   require_inside(check, conf, "y", box.y_min, box.y_max);
   require_inside(check, conf, "z", box.z_min, box.z_max);

@@ -7,6 +7,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/config/yaml/duration.h>
 #include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/grouping.h>
 #include <iotcloud/topology/state/stateful_bolt.h>
@@ -17,28 +18,46 @@ namespace {
 
 const config::Logger state_logger{"topology.state"};
 
+void read_store(ConfCheck&, const std::string&, const std::string& text, StateOptions& options) {
+  options.store = text;
+}
+
+void read_checkpoint(ConfCheck& check, const std::string& key, const std::string& text, StateOptions& options) {
+  const auto duration = config::parse_duration(text);
+  if (!duration || *duration < std::chrono::milliseconds(1)) {
+    check.refuse(key, "\"" + text + "\" is no period; write a number and a unit, 1ms or more: 500ms, 2s, 1m");
+  } else {
+    options.checkpoint = std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
+  }
+}
+
+void read_keys(ConfCheck& check, const std::string& key, const std::string& text, StateOptions& options) {
+  options.keys_of_grouping = text == "grouping";
+  if (options.keys_of_grouping) return;
+  check.refuse(key, "\"" + text +
+                        "\" is nothing that keys can be; write \"grouping\" if each key is the text of the "
+                        "field by which the inputs are grouped, or leave it out");
+}
+
+const std::vector<ConfOption<StateOptions>>& declared() {
+  static const std::vector<ConfOption<StateOptions>> all{
+      {{"state.store", "`memory://NAME`, `rocksdb:///PATH`, `redis://HOST:PORT` or `rediss://`",
+        "the library's; one of both must say it", "where checkpoints go"},
+       read_store},
+      {{"state.checkpoint", "duration, 1 ms at least",
+        "the library's, else `" + config::internal::duration_text(StateOptions{}.checkpoint) + "`",
+        "how often; acks wait for it"},
+       read_checkpoint},
+      {{"state.keys", "`grouping`", "the library's, else nothing is said",
+        "each key is the text of the one field by which all inputs are grouped, so that the number of tasks may "
+        "change"},
+       read_keys}};
+  return all;
+}
+
 StateOptions configured(StateOptions options, const Config& config) {
   ConfCheck check;
-  check.refuse_unknown_keys(config, "state.", {"state.store", "state.checkpoint", "state.keys"});
-  if (const auto store = config.find("state.store"); store != config.end()) options.store = store->second;
-  if (const auto period = config.find("state.checkpoint"); period != config.end()) {
-    const auto duration = config::parse_duration(period->second);
-    if (!duration || *duration < std::chrono::milliseconds(1)) {
-      check.refuse("state.checkpoint",
-                   "\"" + period->second + "\" is no period; write a number and a unit, 1ms or more: 500ms, 2s, 1m");
-    } else {
-      options.checkpoint = std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
-    }
-  }
-  if (const auto keys = config.find("state.keys"); keys != config.end()) {
-    options.keys_of_grouping = keys->second == "grouping";
-    if (!options.keys_of_grouping) {
-      check.refuse("state.keys",
-                   "\"" + keys->second +
-                       "\" is nothing that keys can be; write \"grouping\" if each key is the text of the "
-                       "field by which the inputs are grouped, or leave it out");
-    }
-  }
+  check.read(config, "state.", declared(), options);
   check.finish();
   if (options.store.empty()) {
     throw std::invalid_argument(
@@ -295,6 +314,10 @@ class StatefulBoltExecutor final : public Bolt {
 };
 
 }  // namespace
+
+std::vector<ConfKey> state_conf_keys() {
+  return keys_of(declared());
+}
 
 std::unique_ptr<Bolt> run_stateful(std::unique_ptr<StatefulBolt> bolt, StateOptions options) {
   return std::make_unique<StatefulBoltExecutor>(std::move(bolt), std::move(options));

@@ -6,8 +6,10 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include <iotcloud/topology/bolt.h>
+#include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/state/key_value_state.h>
 #include <iotcloud/topology/topology_builder.h>
 
@@ -55,12 +57,14 @@ struct StateOptions {
   bool keys_of_grouping = false;
 };
 
+/// The keys of `conf` that override the options, all of which begin with `state.`.
+std::vector<ConfKey> state_conf_keys();
+
 /// Wraps a stateful bolt as a Bolt.
 std::unique_ptr<Bolt> run_stateful(std::unique_ptr<StatefulBolt> bolt, StateOptions options);
 
-/// For TopologyBuilder::set_bolt. The configuration's `state.store` ("rocksdb:///var/lib/counts", "redis://..."),
-/// `state.checkpoint` ("500ms") and `state.keys` ("grouping") override the options. TopologyBuilder::build() refuses
-/// unusable options.
+/// For TopologyBuilder::set_bolt. The configuration overrides the options, see state_conf_keys().
+/// TopologyBuilder::build() refuses unusable options.
 template <typename T, typename... Args>
 BoltFactory make_stateful_bolt(StateOptions options = {}, Args... args) {
   return [options = std::move(options), args...] { return run_stateful(std::make_unique<T>(args...), options); };

@@ -1,9 +1,11 @@
 #include <algorithm>
 #include <optional>
 #include <stdexcept>
+#include <vector>
 
 #include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/config/yaml/duration.h>
 #include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/windows/window_options.h>
 
@@ -21,47 +23,70 @@ std::optional<std::chrono::milliseconds> parse_duration(const std::string& text)
   return std::chrono::duration_cast<std::chrono::milliseconds>(*duration);
 }
 
-void read_duration(ConfCheck& check, const Config& config, const std::string& key, std::chrono::milliseconds& value) {
-  const auto found = config.find(key);
-  if (found == config.end()) return;
-  const auto duration = parse_duration(found->second);
-  if (duration) {
-    value = *duration;
-  } else {
-    refuse(check, key, found->second, "write a number and a unit: 250ms, 2s, 5m or 1h");
-  }
+/// Reads a duration into a member of the options.
+auto duration_into(std::chrono::milliseconds WindowOptions::*member) {
+  return [member](ConfCheck& check, const std::string& key, const std::string& text, WindowOptions& options) {
+    if (const auto duration = parse_duration(text)) {
+      options.*member = *duration;
+    } else {
+      refuse(check, key, text, "write a number and a unit: 250ms, 2s, 5m or 1h");
+    }
+  };
 }
 
-void read_extent(ConfCheck& check, const Config& config, const std::string& key, WindowExtent& value) {
-  const auto found = config.find(key);
-  if (found == config.end()) return;
-  const std::string& text = found->second;
-  if (const auto count = config::parse_number<std::int64_t>(text); count && *count > 0) {
-    value = WindowExtent(*count);
-  } else if (const auto duration = parse_duration(text); duration && duration->count() > 0) {
-    value = WindowExtent(*duration);
-  } else {
-    refuse(check, key, text, "write a number of tuples (100) or a duration (250ms, 2s, 5m, 1h), more than zero");
-  }
+auto extent_into(WindowExtent WindowOptions::*member) {
+  return [member](ConfCheck& check, const std::string& key, const std::string& text, WindowOptions& options) {
+    if (const auto count = config::parse_number<std::int64_t>(text); count && *count > 0) {
+      options.*member = WindowExtent(*count);
+    } else if (const auto duration = parse_duration(text); duration && duration->count() > 0) {
+      options.*member = WindowExtent(*duration);
+    } else {
+      refuse(check, key, text, "write a number of tuples (100) or a duration (250ms, 2s, 5m, 1h), more than zero");
+    }
+  };
+}
+
+void read_timestamp_field(ConfCheck&, const std::string&, const std::string& text, WindowOptions& options) {
+  options.timestamp_field = text;
+  options.timestamp = nullptr;
+}
+
+const std::vector<ConfOption<WindowOptions>>& declared() {
+  static const auto all = [] {
+    const WindowOptions usual;
+    const auto text = [](std::chrono::milliseconds time) {
+      return "the library's, else `" + config::internal::duration_text(time) + "`";
+    };
+    const std::string extent = "duration, or a number of tuples";
+    return std::vector<ConfOption<WindowOptions>>{
+        {{"window.length", extent, "the library's", "how much a window holds"}, extent_into(&WindowOptions::length)},
+        {{"window.slide", extent, "the library's, else the length", "from one window to the next"},
+         extent_into(&WindowOptions::slide)},
+        {{"window.timestamp_field", "name of an int field", "the library's, else none: processing time",
+          "the tuples' own time, in milliseconds since 1970 UTC"},
+         read_timestamp_field},
+        {{"window.lag", "duration", text(usual.lag), "event time: how far tuples may be out of order"},
+         duration_into(&WindowOptions::lag)},
+        {{"window.watermark_interval", "duration", text(usual.watermark_interval),
+          "event time: how often the watermark moves; `0s`: with every tuple"},
+         duration_into(&WindowOptions::watermark_interval)},
+        {{"window.idle_source", "duration", text(usual.idle_source) + ": never",
+          "event time: a source that is silent for this long holds it back no longer"},
+         duration_into(&WindowOptions::idle_source)}};
+  }();
+  return all;
 }
 
 }  // namespace
 
+std::vector<ConfKey> window_conf_keys() {
+  return keys_of(declared());
+}
+
 WindowOptions configured(WindowOptions options, const Config& config) {
   ConfCheck check;
-  check.refuse_unknown_keys(config, "window.",
-                            {"window.length", "window.slide", "window.lag", "window.watermark_interval",
-                             "window.idle_source", "window.timestamp_field"});
-  read_extent(check, config, "window.length", options.length);
-  read_extent(check, config, "window.slide", options.slide);
-  read_duration(check, config, "window.lag", options.lag);
-  read_duration(check, config, "window.watermark_interval", options.watermark_interval);
-  read_duration(check, config, "window.idle_source", options.idle_source);
+  check.read(config, "window.", declared(), options);
   check.finish();
-  if (const auto field = config.find("window.timestamp_field"); field != config.end()) {
-    options.timestamp_field = field->second;
-    options.timestamp = nullptr;
-  }
   if (!options.length.said()) {
     throw std::invalid_argument(
         "a windowed bolt needs the length of its windows (WindowOptions::length, or conf "

@@ -5,7 +5,9 @@
 #include <cstdint>
 #include <functional>
 #include <string>
+#include <vector>
 
+#include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/fields.h>
 #include <iotcloud/topology/topology_context.h>
 #include <iotcloud/topology/tuple.h>
@@ -52,8 +54,10 @@ struct WindowOptions {
   bool event_time() const { return !timestamp_field.empty() || timestamp; }
 };
 
-/// Overrides options by the component's configuration: `window.length` and `window.slide` ("100" tuples or "10s"),
-/// `window.timestamp_field`, `window.lag`, `window.watermark_interval`, `window.idle_source`.
+/// The keys of `conf` that override the options, all of which begin with `window.`.
+std::vector<ConfKey> window_conf_keys();
+
+/// Overrides options by the component's configuration, see window_conf_keys().
 /// \throws std::invalid_argument if there is another key that begins with `window.`, a value cannot be read, or the
 /// result makes no windows.
 WindowOptions configured(WindowOptions options, const Config& config);
