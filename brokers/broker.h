@@ -207,6 +207,10 @@ class Subscription {
   virtual bool raise_prefetch(std::uint16_t prefetch) = 0;
   /// True while this one is reading; false while disconnected or while another reader holds the queue exclusively.
   virtual bool active() const = 0;
+  /// How many messages wait at the broker for this reader, as the server said last; those that were handed to this
+  /// client do not count. The call asks the server anew, for the next call, and does not wait. nullopt: not connected,
+  /// not told yet, or this kind of broker is not asked (ActiveMQ). Thread safe, also inside the handler.
+  virtual std::optional<std::uint64_t> backlog() { return std::nullopt; }
 };
 
 /// Follows the number of a topic's partitions until destroyed. The destructor returns when the callback does not run

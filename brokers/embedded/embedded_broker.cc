@@ -182,6 +182,12 @@ class EmbeddedSubscription final : public Subscription {
     return reader_->active;
   }
 
+  std::optional<std::uint64_t> backlog() override {
+    const config::MutexLock lock(server_.mutex);
+    if (!reader_->queue) return std::nullopt;
+    return reader_->queue->size();
+  }
+
  private:
   const std::shared_ptr<Connection> connection_;
   ServerState& server_;

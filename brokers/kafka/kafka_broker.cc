@@ -45,6 +45,7 @@ class KafkaSubscription final : public Subscription {
   void resume() override { link_.reader().resume(*subscriber_); }
   bool raise_prefetch(std::uint16_t prefetch) override { return link_.reader().raise_prefetch(*subscriber_, prefetch); }
   bool active() const override { return link_.reader().active(*subscriber_); }
+  std::optional<std::uint64_t> backlog() override { return link_.reader().backlog(*subscriber_); }
 
  private:
   ConsumerGroups& link_;

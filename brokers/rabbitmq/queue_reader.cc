@@ -129,6 +129,13 @@ void QueueReader::request(AmqpLink& wire, amqp_channel_t on, std::uint16_t now) 
   wire.send(on, AMQP_BASIC_CONSUME_METHOD, consume);
 }
 
+void QueueReader::ask(AmqpLink& wire, amqp_channel_t on) const {
+  amqp_queue_declare_t question{};
+  question.queue = to_bytes(queue);
+  question.passive = 1;
+  wire.send(on, AMQP_QUEUE_DECLARE_METHOD, question);
+}
+
 void QueueReader::limit_channel(AmqpLink& wire, amqp_channel_t on, std::uint16_t now) {
   amqp_basic_qos_t qos{};
   qos.prefetch_count = std::max<std::uint16_t>(now, 1);
@@ -176,6 +183,8 @@ void QueueReader::refused(const amqp_channel_close_t& answer) {
 void QueueReader::forget_channel() {
   phase = Phase::idle;
   channel = 0;
+  backlog.reset();
+  asks = false;
   begin_anew();
   assembly.reset();
 }

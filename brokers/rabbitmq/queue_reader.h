@@ -79,7 +79,9 @@ class QueueReader final : public client::OwnDeliveryStream {
   /// How many of the next messages may have been handed on before although the server does not mark them: a killed
   /// server forgets what it had delivered. After a reconnection, all messages that wait in the queue count as such.
   std::uint32_t doubtful = 0;
-  bool quick = false;  ///< whether its handler was quick when it was last measured
+  std::optional<std::uint64_t> backlog;  ///< how many messages the queue had when the server was asked last
+  bool asks = false;                     ///< the server is asked now
+  bool quick = false;                    ///< whether its handler was quick when it was last measured
 
   // Members of its channel.
   amqp_channel_t channel = 0;
@@ -98,6 +100,8 @@ class QueueReader final : public client::OwnDeliveryStream {
   /// Requests the channel, the queue and its messages; only the last answer, consume-ok, matters. \param on the
   /// channel's number. \param now its prefetch. \throws LinkError
   void request(AmqpLink& wire, amqp_channel_t on, std::uint16_t now) const;
+  /// Asks how many messages its queue has. \pre active. \throws LinkError
+  void ask(AmqpLink& wire, amqp_channel_t on) const;
   /// Sets the limit of its channel. \pre may_raise(). \throws LinkError
   static void limit_channel(AmqpLink& wire, amqp_channel_t on, std::uint16_t now);
   /// The server has answered consume-ok: reading begins.

@@ -44,6 +44,12 @@ class RabbitMqSubscription final : public Subscription {
     while (!raised) raised = reader_->connection()->raise_prefetch(reader_, prefetch);
     return *raised;
   }
+  std::optional<std::uint64_t> backlog() override {
+    std::optional<std::uint64_t> last;
+    while (!reader_->connection()->backlog(reader_, last)) {
+    }
+    return last;
+  }
   bool active() const override { return reader_->connection()->active(*reader_); }
 
  private:

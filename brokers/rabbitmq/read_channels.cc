@@ -30,6 +30,10 @@ void ReadChannels::limit(const QueueReader& reader) {
   outgoing_.push_back({Outgoing::Kind::limit, reader.channel, reader.prefetch, false, nullptr});
 }
 
+void ReadChannels::ask(const std::shared_ptr<QueueReader>& reader) {
+  outgoing_.push_back({Outgoing::Kind::ask, reader->channel, 0, false, reader});
+}
+
 void ReadChannels::close(QueueReader& reader) {
   outgoing_.push_back({Outgoing::Kind::close, reader.channel, 0, false, nullptr});
   readers_[reader.channel] = nullptr;
@@ -76,6 +80,8 @@ void ReadChannels::write_method(AmqpLink& wire, const Outgoing& what) const {
       return what.reader->request(wire, what.channel, static_cast<std::uint16_t>(what.tag));
     case Outgoing::Kind::limit:
       return QueueReader::limit_channel(wire, what.channel, static_cast<std::uint16_t>(what.tag));
+    case Outgoing::Kind::ask:
+      return what.reader->ask(wire, what.channel);
     case Outgoing::Kind::acknowledge: {
       amqp_basic_ack_t ack{};
       ack.delivery_tag = what.tag;

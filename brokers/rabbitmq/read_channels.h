@@ -34,6 +34,8 @@ class ReadChannels {
   void closed_by_server(amqp_channel_t channel);
   /// Tells the server the subscription's prefetch, which was raised.
   void limit(const QueueReader& reader);
+  /// Asks the server how many messages the subscription's queue has.
+  void ask(const std::shared_ptr<QueueReader>& reader);
   /// Takes the settlements of a subscription's messages. \param patience as in AckWindow::take()
   void settle(QueueReader& reader, std::size_t patience);
 
@@ -50,12 +52,12 @@ class ReadChannels {
  private:
   /// A method that is to be sent on a channel.
   struct Outgoing {
-    enum class Kind : std::uint8_t { request, limit, acknowledge, reject, close, close_ok };
+    enum class Kind : std::uint8_t { request, limit, ask, acknowledge, reject, close, close_ok };
     Kind kind = Kind::request;
     amqp_channel_t channel = 0;
     std::uint64_t tag = 0;  ///< for an acknowledgement or a rejection; the prefetch of a request or a limit
     bool multiple = false;
-    std::shared_ptr<const QueueReader> reader;  ///< of a request
+    std::shared_ptr<const QueueReader> reader;  ///< of a request or a question
   };
 
   amqp_channel_t lowest_free() const;

@@ -156,6 +156,16 @@ std::optional<bool> ReadConnection::raise_prefetch(const std::shared_ptr<QueueRe
   return true;
 }
 
+bool ReadConnection::backlog(const std::shared_ptr<QueueReader>& reader, std::optional<std::uint64_t>& last) {
+  const config::MutexLock lock(core_.mutex);
+  if (!reads_here(*reader)) return false;
+  last = reader->backlog;
+  if (reader->phase != QueueReader::Phase::active || std::exchange(reader->asks, true)) return true;
+  asking_.push_back(reader);
+  write_or_leave();
+  return true;
+}
+
 bool ReadConnection::resume(QueueReader& reader) {
   const config::MutexLock lock(core_.mutex);
   if (!reads_here(reader)) return false;
@@ -336,6 +346,7 @@ void ReadConnection::forget_connection() {
   moving_since_.reset();
   channels_.clear();
   leaving_.clear();
+  asking_.clear();
   core_.connection_lost();
   for (const auto& reader : readers_) {
     reader->forget_channel();
@@ -473,8 +484,13 @@ void ReadConnection::on_method(const amqp_method_t& method, amqp_channel_t chann
   const config::MutexLock lock(core_.mutex);
   switch (method.id) {
     case AMQP_QUEUE_DECLARE_OK_METHOD:
-      if (reader != nullptr && reader->read_before) {
-        reader->doubtful = static_cast<const amqp_queue_declare_ok_t*>(method.decoded)->message_count;
+      if (reader == nullptr) return;
+      if (const auto count = static_cast<const amqp_queue_declare_ok_t*>(method.decoded)->message_count;
+          reader->phase == QueueReader::Phase::active) {
+        reader->backlog = count;
+        reader->asks = false;
+      } else if (reader->read_before) {
+        reader->doubtful = count;
       }
       return;
     case AMQP_BASIC_CONSUME_OK_METHOD:
@@ -566,6 +582,9 @@ void ReadConnection::gather() {
   for (const auto& reader : std::exchange(raised_, {})) {
     if (!reads_here(*reader) || reader->closed || reader->channel == 0 || !reader->may_raise()) continue;
     channels_.limit(*reader);
+  }
+  for (const auto& reader : std::exchange(asking_, {})) {
+    if (reads_here(*reader) && !reader->closed && reader->asks) channels_.ask(reader);
   }
   for (const auto& reader : std::exchange(leaving_, {})) {
     if (reader->channel == 0) continue;  // the server has closed its channel

@@ -53,13 +53,15 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   /// Adds a subscription. The first one starts the thread, which connects.
   std::shared_ptr<QueueReader> add(const Topic& topic, const SubscriptionOptions& options, Handler handler);
   /// Ends a subscription; returns when its handler has returned, unless called from it.
-  /// This and the next four functions do nothing and return false (raise_prefetch(): nullopt) if the subscription has
+  /// This and the next five functions do nothing and return false (raise_prefetch(): nullopt) if the subscription has
   /// moved to another connection: ask its connection().
   bool remove(const std::shared_ptr<QueueReader>& reader);
   bool pause(QueueReader& reader);
   bool resume(QueueReader& reader);
   /// \return whether its queue allows it.
   std::optional<bool> raise_prefetch(const std::shared_ptr<QueueReader>& reader, std::uint16_t prefetch);
+  /// Asks the server how many messages the reader's queue has. \param last what the server said last; nullopt: nothing
+  bool backlog(const std::shared_ptr<QueueReader>& reader, std::optional<std::uint64_t>& last);
   bool active(const QueueReader& reader) const;
   void settle(QueueReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept;
   ConnectionState state() const;  ///< `connected` also when there is no subscription and so no connection
@@ -175,6 +177,8 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   std::vector<std::shared_ptr<QueueReader>> leaving_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Subscriptions whose prefetch was raised, which the server was not told yet.
   std::vector<std::shared_ptr<QueueReader>> raised_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  /// Subscriptions of whose queues the server is to be asked.
+  std::vector<std::shared_ptr<QueueReader>> asking_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// No reader's retry_at is earlier, except those of readers for which openers_wait_ is set.
   std::optional<Instant> next_timer_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Some subscriptions are due, but wait until the server has answered earlier requests.

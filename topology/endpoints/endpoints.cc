@@ -21,6 +21,7 @@ EndpointFactories endpoint_factories(EndpointServicesPtr services) {
                              spout.endpoint->channel + " x " + std::to_string(spout.tasks) + " " +
                                  (spout.endpoint->where.everything() ? "" : spout.endpoint->where.text()));
     auto placement = std::make_shared<SpoutPlacement>(services, spout.id, *spout.endpoint);
+    services->arrivals[spout.id] = placement->arrivals();
     services->after_stop.emplace_back([services = services.get(), endpoint = *spout.endpoint] {
       ReadingGroup::clear_up(*services->registry, readers_path(endpoint, *services));
     });

@@ -14,6 +14,7 @@
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/placement/driver_units.h>
 #include <iotcloud/topology/endpoints/placement/partition_agreement.h>
+#include <iotcloud/topology/endpoints/receiving/arrivals.h>
 #include <iotcloud/topology/endpoints/receiving/held_messages.h>
 #include <iotcloud/topology/endpoints/standstill_fence.h>
 #include <iotcloud/topology/runtime/trouble_board.h>
@@ -36,7 +37,8 @@ struct EndpointServices {
   config::Metrics* metrics = nullptr;
   /// By spout: the bolts below it that keep tuples by design, and for how long, for messages. Without an entry: none.
   std::map<std::string, std::string> keepers;
-  std::shared_ptr<HeldMessages> held = std::make_shared<HeldMessages>();         ///< never null
+  std::map<std::string, std::shared_ptr<const Arrivals>> arrivals;        ///< by spout; the spouts' factories fill it
+  std::shared_ptr<HeldMessages> held = std::make_shared<HeldMessages>();  ///< never null
   std::shared_ptr<TroubleBoard> troubles = std::make_shared<TroubleBoard>();     ///< never null; the runtime's, too
   std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();  ///< never null
   std::shared_ptr<PartitionAgreement> partitions = std::make_shared<PartitionAgreement>();  ///< never null

@@ -59,6 +59,17 @@ Json to_json(const TaskSnapshot& task) {
           {"last_error", task.last_error}};
 }
 
+Json to_json(const std::string& component, const Arrivals::Facts& facts) {
+  Json age, backlog;
+  if (facts.age_ms) age = static_cast<double>(*facts.age_ms) / 1000;
+  if (facts.backlog.known > 0) backlog = facts.backlog.messages;
+  return {{"component", component},
+          {"age_s", age},
+          {"backlog", backlog},
+          {"topic", facts.backlog.topic},
+          {"most", facts.backlog.most}};
+}
+
 Json to_json(const ComponentSpec& component, const Topology& topology, const Snapshot& now) {
   Json inputs = Json::array();
   for (const InputSpec& input : component.inputs) {
@@ -121,7 +132,8 @@ Json to_json(const Value& value) {
 
 }  // namespace
 
-std::string describe(const Runtime& runtime, const std::string& worker, const std::vector<BrokerWatch::Link>& brokers) {
+std::string describe(const Runtime& runtime, const std::string& worker, const std::vector<BrokerWatch::Link>& brokers,
+                     const std::map<std::string, std::shared_ptr<const Arrivals>>& arrivals) {
   const Snapshot now = runtime.snapshot();
   Json components = Json::array();
   for (const ComponentSpec& component : runtime.topology().components) {
@@ -137,12 +149,15 @@ std::string describe(const Runtime& runtime, const std::string& worker, const st
                      {"since_ms", link.since_ms},
                      {"why", link.why}});
   }
+  Json coming = Json::array();
+  for (const auto& [component, of] : arrivals) coming.push_back(to_json(component, of->facts()));
   Json troubles = Json::array();
   for (const auto& [component, text] : now.troubles) troubles.push_back({{"component", component}, {"text", text}});
   return to_text({{"topology", now.topology},
                   {"worker", worker},
                   {"active", now.active},
                   {"brokers", links},
+                  {"arrivals", coming},
                   {"troubles", troubles},
                   {"components", components},
                   {"tasks", tasks}});

@@ -322,7 +322,7 @@ const std::string& Worker::name() const {
 
 std::string Worker::describe() const {
   if (!impl_->running) throw config::Error("the worker is starting; ask again in a moment");
-  return topology::describe(*impl_->runtime, impl_->services->worker, impl_->watch->look());
+  return topology::describe(*impl_->runtime, impl_->services->worker, impl_->watch->look(), impl_->services->arrivals);
 }
 
 TapDesk& Worker::taps() {

@@ -282,6 +282,23 @@ bool PartitionReader::active(const TopicSubscriber& subscriber) const {
          });
 }
 
+std::optional<std::uint64_t> PartitionReader::backlog(const TopicSubscriber& subscriber) const {
+  const config::MutexLock lock(core_.mutex);
+  std::optional<std::uint64_t> sum;
+  for (const auto& [key, feed] : subscriber.member->feeds) {
+    if (feed->subscriber.get() != &subscriber || feed->withheld) continue;
+    std::int64_t oldest = 0;
+    std::int64_t end = 0;
+    // What the library remembers of its last fetch: no request, and no wait.
+    const auto failed =
+        rd_kafka_get_watermark_offsets(feed->client->get(), key.first.c_str(), key.second, &oldest, &end);
+    if (failed != RD_KAFKA_RESP_ERR_NO_ERROR || end < 0) continue;
+    const std::int64_t next = std::max(feed->progress.expects(), oldest);
+    sum = sum.value_or(0) + static_cast<std::uint64_t>(std::max<std::int64_t>(end - next, 0));
+  }
+  return sum;
+}
+
 std::set<std::string> PartitionReader::topics(const Member& member) const {
   const config::MutexLock lock(core_.mutex);
   std::set<std::string> names;

@@ -48,6 +48,9 @@ class PartitionReader final : client::ReadTransport, public std::enable_shared_f
   void pause(TopicSubscriber& subscriber);
   void resume(TopicSubscriber& subscriber);
   bool raise_prefetch(TopicSubscriber& subscriber, std::uint16_t prefetch);
+  /// How many records its partitions have that did not arrive here, by the ends that the last fetches told; nullopt:
+  /// not known.
+  std::optional<std::uint64_t> backlog(const TopicSubscriber& subscriber) const;
   bool active(const TopicSubscriber& subscriber) const;
   void settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept;
 

@@ -32,6 +32,8 @@ class Progress {
 
   /// The first offset to read; below 0: the oldest in the partition.
   std::int64_t start() const { return start_; }
+  /// The first offset that has not arrived.
+  std::int64_t expects() const { return next_; }
   /// Whether an earlier reader settled this offset, although one before it was unsettled.
   bool was_settled(std::int64_t offset) const;
   /// Whether an earlier reader may have handed on this offset. \param log_end the end of the partition as known now: if

@@ -62,6 +62,10 @@ Json TopologyPages::brokers() const {
   return all("brokers");
 }
 
+Json TopologyPages::arrivals() const {
+  return all("arrivals");
+}
+
 Json TopologyPages::troubles() const {
   return all("troubles");
 }

@@ -23,6 +23,8 @@ class TopologyPages {
   const Json& components() const { return components_; }
   /// The brokers of the workers whose pages could be read: {"worker", "broker", "url", "state", "since_ms", "why"}.
   Json brokers() const;
+  /// What is on its way to the spouts of these workers: {"worker", "component", "age_s", "backlog", "topic", "most"}.
+  Json arrivals() const;
   /// What hinders components in these workers now, as they say it: {"worker", "component", "text"}.
   Json troubles() const;
   /// The tasks of one component on all workers: counts added up, latency p50 of the task with the most samples, p99 and

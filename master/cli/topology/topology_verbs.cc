@@ -137,6 +137,7 @@ class Show final : public OfTopology {
                   {"since_ms", topology.record.since_ms},
                   {"workers", workers},
                   {"brokers", pages.brokers()},
+                  {"arrivals", pages.arrivals()},
                   {"troubles", pages.troubles()},
                   {"components", components}});
     }
@@ -155,6 +156,21 @@ class Show final : public OfTopology {
     if (rows.empty()) return;
     out << '\n';
     print_table(out, {"WORKER", "BROKER", "URL", "STATE", "SINCE", "WHY"}, rows);
+  }
+  static void show_arrivals(const TopologyPages& pages, std::ostream& out) {
+    Rows rows;
+    for (const Json& spout : pages.arrivals()) {
+      const Json &seconds = spout.at("age_s"), &backlog = spout.at("backlog");
+      const auto most = spout.at("most").get<std::uint64_t>();
+      rows.push_back(
+          {printable(spout.at("component").get<std::string>()), printable(spout.at("worker").get<std::string>()),
+           seconds.is_null() ? "-" : fmt::format("{:.3f} s", seconds.get<double>()),
+           backlog.is_null() ? "-" : std::to_string(backlog.get<std::uint64_t>()),
+           most == 0 ? "-" : fmt::format("{} in {}", most, printable(spout.at("topic").get<std::string>()))});
+    }
+    if (rows.empty()) return;
+    out << '\n';
+    print_table(out, {"SPOUT", "WORKER", "AGE AT ARRIVAL", "WAITING AT BROKERS", "MOST"}, rows);
   }
   static void show_troubles(const TopologyPages& pages, std::ostream& out) {
     Rows rows;
@@ -175,6 +191,7 @@ class Show final : public OfTopology {
                        revision == 0 ? std::string("no orders") : fmt::format("order {}", revision));
     show_workers(topology, out);
     show_brokers(pages, out);
+    show_arrivals(pages, out);
     show_troubles(pages, out);
     if (pages.components().empty()) return;
     out << '\n';

@@ -178,6 +178,26 @@ TEST_P(BrokerContract, ARaisedPrefetchLetsMoreMessagesComeWhileNoneIsSettled) {
   holder.drop_all();
 }
 
+TEST_P(BrokerContract, SaysHowManyMessagesWaitForAReader) {
+  const auto broker = this->broker();
+  const Topic topic = this->topic();
+  Holder holder;
+  SubscriptionOptions options;
+  options.prefetch = 5;
+  const auto subscription = broker->subscribe(topic, options, holder.handler());
+  const auto publisher = broker->publisher(topic, {});
+  for (const auto& body : numbered(1, 100)) publisher->publish(text_message(body));
+  ASSERT_TRUE(holder.wait_for(5));
+  if (GetParam() == "activemq") {
+    EXPECT_EQ(subscription->backlog(), std::nullopt);
+  } else {
+    EXPECT_TRUE(tests::eventually([&] { return subscription->backlog() == 95; }));
+    for (std::size_t i = 0; i < 5; ++i) holder.settle(i, Settlement::accept);
+    EXPECT_TRUE(tests::eventually([&] { return subscription->backlog() == 90; }));
+  }
+  holder.drop_all();
+}
+
 TEST_P(BrokerContract, SettlesOutOfOrderWithoutStalling) {
   const auto broker = this->broker();
   const Topic topic = this->topic();

@@ -23,6 +23,8 @@ using testing::Not;
 
 constexpr const char* page = R"({"topology": "echo", "worker": "w1", "active": true, "components":
   [{"id": "in", "kind": "spout", "parallelism": 3, "tasks": 4, "inputs": [], "streams": {"default": ["f"]}}], "tasks": [],
+  "arrivals": [{"component": "in", "age_s": 1.25, "backlog": 90, "topic": "g.d.one.up", "most": 70},
+               {"component": "other", "age_s": null, "backlog": null, "topic": "", "most": 0}],
   "troubles": [{"component": "in", "text": "its topics differ"}]})";
 /// The same with a task that has emitted so many tuples.
 std::string page_after(int emitted) {
@@ -116,6 +118,11 @@ TEST_F(CliOfAFarWorker, ShowsMetersAndTapsItByWayOfTheMaster) {
   EXPECT_EQ(run_json({"topology", "show", "echo"})["components"][0]["parallelism"], 3);
   EXPECT_EQ(run_json({"topology", "show", "echo"})["troubles"][0]["text"], "its topics differ");
   EXPECT_THAT(run({"topology", "show", "echo"}).out, AllOf(HasSubstr("TROUBLE"), HasSubstr("its topics differ")));
+  EXPECT_EQ(run_json({"topology", "show", "echo"})["arrivals"][0]["backlog"], 90);
+  EXPECT_THAT(run({"topology", "show", "echo"}).out,
+              AllOf(testing::ContainsRegex("AGE AT ARRIVAL +WAITING AT BROKERS"),
+                    testing::ContainsRegex("in +w1 +1\\.250 s +90 +70 in g\\.d\\.one\\.up"),
+                    testing::ContainsRegex("other +w1 +- +- +-")));
   EXPECT_EQ(run_json({"topology", "metrics", "echo"})["workers"], 1);
   const auto tapped = run({"topology", "tap", "echo", "in", "--count", "1"});
   EXPECT_EQ(tapped.status, 0) << tapped.err;

@@ -51,8 +51,10 @@ class HandBroker final : public brokers::Broker {
     return names;
   }
 
-  int opened = 0;      ///< subscriptions that were ever made
-  bool active = true;  ///< of all subscriptions
+  int opened = 0;                                ///< subscriptions that were ever made
+  bool active = true;                            ///< of all subscriptions
+  std::map<std::string, std::uint64_t> waiting;  ///< how many messages wait, by topic
+  std::vector<std::string> asked;                ///< of which topics somebody asked how many
 
  private:
   struct Reading final : brokers::Subscription {
@@ -64,6 +66,11 @@ class HandBroker final : public brokers::Broker {
     void resume() override {}
     bool raise_prefetch(std::uint16_t) override { return false; }
     bool active() const override { return broker.active; }
+    std::optional<std::uint64_t> backlog() override {
+      broker.asked.push_back(topic);
+      const auto found = broker.waiting.find(topic);
+      return found == broker.waiting.end() ? std::nullopt : std::optional(found->second);
+    }
     HandBroker& broker;
     const std::string topic;
   };
@@ -305,6 +312,24 @@ TEST_F(SpoutUnitsTest, AnInstanceThatIsBackBeforeTheEndIsReadOnWithoutAPause) {
   EXPECT_EQ(units_.read_here(), 1U);
   EXPECT_THAT(look(SpoutUnits::end_silence * 2), IsEmpty());
   EXPECT_THAT(broker_->topics(), ElementsAre("a"));
+}
+
+TEST_F(SpoutUnitsTest, BrokersAreAskedInTurnHowManyMessagesWait) {
+  read_alone({"a", "b", "c"});
+  broker_->waiting = {{"a", 5}, {"c", 7}};
+  EXPECT_EQ(units_.backlog().known, 0U);
+  units_.ask_backlog(2);
+  EXPECT_EQ(units_.backlog().messages, 5U);
+  units_.ask_backlog(2);
+  EXPECT_THAT(broker_->asked, ElementsAre("a", "b", "c", "a"));
+  const Backlog all = units_.backlog();
+  EXPECT_EQ(all.known, 2U) << "of b nothing is known";
+  EXPECT_EQ(all.messages, 12U);
+  EXPECT_EQ(all.topic, "c");
+  EXPECT_EQ(all.most, 7U);
+  broker_->asked.clear();
+  units_.ask_backlog(100);
+  EXPECT_THAT(broker_->asked, ElementsAre("b", "c", "a")) << "each once";
 }
 
 TEST_F(SpoutUnitsTest, AfterTheFenceAllReadersAreOpenedAnew) {

@@ -78,7 +78,7 @@ bool BrokerSpout::next_tuple() {
   for (;;) {
     auto [arrival, more] = queue_->pop();
     if (!arrival) return false;
-    received_->add();
+    note_arrival(*arrival);
     if (filter_) {
       arrival = filter_->pass(std::move(*arrival), services_->clock->now());
       if (!arrival) {
@@ -88,6 +88,13 @@ bool BrokerSpout::next_tuple() {
     }
     if (bring(std::move(*arrival))) return more || next_;
   }
+}
+
+void BrokerSpout::note_arrival(const ChannelMessage& arrival) {
+  received_->add();
+  const std::int64_t time = arrival.delivery.message.time_ms;
+  // The device's clock may be ahead.
+  if (time > 0) arrivals_->came(std::max<std::int64_t>(services_->clock->wall_ms() - time, 0));
 }
 
 /// Whether the message is the first that this spout sees after the fence was raised; true once for each time. Such a

@@ -26,7 +26,8 @@ class BrokerSpout final : public Spout {
         placement_(std::move(placement)),
         dead_letters_(std::move(dead_letters)),
         endpoint_(std::move(endpoint)),
-        payload_fields_(payload_fields(endpoint_)) {}
+        payload_fields_(payload_fields(endpoint_)),
+        arrivals_(placement_->arrivals()) {}
 
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     declarer.declare_stream(endpoint_.stream, endpoint_.fields);
@@ -39,6 +40,7 @@ class BrokerSpout final : public Spout {
   std::chrono::microseconds poll_period() const override;
 
  private:
+  void note_arrival(const ChannelMessage& arrival);
   bool bring(ChannelMessage arrival);
   bool is_first_after_fence(const ChannelMessage& arrival);
   void emit(ChannelMessage arrival);
@@ -54,6 +56,7 @@ class BrokerSpout final : public Spout {
   const std::shared_ptr<DeadLetterSender> dead_letters_;
   const EndpointDefinition endpoint_;
   const Fields payload_fields_;
+  const std::shared_ptr<Arrivals> arrivals_;
   std::unique_ptr<MessageBuilder> builder_;  ///< null for the forms `bytes` and `text`
   SpoutOutputCollector* collector_ = nullptr;
   std::shared_ptr<SpoutQueue> queue_;

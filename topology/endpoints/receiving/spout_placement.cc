@@ -23,6 +23,11 @@ constexpr std::uint16_t most_prefetch = 65535;
 /// How often look_for_limit() runs.
 constexpr std::chrono::milliseconds limit_pause{500};
 
+/// How often look_at_arrivals() runs, and how many readers' brokers it asks each time: of ten thousand channels each is
+/// asked once in 50 s.
+constexpr std::chrono::seconds arrivals_pause{1};
+constexpr std::size_t most_questions = 200;
+
 /// The name of a channel's unit: for an exclusive channel that of its driver instance, for a shared one that of its
 /// gateway, with the partition's number behind a mark that no id has. The unit of partition 0 has the name of the
 /// whole, so that it stays when the topic is given more partitions.
@@ -60,6 +65,7 @@ struct SpoutPlacement::Search {
   const DriverUnits::Source source;
   const std::string& component;
   int listener = 0;
+  config::Metrics::SourceRegistration metrics;
   discovery::GuardPtr session;
   std::unique_ptr<ReadingGroup> group;
   std::unique_ptr<discovery::DriverDirectory> directory;
@@ -116,6 +122,21 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
   };
   split_topics_ = std::make_unique<SplitTopics>(std::move(topics));
   split_topics_->begin();
+  search->metrics = services_->metrics->add_source([arrivals = arrivals_, labels = labels()](auto& samples) {
+    const Arrivals::Facts facts = arrivals->facts();
+    const auto add = [&](const char* name, const char* help, double value) {
+      samples.push_back({name, help, labels, config::Sample::Kind::gauge, value, {}});
+    };
+    if (facts.age_ms) {
+      add("iotcloud_spout_arrival_age_seconds",
+          "How old the oldest message was that came in the last second in which any came, by its own time",
+          static_cast<double>(*facts.age_ms) / 1000);
+    }
+    if (facts.backlog.known > 0) {
+      add("iotcloud_spout_backlog", "Messages that wait at brokers for the channels that this worker reads",
+          static_cast<double>(facts.backlog.messages));
+    }
+  });
   search->listener = services_->fence->listen([this] { plan_soon(&SpoutPlacement::anew_, &SpoutUnits::read_anew); });
   services_->units->listen(source, component_,
                            [this] { plan_soon(&SpoutPlacement::shared_anew_, &SpoutUnits::share_out); });
@@ -234,6 +255,7 @@ void SpoutPlacement::plan_what_follows() {
   if (units_.size() > 0 && !endpoint_.reading.automatic_ack) {
     plan(plans_.limit, limit_pause, &SpoutPlacement::look_for_limit);
   }
+  if (units_.readers() > 0) plan(plans_.arrivals, arrivals_pause, &SpoutPlacement::look_at_arrivals);
 }
 
 void SpoutPlacement::plan_soon(discovery::GuardPtr SpoutPlacement::*timer, void (SpoutUnits::*call)()) {
@@ -503,6 +525,11 @@ void SpoutPlacement::look_for_limit() {
   prefetch_report_.look(queues_are_empty() ? units_.at_limit() : 0, units_.prefetch());
 }
 
+void SpoutPlacement::look_at_arrivals() {
+  units_.ask_backlog(most_questions);
+  arrivals_->look(units_.backlog());
+}
+
 /// Writes one line in the log about all units taken and given up, because units come by the thousand.
 void SpoutPlacement::tell() {
   const auto [taken, given_up] = units_.take_changes();
@@ -511,9 +538,9 @@ void SpoutPlacement::tell() {
 }
 
 void SpoutPlacement::report() {
+  if (units_.readers() == 0) arrivals_->look({});  // nobody asks any more
   services_->metrics
-      ->gauge("iotcloud_spout_channels", "Channels that this worker reads; of split topics, partitions",
-              {{"topology", services_->topology}, {"component", component_}})
+      ->gauge("iotcloud_spout_channels", "Channels that this worker reads; of split topics, partitions", labels())
       .set(static_cast<std::int64_t>(units_.readers()));
 }
 

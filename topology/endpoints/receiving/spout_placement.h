@@ -50,6 +50,8 @@ class SpoutPlacement {
   void leave();
   /// Which driver instances `where` chooses, also of those that share a channel.
   std::shared_ptr<const Verdicts> verdicts() const { return verdicts_; }
+  /// How old messages are that come, which the tasks say, and what waits at the brokers.
+  const std::shared_ptr<Arrivals>& arrivals() const { return arrivals_; }
 
  private:
   struct Search;  ///< all that tells what to read: session, reading group, drivers, fence
@@ -111,6 +113,8 @@ class SpoutPlacement {
                                            std::optional<std::int32_t> partition, int task)
       IOTCLOUD_REQUIRES(dispatcher_);
   void report() IOTCLOUD_REQUIRES(dispatcher_);
+  /// Of this component's metrics.
+  config::Labels labels() const { return {{"topology", services_->topology.str()}, {"component", component_}}; }
 
   /// A call that a timer of the registry makes.
   struct Plan {
@@ -118,7 +122,7 @@ class SpoutPlacement {
     discovery::GuardPtr timer;
   };
   struct Plans {
-    Plan sharing, looking, telling, limit, missing;
+    Plan sharing, looking, telling, limit, arrivals, missing;
   };
   /// Plans a call, unless it is planned already.
   void plan(Plan& plan, std::chrono::milliseconds pause, void (SpoutPlacement::*call)()) IOTCLOUD_REQUIRES(dispatcher_);
@@ -127,11 +131,13 @@ class SpoutPlacement {
   void share_out() IOTCLOUD_REQUIRES(dispatcher_);
   void look() IOTCLOUD_REQUIRES(dispatcher_);
   void look_for_limit() IOTCLOUD_REQUIRES(dispatcher_);
+  void look_at_arrivals() IOTCLOUD_REQUIRES(dispatcher_);
   void tell() IOTCLOUD_REQUIRES(dispatcher_);
 
   const EndpointServicesPtr services_;
   const std::string component_;
   const EndpointDefinition endpoint_;
+  const std::shared_ptr<Arrivals> arrivals_ = std::make_shared<Arrivals>();
   const std::shared_ptr<Verdicts> verdicts_ = std::make_shared<Verdicts>();
 
   std::string path_;  ///< readers_path(); set by the last join()

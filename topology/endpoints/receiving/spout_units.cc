@@ -324,4 +324,20 @@ std::size_t SpoutUnits::prefetch() const {
   return most;
 }
 
+void SpoutUnits::ask_backlog(std::size_t most) {
+  auto next = units_.upper_bound(asked_last_);
+  std::size_t asked = 0;
+  for (std::size_t i = 0; i < units_.size() && asked < most; ++i, ++next) {
+    if (next == units_.end()) next = units_.begin();
+    asked += next->second.readers.ask_backlog();
+    asked_last_ = next->first;
+  }
+}
+
+Backlog SpoutUnits::backlog() const {
+  Backlog sum;
+  for (const auto& [name, unit] : units_) unit.readers.add_backlog(sum);
+  return sum;
+}
+
 }  // namespace iotcloud::topology

@@ -124,6 +124,10 @@ class SpoutUnits {
   std::size_t at_limit() const;
   /// The greatest prefetch of a reader; 0: there is none.
   std::size_t prefetch() const;
+  /// Asks the brokers what waits for readers, for as many as it takes to reach `most`, in turn.
+  void ask_backlog(std::size_t most);
+  /// The last answers of all readers.
+  Backlog backlog() const;
 
  private:
   /// Where a unit moves. Its readers are drained: they stay subscribed and take no message until those that they
@@ -173,6 +177,7 @@ class SpoutUnits {
   std::map<std::string, Unit> units_;
   std::map<std::string, Unit> ending_;  ///< without channels, read to their end
   std::set<std::string> moving_;        ///< names of units that move
+  std::string asked_last_;              ///< the unit for which ask_backlog() asked last
   TaskLoads loads_;
   std::vector<discovery::GuardPtr> resigned_;  ///< of released units
   bool needs_sharing_ = false;

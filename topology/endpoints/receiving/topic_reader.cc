@@ -56,6 +56,16 @@ void TopicReader::raise_prefetch() {
   endpoints_logger.debug("{}: bolts keep its messages, so that its prefetch is {} now", name_, wanted);
 }
 
+void TopicReader::ask_backlog() {
+  const config::MutexLock lock(mutex_);
+  backlog_ = subscription_ ? subscription_->backlog() : std::nullopt;
+}
+
+std::optional<std::uint64_t> TopicReader::backlog() const {
+  const config::MutexLock lock(mutex_);
+  return backlog_;
+}
+
 void TopicReader::pause() {
   const config::MutexLock lock(mutex_);
   paused_ = true;

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <atomic>
+#include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -41,6 +43,10 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   bool at_limit() const { return in_hand_ >= prefetch_; }
   /// How many such messages there may be now.
   std::size_t prefetch() const { return prefetch_; }
+  /// Asks the broker how many messages wait there for this reader; does not wait for the answer.
+  void ask_backlog();
+  /// The answer to an earlier ask_backlog(); nullopt: there is none.
+  std::optional<std::uint64_t> backlog() const;
   /// How many messages it has brought.
   std::size_t taken() const { return taken_; }
   /// Doubles the prefetch if bolts keep half of it, before they keep all of it, so that the broker goes on without a
@@ -108,6 +114,7 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   bool draining_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::vector<brokers::Delivery> withheld_ IOTCLOUD_GUARDED_BY(mutex_);  ///< arrived after the fence was raised
   std::shared_ptr<brokers::Broker> broker_ IOTCLOUD_GUARDED_BY(mutex_);  ///< must outlive the subscription
+  std::optional<std::uint64_t> backlog_ IOTCLOUD_GUARDED_BY(mutex_);
   /// Null until open() and after close().
   std::unique_ptr<brokers::Subscription> subscription_ IOTCLOUD_GUARDED_BY(mutex_);
 };

@@ -47,6 +47,17 @@ std::size_t UnitReaders::prefetch() const {
   return most;
 }
 
+std::size_t UnitReaders::ask_backlog() {
+  for (const auto& [key, reader] : readers_) reader->ask_backlog();
+  return readers_.size();
+}
+
+void UnitReaders::add_backlog(Backlog& sum) const {
+  for (const auto& [key, reader] : readers_) {
+    if (const auto backlog = reader->backlog()) sum.add(reader->topic().name, *backlog);
+  }
+}
+
 std::size_t UnitReaders::taken() const {
   std::size_t sum = 0;
   for (const auto& [key, reader] : readers_) sum += reader->taken();

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/topology/endpoints/receiving/arrivals.h>
 #include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
 namespace iotcloud::topology {
@@ -35,6 +36,10 @@ class UnitReaders {
   std::size_t at_limit() const;
   /// The greatest prefetch of a reader; 0: there is none.
   std::size_t prefetch() const;
+  /// Asks the brokers what waits for the readers. \return how many readers there are
+  std::size_t ask_backlog();
+  /// Adds the answers.
+  void add_backlog(Backlog& sum) const;
   /// How many messages the readers have brought.
   std::size_t taken() const;
   /// Whether the broker does not deliver to one of the readers (TopicReader::active()).
