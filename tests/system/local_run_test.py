@@ -100,6 +100,19 @@ def a_library_that_changes_is_loaded_anew():
         mean.end()
 
 
+def a_plugin_that_changes_is_loaded_anew():
+    with tempfile.TemporaryDirectory() as folder:
+        plugin = Path(folder) / "loadgen.so"
+        shutil.copy(BUILD / "plugins" / plugin.name, plugin)
+        echo = Run(CONFIG / "topology.yaml", "--property", "rate=50", plugin=plugin)
+        echo.wait_for(r"data_receive: emitted [1-9]\d*/s")
+        shutil.copy(plugin, plugin.with_suffix(".new"))
+        os.replace(plugin.with_suffix(".new"), plugin)
+        echo.wait_for("loadgen.so changed: all starts anew")
+        echo.wait_for(r"data_receive: emitted [1-9]\d*/s")
+        echo.end()
+
+
 def a_real_broker_and_registry_take_the_place_of_the_embedded_ones():
     with tempfile.TemporaryDirectory() as folder, Children(folder) as servers:
         broker, registry = servers.server("rabbitmq"), servers.server("zookeeper")
@@ -196,6 +209,7 @@ def main():
     the_files_of_a_cluster_run_as_they_stand()
     the_first_average_is_there_soon_and_changes_are_taken_up()
     a_library_that_changes_is_loaded_anew()
+    a_plugin_that_changes_is_loaded_anew()
     a_property_that_the_driver_does_not_have_ends_the_run()
     a_driver_that_no_plugin_is_is_named()
     a_start_that_waits_for_a_driver_ends_with_a_signal()

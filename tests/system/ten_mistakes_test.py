@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 """The ten mistakes of a first day, each made on a private system: what is printed first says what is wrong, where, and how
-it is mended. Prints all of it, and how soon it came.
+it is mended. Prints all of it, and how soon it came. The wrong channel is named twice, in a command and in a topology.
 
 usage: ten_mistakes_test.py BUILD_DIR [SECONDS]      SECONDS: the most that a first message may take, on a quiet machine
 """
@@ -150,6 +150,19 @@ bolts:
     def wrong_channel(self):
         self.run("wrong channel", self.system.command("channel", "echo", self.instance, "dta"), "no channel", '"dta"',
                  '"data" (out)')
+        topology = self.file("channel.yaml", f"""topology.name: weather
+registry: "{self.system.zookeeper}"
+brokers: {{rabbitmq: "{self.system.rabbitmq}"}}
+spouts:
+  in: {{broker: rabbitmq, driver: loadgen, channel: dta, fields: [data, driverID]}}
+bolts:
+  out: {{broker: rabbitmq, driver: loadgen, channel: echo, fields: [data, driverID], inputs: [{{from: in}}]}}
+""")
+        program = Watched([self.system.bin / "iotcloud-topology", "--config", topology])
+        when, line = program.first("waits for the channel")
+        self.told("wrong channel of a spout", when, line, 'in: waits for the channel "dta"', "driver loadgen",
+                  'did you mean "data"?')
+        program.end()
 
     def zookeeper_away(self):
         port, = free_ports(1)

@@ -11,6 +11,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <iotcloud/topology/state/stateful_bolt.h>
 #include <iotcloud/topology/worker/check.h>
 
 namespace iotcloud::topology {
@@ -43,6 +44,13 @@ class Check : public testing::Test {
     return {WEXITSTATUS(pclose(pipe)), text};
   }
   const fs::path folder_ = fs::temp_directory_path() / ("iotcloud-check-" + std::to_string(getpid()));
+};
+
+/// Counts nothing.
+struct Counts : StatefulBolt {
+  void prepare(const Config&, const TopologyContext&, OutputCollector&) override {}
+  void init_state(KeyValueState&) override {}
+  void execute(const Tuple&) override {}
 };
 
 /// Its registry and broker are where nobody listens.
@@ -111,6 +119,28 @@ bolts:
                           AllOf(at(":11:30: bolts.follow.conf.max_linear:"), HasSubstr("a number from 0 to 10")),
                           AllOf(at(":12:28: bolts.follow.inputs.grouping:"), HasSubstr("\"fields\"?"))))
       << text;
+}
+
+TEST_F(Check, SaysWhichKeyOfAStateIsMisspeltAndWhatItMayBe) {
+  const std::string file = write(R"(topology.name: t
+spouts:
+  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID]}
+bolts:
+  count:
+    class: Counts
+    conf: {state.store: "memory://t", state.checkpiont: 500ms}
+    inputs: {from: in}
+)");
+  ComponentRegistry components;
+  components.add_bolt("Counts", make_stateful_bolt<Counts>());
+  try {
+    check_topology(file, {}, components);
+    FAIL() << "it passes";
+  } catch (const config::ConfigError& error) {
+    EXPECT_EQ(error.what(), file +
+                                ":7:39: bolts.count.conf.state.checkpiont: unknown key; did you mean "
+                                "\"state.checkpoint\"?");
+  }
 }
 
 TEST_F(Check, SaysThatALibraryIsMissing) {
