@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """An outsider's driver and bolts: installs the SDK, builds a project that sees nothing else, runs its tests, deploys and
 runs it. It is the project that docs/driver-sdk.md and docs/topology-sdk.md print (tests/house compares the two). The
-project that the top README prints is built, too. A driver and a component library with an undefined symbol are not.
+project that docs/glance.md prints is built, too. A driver and a component library with an undefined symbol are not.
 
 usage: outsider_test.py BUILD_DIR   (exit status 0: every reading that was answered was answered rightly)
 """
@@ -19,7 +19,7 @@ sys.path.insert(0, str(HERE.parent / "servers"))
 from private_cluster import PrivateCluster  # noqa: E402
 
 ANSWERS = 100
-README = HERE.parent.parent / "README.md"
+GLANCE = HERE.parent.parent / "docs/glance.md"
 
 
 def run(*command):
@@ -33,9 +33,9 @@ def build(source, folder, prefix):
     run("cmake", "--build", folder)
 
 
-def write_readmes_cmake(folder):
-    [cmake] = re.findall(r"```cmake\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    (folder / "CMakeLists.txt").write_text("cmake_minimum_required(VERSION 3.25)\nproject(readme CXX)\n" + cmake)
+def write_glance_cmake(folder):
+    [cmake] = re.findall(r"```cmake\n(.*?)```", GLANCE.read_text(encoding="utf-8"), re.DOTALL)
+    (folder / "CMakeLists.txt").write_text("cmake_minimum_required(VERSION 3.25)\nproject(glance CXX)\n" + cmake)
 
 
 def check_undefined_symbol(folder, prefix):
@@ -54,7 +54,7 @@ IOTCLOUD_DRIVER(Thermometer, "thermometer", "1.0")
 namespace weather { double limit(); }
 IOTCLOUD_TOPOLOGY_LIBRARY(registry) { static_cast<void>(registry); weather::limit(); }
 """)
-    write_readmes_cmake(folder)
+    write_glance_cmake(folder)
     run("cmake", "-S", folder, "-B", folder / "build", "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}")
     for target, symbol in (("thermometer", "weather::calibrated(double)"), ("thermostat", "weather::limit()")):
         done = subprocess.run(["cmake", "--build", folder / "build", "--target", target], capture_output=True, text=True)
@@ -63,13 +63,13 @@ IOTCLOUD_TOPOLOGY_LIBRARY(registry) { static_cast<void>(registry); weather::limi
             sys.exit(f"{target}.so that needs {symbol} is not refused by the linker: status {done.returncode}\n{said}")
 
 
-def write_readmes_project(folder):
-    """The README's blocks, in the order in which it has them."""
-    driver, bolt = re.findall(r"```cpp\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+def write_glance_project(folder):
+    """The page's blocks, in the order in which it has them."""
+    driver, bolt = re.findall(r"```cpp\n(.*?)```", GLANCE.read_text(encoding="utf-8"), re.DOTALL)
     folder.mkdir()
     (folder / "thermometer.cc").write_text(driver)
     (folder / "thermostat.cc").write_text(bolt)
-    write_readmes_cmake(folder)
+    write_glance_cmake(folder)
 
 
 def wait_for(what, condition, limit=30):
@@ -89,8 +89,8 @@ def main():
     run("cmake", "--install", tree, "--prefix", prefix)
     build(HERE / "project", project, prefix)
     run("ctest", "--test-dir", project, "--output-on-failure", "--no-tests=error")
-    write_readmes_project(work / "readme")
-    build(work / "readme", work / "readme-build", prefix)
+    write_glance_project(work / "glance")
+    build(work / "glance", work / "glance-build", prefix)
     check_undefined_symbol(work / "undefined", prefix)
 
     log = work / "orders.log"

@@ -1,6 +1,7 @@
 #!/usr/bin/python3
-"""Types docs/tutorial.md into an empty folder, as it stands there, and compares what it sees with what the page shows. It has
-nothing but an installed prefix (as ~/iotcloud), RabbitMQ and ZooKeeper on their usual ports of a network of its own.
+"""Types README.md in the project's folder and docs/tutorial.md into an empty one, as they stand there, and compares what it sees
+with what the pages show. It has nothing but an installed prefix (as ~/iotcloud), RabbitMQ and ZooKeeper on their usual ports of a
+network of its own.
 
 A code block behind a line that ends with `FILE`: is that file. In a `console` block what follows "$ " is typed, and the lines
 below are its output: spaces count as one, "…" stands for any text of a line, and for any lines if it stands alone.
@@ -23,22 +24,25 @@ import network_spaces  # noqa: E402
 import private_server  # noqa: E402
 from private_cluster import PrivateCluster  # noqa: E402
 
-PAGE = HERE.parents[1] / "docs/tutorial.md"
+ROOT = HERE.parents[1]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 FILE = re.compile(r"^`([\w.]+)`:\s*\Z", re.MULTILINE)
 JOB_NOTICE = re.compile(r"bash: line \d+: +\d+ |\[\d+\][ +-]")  # of the shell, when a job ended
 LIMIT_S = 120  # of one command, on a busy machine
-# What the page runs in the project's folder. Here the programs are installed by CMake and private servers run.
-INSTALLING = ["./dev install ~/iotcloud", "./dev servers up"]
+# What the pages run in the project's folder. Here the programs are installed by CMake and private servers run; the demo has a test
+# of its own.
+INSTALLING = {"README.md": ["./dev demo", "./dev install ~/iotcloud"],
+              "docs/tutorial.md": ["./dev install ~/iotcloud", "./dev servers up"]}
 
 
-def steps(text):
+def steps(page):
     """("file", name, content) and ("command", line, expected output) in the page's order."""
+    text = (ROOT / page).read_text(encoding="utf-8")
     for block in BLOCK.finditer(text):
         language, code = block[1], block[2]
         if language == "sh":
-            if code.splitlines() != INSTALLING:
-                sys.exit(f"wrong: this test does not know these commands of {PAGE.name}, only {INSTALLING}:\n{code}")
+            if [line.partition(" #")[0].strip() for line in code.splitlines()] != INSTALLING[page]:
+                sys.exit(f"wrong: this test does not know these commands of {page}, only {INSTALLING[page]}:\n{code}")
         elif language == "console":
             for part in re.split(r"^\$ ", code, flags=re.MULTILINE)[1:]:
                 command, _, output = part.partition("\n")
@@ -46,7 +50,7 @@ def steps(text):
         elif language in ("cpp", "yaml", "cmake"):
             name = FILE.search(text[:block.start()].rstrip())
             if not name:
-                sys.exit(f"wrong: no file is named before this block of {PAGE.name}:\n{code}")
+                sys.exit(f"wrong: no file is named before this block of {page}:\n{code}")
             yield "file", name[1], code
 
 
@@ -97,12 +101,12 @@ class Shell:
 
 def too_long(number, frame):
     del number, frame
-    raise TimeoutError(f"a command of {PAGE.name} took more than {LIMIT_S} s")
+    raise TimeoutError(f"a command took more than {LIMIT_S} s")
 
 
-def walk(shell, folder):
+def walk(page, shell, folder):
     typed = ""
-    for kind, name, text in steps(PAGE.read_text(encoding="utf-8")):
+    for kind, name, text in steps(page):
         if kind == "file":
             (folder / name).write_text(text, encoding="utf-8")
             continue
@@ -110,10 +114,10 @@ def walk(shell, folder):
         try:
             status, output = shell.type(name)
         except TimeoutError as error:
-            sys.exit(f"wrong: {error}: {typed}")
+            sys.exit(f"wrong: {page}: {error}: {typed}")
         if status or not re.match(pattern(text), printed(output)):
             logs = "".join(f"\n{log.name}:\n{log.read_text()[-2000:]}" for log in sorted(folder.glob("*.log")))
-            sys.exit(f"wrong: $ {name}\nexit status {status}; it printed:\n{output}\nthe page shows:\n{text}{logs}")
+            sys.exit(f"wrong: {page}: $ {name}\nexit status {status}; it printed:\n{output}\nthe page shows:\n{text}{logs}")
 
 
 def main():
@@ -130,7 +134,10 @@ def main():
         servers.server("zookeeper", "--port", "2181")
         shell = Shell(home)
         try:
-            walk(shell, home / "weather")
+            shell.type(f"cd {ROOT}")
+            walk("README.md", shell, ROOT)
+            shell.type("cd")
+            walk("docs/tutorial.md", shell, home / "weather")
         finally:
             shell.end()
 

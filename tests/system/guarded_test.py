@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""A plugin is sent to gateways that ask for TLS, tokens and signatures, with the commands of the READMEs: it comes up where
+"""A plugin is sent to gateways that ask for TLS, tokens and signatures, with the commands of the pages: it comes up where
 it is signed by a trusted key and sent by an admin. Everything else is attempted and refused, and printed.
 
 usage: guarded_test.py BUILD_DIR
@@ -25,8 +25,8 @@ PIECE = 512 * 1024
 HOSTS = {"master": "lab1", "gateway-1": "gateway-1", "gateway-2": "gateway-2"}  # whose certificate each daemon has
 
 
-def readme_lines(file, *beginnings):
-    """The commands of a README that begin so, as they are printed there."""
+def page_lines(file, *beginnings):
+    """The commands of a page that begin so, as they are printed there."""
     lines = [line.strip() for line in (ROOT / file).read_text().splitlines()]
     found = [next((line for line in lines if line.startswith(beginning)), None) for beginning in beginnings]
     require(None not in found, f"{file} has no lines {beginnings}: {found}")
@@ -88,8 +88,8 @@ def refused(what, text, *expected):
 
 
 def check_first_steps(cluster):
-    """From nothing to a key, certificates and tokens, as the READMEs say."""
-    certificates, first_token, masters_token = readme_lines(
+    """From nothing to a key, certificates and tokens, as the pages say."""
+    certificates, first_token, masters_token = page_lines(
         "master/README.md", "iotcloud certs init", "iotcloud token add anna", "iotcloud token add master")
     cluster.shell(certificates)
     cluster.shell("iotcloud certs add certs --host gateway-1,gateway-2")
@@ -100,12 +100,12 @@ def check_first_steps(cluster):
         shutil.copy(cluster.out / "tokens", cluster.out / f"{gateway}.tokens")
         cluster.shell(masters_token.replace("gateway-1", gateway))
     cluster.plugin("thermometer.so")
-    cluster.shell(*readme_lines("README.md", "iotcloud keys new"))
+    cluster.shell(*page_lines("docs/running.md", "iotcloud keys new"))
 
 
 def check_first_call(cluster):
     """The printed call, in a folder with what an operator is given. Only the port is another one."""
-    line, = readme_lines("master/README.md", "iotcloud --master lab1:12904")
+    line, = page_lines("master/README.md", "iotcloud --master lab1:12904")
     folder = cluster.out / "anna"
     folder.mkdir()
     for file in ("certs/ca.pem", "certs/operator.pem", "certs/operator.key", "anna.token"):
@@ -115,7 +115,7 @@ def check_first_call(cluster):
 
 
 def check_deployment(cluster):
-    line, = readme_lines("README.md", "iotcloud deploy --plugin ./thermometer.so --all")
+    line, = page_lines("docs/running.md", "iotcloud deploy --plugin ./thermometer.so --all")
     line = line.split("#")[0].replace("iotcloud ", "")
     os.chdir(cluster.out)  # it names the file with ./
     done = cluster.run_cli(*line.split(), "--property", "rate=20")
