@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/topology/endpoints/receiving/arrivals.h>
 #include <iotcloud/topology/worker/pages.h>
 
 namespace iotcloud::topology {

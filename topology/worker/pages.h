@@ -10,11 +10,12 @@
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/mutex.h>
-#include <iotcloud/topology/endpoints/receiving/arrivals.h>
 #include <iotcloud/topology/runtime/runtime.h>
 #include <iotcloud/topology/worker/broker_watch.h>
 
 namespace iotcloud::topology {
+
+class Arrivals;
 
 /// Writes the graph with its parallelism and each task's counts as JSON: {"topology", "worker", "active", "brokers":
 /// [{"broker", "url", "state", "since_ms", "why"}], "arrivals": [{"component", "age_s", "backlog", "topic", "most"}],
