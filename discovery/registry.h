@@ -43,8 +43,9 @@ inline constexpr std::size_t max_node_size = 1'000'000;
 /// A node as it was read.
 struct Node {
   std::string data;
-  std::int64_t version = 0;  ///< counts changes of the data
-  std::int64_t created = 0;  ///< order of creation in the whole registry (ZooKeeper's czxid)
+  std::int64_t version = 0;      ///< counts changes of the data
+  std::int64_t created = 0;      ///< order of creation in the whole registry (ZooKeeper's czxid)
+  std::int64_t modified_ms = 0;  ///< when the data was written, in the server's wall time: no client can choose it
   bool ephemeral = false;
   std::int64_t owner_session = 0;  ///< owner of an ephemeral node
 };

@@ -65,7 +65,8 @@ struct Gateway::Impl {
         membership(*options.registry, options.paths,
                    {record_of(options), options.state_id, options.session_timeout, &clock}),
         loop("gateway"),
-        feed(*options.registry, options.paths, options.id, loop, clock, listener(), options.order_keys),
+        feed(*options.registry, options.paths, options.id, loop, clock, listener(), options.order_keys,
+             options.followed_file),
         instances({options.id, options.registry, options.paths, options.launcher.get(), options.brokers,
                    options.restart, &clock, options.history_file, options.session_timeout},
                   loop) {}

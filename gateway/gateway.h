@@ -35,8 +35,9 @@ struct GatewayOptions {
   std::shared_ptr<processes::PluginStore> plugins;
   /// The masters whose orders are followed; null: every order that stands in the registry.
   std::shared_ptr<const security::TrustedKeys> order_keys;
-  std::string state_id;      ///< see Membership::Options
-  std::string history_file;  ///< keeps changes of state across restarts (ChangeFile); empty: memory only
+  std::string followed_file;  ///< see FollowedOrders; empty: a restarted gateway may follow old signed orders
+  std::string state_id;       ///< see Membership::Options
+  std::string history_file;   ///< keeps changes of state across restarts (ChangeFile); empty: memory only
   std::chrono::milliseconds session_timeout{10000};
   RestartPolicy restart;
   std::chrono::milliseconds retry_pause{1000};  ///< until the next attempt at what the registry did not permit

@@ -62,6 +62,7 @@ class GatewayDaemon final : public config::Service {
     options.registry = registry_.get();
     options.state_id = state_->id();
     options.history_file = state_->path() + "/history.jsonl";
+    options.followed_file = state_->path() + "/followed-orders.jsonl";
     config_.hosts.brokers = std::make_shared<gateway::HostBrokers>();
     options.launcher = std::make_shared<gateway::ProcessLauncher>(config_.hosts);
     options.plugins = config_.hosts.store;

@@ -19,9 +19,8 @@ constexpr std::chrono::milliseconds look_pause{500};
 constexpr std::chrono::milliseconds vanish_pause{200};
 /// An order that has been gone for so long is an order to undeploy, even if others go all the time.
 constexpr std::chrono::milliseconds longest_vanish_pause{5000};
-/// How far the clocks of a master and a gateway may differ. What is ordered while a gateway runs was given after its
-/// start, less this.
-constexpr std::chrono::milliseconds clocks_differ = std::chrono::minutes(10);
+/// Time until orders are read again that could not be followed because the disk did not take them.
+constexpr std::chrono::milliseconds disk_pause{1000};
 
 }  // namespace
 
@@ -39,14 +38,15 @@ struct OrderFeed::Found {
 
 OrderFeed::OrderFeed(discovery::Registry& registry, discovery::Paths paths, discovery::GatewayId gateway,
                      EventLoop& loop, const config::Clock& clock, Listener listener,
-                     std::shared_ptr<const security::TrustedKeys> masters)
+                     std::shared_ptr<const security::TrustedKeys> masters, std::string followed_file)
     : registry_(registry),
       paths_(std::move(paths)),
       gateway_(std::move(gateway)),
       loop_(loop),
       clock_(clock),
       listener_(std::move(listener)),
-      masters_(std::move(masters)) {}
+      masters_(std::move(masters)),
+      done_(masters_ ? std::move(followed_file) : "") {}
 
 // The registry calls back on its dispatcher thread; the callbacks only post to the loop.
 
@@ -87,6 +87,7 @@ std::optional<discovery::FreezeRecord> OrderFeed::freeze_record() const {
 
 void OrderFeed::read_orders(Reading reading) {
   if (stopped_) return;
+  follow_due();
   try {
     const Found found = read_registry(frozen().empty() ? reading : Reading::all);
     if (found.freeze && frozen().empty()) take_up_freeze(*found.freeze);
@@ -99,6 +100,9 @@ void OrderFeed::read_orders(Reading reading) {
     return;
   } catch (const discovery::RegistryError& e) {
     logger.debug("the orders are read when the registry answers: {}", e.what());
+  } catch (const config::Error& e) {
+    logger.error("the orders are not followed until it can be written what was followed: {}", e.what());
+    return read_refused_later();
   }
   // Without a connection the next one calls this again.
   if (registry_.session() != discovery::SessionState::connected || std::exchange(retrying_, true)) return;
@@ -113,6 +117,7 @@ void OrderFeed::read_orders(Reading reading) {
 /// epoch than another one is valid here (`initial_`).
 void OrderFeed::follow_all(const Found& found) {
   const auto answer = adoption(*found.list);
+  if (answer) done_.forget_all();
   const bool adopted = thaw();
   const bool other = std::exchange(followed_, found.list->created) != found.list->created;
   if (adopted || other) {
@@ -120,10 +125,7 @@ void OrderFeed::follow_all(const Found& found) {
     epoch_ = answer ? answer->epoch : 0;  // a registry that was emptied or restored counts epochs anew
   }
   Instances names = found.names();
-  if (answer || !told_first_) {
-    given_.clear();
-    first_ = names;
-  }
+  if (answer || !told_first_) first_ = names;
   if (!adopted) names.merge(just_gone(names));
   if (masters_) {
     if (answer) unproven_.clear();  // a master's signed answer: all orders that are gone are meant to be gone
@@ -136,6 +138,7 @@ void OrderFeed::follow_all(const Found& found) {
     initial_.insert(name);
     take(name, *node);
   }
+  follow_due();
 }
 
 /// \param names of the orders that are there
@@ -200,6 +203,11 @@ void OrderFeed::take_up_freeze(const discovery::Node& node) {
   }
   // Only that run knew which node of the orders it had followed, so only an adoption ends this freeze.
   record.lasting = true;
+  if (masters_ && record.token != done_.freeze()) {
+    // This gateway did not write the mark. A master may have answered to that token long ago.
+    record.token = discovery::new_instance_id().str();
+    done_.set_freeze(record.token);
+  }
   logger.error("{}; since then this gateway follows no orders: `iotcloud registry adopt {}`", record.reason, gateway_);
   {
     const config::MutexLock lock(mutex_);
@@ -218,6 +226,12 @@ std::optional<OrderFeed::Objection> OrderFeed::objection(const Found& found) con
   const auto freeze = freeze_record();
   if (found.list && adoption(*found.list)) return std::nullopt;
   if (freeze && freeze->lasting) return Objection{freeze->reason, true};
+  if (const auto instance = put_back(found)) {
+    return Objection{fmt::format("the registry was put back to an earlier state: the order of {} was given before the "
+                                 "one that this gateway followed last",
+                                 *instance),
+                     true};
+  }
   if (found.list && nothing_to_lose()) return std::nullopt;
   if (!found.list) {
     return Objection{"the registry has no orders for this gateway: it was emptied, or the gateway's node was removed",
@@ -249,6 +263,25 @@ std::optional<OrderFeed::Objection> OrderFeed::objection(const Found& found) con
                    true};
 }
 
+/// \return at the start, an instance whose order is older than what an earlier run followed, and was not written after
+/// it: that would be one that somebody wrote once more; nullopt: there is none.
+std::optional<discovery::InstanceId> OrderFeed::put_back(const Found& found) const {
+  if (!masters_ || followed_) return std::nullopt;
+  for (const auto& [instance, node] : found.orders) {
+    const auto* last = done_.find(instance);
+    if (!node || last == nullptr || last->removed) continue;
+    if (node->created == last->created && node->version >= last->version) continue;
+    const std::string path = paths_.order(gateway_, instance);
+    try {
+      if (is_signed(path, *node) && discovery::decode_order(node->data, path).given_ms < last->given_ms)
+        return instance;
+    } catch (const config::Error& e) {
+      logger.debug("{}", e.what());  // it is ignored when it is read
+    }
+  }
+  return std::nullopt;
+}
+
 /// \return a master's answer to the present freeze; nullopt: there is none yet, or the feed is not frozen.
 std::optional<discovery::Adoption> OrderFeed::adoption(const discovery::Node& list) const {
   const auto freeze = freeze_record();
@@ -274,6 +307,7 @@ void OrderFeed::freeze(const Objection& objection, const Found& found) {
         record->reason, gateway_);
   }
   record->lasting = record->lasting || objection.lasting;
+  if (masters_) done_.set_freeze(record->token);
   {
     const config::MutexLock lock(mutex_);
     freeze_ = record;
@@ -290,6 +324,7 @@ void OrderFeed::freeze(const Objection& objection, const Found& found) {
 bool OrderFeed::thaw() {
   if (frozen().empty()) return false;
   registry_.remove(discovery::freeze_path(paths_, gateway_));
+  if (masters_) done_.set_freeze("");
   logger.warn("the registry's orders are followed again, as they stand now");
   const config::MutexLock lock(mutex_);
   freeze_.reset();
@@ -304,6 +339,7 @@ bool OrderFeed::is_handled(const discovery::InstanceId& instance, const discover
 /// If all known orders are still there, it is still the same registry: then only the new orders are read.
 void OrderFeed::names_changed(const std::optional<std::vector<std::string>>& names) {
   if (stopped_) return;
+  follow_due();
   Instances now;
   if (names) now.insert(names->begin(), names->end());
   const auto stays = [&](const auto& watched) { return now.contains(watched.first); };
@@ -353,24 +389,31 @@ OrderFeed::Instances OrderFeed::without_removal(const Instances& names) {
   for (const auto& instance : missing) paths.push_back(paths_.removal(gateway_, instance));
   const auto nodes = paths.empty() ? std::vector<std::optional<discovery::Node>>() : registry_.get_all(paths);
   Instances unproven;
+  std::vector<FollowedOrder> removals;
   std::size_t i = 0;
   for (const auto& instance : missing) {
-    if (const auto removed = removed_at(instance, nodes[i++])) {
-      given_[instance] = *removed;
+    const auto& node = nodes[i++];
+    const auto* last = done_.find(instance);
+    if (last != nullptr && last->removed) continue;  // by an earlier run, which did not end the instance
+    if (const auto removed = removed_at(instance, node)) {
+      removals.push_back(followed(instance, *removed));
+      removals.back().removed = true;
     } else {
       unproven.insert(instance);
     }
   }
+  done_.add(removals);
   std::erase_if(unproven_, [&](const auto& entry) { return !unproven.contains(entry.first); });
   for (const auto& instance : unproven) {
-    if (!unproven_.contains(instance)) refuse_removal(instance);
+    if (unproven_.contains(instance)) continue;
+    refuse(instance, "the removal of the order for {}, which no trusted master has signed",
+           "If it is to go: `iotcloud undeploy`; if it is to stay: `iotcloud registry import`");
+    watch_removal(instance);
   }
   return unproven;
 }
 
-void OrderFeed::refuse_removal(const discovery::InstanceId& instance) {
-  refuse(instance, "the removal of the order for {}, which no trusted master has signed",
-         "If it is to go: `iotcloud undeploy`; if it is to stay: `iotcloud registry import`");
+void OrderFeed::watch_removal(const discovery::InstanceId& instance) {
   unproven_[instance] = registry_.watch_node(paths_.removal(gateway_, instance), [this](const auto& node) {
     if (!node) return;
     loop_.post([this] { read_orders(Reading::names); });
@@ -385,8 +428,8 @@ std::optional<std::int64_t> OrderFeed::removed_at(const discovery::InstanceId& i
   if (!node || !is_signed(path, *node)) return std::nullopt;
   try {
     const auto removal = discovery::decode_removal(node->data, path);
-    const auto last = given_.find(instance);
-    const bool is_last = last == given_.end() || removal.given_ms > last->second;
+    const auto* last = done_.find(instance);
+    const bool is_last = last == nullptr || removal.given_ms > last->given_ms;
     if (removal.instance == instance && is_last) return removal.given_ms;
   } catch (const config::Error& e) {
     logger.warn("{}", e.what());
@@ -438,11 +481,12 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
                   "`import --replace`");
   }
   const auto order = discovery::decode_order(node.data, path);
+  if (due_.contains(instance)) follow_due();
   if (is_out_of_date(order)) {
     return refuse(instance, "the order for {}, which is out of date: a later one was given",
-                  "Somebody wrote an old order once more, or a master's clock is wrong");
+                  "Somebody wrote an old order once more, or a master's clock is wrong. If it is meant: `iotcloud "
+                  "undeploy` it and deploy it again, which is a new order");
   }
-  first_.erase(instance);
   forget_refusal(instance);
   if (order.instance != instance) {
     throw config::Error(fmt::format("the order at {} is for the instance \"{}\"", path, order.instance));
@@ -454,15 +498,51 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
     return;
   }
   epoch_ = std::max(epoch_.load(), order.epoch);
-  if (masters_) given_[instance] = order.given_ms;
-  listener_.on_order(order, node.version);
+  if (!masters_) return listener_.on_order(order, node.version);
+  if (due_.empty()) loop_.post([this] { follow_due(); });
+  due_[instance] = {order, node};
+}
+
+FollowedOrder OrderFeed::followed(const discovery::InstanceId& instance, std::int64_t given_ms) const {
+  FollowedOrder now;
+  now.instance = instance;
+  now.given_ms = given_ms;
+  now.counts_ms = std::min(given_ms, clock_.wall_ms() + FollowedOrders::clocks_differ_ms);
+  return now;
+}
+
+/// Takes note of all orders that are due with one wait for the disk, and tells the listener.
+void OrderFeed::follow_due() {
+  const auto due = std::exchange(due_, {});
+  if (due.empty() || stopped_) return;
+  std::vector<FollowedOrder> orders;
+  for (const auto& [instance, one] : due) {
+    orders.push_back(followed(instance, one.order.given_ms));
+    orders.back().created = one.node.created;
+    orders.back().version = one.node.version;
+  }
+  try {
+    done_.add(orders);
+  } catch (const config::Error& e) {
+    logger.error("{}", e.what());
+    for (const auto& [instance, one] : due) {
+      initial_.insert(instance);
+      refuse(instance, "the order for {}, because it cannot be written down that it was followed",
+             "It is followed when the state folder can be written");
+    }
+    return read_refused_later();
+  }
+  for (const auto& [instance, one] : due) {
+    first_.erase(instance);
+    listener_.on_order(one.order, one.node.version);
+  }
 }
 
 bool OrderFeed::is_out_of_date(const discovery::OrderRecord& order) const {
   if (!masters_) return false;
-  const auto last = given_.find(order.instance);
-  if (last != given_.end()) return order.given_ms < last->second;
-  return !first_.contains(order.instance) && order.given_ms < started_ms_ - clocks_differ.count();
+  if (const auto* last = done_.find(order.instance)) return order.given_ms < last->given_ms;
+  if (order.given_ms < done_.oldest_of_unknown_ms()) return true;
+  return !first_.contains(order.instance) && order.given_ms < started_ms_ - FollowedOrders::clocks_differ_ms;
 }
 
 bool OrderFeed::is_signed(const std::string& path, const discovery::Node& node) const {
@@ -493,6 +573,14 @@ std::string OrderFeed::refused() const {
   if (refused_.empty()) return "";
   const std::string others = refused_.size() == 1 ? "" : fmt::format("; and {} others", refused_.size() - 1);
   return fmt::format("refused: {}{}", refused_.begin()->second, others);
+}
+
+void OrderFeed::read_refused_later() {
+  if (std::exchange(reads_refused_, true)) return;
+  loop_.start_timer(disk_pause, std::chrono::microseconds{0}, [this] {
+    reads_refused_ = false;
+    read_refused_again();
+  });
 }
 
 void OrderFeed::read_refused_again() {

@@ -16,6 +16,7 @@
 #include <iotcloud/discovery/freeze.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/gateway/followed_orders.h>
 #include <iotcloud/gateway/host/event_loop.h>
 #include <iotcloud/security/trusted_keys.h>
 
@@ -33,9 +34,11 @@ namespace iotcloud::gateway {
 ///
 /// With the keys of masters the feed follows only what one of them has signed (security/signed_object.h) for the very
 /// node in which it stands, and that was not given before the last one for its instance: an old one may have been
-/// written again by somebody else. An order that is gone is one to undeploy only with a signed discovery::OrderRemoval,
-/// or when a master adopts the registry. What is refused changes nothing of what runs: it is logged, counted
-/// (iotcloud_gateway_orders_refused_total) and told by refused().
+/// written again by somebody else. What was followed is on the disk before the listener hears of it (FollowedOrders),
+/// so that this holds after a restart, too; orders that are older at the start, in nodes that are older or others, say
+/// that the registry was put back, and freeze the feed. An order that is gone is one to undeploy only with a signed
+/// discovery::OrderRemoval, or when a master adopts the registry. What is refused changes nothing of what runs: it is
+/// logged, counted (iotcloud_gateway_orders_refused_total) and told by refused().
 ///
 /// Used on one event loop, on which the listener is called, unless said otherwise.
 class OrderFeed {
@@ -60,9 +63,10 @@ class OrderFeed {
     std::function<void()> on_orders_read;
   };
 
+  /// \param followed_file see FollowedOrders. \throws config::Error as FollowedOrders does.
   OrderFeed(discovery::Registry& registry, discovery::Paths paths, discovery::GatewayId gateway, EventLoop& loop,
             const config::Clock& clock, Listener listener,
-            std::shared_ptr<const security::TrustedKeys> masters = nullptr);
+            std::shared_ptr<const security::TrustedKeys> masters = nullptr, std::string followed_file = "");
 
   void start();
   /// Afterwards the listener is not called any more.
@@ -92,6 +96,7 @@ class OrderFeed {
   Found read_registry(Reading reading);
   bool nothing_to_lose() const;
   std::optional<Objection> objection(const Found& found) const;
+  std::optional<discovery::InstanceId> put_back(const Found& found) const;
   std::optional<discovery::Adoption> adoption(const discovery::Node& list) const;
   void take_up_freeze(const discovery::Node& node);
   void freeze(const Objection& objection, const Found& found);
@@ -107,10 +112,13 @@ class OrderFeed {
   void read(const discovery::InstanceId& instance, const discovery::Node& node);
   bool is_signed(const std::string& path, const discovery::Node& node) const;
   bool is_out_of_date(const discovery::OrderRecord& order) const;
+  FollowedOrder followed(const discovery::InstanceId& instance, std::int64_t given_ms) const;
+  void follow_due();
+  void read_refused_later();
   Instances without_removal(const Instances& names);
   std::optional<std::int64_t> removed_at(const discovery::InstanceId& instance,
                                          const std::optional<discovery::Node>& node) const;
-  void refuse_removal(const discovery::InstanceId& instance);
+  void watch_removal(const discovery::InstanceId& instance);
   void clear_removals(const Instances& gone);
   void refuse(const discovery::InstanceId& instance, const std::string& what, const std::string& advice);
   void forget_refusal(const discovery::InstanceId& instance);
@@ -126,8 +134,13 @@ class OrderFeed {
   std::atomic<std::int64_t> epoch_{0};
   /// Orders that existed at the start or after a reconnection and are not followed yet: they may have any epoch.
   Instances initial_;
-  /// With the keys of masters: when the last order or removal of each instance was given, in the masters' wall time.
-  std::map<discovery::InstanceId, std::int64_t> given_;
+  FollowedOrders done_;  ///< with the keys of masters: what was followed
+  /// With the keys of masters: an order that is followed when it stands in done_.
+  struct Due {
+    discovery::OrderRecord order;
+    discovery::Node node;
+  };
+  std::map<discovery::InstanceId, Due> due_;
   Instances first_;              ///< orders that stood there at the start or at an adoption, and are not read yet
   std::int64_t started_ms_ = 0;  ///< wall time
   /// Orders that are gone, and no master says that it removed them: tells when one does.
@@ -138,6 +151,7 @@ class OrderFeed {
   std::map<discovery::InstanceId, config::Clock::Instant> gone_;  ///< the orders that are just_gone(), and since when
   config::Clock::Instant last_gone_{};                            ///< when the last one of them went
   bool reads_again_ = false;                                      ///< a timer is set
+  bool reads_refused_ = false;                                    ///< a timer is set
   bool told_first_ = false;
   bool stopped_ = false;
   bool retrying_ = false;

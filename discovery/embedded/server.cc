@@ -33,6 +33,11 @@ RegistryServer::RegistryServer() {
   tree_["/"];
 }
 
+void RegistryServer::keep_time_by(const config::Clock& clock) {
+  const config::MutexLock lock(mutex_);
+  clock_ = &clock;
+}
+
 std::vector<std::int64_t> RegistryServer::sessions() const {
   const config::MutexLock lock(mutex_);
   std::vector<std::int64_t> numbers;
@@ -203,6 +208,7 @@ Status RegistryServer::put_node(std::int64_t session, const std::string& path, c
   Entry entry;
   entry.node.data = data;
   entry.node.created = last_change_ + 1;
+  entry.node.modified_ms = clock_->wall_ms();
   entry.node.ephemeral = ephemeral;
   entry.node.owner_session = ephemeral ? session : 0;
   if (!tree_.emplace(real_path, std::move(entry)).second) return Status::exists;
@@ -232,6 +238,7 @@ void RegistryServer::set(std::int64_t session, const std::string& path, const st
   } else {
     found->second.node.data = data;
     ++found->second.node.version;
+    found->second.node.modified_ms = clock_->wall_ms();
     ++last_change_;
     fire(node_watchers_, path);
     done(with_status(Status::ok));

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/clock.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/client/connection.h>
 
@@ -24,6 +25,8 @@ class RegistryServer : public std::enable_shared_from_this<RegistryServer> {
 
   RegistryServer();
 
+  /// Node::modified_ms is of this clock from now on. \param clock outlives the server
+  void keep_time_by(const config::Clock& clock);
   /// Live sessions, oldest first, including partitioned ones.
   std::vector<std::int64_t> sessions() const;
   /// Cuts a session's client off: its operations fail and it hears no events; the session lives on.
@@ -105,6 +108,7 @@ class RegistryServer : public std::enable_shared_from_this<RegistryServer> {
   std::map<std::int64_t, Session> sessions_ IOTCLOUD_GUARDED_BY(mutex_);
   Watchers node_watchers_ IOTCLOUD_GUARDED_BY(mutex_);
   Watchers children_watchers_ IOTCLOUD_GUARDED_BY(mutex_);
+  const config::Clock* clock_ IOTCLOUD_GUARDED_BY(mutex_) = &config::system_clock();
   std::int64_t last_change_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
   std::int64_t last_session_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
   bool down_ IOTCLOUD_GUARDED_BY(mutex_) = false;

@@ -21,6 +21,7 @@ Node to_node(const char* data, int size, const Stat& stat) {
   if (data != nullptr && size > 0) node.data.assign(data, static_cast<std::size_t>(size));
   node.version = stat.version;
   node.created = stat.czxid;
+  node.modified_ms = stat.mtime;
   node.ephemeral = stat.ephemeralOwner != 0;
   node.owner_session = stat.ephemeralOwner;
   return node;

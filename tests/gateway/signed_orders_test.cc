@@ -1,9 +1,13 @@
 // A gateway that knows its masters' keys, and somebody else who can write to the registry.
+#include <filesystem>
+
 #include <gmock/gmock.h>
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/discovery/freeze.h>
 #include <iotcloud/security/signed_object.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 #include <iotcloud/tests/security/certificates.h>
 #include <iotcloud/tests/security/signer.h>
@@ -21,8 +25,14 @@ class SignedOrders : public GatewayFixture {
     security::TrustedKeys::Options trust;
     trust.require_signature = true;
     trust.trusted_keys = {master_.public_file()};
+    std::filesystem::create_directory(folder_ / "state");
+    keys_ = std::make_shared<security::TrustedKeys>(trust);
+    start();
+  }
+  void start() {
     auto with_keys = options();
-    with_keys.order_keys = std::make_shared<security::TrustedKeys>(trust);
+    with_keys.order_keys = keys_;
+    with_keys.followed_file = followed_file_;
     gateway_.emplace(std::move(with_keys));
     gateway_->start();
   }
@@ -55,8 +65,10 @@ class SignedOrders : public GatewayFixture {
 
   const std::int64_t start_ms_ = config::system_clock().wall_ms();
   const security::test::Folder folder_;
+  const std::string followed_file_ = folder_ / "state/followed-orders.jsonl";
   const Signer master_{folder_ / "", "master"};
   const Signer thief_{folder_ / "", "thief"};
+  std::shared_ptr<const security::TrustedKeys> keys_;
 };
 
 TEST_F(SignedOrders, OfATrustedMasterAreFollowedAndOthersAreRefusedSaidAndCounted) {
@@ -187,6 +199,141 @@ TEST_F(SignedOrders, AMasterMayEndWhatSomebodyElseRemoved) {
                  security::sign_object(master_.key(), removal_place("a"), removal("a", start_ms_ + 1)));
   EXPECT_TRUE(eventually([&] { return !record("a"); }));
   EXPECT_TRUE(eventually([&] { return gateway_->trouble().empty(); })) << gateway_->trouble();
+}
+
+/// The gateway stops, somebody who can write to the registry and kept old signed orders acts, and the gateway starts.
+class SignedOrdersAfterARestart : public SignedOrders {
+ protected:
+  void stop() { gateway_.reset(); }
+  void remove_signed(const std::string& instance, std::int64_t later_ms) {
+    discovery::put(
+        *registry_, removal_place(instance),
+        security::sign_object(master_.key(), removal_place(instance), removal(instance, start_ms_ + later_ms)));
+    take_back(instance);
+    ASSERT_TRUE(eventually([&] { return !record(instance) && !registry_->get(removal_place(instance)); }));
+  }
+  /// Instance a runs, and then a later order stopped it.
+  void run_and_stop_a() {
+    give_signed(first_);
+    ASSERT_TRUE(comes_to("a", DriverState::active));
+    auto stop_order = given("a", 10);
+    stop_order.active = false;
+    give_signed(stop_order);
+    ASSERT_TRUE(comes_to("a", DriverState::inactive));
+  }
+  std::string frozen_mark() const { return discovery::freeze_path(paths_, "gw"_gateway); }
+  bool freezes() {
+    return eventually([&] { return registry_->get(frozen_mark()).has_value(); });
+  }
+  void adopt(const std::string& token) {
+    const auto list = paths_.orders("gw"_gateway);
+    discovery::put(*registry_, list, security::sign_object(master_.key(), list, encode(discovery::Adoption{token, 1})));
+  }
+  std::string token() { return discovery::decode_freeze(registry_->get(frozen_mark())->data, frozen_mark()).token; }
+
+  const discovery::OrderRecord first_ = given("a");
+};
+
+TEST_F(SignedOrdersAfterARestart, ThatWereWrittenOnceMoreAreOutOfDate) {
+  run_and_stop_a();
+  give_signed(given("b", 20));
+  ASSERT_TRUE(comes_to("b", DriverState::active));
+  stop();
+  give_signed(first_);
+  const auto before = refusals();
+  start();
+  EXPECT_TRUE(refuses(before + 1, "the order for a, which is out of date"));
+  EXPECT_TRUE(comes_to("b", DriverState::active)) << "the others are followed";
+  EXPECT_NE(record("a")->state, DriverState::active);
+  auto again = given("a", 30);
+  give_signed(again);
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+  EXPECT_EQ(gateway_->trouble(), "");
+}
+
+TEST_F(SignedOrdersAfterARestart, ForWhatWasUndeployedAreOutOfDate) {
+  give_signed(first_);
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  remove_signed("a", 10);
+  stop();
+  give_signed(first_);
+  const auto before = refusals();
+  start();
+  EXPECT_TRUE(refuses(before + 1, "the order for a, which is out of date"));
+  EXPECT_TRUE(gateway_->instances().empty());
+}
+
+TEST_F(SignedOrdersAfterARestart, OfAnInstanceThatNobodyRemembersAreOutOfDateIfLaterOnesWereFollowed) {
+  give_signed(given("b"));
+  ASSERT_TRUE(comes_to("b", DriverState::active));
+  stop();
+  give_signed(given("a", -std::chrono::milliseconds(std::chrono::minutes(11)).count()));
+  give_signed(given("c", -std::chrono::milliseconds(std::chrono::minutes(9)).count()));
+  const auto before = refusals();
+  start();
+  EXPECT_TRUE(refuses(before + 1, "the order for a, which is out of date"));
+  EXPECT_TRUE(comes_to("c", DriverState::active)) << "clocks may differ by ten minutes";
+}
+
+TEST_F(SignedOrdersAfterARestart, OfARegistryThatWasPutBackWaitUntilAMasterAdoptsIt) {
+  run_and_stop_a();
+  stop();
+  take_back("a");  // as a copy of the registry that was put back: the orders stand in other nodes
+  give_signed(first_);
+  start();
+  ASSERT_TRUE(freezes());
+  EXPECT_THAT(gateway_->trouble(), HasSubstr("the registry was put back to an earlier state: the order of a was given "
+                                             "before the one that this gateway followed last"));
+  EXPECT_TRUE(gateway_->instances().empty());
+  adopt(token());
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+  EXPECT_EQ(gateway_->trouble(), "");
+  stop();
+  start();
+  EXPECT_TRUE(comes_to("a", DriverState::active)) << "what was adopted is what this gateway followed last";
+}
+
+TEST_F(SignedOrdersAfterARestart, AnAnswerToAnEarlierFreezeAdoptsNothing) {
+  run_and_stop_a();
+  stop();
+  discovery::FreezeRecord mark;
+  mark.reason = "long ago";
+  mark.token = "of long ago";
+  discovery::put(*registry_, frozen_mark(), encode(mark));
+  adopt(mark.token);
+  give_signed(first_);
+  start();
+  ASSERT_TRUE(eventually([&] { return token() != mark.token; }));
+  EXPECT_THAT(gateway_->trouble(), HasSubstr("long ago"));
+  EXPECT_TRUE(gateway_->instances().empty());
+  const auto fresh = token();
+  stop();
+  start();
+  EXPECT_EQ(token(), fresh) << "a restart does not make an answer to this freeze worthless";
+  adopt(fresh);
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+}
+
+TEST_F(SignedOrdersAfterARestart, AreNotFollowedIfItIsUnknownWhatWasFollowedBefore) {
+  stop();
+  tests::write_file(followed_file_, "{\"instance\":\n");
+  EXPECT_THAT([&] { start(); }, ::testing::ThrowsMessage<config::Error>(HasSubstr("remove the file")));
+  tests::write_file(followed_file_, "{\"instance\":");  // a killed process left this
+  start();
+  give_signed(first_);
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+}
+
+TEST_F(SignedOrdersAfterARestart, AreFollowedOnceTheDiskTakesNoteOfThem) {
+  stop();
+  std::filesystem::rename(folder_ / "state", folder_ / "away");
+  start();
+  const auto before = refusals();
+  give_signed(first_);
+  EXPECT_TRUE(refuses(before + 1, "it cannot be written down that it was followed"));
+  EXPECT_FALSE(record("a"));
+  std::filesystem::rename(folder_ / "away", folder_ / "state");
+  EXPECT_TRUE(comes_to("a", DriverState::active));
 }
 
 }  // namespace

@@ -60,7 +60,7 @@ void WorkerControl::start() {
   const std::string path = options_.services->paths.workers(options_.topology.name) + "/" + record.name;
   membership_ = registry_.hold_eventually(path, discovery::encode(record), false, [this](const std::string&) {
     const config::MutexLock lock(mutex_);
-    show_due_ = report_due_ = true;
+    joined_ = show_due_ = report_due_ = true;
     changed_.notify_all();
   });
   orders_ = registry_.watch_node(order_path_, [this](const std::optional<Node>& node) { on_order(node); });
@@ -110,13 +110,15 @@ void WorkerControl::run(const std::stop_token& stop) {
     bool tell = false;
     {
       const config::MutexLock lock(mutex_);
-      const auto due = [this]() IOTCLOUD_REQUIRES(mutex_) { return news_ || show_due_ || report_due_; };
+      // A signed order waits for the worker's own node, by which the worker learns the registry's time.
+      const auto has_news = [this]() IOTCLOUD_REQUIRES(mutex_) { return news_ && (joined_ || !options_.masters); };
+      const auto due = [&]() IOTCLOUD_REQUIRES(mutex_) { return has_news() || show_due_ || report_due_; };
       if (spouts_activated_) {
         changed_.wait(mutex_, stop, due);
       } else {
         changed_.wait_until(mutex_, stop, patience, due);
       }
-      news = std::exchange(news_, std::nullopt);
+      if (has_news()) news = std::exchange(news_, std::nullopt);
       show = std::exchange(show_due_, false);
       tell = std::exchange(report_due_, false);
     }
@@ -208,13 +210,34 @@ void WorkerControl::follow(const TopologyOrder& order) {
 }
 
 /// \return why an order in the registry must not be followed: no trusted master signed it, or it is older than the last
-/// one; empty: it may be followed.
-std::string WorkerControl::objection(const Node& node, const TopologyOrder& order) const {
+/// one, or than its node; empty: it may be followed.
+std::string WorkerControl::objection(const Node& node, const TopologyOrder& order) {
   if (!options_.masters) return "";
   if (security::signer_of_object(*options_.masters, order_path_, node.data).empty())
     return "no trusted master has signed it for this topology";
-  if (order.given_ms >= oldest_) return "";
-  return "a master has signed it, but it is out of date: it was given before what was ordered last";
+  if (order.given_ms < oldest_)
+    return "a master has signed it, but it is out of date: it was given before what was ordered last";
+  if (written_late(node, order.given_ms))
+    return "a master has signed it, but long before it was written here: somebody wrote an old one once more, or "
+           "copied "
+           "the registry; if it is meant, order that again";
+  return "";
+}
+
+/// Whether the order was written to the registry long after its master gave it. The worker's own node tells how the
+/// registry's clock differs from the worker's.
+bool WorkerControl::written_late(const Node& node, std::int64_t given_ms) {
+  const auto late = [&](std::int64_t written_ms) { return written_ms - given_ms > clocks_differ.count(); };
+  if (!late(node.modified_ms)) return false;
+  std::int64_t ahead = 0;
+  try {
+    report();
+    const auto own = registry_.get(options_.services->paths.workers(options_.topology.name) + "/" + record().name);
+    if (own) ahead = own->modified_ms - options_.services->clock->wall_ms();
+  } catch (const RegistryError& error) {
+    control_logger.debug("the registry's time is not known: {}", error.what());
+  }
+  return late(node.modified_ms - ahead);
 }
 
 /// Refuses an order that no trusted master wrote, or that is an old one that somebody wrote again.

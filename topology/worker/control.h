@@ -21,9 +21,10 @@ namespace iotcloud::topology {
 
 /// A worker's part in the registry: keeps the record that shows that the worker lives and what it does, and carries out
 /// the topology's orders (discovery::TopologyOrder). With the keys of masters it follows only what one of them has
-/// signed (security/signed_object.h) for this topology, and no order that was given before the last one: a refused
-/// order changes nothing, is logged, counted (iotcloud_topology_orders_refused_total) and told by the worker's record.
-/// Thread safe.
+/// signed (security/signed_object.h) for this topology, and no order that was given before the last one, or long before
+/// it was written (discovery::Node::modified_ms): a worker that starts does not know which order was the last, but an
+/// old one that somebody wrote once more is younger in the registry than its signature says. A refused order changes
+/// nothing, is logged, counted (iotcloud_topology_orders_refused_total) and told by the worker's record. Thread safe.
 class WorkerControl {
  public:
   struct Options {
@@ -61,7 +62,8 @@ class WorkerControl {
   void follow(const std::optional<discovery::Node>& node, const std::stop_token& stop);
   void follow(const discovery::TopologyOrder& order);
   void stay(const std::string& why);
-  std::string objection(const discovery::Node& node, const discovery::TopologyOrder& order) const;
+  std::string objection(const discovery::Node& node, const discovery::TopologyOrder& order);
+  bool written_late(const discovery::Node& node, std::int64_t given_ms);
   void refuse(const std::string& why);
   void be_killed(const discovery::TopologyOrder& order, const std::stop_token& stop);
   std::string drain(std::chrono::milliseconds limit, const std::stop_token& stop);
@@ -78,6 +80,7 @@ class WorkerControl {
   config::StoppableConditionVariable changed_;
   /// The order's node as it changed last, until it is followed; an empty node: there is no order.
   std::optional<std::optional<discovery::Node>> news_ IOTCLOUD_GUARDED_BY(mutex_);
+  bool joined_ IOTCLOUD_GUARDED_BY(mutex_) = false;    ///< the worker's node was made
   bool show_due_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< the worker's node must be written again
   bool report_due_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   discovery::WorkerRecord record_ IOTCLOUD_GUARDED_BY(mutex_);

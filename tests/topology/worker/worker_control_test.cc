@@ -6,6 +6,7 @@
 
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/security/certificates.h>
 #include <iotcloud/tests/security/signer.h>
@@ -135,6 +136,8 @@ class WorkerControlTest : public testing::Test {
   std::string name_;
   const discovery::Paths paths_;
   config::Metrics metrics_;
+  tests::HandClock registrys_{config::Clock::Instant(1h),
+                              config::system_clock().wall_ms() - std::chrono::milliseconds(24h).count()};
   std::shared_ptr<discovery::embedded::RegistryServer> server_;
   std::unique_ptr<discovery::Registry> registry_, watcher_;
   std::shared_ptr<const security::TrustedKeys> masters_;
@@ -383,10 +386,31 @@ TEST_F(SignedTopologyOrders, ThatWereGivenBeforeTheLastOneAreOutOfDate) {
 }
 
 TEST_F(SignedTopologyOrders, FromBeforeAWorkersStartAreFollowedWhenItStarts) {
+  server_->keep_time_by(registrys_);
   write(signed_by(master_, given(3, false, -std::chrono::milliseconds(24h).count())));
+  registrys_.advance(24h);
   start();
   ASSERT_TRUE(says("inactive", 3));
   control_->read_again();
+  EXPECT_TRUE(says("inactive", 3));
+  EXPECT_EQ(refusals(), 0);
+}
+
+TEST_F(SignedTopologyOrders, ThatWereWrittenOnceMoreBeforeAWorkersStartAreOutOfDate) {
+  write(signed_by(master_, given(3, false, -std::chrono::milliseconds(24h).count())));
+  start();
+  EXPECT_TRUE(refuses(1, "long before it was written here"));
+  EXPECT_TRUE(says("active", 0)) << "as its file says";
+  write(signed_by(master_, given(4, false)));
+  EXPECT_TRUE(says("inactive", 4));
+  EXPECT_EQ(told().error, "");
+}
+
+TEST_F(SignedTopologyOrders, AreFollowedInARegistryWhoseClockIsWrong) {
+  server_->keep_time_by(registrys_);
+  registrys_.set_wall_ms(config::system_clock().wall_ms() + std::chrono::milliseconds(240h).count());
+  write(signed_by(master_, given(3, false)));
+  start();
   EXPECT_TRUE(says("inactive", 3));
   EXPECT_EQ(refusals(), 0);
 }
