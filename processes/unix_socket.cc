@@ -5,6 +5,7 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/time.h>
 #include <sys/un.h>
 #include <unistd.h>
@@ -85,6 +86,15 @@ int peer_process(const OwnedDescriptor& socket) {
   socklen_t size = sizeof(credentials);
   if (getsockopt(socket.get(), SOL_SOCKET, SO_PEERCRED, &credentials, &size) != 0) return 0;
   return credentials.pid;
+}
+
+bool peer_may_connect(const OwnedDescriptor& socket, const OwnedDescriptor& listener) {
+  ucred credentials{};
+  socklen_t size = sizeof(credentials);
+  struct stat made {};
+  if (getsockopt(socket.get(), SOL_SOCKET, SO_PEERCRED, &credentials, &size) != 0) return false;
+  if (fstat(listener.get(), &made) != 0) return false;
+  return credentials.uid == made.st_uid || credentials.uid == 0;
 }
 
 bool send_all(const OwnedDescriptor& socket, const std::string& bytes) {

@@ -23,6 +23,8 @@ OwnedDescriptor connect_in(const std::string& folder, const std::string& name);
 OwnedDescriptor accept_from(const OwnedDescriptor& listener);
 /// The id of the process at the other end of a connected socket; 0 if unknown.
 int peer_process(const OwnedDescriptor& socket);
+/// Whether the process at the other end of a connected socket has the user who made `listener`, or is root.
+bool peer_may_connect(const OwnedDescriptor& socket, const OwnedDescriptor& listener);
 
 /// Sends all bytes; waits at most two seconds for room in the socket. \return false if the peer is gone or does not
 /// read.

@@ -9,12 +9,18 @@
 
 namespace iotcloud::security {
 
-RegistryPassword new_registry_password(const std::string& user) {
+std::string random_hex() {
   std::array<unsigned char, 32> bytes{};
   if (RAND_bytes(bytes.data(), static_cast<int>(bytes.size())) != 1)
-    throw config::Error("the system gives no random numbers for a password");
+    throw config::Error("the system gives no random numbers for a secret");
+  std::string text;
+  for (const unsigned char byte : bytes) text += fmt::format("{:02x}", byte);
+  return text;
+}
+
+RegistryPassword new_registry_password(const std::string& user) {
   RegistryPassword made;
-  for (const unsigned char byte : bytes) made.password += fmt::format("{:02x}", byte);
+  made.password = random_hex();
   made.digest = registry_digest(user, made.password);
   return made;
 }

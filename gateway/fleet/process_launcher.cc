@@ -141,9 +141,9 @@ void make_folder(const std::string& path) {
 }
 
 /// The host behind a socket that an earlier run left, if this gateway can adopt it. Kills a host that it cannot adopt.
-std::optional<RunningHost> examine(const std::string& folder, const FoundSocket& found, processes::Silence& silence,
-                                   std::chrono::milliseconds hang_limit, const discovery::GatewayId& gateway,
-                                   const processes::ChildAccount* account,
+std::optional<RunningHost> examine(const std::string& folder, const FoundSocket& found, const HostProofs& proofs,
+                                   processes::Silence& silence, std::chrono::milliseconds hang_limit,
+                                   const discovery::GatewayId& gateway, const processes::ChildAccount* account,
                                    const std::shared_ptr<const processes::ProcessStarter>& starter) {
   const std::string& name = found.name;
   const int process = processes::peer_process(found.connection);
@@ -163,7 +163,8 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
   }
   std::string problem;
   try {
-    const auto hello = hello_of(found.connection, silence, hang_limit);
+    const bool gone = !processes::send_all(found.connection, protocol::proof_frame(proofs.of(name)));
+    const auto hello = gone ? std::nullopt : hello_of(found.connection, silence, hang_limit);
     if (!hello) {
       problem = "it does not answer";
     } else if (hello->version != protocol::version || hello->order.gateway != gateway) {
@@ -188,7 +189,8 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
 ProcessLauncher::ProcessLauncher(Options options)
     : options_(std::move(options)),
       source_(options_.plugin_dir, options_.store, options_.trust),
-      versions_({options_.state_dir + "/plugin-versions", options_.allow_rollback, options_.require_version}) {
+      versions_({options_.state_dir + "/plugin-versions", options_.allow_rollback, options_.require_version}),
+      proofs_(options_.state_dir) {
   if (options_.host_program.empty()) options_.host_program = processes::program_beside("iotcloud-driver-host");
   if (access(options_.host_program.c_str(), X_OK) != 0) {
     throw config::Error(fmt::format("the driver host program {} cannot be run: {}; it belongs beside the gateway's own",
@@ -254,6 +256,7 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
       "--gateway", order.gateway,
       "--state", options_.state_dir,
       "--socket", socket,
+      "--proof-check", proofs_.check_of(socket),
       "--log", log_file,
       "--log-limit-mb", std::to_string(options_.log_limit_mb),
       "--logs-kept", std::to_string(options_.logs_kept)};
@@ -269,8 +272,8 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
   auto process = start(std::move(arguments), socket, log_file);
   logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process.id(), log_file);
-  return std::make_unique<ProcessLink>(options_, order, socket, std::move(process), std::move(events),
-                                       log_keeper(order.plugin));
+  return std::make_unique<ProcessLink>(options_, order, socket, proofs_.of(socket), std::move(process),
+                                       std::move(events), log_keeper(order.plugin));
 } catch (const config::Error& e) {
   events.on_ended({HostEnd::How::refused, e.what(), {}});
   return link_to_nothing();
@@ -298,7 +301,8 @@ std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& ga
   const auto found = connect_to_hosts(options_.state_dir);
   processes::Silence silence(std::chrono::steady_clock::now(), 2 * hello_pause);
   for (const auto& socket : found) {
-    auto host = examine(options_.state_dir, socket, silence, options_.hang_limit, gateway, account_.get(), starter_);
+    auto host =
+        examine(options_.state_dir, socket, proofs_, silence, options_.hang_limit, gateway, account_.get(), starter_);
     if (host) hosts.push_back(std::move(*host));
   }
   return hosts;
@@ -306,8 +310,9 @@ std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& ga
 
 std::unique_ptr<HostLink> ProcessLauncher::adopt(const RunningHost& host, HostEvents events) {
   const int process = processes::peer_process(processes::connect_in(options_.state_dir, host.name));
-  return std::make_unique<ProcessLink>(options_, host.order, host.name, processes::ChildProcess(process, starter_),
-                                       std::move(events), log_keeper(host.order.plugin));
+  return std::make_unique<ProcessLink>(options_, host.order, host.name, proofs_.of(host.name),
+                                       processes::ChildProcess(process, starter_), std::move(events),
+                                       log_keeper(host.order.plugin));
 }
 
 }  // namespace iotcloud::gateway

@@ -10,6 +10,7 @@
 
 #include <iotcloud/gateway/fleet/host_brokers.h>
 #include <iotcloud/gateway/fleet/host_metrics.h>
+#include <iotcloud/gateway/fleet/host_proofs.h>
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/plugin_source.h>
 #include <iotcloud/gateway/fleet/plugin_versions.h>
@@ -83,6 +84,7 @@ class ProcessLauncher final : public HostLauncher {
   std::shared_ptr<const processes::ChildAccount> account_;    ///< null: hosts run under this process's account
   PluginSource source_;
   PluginVersions versions_;
+  const HostProofs proofs_;
 };
 
 }  // namespace iotcloud::gateway

@@ -32,10 +32,12 @@ std::string name_in_metrics(const HostOrder& order) {
 }  // namespace
 
 ProcessLink::ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
-                         processes::ChildProcess process, HostEvents events, std::function<void()> keep_log)
+                         std::string proof, processes::ChildProcess process, HostEvents events,
+                         std::function<void()> keep_log)
     : options_(options),
       order_(order),
       socket_name_(std::move(socket_name)),
+      proof_(std::move(proof)),
       process_(std::move(process)),
       events_(std::move(events)),
       keep_log_(std::move(keep_log)),
@@ -162,7 +164,7 @@ bool ProcessLink::connect() {
   processes::Silence silence(Steady::now(), longest_connect_pause);
   while (!leaving_) {
     socket_ = processes::connect_in(options_.state_dir, socket_name_);
-    if (socket_) return true;
+    if (socket_) return prove();
     if (processes::wait_readable(process_.ended(), connect_pause)) return false;  // the host has ended
     if (overdue({})) return false;
     if (silence.measure(Steady::now()) < options_.hang_limit) continue;
@@ -171,6 +173,14 @@ bool ProcessLink::connect() {
     return false;
   }
   return false;
+}
+
+/// \return false if the host is gone. \throws config::Error if it is not the host that listens.
+bool ProcessLink::prove() {
+  const int peer = processes::peer_process(socket_);
+  if (peer != process_.id())
+    throw config::Error(fmt::format("process {} has its socket, which is {}", peer, process_.id()));
+  return processes::send_all(socket_, protocol::proof_frame(proof_));
 }
 
 void ProcessLink::converse() {

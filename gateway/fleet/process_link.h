@@ -21,10 +21,11 @@ namespace iotcloud::gateway {
 /// The link to a driver host process: one thread connects to it, sends, receives, pings, and notices its end.
 class ProcessLink final : public HostLink {
  public:
-  /// \param socket_name the socket's name in the state folder; the host may not listen yet. \param process the host.
+  /// \param socket_name the socket's name in the state folder; the host may not listen yet. \param proof see
+  /// HostProofs::of(); shown to `process` only. \param process the host.
   /// \param keep_log called about once per ping period on the link's thread; may be empty.
   ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
-              processes::ChildProcess process, HostEvents events, std::function<void()> keep_log);
+              std::string proof, processes::ChildProcess process, HostEvents events, std::function<void()> keep_log);
   ~ProcessLink() override;
 
   PluginIdentity plugin() const override { return order_.identity; }
@@ -45,6 +46,7 @@ class ProcessLink final : public HostLink {
   void send(std::string frame);
   void run() noexcept;
   bool connect();
+  bool prove();
   void converse();
   bool send_waiting();
   bool receive();
@@ -62,6 +64,7 @@ class ProcessLink final : public HostLink {
   const ProcessLauncher::Options options_;
   const HostOrder order_;
   const std::string socket_name_;
+  const std::string proof_;
   const processes::ChildProcess process_;
   const HostEvents events_;
   const std::function<void()> keep_log_;

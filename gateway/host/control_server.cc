@@ -1,5 +1,5 @@
 #include <algorithm>
-#include <array>
+#include <list>
 #include <optional>
 #include <string>
 #include <utility>
@@ -15,6 +15,7 @@
 #include <iotcloud/gateway/host/protocol.h>
 #include <iotcloud/processes/frames.h>
 #include <iotcloud/processes/unix_socket.h>
+#include <iotcloud/security/sha256.h>
 
 namespace iotcloud::gateway {
 
@@ -25,7 +26,10 @@ using std::chrono::milliseconds;
 namespace {
 
 constexpr milliseconds stop_limit{4000};
-constexpr milliseconds log_pause{2000};  ///< the longest pause between checks of the log's size
+/// Connections that have not proved that they are the gateway's. With more than that the oldest is closed.
+constexpr std::size_t most_strangers = 16;
+constexpr std::size_t longest_proof = 4096;  ///< bytes of the first frame
+constexpr milliseconds log_pause{2000};      ///< the longest pause between checks of the log's size
 
 }  // namespace
 
@@ -78,7 +82,17 @@ struct ControlServer::Impl {
 
   void tell(const HostReport& event);
   bool send(std::string frame);
-  void accept_gateway();
+  /// A connection of somebody who has not proved to be the gateway.
+  struct Stranger {
+    processes::OwnedDescriptor connection;
+    processes::FrameReader frames;
+    std::size_t heard = 0;  ///< bytes
+  };
+  void accept_stranger();
+  void hear(Stranger stranger);
+  bool proves(const std::string& body) const;
+  void take_gateway(Stranger proved);
+  void obey_all();
   void greet();
   void send_waiting();
   void receive();
@@ -91,6 +105,7 @@ struct ControlServer::Impl {
   processes::OwnedDescriptor listener;
   processes::OwnedDescriptor gateway;
   processes::FrameReader frames;
+  std::list<Stranger> strangers;
   processes::Waker waker;
   std::string refusal;
   std::optional<milliseconds> shutdown_limit;
@@ -122,15 +137,47 @@ bool ControlServer::Impl::send(std::string frame) {
   return true;
 }
 
-void ControlServer::Impl::accept_gateway() {
+void ControlServer::Impl::accept_stranger() {
   processes::OwnedDescriptor fresh = processes::accept_from(listener);
   if (!fresh) return;
+  if (!processes::peer_may_connect(fresh, listener)) {
+    host_logger.error("process {} of another user connected to this host as if it were the gateway; it is cut off",
+                      processes::peer_process(fresh));
+    return;
+  }
+  if (strangers.size() >= most_strangers) strangers.pop_front();
+  strangers.push_back({std::move(fresh), {}, 0});
+}
+
+/// Listens to somebody whose connection has something to read.
+void ControlServer::Impl::hear(Stranger stranger) {
+  const auto bytes = processes::receive_some(stranger.connection);
+  if (!bytes) return;
+  stranger.heard += bytes->size();
+  stranger.frames.feed(bytes->data(), bytes->size());
+  try {
+    const auto first = stranger.frames.next();
+    if (first && proves(*first)) return take_gateway(std::move(stranger));
+    if (!first && stranger.heard <= longest_proof) return strangers.push_back(std::move(stranger));
+  } catch (const std::exception& e) {
+    host_logger.debug("the first words of a connection: {}", e.what());
+  }
+  host_logger.error("process {} connected to this host and is not its gateway; it is cut off",
+                    processes::peer_process(stranger.connection));
+}
+
+bool ControlServer::Impl::proves(const std::string& body) const {
+  const auto command = protocol::decode_command(body);
+  return command.kind == HostCommand::Kind::prove && security::sha256_hex(command.proof) == options.proof_check;
+}
+
+void ControlServer::Impl::take_gateway(Stranger proved) {
   // A host has one gateway at a time. A dead gateway's connection ended before its next run connected, but commands
   // that it sent before its end may still stand before that end.
   while (gateway && processes::wait_readable(gateway.get(), milliseconds{0})) receive();
   if (gateway) return;
-  gateway = std::move(fresh);
-  frames = {};
+  gateway = std::move(proved.connection);
+  frames = std::move(proved.frames);
   {
     const config::MutexLock lock(mutex);
     waiting.clear();
@@ -138,6 +185,7 @@ void ControlServer::Impl::accept_gateway() {
     connected = true;
   }
   greet();
+  if (gateway) obey_all();
 }
 
 void ControlServer::Impl::greet() {
@@ -175,6 +223,10 @@ void ControlServer::Impl::receive() {
     return;
   }
   frames.feed(bytes->data(), bytes->size());
+  obey_all();
+}
+
+void ControlServer::Impl::obey_all() {
   try {
     while (const auto body = frames.next()) obey(protocol::decode_command(*body));
   } catch (const std::exception& e) {
@@ -248,6 +300,7 @@ void ControlServer::Impl::obey(const HostCommand& command) {
         tell(event);
       });
       break;
+    case HostCommand::Kind::prove:
     case HostCommand::Kind::shutdown:
     case HostCommand::Kind::ping:
     case HostCommand::Kind::metrics:
@@ -265,19 +318,30 @@ int ControlServer::run(int signals) {
   auto& self = *impl_;
   const auto& clock = config::system_clock();
   while (!self.shutdown_limit) {
-    std::array<pollfd, 4> on{{{self.listener.get(), POLLIN, 0},
-                              {self.waker.get(), POLLIN, 0},
-                              {signals, POLLIN, 0},
-                              {self.gateway.get(), POLLIN, 0}}};  // poll() ignores descriptor -1
+    std::vector<pollfd> on{{self.listener.get(), POLLIN, 0},
+                           {self.waker.get(), POLLIN, 0},
+                           {signals, POLLIN, 0},
+                           {self.gateway.get(), POLLIN, 0}};  // poll() ignores descriptor -1
+    for (const auto& stranger : self.strangers) on.push_back({stranger.connection.get(), POLLIN, 0});
     auto pause = std::min(self.options.orphan_limit, log_pause);
     const auto lease = self.host ? self.host->enforce_leases() : std::nullopt;
     if (lease) pause = std::min(pause, *lease);
+    const std::size_t first_stranger = 4;
     poll(on.data(), on.size(), static_cast<int>(pause.count()));
     self.log_file.rotate_if_too_long();
     if (on[2].revents != 0) self.shutdown_limit = stop_limit;
     if (on[1].revents != 0) self.send_waiting();
     if (on[3].revents != 0 && self.gateway) self.receive();
-    if (on[0].revents != 0) self.accept_gateway();
+    auto strangers = std::exchange(self.strangers, {});
+    for (std::size_t i = first_stranger; i < on.size(); ++i) {
+      if (on[i].revents != 0) {
+        self.hear(std::move(strangers.front()));
+      } else {
+        self.strangers.push_back(std::move(strangers.front()));
+      }
+      strangers.pop_front();
+    }
+    if (on[0].revents != 0) self.accept_stranger();
     if (self.gateway || (self.host && !self.host->list().empty())) {
       self.useful = clock.now();
     } else if (clock.now() - self.useful >= self.options.orphan_limit) {

@@ -20,6 +20,7 @@ class ControlServer {
     bool exactly = false;     ///< refuse the plugin unless its bytes have the SHA-256 order.identity.sha256
     std::string folder;       ///< the gateway's state folder
     std::string socket_name;  ///< the name of the socket in that folder
+    std::string proof_check;  ///< the SHA-256 of what the gateway must show (HostProofs)
     int socket = -1;          ///< a descriptor of that socket, made by the gateway; -1: this process makes it
     /// A host that has neither instances nor a gateway ends after this time.
     std::chrono::milliseconds orphan_limit{30000};

@@ -81,6 +81,8 @@ int main(int argc, char** argv) {
   app.add_option("--gateway", options.order.gateway, "id of the gateway")->required();
   app.add_option("--state", options.folder, "the gateway's state folder")->required();
   app.add_option("--socket", options.socket_name, "name of the socket to listen on in the state folder")->required();
+  app.add_option("--proof-check", options.proof_check, "the SHA-256 of what the gateway shows to prove that it is it")
+      ->required();
   app.add_flag("--isolated", options.order.isolated, "this host is for one instance only");
   app.add_option("--listen-on", options.socket, "a descriptor that is this socket already");
   int log_limit_mb = 0;

@@ -21,7 +21,7 @@ using nlohmann::json;
 namespace {
 
 constexpr std::array command_names = {"create",  "activate", "deactivate", "remove", "shutdown", "ping",
-                                      "metrics", "deliver",  "answer",     "renew",  "ask"};
+                                      "metrics", "deliver",  "answer",     "renew",  "ask",      "prove"};
 constexpr std::array report_names = {"hello", "refused", "status", "pong", "metrics", "pass", "answer", "told"};
 constexpr std::array answer_names = {"handled", "failed", "comes", "nowhere"};
 
@@ -229,7 +229,15 @@ std::string encode(const HostCommand& command) {
     body["question"] = to_json<json>(command.question.look);
     if (command.question.message) body["message"] = passed_json({0, "", *command.question.message});
   }
+  if (!command.proof.empty()) body["proof"] = command.proof;
   return frame(body);
+}
+
+std::string proof_frame(const std::string& proof) {
+  HostCommand command;
+  command.kind = HostCommand::Kind::prove;
+  command.proof = proof;
+  return encode(command);
 }
 
 HostCommand decode_command(const std::string& bytes) {
@@ -239,6 +247,7 @@ HostCommand decode_command(const std::string& bytes) {
     command.instance = discovery::InstanceId(body.value("instance", ""));
     if (body.contains("spec")) command.spec = spec_of(body.at("spec"));
     command.number = body.value("number", std::int64_t{0});
+    command.proof = body.value("proof", "");
     if (command.kind == HostCommand::Kind::deliver) command.passed = passed_of(body.at("passed"));
     if (command.kind == HostCommand::Kind::answer) command.answer = answer_of(body);
     if (command.kind == HostCommand::Kind::ask) {

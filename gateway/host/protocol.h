@@ -12,17 +12,18 @@
 #include <iotcloud/gateway/host/passed_message.h>
 
 /// The protocol between a gateway and a driver host process, over a Unix domain socket in the gateway's state folder.
-/// The host listens and serves one connection at a time; it closes others at once. Every frame (processes/frames.h) is
-/// JSON. The host first sends a hello report, so that a restarted gateway knows what runs. A host goes on when its
-/// gateway ends.
+/// The host listens and serves one connection at a time. Who connects must have the user that made the socket, and
+/// first prove that it is the gateway that started the host, or a later run of it; the host closes the connections of
+/// others. Every frame (processes/frames.h) is JSON. The host first sends a hello report, so that a restarted gateway
+/// knows what runs. A host goes on when its gateway ends.
 namespace iotcloud::gateway::protocol {
 
 /// Increased with every incompatible change. A gateway ends a host that has another version instead of adopting it.
-inline constexpr int version = 4;
+inline constexpr int version = 5;
 
 /// A message from the gateway.
 struct HostCommand {
-  enum class Kind { create, activate, deactivate, remove, shutdown, ping, metrics, deliver, answer, renew, ask };
+  enum class Kind { create, activate, deactivate, remove, shutdown, ping, metrics, deliver, answer, renew, ask, prove };
   Kind kind = Kind::ping;
   discovery::InstanceId instance;    ///< activate, deactivate, remove
   std::optional<InstanceSpec> spec;  ///< create
@@ -33,6 +34,7 @@ struct HostCommand {
   PassedMessage passed{};      ///< deliver: a message that another host read
   PassAnswer answer{};         ///< answer: to the message that the host has passed under that number
   ChannelQuestion question{};  ///< ask: `number` is in the answer
+  std::string proof{};         ///< prove: what only this host's gateway knows (HostProofs); its first command
 };
 
 /// A message from the host.
@@ -57,6 +59,8 @@ struct HostReport {
 /// Encodes a complete frame. Bytes that are not UTF-8 are replaced.
 std::string encode(const HostCommand& command);
 std::string encode(const HostReport& event);
+/// The first frame of a connection: HostCommand::Kind::prove.
+std::string proof_frame(const std::string& proof);
 /// Decodes the body of a frame. \throws config::Error if it is malformed.
 HostCommand decode_command(const std::string& body);
 HostReport decode_report(const std::string& body);

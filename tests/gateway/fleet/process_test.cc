@@ -9,11 +9,14 @@
 #include <nlohmann/json.hpp>
 #include <signal.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/drivers/plugin.h>
+#include <iotcloud/gateway/fleet/host_proofs.h>
 #include <iotcloud/gateway/fleet/process_link.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/files.h>
@@ -319,16 +322,88 @@ TEST_F(ProcessTest, AGatewaysLastCommandsDoNotKeepAHostFromTheNextGateway) {
   // While the host stands still, one gateway sends a command and ends, and the next one connects: the host finds all
   // of it at once.
   auto first = processes::connect_in(state_, socket);
-  ASSERT_TRUE(first && hears(first));
+  const std::string proof = protocol::proof_frame(HostProofs(state_).of(socket));
+  ASSERT_TRUE(first && processes::send_all(first, proof) && hears(first));
   kill(process, SIGSTOP);
   protocol::HostCommand ping;
   ping.kind = protocol::HostCommand::Kind::ping;
   ASSERT_TRUE(processes::send_all(first, encode(ping)));
   first.reset();
   const auto second = processes::connect_in(state_, socket);
+  ASSERT_TRUE(second && processes::send_all(second, proof));
   kill(process, SIGCONT);
-  ASSERT_TRUE(second);
   EXPECT_TRUE(hears(second));
+}
+
+/// A process that can reach a host's socket, such as another host of the same user, but is not the host's gateway.
+class StrangerAtAHostsSocket : public ProcessTest {
+ protected:
+  StrangerAtAHostsSocket() : process_(host_without_gateway()), socket_(sockets().at(0)) {}
+  /// Connects and says this. \return whether the host answered; false: it closed the connection
+  bool is_answered(const std::string& said) const {
+    const auto connection = processes::connect_in(state_, socket_);
+    if (!connection || !processes::send_all(connection, said)) return false;
+    if (!processes::wait_readable(connection.get(), tests::patience)) {
+      ADD_FAILURE() << "the host neither answers nor closes the connection";
+      return false;
+    }
+    return processes::receive_some(connection).has_value();
+  }
+  static std::string shutdown() {
+    protocol::HostCommand command;
+    command.kind = protocol::HostCommand::Kind::shutdown;
+    command.number = 1;
+    return encode(command);
+  }
+  const int process_;
+  const std::string socket_;
+};
+
+TEST_F(StrangerAtAHostsSocket, IsCutOffAndChangesNothing) {
+  ASSERT_GT(process_, 0);
+  const HostProofs another(plugins_);
+  for (const auto& said : {shutdown(), protocol::proof_frame("") + shutdown(),
+                           protocol::proof_frame(HostProofs(state_).of("another.sock")) + shutdown(),
+                           protocol::proof_frame(HostProofs(state_).check_of(socket_)) + shutdown(),
+                           protocol::proof_frame(another.of(socket_)) + shutdown(), std::string(8000, '\0'),
+                           std::string("\x00\x10\x00\x00", 4) + std::string(8000, 'x')}) {
+    EXPECT_FALSE(is_answered(said)) << said.substr(0, 200);
+  }
+  const auto running = new_launcher()->running("gw"_gateway);
+  ASSERT_EQ(running.size(), 1u);
+  ASSERT_EQ(running.front().instances.size(), 1u);
+  EXPECT_EQ(running.front().instances.front().status.state, DriverState::active);
+  EXPECT_EQ(host_process(), process_);
+}
+
+TEST_F(StrangerAtAHostsSocket, DoesNotKeepTheGatewayOutBySayingNothing) {
+  ASSERT_GT(process_, 0);
+  std::vector<processes::OwnedDescriptor> silent;
+  for (int i = 0; i < 40; ++i) {
+    silent.push_back(processes::connect_in(state_, socket_));
+    ASSERT_TRUE(silent.back());
+  }
+  StatusLog log;
+  const auto launcher = new_launcher();
+  const auto running = launcher->running("gw"_gateway);
+  ASSERT_EQ(running.size(), 1u);
+  const auto link = launcher->adopt(running[0], {[&](const auto& s) { log.add(s); }, [](const auto&) {}});
+  link->deactivate("a"_instance);
+  EXPECT_TRUE(log.wait_for("a", DriverState::inactive));
+}
+
+TEST_F(StrangerAtAHostsSocket, OfAnotherUserIsCutOffEvenWithTheProof) {
+  if (geteuid() != 0) GTEST_SKIP() << "only root can act as another user";
+  ASSERT_GT(process_, 0);
+  const std::string said = protocol::proof_frame(HostProofs(state_).of(socket_)) + shutdown();
+  for (const auto& folder : {folder_, state_}) chmod(folder.c_str(), 0777);
+  chmod((state_ / socket_).c_str(), 0777);
+  std::thread([&] {
+    constexpr long nobody = 65534;
+    ASSERT_EQ(syscall(SYS_setresuid, -1L, nobody, -1L), 0);  // unlike seteuid(), for this thread alone
+    EXPECT_FALSE(is_answered(said));
+  }).join();
+  EXPECT_EQ(new_launcher()->running("gw"_gateway).size(), 1u);
 }
 
 TEST_F(ProcessTest, AHostLogsAsItsGatewayDoesWhenItStartsIt) {
@@ -362,7 +437,8 @@ TEST_F(ProcessTest, AGatewayThatStoodStillDoesNotTakeItsHostsForHung) {
   const auto stand_still_once = [&] {
     if (pings++ == 0) std::this_thread::sleep_for(options.hang_limit + 100ms);
   };
-  ProcessLink link(options, {"probe.so", "gw"_gateway, false}, sockets().front(), {process, false},
+  ProcessLink link(options, {"probe.so", "gw"_gateway, false}, sockets().front(),
+                   HostProofs(state_).of(sockets().front()), {process, false},
                    {[&](const auto& s) { after.add(s); }, [&](const auto&) { ended = true; }}, stand_still_once);
   ASSERT_TRUE(eventually([&] { return pings > 1 || ended; }));
   EXPECT_FALSE(ended);
