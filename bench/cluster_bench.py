@@ -159,7 +159,7 @@ def main():
     how = (sizes, 3, 5, report) if given.quick else (sizes, 5, 10, report)
     password = PASSWORD.read_text().strip()
     with warm("rabbitmq"):
-        measure("rabbitmq", "RabbitMQ", f"amqp://iotcloud:{password}@rabbitmq:5672/", "librabbitmq", *how)
+        measure("rabbitmq", "RabbitMQ", f"amqp://bench:{password}@rabbitmq:5672/", "librabbitmq", *how)
     if reachable("kafka"):
         with warm("kafka"):
             measure("kafka", "Kafka", "kafka://kafka:9092", "librdkafka", *how)

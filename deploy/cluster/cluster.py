@@ -1,11 +1,13 @@
 #!/usr/bin/python3
-"""The cluster of docker-compose.yml on this machine's Docker daemon: ./dev cluster up|status|bench|cli|down
+"""The cluster of docker-compose.yml on this machine's Docker daemon: ./dev cluster up|status|bench|cli|certs|down
 
 Its containers belong to the compose project `iotcloud` (COMPOSE_PROJECT_NAME), its files are in build/cluster; `down`
 removes both.
 """
 
 import argparse
+import base64
+import hashlib
 import json
 import os
 import secrets
@@ -24,6 +26,42 @@ USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never
 REPORT = "/var/lib/iotcloud-reports/cluster.json"
 EVERYTHING = ["--profile", "whole", "--profile", "bench", "--profile", "tools"]
 START_LIMIT_S = 300
+
+
+ORDER_KEYS = {f"{master}.orders.pub": f"{master}.orders.pub" for master in MASTERS}
+OPERATOR = {name: name for name in ("ca.pem", "operator.pem", "operator.key", "admin.token")}
+
+
+def host_files(name):
+    return {"ca.pem": "ca.pem", "revoked.pem": "revoked.pem", "host.pem": f"{name}.pem", "host.key": f"{name}.key"}
+
+
+# What each service finds in /run/secrets, and whence: a file of the folder `authority`.
+FILES = {
+    "registry-tls": host_files("registry-tls"),
+    "rabbitmq": {"users.json": "rabbitmq.users.json"},
+    **{name: {**host_files(name), **ORDER_KEYS, "masters.tokens": "masters.tokens", "orders.key": f"{name}.orders.key",
+              "pages.token": f"{name}.pages.token", "registry.users": "registry.users",
+              "registry.password": f"{name}.registry.password",
+              **{f"{gateway}.token": f"{name}-{gateway}.token" for gateway in GATEWAYS}} for name in MASTERS},
+    **{name: {**host_files(name), **ORDER_KEYS, "tokens": f"{name}.tokens", "registry.users": "registry.users",
+              "registry.password": f"{name}.registry.password", "rabbitmq.password": f"{name}.rabbitmq.password"}
+       for name in GATEWAYS},
+    **{name: {**host_files(name), **ORDER_KEYS, "pages.tokens": "pages.tokens", "pages.token": f"{name}.pages.token",
+              "registry.users": "registry.users", "registry.password": "workers.registry.password",
+              "rabbitmq.password": "workers.rabbitmq.password"} for name in WORKERS},
+    "operator": OPERATOR,
+    "bench": {**OPERATOR, "rabbitmq.password": "bench.rabbitmq.password"},
+}
+
+# What each user of RabbitMQ may configure, write and read: exchanges have the name of a driver, with or without `.durable`,
+# queues begin with the gateway's id (docs/wire.md#topics). All gateways use the exchanges of their drivers.
+EXCHANGES = r"[^.]+(\.durable)?"
+RABBITMQ_USERS = {
+    **{gateway: rf"^({EXCHANGES}|{gateway}\..+)$" for gateway in GATEWAYS},
+    "workers": rf"^({EXCHANGES}|({'|'.join(GATEWAYS)})\..+)$",
+    "bench": ".*",  # its bare clients have names of their own
+}
 
 
 class Refused(Exception):
@@ -147,6 +185,38 @@ def write_secret(folder, name, text):
         os.chown(file, user_id(), user_id())
 
 
+def rabbitmq_users(passwords):
+    """RabbitMQ's definitions of its users: no other is there, and none is an administrator."""
+    def hashed(password):  # https://www.rabbitmq.com/docs/passwords: four bytes of salt, and SHA-256
+        salt = secrets.token_bytes(4)
+        return base64.b64encode(salt + hashlib.sha256(salt + password.encode()).digest()).decode()
+
+    return json.dumps({
+        "vhosts": [{"name": "/"}],
+        "users": [{"name": user, "password_hash": hashed(password), "hashing_algorithm": "rabbit_password_hashing_sha256",
+                   "tags": ""} for user, password in passwords.items()],
+        "permissions": [{"user": user, "vhost": "/", "configure": names, "write": names, "read": names}
+                        for user, names in RABBITMQ_USERS.items()]}, indent=1)
+
+
+def distribute(folder):
+    """Gives each service its files of the authority's folder. A file that changed is replaced in one step, which a daemon
+    sees in the folder that it has mounted."""
+    for service, files in FILES.items():
+        own = folder / service
+        own.mkdir(mode=0o700, exist_ok=True)
+        for target, source in files.items():
+            given, fresh = folder / "authority" / source, own / (target + ".new")
+            if (own / target).exists() and (own / target).read_bytes() == given.read_bytes():
+                continue
+            shutil.copy(given, fresh)  # with its permissions
+            if os.getuid() == 0:
+                os.chown(fresh, user_id(), user_id())
+            fresh.replace(own / target)
+        if os.getuid() == 0:
+            os.chown(own, user_id(), user_id())
+
+
 def make_secrets(docker):
     """Makes certificates, tokens and passwords, readable by the containers' user only: all of them, or none."""
     if SECRETS.exists():
@@ -154,12 +224,15 @@ def make_secrets(docker):
     say(f"certificates, tokens and passwords, in {SECRETS.relative_to(ROOT)}")
     fresh = SECRETS.with_name("secrets.new")
     shutil.rmtree(fresh, ignore_errors=True)
+    all_of_it, fresh = fresh, fresh / "authority"
     fresh.mkdir(parents=True, mode=0o700)
-    if os.getuid() == 0:
-        os.chown(fresh, user_id(), user_id())
+    for folder in (all_of_it, fresh):
+        folder.chmod(0o700)
+        if os.getuid() == 0:
+            os.chown(folder, user_id(), user_id())
 
     def iotcloud(*words):
-        done = run(docker.once("secrets", *words), capture_output=True, env=environment(SECRETS=str(fresh)))
+        done = run(docker.once("secrets", *words), capture_output=True, env=environment(SECRETS=str(all_of_it)))
         if done.returncode:
             raise Refused(f"iotcloud {' '.join(words)}: {done.stderr.strip()}")
         return done.stdout.strip()
@@ -182,10 +255,12 @@ def make_secrets(docker):
     for user, role in roles.items():
         write_secret(fresh, f"{user}.registry.password",
                      iotcloud("registry", "user", user, "--role", role, "--file", "/secrets/registry.users"))
-    password = secrets.token_hex(24)
-    write_secret(fresh, "rabbitmq.password", password)
-    write_secret(fresh, "rabbitmq.conf", f"default_user = iotcloud\ndefault_pass = {password}")
-    fresh.rename(SECRETS)
+    passwords = {user: secrets.token_hex(24) for user in RABBITMQ_USERS}
+    for user, password in passwords.items():
+        write_secret(fresh, f"{user}.rabbitmq.password", password)
+    write_secret(fresh, "rabbitmq.users.json", rabbitmq_users(passwords))
+    distribute(all_of_it)
+    all_of_it.rename(SECRETS)
 
 
 def wait_until_healthy(docker, process, log):
@@ -284,6 +359,21 @@ def cli(given):
     os.execvpe(command[0], command, environment())
 
 
+def certs(given):
+    docker = Docker()
+    if not SECRETS.exists():
+        raise Refused("there are no certificates: ./dev cluster up")
+    done = run(docker.once("secrets", "certs", given.verb, "/secrets", *given.words))
+    if done.returncode:
+        raise Refused(f"iotcloud certs {given.verb} failed with status {done.returncode}")
+    distribute(SECRETS)
+    # Daemons look by themselves within seconds; the tunnels read their files again only when they are told.
+    running = sorted(set(docker.containers()) & {*MASTERS, *GATEWAYS, *WORKERS, "registry-tls"})
+    if running:
+        asked(docker.compose("kill", "-s", "HUP", *running))
+    say(f"given to {len(running)} containers, which go on with them")
+
+
 def down(given):
     docker = Docker()
     done = run(docker.compose(*EVERYTHING, "down", "--volumes", "--remove-orphans"))
@@ -315,6 +405,9 @@ def main():
     command("bench", bench, "measure round trips through it").add_argument(
         "--quick", action="store_true", help="fewer sizes and rounds")
     command("cli", cli, "the command line iotcloud, as an admin")
+    sub = command("certs", certs, "renew or revoke certificates, and give them to the containers, which go on")
+    sub.add_argument("verb", choices=["renew", "revoke"])
+    sub.add_argument("words", nargs=argparse.REMAINDER, help="as those of `iotcloud certs`, without the folder")
     command("down", down, "take away all that `up` made").add_argument(
         "--images", action="store_true", help="the images too")
     given = parser.parse_args()

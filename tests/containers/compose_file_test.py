@@ -6,18 +6,24 @@ usage: compose_file_test.py
 """
 
 import copy
+import json
 import re
 import sys
+import tempfile
 from pathlib import Path
 
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "deploy/cluster"))
+
+import cluster  # noqa: E402  (its folder is known now)
 SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
 DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
 RUN_ONCE = {"bench", "cli", "secrets"}  # by a person, or by ./dev cluster
-# What gateways may share with others: all but the broker's password is public.
-SHARED = {"ca.pem", "revoked.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "rabbitmq.password"}
+# What gateways may share with others: it is public.
+SHARED = {"ca.pem", "revoked.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub"}
+FOLDER = re.compile(r"\$\{SECRETS:-\./build/cluster/secrets\}/([a-z0-9-]+):/run/secrets:ro")
 FORBIDDEN = ["privileged", "pid", "ipc", "userns_mode", "devices", "cgroup_parent", "env_file"]
 SECRET_WORD = re.compile(r"(?i)(password|passwd|pass|token|secret|credential)[a-z_]*$")
 
@@ -29,17 +35,22 @@ def problems_of(file):
     for name in (SERVICES | RUN_ONCE) ^ set(services):
         found.append(f"{name} is in one of the file and this test only")
     for name, service in services.items():
-        found += [f"{name} {problem}" for problem in problems_of_service(name, service, services, file["secrets"])]
+        found += [f"{name} {problem}" for problem in problems_of_service(name, service, services)]
     found += shared_secrets(services)
     found += ways_around_the_tunnel(file)
-    for name, secret in file["secrets"].items():
-        if set(secret) != {"file"}:
-            found.append(f"secret {name} is not a file")
+    if "secrets" in file:
+        found.append("secrets are mounted as files, of which a container sees no later one")
     return found
 
 
+def folder_of(service):
+    """The folder of secrets that a service mounts; None: it has none."""
+    return next((match.group(1) for volume in service.get("volumes", []) if (match := FOLDER.fullmatch(volume))), None)
+
+
 def secrets_of(service):
-    return {secret if isinstance(secret, str) else secret["source"] for secret in service.get("secrets", [])}
+    """What a service gets of the authority's files."""
+    return set(cluster.FILES.get(folder_of(service), {}).values())
 
 
 def shared_secrets(services):
@@ -62,8 +73,7 @@ def ways_around_the_tunnel(file):
         if name in DAEMONS:
             if service["command"][0] != "iotcloud-with-registry-tunnel":
                 yield f"{name} has no tunnel to the registry"
-            targets = {secret["target"] for secret in service["secrets"] if isinstance(secret, dict)}
-            if not {"host.pem", "host.key"} <= targets or not {"ca.pem", "revoked.pem"} <= secrets_of(service):
+            if not {"host.pem", "host.key", "ca.pem", "revoked.pem"} <= set(cluster.FILES.get(folder_of(service), {})):
                 yield f"{name} has no certificate, authority or list of revoked certificates for its tunnel"
 
 
@@ -85,7 +95,7 @@ def problems_of_configurations():
         yield f"registry-tunnel.conf differs from the shipped one: {directives(folder / 'registry-tunnel.conf') ^ expected}"
 
 
-def problems_of_service(name, service, services, secrets):
+def problems_of_service(name, service, services):
     for key in FORBIDDEN:
         if key in service:
             yield f"has {key}"
@@ -108,9 +118,13 @@ def problems_of_service(name, service, services, secrets):
     for port in service.get("ports", []):
         if not re.fullmatch(r"127\.0\.0\.1:\$\{[A-Z0-9_]+:-\d+\}:\d+", port):
             yield f"publishes {port}: not on loopback, or not to be chosen"
-    for secret in service.get("secrets", []):
-        if (secret if isinstance(secret, str) else secret["source"]) not in secrets:
-            yield f"has an unknown secret {secret}"
+    if "secrets" in service:
+        yield "has secrets that are mounted as files"
+    whole = [volume for volume in service.get("volumes", []) if "SECRETS" in volume and not FOLDER.fullmatch(volume)]
+    if whole and name != "secrets":
+        yield f"has the secrets of others: {whole}"
+    if folder_of(service) not in (None, {"cli": "operator"}.get(name, name)) or folder_of(service) not in (None, *cluster.FILES):
+        yield f"has the secrets of {folder_of(service)}"
     for key, value in service.get("environment", {}).items():
         if SECRET_WORD.search(key) and not str(value).startswith("/run/secrets/"):
             yield f"has a secret in its environment: {key}"
@@ -133,12 +147,14 @@ def check_that_it_finds(file):
         "topology-2 publishes": lambda services: services["topology-2"].update(ports=["9406:9406"]),
         "rabbitmq has a secret in its environment":
             lambda services: services["rabbitmq"].update(environment={"RABBITMQ_DEFAULT_PASS": "guest"}),
-        "gateway-1 shares the secret master-1.key with master-1":
-            lambda services: services["gateway-1"]["secrets"].append("master-1.key"),
+        "gateway-1 has the secrets of master-1":
+            lambda services: replace_volume(services["gateway-1"], "secrets}/gateway-1:", "secrets}/master-1:"),
+        "gateway-2 has the secrets of others":
+            lambda services: replace_volume(services["gateway-2"], "secrets}/gateway-2:", "secrets}:"),
         "master-1 is on the networks": lambda services: services["master-1"].update(networks=["default", "registry"]),
         "gateway-1 has no tunnel": lambda services: services["gateway-1"]["command"].pop(0),
-        "topology-1 has no certificate": lambda services: services["topology-1"]["secrets"].remove("ca.pem"),
-        "bench has an unknown secret": lambda services: services["bench"].update(secrets=["nobody's"]),
+        "topology-1 has no certificate": lambda services: services["topology-1"].update(volumes=[]),
+        "bench has secrets that are mounted as files": lambda services: services["bench"].update(secrets=["ca.pem"]),
     }
     for expected, break_it in breaks.items():
         broken = copy.deepcopy(file)
@@ -146,6 +162,50 @@ def check_that_it_finds(file):
         found = problems_of(broken)
         if not any(problem.startswith(expected) for problem in found):
             sys.exit(f"nobody noticed: {expected}; found: {found}")
+
+
+def replace_volume(service, old, new):
+    service["volumes"] = [volume.replace(old, new) for volume in service["volumes"]]
+
+
+def check_brokers_users():
+    """A gateway reaches its own queues only, workers those of the gateways, and nobody the server's own names."""
+    for user, reached in {
+            "gateway-1": ["gateway-1.loadgen.0a1b.data", "gateway-1.loadgen.data", "loadgen", "loadgen.durable"],
+            "workers": ["gateway-1.loadgen.0a1b.data", "gateway-2.loadgen.data.echo", "loadgen", "loadgen.durable"]}.items():
+        names = cluster.RABBITMQ_USERS[user]
+        for name in reached:
+            if not re.search(names, name):
+                sys.exit(f"RabbitMQ: {user} does not reach {name}")
+        others = ["amq.direct", "", "gateway-10.loadgen.data", "x.gateway-1.a", "gateway-1", "lab.loadgen.data"]
+        for name in others[:-2] + others[-1:] + (["gateway-2.loadgen.data"] if user == "gateway-1" else []):
+            if re.search(names, name):
+                sys.exit(f"RabbitMQ: {user} reaches {name}")
+    told = json.loads(cluster.rabbitmq_users(dict.fromkeys(cluster.RABBITMQ_USERS, "sesame")))
+    if {user["tags"] for user in told["users"]} != {""} or "sesame" in json.dumps(told):
+        sys.exit(f"RabbitMQ's users: {told}")
+
+
+def check_renewal():
+    """A file that changed is another one in the folder that a container has mounted, and others stay as they are."""
+    with tempfile.TemporaryDirectory() as work:
+        folder = Path(work)
+        (folder / "authority").mkdir()
+        for name in {source for files in cluster.FILES.values() for source in files.values()}:
+            (folder / "authority" / name).write_text(name, encoding="utf-8")
+            (folder / "authority" / name).chmod(0o600)
+        cluster.distribute(folder)
+        mounted = folder / "gateway-1"
+        before = {file.name: file.stat().st_ino for file in mounted.iterdir()}
+        if set(before) != set(cluster.FILES["gateway-1"]) or mounted.stat().st_mode & 0o777 != 0o700:
+            sys.exit(f"gateway-1 has {before}")
+        (folder / "authority/gateway-1.pem").write_text("renewed", encoding="utf-8")
+        cluster.distribute(folder)
+        if (mounted / "host.pem").read_text(encoding="utf-8") != "renewed":
+            sys.exit("a renewed certificate does not come to its container")
+        after = {file.name: file.stat().st_ino for file in mounted.iterdir()}
+        if {name for name in before if before[name] != after[name]} != {"host.pem"} or set(after) != set(before):
+            sys.exit(f"files changed beside the certificate: {before} {after}")
 
 
 def main():
@@ -157,6 +217,8 @@ def main():
     if found:
         sys.exit("docker-compose.yml: " + "; ".join(found))
     check_that_it_finds(file)
+    check_brokers_users()
+    check_renewal()
     print(f"{len(file['services'])} services keep the promises")
 
 

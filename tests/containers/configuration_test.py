@@ -13,6 +13,11 @@ from pathlib import Path
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "deploy/cluster"))
+
+import cluster  # noqa: E402  (its folder is known now)
+from compose_file_test import folder_of  # noqa: E402
+
 CONFIGURATIONS = ROOT / "deploy/cluster"
 DAEMONS = {"master": "iotcloud-master", "gateway": "iotcloud-gateway", "topology": "iotcloud-topology"}
 
@@ -32,8 +37,9 @@ def make_secrets(iotcloud, folder, services):
     for user in [*hosts, "workers"]:
         role = user.split("-")[0] if "-" in user else "worker"
         run(iotcloud, "registry", "user", user, "--role", role, "--file", folder / "registry.users").check_returncode()
-    for key in ("orders", "master-1.orders", "master-2.orders"):
+    for key in ("master-1.orders", "master-2.orders"):
         run(iotcloud, "keys", "new", folder / key).check_returncode()
+    shutil.copy(folder / "master-1.orders.key", folder / "orders.key")
     for name, text in {"registry.password": "a\n", "rabbitmq.password": "b\n", "pages.token": "c\n"}.items():
         (folder / name).write_text(text, encoding="utf-8")
         (folder / name).chmod(0o600)
@@ -77,8 +83,7 @@ def main():
             for secret in secrets_named(original, services):
                 service = next(service for service in services.values()
                                if service.get("command", [""])[-1] == f"/etc/iotcloud/{name}")
-                given = {each if isinstance(each, str) else each["target"] for each in service["secrets"]}
-                if Path(secret).name not in given:
+                if Path(secret).name not in cluster.FILES[folder_of(service)]:
                     sys.exit(f"{name} names {secret}, which docker-compose.yml does not give to its service")
     print(f"{len(used)} configurations are good")
 

@@ -7,6 +7,7 @@ usage: registry_tunnel_test.py DEPLOY_FOLDER IOTCLOUD
 """
 
 import pathlib
+import signal
 import socket
 import ssl
 import subprocess
@@ -163,12 +164,12 @@ class Tunnel(unittest.TestCase):
         self.assertEqual(self.ask(stranger), b"")
         self.assertEqual(behind.heard, b"ruok")
 
-    def test_the_clusters_end_takes_no_revoked_certificate_once_it_was_started_again(self):
+    def test_the_clusters_end_takes_no_revoked_certificate_once_it_was_told_to_read_the_list(self):
         behind = PlainServer()
         inner = free_port()
         server = {"accept = 2281": f"accept = 127.0.0.1:{inner}", "zookeeper:2181": f"127.0.0.1:{behind.port}"}
         self.certs("add", "registry-tls", "gateway-1", "gateway-2")
-        before = self.of_cluster("registry-tls.conf", "registry-tls", server)
+        tunnel = self.of_cluster("registry-tls.conf", "registry-tls", server)
         ends = {}
         for gateway in ("gateway-1", "gateway-2"):
             ends[gateway] = free_port()
@@ -176,11 +177,21 @@ class Tunnel(unittest.TestCase):
                                                               "connect = registry-tls:2281": f"connect = 127.0.0.1:{inner}"})
             self.assertEqual(self.ask(ends[gateway]), b"RUOK")
         self.revoke("gateway-1")
-        before.terminate()
-        before.wait(LIMIT_S)
-        self.of_cluster("registry-tls.conf", "registry-tls", server)
-        self.assertEqual(self.ask_until_answered(ends["gateway-2"]), b"RUOK")
+        shown = self.certificate_at(inner)
+        subprocess.run([IOTCLOUD, "certs", "renew", self.folder, "registry-tls"], check=True, capture_output=True, timeout=60)
+        self.assertEqual(self.certificate_at(inner), shown, "it reads nothing before it is told")
+        tunnel.send_signal(signal.SIGHUP)
+        deadline = time.monotonic() + LIMIT_S
+        while self.certificate_at(inner) == shown:
+            self.assertLess(time.monotonic(), deadline, "it still shows the certificate of before")
+            time.sleep(0.05)
+        self.assertIsNone(tunnel.poll(), "the same process goes on")
         self.assertEqual(self.ask(ends["gateway-1"]), b"")
+        self.assertEqual(self.ask_until_answered(ends["gateway-2"]), b"RUOK")
+
+    def certificate_at(self, port):
+        """The certificate that a server shows."""
+        return ssl.get_server_certificate(("127.0.0.1", port))
 
     def ask_until_answered(self, port):
         """As ask(), while the tunnel's other end may still be starting."""
