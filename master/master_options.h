@@ -25,6 +25,9 @@ struct MasterOptions {
   /// Signs orders to gateways: gets the path of the order's node and its JSON, and returns the bytes to write. Empty:
   /// orders are not signed.
   std::function<std::string(const std::string& path, const std::string& bytes)> seal{};
+  /// Whether a trusted master signed what stands at that path, so that this master may change and sign it. Empty: it
+  /// may, whoever wrote it.
+  std::function<bool(const std::string& path, const std::string& bytes)> is_sealed{};
   DirectGateways* direct = nullptr;  ///< gateways that are called, not ordered; outlives the master; null: none
 };
 

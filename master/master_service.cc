@@ -65,6 +65,15 @@ void check_key(const config::Section& section, const std::string& key, Check&& c
   }
 }
 
+/// This master must be able to change its own orders. \throws config::Error if it does not trust its own key.
+void check_own_key(const MasterDaemonConfig& config) {
+  if (config.signing_key.empty()) return;
+  const std::string place = "/", object = R"({"a":1})";
+  const auto signed_object = security::sign_object(security::ObjectSigner(config.signing_key), place, object);
+  if (security::signer_of_object(*config.order_keys, place, signed_object).empty())
+    throw config::Error("none of these keys is that of signing_key, with which this master signs: add its .pub file");
+}
+
 class MasterService final : public config::Service {
  public:
   explicit MasterService(MasterDaemonConfig config) : config_(std::move(config)) {}
@@ -89,6 +98,13 @@ class MasterService final : public config::Service {
     if (!config_.signing_key.empty()) {
       options.seal = [key = security::ObjectSigner(config_.signing_key)](const auto& path, const auto& bytes) {
         return security::sign_object(key, path, bytes);
+      };
+      if (!config_.order_keys)
+        logger.warn("this master signs what it makes of an order whoever wrote it: set orders.trusted_keys");
+    }
+    if (config_.order_keys) {
+      options.is_sealed = [keys = config_.order_keys](const auto& path, const auto& bytes) {
+        return !security::signer_of_object(*keys, path, bytes).empty();
       };
     }
     master_ = std::make_unique<Master>(*registry_, options);
@@ -116,6 +132,7 @@ class MasterService final : public config::Service {
   void reload() override {
     // The audit log comes first, so that an unreadable file below does not keep a log open that somebody has renamed.
     if (audit_) audit_->reopen();
+    if (config_.order_keys) config_.order_keys->reload();
     if (tokens_) tokens_->reload();
     api_->reload();  // after the tokens: it closes connections whose token is gone
     if (metrics_) metrics_->reload();
@@ -189,6 +206,14 @@ MasterDaemonConfig read_master(config::Section& top) {
     config.signing_key = orders->string_or("signing_key", "");
     if (!config.signing_key.empty())
       check_key(*orders, "signing_key", [&] { security::ObjectSigner{config.signing_key}; });
+    security::TrustedKeys::Options masters;
+    masters.trusted_keys = orders->strings_or("trusted_keys", {});
+    masters.require_signature = true;
+    if (!masters.trusted_keys.empty())
+      check_key(*orders, "trusted_keys", [&] {
+        config.order_keys = std::make_shared<security::TrustedKeys>(masters);
+        check_own_key(config);
+      });
     orders->finish();
   }
   config::read_log_settings(top);  // only checks these keys: the frame of the daemon (config/) applies them

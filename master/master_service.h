@@ -10,6 +10,7 @@
 #include <iotcloud/rpc/http/page_settings.h>
 #include <iotcloud/rpc/listen_settings.h>
 #include <iotcloud/security/audit_log.h>
+#include <iotcloud/security/trusted_keys.h>
 
 namespace iotcloud::master {
 
@@ -26,6 +27,8 @@ struct MasterDaemonConfig {
   security::AuditSettings audit;
   rpc::PageSettings pages;  ///< /metrics and /healthz
   std::string signing_key;  ///< file of the private key that signs orders to gateways; empty: unsigned
+  /// The keys of all masters; null: this one signs what it makes of an order, whoever wrote the order.
+  std::shared_ptr<security::TrustedKeys> order_keys;
   std::chrono::milliseconds outcome_timeout{30'000};
   bool record_for_lost_gateways = true;
 };

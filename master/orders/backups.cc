@@ -115,7 +115,8 @@ Verdict Backups::place(const GatewayId& gateway, OrderRecord order, bool replace
   if (order == *there && !(replace && desk_.book.seals())) return unchanged;
   if (!replace) return another;
   const Located where{order.instance, gateway, {}, std::nullopt};
-  const auto verdict = desk_.book.rewrite(where, lead, [&](OrderRecord& present) { present = order; });
+  const auto verdict = desk_.book.rewrite(
+      where, lead, [&](OrderRecord& present) { present = order; }, OrderBook::Standing::is_replaced);
   return verdict.value_or(Verdict{OrderOutcome::done, "it took another order's place"});
 }
 
@@ -128,12 +129,14 @@ Verdict Backups::place(const TopologyBackup& topology, bool replace, const disco
     const bool same = order.active == there.active && order.parallelism == there.parallelism && !there.kill;
     if (same && !(replace && desk_.book.seals())) return unchanged;
     if (!replace) return another;
-    order.revision = std::max(order.revision, there.revision);
-    order.given_ms = there.given_ms;
+    if (desk_.book.is_ours(path, node->data)) {
+      order.revision = std::max(order.revision, there.revision);
+      order.given_ms = there.given_ms;
+    }
   }
   // Workers follow an order that is newer than theirs only.
   for (const auto& worker : discovery::list_workers(desk_.registry, desk_.options.paths, topology.topology))
-    order.revision = std::max(order.revision, worker.revision);
+    order.revision = std::max(order.revision, std::min(worker.revision, most_revision));
   ++order.revision;
   order.epoch = lead.epoch;
   order.given_ms = std::max(config::system_clock().wall_ms(), node ? order.given_ms : 0);

@@ -22,6 +22,13 @@ Verdict of_later_master() {
   return {OrderOutcome::failed, "a later master has given orders for it; this one's lead is over"};
 }
 
+/// Whoever wrote it would have this master sign it.
+Verdict of_nobody_trusted() {
+  return {OrderOutcome::failed,
+          "no trusted master has signed the order that stands there, so it is not changed: undeploy the instance and "
+          "deploy it again, or `iotcloud registry import --replace` a backup"};
+}
+
 }  // namespace
 
 const GatewayStatus* find(const std::vector<GatewayStatus>& gateways, const GatewayId& id) {
@@ -132,9 +139,13 @@ MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
       if (where.record) announce_removal(where, nullptr, lead);  // somebody else removed it
       break;
     }
-    const auto order = discovery::decode_order(node->data, path);
-    if (order.epoch > lead.epoch) return of_later_master();
-    announce_removal(where, &order, lead);
+    if (is_ours(path, node->data)) {
+      const auto order = discovery::decode_order(node->data, path);
+      if (order.epoch > lead.epoch) return of_later_master();
+      announce_removal(where, &order, lead);
+    } else {
+      announce_removal(where, nullptr, lead);
+    }
     try {
       registry_.remove(path, node->version, lead.fence);
       break;
@@ -146,15 +157,17 @@ MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
   return Verdict{OrderOutcome::done, "its gateway had not taken it up yet"};
 }
 
-MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead,
-                                const std::function<void(OrderRecord&)>& alter) {
+MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead, const std::function<void(OrderRecord&)>& alter,
+                                Standing standing) {
   const auto path = paths_.order(where.gateway, where.instance);
   while (!leadership_.closing().stop_requested()) {
     const auto node = registry_.get(path);
     if (!node) return Verdict{OrderOutcome::failed, "it is being undeployed"};
+    const bool ours = is_ours(path, node->data);
+    if (!ours && standing == Standing::is_kept) return of_nobody_trusted();
     auto order = discovery::decode_order(node->data, path);
-    if (order.epoch > lead.epoch) return of_later_master();
-    const auto given_before = order.given_ms;
+    if (ours && order.epoch > lead.epoch) return of_later_master();
+    const auto given_before = ours ? order.given_ms : 0;
     alter(order);
     order.epoch = lead.epoch;
     if (seal_) order.given_ms = std::max(config::system_clock().wall_ms(), given_before + 1);

@@ -57,7 +57,7 @@ struct OrderDesk {
   /// So either the drain sees the orders, or the orders see the mark.
   config::SharedMutex placing;
   Leadership leadership;
-  OrderBook book{registry, options.paths, leadership, options.seal};
+  OrderBook book{registry, options.paths, leadership, options.seal, options.is_sealed};
 };
 
 /// The outcome of an order that the gateway follows later; nullopt: it follows orders now.

@@ -105,11 +105,17 @@ TopologyOrder TopologyService::changed_order(const std::optional<Node>& node, co
                                              const std::vector<WorkerRecord>& workers, const discovery::Lead& lead,
                                              milliseconds wait) const {
   TopologyOrder order;
-  if (node) order = discovery::decode_topology_order(node->data, desk_.options.paths.topology_order(request.topology));
+  const std::string path = desk_.options.paths.topology_order(request.topology);
+  const bool ours = node && desk_.book.is_ours(path, node->data);
+  if (ours) order = discovery::decode_topology_order(node->data, path);
+  if (node && !ours && request.change == TopologyChange::rebalance) {
+    throw config::Error("no trusted master has signed the order that stands for topology " + request.topology +
+                        ", so it is not changed: activate or deactivate the topology, which takes that order's place");
+  }
   if (order.epoch > lead.epoch) throw config::Error("a later master has given orders for it; this one's lead is over");
   std::int64_t last = order.revision;
   const std::int64_t last_given = order.given_ms;
-  for (const WorkerRecord& worker : workers) last = std::max(last, worker.revision);
+  for (const WorkerRecord& worker : workers) last = std::max(last, std::min(worker.revision, most_revision));
   if (order.kill && !any_lives(order.kill->workers, workers)) order = TopologyOrder{};  // that run is over
   if (order.kill && request.change != TopologyChange::kill)
     throw config::Error("topology " + request.topology + " is being killed");

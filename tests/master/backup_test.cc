@@ -1,4 +1,6 @@
 // Backups of what is ordered: taken out of the registry, and put into one that lost it.
+#include <limits>
+
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
@@ -326,6 +328,84 @@ TEST(MasterSeal, EveryOrderIsWrittenWithItsSealAlsoWhenItIsChangedOrImported) {
   const auto removal = discovery::decode_removal(standing(removed), removed);
   EXPECT_EQ(removal.instance, order.instance);
   EXPECT_GT(removal.given_ms, order.given_ms);
+}
+
+/// A master that trusts the seals of masters, in a registry in which somebody else has written.
+class ForeignOrders : public testing::Test {
+ protected:
+  static MasterOptions with_seal() {
+    auto options = TestMaster::quick();
+    options.seal = seal;
+    options.is_sealed = [](const std::string& path, const std::string& bytes) {
+      return bytes.ends_with(R"(,"signature":")" + path + "\"}");
+    };
+    return options;
+  }
+  bool is_sealed(const std::string& path) { return with_seal().is_sealed(path, standing(path)); }
+  std::string standing(const std::string& path) { return master_.registry().get(path).value().data; }
+  void write(const std::string& path, const std::string& bytes) { discovery::put(master_.registry(), path, bytes); }
+
+  const std::string url_ = test::fresh_registry_url();
+  const discovery::Paths paths_;
+  TestMaster master_{url_, with_seal()};
+  FakeGateway gateway_{url_, "lab1"};
+};
+
+TEST_F(ForeignOrders, AreNotSignedBecauseSomebodyChangesThem) {
+  ASSERT_TRUE(master_.leads());
+  DeployRequest request;
+  request.plugin = "turtle.so";
+  const auto deployed = master_->deploy(request);
+  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
+  const auto backup = master_->backup();
+  InstanceSelection selection;
+  selection.instances = {deployed.outcomes.at(0).instance};
+  const auto path = paths_.order("lab1"_gateway, selection.instances.front());
+  auto forged = discovery::decode_order(standing(path), path);
+  forged.plugin = "evil.so";
+  forged.epoch = forged.given_ms = std::numeric_limits<std::int64_t>::max();
+  write(path, encode(forged));
+
+  DeploymentChange change;
+  change.instances = selection.instances;
+  change.properties = std::map<std::string, std::string>{{"rate", "9"}};
+  for (const auto& result : {master_->stop(selection), master_->start(selection), master_->change_deployment(change)}) {
+    ASSERT_THAT(result.outcomes, SizeIs(1)) << result.summary();
+    EXPECT_EQ(result.outcomes.front().outcome, OrderOutcome::failed);
+    EXPECT_THAT(result.outcomes.front().reason, testing::HasSubstr("no trusted master has signed the order"));
+  }
+  EXPECT_EQ(standing(path), encode(forged));
+
+  const ImportRequest import{backup, true};
+  EXPECT_TRUE(master_->give("import", discovery::to_json<nlohmann::json>(import).dump()).result.all_done());
+  EXPECT_TRUE(is_sealed(path)) << "a person may put what was there in its place";
+  EXPECT_EQ(discovery::decode_order(standing(path), path).plugin, "turtle.so");
+  EXPECT_LT(discovery::decode_order(standing(path), path).given_ms, forged.given_ms);
+
+  write(path, encode(forged));
+  ASSERT_TRUE(master_->undeploy(selection).all_done()) << "and take it away";
+  const auto removed = paths_.removal("lab1"_gateway, selection.instances.front());
+  EXPECT_TRUE(is_sealed(removed));
+  EXPECT_LT(discovery::decode_removal(standing(removed), removed).given_ms, forged.given_ms);
+}
+
+TEST_F(ForeignOrders, ToTopologiesLeaveNothingInTheNextOne) {
+  ASSERT_TRUE(master_.leads());
+  const auto path = paths_.topology_order("t"_topology);
+  write(paths_.topology("t"_topology), encode(discovery::TopologyRecord{"t"_topology, 0, {}, {}}));
+  TopologyOrder forged;
+  forged.revision = forged.epoch = forged.given_ms = std::numeric_limits<std::int64_t>::max();
+  forged.parallelism = {{"work", 1000}};
+  write(path, encode(forged));
+  TopologyRequest request;
+  request.topology = "t"_topology;
+  request.change = TopologyChange::deactivate;
+  ASSERT_TRUE(master_->order(request).all_done());
+  EXPECT_TRUE(is_sealed(path));
+  const auto order = discovery::decode_topology_order(standing(path), path);
+  EXPECT_FALSE(order.active);
+  EXPECT_THAT(order.parallelism, IsEmpty());
+  EXPECT_LT(order.given_ms, forged.given_ms);
 }
 
 }  // namespace
