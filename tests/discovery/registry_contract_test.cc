@@ -69,6 +69,17 @@ TEST_P(RegistryContract, KnowsWhatIsNotThere) {
   EXPECT_EQ(code_of([&] { registry_->set("/none", ""); }), Code::no_node);
 }
 
+TEST_P(RegistryContract, SaysWhenANodesDataWereWritten) {
+  registry_->create("/when", "0");
+  const auto made = registry_->get("/when")->modified_ms;
+  EXPECT_GT(made, 0);
+  EXPECT_EQ(other_->get("/when")->modified_ms, made);
+  EXPECT_TRUE(iotcloud::tests::eventually([&] {  // the clock may not have moved yet
+    registry_->set("/when", "1");
+    return other_->get("/when")->modified_ms > made;
+  }));
+}
+
 TEST_P(RegistryContract, CountsVersionsAndRefusesOldOnes) {
   registry_->create("/v", "0");
   EXPECT_EQ(registry_->get("/v")->version, 0);
