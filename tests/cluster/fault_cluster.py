@@ -98,8 +98,8 @@ class FaultCluster(PrivateCluster):
             options["brokers"] = [f'kafka: {{type: kafka, urls: ["{url}"], properties: {{partitions: {PARTITIONS}}}}}']
         super().start(*arguments, **options)
 
-    def server(self, kind):
-        return super().server(self.registry_kind if kind == "zookeeper" else kind)
+    def server(self, kind, *options):
+        return super().server(self.registry_kind if kind == "zookeeper" else kind, *options)
 
     def daemon(self, program, name, configuration, enter=(), options=()):
         if not self.guarded:

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private RabbitMQ for tests and demos, on loopback only, that leaves nothing behind.
 
-    rabbitmq.py --dir DIR [--port N] [--tls] [--channel-max N]
+    rabbitmq.py --dir DIR [--port N] [--tls] [--channel-max N] [--users FILE] [--revocation]
 
 Runs one node with its data, logs and Erlang cookie below DIR, with its own port mapper (epmd), on free ports. When the
 node takes connections it prints one line on stdout:
@@ -23,14 +23,19 @@ Then it obeys one command for each line of stdin and answers with one line on st
     cap     no queue takes more than 5 messages
             that nobody has read (reject-publish)  CAPPED
     uncap   ends that                              UNCAPPED
+    reread  reads certificates again, and closes
+            all connections                        REREAD
+    clients the user, and the days of the
+            certificate, of each connection        CLIENTS user from - to; user from - to; ...
     stop    ends everything                        STOPPED
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
 Data of an earlier run in DIR are kept: durable queues come back.
 
 With --tls the URL is amqps://localhost:PORT/: the server wants a client certificate, and user and password
-(certificates.py; the files are in DIR). --channel-max limits the channels of a
-connection.
+(certificates.py; the files are in DIR). --channel-max limits the channels of a connection. --users: definitions of users,
+who are then the only ones. --revocation: it refuses clients whose certificate is in a list of DIR/revoked (whose files
+have the names that `openssl rehash` gives), or whose authority has none there.
 """
 import os
 import subprocess
@@ -71,7 +76,8 @@ class RabbitMq(private_server.Server):
     name = "RabbitMQ"
     grace_s = 10
 
-    def __init__(self, folder, port=0, tls=False, mapper=None, home=None, channel_max=None):
+    def __init__(self, folder, port=0, tls=False, mapper=None, home=None, channel_max=None,
+                 users="", revocation=False):
         super().__init__(folder)
         free_port, self.distribution_port = private_server.free_ports(2)
         self.port = port or free_port
@@ -80,6 +86,7 @@ class RabbitMq(private_server.Server):
         self.home = home or self.folder
         self.peers = []
         self.channel_max = channel_max
+        self.users, self.revocation = users, revocation
         if tls:
             self.certificates = certificates.Certificates(self.folder)
         self.write("enabled_plugins", ["[]."])
@@ -99,11 +106,18 @@ class RabbitMq(private_server.Server):
 
     def security(self):
         path = self.certificates.path
+        if self.revocation:  # these options are in the place of those in the other file
+            self.write("advanced.config", [
+                '[{rabbit, [{ssl_options, [{cacertfile, "%s"}, {certfile, "%s"}, {keyfile, "%s"}, {verify, verify_peer},'
+                % (path("ca.pem"), path("server.pem"), path("server.key")),
+                '{fail_if_no_peer_cert, true}, {crl_check, peer},',
+                '{crl_cache, {ssl_crl_hash_dir, {internal, [{dir, "%s"}]}}}]}]}].' % path("revoked")])
+        users = ["load_definitions = " + self.users] if self.users else [
+            "default_user = " + certificates.USER, "default_pass = " + certificates.PASSWORD]
         return ["listeners.tcp = none", "listeners.ssl.1 = 127.0.0.1:%d" % self.port,
                 "ssl_options.cacertfile = " + path("ca.pem"), "ssl_options.certfile = " + path("server.pem"),
                 "ssl_options.keyfile = " + path("server.key"), "ssl_options.verify = verify_peer",
-                "ssl_options.fail_if_no_peer_cert = true",
-                "default_user = " + certificates.USER, "default_pass = " + certificates.PASSWORD]
+                "ssl_options.fail_if_no_peer_cert = true", *users]
 
     def environment(self):
         env = {key: value for key, value in os.environ.items()
@@ -187,12 +201,23 @@ class RabbitMq(private_server.Server):
         self.control("set_permissions", "guest", ".*", ".*", ".*")
         return "PERMITTED"
 
+    def reread(self):
+        self.control("eval", "ssl:clear_pem_cache().")
+        self.control("close_all_connections", "a test wants it")
+        return "REREAD"
+
+    def clients(self):
+        return "CLIENTS " + "; ".join(
+            self.listed("list_connections", "user", "peer_cert_validity").splitlines()[1:])  # after the headers
+
     def queues(self):
         """How many durable queues there are."""
-        listed = subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, "-q", "list_queues", "durable"],
-                                env=self.environment(), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True,
-                                check=True, timeout=60, preexec_fn=private_server.become_child)
-        return f"QUEUES {listed.stdout.split().count('true')}"
+        return f"QUEUES {self.listed('list_queues', 'durable').split().count('true')}"
+
+    def listed(self, *arguments):
+        return subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, "-q", *arguments], env=self.environment(),
+                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, check=True, timeout=60,
+                              preexec_fn=private_server.become_child).stdout
 
     def stop(self):
         answer = super().stop()
@@ -201,15 +226,19 @@ class RabbitMq(private_server.Server):
 
     def commands(self):
         return {**super().commands(), "alarm": self.alarm, "clear": self.clear, "forbid": self.forbid,
-                "permit": self.permit, "banish": self.banish, "cap": self.cap, "uncap": self.uncap, "queues": self.queues}
+                "permit": self.permit, "banish": self.banish, "cap": self.cap, "uncap": self.uncap, "queues": self.queues, "reread": self.reread,
+                "clients": self.clients}
 
 
 def main():
     parser = private_server.options("A private RabbitMQ")
     private_server.add_client_options(parser)
     parser.add_argument("--channel-max", type=int, help="channels of a connection; default: the server's")
+    parser.add_argument("--users", default="", help="a file with definitions of users")
+    parser.add_argument("--revocation", action="store_true", help="ask the lists in DIR/revoked")
     given = parser.parse_args()
-    private_server.run(lambda: RabbitMq(given.dir, given.port, given.tls, channel_max=given.channel_max))
+    private_server.run(lambda: RabbitMq(given.dir, given.port, given.tls, channel_max=given.channel_max, users=given.users,
+                                        revocation=given.revocation))
 
 
 if __name__ == "__main__":
