@@ -1,4 +1,5 @@
 #include <cerrno>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <thread>
@@ -173,6 +174,12 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
                  "debug, info, warn, error or off; without it what the file says (log: {level: ...}), or info");
   app.add_option("--log-format", format,
                  "text, or json: an object on each line; without it what the file says (log: {format: ...}), or text");
+  double stop_limit_s = static_cast<double>(options.stop_limit.count()) / 1000;
+  app.add_option(
+         "--stop-limit", stop_limit_s,
+         "the longest time in seconds from SIGTERM to the end of the process; what is not done by then is given up")
+      ->check(CLI::Range(0.1, 3600.0))
+      ->capture_default_str();
   app.set_version_flag("--version", options.name + " " + version);
   try {
     app.parse(argc, argv);
@@ -233,9 +240,10 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   end_at_second_signal();
 
   // The service gets nine tenths of the limit, its destructor the rest. At the limit the process ends.
-  const StopWatchdog watchdog(options.name, options.stop_limit);
+  const std::chrono::milliseconds stop_limit(std::llround(stop_limit_s * 1000));
+  const StopWatchdog watchdog(options.name, stop_limit);
   try {
-    service->stop(options.stop_limit * 9 / 10);
+    service->stop(stop_limit * 9 / 10);
     service.reset();
   } catch (const std::exception& e) {
     log.error("did not stop in order: {}", e.what());

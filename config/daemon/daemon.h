@@ -35,16 +35,18 @@ struct DaemonOptions {
   std::string description;  ///< one sentence for --help
   /// Reads and checks the whole configuration, and builds the service without starting it. \throws ConfigError.
   std::function<std::unique_ptr<Service>(const std::string& config_file)> build;
-  /// Longest time from the signal to the end of the process; the service gets a little less.
+  /// Longest time from the signal to the end of the process, unless the command line says another one; the service gets
+  /// a little less.
   std::chrono::milliseconds stop_limit{5000};
 };
 
-/// The frame that every daemon shares: `--config FILE`, `--check-config`, `--log-level`, `--log-format`, `--version`,
-/// `--help`. It ignores SIGPIPE; SIGTERM and SIGINT stop the service in order, also while it starts, and a second
-/// signal ends the process at once; SIGHUP reads the section `log` of the configuration again (log_settings.h) and
-/// calls reload(). When the service runs, it logs "NAME ready" and tells systemd; it answers systemd's watchdog as long
-/// as trouble() returns. It blocks the signals before any other thread starts, so call it first in main(). \return the
-/// exit status: 0 stopped in order, 1 failed to start or to stop in time, 2 wrong arguments or bad configuration.
+/// The frame that every daemon shares: `--config FILE`, `--check-config`, `--log-level`, `--log-format`,
+/// `--stop-limit`, `--version`, `--help`. It ignores SIGPIPE; SIGTERM and SIGINT stop the service in order, also while
+/// it starts, and a second signal ends the process at once; SIGHUP reads the section `log` of the configuration again
+/// (log_settings.h) and calls reload(). When the service runs, it logs "NAME ready" and tells systemd; it answers
+/// systemd's watchdog as long as trouble() returns. It blocks the signals before any other thread starts, so call it
+/// first in main(). \return the exit status: 0 stopped in order, 1 failed to start or to stop in time, 2 wrong
+/// arguments or bad configuration.
 int run_daemon(int argc, char** argv, const DaemonOptions& options);
 
 }  // namespace iotcloud::config

@@ -11,6 +11,11 @@ import tempfile
 import unittest
 import urllib.error
 import urllib.request
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
+
+from private_server import free_ports  # noqa: E402
 
 PROGRAM = sys.argv.pop(1)
 
@@ -27,10 +32,10 @@ class Daemon(unittest.TestCase):
         return path
 
     def run_to_end(self, *words):
-        return subprocess.run([PROGRAM, *words], capture_output=True, text=True, timeout=30)
+        return subprocess.run([PROGRAM, *words], capture_output=True, text=True, timeout=120)
 
-    def start(self, text, ready="ready", **environment):
-        daemon = subprocess.Popen([PROGRAM, "--config", self.config(text)], stderr=subprocess.PIPE, text=True,
+    def start(self, text, ready="ready", options=(), **environment):
+        daemon = subprocess.Popen([PROGRAM, "--config", self.config(text), *options], stderr=subprocess.PIPE, text=True,
                                   env={**os.environ, **environment})
         self.addCleanup(daemon.stderr.close)
         self.addCleanup(daemon.wait)
@@ -65,7 +70,19 @@ class Daemon(unittest.TestCase):
     def test_sigterm_stops_in_order(self):
         daemon = self.start("stop: at once")
         daemon.send_signal(signal.SIGTERM)
-        self.assertEqual(daemon.wait(30), 0)
+        self.assertEqual(daemon.wait(120), 0)
+
+    def test_how_long_a_stop_may_take_is_an_option(self):
+        for options, limit_ms in ((), 2700), (("--stop-limit", "100"), 90000):
+            daemon = self.start("stop: at once", options=options)
+            daemon.send_signal(signal.SIGTERM)
+            self.await_line(daemon, f"has {limit_ms} ms to stop")
+            self.assertEqual(daemon.wait(120), 0)
+        daemon = self.start("stop: hang", options=("--stop-limit", "0.5"))
+        daemon.send_signal(signal.SIGTERM)
+        self.await_line(daemon, "did not stop within its limit")
+        self.assertEqual(daemon.wait(120), 1)
+        self.assertEqual(self.run_to_end("--config", self.config("stop: hang"), "--stop-limit", "-1").returncode, 2)
 
     def test_sigterm_ends_the_waits_of_a_start(self):
         for ending in "at once", "hang":
@@ -75,31 +92,26 @@ class Daemon(unittest.TestCase):
             self.assertNotIn("ready", said)
             if ending == "hang":
                 daemon.send_signal(signal.SIGTERM)
-            self.assertEqual(daemon.wait(30), 1 if ending == "hang" else 0)
+            self.assertEqual(daemon.wait(120), 1 if ending == "hang" else 0)
 
     def test_sigpipe_is_ignored(self):
         daemon = self.start("stop: at once")
         daemon.send_signal(signal.SIGPIPE)
         daemon.send_signal(signal.SIGINT)
-        self.assertEqual(daemon.wait(30), 0)
+        self.assertEqual(daemon.wait(120), 0)
 
     def test_a_service_that_hangs_while_stopping_is_ended(self):
         daemon = self.start("stop: hang")
         daemon.send_signal(signal.SIGTERM)
-        self.assertEqual(daemon.wait(30), 1)
+        self.assertEqual(daemon.wait(120), 1)
 
     def test_a_second_signal_ends_at_once_what_takes_long_to_stop(self):
         daemon = self.start("stop: hang")
         daemon.send_signal(signal.SIGTERM)
         self.await_line(daemon, "stopping")
         daemon.send_signal(signal.SIGTERM)
-        self.assertEqual(daemon.wait(30), 1)
+        self.assertEqual(daemon.wait(120), 1)
         self.assertNotIn("did not stop within its limit", daemon.stderr.read())
-
-    def free_port(self):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            return probe.getsockname()[1]
 
     def test_sighup_reads_how_to_log_again(self):
         daemon = self.start("log: {level: info}")
@@ -108,7 +120,7 @@ class Daemon(unittest.TestCase):
         line = json.loads(self.await_line(daemon, "SIGHUP received"))
         self.assertEqual((line["level"], line["part"]), ("info", "tiny-daemon"))
         daemon.send_signal(signal.SIGTERM)
-        self.assertEqual(daemon.wait(30), 0)
+        self.assertEqual(daemon.wait(120), 0)
 
     def test_sighup_with_a_file_that_is_wrong_changes_nothing(self):
         daemon = self.start("log: {level: info}")
@@ -123,18 +135,18 @@ class Daemon(unittest.TestCase):
         daemon.send_signal(signal.SIGHUP)
         self.await_line(daemon, "read again what it has")
         daemon.send_signal(signal.SIGTERM)
-        self.assertEqual(daemon.wait(30), 0)
+        self.assertEqual(daemon.wait(120), 0)
         daemon = self.start("unreadable: the tokens are gone")
         daemon.send_signal(signal.SIGHUP)
         self.await_line(daemon, "stays as it was: the tokens are gone")
         daemon.send_signal(signal.SIGTERM)
-        self.assertEqual(daemon.wait(30), 0)
+        self.assertEqual(daemon.wait(120), 0)
 
     def test_options_go_before_the_file(self):
         done = self.run_to_end("--config", self.config("log: {format: text}\na: 1"), "--log-format", "xml")
         self.assertEqual(done.returncode, 2)
         self.assertIn("use text or json", done.stderr)
-        path = self.config(f'metrics: "127.0.0.1:{self.free_port()}"\nlog: {{format: text}}')
+        path = self.config(f'metrics: "127.0.0.1:{free_ports(1)[0]}"\nlog: {{format: text}}')
         daemon = subprocess.Popen([PROGRAM, "--config", path, "--log-format", "json"], stderr=subprocess.PIPE, text=True)
         self.addCleanup(daemon.stderr.close)
         self.addCleanup(daemon.wait)
@@ -155,20 +167,20 @@ class Daemon(unittest.TestCase):
             self.assertIn("WATCHDOG=1", said)
 
     def test_health_is_a_page_of_its_own(self):
-        port = self.free_port()
+        port = free_ports(1)[0]
         self.start(f'metrics: "127.0.0.1:{port}"')
-        self.assertEqual(urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=10).read(), b"ok\n")
-        port = self.free_port()
+        self.assertEqual(urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=60).read(), b"ok\n")
+        port = free_ports(1)[0]
         self.start(f'metrics: "127.0.0.1:{port}"\ntrouble: a wheel is loose')
         with self.assertRaises(urllib.error.HTTPError) as answer:
-            urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=10)
+            urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=60)
         self.assertEqual(answer.exception.code, 503)
         self.assertEqual(answer.exception.read(), b"a wheel is loose\n")
 
     def test_metrics_are_served_in_the_text_format(self):
-        port = self.free_port()
+        port = free_ports(1)[0]
         self.start(f'metrics: "127.0.0.1:{port}"')
-        text = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10).read().decode()
+        text = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=60).read().decode()
         self.assertIn('tiny_total{kind="a"} 3', text)
         self.assertIn("tiny_seconds_max 0.002", text)
         self.assertRegex(text, r'tiny_seconds\{quantile="0.5"\} 0\.00(19|20)')

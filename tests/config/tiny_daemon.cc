@@ -39,7 +39,9 @@ class TinyService : public Service {
       endpoint_.emplace(iotcloud::rpc::PageSettings{*metrics_, {}, ""}, iotcloud::config::process_metrics(),
                         [this] { return trouble(); });
   }
-  void stop(std::chrono::milliseconds) override {
+  void stop(std::chrono::milliseconds limit) override {
+    iotcloud::config::log_line(iotcloud::config::LogLevel::info, "tiny",
+                               "has " + std::to_string(limit.count()) + " ms to stop");
     while (stop_ == "hang") std::this_thread::yield();
   }
   void reload() override {

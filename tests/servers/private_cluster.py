@@ -19,6 +19,10 @@ sys.path.insert(0, str(HERE))
 from private_server import die_with_parent, free_ports  # noqa: E402
 
 
+# Options of a daemon that must stop in order however busy the machine is.
+PATIENT_STOP = ("--stop-limit", "60")
+
+
 class StartError(Exception):
     """Something did not start; the text names its log."""
 
@@ -244,11 +248,11 @@ brokers:
         """Starts a daemon again that was killed, with the same command line; its log is continued."""
         return self.spawn(name, self.commands[name], "a")
 
-    def topology(self, name, configuration):
+    def topology(self, name, configuration, options=()):
         """A worker; `configuration` is its YAML with the registry written as {zookeeper} in zk.servers."""
         servers = self.zookeeper.removeprefix("zookeeper://")
         self.workers += 1
-        return self.daemon("iotcloud-topology", name, configuration.replace("{zookeeper}", servers))
+        return self.daemon("iotcloud-topology", name, configuration.replace("{zookeeper}", servers), options=options)
 
     def command(self, *words):
         """A command line of the CLI, which knows all masters."""

@@ -15,7 +15,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError, echo_topology, require, wait_for  # noqa: E402
+from private_cluster import (PATIENT_STOP, PrivateCluster, StartError, echo_topology, require, result_of,  # noqa: E402
+                             wait_for)
 
 TOPOLOGY = echo_topology(bolts=3)
 
@@ -34,21 +35,22 @@ class Control:
 
     def refusal(self, *words):
         """(exit status, error text)"""
-        done = subprocess.run(self.command(*words), capture_output=True, text=True, timeout=60)
+        done = subprocess.run(self.command(*words), capture_output=True, text=True, timeout=120)
         return done.returncode, done.stderr
 
     def sums(self):
         return {entry["component"]: entry["sum"] for entry in self.json("metrics", "echo")["components"]}
 
     def quiet_sums(self):
-        """The sums, once they do not change any more."""
-        before = self.sums()
-        while True:
-            time.sleep(0.5)
-            now = self.sums()
-            if now == before:
-                return now
-            before = now
+        """The sums, once nothing is under way. Call it when nothing new comes."""
+        found = {}
+
+        def nothing_is_under_way():
+            found.update(self.sums())
+            return not any(entry[what] for entry in found.values() for what in ("pending", "queue_depth"))
+
+        wait_for("nothing is under way", nothing_is_under_way)
+        return found
 
 
 def check_pause(control):
@@ -64,11 +66,11 @@ def check_pause(control):
 
 def check_late_worker(control, cluster):
     """A worker that starts while the topology is inactive obeys too."""
-    late = cluster.topology("worker-3", TOPOLOGY)
+    late = cluster.topology("worker-3", TOPOLOGY, PATIENT_STOP)
     wait_for("a third worker is inactive", lambda: [w["state"] for w in control.json("show", "echo")["workers"]] ==
              ["inactive"] * 3)
     late.send_signal(signal.SIGTERM)
-    require(late.wait(10) == 0, "the third worker did not stop in order")
+    require(late.wait(120) == 0, "the third worker did not stop in order")
     cluster.children = [entry for entry in cluster.children if entry[1] is not late]
     wait_for("two workers are left", lambda: len(control.json("list")[0]["workers"]) == 2)
 
@@ -96,7 +98,7 @@ def check_rebalance(control):
 
 def check_tap(control):
     out = subprocess.run(control.command("tap", "echo", "receive", "--count", "3", "-o", "json"), capture_output=True,
-                         text=True, timeout=60)
+                         text=True, timeout=120)
     samples = [json.loads(line) for line in out.stdout.splitlines()]
     require(out.returncode == 0 and len(samples) == 3, out)
     for sample in samples:
@@ -110,15 +112,15 @@ def check_tap(control):
     line = tap.stdout.readline()
     require("receive/default" in line and "driverID=" in line, line)
     tap.send_signal(signal.SIGINT)
-    tap.communicate(timeout=20)
+    tap.communicate(timeout=120)
     require(tap.returncode == 0, f"tap ended with {tap.returncode} at Ctrl-C")
 
 
 def check_counts(control, cluster, reports):
     """When every message is back, each component has counted every message once."""
     wait_for("the drivers have everything back", lambda: all(
-        report.exists() and report.read_text().rstrip().endswith("}") for report in reports), 60)
-    sent = sum(json.loads(report.read_text())["sent"] for report in reports)
+        result_of(report) for report in reports))
+    sent = sum(result_of(report)["sent"] for report in reports)
     sums = control.quiet_sums()
     for what in ("emitted", "acked"):
         require(sums["receive"][what] == sent, f"{what} {sums['receive'][what]} of {sent}")
@@ -132,7 +134,7 @@ def check_counts(control, cluster, reports):
 def check_check(control, work):
     good, bad = work / "worker-1.yaml", work / "bad.yaml"
     bad.write_text(good.read_text().replace("driverID]}]", "driverId]}]"))
-    done = subprocess.run(control.command("check", good), capture_output=True, text=True, timeout=60)
+    done = subprocess.run(control.command("check", good), capture_output=True, text=True, timeout=120)
     require(done.returncode == 0 and "receive" in done.stdout, done)
     status, complaint = control.refusal("check", bad)
     require(status == 2 and "driverId" in complaint and "bad.yaml" in complaint, complaint)
@@ -142,7 +144,7 @@ def check_kill(control, cluster, workers):
     answer = control.json("kill", "echo", "--drain", "20")
     require([o["outcome"] for o in answer["outcomes"]] == ["done", "done"], answer)
     for worker in workers:
-        require(worker.wait(10) == 0, f"a killed worker ended with {worker.returncode}")
+        require(worker.wait(120) == 0, f"a killed worker ended with {worker.returncode}")
     cluster.children = [entry for entry in cluster.children if entry[1] not in workers]
     require(control.json("list") == [], control.json("list"))
     again = cluster.topology("worker-again", TOPOLOGY)
@@ -156,7 +158,7 @@ def main():
     shutil.rmtree(work, ignore_errors=True)
     with PrivateCluster(work, build / "bin", build / "plugins") as cluster:
         cluster.start(gateways=1)
-        workers = [cluster.topology(f"worker-{number}", TOPOLOGY) for number in (1, 2)]
+        workers = [cluster.topology(f"worker-{number}", TOPOLOGY, PATIENT_STOP) for number in (1, 2)]
         cluster.wait_until_ready()
         control = Control(cluster)
         wait_for("two workers are active", lambda: [w["state"] for w in control.json("show", "echo")["workers"]] ==

@@ -15,7 +15,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, echo_topology, result_of, wait_for  # noqa: E402
+from private_cluster import PATIENT_STOP, PrivateCluster, echo_topology, result_of, wait_for  # noqa: E402
 
 COUNT, RATE = 2000, 100
 PARTITIONS = 2
@@ -27,6 +27,11 @@ def reads_drivers(cluster, worker):
 
 def all_read(cluster, names):
     return all(reads_drivers(cluster, name) for name in names)
+
+
+def received(cluster):
+    return next(entry["sum"]["emitted"] for entry in cluster.json("topology", "metrics", "echo")["components"]
+                if entry["component"] == "receive")
 
 
 def workers(cluster):
@@ -50,7 +55,7 @@ def main():
         brokers = [f'kafka: {{type: kafka, urls: ["{cluster.server("kafka")}"], {properties}}}'] if kafka else None
         cluster.start(gateways=2, brokers=brokers)
         names = [f"worker-{number}" for number in range(1, given.workers + 1)]
-        victim, leaver = [cluster.topology(name, topology) for name in names][:2]
+        victim, leaver = [cluster.topology(name, topology, PATIENT_STOP) for name in names][:2]
         cluster.wait_until_ready()
         wait_for("all workers are listed", lambda: len(workers(cluster)) == given.workers)
         reports = [work / f"report-{number}.json" for number in range(given.drivers)]
@@ -58,16 +63,15 @@ def main():
             cluster.deploy("loadgen.so", f"gateway-{number % 2 + 1}", {"count": COUNT, "rate": RATE, "report": report, **layout})
         wait_for("all workers read drivers", lambda: all_read(cluster, names))
 
-        time.sleep(2)  # messages flow
+        wait_for("messages flow", lambda: received(cluster) >= given.drivers * RATE)
         victim.kill()
         victim.wait()
         cluster.children = [entry for entry in cluster.children if entry[1] is not victim]
-        time.sleep(2)
         cluster.topology("in-its-place", topology)
         wait_for("the worker in its place reads drivers", lambda: reads_drivers(cluster, "in-its-place"))
         begin = time.monotonic()
         leaver.send_signal(signal.SIGTERM)
-        if leaver.wait(60) != 0:
+        if leaver.wait(120) != 0:
             sys.exit(f"the worker that was asked to stop ended with status {leaver.returncode}")
         stopped_in = time.monotonic() - begin
         cluster.children = [entry for entry in cluster.children if entry[1] is not leaver]
