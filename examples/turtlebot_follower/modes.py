@@ -36,7 +36,7 @@ class Robot:
 
 def bolt_times(metrics_address):
     """p50 and p99 of each bolt's execute in ms, from the worker's metrics; of several tasks the slowest counts."""
-    text = urllib.request.urlopen(f"http://{metrics_address}/metrics", timeout=5).read().decode()
+    text = urllib.request.urlopen(f"http://{metrics_address}/metrics", timeout=60).read().decode()
     times = {}
     for labels, value in re.findall(r"^iotcloud_task_execute_seconds\{([^}]*)\} (\S+)$", text, re.M):
         fields = dict(re.findall(r'(\w+)="([^"]*)"', labels))

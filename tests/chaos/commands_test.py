@@ -76,7 +76,7 @@ class Fleet(PrivateCluster):
     def dropped(self):
         found = {}
         for name, port in self.pages.items():
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10) as answer:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=60) as answer:
                 for line in answer.read().decode().splitlines():
                     key, _, value = line.rpartition(" ")
                     if key.startswith(DROPS) and 'channel="blocked"' not in key and float(value):

@@ -17,7 +17,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
 from network_spaces import HERE as BRIDGE, page  # noqa: E402
-from private_cluster import PrivateCluster, StartError, free_port  # noqa: E402,F401
+from private_cluster import PrivateCluster, StartError, free_port, result_of, wait_for  # noqa: E402,F401
 
 SESSION_S = 4  # the workers' registry.session_timeout
 HEARTBEAT_S = 1
@@ -63,15 +63,6 @@ PARTITIONS = 4  # of each topic on Kafka
 def ours(line):
     """The time, in seconds, of a line in a log of this system."""
     return datetime.datetime.fromisoformat(line.split(" ", 1)[0]).timestamp()
-
-
-def wait_for(what, condition, limit):
-    deadline = time.monotonic() + limit
-    while time.monotonic() < deadline:
-        if condition():
-            return
-        time.sleep(0.1)
-    raise StartError(f"not within {limit} s: {what}")
 
 
 class FaultCluster(PrivateCluster):
@@ -194,27 +185,23 @@ class FaultCluster(PrivateCluster):
                         events.append(Event(ours(line), worker, what, "".join(part or "" for part in found.groups())))
         return sorted(events)
 
-    def wait_for_workers(self, number, limit=30):
+    def wait_for_workers(self, number):
         wait_for(f"{number} workers are known", lambda: any(
-            len(topology["workers"]) == number for topology in json.loads(self.cli("topologies", "-o", "json"))), limit)
+            len(topology["workers"]) == number for topology in json.loads(self.cli("topologies", "-o", "json"))))
 
-    def wait_until_all_read(self, limit=30):
-        wait_for("every worker reads drivers", lambda: all(self.readers().values()), limit)
+    def wait_until_all_read(self):
+        wait_for("every worker reads drivers", lambda: all(self.readers().values()))
 
     def totals(self, limit):
         """Waits until every message is back or the time is over, and adds up the drivers' reports."""
-        def result(report):
-            text = report.read_text() if report.exists() else ""
-            return json.loads(text) if text.rstrip().endswith("}") else None
-
         deadline = time.monotonic() + limit
-        while time.monotonic() < deadline and not all(map(result, self.reports)):
+        while time.monotonic() < deadline and not all(map(result_of, self.reports)):
             time.sleep(0.2)
-        if not all(map(result, self.reports)):
+        if not all(map(result_of, self.reports)):
             self.undeploy_all()  # a closing driver writes its report
-            wait_for("every driver reports", lambda: all(map(result, self.reports)), 15)
+            wait_for("every driver reports", lambda: all(map(result_of, self.reports)))
         keys = ("sent", "received", "lost", "duplicated", "out_of_order", "damaged")
-        results = [result(report) for report in self.reports]
+        results = [result_of(report) for report in self.reports]
         return {key: sum(each[key] for each in results) for key in keys} | {
             "furthest_back": max(each["furthest_back"] for each in results),
             "max_s": max(each["latency_us"]["max"] for each in results) / 1e6}
@@ -231,12 +218,13 @@ def add_judge(parser):
                         help="fail if something took longer than limits.json allows: only where no other test runs")
 
 
-def judge(given, name, seconds):
-    """Prints a time beside its limit; with `--judge`, ends the test if it is longer."""
+def judge(given, name, took, unit="s"):
+    """Prints a time beside its limit; with `--judge`, ends the test if it is longer. `unit`: "x" if it is a multiple of
+    another time."""
     limit, what = LIMITS[name]["limit"], LIMITS[name]["of"]
-    print(f"{name} {seconds:.2f} s of {limit} s ({what})", flush=True)
-    if given.judge and seconds > limit:
-        raise SystemExit(f"{name}: {seconds:.2f} s is longer than tests/cluster/limits.json allows")
+    print(f"{name} {took:.2f} {unit} of {limit} {unit} ({what})", flush=True)
+    if given.judge and took > limit:
+        raise SystemExit(f"{name}: {took:.2f} {unit} is longer than tests/cluster/limits.json allows")
 
 
 def finish(name, totals):

@@ -88,19 +88,19 @@ def freeze(cluster, victim, other):
         return {event.unit: event.time for event in reversed(cluster.timeline([other]))
                 if event.what == "reads" and event.time > frozen and event.unit in own}
 
-    wait_for(f"{other} reads the drivers of {victim}", lambda: set(taken_over()) == own, 60)
+    wait_for(f"{other} reads the drivers of {victim}", lambda: set(taken_over()) == own)
     first = min(taken_over().values())
     cut = cut_off_late(cluster, connections, frozen, taken_over())
     while time.monotonic() < began + SESSION_S + 1:  # the successor is far beyond the frozen worker's messages
         time.sleep(0.1)
     process.send_signal(signal.SIGCONT)
     wait_for(f"{victim} keeps back what it has in hand",
-             lambda: kept(cluster, victim) >= kept_back + len(own), 30)
+             lambda: kept(cluster, victim) >= kept_back + len(own))
     wait_for("the drivers are shared again",
-             lambda: cluster.channels(victim) == cluster.channels(other) == units(cluster) / 2, 30)
+             lambda: cluster.channels(victim) == cluster.channels(other) == units(cluster) / 2)
     for worker in (victim, other):
         before = cluster.received(worker)
-        wait_for(f"{worker} reads its share", lambda: cluster.received(worker) > before + RATE[cluster.broker], 30)
+        wait_for(f"{worker} reads its share", lambda: cluster.received(worker) > before + RATE[cluster.broker])
     kept_back = kept(cluster, victim) - kept_back
     print(f"frozen with {len(own)} units: cut off by the broker after {cut - frozen:.2f} s, read elsewhere after "
           f"{first - frozen:.2f} s; continued: {kept_back:.0f} messages in hand were not sent", flush=True)
@@ -125,9 +125,9 @@ def main():
         cluster.wait_until_ready()
         cluster.wait_for_workers(2)
         cluster.drivers(drivers, given.rounds * ROUND_S * rate, rate)
-        wait_for("both read two units", lambda: [cluster.channels(each) for each in workers] == [2, 2], 30)
+        wait_for("both read two units", lambda: [cluster.channels(each) for each in workers] == [2, 2])
         for worker in workers:
-            wait_for(f"{worker} reads", lambda: cluster.received(worker) > rate, 30)
+            wait_for(f"{worker} reads", lambda: cluster.received(worker) > rate)
         for number in range(given.rounds):
             freeze(cluster, workers[number % 2], workers[1 - number % 2])
         totals = cluster.totals(given.rounds * ROUND_S + 60)

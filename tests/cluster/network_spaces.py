@@ -16,6 +16,7 @@ SKIPPED = 77
 MARK = "IOTCLOUD_TEST_HAS_ITS_NETWORK"
 HERE, THERE = "10.77.0.1", "10.77.0.2"  # the two ends of the way between the test and the isle
 
+PAGE_S = 60  # for a page of a busy machine
 PROBE = "ip link set lo up && ip link add name here type veth peer name there && iptables -t nat -L -n && iptables -L -n"
 
 
@@ -95,5 +96,5 @@ class Isle:
 
 def page(address, path, isle=None):
     with isle.inside() if isle else contextlib.nullcontext():
-        with urllib.request.urlopen(f"http://{address}{path}", timeout=5) as answer:
+        with urllib.request.urlopen(f"http://{address}{path}", timeout=PAGE_S) as answer:
             return answer.read().decode()

@@ -235,7 +235,7 @@ def main():
         machine.start(gateways=0, brokers=[])
         machine.boot(given.units.resolve(), given.build.resolve() / "tests/gateway/plugins", given.kill_mode,
                      given.hosts_as)
-        machine.wait_until_ready(60)
+        machine.wait_until_ready()
         machine.cli("deploy", "loadgen.so", "--gateway", "gateway-1", "--property", "rate=1")
         wait_for("the driver is active", lambda: machine.driver()["state"] == "active")
         gateway, hosts, before = machine.gateway(), machine.hosts(), machine.driver()

@@ -72,7 +72,7 @@ def write_glance_project(folder):
     write_glance_cmake(folder)
 
 
-def wait_for(what, condition, limit=30):
+def wait_for(what, condition, limit=120):
     deadline = time.monotonic() + limit
     while time.monotonic() < deadline:
         if condition():

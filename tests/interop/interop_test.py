@@ -94,7 +94,7 @@ def with_java_topology(cluster, java, servers, row):
     read = java.figures()
     layout = f"{kind}, {instances} instance{'s' if instances > 1 else ''}"
     yield "our driver -> Java topology", broker, layout, COUNT * instances, read
-    wait_for(f"the instances of {name} have every answer", lambda: all(map(result_of, reports)), 30)
+    wait_for(f"the instances of {name} have every answer", lambda: all(map(result_of, reports)))
     results = [result_of(report) for report in reports]
     answers = {key: sum(result[key] for result in results) for key in ("received", "twice", "wrong", "others")}
     yield "Java topology -> our driver", broker, layout, read["sent"], {**answers, "others": answers["others"] or "none"}

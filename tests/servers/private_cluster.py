@@ -37,18 +37,19 @@ def require(condition, text):
         sys.exit(f"wrong: {text}")
 
 
-def wait_for(what, condition, limit=60):
-    """Waits until `condition` is true; ends the test if that takes too long. A master that does not answer yet is asked
-    again."""
-    deadline = time.monotonic() + limit
+def wait_for(what, condition, limit=120):
+    """Waits until `condition` is true; ends the test if that takes too long. A master or a page that does not answer yet
+    is asked again."""
+    deadline, problem = time.monotonic() + limit, ""
     while time.monotonic() < deadline:
         try:
             if condition():
                 return
-        except StartError:
-            pass
+            problem = ""
+        except (StartError, OSError) as error:
+            problem = f"; {error}"
         time.sleep(0.1)
-    sys.exit(f"not within {limit} s: {what}")
+    sys.exit(f"not within {limit} s: {what}{problem}")
 
 
 def children_of(process):
@@ -241,7 +242,7 @@ brokers:
         """Ends a daemon with a signal. It may be started again()."""
         child = dict(self.children)[name]
         child.send_signal(how)
-        child.wait(20)
+        child.wait(120)
         self.children.remove((name, child))
 
     def again(self, name):
@@ -259,7 +260,7 @@ brokers:
         masters = ",".join(f"127.0.0.1:{port}" for port in self.apis.values() or [self.api_port])
         return [str(self.bin / "iotcloud"), "--master", masters, *map(str, words)]
 
-    def run_cli(self, *words, limit=60):
+    def run_cli(self, *words, limit=120):
         """Runs the CLI and returns its result. Raises StartError when it does not end in time."""
         try:
             return subprocess.run(self.command(*words), capture_output=True, text=True, timeout=limit)
@@ -277,7 +278,7 @@ brokers:
         """What the CLI printed, as data. Raises StartError as cli()."""
         return json.loads(self.cli(*words, "-o", "json"))
 
-    def answer(self, *words, limit=60):
+    def answer(self, *words, limit=120):
         """What became of an order: the JSON that the CLI prints whether it was done or not."""
         done = self.run_cli(*words, "-o", "json", limit=limit)
         if not done.stdout:
@@ -303,7 +304,7 @@ brokers:
         for driver in self.json("drivers"):
             self.cli("undeploy", driver["instance"])
 
-    def wait_until_ready(self, limit=30):
+    def wait_until_ready(self, limit=120):
         """Waits until all gateways are ready and, if a topology worker was started, a topology has a worker."""
         deadline = time.monotonic() + limit
         problem = ""

@@ -27,7 +27,7 @@ CHANNEL = re.compile(r"away: \S")
 
 def page(address, path):
     try:
-        return urllib.request.urlopen(f"http://{address}{path}", timeout=10).read().decode()
+        return urllib.request.urlopen(f"http://{address}{path}", timeout=60).read().decode()
     except urllib.error.HTTPError as error:
         return f"{error.code} {error.read().decode()}"
 

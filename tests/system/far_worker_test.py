@@ -58,7 +58,7 @@ class SeenFromAfar(PrivateCluster):
         return super().run_cli("--ca", self.certs / "ca.pem", "--certificate", f"{operator}.pem", "--key", f"{operator}.key",
                                "--token-file", self.out / f"{who}.token", *words, limit=limit)
 
-    def run_cli(self, *words, limit=60):
+    def run_cli(self, *words, limit=120):
         return self.run_as("anna", *words, limit=limit)
 
     def scrape(self, address, token=None, certificate="operator"):
@@ -70,7 +70,7 @@ class SeenFromAfar(PrivateCluster):
         if token:
             request.add_header("Authorization", f"Bearer {(self.out / token).read_text().strip()}")
         try:
-            with urllib.request.urlopen(request, context=context, timeout=20) as answer:
+            with urllib.request.urlopen(request, context=context, timeout=60) as answer:
                 return answer.status, answer.read().decode()
         except urllib.error.HTTPError as error:
             return error.code, error.read().decode()

@@ -67,7 +67,7 @@ class GuardedCluster(PrivateCluster):
     def run_as(self, who, *words):
         return super().run_cli(*self.access(who), *words)
 
-    def run_cli(self, *words, limit=60):
+    def run_cli(self, *words, limit=120):
         return super().run_cli(*self.access("anna"), *words, limit=limit)
 
     def token(self, who):

@@ -54,8 +54,8 @@ class Watched:
     def end(self):
         if self.child.poll() is None:
             self.child.terminate()
-        status = self.child.wait(20)
-        self.reader.join(20)
+        status = self.child.wait(120)
+        self.reader.join(120)
         return status
 
 
@@ -141,7 +141,7 @@ bolts:
             shown[:] = [line for line in done.stdout.splitlines() if "is away" in line]
             return shown
 
-        wait_for("the broker is shown as away", away, 30)
+        wait_for("the broker is shown as away", away)
         self.told("broker away", time.monotonic() - begun, shown[0].strip(), "gateway gateway-1", "the broker rabbitmq",
                   "is away since", "start its server")
         require(re.search("Z: (the connection broke|nobody listens at 127.0.0.1)", shown[0]), f"no reason: {shown[0]}")
