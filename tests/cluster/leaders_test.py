@@ -25,7 +25,9 @@ from private_server import freeze
 
 DRIVERS, RATE = 4, 100
 KILL_S, STOP_S = PAUSE_S + 2, PAUSE_S + 6  # how long the drivers send for each fault
-LEADERLESS_S = 60  # how long the test waits for the next leader
+LEADERLESS_S = 120  # how long the test waits for the next leader
+ORDER_S = 60  # how long the CLI waits for an order's outcome
+GATEWAYS_SESSION_S = 30  # a gateway that gets no CPU for a while is no gateway that was lost with a master
 STALE = 5  # orders to each frozen leader
 
 
@@ -51,7 +53,7 @@ class Orders(threading.Thread):
     def order(self, *words):
         """The CLI's answer; None when the order failed or its outcome is unknown."""
         try:
-            answer = self.cluster.cli(*words, "--wait", "10", "-o", "json")
+            answer = self.cluster.cli(*words, "--wait", ORDER_S, "-o", "json")
         except StartError as error:
             self.failed.append(str(error))
             return None
@@ -85,7 +87,7 @@ class Orders(threading.Thread):
 
 class Masters(FaultCluster):
     def status_of(self, name):
-        """Returns None when the master does not answer."""
+        """Returns None when the master does not answer. Do not ask one that is frozen: it holds the connection."""
         from thrift.Thrift import TException
 
         try:
@@ -94,7 +96,7 @@ class Masters(FaultCluster):
                 return api.status()
             finally:
                 api.close()
-        except TException:
+        except (TException, OSError):
             return None
 
     def leader(self, among=None, above=0):
@@ -104,6 +106,17 @@ class Masters(FaultCluster):
             if status and status.leading and status.epoch > above:
                 return name, status.epoch
         return None
+
+    def known_leader(self):
+        """(name, epoch) of the leader, once there is one."""
+        found = []
+
+        def leads():
+            found[:] = self.leader() or []
+            return found
+
+        wait_for("one master leads", leads, LEADERLESS_S)
+        return tuple(found)
 
     def next_leader(self, former, epoch, since):
         """The next leader, and how long the change took."""
@@ -121,7 +134,7 @@ class Masters(FaultCluster):
 
     def ordered_purposes(self):
         """The epochs of all orders in the registry."""
-        name, _ = self.leader()
+        name, _ = self.known_leader()
         api = MasterApi(self.apis[name])
         try:
             return [order.metadata.get("purpose") for order in api.orders()]
@@ -139,7 +152,7 @@ def kill_leader(cluster, orders, leader):
     following, took = cluster.next_leader(name, epoch, since)
     orders.follow()
     cluster.again(name)
-    wait_for(f"{name} is back", lambda: cluster.status_of(name), 30)
+    wait_for(f"{name} is back", lambda: cluster.status_of(name))
     return following, took
 
 
@@ -161,10 +174,10 @@ def stop_leader(cluster, orders, leader):
         process.send_signal(signal.SIGCONT)
     answers = []
     for api in stale:
-        answers.append(api.answer(40))
+        answers.append(api.answer(120))
         api.close()
     wait_for(f"{name} knows that it leads no more",
-             lambda: (status := cluster.status_of(name)) and not status.leading and status.leader, 30)
+             lambda: (status := cluster.status_of(name)) and not status.leading and status.leader)
     return following, took, answers
 
 
@@ -202,9 +215,10 @@ def main():
     print(f"seed {given.seed}", flush=True)
     killed, stopped, answers = [], [], []
     with Masters(given.build, "leaders") as cluster:
-        cluster.start(gateways=2, masters=3, of_masters=f"registry.session_timeout: {SESSION_S}s")
+        cluster.start(gateways=2, more=f"registry.session_timeout: {GATEWAYS_SESSION_S}s", masters=3,
+                      of_masters=f"registry.session_timeout: {SESSION_S}s")
         cluster.worker()
-        wait_for("one master leads", cluster.leader, 30)
+        cluster.known_leader()
         cluster.wait_until_ready()
         cluster.drivers(DRIVERS, 5 * RATE, RATE)
         usual = cluster.totals(60)
@@ -212,7 +226,7 @@ def main():
         cluster.reports = []
         seconds = given.kills * KILL_S + given.stops * STOP_S
         cluster.drivers(DRIVERS, seconds * RATE, RATE, "faults")
-        leader = cluster.leader()
+        leader = cluster.known_leader()
         faults = ["kill"] * given.kills + ["stop"] * given.stops
         choose.shuffle(faults)
         with Orders(cluster) as orders:

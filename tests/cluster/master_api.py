@@ -8,8 +8,10 @@ from pathlib import Path
 
 
 def compile_idl(build, room="master"):
-    """Makes Python of the masters' or the gateways' IDL, and finds it."""
-    includes, out = Path(build).resolve() / "include", Path(build).resolve() / "cluster-tests/thrift" / room
+    """Makes Python of the masters' or the gateways' IDL, and finds it. Each script has its own: another one that runs
+    beside it imports modules when it first needs them."""
+    includes = Path(build).resolve() / "include"
+    out = Path(build).resolve() / "cluster-tests/thrift" / Path(sys.argv[0]).stem / room
     out.mkdir(parents=True, exist_ok=True)
     subprocess.run(["thrift", "-r", "-gen", "py", "-I", includes, "-out", out, includes / f"iotcloud/{room}/{room}.thrift"],
                    check=True)
@@ -18,9 +20,9 @@ def compile_idl(build, room="master"):
 
 
 class MasterApi:
-    """Call compile_idl() before. Raises what Thrift raises when the master does not answer in time."""
+    """Call compile_idl() before. Raises what Thrift raises, or OSError, when the master does not answer in time."""
 
-    def __init__(self, port, limit_s=1.0):
+    def __init__(self, port, limit_s=60.0):
         from master import TMasterAPIService
         from thrift.protocol import TBinaryProtocol
         from thrift.transport import TSocket, TTransport
