@@ -1,9 +1,10 @@
 #!/usr/bin/python3
 """A fleet of gateways on one machine, of which one is frozen (SIGSTOP). Orders for all of them are followed by the others
-as fast as before: compared with orders of the same run, by the times in the drivers' records. The frozen one is `lost`
-after its session's time-out and `ready` again when it goes on, and follows then what it missed.
+as fast as before: compared with orders of the same run, by the times in the drivers' records (printed, and judged with
+--judge). The frozen one is `lost` after its session's time-out and `ready` again when it goes on, and follows then what it
+missed.
 
-usage: frozen_gateway_test.py BUILD_DIR [--gateways N]
+usage: frozen_gateway_test.py BUILD_DIR [--gateways N] [--judge]
 """
 
 import argparse
@@ -17,13 +18,15 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
 
+from fault_cluster import add_judge, judge  # noqa: E402
 from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
 from private_server import freeze  # noqa: E402
 
-SESSION_S = 8
-WAIT_S = 3  # how long orders wait for the frozen gateway
-# An order that waits for the frozen gateway takes WAIT_S longer, many times its usual time.
-RATIO = 5
+SESSION_S = 16
+WAIT_S = 60  # how long orders wait for their outcomes
+# How long they wait while a gateway is frozen of which nobody knows yet. An order that waits for it takes so much longer, many
+# times its usual time.
+FROZEN_WAIT_S = 3
 
 
 class Fleet(PrivateCluster):
@@ -34,20 +37,27 @@ class Fleet(PrivateCluster):
         return {driver["gateway"]: driver for driver in json.loads(self.cli("drivers", "-o", "json"))
                 if not driver["metadata"]}
 
-    def ordered(self, verb, state, but=None):
-        """Orders it for all; seconds from the order until the last gateway, of all or of all but one, had followed."""
+    def ordered(self, verb, state, but=None, wait=WAIT_S):
+        """Orders it for all; seconds from the order until the last gateway, of all or of all but one, had followed, and
+        the outcome of that one. With a shorter `wait` the others may be too slow for it on a busy machine; they follow all
+        the same."""
         instances = [driver["instance"] for driver in self.drivers().values()]
         began = time.time()
-        outcomes = self.outcomes(verb, *instances)
+        outcomes = self.outcomes(verb, *instances, wait=wait)
         others = {gateway: outcome for gateway, outcome in outcomes.items() if gateway != but}
-        require(set(others.values()) == {"done"}, f"{verb}: {outcomes}")
-        records = self.drivers()
-        require({records[gateway]["state"] for gateway in others} == {state}, f"{verb}: {records}")
+        require(set(others.values()) <= ({"done"} if wait == WAIT_S else {"done", "unknown"}), f"{verb}: {outcomes}")
+        records = {}
+
+        def followed():
+            records.update(self.drivers())
+            return {records[gateway]["state"] for gateway in others} == {state}
+
+        wait_for(f"{verb}: all are {state}", followed)
         return max(records[gateway]["since_ms"] for gateway in others) / 1000 - began, outcomes.get(but)
 
-    def outcomes(self, *words):
+    def outcomes(self, *words, wait=WAIT_S):
         """The outcome of an order on each gateway, whatever the CLI's exit status."""
-        self.last_answer = self.answer(*words, "--wait", WAIT_S)
+        self.last_answer = self.answer(*words, "--wait", wait)
         return {outcome["gateway"]: outcome["outcome"] for outcome in self.last_answer["outcomes"]}
 
 
@@ -55,6 +65,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("build", type=Path)
     parser.add_argument("--gateways", type=int, default=20)
+    add_judge(parser)
     given = parser.parse_args()
     build = given.build.resolve()
     work = build / "frozen-gateway"
@@ -78,7 +89,7 @@ def main():
             beside, unknown = [], 0
             while fleet.gateway_states()[frozen] == "ready":
                 for order in both:
-                    took, of_frozen = fleet.ordered(*order, but=frozen)
+                    took, of_frozen = fleet.ordered(*order, but=frozen, wait=FROZEN_WAIT_S)
                     beside.append(took)
                     unknown += of_frozen == "unknown"
             lost = time.monotonic() - began
@@ -89,21 +100,21 @@ def main():
         finally:
             process.send_signal(signal.SIGCONT)
         returned = time.monotonic()
-        wait_for("the frozen gateway is ready again", lambda: fleet.gateway_states()[frozen] == "ready", 30)
+        wait_for("the frozen gateway is ready again", lambda: fleet.gateway_states()[frozen] == "ready")
         back = time.monotonic() - returned
-        wait_for("it follows what it missed: a stop", lambda: fleet.drivers()[frozen]["state"] == "inactive", 30)
+        wait_for("it follows what it missed: a stop", lambda: fleet.drivers()[frozen]["state"] == "inactive")
         wait_for("it follows what it missed: a deployment", lambda: [
             driver["state"] for driver in json.loads(fleet.cli("drivers", "-o", "json", "--gateway", frozen))
-            if driver["metadata"].get("late")] == ["active"], 30)
+            if driver["metadata"].get("late")] == ["active"])
         followed = time.monotonic() - returned
         fleet.require_alive()
     ratio = statistics.median(beside) / statistics.median(usual)
     print(f"{given.gateways} gateways: the last one followed an order after {1000 * statistics.median(usual):.0f} ms; "
-          f"beside a frozen one {1000 * statistics.median(beside):.0f} ms ({ratio:.2f} x, {RATIO} x are allowed; {len(beside)} "
-          f"orders, of which {unknown} knew nothing of the frozen one). It was lost after {lost:.1f} s (session's time-out "
+          f"beside a frozen one {1000 * statistics.median(beside):.0f} ms ({ratio:.2f} x; {len(beside)} orders, of which "
+          f"{unknown} knew nothing of the frozen one). It was lost after {lost:.1f} s (session's time-out "
           f"{SESSION_S} s), ready {back:.1f} s after it went on, and had followed all after {followed:.1f} s")
     require(unknown > 0, "no order was given while the frozen gateway counted as ready")
-    require(ratio <= RATIO, "a frozen gateway delays the others")
+    judge(given, "beside_a_frozen_gateway", ratio, "x")
 
 
 if __name__ == "__main__":

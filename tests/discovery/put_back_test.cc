@@ -1,5 +1,8 @@
 // Clients of a server whose state was emptied or put back: it refuses those that have seen a later state, without a
 // word.
+#include <set>
+#include <string>
+
 #include <gmock/gmock.h>
 
 #include <iotcloud/discovery/embedded/server.h>
@@ -43,20 +46,18 @@ TEST_F(PutBack, AClientOfAnEmptiedServerIsBackAfterItsTimeOutAndSaysMeanwhileWha
   const std::chrono::seconds timeout(6);
   const auto registry = client(timeout);
   registry->create("/kept", "data");
-  const auto emptied = std::chrono::steady_clock::now();
   server_->put_back(nullptr);
-  std::string said;
+  std::set<std::string> said;
   ASSERT_TRUE(eventually([&] {
     try {
       return !registry->get("/kept");
     } catch (const RegistryError& e) {
-      said = e.what();
+      said.insert(e.what());
       return false;
     }
   }));
-  EXPECT_LT(std::chrono::steady_clock::now() - emptied, timeout + timeout / 2)
-      << "it waits for one time-out, not for two";
-  EXPECT_THAT(said, testing::HasSubstr("A new session begins within 5000 ms"));
+  // Less than one time-out; wiped_registry_test.py measures it.
+  EXPECT_THAT(said, testing::Contains(testing::HasSubstr("A new session begins within 5000 ms")));
 }
 
 TEST_F(PutBack, AServerThatIsOnlyAwayCostsNoSession) {
