@@ -4,11 +4,12 @@ topology, the broker; it goes on when the gateway dies, whose driver hosts outli
 the driver host dies. Each is killed (SIGKILL) in turn, in a cluster of processes, while the robot follows the person.
 
 The robot is a ROS node of its own (ros_robot.py), which outlives all of them and writes what its base was asked and did,
-and when; what is measured here comes from there.
+and when; what is measured here comes from there. Times are printed, and judged with --judge.
 
-usage: watchdog_test.py BUILD_DIR     (exit status 77: there is no ROS here)
+usage: watchdog_test.py BUILD_DIR [--judge]     (exit status 77: there is no ROS here)
 """
 
+import argparse
 import csv
 import os
 import re
@@ -19,8 +20,9 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-sys.path.insert(0, str(HERE.parent / "servers"))
+sys.path[:0] = [str(HERE.parent / "servers"), str(HERE.parent / "cluster")]
 
+from fault_cluster import add_judge, judge  # noqa: E402
 from private_cluster import PrivateCluster, Unavailable, require, wait_for  # noqa: E402
 
 WATCHDOG_S = 0.25  # the driver's, by default
@@ -28,7 +30,6 @@ BASE_S = 0.6       # the base's own (drivers/turtle/simulator/base.h, as a Kobuk
 BRAKES = {"linear": 0.8, "angular": 6.0}  # the base's too: m/s and rad/s a second
 GOAL_M = 0.55      # nearer to the person than it stands at first, so that it sets out at once
 FAST_ENOUGH = 0.12  # m/s, to be on its way when something is killed
-MARGIN_S = 2.0     # the machine is shared with other tests
 HOSTS_REST_S = 4   # before a driver host is started again: longer than a base takes to stand still
 
 
@@ -74,7 +75,8 @@ def braking_time(row):
 
 
 class Robot(PrivateCluster):
-    def begin(self, build):
+    def begin(self, build, given):
+        self.given = given
         os.environ["ROS_IP"] = "127.0.0.1"
         ros = self.server("rosmaster")
         self.track = Track(self.server("ros_robot", "--program", build / "bin/ros_robot", "--master", ros))
@@ -107,7 +109,7 @@ class Robot(PrivateCluster):
         wait_for("the robot follows the person", self.track.moves)
 
     def must_stop(self, what):
-        """Checks that the driver stops the base in time after its last command, and that the base stops."""
+        """Checks that the driver stops the base after its last command, and that the base stops."""
         wait_for(f"the robot stands still after {what} was killed", self.track.is_still)
         last, halt = self.track.commands()[-2:]
         require(halt["asked_linear"] == halt["asked_angular"] == 0, f"the last command is none to be still: {halt}")
@@ -115,9 +117,8 @@ class Robot(PrivateCluster):
         print(f"{what} killed at {halt['linear']:.2f} m/s: told to be still {told * 1000:.0f} ms after the last command, "
               f"still after {still * 1000:.0f} ms", flush=True)
         # The last command may have come late; the driver's own tests check that it does not stop earlier.
-        require(told <= WATCHDOG_S + MARGIN_S, f"told after {told:.3f} s, not {WATCHDOG_S} s")
-        limit = WATCHDOG_S + braking_time(halt) + MARGIN_S
-        require(still <= limit, f"it was still after {still:.3f} s, not within {limit:.3f} s")
+        judge(self.given, "told_to_be_still_s", told)
+        judge(self.given, "still_late_s", still - WATCHDOG_S - braking_time(halt))
 
     def base_must_stop(self, what):
         """Checks that the base stops by itself, without a command."""
@@ -128,18 +129,18 @@ class Robot(PrivateCluster):
               "command", flush=True)
         require(last["asked_linear"] != 0 or last["asked_angular"] != 0, f"somebody told it to be still: {last}")
         # Until then it obeys its last command and may become faster.
-        limit = BASE_S + max(braking_time(row) for row in self.track.rows()) + MARGIN_S
-        require(BASE_S <= still <= limit, f"it was still after {still:.3f} s, not within {limit:.3f} s")
+        require(still >= BASE_S, f"it was still after {still:.3f} s already, not {BASE_S} s after its last command")
+        judge(self.given, "still_late_s", still - BASE_S - max(braking_time(row) for row in self.track.rows()))
 
     def must_go_on(self, what):
-        """Checks that commands keep coming, without a gap in which the robot was stopped."""
+        """Checks that commands keep coming."""
         before = self.track.newest()
         wait_for(f"60 more commands after {what} was killed",
                  lambda: self.track.newest()["commands"] > before["commands"] + 60)
         came = [row["time_s"] for row in self.track.commands() if row["commands"] >= before["commands"]]
         longest = max(later - sooner for sooner, later in zip(came, came[1:]))
         print(f"{what} killed: 60 commands more, never more than {longest * 1000:.0f} ms apart", flush=True)
-        require(longest < WATCHDOG_S + MARGIN_S, f"no command for {longest:.3f} s")
+        judge(self.given, "between_commands_s", longest)
 
 
 def end_process(process):
@@ -172,12 +173,16 @@ def kill_each(robot, host):
 
 
 def main():
-    build = Path(sys.argv[1]).resolve()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("build", type=Path)
+    add_judge(parser)
+    given = parser.parse_args()
+    build = given.build.resolve()
     work = build / "watchdog"
     shutil.rmtree(work, ignore_errors=True)
     with Robot(work, build / "bin", build / "plugins") as robot:
         try:
-            robot.begin(build)
+            robot.begin(build, given)
         except Unavailable as reason:
             print(reason)
             sys.exit(77)
