@@ -53,7 +53,7 @@ def check_logs(fleet, instance):
     lines = [follower.stdout.readline() for _ in range(2)]
     require("stopping" in lines[0] and "inactive" in lines[1], lines)
     follower.send_signal(signal.SIGINT)
-    follower.communicate(timeout=20)
+    follower.communicate(timeout=120)
     require(follower.returncode == 0, f"logs --follow ended with {follower.returncode} at Ctrl-C")
 
 
@@ -61,8 +61,9 @@ def check_channels(fleet, instance):
     """A channel is looked at, a message is handed to the driver by hand, and Ctrl-C ends a look in order."""
     seen = [json.loads(line) for line in fleet.cli("channel", "echo", instance, "data", "-n", 3, "-o", "json").splitlines()]
     require([one["number"] for one in seen] == [1, 2, 3] and all(one["size"] > 0 for one in seen), seen)
-    rate = json.loads(fleet.cli("channel", "hz", instance, "data", "--once", "--every", 2, "-o", "json"))["messages_per_s"]
-    require(1 < rate < 25, f"{rate} messages a second, of 5")
+    # On a busy machine a driver pauses and then catches up, so not every two seconds show its rate.
+    wait_for("5 messages a second are measured", lambda: 1 < json.loads(
+        fleet.cli("channel", "hz", instance, "data", "--once", "--every", 2, "-o", "json"))["messages_per_s"] < 25)
     channels = {one["channel"]: one for one in fleet.json("channel", "list", instance)}
     require(set(channels) == {"data", "echo"} and channels["data"]["broker_state"] == "connected", channels)
     look = subprocess.Popen(fleet.command("channel", "echo", instance, "echo"), stdout=subprocess.PIPE, text=True)
@@ -70,13 +71,13 @@ def check_channels(fleet, instance):
              and select.select([look.stdout], [], [], 0.5)[0])
     require("by hand" in look.stdout.readline(), "another message is shown")
     look.send_signal(signal.SIGINT)
-    look.communicate(timeout=20)
+    look.communicate(timeout=120)
     require(look.returncode == 0, f"channel echo ended with {look.returncode} at Ctrl-C")
     look = subprocess.Popen(fleet.command("channel", "echo", instance, "data"), stdout=subprocess.PIPE,
                             stderr=subprocess.PIPE, text=True)
     look.stdout.readline()
     fleet.cli("stop", instance)
-    told = look.communicate(timeout=20)[1]
+    told = look.communicate(timeout=120)[1]
     require(look.returncode == 1 and "is inactive" in told and "iotcloud start" in told, told)
     fleet.cli("start", instance)
 
@@ -94,8 +95,15 @@ def check_silent(fleet, frozen, instance, other):
     """A frozen gateway is named; the others answer."""
     freeze(frozen)
     try:
-        done = fleet.run_cli("history")
-        require(done.returncode == 1 and instance in done.stdout and other not in done.stdout, done)
+        asked = []
+
+        def only_the_other_answers():
+            asked[:] = [fleet.run_cli("history")]
+            return instance in asked[0].stdout  # on a busy machine not always in time
+
+        wait_for("the gateway that runs answers", only_the_other_answers)
+        done, = asked
+        require(done.returncode == 1 and other not in done.stdout, done)
         require("the history of gateway-2 is missing" in done.stderr, done)
     finally:
         frozen.send_signal(signal.SIGCONT)
