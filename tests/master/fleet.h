@@ -1,7 +1,9 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
+#include <cstddef>
 #include <functional>
 #include <map>
 #include <memory>
@@ -26,6 +28,19 @@ std::string fresh_registry_url();
 std::unique_ptr<discovery::Registry> open_registry(const std::string& url);
 
 using tests::eventually;
+
+/// Gives an order which somebody never answers, with a longer limit each time, until the limit was long enough for all
+/// others: how long they take depends on how busy the machine is. \param give gives the order with that limit.
+/// \return what became of the last one.
+template <typename Give>
+auto with_time_for_all_but(std::size_t silent, std::chrono::milliseconds& limit, const Give& give) {
+  for (;; limit *= 2) {
+    auto result = give(limit);
+    const auto unknown = std::count_if(result.outcomes.begin(), result.outcomes.end(),
+                                       [](const auto& each) { return each.outcome == OrderOutcome::unknown; });
+    if (static_cast<std::size_t>(unknown) <= silent || limit > patience) return result;
+  }
+}
 
 /// A gateway that follows orders as a real one does, and reports what the test says.
 class FakeGateway {
