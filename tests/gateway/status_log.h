@@ -41,6 +41,15 @@ class StatusLog {
     return found;
   }
 
+  /// \return why its host was killed, or died, as the record says when it runs again. That it was `starting` between is
+  /// seen by those only who look in time.
+  std::string why_it_runs_again(const std::string& instance) {
+    while (const auto again = wait_for(instance, discovery::DriverState::active)) {
+      if (again->reason.starts_with("again, after its driver host ")) return again->reason;
+    }
+    return "it does not run again";
+  }
+
   std::vector<discovery::DriverState> states(const std::string& instance) const {
     const std::lock_guard lock(mutex_);
     std::vector<discovery::DriverState> states;

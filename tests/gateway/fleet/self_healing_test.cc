@@ -35,15 +35,11 @@ class SelfHealing : public ProcessTest {
     give(quiet("ill", "sick.so", std::move(illness)));
   }
 
-  /// \return why its host was killed, or died, as the record says when it runs again. That it was `starting` between
-  /// is seen by those only who look in time.
+  /// \return StatusLog::why_it_runs_again().
   std::string falls_ill_and_runs_again() {
     if (!told_.wait_for("ill", DriverState::active)) return "it never ran";
     tests::write_file(trigger_, "");
-    while (const auto again = told_.wait_for("ill", DriverState::active)) {
-      if (again->reason.starts_with("again, after its driver host ")) return again->reason;
-    }
-    return "it does not run again";
+    return told_.why_it_runs_again("ill");
   }
 
   /// Its numbers without a gap, all of one process.
