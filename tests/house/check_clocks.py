@@ -29,11 +29,13 @@ STAMPS_OF_OTHERS = {
     "master/orders/order_book.cc": "two orders of one master never have the same time",
     "master/topologies/topology_service.cc": "an order says until when its master waits, whichever process reads it",
     "security/tokens.cc": "a token's end is a day of the calendar, which its file says",
+    "topology/endpoints/receiving/broker_spout.cc": "the age of a message by the time stamp that its driver wrote",
     "topology/windows/watermarks.h": "event times, as windowed_bolt.cc gives them",
     "topology/windows/windowed_bolt.cc": "event times that are time stamps, by the steady clock from the first look on",
     "topology/worker/control.cc": "an order says until when its master waits, whichever process reads it",
     "tests/gateway/signed_orders_test.cc": "such orders",
     "tests/topology/worker/worker_control_test.cc": "such an order",
+    "tests/topology/worker/worker_test.cc": "such a message",
 }
 
 CLOCKS = re.compile(
