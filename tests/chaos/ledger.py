@@ -30,6 +30,7 @@ class Run:
     end: float = None  # when it was closed; None: it was killed, or it lives
     sent: list = dataclasses.field(default_factory=list)  # times at which 1, 2, ... were accepted
     last: float = 0.0  # time of its last line
+    killed: bool = False  # its process lives no more, and had not closed it
 
 
 @dataclasses.dataclass
@@ -179,10 +180,17 @@ def absent(one, copies, spans=()):
         for place, run in enumerate(one.runs)}
 
 
+def mark_killed(accounts, living):
+    """Of the last runs, which look as if they lived: nothing follows on a run of an instance that was undeployed while its
+    host stood still. `living`: process ids, as text."""
+    for run in (run for account in accounts for run in account.runs):
+        run.killed = run.end is None and run.name.split(".")[0] not in living
+
+
 def missing(one, copies, spans):
     wrong = []
     for run, gone in zip(one.runs, absent(one, copies, spans).values()):
-        if one.kind == BLOCKED and (run.end is not None or run is not one.runs[-1]):
+        if one.kind == BLOCKED and (run.end is not None or run.killed or run is not one.runs[-1]):
             newest = max((copy.number for copy in copies if copy.run == run.name), default=0)
             gone = [number for number in gone if number < newest]
         if gone:

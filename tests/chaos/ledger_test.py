@@ -78,6 +78,14 @@ class LedgerTest(unittest.TestCase):
         self.assertEqual(check([account(BLOCKED, [run(end=6.0)], copies(1, 2, 3, 4))]), [])
         self.assert_wrong(check([account(SPOOLED, [run(end=6.0)], copies(1, 2, 3, 4))]), "never came: 5")
 
+    def test_the_end_of_the_last_run_may_be_lost_if_its_process_was_killed_and_nobody_started_it_again(self):
+        for kind, numbers, living, lost in ((BLOCKED, (1, 2, 3), {"2"}, 0), (BLOCKED, (), {"2"}, 0),
+                                            (BLOCKED, (1, 2, 3), {"1", "2"}, 1), (BLOCKED, (1, 3, 4, 5), {"2"}, 1),
+                                            (SPOOLED, (1, 2, 3), {"2"}, 1)):
+            one = account(kind, [run()], copies(*numbers))
+            ledger.mark_killed([one], living)
+            self.assertEqual(len(ledger.missing(one, one.came, ())), lost, (kind, numbers, living))
+
     def test_a_broker_that_lost_its_data_excuses_what_nobody_had_read(self):
         one = account(SPOOLED, [run()], copies(1, 2, 5))
         self.assert_wrong(check([one]), "never came: 3-4")
