@@ -24,6 +24,9 @@ namespace {
 
 /// The largest answer.
 constexpr int most_bytes = 64 * 1024 * 1024;
+/// The longest list in an answer: as many records as the largest answer has room for, at 160 bytes each. Thrift makes
+/// room for a list before it reads the first element, so whoever answers may not choose any length.
+constexpr int most_items = 400'000;
 
 TTransportException exception_of(const StreamError& e) {
   switch (e.kind()) {
@@ -98,7 +101,8 @@ ThriftClient::~ThriftClient() = default;
 
 std::shared_ptr<TProtocol> ThriftClient::protocol() const {
   return std::make_shared<TBinaryProtocol>(
-      std::make_shared<TFramedTransport>(transport_, std::make_shared<TConfiguration>(most_bytes, most_bytes)));
+      std::make_shared<TFramedTransport>(transport_, std::make_shared<TConfiguration>(most_bytes, most_bytes)),
+      most_bytes, most_items, false, true);
 }
 
 void ThriftClient::set_answer_limit(std::chrono::milliseconds limit) {

@@ -1,5 +1,6 @@
 // What anybody may send to a daemon's pages: bytes of one connection, to a real server over loopback.
 #include <array>
+#include <filesystem>
 #include <map>
 #include <string>
 #include <string_view>
@@ -10,6 +11,7 @@
 #include <unistd.h>
 
 #include "iotcloud/rpc/http/http_server.h"
+#include "iotcloud/security/tokens.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 #include "iotcloud/tests/fuzz/fuzz_target.h"
 
@@ -18,23 +20,36 @@ using namespace iotcloud;
 namespace {
 
 /// Serves a page that shows what was understood of the request.
-int port_of_server() {
-  static const rpc::HttpServer server("127.0.0.1:0", {{"/page", [](const rpc::HttpRequest& request) {
-                                                         std::string text = request.path;
-                                                         for (const auto& [key, value] : request.query)
-                                                           text += key + "=" + value + "\n";
-                                                         return rpc::HttpAnswer{200, "text/plain", text};
-                                                       }}});
-  static const std::string address = server.address();
-  return std::stoi(address.substr(address.rfind(':') + 1));
+class Server {
+ public:
+  explicit Server(const std::string& tokens)
+      : server_({"127.0.0.1:0", {}, tokens}, {{"/page", [](const rpc::HttpRequest& request) {
+                                                 std::string text = request.path;
+                                                 for (const auto& [key, value] : request.query)
+                                                   text += key + "=" + value + "\n";
+                                                 return rpc::HttpAnswer{200, "text/plain", text};
+                                               }}}) {}
+  int port() const { return std::stoi(server_.address().substr(server_.address().rfind(':') + 1)); }
+
+ private:
+  rpc::HttpServer server_;
+};
+
+/// A file with the token of "anna", which no input knows.
+std::string file_of_tokens() {
+  const std::string file =
+      std::filesystem::temp_directory_path() / ("iotcloud-fuzz-tokens-" + std::to_string(getpid()));
+  std::filesystem::remove(file);
+  security::add_token(file, "anna", security::Role::viewer);
+  return file;
 }
 
 /// Sends the bytes on a connection of their own. \return all that the server answers until it closes
-std::string answer_to(std::string_view bytes) {
+std::string answer_to(std::string_view bytes, int port) {
   const int descriptor = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
   sockaddr_in address{};
   address.sin_family = AF_INET;
-  address.sin_port = htons(static_cast<std::uint16_t>(port_of_server()));
+  address.sin_port = htons(static_cast<std::uint16_t>(port));
   address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
   fuzz::must(connect(descriptor, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0,
              "the server takes connections");
@@ -52,6 +67,22 @@ std::string answer_to(std::string_view bytes) {
 }  // namespace
 
 IOTCLOUD_FUZZ_TARGET(http, 2'000) {
-  const std::string answer = answer_to(fuzz::text(data, size));
+  static const int open = [] {
+    static const Server server("");
+    return server.port();
+  }();
+  static const int guarded = [] {
+    const std::string tokens = file_of_tokens();
+    static const Server server(tokens);
+    std::filesystem::remove(tokens);
+    return server.port();
+  }();
+  const auto bytes = fuzz::text(data, size);
+  const std::string answer = answer_to(bytes, open);
   fuzz::must(answer.empty() || answer.starts_with("HTTP/1."), "what is answered is HTTP");
+  const std::string without_token = answer_to(bytes, guarded);
+  fuzz::must(without_token.empty() || without_token.starts_with("HTTP/1."), "what is answered is HTTP");
+  fuzz::must(without_token.find("HTTP/1.1 200") == std::string::npos &&
+                 without_token.find("HTTP/1.0 200") == std::string::npos,
+             "nobody reads a guarded page without a token");
 }
